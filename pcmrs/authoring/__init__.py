@@ -1,1 +1,1 @@
-"""Designing workflows: from step tables, other notations and drawings, and trying them out."""
+"""Design of workflows: from step tables, other notations and drawings; and trying them out."""

@@ -1,8 +1,7 @@
-"""What differs in behaviour between two blueprints: not how they are written, but what they answer.
+"""Differences in behaviour between two blueprints: not how they are written, but how they answer.
 
-Where one has a branch that the other lacks, joint states are compared without it.
-
-The sides of a workflow's answers that can be told apart from outside, and how two answers differ in them.
+If only one has a branch, joint states are compared without it. Answers are compared by facets: the aspects that can be
+told apart from outside.
 """
 
 from __future__ import annotations
@@ -21,17 +20,22 @@ from pcmrs.fsm.closure import Change, Denial
 FacetKind = Literal["accepted", "rejected", "ending", "reason", "locks"]
 
 Facets = dict[str, frozenset[Any]]
-"""``accepted``, ``reason``, ``locks`` and ``ending <name>``, each with all that it was seen to be."""
+"""``accepted``, ``reason``, ``locks`` and ``ending <name>``, each with all values that were seen."""
 
-Seen = dict[Joint, Facets]
+FacetsByState = dict[Joint, Facets]
 """The facets of an operation's answers in each joint state."""
 
 
-def answers_seen(blueprint: Blueprint, common: Collection[str]) -> dict[str, Seen]:
-    """The facets of all answers of each operation; under "" every joint state that is reached."""
+def facets_of(blueprint: Blueprint, common: Collection[str]) -> dict[str, FacetsByState]:
+    """Return the facets of all answers of each operation; under "" every joint state that is reached.
+
+    Args:
+        blueprint: The workflow.
+        common: Branches to compare.
+    """
     places = [list(blueprint.branches).index(branch) for branch in common]
     specs = {f"{branch}.{operation}": spec for branch, operation, spec in operations(blueprint) if not spec.iio}
-    found: dict[str, Seen] = {operation: {} for operation in ("", *specs)}
+    found: dict[str, FacetsByState] = {operation: {} for operation in ("", *specs)}
     for joint, answers in behaviour(blueprint).items():
         part = tuple(joint[place] for place in places)
         found[""][part] = {}
@@ -42,25 +46,32 @@ def answers_seen(blueprint: Blueprint, common: Collection[str]) -> dict[str, See
     return found
 
 
-def _sides(spec: OperationSpec, said: Ruling, common: Collection[str]) -> Iterator[tuple[str, Hashable]]:
-    yield "accepted", not isinstance(said, Denial)
-    if isinstance(said, Denial):
-        yield "reason", said.code
+def _sides(spec: OperationSpec, answer: Ruling, common: Collection[str]) -> Iterator[tuple[str, Hashable]]:
+    yield "accepted", not isinstance(answer, Denial)
+    if isinstance(answer, Denial):
+        yield "reason", answer.code
         return
-    for ending, change in endings(spec, said).items():
+    for ending, change in endings(spec, answer).items():
         yield f"ending {ending}", _consequence(change, common)
-    yield "locks", (said.writes & frozenset(common), said.reads & frozenset(common))
+    yield "locks", (answer.writes & frozenset(common), answer.reads & frozenset(common))
 
 
 def _consequence(change: Change | None, common: Collection[str]) -> Hashable:
-    """What a change does to the branches that both have, in no order."""
+    """Return the effect of a change on the branches that both have, in no order."""
     if change is None:
         return frozenset()
     return frozenset(effect for effect in change.effects if effect.branch in common)
 
 
-def differing(was: Mapping[str, frozenset[Any]], now: Mapping[str, frozenset[Any]]) -> Iterator[tuple[FacetKind, str]]:
-    """The facets that differ, without those that only follow from another difference."""
+def differing_facets(
+    was: Mapping[str, frozenset[Any]], now: Mapping[str, frozenset[Any]]
+) -> Iterator[tuple[FacetKind, str]]:
+    """Return the facets that differ, without those that only follow from another difference.
+
+    Args:
+        was: Facets in the old blueprint.
+        now: Facets in the new blueprint.
+    """
     before, after = was["accepted"], now["accepted"]
     if before != after:
         yield "accepted" if sorted(after) > sorted(before) else "rejected", "accepted"
@@ -74,8 +85,13 @@ def differing(was: Mapping[str, frozenset[Any]], now: Mapping[str, frozenset[Any
             yield "locks", "locks"
 
 
-def worded(values: frozenset[Any], other: frozenset[Any]) -> str:
-    """What a facet is, for a person: of changes, only what the other one lacks."""
+def describe_facet(values: frozenset[Any], other: frozenset[Any]) -> str:
+    """Return a facet in words; of changes, only those that the other blueprint lacks.
+
+    Args:
+        values: All values of the facet.
+        other: Its values in the other blueprint.
+    """
     if not values:
         return "impossible"
     if len(values) == len(other) == 1:
@@ -101,7 +117,7 @@ DECLARED = (
     "payload", "checks", "steps", "timeout_s", "motion", "affects_patient", "blocked_when_latched", "irreversible",
     "allows_again", "iio", "event", "unlatches",
 )  # fmt: skip
-"""What an operation declares of its performance; all else shows in what it answers."""
+"""Keys of an operation that are compared as declared; all others show in its answers."""
 
 BEGINNINGS: dict[Kind, str] = {
     "reached": "now also reached:",
@@ -118,13 +134,13 @@ class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One difference between an old and a new blueprint.
 
     Attributes:
-        kind: What kind; ``reached`` and ``unreached`` are joint states, the others are of the `subject`.
+        kind: Kind of difference; ``reached`` and ``unreached`` are of joint states, the others of the `subject`.
         subject: ``branch``, ``branch.operation`` or ``branch.operation:ending``; empty for the whole workflow.
         text: The same for a person who reviews it.
-        joint_states: In how many joint states.
+        joint_states: Number of joint states in which they differ.
         example: The first of them.
-        old: What is so in the old one, where it can be said for the example.
-        new: What is so in the new one.
+        old: Value in the old blueprint, if it can be given for the example.
+        new: Value in the new blueprint.
     """
 
     kind: Kind
@@ -137,7 +153,11 @@ class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 def compare(old: Blueprint, new: Blueprint) -> list[Difference]:
-    """Everything that differs; empty when nobody who uses the workflow could tell them apart.
+    """Return all differences; empty if no user of the workflow could tell them apart.
+
+    Args:
+        old: The old blueprint.
+        new: The new blueprint.
 
     Raises:
         BlueprintError: One of them has too many joint states to go through; see `behaviour`.
@@ -154,7 +174,7 @@ def _declared(old: Blueprint, new: Blueprint) -> Iterator[Difference]:
         if subject not in before or subject not in after:
             kind: Kind = "added" if subject in after else "removed"
             if _owner(subject) not in before or _owner(subject) not in after:
-                continue  # it came or went with its branch
+                continue  # added or removed with its branch
             yield Difference(kind=kind, subject=subject, text=f"{subject}: {kind}")
             continue
         for key in dict.fromkeys((*before[subject], *after[subject])):
@@ -165,12 +185,12 @@ def _declared(old: Blueprint, new: Blueprint) -> Iterator[Difference]:
 
 
 def _owner(subject: str) -> str:
-    """What a declared thing is part of."""
+    """Return the name of the declaration that contains a declaration."""
     return subject.rpartition(".")[0] if "." in subject else ""
 
 
 def _declarations(blueprint: Blueprint) -> dict[str, dict[str, Any]]:
-    """Everything declared, by its name: the workflow, its promises, its branches, and their states and operations."""
+    """Return everything declared, by its name: workflow, properties, branches, and their states and operations."""
     found: dict[str, dict[str, Any]] = {"": {"defaults": blueprint.defaults, "goal": blueprint.goal}, "property": {}}
     found |= {f"property.{promise.id}": _promise(promise) for promise in blueprint.properties}
     for name, branch in blueprint.branches.items():
@@ -200,7 +220,7 @@ def _declaration(spec: OperationSpec) -> dict[str, Any]:
 
 def _answered(old: Blueprint, new: Blueprint) -> Iterator[Difference]:
     common = [branch for branch in old.branches if branch in new.branches]
-    before, after = answers_seen(old, common), answers_seen(new, common)
+    before, after = facets_of(old, common), facets_of(new, common)
     reached_before, reached_after = before.pop(""), after.pop("")
     gained = [joint for joint in reached_after if joint not in reached_before]
     lost = [joint for joint in reached_before if joint not in reached_after]
@@ -228,7 +248,7 @@ class _Space:
     joints: Collection[Joint]
 
     def difference(self, kind: Kind, subject: str, joints: list[Joint], old: str = "", new: str = "") -> Difference:
-        """A difference in some of the joint states."""
+        """Return a difference in some of the joint states."""
         count = f"{len(joints)} joint state{'s' * (len(joints) != 1)}"
         values = f" (was: {old}; now: {new})" if old or new else ""
         text = f"{subject or 'workflow'}: {BEGINNINGS[kind]} {count}{self._where(joints)}{values}"
@@ -238,7 +258,7 @@ class _Space:
         )
 
     def _where(self, joints: list[Joint]) -> str:
-        """Which joint states these are: by the states of single branches where that says it, else by an example."""
+        """Describe joint states: by the states of single branches if these suffice, else by an example."""
         columns, everything = ([set(column) for column in zip(*of, strict=True)] for of in (joints, self.joints))
         boxed = sum(all(map(set.__contains__, columns, joint)) for joint in self.joints)
         if boxed != len(joints):
@@ -251,14 +271,14 @@ class _Space:
         return f": {line_of(narrow) or 'all there are'}"
 
 
-def _operation(operation: str, both: _Space, before: Seen, after: Seen) -> Iterator[Difference]:
-    """Groups the joint states in which an operation is answered differently by how it differs."""
+def _operation(operation: str, both: _Space, before: FacetsByState, after: FacetsByState) -> Iterator[Difference]:
+    """Group the joint states in which an operation is answered differently by how it differs."""
     groups: dict[tuple[FacetKind, str], list[Joint]] = defaultdict(list)
     for joint in both.joints:
-        for difference in differing(before[joint], after[joint]):
+        for difference in differing_facets(before[joint], after[joint]):
             groups[difference].append(joint)
     for (kind, facet), joints in groups.items():
         subject = f"{operation}:{facet.removeprefix('ending ')}" if kind == "ending" else operation
         was, now = (seen[joints[0]].get(facet, frozenset()) for seen in (before, after))
-        values = ("", "") if facet == "accepted" else (worded(was, now), worded(now, was))
+        values = ("", "") if facet == "accepted" else (describe_facet(was, now), describe_facet(now, was))
         yield both.difference(kind, subject, joints, *values)

@@ -1,4 +1,4 @@
-"""The command line `pcmrs`; every command's module is loaded when it is used."""
+"""The command line `pcmrs`; the module of each command is loaded when it is used."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ COMMANDS = {
 }
 
 
-@click.group(cls=LazyGroup, commands=COMMANDS, added="", context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=LazyGroup, commands=COMMANDS, prefix="", context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="pcmrs")
 def main() -> None:
     """PCMRS: medical robot procedures as hierarchical state machines.
 
-    Start a cell with pcmrs-serve; the commands here talk to it, and design and check its workflow. Research
+    Start a cell with pcmrs-serve. These commands control it, and design and check its workflow. Research
     software, not a medical device.
     """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal without ° shows a ? in its place, not a traceback
+            stream.reconfigure(errors="replace")  # a terminal without ° shows a ? instead of a traceback

@@ -47,7 +47,7 @@ def call(operation: str, arguments: str, as_json: bool, address: Address) -> Non
 @address_options
 @readable_errors
 def state(as_json: bool, address: Address) -> None:
-    """Print the state of all branches, the flags, what is running, and outcomes that nobody knows yet."""
+    """Print the state of all branches, the flags, running operations, and unknown outcomes."""
     snapshot = run(_state(address))
     if as_json:
         say(_json(snapshot))
@@ -69,7 +69,7 @@ def watch(as_json: bool, address: Address) -> None:
 @address_options
 @readable_errors
 def keys(as_json: bool, address: Address) -> None:
-    """List what can be published and subscribed, with payloads."""
+    """List the keys to publish and subscribe to, with their payloads."""
     table = run(_keys(address))
     if as_json:
         say(_json(table))
@@ -84,10 +84,10 @@ def keys(as_json: bool, address: Address) -> None:
 @address_options
 @readable_errors
 def stop(address: Address) -> None:
-    """Stop every motion and latch: nothing moves until somebody acknowledges it, as by robot.acknowledge in RATMS."""
+    """Stop every motion and latch: nothing moves until the stop is acknowledged, in RATMS by robot.acknowledge."""
     number, stands, release = run(_stop(address))
     if not stands:
-        say(f"Stop {number} has begun, but it is not confirmed that the robot stands: look at it.", err=True)
+        say(f"Stop {number} has started, but it is not confirmed that the robot stands still: look at it.", err=True)
         raise SystemExit(1)
     say(f"stopped, and {_latched(release)}")
 
@@ -107,13 +107,13 @@ async def _watch(address: Address, *, as_json: bool) -> None:
     async with address.connect() as client:
         async for event in client.watch():
             if client.missed > missed:
-                text = f"{client.missed - missed} events are left out: they came faster than they were read."
+                text = f"{client.missed - missed} events are left out: they arrived faster than they were read."
                 say(text, err=True)
                 missed = client.missed
             line = _json(event) if as_json else event_line(event)
             if isinstance(event, Snapshot):
                 if line == shown:
-                    continue  # what has changed, such as the values of an activity, is not on the line
+                    continue  # the change, such as a value of an activity, is not on the line
                 shown = line
             say(line)
 
@@ -124,13 +124,13 @@ async def _keys(address: Address) -> KeyTable:
 
 
 async def _stop(address: Address) -> tuple[int, bool, list[str] | None]:
-    """Stops; returns its number, whether the robot stands, and what releases the latch, None where that is not said."""
+    """Stop, and return its number, whether the robot stands, and what releases the latch, None if not reported."""
     async with address.connect() as client:
         number = (await client.stop()).number
         stands = await client.standstill(number)
         try:
             return number, stands, (await client.state(timeout=2.0)).release
-        except PcmrsError:  # Stop has begun, and that is what was asked for
+        except PcmrsError:  # Stop has started, as requested
             return number, stands, None
 
 
@@ -149,7 +149,7 @@ def _json(message: msgspec.Struct) -> str:
 
 
 def event_line(event: Event) -> str:
-    """A snapshot, a verdict or a device event on one line."""
+    """Return a snapshot, a verdict or a device event on one line."""
     if isinstance(event, Snapshot):
         states = " ".join(f"{branch}={state}" for branch, state in event.branches.items())
         unknown = "".join(f" unknown {each.branch}.{each.operation}" for each in event.unknown)
@@ -168,7 +168,7 @@ def event_line(event: Event) -> str:
 def _unknown(outcome: UnknownOutcome) -> str:
     since = datetime.fromtimestamp(outcome.since).astimezone().isoformat(sep=" ", timespec="seconds")
     command = f"{outcome.branch}.{outcome.operation} (command {outcome.command} of {outcome.source}, {since})"
-    return f"unknown: {command}: look, then settle it: a motion by placement.locate, anything else by acknowledging"
+    return f"unknown: {command}: check it, then settle it: a motion by placement.locate, others by acknowledging"
 
 
 def _print_snapshot(snapshot: Snapshot) -> None:
@@ -190,13 +190,13 @@ def _print_snapshot(snapshot: Snapshot) -> None:
 
 
 def _latched(release: list[str] | None) -> str:
-    """What the latch means, and the operations of the running workflow that release it.
+    """Describe the latch, and the operations of the running workflow that release it.
 
     Args:
-        release: Those operations; None where the daemon did not say.
+        release: Those operations; None if the daemon did not report them.
     """
     if release is None:
-        return "latched until it is acknowledged (pcmrs state shows by what)"
+        return "latched until it is acknowledged (pcmrs state shows how)"
     if not release:
-        return "latched; this workflow has nothing that the latch bars"
+        return "latched; no operation of this workflow is barred by that"
     return f"latched until it is acknowledged: {' or '.join(f'pcmrs call {each}' for each in release)}"

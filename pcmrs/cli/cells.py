@@ -1,4 +1,4 @@
-"""`pcmrs cells`: every cell that can be reached, and how it is."""
+"""`pcmrs cells`: every cell that can be reached, and its state."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ DAEMON = "daemon"
 @address_options
 @readable_errors
 def cells(as_json: bool, address: Address) -> None:
-    """List the cells in which you have a role and that are connected here; on a router those of all sites.
+    """List the connected cells in which you have a role; on a router, those of all sites.
 
-    --site and --cell do not matter here.
+    --site and --cell have no effect.
 
     Example: pcmrs cells --endpoint tls/router.example.org:7449 --identity anna
     """

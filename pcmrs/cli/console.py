@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address at which browsers reach it.")
-@click.option("--port", default=8080, type=click.IntRange(0, 65535), show_default=True, help="0 takes a free one.")
+@click.option(
+    "--port", default=8080, type=click.IntRange(0, 65535), show_default=True, help="Port; 0 for any free one."
+)
 @click.option(
     "--name",
     "names",
@@ -48,7 +50,7 @@ if TYPE_CHECKING:
     "--recordings",
     type=click.Path(path_type=Path, file_okay=False, exists=True),
     metavar="FOLDER",
-    help="Lets the recordings in it be looked at, as those in the cell's folder.",
+    help="Folder whose recordings can be replayed, in addition to the cell's folder.",
 )
 @click.option("--language", type=click.Choice(["en", "de"]), default="en", show_default=True)
 @click.option("--lifeline", is_flag=True, hidden=True, help="Read the configuration from standard input; end with it.")
@@ -68,8 +70,8 @@ def console(
 ) -> None:
     """Serve the page that shows a cell: workflow, scene, planning, signals and session.
 
-    Prints the address with its token: whoever has it does there what your role may do. It is a client of the bus and
-    may end at any time; the cell works on.
+    Prints the address with its token: anyone who has it may do there what your role may do. It is a client of the bus
+    and may end at any time; the cell keeps running.
 
     Exit status: 0 ended, 3 the port is taken, 4 the identity cannot be used.
 
@@ -89,7 +91,7 @@ def console(
         port, language, token_file = settings.console.port, settings.console.language, settings.cell.path() / TOKEN
         recordings, address = settings.cell.path() / FOLDER, _address(settings)
         uploads = settings.cell.path() / UPLOADS
-    address.credentials()  # what cannot be used is said before anything is served
+    address.credentials()  # an unusable identity is reported before anything is served
     token = secrets.token_urlsafe(24) if token_file is None else read_secret(token_file).decode().strip()
 
     def ready(url: str) -> None:
@@ -100,7 +102,7 @@ def console(
 
 
 def _address(settings: Settings) -> Address:
-    """Where the daemon that starts this is reached on its own machine."""
+    """Return the address of the daemon that starts this console, on its own machine."""
     cell, bus = settings.cell, settings.bus("client")
     return Address(cell.endpoint, cell.site, cell.name, Path(settings.access.identity) if bus.credentials else None)
 

@@ -1,4 +1,4 @@
-"""`pcmrs doctor`: whether this machine has what a cell needs, and what to do where it has not."""
+"""`pcmrs doctor`: checks that this machine has what a cell needs, with remedies."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ COLOURS = {"good": "green", "warning": "yellow", "bad": "red"}
 @config_options
 @readable_errors
 def doctor(as_json: bool, file: Path | None, overrides: tuple[str, ...]) -> None:
-    """Check whether this machine has what the configured cell needs; nothing is changed.
+    """Check that this machine has what the configured cell needs, without changing anything.
 
     Scheduling, kernel, limits, clock source, fsync time and free space of the disk, ports, extras, devices and
-    certificates. Run it as the user, in the service or container, that runs the daemon: limits are theirs.
+    certificates. Run it as the user, and in the service or container, that runs the daemon: they set the limits.
 
     Exit status: 0 all good, 1 it works, with warnings, 2 something is bad, 4 the configuration cannot be used.
     """
@@ -43,7 +43,7 @@ def doctor(as_json: bool, file: Path | None, overrides: tuple[str, ...]) -> None
 
 
 def doctor_table(found: Examination) -> Table:
-    """One row for each finding; below one that is not good, what to do."""
+    """Return one row for each finding; below one that is not good, what to do."""
     table = Table(box=SIMPLE_HEAD)
     for name in ("check", "verdict"):
         table.add_column(name, no_wrap=True)

@@ -1,4 +1,4 @@
-"""`pcmrs export-session`: one folder with all that a cell has kept of a session."""
+"""`pcmrs export-session`: one folder with all data that a cell has stored of a session."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path, file_okay=False), required=True, help="Folder, new or empty."
 )
-@click.option("--session", metavar="ID", help="How the id of the session begins; by default the last one.")
+@click.option("--session", metavar="ID", help="First characters of the session's id; by default the last session.")
 @json_option
 @config_options
 @readable_errors
@@ -34,7 +34,7 @@ def export_session(
     The folder holds the journal with its signed head and public key, the recordings, the calibration files, the
     configuration and versions of the session, a README and the hashes of all files. The cell may be running.
 
-    Exit status: 0 exported, 1 the journal is not sound (what there is was exported), 2 it cannot be read or copied,
+    Exit status: 0 exported, 1 the journal is not sound (exported as it is), 2 it cannot be read or copied,
     4 the folder is in use or the disk too full.
 
     Example: pcmrs export-session -o session1

@@ -1,7 +1,4 @@
-"""`pcmrs health`: how the daemon of a cell is, why it is not well, and what to do.
-
-The health of a daemon, as a table for people.
-"""
+"""`pcmrs health`: the health of a cell's daemon, reasons for problems, and what to do."""
 
 from __future__ import annotations
 
@@ -25,7 +22,7 @@ COLOURS = {"ok": "green", "degraded": "yellow", "failed": "red"}
 
 
 def health_table(health: Health) -> Group:
-    """The verdict and its reasons, then what was found."""
+    """Return the verdict and its reasons, then the details."""
     shown: list[RenderableType] = [Text(_title(health), style=f"bold {COLOURS[health.status]}")]
     for reason in health.reasons:
         shown += [Text(f"{reason.severity}: {reason.code}: {reason.text}"), Text(f"  → {reason.remedy}")]
@@ -92,7 +89,7 @@ def _tasks(health: Health) -> Table:
 
 
 def _add(table: Table, *cells: str) -> None:
-    """Adds a row of plain text: what stands in brackets is no markup."""
+    """Add a row of plain text: brackets in it are not markup."""
     table.add_row(*map(Text, cells))
 
 
@@ -115,18 +112,18 @@ def _duration(seconds: float) -> str:
 
 
 WATCHING = 1.0
-"""Between two looks at a daemon that is watched, s."""
+"""Period of --watch, s."""
 
 
 @click.command()
-@click.option("--watch", is_flag=True, help="Look again every second, until interrupted.")
+@click.option("--watch", is_flag=True, help="Print it every second, until interrupted.")
 @json_option
 @address_options
 @readable_errors
 def health(watch: bool, as_json: bool, address: Address) -> None:
-    """Print how the daemon is, why it is not well, and what to do.
+    """Print the health of the daemon, the reasons for problems, and what to do.
 
-    Exit status: 0 ok, 1 degraded or failed, 2 it fell silent, 3 no daemon.
+    Exit status: 0 ok, 1 degraded or failed, 2 it stopped answering, 3 no daemon.
     """
     if watch:
         run(_watch(address, as_json=as_json))

@@ -25,19 +25,19 @@ COMMANDS = {
 }
 
 FOLLOWING = 0.2
-"""Between two looks at a journal that is followed, s."""
+"""Period of --follow, s."""
 
 
 @click.group(cls=LazyGroup, commands=COMMANDS)
 def journal() -> None:
-    """Look at what was asked, decided and reported, and prove that it is whole."""
+    """Print the recorded commands, decisions and reports, and prove that the journal is whole."""
 
 
 path_argument = click.argument("path", type=click.Path(path_type=Path), required=False)
 
 
 def filter_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Adds --kind, --branch, --source and --command; the command gets those given as `filters`."""
+    """Add --kind, --branch, --source and --command; the command gets those given as `filters`."""
 
     @functools.wraps(function)
     def command(
@@ -59,7 +59,7 @@ def filter_options(function: Callable[..., Any]) -> Callable[..., Any]:
 @click.command()
 @path_argument
 @click.option("--last", default=50, show_default=True, help="How many rows; 0 for all.")
-@click.option("--follow", is_flag=True, help="Go on with the rows that are written, until interrupted.")
+@click.option("--follow", is_flag=True, help="Continue with new rows, until interrupted.")
 @filter_options
 @json_option
 @config_options
@@ -74,7 +74,7 @@ def show(
     overrides: tuple[str, ...],
 ) -> None:
     """Print the rows of the journal at PATH, or of the configured cell, oldest first."""
-    with JournalReader(path or of_cell(file, overrides)) as reader:
+    with JournalReader(path or journal_of_cell(file, overrides)) as reader:
         shown = 0
         for row in reader.read(last=last or None, **filters):
             if as_json:
@@ -97,12 +97,16 @@ async def _follow(reader: JournalReader, after: int, filters: dict[str, Any], *,
             after = row.sequence
 
 
-def of_cell(file: Path | None, overrides: tuple[str, ...]) -> Path:
-    """The journal of the configured cell.
+def journal_of_cell(file: Path | None, overrides: tuple[str, ...]) -> Path:
+    """Return the journal of the configured cell.
+
+    Args:
+        file: Configuration file; None for the defaults.
+        overrides: Values that override it, ``key=value``.
 
     Raises:
         ConfigurationError: The configuration is wrong.
-        BlueprintError: Its workflow is.
+        BlueprintError: Its workflow is not sound.
     """
     from pcmrs.settings import read_settings
     from pcmrs.workflows import read_workflow

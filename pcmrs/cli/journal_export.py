@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from pcmrs.cli.journal import filter_options, of_cell, path_argument
+from pcmrs.cli.journal import filter_options, journal_of_cell, path_argument
 from pcmrs.cli.options import OutputFile, config_options
 from pcmrs.cli.printing import say
 from pcmrs.cli.progress import progress_bar
@@ -19,7 +19,7 @@ from pcmrs.journal import JournalReader, StoredRow
 from pcmrs.journal.export import csv_lines, json_lines
 
 LONG = 20_000
-"""From so many rows on it takes long enough for a bar."""
+"""Number of rows from which it takes long enough for a bar."""
 
 FORMATS: dict[str, Callable[[Iterable[StoredRow]], Iterator[str]]] = {".jsonl": json_lines, ".csv": csv_lines}
 
@@ -29,7 +29,7 @@ FORMATS: dict[str, Callable[[Iterable[StoredRow]], Iterator[str]]] = {".jsonl": 
 @click.option(
     "-o", "--output", required=True, type=OutputFile(), metavar="FILE", help="To be written: FILE.jsonl or FILE.csv."
 )
-@click.option("--good-part", is_flag=True, help="Of a damaged journal, the rows before the first bad one.")
+@click.option("--good-part", is_flag=True, help="Export the rows of a damaged journal before the first bad one.")
 @filter_options
 @config_options
 @readable_errors
@@ -43,7 +43,7 @@ def export(
 ) -> None:
     """Write the rows of the journal at PATH, or of the configured cell, into a file.
 
-    JSON lines hold everything; a table leaves the verdicts' texts out. The status is 1 when a part was left out
+    JSON lines hold everything; a table omits the verdicts' texts. The exit status is 1 if a part was left out
     because it is damaged.
     """
     form = FORMATS.get(output.suffix)
@@ -51,7 +51,7 @@ def export(
         raise click.UsageError(f"{output} has no format: name it .jsonl or .csv.")
     part = output.with_name(output.name + ".part")
     try:
-        with JournalReader(path or of_cell(file, overrides)) as reader:
+        with JournalReader(path or journal_of_cell(file, overrides)) as reader:
             rows = _Rows(reader, filters, good_part)
             with part.open("w", encoding="utf-8", newline="") as written:
                 written.writelines(form(rows))
@@ -60,12 +60,12 @@ def export(
         part.unlink(missing_ok=True)
     say(f"{rows.count} rows in {output}.")
     if rows.broken is not None:
-        say(f"Only the good part: {rows.broken.text}", err=True)
+        say(f"Only the good part was exported: {rows.broken.text}", err=True)
         sys.exit(EXIT_REJECTED)
 
 
 class _Rows:
-    """The rows that fit, counted and shown on a bar; where only the good part is wanted, until one is bad."""
+    """The rows that match the filters, counted and shown on a bar; with --good-part, until one is bad."""
 
     def __init__(self, reader: JournalReader, filters: dict[str, Any], good_part: bool) -> None:
         self._reader = reader
@@ -92,7 +92,7 @@ class _Rows:
         if not self._good_part:
             yield from self._reader.read(**self._filters)
             return
-        # By the rows themselves: in a damaged journal the columns beside them are not to be trusted.
+        # Read the rows themselves: in a damaged journal, the columns beside them are not reliable.
         wanted = [(name, value) for name, value in self._filters.items() if value is not None]
         for stored in self._reader.read_whole():
             if all(getattr(stored.row, name) == value for name, value in wanted):

@@ -1,4 +1,4 @@
-"""`pcmrs journal replay`: is every decision on record the one that this program would make?"""
+"""`pcmrs journal replay`: checks that this program would make every recorded decision again."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rich.console import RenderableType
 from rich.markup import escape
 from rich.table import Table
 
-from pcmrs.cli.journal import of_cell, path_argument
+from pcmrs.cli.journal import journal_of_cell, path_argument
 from pcmrs.cli.options import config_options, json_option
 from pcmrs.cli.printing import print_report
 from pcmrs.cli.progress import progress_bar
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pcmrs.replay import Replayed
 
 LONG = 2000
-"""From so many rows on a replay takes long enough for a bar."""
+"""Number of rows from which a replay takes long enough for a bar."""
 
 
 @click.command()
@@ -31,7 +31,7 @@ LONG = 2000
 @click.option(
     "--blueprint",
     type=click.Path(path_type=Path),
-    help="Decide by this blueprint, whatever the journal was decided under.",
+    help="Decide by this blueprint instead of that of the journal.",
 )
 @json_option
 @config_options
@@ -39,9 +39,9 @@ LONG = 2000
 def replay(
     path: Path | None, blueprint: Path | None, as_json: bool, file: Path | None, overrides: tuple[str, ...]
 ) -> None:
-    """Decide everything in the journal at PATH, or of the configured cell, anew, and list what comes out differently.
+    """Decide everything in the journal at PATH, or of the configured cell, again, and list the differences.
 
-    PATH is a journal, or its export as JSON lines. What came from outside and what devices answered is taken from it;
+    PATH is a journal, or its export as JSON lines. Commands from outside and answers of devices are taken from it;
     checks of arguments, data and settings, states, locks, Stop and the latch are decided by this program.
 
     Exit status: 0 all the same, 1 something differs, 2 the journal cannot be replayed.
@@ -49,10 +49,12 @@ def replay(
     from pcmrs.clock import SystemClock
     from pcmrs.replay import replay as decide_anew
 
-    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))  # what went wrong then
+    structlog.configure(
+        wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL)
+    )  # problems of the recorded session
     with progress_bar(beyond=LONG, transient=True) as show:
         replayed = decide_anew(
-            path or of_cell(file, overrides),
+            path or journal_of_cell(file, overrides),
             SystemClock(),
             blueprint,
             lambda done, total: show("deciding anew", done, total),
@@ -63,10 +65,10 @@ def replay(
 
 
 def _table(replayed: Replayed) -> RenderableType:
-    told = "all as recorded" if replayed.is_same else f"{len(replayed.differences)} differences"
+    result = "all as recorded" if replayed.is_same else f"{len(replayed.differences)} differences"
     summary = escape(
-        f"{replayed.journal}: {replayed.rows} rows of {replayed.runs} runs, {replayed.compared} decided anew, {told}; "
-        f"{replayed.answered} commands needed what the world had answered; {replayed.rows_per_second:.0f} rows/s"
+        f"{replayed.journal}: {replayed.rows} rows of {replayed.runs} runs, {replayed.compared} repeated, {result}; "
+        f"{replayed.answered} commands needed recorded answers; {replayed.rows_per_second:.0f} rows/s"
     )
     if replayed.is_same:
         return summary

@@ -1,4 +1,4 @@
-"""`pcmrs journal verify`: reads a whole journal and says what is good in it."""
+"""`pcmrs journal verify`: reads a whole journal and reports which part of it is sound."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import click
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from pcmrs.cli.journal import of_cell, path_argument
+from pcmrs.cli.journal import journal_of_cell, path_argument
 from pcmrs.cli.options import config_options, json_option
 from pcmrs.cli.printing import print_report
 from pcmrs.cli.progress import progress_bar
@@ -18,7 +18,7 @@ from pcmrs.journal import Verification
 from pcmrs.journal import verify as verify_journal
 
 LONG = 20_000
-"""From so many rows on it takes long enough for a bar."""
+"""Number of rows from which it takes long enough for a bar."""
 
 _file = click.Path(exists=True, dir_okay=False, path_type=Path)
 
@@ -26,7 +26,7 @@ _file = click.Path(exists=True, dir_okay=False, path_type=Path)
 @click.command()
 @path_argument
 @click.option("--public-key", "public", type=_file, help="Key that must have signed, if not journal.pub beside it.")
-@click.option("--head", "kept", type=_file, help="A copy of its head from earlier: shows a journal that was set back.")
+@click.option("--head", "kept", type=_file, help="An earlier copy of its head: reveals a journal that was rolled back.")
 @json_option
 @config_options
 @readable_errors
@@ -38,13 +38,13 @@ def verify(
     file: Path | None,
     overrides: tuple[str, ...],
 ) -> None:
-    """Read the whole journal at PATH, or of the configured cell, and say what is good in it.
+    """Read the whole journal at PATH, or of the configured cell, and report which part of it is sound.
 
-    Nothing is changed, and a daemon may be writing. The status is 0 for a journal that is whole, 1 for one that is
+    Nothing is changed, and a daemon may be writing. The exit status is 0 for a journal that is whole, 1 for one that is
     damaged, 2 when there is none.
     """
     with progress_bar(beyond=LONG, transient=True) as progress:
-        found = verify_journal(path or of_cell(file, overrides), public=public, kept=kept, progress=progress)
+        found = verify_journal(path or journal_of_cell(file, overrides), public=public, kept=kept, progress=progress)
     print_report(found, _table(found), as_json=as_json)
     if not found.sound:
         sys.exit(EXIT_REJECTED)
@@ -66,7 +66,7 @@ def _table(found: Verification) -> Table:
         table.add_row("missing", f"{found.missing} rows that the head names")
     if found.unnamed:
         table.add_row(
-            "not in the head", f"{found.unnamed} rows after the last that it names: left by a crash, or added"
+            "not in the head", f"{found.unnamed} rows after the last one that it names: left by a crash, or added"
         )
     if found.damaged_slots:
         table.add_row("slots of the head", f"{found.damaged_slots} of 2 damaged")
@@ -77,5 +77,5 @@ def _table(found: Verification) -> Table:
 
 def _signature(found: Verification) -> str:
     if found.signature == "none":
-        return f"none: version {found.version} has no head, so rows cut off at the end cannot be seen"
+        return f"none: version {found.version} has no head, so missing rows at the end cannot be detected"
     return found.signature

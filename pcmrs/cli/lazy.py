@@ -1,4 +1,4 @@
-"""Command groups whose commands' modules are loaded when they are used: asking for help loads nothing else."""
+"""Command groups that load the module of a command when it is used: help loads nothing else."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ import click
 
 LABORATORY: Final = "pcmrs-lab"
 """Distribution with the commands of the laboratory."""
-ADDED: Final = "pcmrs.commands"
+ENTRY_POINTS: Final = "pcmrs.commands"
 """Group of the entry points with which other distributions add commands: ``name``, or ``group.name``."""
 
 
 class LazyGroup(click.Group):
-    """Finds commands by name and imports only the one that is asked for.
+    """Finds commands by name and imports only the requested one.
 
     Args:
         commands: Name of each command to ``module:function``, or to the distribution that adds it.
-        added: Prefix of the entry points that add further commands; None if none are looked for.
-        given: See `click.Group`.
+        prefix: Prefix of the entry points that add further commands; None if none are looked for.
+        options: Further options, see `click.Group`.
     """
 
-    def __init__(self, *, commands: Mapping[str, str], added: str | None = None, **given: Any) -> None:
-        super().__init__(**given)
+    def __init__(self, *, commands: Mapping[str, str], prefix: str | None = None, **options: Any) -> None:
+        super().__init__(**options)
         self._places = commands
-        self._prefix = added
+        self._prefix = prefix
 
     def list_commands(self, _context: click.Context) -> list[str]:
-        added = self._added()
-        known = [name for name, place in self._places.items() if ":" in place or name in added]
-        return known + sorted(added.keys() - self._places.keys())
+        others = self._entry_points()
+        known = [name for name, place in self._places.items() if ":" in place or name in others]
+        return known + sorted(others.keys() - self._places.keys())
 
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
         place = self._places.get(name, "")
@@ -41,7 +41,7 @@ class LazyGroup(click.Group):
                 module, _, function = place.partition(":")
                 command: click.Command = getattr(import_module(module), function)
                 return command
-            if (point := self._added().get(name)) is not None:
+            if (point := self._entry_points().get(name)) is not None:
                 command = point.load()
                 return command
         except ModuleNotFoundError as error:
@@ -53,8 +53,8 @@ class LazyGroup(click.Group):
             raise click.UsageError(text, context)
         return None
 
-    def _added(self) -> dict[str, EntryPoint]:
+    def _entry_points(self) -> dict[str, EntryPoint]:
         if self._prefix is None:
             return {}
-        names = {point.name.removeprefix(self._prefix): point for point in entry_points(group=ADDED)}
+        names = {point.name.removeprefix(self._prefix): point for point in entry_points(group=ENTRY_POINTS)}
         return {name: point for name, point in names.items() if self._prefix + name == point.name and "." not in name}

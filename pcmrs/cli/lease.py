@@ -1,4 +1,4 @@
-"""`pcmrs lease`: who holds a cell; others' commands are refused meanwhile."""
+"""`pcmrs lease`: shows and changes the holder of a cell; commands of others are refused."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pcmrs.messages import LeaseState, Verdict
 COMMANDS = {name: f"pcmrs.cli.lease:{name}" for name in ("show", "take", "hold", "confirm", "release")}
 
 over_option = click.option(
-    "--over", is_flag=True, help="From whoever holds it: at once on site, otherwise when they confirm."
+    "--over", is_flag=True, help="Take it over from its holder: at once on site, otherwise when they confirm."
 )
 
 
@@ -26,7 +26,7 @@ over_option = click.option(
 def lease() -> None:
     """Hold a cell: one operator or teleoperator at a time gives commands, and planners may plan for them.
 
-    A cell that is reached from other machines takes no commands that move or change anything while nobody holds it.
+    A cell that other machines can reach accepts no command that moves or changes anything while nobody holds it.
     Stop needs no lease.
     """
 
@@ -36,7 +36,7 @@ def lease() -> None:
 @address_options
 @readable_errors
 def show(as_json: bool, address: Address) -> None:
-    """Say who holds the cell, and who asks for it."""
+    """Print the holder of the cell, and the user who asks for it."""
     found = run(_shown(address))
     if as_json:
         say_json(found)
@@ -52,7 +52,7 @@ def show(as_json: bool, address: Address) -> None:
 @address_options
 @readable_errors
 def take(over: bool, as_json: bool, address: Address) -> None:
-    """Take the lease, on site for good: from elsewhere it lapses unless it is renewed, see `hold`.
+    """Take the lease: on site until it is released; from elsewhere it lapses unless it is renewed, see `hold`.
 
     Exit status: 0 taken or asked for, 1 refused, 3 no daemon.
     """
@@ -66,7 +66,7 @@ def take(over: bool, as_json: bool, address: Address) -> None:
 def hold(over: bool, address: Address) -> None:
     """Hold the cell until interrupted, and release it then.
 
-    Exit status: 0 released, 1 refused, 2 lost meanwhile, 3 no daemon.
+    Exit status: 0 released, 1 refused, 2 lost in between, 3 no daemon.
 
     Example: pcmrs lease hold --endpoint tls/router.example.org:7449 --identity anna
     """
@@ -79,7 +79,7 @@ def hold(over: bool, address: Address) -> None:
 @address_options
 @readable_errors
 def confirm(user: str, as_json: bool, address: Address) -> None:
-    """Hand the cell over to USER, who has asked for it; what moves is stopped first.
+    """Hand the cell over to USER, who has asked for it; all motion is stopped first.
 
     Exit status: 0 handed over, 1 refused, 3 no daemon.
     """
@@ -91,7 +91,7 @@ def confirm(user: str, as_json: bool, address: Address) -> None:
 @address_options
 @readable_errors
 def release(as_json: bool, address: Address) -> None:
-    """Give the cell back; what moves is stopped.
+    """Release the cell; all motion is stopped.
 
     Exit status: 0 released, 1 refused, 3 no daemon.
     """

@@ -1,4 +1,4 @@
-"""Commands that the daemon starts: it hands them its configuration on standard input, whose end is theirs."""
+"""Commands that the daemon starts: it sends them its configuration on standard input, and they end with that."""
 
 from __future__ import annotations
 
@@ -16,20 +16,23 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 NICENESS = 10
-"""Of what serves neither robot nor procedure: control comes first."""
+"""Niceness of processes that serve neither robot nor procedure: control comes first."""
 
 
 class _Plain(msgspec.Struct, frozen=True):
-    """What the daemon hands over, as far as it can be had without loading anything."""
+    """The daemon's line, decoded without loading anything else."""
 
     settings: dict[str, Any]
 
 
 def inherited(line: bytes | None = None) -> Inherited:
-    """What the daemon hands over, one line of JSON; read from standard input if not given.
+    """Return the configuration from the daemon, one line of JSON; by default read from standard input.
+
+    Args:
+        line: The line; read from standard input if None.
 
     Raises:
-        ConfigurationError: It is no such line.
+        ConfigurationError: It is not such a line.
     """
     from pcmrs.settings import Inherited
 
@@ -37,7 +40,11 @@ def inherited(line: bytes | None = None) -> Inherited:
 
 
 def inherited_table(line: bytes) -> dict[str, Any]:
-    """The configuration in it as plain data, for those who cannot wait. Raises `ConfigurationError`."""
+    """Return the configuration in the line as plain data, without loading anything else.
+
+    Raises:
+        ConfigurationError: It is not such a line.
+    """
     return _decoded(line, _Plain).settings
 
 
@@ -45,4 +52,4 @@ def _decoded(line: bytes, kind: type[T]) -> T:
     try:
         return msgspec.json.decode(line, type=kind)
     except (msgspec.MsgspecError, RecursionError) as error:
-        raise ConfigurationError(f"Standard input is no configuration: {error}.") from None
+        raise ConfigurationError(f"Standard input is not a configuration: {error}.") from None

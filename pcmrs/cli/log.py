@@ -1,4 +1,4 @@
-"""The log of a daemon or node: written by a thread of its own, so that it can neither fail nor delay who logs."""
+"""The log of a daemon or node, written by its own thread: logging can neither fail nor delay its caller."""
 
 from __future__ import annotations
 
@@ -18,37 +18,36 @@ from structlog.typing import ExcInfo
 from pcmrs.visible import visible
 
 STANDARD_ERROR = 2
-WAITING = 1000
-"""Lines that may wait to be written; more are lost."""
-LAST_WORDS = 1.0
-"""A process that ends waits so long until what it has logged is written, s."""
+MAX_WAITING = 1000
+"""Limit of lines that wait to be written; further lines are lost."""
+CLOSE_TIMEOUT = 1.0
+"""Longest wait of an ending process until its log is written, s."""
 
 
 class LogStream:
-    """A stream of text that takes everything at once; what cannot be written is counted and dropped.
+    """A text stream that accepts everything at once; lines that cannot be written are counted and dropped.
 
-    A disk that is full, a terminal that is gone, or a reader that does not read stops nobody. What was lost is told as
+    A full disk, a closed terminal, or a reader that does not read stops nobody. Lost lines are reported as
     soon as something can be written again.
 
     Args:
-        descriptor: Of the file that is written to.
-
+        descriptor: Descriptor of the file to write to.
     """
 
     def __init__(self, descriptor: int) -> None:
-        self._overflowed = self._unwritten = self._told = 0
+        self._overflowed = self._unwritten = self._reported = 0
         self._descriptor = descriptor
-        self._lines: queue.Queue[str | None] = queue.Queue(WAITING)
+        self._lines: queue.Queue[str | None] = queue.Queue(MAX_WAITING)
         self._thread = threading.Thread(target=self._write_all, name="pcmrs-log", daemon=True)
         self._thread.start()
 
     @property
     def lost(self) -> int:
-        """Lines that were not written."""
+        """Number of lines that were not written."""
         return self._overflowed + self._unwritten
 
     def write(self, text: str) -> int:
-        """Takes a line; never waits."""
+        """Accept a line without waiting."""
         try:
             self._lines.put_nowait(text)
         except queue.Full:
@@ -56,25 +55,25 @@ class LogStream:
         return len(text)
 
     def flush(self) -> None:
-        """Does nothing: the thread writes as soon as it can."""
+        """Do nothing: the thread writes as soon as it can."""
 
     def close(self) -> None:
-        """Waits until everything is written, at most `LAST_WORDS`."""
+        """Wait until everything is written, at most `CLOSE_TIMEOUT`."""
         try:
-            self._lines.put(None, timeout=LAST_WORDS)
+            self._lines.put(None, timeout=CLOSE_TIMEOUT)
         except queue.Full:
             return
-        self._thread.join(LAST_WORDS)
+        self._thread.join(CLOSE_TIMEOUT)
 
     def _write_all(self) -> None:
         while (line := self._lines.get()) is not None:
-            self._tell_lost()
+            self._report_lost()
             self._unwritten += not self._written(line)
 
-    def _tell_lost(self) -> None:
+    def _report_lost(self) -> None:
         lost = self.lost
-        if lost > self._told and self._written(f"{lost - self._told} lines of the log were lost\n"):
-            self._told = lost
+        if lost > self._reported and self._written(f"{lost - self._reported} lines of the log were lost\n"):
+            self._reported = lost
 
     def _written(self, text: str) -> bool:
         data = text.encode(errors="replace")
@@ -87,9 +86,9 @@ class LogStream:
 
 
 def log_to_stderr(*, verbose: bool = False) -> LogStream:
-    """From now on everything that this process logs goes to standard error, and is written before it ends."""
+    """Send everything that this process logs to standard error, and write it before the process ends."""
     level = logging.DEBUG if verbose else logging.INFO
-    # Started without one, its number may have gone to another file.
+    # Without a standard error at the start, its number may belong to another file now.
     descriptor = STANDARD_ERROR if sys.__stderr__ is not None else os.open(os.devnull, os.O_WRONLY)
     stream = LogStream(descriptor)
     atexit.register(stream.close)
@@ -100,7 +99,7 @@ def log_to_stderr(*, verbose: bool = False) -> LogStream:
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso"),
             _escape,
-            # A rich traceback with its locals takes the event loop most of a second.
+            # A rich traceback with its locals takes most of a second of the event loop.
             structlog.dev.ConsoleRenderer(colors=os.isatty(descriptor), exception_formatter=_write_traceback),
         ],
         logger_factory=structlog.WriteLoggerFactory(cast(TextIO, stream)),
@@ -117,14 +116,14 @@ def _escape(_logger: object, _name: str, event: MutableMapping[str, Any]) -> Mut
 
 
 def _write_traceback(out: TextIO, info: ExcInfo) -> None:
-    """Write a traceback, its lines indented: what an exception says may come from outside, and have lines."""
+    """Write a traceback with indented lines: the text of an exception may come from outside, and have several lines."""
     text = io.StringIO()
     structlog.dev.plain_traceback(text, info)
     out.write("".join(f"  {visible(line)}\n" for line in text.getvalue().splitlines()))
 
 
 class _Escaping(logging.Formatter):
-    """Of the standard library's log: its own records and those of libraries."""
+    """Formatter for the standard library's log, which libraries use, too."""
 
     def format(self, record: logging.LogRecord) -> str:
         first, *more = super().format(record).split("\n")

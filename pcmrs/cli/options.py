@@ -1,9 +1,11 @@
-"""Options that several commands share."""
+"""Options that several commands share, and numbers and sizes on a command line."""
 
 from __future__ import annotations
 
 import functools
+import math
 import os
+import re
 from collections.abc import AsyncIterator, Callable, Collection
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -16,12 +18,46 @@ from click.core import ParameterSource
 from pcmrs.bus import Credentials
 from pcmrs.client import Client
 
+
+class Finite(click.FloatRange):
+    """A finite number within a range; nan would pass any range."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the number, or fail with a usage error."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is not finite; give a number.", param, ctx)
+        return number
+
+
+POSITIVE = Finite(0.0, min_open=True)
+
+
+_UNITS = {"": 1, "b": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9}
+_SIZE = re.compile(r"(\d+(?:\.\d+)?)\s*([a-z]*)")
+
+
+class Size(click.ParamType[float]):
+    """A number of bytes, such as 512MB or 4GB (1 MB is 1e6 bytes)."""
+
+    name = "size"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number of bytes, or fail with a usage error."""
+        if isinstance(value, float):
+            return value
+        found = _SIZE.fullmatch(str(value).strip().lower())
+        if found is None or found[2] not in _UNITS or float(found[1]) <= 0.0:
+            self.fail(f"{value} is not a size, such as 512MB or 4GB.", param, ctx)
+        return float(found[1]) * _UNITS[found[2]]
+
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Which cell a command is about."""
+    """Address of a cell."""
 
     endpoint: str
     site: str
@@ -30,17 +66,21 @@ class Address:
 
     @asynccontextmanager
     async def connect(self) -> AsyncIterator[Client]:
-        """A client of the running daemon.
+        """Return a client of the running daemon.
 
         Raises:
-            BusError: There is none, or it does not let us in.
+            BusError: There is none, or it refuses this client.
             ConfigurationError: The identity cannot be used.
         """
         async with Client.connect(self.endpoint, self.site, self.cell, credentials=self.credentials()) as client:
             yield client
 
     def credentials(self) -> Credentials | None:
-        """Of the identity; None on the cell's own machine. Raises `ConfigurationError`."""
+        """Return the credentials of the identity; None on the cell's own machine.
+
+        Raises:
+            ConfigurationError: The identity cannot be used.
+        """
         if self.identity is None:
             return None
         from pcmrs.clock import SystemClock
@@ -54,12 +94,12 @@ identity_option = click.option(
     type=click.Path(path_type=Path, file_okay=False),
     envvar="PCMRS_IDENTITY",
     metavar="FOLDER",
-    help="Your certificate and key, as pcmrs pki issue has made them; needed from other machines.",
+    help="Folder with your certificate and key from pcmrs pki issue; needed from other machines.",
 )
 
 
 def address_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Adds --endpoint, --site, --cell and --identity; the command gets them as `address`."""
+    """Add --endpoint, --site, --cell and --identity; the command gets them as `address`."""
 
     @functools.wraps(function)
     def command(*, endpoint: str, site: str, cell: str, identity: Path | None, **given: Any) -> Any:
@@ -74,7 +114,7 @@ def address_options(function: Callable[..., Any]) -> Callable[..., Any]:
             default="tcp/127.0.0.1:7447",
             envvar="PCMRS_ENDPOINT",
             show_default=True,
-            help="Where the daemon's bus listens, or a router: tls/HOST:PORT with --identity.",
+            help="Endpoint of the daemon's bus, or of a router: tls/HOST:PORT with --identity.",
         ),
     ):
         command = option(command)
@@ -82,20 +122,20 @@ def address_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def config_options(function: F) -> F:
-    """Adds --config and --set."""
+    """Add --config and --set."""
     for option in (
         click.option(
             "--set",
             "overrides",
             multiple=True,
             metavar="KEY=VALUE",
-            help="Sets one value, such as robot.model=iiwa7; may be repeated.",
+            help="Set one value, such as robot.model=iiwa7; may be repeated.",
         ),
         click.option(
             "--config",
             "file",
             type=click.Path(path_type=Path),
-            help="TOML file with what differs from the defaults.",
+            help="TOML file with all settings that differ from the defaults.",
         ),
     ):
         function = option(function)
@@ -103,16 +143,16 @@ def config_options(function: F) -> F:
 
 
 class OutputFile(click.Path):
-    """A file that can be written as far as one sees: minutes of work are not lost to a misspelt folder."""
+    """A file that can probably be written: minutes of work must not be lost to a misspelt folder."""
 
     def __init__(self) -> None:
         super().__init__(dir_okay=False, writable=True)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The path, or a usage error."""
+        """Return the path, or fail with a usage error."""
         path = Path(os.fsdecode(super().convert(value, param, ctx)))
         if not path.parent.is_dir():
-            self.fail(f"{path} cannot be written: there is no folder {path.parent}; make it first.", param, ctx)
+            self.fail(f"{path} cannot be written: there is no folder {path.parent}; create it first.", param, ctx)
         return path
 
 
@@ -122,7 +162,12 @@ plot_option = click.option("--plot", type=OutputFile(), metavar="FILE.png", help
 
 
 def refuse_given(names: Collection[str], why: str) -> None:
-    """Refuses parameters that would be passed over: whoever gives one believes that it was heeded."""
+    """Refuse parameters that would be ignored: a user who gives one expects an effect.
+
+    Args:
+        names: Names of the parameters.
+        why: Reason, after the name of the parameter.
+    """
     context = click.get_current_context()
     for option in context.command.params:
         if option.name in names and context.get_parameter_source(option.name) is ParameterSource.COMMANDLINE:

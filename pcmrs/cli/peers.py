@@ -17,7 +17,7 @@ COMMANDS = {"new": "pcmrs.cli.peers:new"}
 
 @click.group(cls=LazyGroup, commands=COMMANDS)
 def peers() -> None:
-    """Give clients on other machines a key, so that the gateway takes their commands."""
+    """Give clients on other machines a key, so that the gateway accepts their commands."""
 
 
 @click.command()
@@ -27,19 +27,19 @@ def peers() -> None:
     type=click.Path(path_type=Path, file_okay=False, exists=True),
     default=".",
     show_default="the working directory",
-    help="Where the key goes.",
+    help="Folder for the key.",
 )
 @json_option
 @readable_errors
 def new(name: str, folder: Path, as_json: bool) -> None:
     """Make a key for the peer NAME, and print the table that lets it send commands.
 
-    The key goes into NAME.key, which only you may read: copy it to the client's machine over a safe way, and give each
-    client one of its own. Without the line `allow` a peer may do what a planner does, and not move the robot. With the
-    line `counter` its commands, except Stop, are refused when they are more than 2 s old, and answers to it are signed;
-    its clock must be right. Remove the line for a client that does not check answers.
+    The key is in NAME.key, which only you may read: copy it to the client's machine over a secure channel, and give
+    each client its own key. Without the line `allow` a peer may do what a planner does, and not move the robot. With
+    the line `counter` its commands, except Stop, are refused when they are more than 2 s old, and answers to it are
+    signed; its clock must be right. Remove the line for a client that does not check answers.
 
-    Exit status: 0 made, 2 it cannot be written, 4 there is such a key, or the name cannot be one.
+    Exit status: 0 made, 2 it cannot be written, 4 there is such a key, or the name is not valid.
 
     Example: pcmrs peers new planner --folder ~/keys
     """

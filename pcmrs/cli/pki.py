@@ -1,4 +1,4 @@
-"""`pcmrs pki`: certificates for everybody who takes part over a network."""
+"""`pcmrs pki`: certificates for all people and processes that take part over a network."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ folder_option = click.option(
     default=Path("pki"),
     envvar="PCMRS_PKI",
     show_default=True,
-    help="Of the authority.",
+    help="Folder of the authority.",
 )
 
 
 @click.group(cls=LazyGroup, commands=COMMANDS)
 def pki() -> None:
-    """Make and keep the certificates of a lab: its own authority, and one identity for each person and process.
+    """Manage the certificates of a lab: its own authority, and one identity for each person and process.
 
-    Keep the authority's folder on a machine of its own, with a copy: whoever has its key can be anybody.
+    Keep the authority's folder on a separate machine, with a copy: anyone who has its key can impersonate anybody.
     """
 
 
@@ -45,9 +45,9 @@ def pki() -> None:
 @json_option
 @readable_errors
 def init(site: str, folder: Path, as_json: bool) -> None:
-    """Make the authority of a lab; it is good for ten years.
+    """Make the authority of a lab; it is valid for ten years.
 
-    Exit status: 0 made, 2 the folder cannot be written, 4 there is one already.
+    Exit status: 0 made, 2 the folder cannot be written, 4 there is an authority already.
 
     Example: pcmrs pki init --folder ~/pki
     """
@@ -63,7 +63,7 @@ def init(site: str, folder: Path, as_json: bool) -> None:
 @click.command()
 @click.argument("role", type=click.Choice(ROLES))
 @click.argument("name")
-@click.option("--days", type=float, default=30.0, show_default=True, help="Until it has to be issued anew.")
+@click.option("--days", type=float, default=30.0, show_default=True, help="Days until it must be issued again.")
 @click.option(
     "--host", "hosts", multiple=True, help="Name or address at which a daemon or router is dialled; may be repeated."
 )
@@ -79,7 +79,7 @@ def init(site: str, folder: Path, as_json: bool) -> None:
     "--via",
     multiple=True,
     metavar="ROUTER",
-    help="Name of a router that may carry what this person sends; may be repeated.",
+    help="Name of a router that may forward this person's messages; may be repeated.",
 )
 @click.option(
     "-o",
@@ -87,7 +87,7 @@ def init(site: str, folder: Path, as_json: bool) -> None:
     type=click.Path(path_type=Path, file_okay=False),
     default=Path(),
     show_default="the working directory",
-    help="The folder NAME with certificate, key and authority is made here.",
+    help="Folder in which the folder NAME with certificate, key and authority is made.",
 )
 @folder_option
 @json_option
@@ -105,7 +105,7 @@ def issue(
 ) -> None:
     """Give NAME a certificate for ROLE, with a new key; again for one that ends soon, with all its options.
 
-    NAME stands in the bus keys that are this identity's own, such as cmd/NAME/**. Exit status: 0 issued, 2 the files
+    NAME is part of this identity's own bus keys, such as cmd/NAME/**. Exit status: 0 issued, 2 the files
     cannot be written, 4 name, role, hosts, cells or routers are not possible.
 
     Example: pcmrs pki issue operator anna --days 7 --cell lab/cell1
@@ -117,7 +117,7 @@ def issue(
         say_json(issued)
     else:
         say(f"{issued.folder}: certificate and key of the {role} {name}, valid until {_day(issued.identity.ends)}.")
-        say("Carry the folder over a safe way to the machine that uses it, and delete it here.")
+        say("Move the folder over a secure channel to the machine that uses it, and delete it here.")
 
 
 @click.command("device-key")
@@ -134,7 +134,7 @@ def device_key(file: Path) -> None:
     from pcmrs.bus.seal import write_key
 
     write_key(file)
-    say(f"{file}: carry a copy over a safe way to the machine of each device node.")
+    say(f"{file}: copy it over a secure channel to the machine of each device node.")
 
 
 @click.command()
@@ -143,7 +143,7 @@ def device_key(file: Path) -> None:
 @json_option
 @readable_errors
 def revoke(name: str, folder: Path, as_json: bool) -> None:
-    """Take the rights of NAME away for good; in force when the routers are started again with the new register.
+    """Revoke NAME for ever; this takes effect when the routers are restarted with the new register.
 
     Exit status: 0 revoked, 2 the register cannot be written, 4 nobody has this name, or it is revoked already.
 
@@ -155,7 +155,7 @@ def revoke(name: str, folder: Path, as_json: bool) -> None:
     if as_json:
         say_json(identity)
     else:
-        say(f"{name} is revoked. Give routers and daemons the new register, and start them again.")
+        say(f"{name} is revoked. Give routers and daemons the new register, and restart them.")
 
 
 @click.command("list")
@@ -163,7 +163,7 @@ def revoke(name: str, folder: Path, as_json: bool) -> None:
 @json_option
 @readable_errors
 def list_(folder: Path, as_json: bool) -> None:
-    """List everybody who has been given a certificate.
+    """List all identities that have been issued.
 
     Example: pcmrs pki list
     """
@@ -188,7 +188,7 @@ def list_(folder: Path, as_json: bool) -> None:
 @json_option
 @readable_errors
 def roles(as_json: bool) -> None:
-    """Say what each role may do on the bus: the table from which the access control of routers and daemons is made."""
+    """Print what each role may do on the bus: the table behind the access control of routers and daemons."""
     from pcmrs.bus.access import roles_as_markdown
     from pcmrs.bus.keys import KEYS
 

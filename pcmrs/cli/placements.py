@@ -1,4 +1,4 @@
-"""`pcmrs placements`: the errors of recorded placements, and what a pose log says about its tracker."""
+"""`pcmrs placements`: errors of recorded placements, and the quality of the tracker in a pose log."""
 
 from __future__ import annotations
 
@@ -8,17 +8,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pcmrs.cli.options import json_option, plot_option
+from pcmrs.cli.options import Finite, json_option, plot_option
 from pcmrs.cli.printing import print_report
 from pcmrs.cli.running import readable_errors
-from pcmrs.cli.values import Finite
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the analysis.
     from pcmrs.analysis.placements import Recorded
 
 STANDOFF_MM = 10.0
-"""The lab's placements are saved this far before the target."""
+"""Distance before the target at which the lab's placements are saved, mm."""
 
 
 @click.command()
@@ -26,8 +25,8 @@ STANDOFF_MM = 10.0
 @click.option(
     "--standoff-mm",
     type=Finite(-1000.0, 1000.0),
-    help=f"How far along its z axis the tool was to stand before the target; {STANDOFF_MM:g} for saved placements, "
-    "as recorded for a journal where nothing is given.",
+    help=f"Planned distance of the tool before the target, along its z axis; {STANDOFF_MM:g} for saved placements, "
+    "by default the recorded one for a journal.",
 )
 @plot_option
 @json_option
@@ -36,12 +35,12 @@ def placements(path: Path, standoff_mm: float | None, plot: Path | None, as_json
     """Print the errors of recorded placements: measured against planned pose.
 
     PATH is a folder of saved placements (one YAML file per trial) or one such file, or the journal of a cell
-    (*.sqlite). A pose log (poses_*.csv) is recognized, too: jitter, frozen frames, dropouts, and whether its rows
-    agree.
+    (*.sqlite). For a pose log (poses_*.csv), it prints jitter, frozen frames, dropouts, and the agreement of its
+    rows.
 
     Example: pcmrs placements trials/ --standoff-mm 10 --plot errors.png
 
-    Exit status 2 when something cannot be read.
+    Exit status 2 if a file cannot be read.
     """
     if _is_pose_log(path):
         if standoff_mm is not None:
@@ -70,16 +69,17 @@ def _beginning(path: Path) -> bytes:
 
 def _recorded(path: Path, standoff_mm: float | None) -> list[Recorded]:
     from pcmrs.analysis.placements import Recorded
-    from pcmrs.cli.journalled import read_journalled
+    from pcmrs.cli.recorded import read_journal_placements
     from pcmrs.formats.pose_file import SUFFIXES, read_placements
     from pcmrs.formats.pose_log import ROWS
     from pcmrs.formats.reading import refuse
 
     if _is_journal(path):
-        return read_journalled(path, standoff_mm)
+        return read_journal_placements(path, standoff_mm)
     if path.is_file() and path.suffix not in SUFFIXES:
         refuse(
-            path, f"is no saved placement ({', '.join(SUFFIXES)}), no journal, and no pose log of rows {ROWS[0]}, …."
+            path,
+            f"is neither a saved placement ({', '.join(SUFFIXES)}) nor a journal nor a pose log of rows {ROWS[0]}, ….",
         )
     standoff = (STANDOFF_MM if standoff_mm is None else standoff_mm) / 1000.0
     return [Recorded(placement, standoff) for placement in read_placements(path)]
@@ -87,8 +87,7 @@ def _recorded(path: Path, standoff_mm: float | None) -> list[Recorded]:
 
 def _show_placements(path: Path, standoff_mm: float | None, plot: Path | None, *, as_json: bool) -> None:
     from pcmrs.analysis.plots import placement_figure, save_png
-    from pcmrs.cli.recorded import placements_report
-    from pcmrs.cli.recorded_tables import placements_tables
+    from pcmrs.cli.recorded import placements_report, placements_tables
 
     recorded = _recorded(path, standoff_mm)
     report = placements_report(path, recorded)
@@ -99,8 +98,7 @@ def _show_placements(path: Path, standoff_mm: float | None, plot: Path | None, *
 
 def _show_pose_log(path: Path, plot: Path | None, *, as_json: bool) -> None:
     from pcmrs.analysis.plots import pose_log_figure, save_png
-    from pcmrs.cli.recorded import pose_log_report
-    from pcmrs.cli.recorded_tables import pose_log_table
+    from pcmrs.cli.recorded import pose_log_report, pose_log_table
     from pcmrs.formats.pose_log import read_pose_log
 
     log = read_pose_log(path)

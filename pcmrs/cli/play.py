@@ -1,4 +1,4 @@
-"""`pcmrs play`: a recording on the bus again."""
+"""`pcmrs play`: publishes a recording on the bus again."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pcmrs.cli.options import json_option
+from pcmrs.cli.options import POSITIVE, Finite, json_option
 from pcmrs.cli.printing import say_json
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import readable_errors, run
-from pcmrs.cli.values import POSITIVE, Finite
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the bus.
@@ -20,17 +19,17 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("files", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="FILE.mcap...")
-@click.option("--rate", type=POSITIVE, default=1.0, show_default=True, help="Speed against the recording's.")
+@click.option("--rate", type=POSITIVE, default=1.0, show_default=True, help="Speed relative to the recording.")
 @click.option("--from", "begin", type=Finite(0.0), default=0.0, help="Begin so many seconds after its first message.")
 @click.option("--to", "end", type=Finite(0.0), help="End so many seconds after its first message.")
-@click.option("--topics", multiple=True, metavar="KEY", help="Key expression of what is played; may be repeated.")
+@click.option("--topics", multiple=True, metavar="KEY", help="Key expression of the messages to play; may be repeated.")
 @click.option("--as", "name", help="Play as pcmrs/replay/NAME; by default the name of the recorded cell.")
 @click.option(
     "--endpoint",
     default="tcp/127.0.0.1:7447",
     envvar="PCMRS_ENDPOINT",
     show_default=True,
-    help="Of the bus it is played on.",
+    help="Endpoint of the bus to play on.",
 )
 @json_option
 @readable_errors
@@ -46,8 +45,8 @@ def play(
 ) -> None:
     """Publish recordings on the bus again, byte for byte, under pcmrs/replay/NAME.
 
-    Give the files of one recording in their order. Of a damaged file what can be read is played. No cell's own prefix
-    can be given, and one at which a daemon runs is refused: what was recorded commands nothing. Ctrl-C ends it.
+    Give the files of one recording in their order. Of a damaged file, the readable part is played. No cell's own prefix
+    can be given, and one at which a daemon runs is refused: a recording commands nothing. Ctrl-C ends it.
 
     Exit status: 0 played, 2 no recording, 3 nobody at the endpoint, 4 a daemon runs under that name, 130 after Ctrl-C.
 

@@ -1,4 +1,4 @@
-"""What commands print. Text from outside can neither act on the terminal nor look like a line of PCMRS."""
+"""Output of commands. Text from outside can neither control the terminal nor forge a line of PCMRS."""
 
 from __future__ import annotations
 
@@ -15,19 +15,24 @@ from rich.text import Text
 from pcmrs.visible import visible
 
 NARROWEST = 120
-"""Columns of the tables: in a narrower terminal their lines wrap, so that no number is cut."""
+"""Smallest width of a table, in columns: a narrower terminal wraps its lines, so that no number is cut."""
 
 
 class Terminal(Console):
-    """Rich's console; of what it prints, only its own styles act on the terminal."""
+    """Rich's console; only its own styles can control the terminal."""
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """Called by Rich for every text that is printed or stands in a table."""
+        """Return a text for a table or a line; Rich calls this for every text."""
         return super().render_str(visible(text, keep="\n"), **options)
 
 
 def say(text: str, *, err: bool = False) -> None:
-    """Print one line, on standard error if `err`."""
+    """Print one line.
+
+    Args:
+        text: The line.
+        err: Print it on standard error.
+    """
     click.echo(visible(text), err=err)
 
 
@@ -37,7 +42,13 @@ def say_json(value: object) -> None:
 
 
 def print_report(report: msgspec.Struct, table: RenderableType, *, as_json: bool) -> None:
-    """Prints a report as JSON, or as the table that shows it."""
+    """Print a report as JSON or as a table.
+
+    Args:
+        report: The report.
+        table: Its table.
+        as_json: Print JSON.
+    """
     if as_json:
         say_json(report)
     else:
@@ -45,9 +56,17 @@ def print_report(report: msgspec.Struct, table: RenderableType, *, as_json: bool
 
 
 def save_svg(table: RenderableType, path: Path) -> None:
-    """Writes a table as an SVG file. Raises `OSError` when that cannot be written."""
+    """Write a table as an SVG file.
+
+    Args:
+        table: The table.
+        path: File to write.
+
+    Raises:
+        OSError: It cannot be written.
+    """
     console = Terminal(width=NARROWEST, record=True, file=io.StringIO())
     console.print(table)
     svg = console.export_svg(title="pcmrs")
-    # Rich refers to a web font; a picture of a medical device's results loads nothing from anywhere.
+    # Rich refers to a web font; a picture of a medical device's results must not load anything.
     path.write_text(re.sub(r"@font-face\s*{[^}]*}", "", svg), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Bars on standard error, so that standard output holds the result only; in a file or a pipe, a line now and then."""
+"""Progress on standard error, so that standard output has only the result: a bar, or lines in a file or pipe."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from pcmrs.clock import SystemClock
 
 LONG = 20_000
-"""From so many joint states on a search takes long enough for a bar."""
+"""Number of joint states from which a search takes long enough for a bar."""
 
 LINE_PERIOD = 10.0
-"""Between two lines where there is no terminal, s of the machine."""
+"""Time between two lines without a terminal, s of the machine."""
 
 
 @contextmanager
 def progress_bar(*, beyond: int = 0, transient: bool = False) -> Iterator[Callable[[str, int, int], None]]:
-    """A bar that appears as soon as there is more to do than `beyond`.
+    """Show a bar as soon as there is more to do than `beyond`.
 
     Args:
-        beyond: So much is done before anybody wonders.
-        transient: Whether it is wiped off at the end; then nothing goes into a file.
+        beyond: Amount of work that takes too little time for a bar.
+        transient: The bar is removed at the end; then nothing is written into a file.
 
     Yields:
-        What is to be told what is done now, how much is done, and of how much.
+        A function to call with a text, the finished amount of work, and the whole amount.
     """
     columns = (TextColumn("{task.description:<40}", markup=False), BarColumn(), MofNCompleteColumn())
     console = Console(stderr=True)
@@ -53,10 +53,10 @@ def progress_bar(*, beyond: int = 0, transient: bool = False) -> Iterator[Callab
 
 @contextmanager
 def search_bar(origin: str) -> Iterator[Callable[[int, int], None]]:
-    """A bar for the search of the workflow in a file; a short search shows none.
+    """Show a bar for the search of the workflow in a file; a short search shows none.
 
     Yields:
-        What is to be told how many joint states have been looked at, and how many are known.
+        A function to call with the numbers of joint states that have been examined and that are known.
     """
     with progress_bar(beyond=LONG, transient=True) as show:
         yield functools.partial(show, f"joint states of {origin}")

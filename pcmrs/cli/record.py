@@ -1,4 +1,4 @@
-"""`pcmrs record` and `pcmrs repair`: recordings of what a cell says, and what is left of a damaged one."""
+"""`pcmrs record` and `pcmrs repair`: recordings of a cell, and the readable part of a damaged one."""
 
 from __future__ import annotations
 
@@ -18,10 +18,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pcmrs.cli.lifeline import NICENESS, inherited
-from pcmrs.cli.options import OutputFile, config_options, json_option
+from pcmrs.cli.options import POSITIVE, OutputFile, Size, config_options, json_option
 from pcmrs.cli.printing import Terminal, say_json
 from pcmrs.cli.running import EXIT_FAILED, readable_errors, run
-from pcmrs.cli.values import POSITIVE, Size
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the robot's kinematics.
@@ -32,17 +31,21 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path), metavar="FILE.mcap")
-@click.option("--max-size", type=Size(), help="Begin the next file at about this size, such as 512MB.")
-@click.option("--max-duration", type=POSITIVE, help="Begin the next file after so many seconds.")
+@click.option("--max-size", type=Size(), help="Start the next file at about this size, such as 512MB.")
+@click.option("--max-duration", type=POSITIVE, help="Start the next file after so many seconds.")
 @click.option("--max-total", type=Size(), help="Remove the oldest files of this recording beyond this, such as 4GB.")
 @click.option(
-    "--keep-free", type=Size(), default="256MB", show_default=True, help="End rather than leave less on the disk."
+    "--keep-free",
+    type=Size(),
+    default="256MB",
+    show_default=True,
+    help="Free space on the disk below which the recording ends.",
 )
 @click.option(
     "--topics",
     multiple=True,
     metavar="KEY",
-    help="Key expression of what is recorded, such as state/pose/*; may be repeated. By default all but heartbeats.",
+    help="Key expression to record, such as state/pose/*; may be repeated. By default everything but heartbeats.",
 )
 @click.option("--session", default="", hidden=True, help="Of the daemon that starts this.")
 @click.option("--lifeline", is_flag=True, hidden=True, help="Read the configuration from standard input; end with it.")
@@ -62,14 +65,14 @@ def record(
     overrides: tuple[str, ...],
     as_json: bool,
 ) -> None:
-    """Record what a running cell says on its bus, until Ctrl-C.
+    """Record all messages of a running cell on its bus, until Ctrl-C.
 
     --config and --set are those of its daemon: from them come the cell's address, the arm and its calibration. The
-    file holds transforms, joints, log, states, what was gathered and the plan as Foxglove and Rerun show them, and
-    every message as it was, for pcmrs play. With --max-size or --max-duration the files are numbered: run.0001.mcap,
+    file holds transforms, joints, log, states, gathered data and the plan as Foxglove and Rerun show them, and
+    every message unchanged, for pcmrs play. With --max-size or --max-duration the files are numbered: run.0001.mcap,
     run.0002.mcap, …
 
-    Exit status: 0 ended as told, 2 the disk is full or a file cannot be written, 3 no daemon, 4 bad configuration.
+    Exit status: 0 ended as requested, 2 the disk is full or a file cannot be written, 3 no daemon, 4 bad configuration.
 
     Example: pcmrs record run.mcap --max-size 512MB --max-total 4GB
     """
@@ -105,15 +108,17 @@ def record(
 
 @click.command()
 @click.argument("damaged", type=click.Path(path_type=Path), metavar="FILE.mcap")
-@click.option("-o", "--output", type=OutputFile(), required=True, metavar="FILE.mcap", help="Where what is left goes.")
+@click.option(
+    "-o", "--output", type=OutputFile(), required=True, metavar="FILE.mcap", help="File for the readable part."
+)
 @json_option
 @readable_errors
 def repair(damaged: Path, output: Path, as_json: bool) -> None:
-    """Save what can be read of a damaged recording, up to its last whole chunk, and say how much is lost.
+    """Save the readable part of a damaged recording, up to its last whole chunk, and report how much is lost.
 
     The damaged file stays as it is. Any MCAP file can be given.
 
-    Exit status: 0 saved, whole or not; 2 it is no MCAP file; 4 the output is there already.
+    Exit status: 0 saved, whole or not; 2 it is not an MCAP file; 4 the output exists already.
     """
     from pcmrs.recording.repair import repair as save
 
@@ -171,7 +176,7 @@ async def _record(
 
 @contextmanager
 def _status(recorder: Recorder, name: str) -> Iterator[Callable[[], Coroutine[Any, Any, None]]]:
-    """A line on a terminal that says how much has been recorded; what it gives keeps it up to date."""
+    """Show a line on a terminal with the number of recorded messages; the yielded function updates it."""
     with Terminal(stderr=True).status(f"recording {name}") as status:
 
         async def show() -> None:

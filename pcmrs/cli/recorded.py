@@ -1,17 +1,63 @@
-"""Recorded placements and pose logs as reports: mm and degrees, for people and as JSON."""
+"""Recorded placements and pose logs as reports and tables: mm and degrees, for people and as JSON."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.console import Group
+from rich.markup import escape
+from rich.table import Table
 
 from pcmrs.analysis.placements import Recorded, Summary, summarize
 from pcmrs.analysis.pose_log import Track, analyse_track, check_loop
+from pcmrs.errors import FileFormatError, GeometryError
+from pcmrs.formats.pose_file import Placement
 from pcmrs.formats.pose_log import PoseLog
-from pcmrs.spatial import Floats
+from pcmrs.journal import JournalReader
+from pcmrs.spatial import Floats, Transform
+
+
+def read_journal_placements(path: Path, standoff_mm: float | None) -> list[Recorded]:
+    """Return the accepted `confirm` operations of a journal, in order; each is named by its row.
+
+    Args:
+        path: The journal.
+        standoff_mm: Standoff of all of them; None for the recorded offset of each, or 0.
+
+    Raises:
+        JournalError: The journal cannot be read.
+        FileFormatError: There are none, or one holds no poses.
+    """
+    with JournalReader(path) as reader:
+        outcomes = list(reader.read(kind="outcome", branch="placement"))
+    recorded = [
+        _placement_of(path, stored.sequence, verdict.result or {}, standoff_mm)
+        for stored in outcomes
+        if (verdict := stored.row.verdict) is not None
+        if (verdict.operation, verdict.decision) == ("confirm", "accepted")
+    ]
+    if not recorded:
+        raise FileFormatError(f"{path} has no accepted placement.confirm: nothing was placed.", file=str(path))
+    return recorded
+
+
+def _placement_of(path: Path, sequence: int, result: dict[str, Any], standoff_mm: float | None) -> Recorded:
+    offset = result.get("confirm_offset", 0.0) if standoff_mm is None else standoff_mm / 1000.0
+    try:
+        planned, measured = (
+            Transform.from_quat_xyzw(result[key]["position"], result[key]["quat_xyzw"])
+            for key in ("planned", "measured")
+        )
+    except (KeyError, TypeError, GeometryError):
+        text = f"{path} has no planned and measured pose in row {sequence}, an accepted placement.confirm."
+        raise FileFormatError(text, file=str(path), sequence=sequence) from None
+    return Recorded(Placement(str(sequence), planned, measured), offset)
+
 
 Axes = tuple[float, float, float]
 
@@ -36,7 +82,7 @@ class PlacementsReport(msgspec.Struct, frozen=True):
 
 
 class TrackReport(msgspec.Struct, frozen=True):
-    """One row name of a pose log; `None` where too few poses are left. See `pcmrs.analysis.pose_log`."""
+    """One row name of a pose log; None if too few poses are left. See `pcmrs.analysis.pose_log`."""
 
     name: str
     missing: int
@@ -60,7 +106,12 @@ class PoseLogReport(msgspec.Struct, frozen=True):
 
 
 def placements_report(path: Path, recorded: list[Recorded]) -> PlacementsReport:
-    """The errors of one or more placements."""
+    """Return the errors of one or more placements.
+
+    Args:
+        path: Their file or folder.
+        recorded: The placements.
+    """
     trials = [_trial(item) for item in recorded]
     return PlacementsReport(
         str(path),
@@ -82,7 +133,12 @@ def _trial(recorded: Recorded) -> TrialErrors:
 
 
 def pose_log_report(path: Path, log: PoseLog) -> PoseLogReport:
-    """Jitter, drift, gaps and the agreement of the rows of a pose log."""
+    """Return jitter, drift, gaps and the agreement of the rows of a pose log.
+
+    Args:
+        path: Its file.
+        log: The pose log.
+    """
     loop = check_loop(log)
     return PoseLogReport(
         path=str(path),
@@ -111,3 +167,59 @@ def _track(track: Track) -> TrackReport:
 def _axes(values: Floats) -> Axes:
     x, y, z = values.tolist()
     return x, y, z
+
+
+def placements_tables(report: PlacementsReport) -> Group:
+    """Return the errors of each trial, and mean, standard deviation and maximum of all."""
+    trials = _table(f"Placements in {report.path}", "trial", "standoff mm", "mm", "°", "x y z mm, tool axes")
+    for number, trial in enumerate(report.trials, start=1):
+        trials.add_row(
+            f"{number}  {escape(trial.trial)}",
+            f"{trial.standoff_mm:g}",
+            f"{trial.translation_error_mm:.4f}",
+            f"{trial.rotation_error_deg:.4f}",
+            _axes_text(trial.error_vector_mm),
+        )
+    summary = _table(f"Measured against planned, trials: {len(report.trials)}", "", "mean", "sd (n - 1)", "max")
+    summary.add_row("translation error, mm", *_summary(report.translation_error_mm))
+    summary.add_row("rotation error, °", *_summary(report.rotation_error_deg))
+    return Group(trials, summary)
+
+
+def pose_log_table(report: PoseLogReport) -> Table:
+    """Return gaps, frozen frames, jitter and drift of each row name, and the agreement of the three."""
+    names = ("row", "missing", "identity", "frozen", "jitter mm x y z", "jitter ° x y z", "drift mm x y z")
+    table = _table(f"Pose log {report.path}, {report.samples} samples", *names)
+    for track in report.tracks:
+        table.add_row(
+            track.name,
+            str(track.missing),
+            str(track.identities),
+            str(track.frozen),
+            _axes_text(track.jitter_mm),
+            _axes_text(track.jitter_deg),
+            _axes_text(track.drift_mm),
+        )
+    agreement = "No sample has all three rows"
+    if report.max_deviation_mm is not None and report.max_deviation_deg is not None:
+        agreement = (
+            f"body_tool is within {report.max_deviation_mm:.4f} mm and {report.max_deviation_deg:.4f}° of "
+            f"pol_body⁻¹ · pol_tool in {report.compared} samples"
+        )
+    table.caption = f"{agreement}. Jitter: standard deviation around a straight line over the samples (n - 2)."
+    return table
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=escape(title), box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    for index, name in enumerate(columns):
+        table.add_column(name, justify="right" if index else "left", no_wrap=True)
+    return table
+
+
+def _summary(summary: Summary) -> tuple[str, str, str]:
+    return f"{summary.mean:.4f}", "-" if summary.sd is None else f"{summary.sd:.4f}", f"{summary.max:.4f}"
+
+
+def _axes_text(values: Axes | None) -> str:
+    return "-" if values is None else " ".join(f"{value:7.3f}" for value in values)

@@ -1,4 +1,4 @@
-"""`pcmrs register`: registers digitized landmarks to planned ones, and says whether the result may be used."""
+"""`pcmrs register`: registers digitized landmarks to planned ones, and checks that the result may be used."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from pcmrs.cli.options import OutputFile, json_option, plot_option
+from pcmrs.cli.options import POSITIVE, OutputFile, json_option, plot_option
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors
-from pcmrs.cli.values import POSITIVE
 from pcmrs.errors import ConfigurationError, DegeneratePointsError
 
 if TYPE_CHECKING:
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     from pcmrs.registration import Gate, PointRegistration, RegistrationLimits, RegistrationVerdict
 
 
-FARTHEST_TARGET = 1.0  # m from the origin of the image: beyond it, somebody gave mm
+FARTHEST_TARGET = 1.0  # m from the origin of the image: beyond it, the value was probably meant in mm
 LENGTHS = ("residual_too_large", "tre_too_large")
 """Gates whose value is a length."""
 
@@ -30,6 +29,7 @@ class Point(click.ParamType[tuple[float, float, float]]):
     name = "X,Y,Z"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the point, or fail with a usage error."""
         try:
             x, y, z = (float(part) for part in str(value).split(","))
         except ValueError:
@@ -42,24 +42,30 @@ class Point(click.ParamType[tuple[float, float, float]]):
 @click.command()
 @click.argument("plan", type=click.Path(path_type=Path))
 @click.argument("digitized", type=click.Path(path_type=Path))
-@click.option("--target", type=Point(), help="Where the error matters, in m in the image; else amid the landmarks.")
-@click.option("--workflow", default="ratms", show_default=True, help="Name or file: whose limits hold by default.")
+@click.option(
+    "--target",
+    type=Point(),
+    help="Point at which the error matters, in the image, m; by default the centroid of the landmarks.",
+)
+@click.option(
+    "--workflow", default="ratms", show_default=True, help="Name or file of the workflow that gives the default limits."
+)
 @click.option("--limit-mm", type=POSITIVE, help="Largest mean distance of the landmarks.")
 @click.option("--tre-limit-mm", type=POSITIVE, help="Largest predicted error (rms) at the target.")
 @click.option("--sigma-mm", type=POSITIVE, help="Noise of a digitized landmark per axis.")
-@click.option("--unit", type=click.Choice(["m", "mm"]), help="Of CSV columns x, y, z that do not name theirs.")
+@click.option("--unit", type=click.Choice(["m", "mm"]), help="Unit of CSV columns x, y, z whose names have none.")
 @plot_option
 @click.option("-o", "--output", type=OutputFile(), help="Write an accepted registration (lab YAML).")
 @json_option
 @readable_errors
 def register(plan: Path, digitized: Path, plot: Path | None, output: Path | None, as_json: bool, **given: Any) -> None:
-    """Register the landmarks in DIGITIZED (body_ref) to those in PLAN (image), and judge the result.
+    """Register the landmarks in DIGITIZED (body_ref) to those in PLAN (image), and check the result.
 
     Files: YAML of the lab's software (PLANNED or DIGITIZED, m), 3D Slicer markups (.mrk.json, .fcsv; LPS or RAS as
     declared), CSV with a header such as name,x_mm,y_mm,z_mm, and PCMRS plans (.json). Landmarks are paired by name
-    where both files have the same names, else by order.
+    if both files have the same names, else by order.
 
-    Exit status 0: accepted, 1: refused, 2: a file cannot be read or does not fit the other.
+    Exit status 0: accepted, 1: refused, 2: a file cannot be read or does not match the other.
 
     Example: pcmrs register plan.mrk.json dig.yaml --target 0.03,0,0.11 --plot reg.png
     """
@@ -67,7 +73,7 @@ def register(plan: Path, digitized: Path, plot: Path | None, output: Path | None
     from pcmrs.registration import judge
 
     if output is not None and output.resolve() in (plan.resolve(), digitized.resolve()):
-        raise click.UsageError(f"{output} is read, and would be overwritten; name another file with -o.")
+        raise click.UsageError(f"{output} is an input file and would be overwritten; give another file with -o.")
     pairs = pair_landmarks(read_landmarks(plan, given["unit"]), read_landmarks(digitized, given["unit"]))
     limits = _limits(**{name: given[name] for name in ("workflow", "limit_mm", "tre_limit_mm", "sigma_mm")})
     try:
@@ -87,7 +93,7 @@ def register(plan: Path, digitized: Path, plot: Path | None, output: Path | None
 def _limits(
     workflow: str, limit_mm: float | None, tre_limit_mm: float | None, sigma_mm: float | None
 ) -> RegistrationLimits:
-    """What is given, and for the rest what a cell with this workflow is configured with."""
+    """Return the given limits; missing ones are those of a cell with this workflow."""
     from pcmrs.registration import RegistrationLimits
     from pcmrs.settings import read_settings
 

@@ -15,27 +15,27 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ENLARGED = 10
-"""Residuals are a hundredth of a head: as they are, nobody would see them."""
+"""Magnification of the residuals, which are a hundredth of a head and would be invisible."""
 PLANNED, MEASURED = "#0072B2", "#D55E00"
 """Blue and vermilion of M. Okabe, K. Ito, Color Universal Design, 2008."""
 
 
 def draw(pairs: Pairs, body_ref_from_image: Transform, limit: float, heading: str, path: Path) -> None:
-    """Residuals as vectors on the planned landmarks in the image, and as bars beside the limit of their mean.
+    """Draw residuals as vectors on the planned landmarks in the image, and as bars beside the limit of their mean.
 
     Args:
         pairs: The landmarks.
         body_ref_from_image: The registration.
-        limit: Of the mean residual, m.
-        heading: The verdict.
-        path: Where the PNG goes.
+        limit: Limit of the mean residual, m.
+        heading: Text of the verdict.
+        path: PNG file to write.
     """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13, 5.5), layout="constrained")
     figure.suptitle("\n".join(textwrap.wrap(f"Registration {heading}", 110)))
     residuals = body_ref_from_image.inverse() @ pairs.digitized - pairs.planned
-    places = figure.add_gridspec(1, 2, wspace=0.25)  # the layout does not see the labels of three dimensions
+    places = figure.add_gridspec(1, 2, wspace=0.25)  # the layout ignores the labels of three-dimensional axes
     _draw_vectors(figure.add_subplot(places[0], projection="3d"), pairs, residuals)
     _draw_bars(figure.add_subplot(places[1]), pairs, residuals, limit)
     figure.savefig(path, format="png", dpi=120)

@@ -1,4 +1,4 @@
-"""`pcmrs report`: a session as one page for people, and the details behind it."""
+"""`pcmrs report`: a session as one page for clinicians, with all details behind it."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from pcmrs.cli.running import EXIT_REJECTED, readable_errors
     metavar="FILE.html",
     default=Path("report.html"),
     show_default=True,
-    help="The page to be written.",
+    help="HTML file to write.",
 )
 @click.option("--pdf", type=OutputFile(), metavar="FILE.pdf", help="Also write the page as PDF, on A4.")
-@click.option("--session", metavar="ID", help="How the id of the session begins; by default the last one.")
+@click.option("--session", metavar="ID", help="First characters of the session's id; by default the last session.")
 @json_option
 @readable_errors
 def report(path: Path, output: Path, pdf: Path | None, session: str | None, as_json: bool) -> None:
@@ -33,7 +33,7 @@ def report(path: Path, output: Path, pdf: Path | None, session: str | None, as_j
     SESSION is a folder of pcmrs export-session, the folder of a cell, or a journal (*.sqlite). Everything is taken
     from there; nothing is changed, and a daemon may be running. The same session gives the same bytes.
 
-    Exit status: 0 written, 1 written, but the journal is damaged or a file is not as it was exported, as the report
+    Exit status: 0 written, 1 written, but the journal is damaged or a file differs from its export, as the report
     says; 2 nothing can be read.
 
     Example: pcmrs report session1 -o report.html --pdf report.pdf
@@ -63,13 +63,13 @@ def report(path: Path, output: Path, pdf: Path | None, session: str | None, as_j
 
 
 def _check_ending(path: Path, ending: str) -> None:
-    """A slip of the pen must not write over a journal."""
+    """Refuse a file of another kind: a typing error must not overwrite a journal."""
     if path.suffix.lower() != ending:
         raise click.UsageError(f"{path} does not end in {ending}: name it so.")
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Whole, or not at all."""
+    """Write the file as a whole, or not at all."""
     part = path.with_name(f"{path.name}.part")
     try:
         part.write_bytes(content)

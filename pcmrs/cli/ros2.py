@@ -1,4 +1,4 @@
-"""pcmrs ros2: what a cell says, for ROS 2."""
+"""`pcmrs ros2`: publishes the state of a cell for ROS 2."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def ros2(file: Path | None, overrides: tuple[str, ...], as_json: bool) -> None:
     """Publish joints, frames, poses and the state of a running cell for ROS 2, until Ctrl-C.
 
     --config and --set are those of its daemon: from them come the cell's address, the arm and its calibration. The
-    messages are standard ones, as CDR, on the cell's bus; zenoh-bridge-ros2dds, started as is told, makes topics of
-    them: /joint_states, /tf, /tf_static, /state and /pose/BODY. Nothing that ROS publishes there reaches the cell but
-    the poses of /tracker/NAME, where the tracker's driver is ros2.
+    messages are standard ones, as CDR, on the cell's bus; zenoh-bridge-ros2dds, started with the printed command, maps
+    them to /joint_states, /tf, /tf_static, /state and /pose/BODY. Of the messages that ROS publishes there, the cell
+    only receives the poses of /tracker/NAME, if the tracker's driver is ros2.
 
     Exit status: 0 ended, 3 no daemon, 4 bad configuration or a package is missing.
 

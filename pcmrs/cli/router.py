@@ -1,4 +1,4 @@
-"""`pcmrs-router`: the router that cells and people dial, so that neither needs an open port."""
+"""`pcmrs-router`: the router that cells and people connect to, so that neither needs an open port."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     envvar="PCMRS_REGISTER",
     metavar="FILE",
     required=True,
-    help="Copy of the authority's register.json: who may take part, and how.",
+    help="Copy of the authority's register.json, with all identities and their rights.",
 )
 @click.option(
     "--listen",
@@ -38,16 +38,16 @@ if TYPE_CHECKING:
     default=("tls/0.0.0.0:7449",),
     show_default="tls/0.0.0.0:7449",
     metavar="ENDPOINT",
-    help="Where it is dialled; may be repeated.",
+    help="Endpoint to listen on; may be repeated.",
 )
-@click.option("--print-config", is_flag=True, help="Print Zenoh's configuration, for zenohd; and end.")
+@click.option("--print-config", is_flag=True, help="Print the configuration for zenohd, and end.")
 @json_option
 @readable_errors
 def router(identity: Path | None, register: Path, listen: tuple[str, ...], print_config: bool, as_json: bool) -> None:
-    """Carry what cells and people send, and nothing that the register does not let them.
+    """Forward the messages of cells and people, as far as the register allows them.
 
     A revoked identity is refused from the next start on, with the present register. Ends on SIGINT and SIGTERM. Exit
-    status: 0 ended as told, 3 the endpoint cannot be opened, 4 bad configuration.
+    status: 0 ended as requested, 3 the endpoint cannot be opened, 4 bad configuration.
 
     Example: pcmrs-router --identity gate --register register.json
     """
@@ -88,7 +88,7 @@ def _text(settings: BusSettings) -> str:
 
 
 def _zenohd(settings: BusSettings) -> str:
-    """The settings as one JSON document of Zenoh's, with the slashes of its keys as nesting."""
+    """Return the settings as one JSON document for Zenoh, with nested tables for the slashes of its keys."""
     whole: dict[str, object] = {}
     for path, value in settings.zenoh_config().items():
         *folders, name = path.split("/")

@@ -1,4 +1,4 @@
-"""How every command runs: in uvloop where it is installed, with errors as one readable line and an exit status."""
+"""Execution of commands: in uvloop if it is installed, with errors as one readable line and an exit status."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ STATUS: list[tuple[type[PcmrsError], int]] = [
 
 
 def run(work: Coroutine[Any, Any, T]) -> T:
-    """Runs `work` in an event loop of its own."""
+    """Run `work` in its own event loop."""
     with asyncio.Runner(loop_factory=_loop_factory()) as runner:
         return runner.run(work)
 
 
 def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
     try:
-        import uvloop  # not needed by those who only ask for help, and not there without the extra daemon
+        import uvloop  # not needed for help, and not installed without the extra daemon
     except ModuleNotFoundError:
         return None
     factory: Callable[[], asyncio.AbstractEventLoop] = uvloop.new_event_loop
@@ -46,7 +46,7 @@ def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop] | None:
 
 
 def readable_errors(function: Callable[P, T]) -> Callable[P, T]:
-    """A command whose errors end in a line on standard error and an exit status, never in a traceback."""
+    """Return a command whose errors end in a line on standard error and an exit status, never in a traceback."""
 
     @functools.wraps(function)
     def command(*args: P.args, **kwargs: P.kwargs) -> T:
@@ -57,7 +57,7 @@ def readable_errors(function: Callable[P, T]) -> Callable[P, T]:
         except ModuleNotFoundError as error:
             fail_missing(error)
         except BrokenPipeError:
-            raise  # whoever read the output has had enough: click ends in silence
+            raise  # the reader of the output is closed: click ends silently
         except OSError as error:
             place = "" if error.filename is None else f"{error.filename}: "
             say(f"{click.get_current_context().command_path}: {place}{error.strerror or error}", err=True)
@@ -69,7 +69,7 @@ def readable_errors(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def fail_missing(error: ModuleNotFoundError) -> NoReturn:
-    """Ends the process with what to install; raises the error if its module belongs to no extra."""
+    """End the process with what to install; raise the error if its module belongs to no extra."""
     missing = missing_module(error)
     if missing is None:
         raise error

@@ -33,14 +33,14 @@ TCP_LINKS = ("tcp", "openigtlink")
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @config_options
-@click.option("--json", "as_json", is_flag=True, help="Say where it can be reached as one line of JSON.")
+@click.option("--json", "as_json", is_flag=True, help="Print its addresses as one line of JSON.")
 @click.option("--verbose", is_flag=True, help="Log every detail.")
 @click.option("--lifeline", is_flag=True, hidden=True, help="Also end when standard input ends.")
 @readable_errors
 def serve(file: Path | None, overrides: tuple[str, ...], as_json: bool, verbose: bool, lifeline: bool) -> None:
     """Run the daemon of one cell: by default robotic TMS on the simulated cell.
 
-    Ends on SIGINT and SIGTERM; a running motion is held first. Exit status: 0 ended as told,
+    Ends on SIGINT and SIGTERM; a running motion is held first. Exit status: 0 ended as requested,
     2 failed, 3 the bus cannot be opened (another daemon listens there), 4 bad configuration.
     """
     from pcmrs.settings import read_settings
@@ -70,7 +70,7 @@ def node(driver: str, devices: tuple[str, ...], file: Path | None, overrides: tu
     opening = None
     if lifeline:
         line = sys.stdin.buffer.readline()
-        # First of all: the process of a simulated cell gets ready while this one loads what it needs itself.
+        # Before anything else: the process of a simulated cell starts while this one still loads its own modules.
         opening = open_driver(driver, devices, inherited_table(line))
         settings, key = (given := inherited(line)).settings, given.device_key
     else:
@@ -109,7 +109,7 @@ async def _serve(settings: Settings, *, as_json: bool, lifeline: bool) -> None:
 
 
 def _opened(ready: Ready) -> str:
-    """Where the page is opened; with its token on a terminal only, since other output is kept in logs."""
+    """Return the address of the page; with its token on a terminal only, since other output is stored in logs."""
     from pcmrs.console.settings import TOKEN
 
     token = Path(ready.folder) / TOKEN

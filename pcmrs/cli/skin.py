@@ -1,4 +1,4 @@
-"""`pcmrs skin`: the surface of a body in a volume, as the mesh that a cell is configured with."""
+"""`pcmrs skin`: the surface of a body in a volume, as a mesh for the configuration of a cell."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from pcmrs.cli.running import readable_errors
 
 @click.command()
 @click.argument("volume", type=click.Path(path_type=Path, exists=True))
-@click.option("-o", "--out", type=OutputFile(), required=True, metavar="FILE.ply", help="Where to write the mesh.")
+@click.option("-o", "--out", type=OutputFile(), required=True, metavar="FILE.ply", help="File for the mesh.")
 @click.option("--threshold", type=float, help="Grey value of the surface; by default Otsu's, which suits skin in air.")
 @json_option
 @readable_errors
 def skin(volume: Path, out: Path, threshold: float | None, as_json: bool) -> None:
     """Extract the outer surface of the body in VOLUME: a NIfTI file, or a folder with one DICOM series.
 
-    The mesh is in RAS and m, as procedure.body.surface takes it. Look at it before you plan on it.
+    The mesh is in RAS and m, as procedure.body.surface needs it. Check it before you plan on it.
 
     Exit status: 0 written, 2 the volume cannot be read or holds no such surface, 4 a package is missing.
 
@@ -34,7 +34,7 @@ def skin(volume: Path, out: Path, threshold: float | None, as_json: bool) -> Non
     from pcmrs.formats.volume import read_volume
 
     if out.suffix.lower() not in (".ply", ".stl"):
-        refuse(out, "would be no mesh that can be read: end its name in .ply or .stl.")
+        refuse(out, "would not be a mesh that can be read: end its name in .ply or .stl.")
     with progress_bar(transient=True) as show:
         show("read", 0, 1)
         mesh = skin_of(read_volume(volume), threshold, show)

@@ -1,7 +1,4 @@
-"""pcmrs teleop: guides the tool by hand, from wherever the cell's bus can be reached.
-
-How the guiding of a tool goes, for people.
-"""
+"""`pcmrs teleop`: guides the tool by hand, from anywhere that reaches the cell's bus."""
 
 from __future__ import annotations
 
@@ -27,7 +24,7 @@ from pcmrs.messages import TeleopStatus, Verdict
 from pcmrs.teleop.demand import Mapping
 from pcmrs.teleop.devices import DEVICES, open_device
 from pcmrs.teleop.keyboard import HELP
-from pcmrs.teleop.session import TeleopSession, Told
+from pcmrs.teleop.session import Report, TeleopSession
 
 LIMITS = {
     "height": "at the planned contact",
@@ -38,25 +35,30 @@ LIMITS = {
 }
 
 
-def line_of(status: TeleopStatus | None, *, keys: bool) -> Text:
-    """The newest status, with the keys where they are what is moved."""
+def status_line(status: TeleopStatus | None, *, keys: bool) -> Text:
+    """Return the newest status.
+
+    Args:
+        status: The status; None before the first.
+        keys: The keyboard is used, so its keys are shown.
+    """
     text = Text(", ".join(_parts(status)) if status is not None else "waiting for the cell")
     return text.append(f"\n{HELP}", style="dim") if keys else text
 
 
-def told_line(told: Told) -> str:
-    """A refusal, or a danger."""
-    if isinstance(told, Verdict):
-        why = told.reason.text if told.reason is not None else "no reason"
-        return f"{told.branch}.{told.operation} was {told.decision}: {why}"
-    return f"{told.code}: {told.text}"
+def report_line(report: Report) -> str:
+    """Return a refusal, or a danger, as a line."""
+    if isinstance(report, Verdict):
+        why = report.reason.text if report.reason is not None else "no reason"
+        return f"{report.branch}.{report.operation} was {report.decision}: {why}"
+    return f"{report.code}: {report.text}"
 
 
 def _parts(status: TeleopStatus) -> list[str]:
     parts = ["clutch open" if status.user is None else f"engaged by {status.user}"]
     if status.round_trip is not None and status.jitter is not None:
         parts.append(f"{status.round_trip * 1000:.0f} ms ± {status.jitter * 1000:.0f}")
-        parts.append("held: too late, let go once" if status.held else f"speed {status.scale * 100:.0f} %")
+        parts.append("held: too late, release the clutch once" if status.held else f"speed {status.scale * 100:.0f} %")
     if status.distance is not None and status.height is not None and status.turn is not None:
         distance_mm, height_mm = status.distance * 1000, status.height * 1000
         parts.append(
@@ -70,7 +72,7 @@ def _parts(status: TeleopStatus) -> list[str]:
 
 
 SHOW_EVERY = 0.1
-"""Between two statuses shown, s."""
+"""Period of the displayed status, s."""
 
 
 @click.command()
@@ -79,17 +81,19 @@ SHOW_EVERY = 0.1
     type=click.Choice(DEVICES),
     default="keyboard",
     show_default=True,
-    help="What is moved by hand, or a script in its place.",
+    help="Input device, or a script in its place.",
 )
 @click.option(
     "--script",
     type=click.Path(path_type=Path, dir_okay=False, exists=True),
     metavar="FILE",
-    help="For --device script: lines of a time and a twist, s, m/s and rad/s.",
+    help="Script for --device script: lines of a time and a twist, s, m/s and rad/s.",
 )
 @click.option("--rate", type=click.FloatRange(20, 200), default=50, show_default=True, help="Set points per second.")
 @click.option("--linear", type=click.FloatRange(0.001, 0.1), default=0.01, show_default=True, help="Full speed, m/s.")
-@click.option("--angular", type=click.FloatRange(0.01, 1), default=0.1, show_default=True, help="The same, rad/s.")
+@click.option(
+    "--angular", type=click.FloatRange(0.01, 1), default=0.1, show_default=True, help="Full angular speed, rad/s."
+)
 @json_option
 @address_options
 @readable_errors
@@ -98,9 +102,9 @@ def teleop(
 ) -> None:
     """Guide the tool near its planned pose, for as long as the clutch is held.
 
-    You hold the cell meanwhile. The tool has to stand at the standoff or at its place. It moves along its own axes, +z
-    away from the body. The cell limits its speed, the more so the later the set points come, and holds the tool when
-    they do not come any more: then somebody at the cell decides how to go on.
+    You hold the cell meanwhile. The tool must be at the standoff or at its place. It moves along its own axes, +z
+    away from the body. The cell limits its speed, the more so the later the set points arrive, and holds the tool if
+    they no longer arrive: then someone at the cell decides how to continue.
 
     Exit status: 0 left, 1 not allowed, 2 ended by the cell or its silence, 3 no daemon.
     """
@@ -119,34 +123,38 @@ def teleop(
 async def _teleoperate(
     address: Address, device: str, script: Path | None, mapping: Mapping, rate: float, as_json: bool
 ) -> str:
-    def tell(told: Told) -> None:
-        say(msgspec.json.encode(told).decode() if as_json else told_line(told), err=not as_json)
+    def show(report: Report) -> None:
+        say(msgspec.json.encode(report).decode() if as_json else report_line(report), err=not as_json)
 
-    async with address.connect() as client, _held(client):
+    async with address.connect() as client, _holding_cell(client):
         with open_device(device, mapping, script) as hands:
-            session = TeleopSession(client, hands, SystemClock(), rate, tell)
-            showing = _as_json(session) if as_json else _on_a_line(session, keys=device == "keyboard")
+            session = TeleopSession(client, hands, SystemClock(), rate, show)
+            showing = _print_json(session) if as_json else _show_status_line(session, keys=device == "keyboard")
             async with background_task(showing):
                 return await session.run()
 
 
 @asynccontextmanager
-async def _held(client: Client) -> AsyncIterator[None]:
-    """Holds the cell, unless we do already. Raises `CommandRefusedError` while somebody else does."""
+async def _holding_cell(client: Client) -> AsyncIterator[None]:
+    """Hold the cell, unless this client does already.
+
+    Raises:
+        CommandRefusedError: Another user holds it.
+    """
     lease = (await client.state()).lease
     async with nullcontext() if lease is not None and lease.holder == client.user else client.holding():
         yield
 
 
-async def _as_json(session: TeleopSession) -> None:
+async def _print_json(session: TeleopSession) -> None:
     while True:
         if session.status is not None:
             say_json(session.status)
         await SystemClock().sleep(SHOW_EVERY)
 
 
-async def _on_a_line(session: TeleopSession, *, keys: bool) -> None:
+async def _show_status_line(session: TeleopSession, *, keys: bool) -> None:
     with Live(console=Terminal(stderr=True), auto_refresh=False, transient=True) as live:
         while True:
-            live.update(line_of(session.status, keys=keys), refresh=True)
+            live.update(status_line(session.status, keys=keys), refresh=True)
             await SystemClock().sleep(SHOW_EVERY)

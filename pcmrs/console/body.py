@@ -45,7 +45,7 @@ class BodyShown:
         self._reference.with_name("body_ref").visible(False)
 
     def follow(self, base_from_body_ref: Transform | None, *, zone: bool) -> Transform | None:
-        """Puts it where the tracker sees it; returns where the image is then, None while that is not known."""
+        """Put it where the tracker sees it; returns where the image is then, None while that is not known."""
         registered = self._told.data.body_ref_from_image
         image = None
         if registered is not None and base_from_body_ref is not None:

@@ -24,7 +24,7 @@ class ChartPanel:
         self._flags = ui.row().classes("q-pa-sm gap-1").props('data-testid="flags"')
 
     def refresh(self, shown: Snapshot) -> None:
-        """Shows the present states and flags."""
+        """Show the present states and flags."""
         if shown.branches != self._drawn:
             self._drawn = dict(shown.branches)
             self._chart.set_content(svg(self._blueprint, shown.branches))

@@ -76,8 +76,8 @@ class Choices:
         )
 
     def _why_not(self, branch: str, operation: str, spec: OperationSpec, shown: Snapshot, setup: Setup) -> str:
-        if setup.role not in spec.askers:
-            return f"A {setup.role} may not ask for it: {' or '.join(spec.askers)} may."
+        if setup.role not in spec.allowed_roles:
+            return f"A {setup.role} may not ask for it: {' or '.join(spec.allowed_roles)} may."
         holder = None if shown.lease is None else shown.lease.holder
         if holder not in (None, setup.user) and setup.role != "planner":
             return f"{holder} holds this cell."

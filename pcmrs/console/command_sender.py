@@ -26,7 +26,7 @@ class CommandSender:
         self._feed, self._texts = feed, texts
 
     async def ask(self, name: str, arguments: Mapping[str, Any]) -> Verdict | None:
-        """Asks for an operation; None where no verdict came. It goes on when the page is closed meanwhile."""
+        """Ask for an operation; None where no verdict came. It goes on when the page is closed meanwhile."""
         client = self._reached()
         if client is None:
             return None
@@ -46,14 +46,14 @@ class CommandSender:
         return verdict
 
     async def hold(self, operation: str) -> None:
-        """Takes, takes over or releases the lease."""
+        """Take, takes over or releases the lease."""
         try:
             await self._feed.hold(operation)
         except PcmrsError as error:
             ui.notify(error.text, type="warning", multi_line=True, position="bottom-left")
 
     async def stop(self) -> None:
-        """Stops everything."""
+        """Stop everything."""
         client = self._reached()
         if client is None:
             return

@@ -52,7 +52,7 @@ class Feed(CellViewModel):
         return self._clock.monotonic()
 
     async def run(self) -> None:
-        """Keeps up with the cell until it is cancelled."""
+        """Keep up with the cell until it is cancelled."""
         while True:
             try:
                 async with self._dial() as client:
@@ -64,7 +64,7 @@ class Feed(CellViewModel):
             await self._clock.sleep(DIALLED_AGAIN)
 
     async def hold(self, operation: str) -> None:
-        """Asks for the lease, ``acquire`` or ``take_over``, and renews it from then on; or ``release``.
+        """Ask for the lease, ``acquire`` or ``take_over``, and renews it from then on; or ``release``.
 
         Raises:
             CommandRefusedError: It was not accepted.
@@ -94,7 +94,7 @@ class Feed(CellViewModel):
                     self._take(event)
 
     async def _look_after(self, client: Client) -> None:
-        """Raises `UnknownOutcomeError` when the daemon has fallen silent twice."""
+        """Raise `UnknownOutcomeError` when the daemon has fallen silent twice."""
         silent = False
         while True:
             try:
@@ -115,7 +115,7 @@ class Feed(CellViewModel):
                     await client.lease("renew")
 
     async def _gather(self, client: Client) -> None:
-        """Asks for what was gathered, and for what was journalled, whenever the state has changed."""
+        """Ask for what was gathered, and for what was journalled, whenever the state has changed."""
         may_read = self.setup is not None and self.setup.role in HISTORIANS
         while True:
             self._renewed.clear()

@@ -128,14 +128,14 @@ class Sight:
         self.base_from_tracker: Transform | None = None
 
     def see(self, positions: npt.ArrayLike, coil: BodyPose | None, *, moving: bool) -> list[Transform]:
-        """Takes the present joints, rad, (n,), and pose of the tool; returns `Arm.frames`."""
+        """Take the present joints, rad, (n,), and pose of the tool; returns `Arm.frames`."""
         frames = self.arm.frames(positions)
         if coil is not None and coil.valid and not moving:
             self._stand(frames[-1] @ self._flange_from_coil @ as_transform(coil).inverse())
         return frames
 
     def _stand(self, found: Transform) -> None:
-        """Takes in where the tracker seems to stand: over its distance the noise of an angle is millimetres."""
+        """Take in where the tracker seems to stand: over its distance the noise of an angle is millimetres."""
         kept = self.base_from_tracker
         if kept is None or distance(kept, found) > SHIFTED or rotation_angle(kept, found) > TURNED:
             self.base_from_tracker = found

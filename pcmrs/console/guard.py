@@ -45,7 +45,7 @@ class Guard:
         self._hosts = frozenset(hosts)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Lets a request through, or answers it here."""
+        """Let a request through, or answers it here."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return

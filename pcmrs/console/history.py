@@ -70,7 +70,7 @@ class History:
         self._first, self._last = NEWEST, 0
 
     async def follow(self, client: Client) -> None:
-        """Reads what is new; the first time, the session so far.
+        """Read what is new; the first time, the session so far.
 
         Raises:
             UnknownOutcomeError: The daemon did not answer.
@@ -87,7 +87,7 @@ class History:
             self._last = max([self._last, *(row["sequence"] for row in rows)])
 
     async def reach_back(self, client: Client) -> None:
-        """Reads the page before what was read.
+        """Read the page before what was read.
 
         Raises:
             UnknownOutcomeError: The daemon did not answer.

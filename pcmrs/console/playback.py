@@ -34,7 +34,7 @@ class Track:
     payloads: list[bytes] = field(default_factory=list)
 
     def add(self, at: float, payload: bytes) -> None:
-        """Takes one more; the recorder's times never go back."""
+        """Take one more; the recorder's times never go back."""
         self.times.append(at)
         self.payloads.append(payload)
 
@@ -61,7 +61,7 @@ class Recorded:
 
 
 def read_recorded(files: Sequence[Path], progress: Callable[[float], None]) -> Recorded:
-    """Reads a recording, thinned; takes a while, so not in an event loop.
+    """Read a recording, thinned; takes a while, so not in an event loop.
 
     Args:
         files: Of one recording, oldest first.
@@ -119,7 +119,7 @@ class Playback(CellViewModel):
         return self.position
 
     def seek(self, position: float) -> None:
-        """Goes to a moment, s since the beginning; before it and after the end, to these."""
+        """Go to a moment, s since the beginning; before it and after the end, to these."""
         self.position = min(max(position, 0.0), self.recorded.duration)
         for key, track in self.recorded.tracks.items():
             count = track.until(self.position)
@@ -128,7 +128,7 @@ class Playback(CellViewModel):
                 self._take(key, track, count)
 
     def _take(self, key: str, track: Track, count: int) -> None:
-        """Shows the newest of the first `count` messages; nothing where there was none yet."""
+        """Show the newest of the first `count` messages; nothing where there was none yet."""
         try:
             self._show(key, track, count)
         except PcmrsError as error:
@@ -177,7 +177,7 @@ class Playback(CellViewModel):
         ]
 
     def _check(self, setup: Setup, blueprint: Blueprint) -> None:
-        """Refuses what this cell's page cannot show truly."""
+        """Refuse what this cell's page cannot show truly."""
         states = self.recorded.tracks.get("state/fsm", Track())
         for payload in states.payloads[:1]:
             found = unpack(payload, Snapshot)

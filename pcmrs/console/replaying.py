@@ -99,6 +99,6 @@ def wait_for_recording(recordings: Recordings, texts: Texts) -> None:
 
 
 def refuse_recording(why: str, texts: Texts) -> None:
-    """Says why a recording that could be read is not shown."""
+    """Say why a recording that could be read is not shown."""
     ui.label(why).props('data-testid="trouble"')
     ui.button(texts("to_cell"), on_click=lambda: ui.navigate.to("/")).props("no-caps")

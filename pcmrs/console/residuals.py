@@ -105,7 +105,7 @@ class ResidualsShown:
         self._whole.set_visibility(False)
 
     def refresh(self) -> None:
-        """Shows what is now."""
+        """Show what is now."""
         data = self._told.data
         if data == self._drawn:
             return

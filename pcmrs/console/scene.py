@@ -34,7 +34,7 @@ UNDRAGGED = """() => {{
 
 
 def fit(scene: ui.scene) -> None:
-    """Draws a scene as large as its place, not at all in a hidden tab: by itself it looks at the window only."""
+    """Draw a scene as large as its place, not at all in a hidden tab: by itself it looks at the window only."""
     scene.on("init", js_handler=FITTED.format(id=scene.id))
 
 
@@ -49,7 +49,7 @@ that draws for nobody's eye."""
 
 
 def put(shape: Object3D, pose: Transform) -> None:
-    """Puts a shape at a pose; says nothing to the page where it is about there already."""
+    """Put a shape at a pose; says nothing to the page where it is about there already."""
     if np.abs(pose.translation - (shape.x, shape.y, shape.z)).max() > STILL:
         shape.move(*np.round(pose.translation, 5).tolist())
     if np.abs(pose.rotation - np.array(shape.R)).max() > STRAIGHT:
@@ -68,7 +68,7 @@ def tool(scene: ui.scene, setup: Setup, colour: str, opacity: float) -> Object3D
 
 
 def show(shape: Object3D, pose: Transform | None) -> None:
-    """Puts a shape at a pose, or hides it."""
+    """Put a shape at a pose, or hides it."""
     if shape.visible_ != (pose is not None):
         shape.visible(pose is not None)
     if pose is not None:

@@ -61,7 +61,7 @@ async def serve_console(
     uploads: Path,
     recordings: Path | None = None,
 ) -> None:
-    """Serves the page until it is told to end.
+    """Serve the page until it is told to end.
 
     Args:
         dial: Reaches the daemon; the page is served while it does not answer, too.
@@ -118,7 +118,7 @@ class _Server(uvicorn.Server):
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Leaves signals to whoever serves."""
+        """Leave signals to whoever serves."""
         yield
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
@@ -135,7 +135,7 @@ def _listen(place: Place) -> socket.socket:
 
 
 def _build(app: FastAPI, feed: Feed, language: str, recordings: Recordings) -> None:
-    """Declares what the server answers."""
+    """Declare what the server answers."""
     workflows: dict[str, Blueprint] = {}
     surfaces = Surfaces(feed)
     surfaces.declare(app)

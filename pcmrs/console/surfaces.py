@@ -35,7 +35,7 @@ class Surfaces:
         self._coloured: OrderedDict[str, bytes] = OrderedDict()
 
     def declare(self, app: FastAPI) -> None:
-        """Declares where it is found."""
+        """Declare where it is found."""
 
         @app.get(SURFACE)
         def surface() -> Response:

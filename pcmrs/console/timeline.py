@@ -53,7 +53,7 @@ class TimelinePanel:
         self._table.props('data-testid="timeline"')
 
     def refresh(self) -> None:
-        """Shows what has been added, or what the filter lets through now."""
+        """Show what has been added, or what the filter lets through now."""
         history = self._feed.history
         self._earlier.set_visibility(self._may_read and not history.whole)
         entries = history.entries if self._may_read else heard_only(self._told.events)

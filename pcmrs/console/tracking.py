@@ -41,7 +41,7 @@ class TrackingShown:
             self._sights = {body: self._sight(body) for body in BODIES}
 
     def follow(self, told: CellViewModel, sight: Sight, *, wanted: bool) -> None:
-        """Shows where the tracker stands, and a line to each body that it sees."""
+        """Show where the tracker stands, and a line to each body that it sees."""
         stand = sight.base_from_tracker if wanted else None
         show(self._tracker, stand)
         for body, line in self._sights.items():
@@ -69,7 +69,7 @@ class VisibilityRow:
         self._chips: dict[str, ui.badge] = {}
 
     def follow(self, told: CellViewModel) -> None:
-        """Shows what is seen now."""
+        """Show what is seen now."""
         for body in told.poses:
             if body not in self._chips:
                 with self._row:
@@ -101,7 +101,7 @@ _CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
 
 
 def _stretch(line: Object3D, start: Floats, end: Floats) -> None:
-    """Lays a cylinder of length 1 m between two points, (3,) each."""
+    """Lay a cylinder of length 1 m between two points, (3,) each."""
     length = float(np.linalg.norm(end - start))
     if length > 0.0:
         if abs(length - line.sy) > STILL:

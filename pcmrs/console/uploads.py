@@ -19,7 +19,7 @@ from pcmrs.files import make_private
 
 
 def keep_temporary_files(folder: Path) -> None:
-    """Has all temporary files of this process, those of the web server too, lie in a folder of its own below this one.
+    """Have all temporary files of this process, those of the web server too, lie in a folder of its own below this one.
 
     Those of processes that have ended are removed: the kernel ends the lock on a folder with the process that holds it.
 
@@ -42,7 +42,7 @@ def keep_temporary_files(folder: Path) -> None:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """Lets one process at a time look at what others have left, and make its own."""
+    """Let one process at a time look at what others have left, and make its own."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
@@ -78,7 +78,7 @@ class UploadLimit:
         self._largest = largest
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Lets a request through as long as it is short enough."""
+        """Let a request through as long as it is short enough."""
         headers = dict(scope["headers"]) if scope["type"] == "http" else {}
         length = headers.get(b"content-length", b"")
         if b"transfer-encoding" in headers:

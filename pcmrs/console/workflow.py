@@ -70,7 +70,7 @@ class WorkflowPanel:
             self._buttons[name] = (button, tooltip)
 
     def refresh(self, shown: Snapshot, choices: Mapping[str, Choice]) -> None:
-        """Shows what is now, and what may be asked for."""
+        """Show what is now, and what may be asked for."""
         self._choices = choices
         for branch, state in shown.branches.items():
             meaning = self._blueprint.branches[branch].states[state]
@@ -130,7 +130,7 @@ class WorkflowPanel:
             await self._asking.ask(name, arguments)
 
     async def _bring_away(self, name: str) -> None:
-        """Asks for a retreat; where somebody has to look at the way first, asks the person whether they have."""
+        """Ask for a retreat; where somebody has to look at the way first, asks the person whether they have."""
         verdict, texts = await self._asking.ask(name, {}), self._texts
         if verdict is None or verdict.reason is None or verdict.reason.code != "body_not_registered":
             return
@@ -146,7 +146,7 @@ class WorkflowPanel:
             dialog.delete()
 
     async def _arguments(self, choice: Choice) -> dict[str, Any] | None:
-        """Asks the person for the arguments, as JSON; None if they think better of it."""
+        """Ask the person for the arguments, as JSON; None if they think better of it."""
         texts = self._texts
         with ui.dialog() as dialog, ui.card().classes("w-96"):
             ui.label(f"{choice.title} ({choice.payload})").classes("text-weight-bold")

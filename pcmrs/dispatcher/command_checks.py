@@ -73,7 +73,7 @@ def check_role(command: Command, spec: OperationSpec) -> None:
     """
     if command.source.startswith(EVENT_SOURCES):
         return
-    allowed = spec.askers
+    allowed = spec.allowed_roles
     if command.role not in allowed:
         text = f"A {command.role} may not ask for {command.branch}.{command.operation}: {' or '.join(allowed)} may."
         raise RefusalError("role_not_allowed", text, user=command.user, role=command.role, allowed=allowed)

@@ -13,7 +13,7 @@ from pcmrs.dispatcher.run import Activity, C, D, Run
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Blueprint, Effect
 from pcmrs.fsm.finding import summary
-from pcmrs.fsm.rules.declared import Known, check_declared
+from pcmrs.fsm.rules.declared import KnownHazards, check_declared
 
 Check = Callable[[Run[C, D]], None]
 Step = Callable[[Run[C, D]], Awaitable[None] | None]
@@ -108,9 +108,9 @@ class Registry(Generic[C, D]):
         return function
 
     @property
-    def known(self) -> Known:
+    def known(self) -> KnownHazards:
         """Properties of the functions, for the verifier."""
-        return Known(moving=frozenset(self.moving), affecting=frozenset(self.affecting))
+        return KnownHazards(moving=frozenset(self.moving), affecting=frozenset(self.affecting))
 
     def check_declarations(self, blueprint: Blueprint) -> None:
         """Raise `BlueprintError` if the blueprint does not declare what its steps and activities do."""

@@ -1,4 +1,4 @@
-"""Whether a machine has what a cell needs, before anything moves: `pcmrs doctor`."""
+"""Checks that a machine has what a cell needs, before anything moves: `pcmrs doctor`."""
 
 from pcmrs.doctor.examination import Examination, examine
 from pcmrs.doctor.finding import Finding

@@ -1,4 +1,4 @@
-"""The disk under the journal: what kind it is, how long it takes to be sure of a write, and how much is free."""
+"""Checks of the disk under the journal: its kind, the duration of a durable write, and the free space."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from pcmrs.doctor.finding import Finding, bad, good, warning
 
 WRITES: Final = 50
 SLOW: Final = 0.05
-"""A decision waits for two writes; operators notice more than 0.1 s."""
+"""Recommended limit of a write, s. A decision waits for two writes; operators notice more than 0.1 s."""
 TOO_SLOW: Final = 1.0
-"""`pcmrs health` says journal_slow from here on, s."""
+"""Limit of a write, s, from which `pcmrs health` reports journal_slow."""
 NOT_KEPT: Final = ("tmpfs", "ramfs", "overlay")
 REMOTE: Final = ("nfs", "nfs4", "cifs", "smb3", "9p", "fuse.sshfs")
 
 
 def disk(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> Iterator[Finding]:
-    """Looks at the disk of a folder that may not be there yet.
+    """Check the disk of a folder that may not exist yet.
 
     Args:
-        folder: Of the cell's journal and records.
-        mounts: As proc(5) has it.
+        folder: Folder of the cell's journal and records.
+        mounts: Table of mounts, as in proc(5).
     """
     existing = next(each for each in (folder, *folder.absolute().parents) if each.is_dir())
     kind = _kind(existing, mounts)
@@ -35,8 +35,10 @@ def disk(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> Iterator[Fin
         remedy = "Put cell.folder on a local disk: SQLite's log cannot be relied on over a network."
         yield bad("journal's disk", f"{folder} is on {kind}, over the network", remedy)
     elif kind in NOT_KEPT:
-        remedy = "Put cell.folder on a disk, or mount a volume there: nothing in it outlives the machine or container."
-        yield warning("journal's disk", f"{folder} is on {kind}, which is not kept", remedy)
+        remedy = (
+            "Put cell.folder on a disk, or mount a volume there: its contents are lost with the machine or container."
+        )
+        yield warning("journal's disk", f"{folder} is on {kind}, which does not persist", remedy)
     else:
         yield good("journal's disk", f"{folder} is on {kind or 'a disk'}")
     try:
@@ -45,11 +47,11 @@ def disk(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> Iterator[Fin
         remedy = f"Let the user who runs the daemon write in {existing}, or give another cell.folder."
         yield bad("time of fsync", f"{existing} cannot be written: {error.strerror}", remedy)
     else:
-        yield judged(times)
+        yield assess_times(times)
 
 
-def judged(times: list[float]) -> Finding:
-    """What times of single writes mean, s each."""
+def assess_times(times: list[float]) -> Finding:
+    """Return the finding on the durations of single writes, s each."""
     shown = f"median {median(times) * 1e3:.2g} ms, longest of {len(times)} {max(times) * 1e3:.2g} ms"
     if max(times) > TOO_SLOW:
         remedy = "Use another disk for cell.folder: decisions wait for it."
@@ -61,7 +63,11 @@ def judged(times: list[float]) -> Finding:
 
 
 def sync_times(folder: Path) -> list[float]:
-    """Times of appending 4 KiB and waiting for the disk, s each. Raises `OSError`."""
+    """Return the durations of appending 4 KiB and waiting for the disk, s each.
+
+    Raises:
+        OSError: The folder cannot be written.
+    """
     times = []
     with tempfile.TemporaryFile(dir=folder) as file:
         for _ in range(WRITES):
@@ -73,12 +79,12 @@ def sync_times(folder: Path) -> list[float]:
 
 
 def free_space(folder: Path, warn: float, floor: float) -> Iterator[Finding]:
-    """Compares what is free with the limits of the running daemon.
+    """Compare the free space with the limits of the running daemon.
 
     Args:
-        folder: Of the journal; it may not be there yet.
-        warn: The daemon warns below, bytes.
-        floor: It accepts no state change below, bytes.
+        folder: Folder of the journal; it may not exist yet.
+        warn: Below this the daemon warns, bytes.
+        floor: Below this the daemon accepts no state change, bytes.
     """
     existing = next(each for each in (folder, *folder.absolute().parents) if each.is_dir())
     free = shutil.disk_usage(existing).free
@@ -93,7 +99,7 @@ def free_space(folder: Path, warn: float, floor: float) -> Iterator[Finding]:
 
 
 def _kind(folder: Path, mounts: Path) -> str:
-    """Type of the file system that a folder is on; empty where the kernel does not tell."""
+    """Return the type of the file system of a folder; empty if the kernel does not report it."""
     try:
         lines = [line.split()[1:3] for line in mounts.read_text().splitlines()]
     except OSError:

@@ -1,4 +1,4 @@
-"""All checks, and what they come to."""
+"""All checks, and their verdict."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from pcmrs.settings import Settings
 
 
 class Examination(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """What a machine has of what a cell needs.
+    """Result of all checks of a machine.
 
     Attributes:
         verdict: The worst of the findings.
-        findings: In the order in which they were made.
+        findings: Findings in the order of the checks.
     """
 
     verdict: Verdict
@@ -25,10 +25,10 @@ class Examination(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 def examine(settings: Settings) -> Examination:
-    """Looks at this machine for the cell of a configuration; changes nothing, and asks no device for anything.
+    """Check this machine for the cell of a configuration, without changing anything or sending anything to a device.
 
     Args:
-        settings: Of the cell.
+        settings: Settings of the cell.
     """
     findings = list(_findings(settings))
     verdicts = {finding.verdict for finding in findings}

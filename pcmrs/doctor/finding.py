@@ -1,4 +1,4 @@
-"""One thing that was looked at."""
+"""The result of one check."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ Verdict = Literal["good", "warning", "bad"]
 
 
 class Finding(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """What was found, and what to do about it.
+    """Result of a check, and what to do about it.
 
     Attributes:
-        check: Which check.
-        verdict: ``warning``: the cell works, and something is worse than it could be. ``bad``: it does not work, or
+        check: Name of the check.
+        verdict: ``warning``: the cell works, but something should be improved. ``bad``: it does not work, or
             cannot be relied on.
         found: The values, with their limits.
-        remedy: What to do; empty only when it is good.
+        remedy: What to do; empty only if the verdict is good.
     """
 
     check: str
@@ -27,15 +27,32 @@ class Finding(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 def good(check: str, found: str) -> Finding:
-    """A finding that needs nothing done."""
+    """Return a finding that needs no action.
+
+    Args:
+        check: Name of the check.
+        found: Values, with their limits.
+    """
     return Finding(check=check, verdict="good", found=found)
 
 
 def warning(check: str, found: str, remedy: str) -> Finding:
-    """A finding with which the cell works."""
+    """Return a finding with which the cell works.
+
+    Args:
+        check: Name of the check.
+        found: Values, with their limits.
+        remedy: What to do.
+    """
     return Finding(check=check, verdict="warning", found=found, remedy=remedy)
 
 
 def bad(check: str, found: str, remedy: str) -> Finding:
-    """A finding with which it does not."""
+    """Return a finding with which the cell does not work.
+
+    Args:
+        check: Name of the check.
+        found: Values, with their limits.
+        remedy: What to do.
+    """
     return Finding(check=check, verdict="bad", found=found, remedy=remedy)

@@ -1,6 +1,6 @@
-"""The machine: scheduling, kernel, limits of the process, and clock source.
+"""Checks of the machine: scheduling, kernel, limits of the process, and clock source.
 
-Paths are those of proc(5) and sysfs(5), below a root that a test replaces.
+Paths are those of proc(5) and sysfs(5), below a root that tests replace.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from pcmrs.threads.realtime import Priority
 
 ROOT: Final = Path("/")
 FEWEST_FILES: Final = 1024
-"""Sockets, log, journal and shared memory of a daemon with its clients stay below."""
+"""Open files that suffice for sockets, log, journal and shared memory of a daemon with its clients."""
 FEWEST_PROCESSORS: Final = 2
-"""The loop of the daemon and the one that moves the arm must not wait for each other."""
+"""Processors with which the daemon's loop and the one that moves the arm do not wait for each other."""
 EXACT_CLOCKS: Final = ("tsc", "kvm-clock", "arch_sys_counter", "hyperv_clocksource_tsc_page", "xen")
-"""Clock sources that are read without a call into the kernel, or nearly."""
+"""Clock sources that are read with no call into the kernel, or with a fast one."""
 UNLIMITED: Final = {-1: "unlimited", resource.RLIM_INFINITY: "unlimited"}
 
 PERMIT: Final = (
@@ -32,7 +32,7 @@ PERMIT: Final = (
 
 
 def scheduling(root: Path = ROOT) -> Iterator[Finding]:
-    """Whether threads may take the policy SCHED_RR, and what the kernel leaves to others."""
+    """Check that threads may take the policy SCHED_RR, and the share that the kernel leaves to others."""
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     allowed = f"RLIMIT_RTPRIO is {UNLIMITED.get(limit, limit)}"
     refusal = try_real_time()
@@ -42,15 +42,15 @@ def scheduling(root: Path = ROOT) -> Iterator[Finding]:
         yield good("real-time policy", f"SCHED_RR is permitted; {allowed}")
     runtime = _read(root / "proc/sys/kernel/sched_rt_runtime_us")
     if runtime == "-1":
-        remedy = "`sysctl kernel.sched_rt_runtime_us=950000`, the kernel's default, throttles a thread that runs away."
-        yield warning("real-time share", "nothing is left to other threads", remedy)
+        remedy = "`sysctl kernel.sched_rt_runtime_us=950000`, the kernel's default, throttles a runaway thread."
+        yield warning("real-time share", "no time is left to other threads", remedy)
     elif runtime:
         period = _read(root / "proc/sys/kernel/sched_rt_period_us") or "1000000"
         yield good("real-time share", f"{int(runtime) / int(period):.0%} at most")
 
 
 def try_real_time() -> str:
-    """Why a thread may not take SCHED_RR with the highest priority that PCMRS gives; empty when it may.
+    """Return why a thread may not take SCHED_RR with the highest priority that PCMRS gives; empty if it may.
 
     The thread that tries ends at once: this process stays as it was.
     """
@@ -69,7 +69,12 @@ def try_real_time() -> str:
 
 
 def kernel(root: Path = ROOT, version: str = "") -> Iterator[Finding]:
-    """Whether the kernel can be preempted, and counts what a thread waited."""
+    """Check that the kernel can be preempted, and counts the time that a thread waits.
+
+    Args:
+        root: Root of the file system.
+        version: Version of the kernel; by default that of this one.
+    """
     version = version or platform.version()
     shown = f"Linux {platform.release()}, {version}"
     if "PREEMPT" in version or _read(root / "sys/kernel/realtime") == "1":
@@ -83,7 +88,7 @@ def kernel(root: Path = ROOT, version: str = "") -> Iterator[Finding]:
 
 
 def limits(root: Path = ROOT) -> Iterator[Finding]:
-    """Limits of this process and of its control group; a service or container has its own."""
+    """Check the limits of this process and of its control group; a service or container has its own."""
     files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     if files in UNLIMITED or files >= FEWEST_FILES:
         yield good("open files", f"{UNLIMITED.get(files, files)}")
@@ -102,34 +107,34 @@ def limits(root: Path = ROOT) -> Iterator[Finding]:
 def _processors() -> Finding:
     many = len(os.sched_getaffinity(0))
     load = os.getloadavg()[0]
-    shown = f"{many}, of which others keep {load:.1f} busy"
+    shown = f"{many}, of which other programs use {load:.1f}"
     if many < FEWEST_PROCESSORS:
         return warning("processors", f"{shown}; {FEWEST_PROCESSORS} are recommended", "Give the cell more processors.")
     if load > many:
-        return warning("processors", shown, "Take load off the machine: `top` says what computes.")
+        return warning("processors", shown, "Reduce the load of the machine: `top` shows its programs.")
     return good("processors", shown)
 
 
 def _group(root: Path) -> Iterator[Finding]:
-    """A quota of processor time stops all threads of a group alike, those with a real-time policy too."""
+    """Check for a quota of processor time: it stops all threads of a group, even those with a real-time policy."""
     group = _read(root / "proc/self/cgroup").partition("0::/")[2].splitlines()[:1]
     folder = root / "sys/fs/cgroup" / (group[0] if group else "")
     quota, _, period = (_read(folder / "cpu.max") or "max 0").partition(" ")
     if quota != "max":
-        text = f"a quota of {int(quota) / int(period):.2g} processors: at its end everything waits for the next period"
+        text = f"a quota of {int(quota) / int(period):.2g} processors: at its end, all threads wait for the next period"
         yield warning("control group", text, "Remove CPUQuota= from the unit, or --cpus from the container.")
     else:
         yield good("control group", "no quota of processor time")
 
 
 def clock_source(root: Path = ROOT) -> Iterator[Finding]:
-    """What the kernel reads the time from."""
+    """Check the kernel's source of time."""
     source = _read(root / "sys/devices/system/clocksource/clocksource0/current_clocksource")
     if source in EXACT_CLOCKS or not source:
-        yield good("clock source", source or "not told by this kernel")
+        yield good("clock source", source or "not reported by this kernel")
     else:
         available = _read(root / "sys/devices/system/clocksource/clocksource0/available_clocksource")
-        remedy = "Boot with clocksource=tsc if the machine's is stable (`dmesg | grep -i tsc` says why it was left)."
+        remedy = "Boot with clocksource=tsc if the machine's is stable (`dmesg | grep -i tsc` says why it was dropped)."
         yield warning("clock source", f"{source} of {available}: every reading of the time is slow", remedy)
 
 

@@ -1,4 +1,4 @@
-"""What a cell needs around it: free ports, installed extras, devices, and certificates that hold."""
+"""Checks of a cell's surroundings: free ports, installed extras, devices, and valid certificates."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ EXTRAS: Final = {
 }
 """Driver to the extras that it needs; the simulated cell is a distribution by itself."""
 DIALLED: Final = ("ndi", "plus")
-"""Devices that take a second client for a moment. A cabinet takes one, and may end its application when that goes."""
+"""Devices that accept a second client. A cabinet accepts one, and may end its application when it leaves."""
 LSL_DRIVERS: Final = frozenset({"lsl", "trigger"})
 """Drivers that use Lab Streaming Layer."""
 DIAL_TIME: Final = 2.0
 
 Port = tuple[str, int, socket.SocketKind, str]
-"""Host, number, kind, and the setting that has it."""
+"""Host, number, kind, and the setting that names it."""
 
 
 def is_running(settings: Settings) -> bool:
-    """Whether a daemon runs this cell: then its ports are taken, and its devices are not to be dialled."""
+    """Return true if a daemon runs this cell: then its ports are taken, and its devices must not be dialled."""
     try:
         with (settings.cell.path() / "lock").open() as lock:
             fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -56,24 +56,34 @@ def is_running(settings: Settings) -> bool:
 
 
 def ports(settings: Settings, *, running: bool) -> Iterator[Finding]:
-    """Whether everything that the daemon binds is free."""
+    """Check that every port that the daemon binds is free.
+
+    Args:
+        settings: Settings of the cell.
+        running: A daemon of this cell runs.
+    """
     wanted = list(_ports(settings))
     if running:
-        yield good("ports", "the daemon of this cell runs and has them")
+        yield good("ports", "used by the daemon of this cell, which runs")
         return
     taken = False
     for host, port, kind, setting in wanted:
         if why := _why_not_bound(host, port, kind):
             taken = True
             name = "TCP" if kind == socket.SOCK_STREAM else "UDP"
-            remedy = f"`ss -lntup 'sport = :{port}'` says who has it: end that program, or set {setting}."
+            remedy = f"`ss -lntup 'sport = :{port}'` names the program that uses it: end it, or set {setting}."
             yield bad("ports", f"{name} port {port} of {host} cannot be bound: {why}", remedy)
     if not taken:
         yield good("ports", f"{', '.join(str(port) for _, port, *_ in wanted)} are free")
 
 
 def extras(settings: Settings, wanted: Mapping[str, tuple[str, ...]] = EXTRAS) -> Iterator[Finding]:
-    """Whether the packages are installed that drivers and page need."""
+    """Check that the packages are installed that drivers and page need.
+
+    Args:
+        settings: Settings of the cell.
+        wanted: Driver to the extras that it needs.
+    """
     needed = {"daemon"} | {extra for driver in settings.drivers() for extra in wanted.get(driver, ())}
     for extra in sorted(needed | ({"console"} if settings.console.enabled else set())):
         missing = [name for name in _packages(extra) if not _is_installed(name)]
@@ -88,9 +98,14 @@ def extras(settings: Settings, wanted: Mapping[str, tuple[str, ...]] = EXTRAS) -
 
 
 def devices(settings: Settings, *, running: bool) -> Iterator[Finding]:
-    """Whether the addresses of the devices lead somewhere; nothing is asked of a device itself."""
+    """Check that the addresses of the devices can be reached; nothing is sent to a device.
+
+    Args:
+        settings: Settings of the cell.
+        running: A daemon of this cell runs.
+    """
     if running:
-        yield good("devices", "the daemon of this cell has them: `pcmrs health` says how they are")
+        yield good("devices", "used by the daemon of this cell: `pcmrs health` shows their state")
         return
     for driver, served in settings.drivers().items():
         table: Mapping[str, Any] = getattr(settings, driver, {})
@@ -98,45 +113,45 @@ def devices(settings: Settings, *, running: bool) -> Iterator[Finding]:
         if place := _place(driver, table):
             yield _serial(name, place) if isinstance(place, Path) else _network(driver, name, *place)
         else:
-            yield good("devices", f"{name}: no address to look at")
+            yield good("devices", f"{name}: it has no address to check")
 
 
 def streams(settings: Settings) -> Iterator[Finding]:
-    """Whether streams of Lab Streaming Layer stay on this machine."""
+    """Check that streams of Lab Streaming Layer stay on this machine."""
     if not (LSL_DRIVERS.intersection(settings.drivers()) or settings.gateway.markers.enabled):
         yield good("streams", "Lab Streaming Layer is not used")
     elif own := lab_configuration():
-        remedy = f"Set ResolveScope = machine in {own}, or give these streams a network of their own."
+        remedy = f"Set ResolveScope = machine in {own}, or give these streams their own network."
         yield warning("streams", f"{own} configures Lab Streaming Layer; other machines may reach its streams", remedy)
     else:
         yield good("streams", "Lab Streaming Layer is offered to this machine only")
 
 
 def peers(settings: Settings) -> Iterator[Finding]:
-    """Whether commands of signed peers are refused when they are old."""
+    """Check that old commands of signed peers are refused."""
     growing = sorted(name for name, peer in settings.gateway.peers.items() if peer.counter != UNIX_NS)
     if growing:
         remedy = 'Update their clients and set counter = "unix_ns" in their tables: docs/configuration.md.'
-        found = f"{', '.join(growing)}: a command that was held back on its way is taken, and answers are not signed"
+        found = f"{', '.join(growing)}: a delayed command is accepted, and answers are not signed"
         yield warning("peers", found, remedy)
     else:
-        yield good("peers", f"{len(settings.gateway.peers)} sign their commands, all with the time")
+        yield good("peers", f"{len(settings.gateway.peers)} peers sign their commands, all with the time")
 
 
 def certificates(settings: Settings) -> Iterator[Finding]:
-    """Whether the identity can be used, is registered, and does not end soon."""
+    """Check that the identity can be used, is registered, and does not end soon."""
     if not settings.access.is_open:
-        yield good("certificates", "none: the cell is reached from this machine only")
+        yield good("certificates", "none: the cell can only be reached from this machine")
         return
     try:
         own = settings.bus("router").credentials
     except ConfigurationError as error:
-        remedy = "`pcmrs pki issue` makes an identity, `pcmrs pki list` shows the register: docs/access.md."
+        remedy = "`pcmrs pki issue` makes an identity, `pcmrs pki list` shows all registered ones: docs/access.md."
         yield bad("certificates", error.text, remedy)
         return
     days = 0.0 if own is None else (own.ends - SystemClock().wall()) / 86400.0
     if days * 86400.0 < ENDS_SOON:
-        remedy = "Have a new one issued, `pcmrs pki issue`, and restart the daemon."
+        remedy = "Issue a new one with `pcmrs pki issue`, and restart the daemon."
         yield warning("certificates", f"the daemon's ends in {days:.1f} days", remedy)
     else:
         yield good("certificates", f"the daemon's is registered, and ends in {days:.0f} days")
@@ -195,10 +210,10 @@ def _is_installed(package: str) -> bool:
 
 
 def _place(driver: str, table: Mapping[str, Any]) -> Path | tuple[str, int] | None:
-    """Where a driver looks for its device, by its table with the driver's defaults; None where that has no address."""
+    """Return where a driver finds its device, by its table with the driver's defaults; None if it has no address."""
     points = entry_points(group=DRIVER_SETTINGS, name=driver)
     if not points:
-        return None  # the driver of another distribution, without a table
+        return None  # a driver of another distribution, without a table
     found = msgspec.convert(table, points[driver].load())
     if driver == "ndi":
         host, _, port = found.device.rpartition(":")
@@ -212,7 +227,7 @@ def _serial(name: str, path: Path) -> Finding:
     try:
         there = stat.S_ISCHR(path.stat().st_mode)
     except OSError as error:
-        remedy = "See to its cable; `ls /dev/tty*` shows what there is, deploy/cable/70-pcmrs.rules gives it a name."
+        remedy = "Check its cable; `ls /dev/tty*` lists the devices, deploy/cable/70-pcmrs.rules gives it a name."
         return bad("devices", f"{name}: {path}: {error.strerror}", remedy)
     if there and os.access(path, os.R_OK | os.W_OK):
         return good("devices", f"{name}: {path} is there and may be used")
@@ -229,9 +244,9 @@ def _network(driver: str, name: str, host: str, port: int) -> Finding:
             probe.connect((host, port))  # sends nothing
             way = f"{where} is reached from {probe.getsockname()[0]}"
         if driver not in DIALLED:
-            return good("devices", f"{way}; it is not dialled, since it takes one client only")
+            return good("devices", f"{way}; it is not dialled, since it accepts one client only")
         with socket.create_connection((host, port), DIAL_TIME):
             return good("devices", f"{way} and answers")
     except OSError as error:
-        remedy = "See to its power, cable and address, and to the drop-in network.conf of the unit: docs/devices.md."
+        remedy = "Check its power, cable and address, and the drop-in network.conf of the unit: docs/devices.md."
         return bad("devices", f"{where}: {error.strerror or error}", remedy)

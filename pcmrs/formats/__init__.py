@@ -1,1 +1,1 @@
-"""Files of other software: read here, and turned into RAS and m."""
+"""Readers for files of other software, which convert everything to RAS and m."""

@@ -1,4 +1,4 @@
-"""One DICOM series of slices, a file each: DICOM PS3.3 C.7.6.2 (LPS, mm)."""
+"""One DICOM series of slices, one file each: DICOM PS3.3 C.7.6.2 (LPS, mm)."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from pcmrs.spatial import Floats
 
 MAX_FILES = 2000
 MAX_FILE_BYTES = 16 * 1024 * 1024
-"""A slice of 2048 x 2048 has 8 MB."""
+"""Limit of a slice; one of 2048 x 2048 has 8 MB."""
 PLAIN = (ImplicitVRLittleEndian, ExplicitVRLittleEndian, ExplicitVRBigEndian)
 NEEDED = ("SeriesInstanceUID", "Rows", "Columns", "PixelSpacing", "ImageOrientationPatient", "ImagePositionPatient")
 UNEVEN = 1e-4
-"""Slices may be so far from where equal distances would have them, m; rounded positions are."""
+"""Largest deviation of a slice from equal distances, m; rounded positions deviate."""
 AIR = -1024.0
-"""Below it, in Hounsfield units, is no measured value: what a scanner writes outside of its circle."""
+"""Lowest measured value, in Hounsfield units; scanners write lower values outside of their circle."""
 
 
 def read_dicom(folder: Path) -> Volume:
-    """The volume of the DICOM files in a folder; other files there are passed over.
+    """Return the volume of the DICOM files in a folder; other files in it are ignored.
 
     Raises:
-        FileFormatError: They are no single, whole series of parallel slices at equal distances, or too large.
+        FileFormatError: They are not a single, whole series of parallel slices at equal distances, or too large.
     """
     slices = [_slice(file) for file in _files(folder)]
     first = slices[0]
@@ -66,7 +66,7 @@ def _is_dicom(file: Path) -> bool:
 
 
 def _slice(file: Path) -> Any:
-    """The header of a slice, and its pixels as they are stored, which are not unpacked."""
+    """Return the header of a slice, with its pixels as they are stored, still packed."""
     size = file.stat().st_size
     if size > MAX_FILE_BYTES:
         refuse(
@@ -81,16 +81,16 @@ def _slice(file: Path) -> Any:
         missing = [name for name in NEEDED if found.get(name) is None]
         numbers = missing or (*map(float, _in_plane(found)), *_position(found))
     except (InvalidDicomError, OSError, EOFError, ValueError, TypeError, AttributeError, KeyError) as error:
-        refuse(file, f"is no whole DICOM image: {error}.")
+        refuse(file, f"is not a whole DICOM image: {error}.")
     if missing:
-        refuse(file, f"has no {', '.join(missing)}: it is no slice of a volume, or several in one; export it anew.")
+        refuse(file, f"has no {', '.join(missing)}: it is not a slice of a volume, or several in one; export it again.")
     if not np.isfinite(np.array(numbers)).all() or found.get("SamplesPerPixel", 1) != 1:
-        refuse(file, "holds colours, or a position that is no number; give a series of grey slices.")
+        refuse(file, "holds colours, or a position that is not a number; give a series of grey slices.")
     return found
 
 
 def _axes(each: Any) -> tuple[Floats, Floats]:
-    """Unit vectors along a row and down a column, LPS."""
+    """Return the unit vectors along a row and down a column, LPS."""
     directions = np.array(each.ImageOrientationPatient, dtype=float).reshape(2, 3)
     return directions[0], directions[1]
 
@@ -104,9 +104,9 @@ def _position(each: Any) -> Floats:
 
 
 def _grid(folder: Path, slices: list[Any]) -> Floats:
-    """``image_from_voxel`` for indices along a row, down a column and through the slices.
+    """Return ``image_from_voxel`` for indices along a row, down a column and through the slices.
 
-    Slices may be shifted against each other evenly, as those of a tilted gantry are.
+    Slices may be evenly shifted against each other, as those of a tilted gantry are.
     """
     positions = as_ras([_position(each) for each in slices], "mm", "LPS")
     step = (positions[-1] - positions[0]) / (len(slices) - 1)
@@ -123,7 +123,7 @@ def _grid(folder: Path, slices: list[Any]) -> Floats:
 
 
 def _values(each: Any) -> Any:
-    """Grey values of a slice, (columns, rows)."""
+    """Return the grey values of a slice, (columns, rows)."""
     try:
         pixels = each.pixel_array.astype(np.float32)
         slope, intercept = float(each.get("RescaleSlope") or 1.0), float(each.get("RescaleIntercept") or 0.0)

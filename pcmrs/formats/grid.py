@@ -1,7 +1,4 @@
-"""Grids of voxels: a volume, and what is refused by its header alone.
-
-Units and directions that files declare, and what they are in RAS and m.
-"""
+"""Grids of voxels, their limits, and the units and directions that files declare."""
 
 from __future__ import annotations
 
@@ -28,18 +25,23 @@ RAS_FROM = {"RAS": (1.0, 1.0, 1.0), "LPS": (-1.0, -1.0, 1.0)}
 
 
 def as_ras(points: npt.ArrayLike, unit: str, space: str) -> Floats:
-    """Points (3,) or (N, 3) in `unit` and `space` as RAS and m.
+    """Return points as RAS and m.
 
-    The way from LPS (DICOM PS3.3 C.7.6.2.1.1) is half a turn about the superior axis: handedness stays.
+    LPS (DICOM PS3.3 C.7.6.2.1.1) is RAS after half a turn about the superior axis: handedness stays.
+
+    Args:
+        points: Points (3,) or (N, 3) in `unit` and `space`.
+        unit: Key of `METRES`.
+        space: Key of `RAS_FROM`.
     """
     converted: Floats = np.asarray(points, dtype=float) * METRES[unit] * np.array(RAS_FROM[space])
     return converted
 
 
 MAX_VOXELS = 200_000_000
-"""512 x 512 x 760; as numbers of 32 bits 0.8 GB."""
+"""512 x 512 x 760 voxels; 0.8 GB as 32-bit numbers."""
 LEAST_EDGE, MOST_EDGE = 1e-5, 0.02
-"""Of a voxel, m: outside of these the unit is another one than the file says."""
+"""Limits of the edges of a voxel, m; beyond them, the declared unit must be wrong."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +58,15 @@ class Volume:
 
 
 def check_size(path: Path, shape: Sequence[int]) -> None:
-    """Refuses a volume by what its header says. Raises `FileFormatError`."""
+    """Refuse a volume of an impossible size, by its header alone.
+
+    Args:
+        path: The file.
+        shape: Number of voxels along each axis.
+
+    Raises:
+        FileFormatError: It is no volume of several slices, or too large.
+    """
     if len(shape) != 3 or min(shape) < 2:
         refuse(path, f"has {' x '.join(map(str, shape))} voxels: give one volume of at least two slices.")
     voxels = math.prod(shape)
@@ -68,11 +78,19 @@ def check_size(path: Path, shape: Sequence[int]) -> None:
 
 
 def check_grid(path: Path, image_from_voxel: Floats) -> None:
-    """Refuses voxels without extent or of an impossible one. Raises `FileFormatError`."""
+    """Refuse voxels without extent or of an impossible size.
+
+    Args:
+        path: The file.
+        image_from_voxel: From indices (i, j, k, 1) of voxel centres to RAS, m, (4, 4).
+
+    Raises:
+        FileFormatError: An edge is too short or too long, or all edges lie in one plane.
+    """
     axes = image_from_voxel[:3, :3]
     edges = np.linalg.norm(axes, axis=0)
     if not np.isfinite(image_from_voxel).all() or not (edges >= LEAST_EDGE).all() or not (edges <= MOST_EDGE).all():
         limits = f"{LEAST_EDGE * 1e3:g} to {MOST_EDGE * 1e3:g} mm"
-        refuse(path, f"has voxels of {' x '.join(f'{edge * 1e3:.3g}' for edge in edges)} mm; {limits} are taken.")
+        refuse(path, f"has voxels of {' x '.join(f'{edge * 1e3:.3g}' for edge in edges)} mm; the limits are {limits}.")
     if not abs(np.linalg.det(axes / edges)) > 1e-3:
         refuse(path, "has voxels whose edges lie in one plane; export it again.")

@@ -19,10 +19,10 @@ LISTS: dict[str, Role] = {"PLANNED": "planned", "DIGITIZED": "digitized"}
 
 
 def read_lab_landmarks(path: Path) -> tuple[list[Named], Role]:
-    """Planned points in the image or digitized points in body_ref, m; nan where one is not digitized yet.
+    """Return planned points in the image, or digitized points in body_ref, m; nan for points not digitized yet.
 
     Raises:
-        FileFormatError: It is no such file, or ``NUM`` is another number.
+        FileFormatError: It is not such a file, or ``NUM`` is not the number of points.
     """
     keys = read_yaml(path)
     listed = next((name for name in LISTS if name in keys), None)
@@ -38,17 +38,17 @@ def read_lab_landmarks(path: Path) -> tuple[list[Named], Role]:
 
 
 def lab_pose(path: Path, keys: Mapping[Any, Any], prefix: str) -> Transform:
-    """The pose in ``TRANSLATION`` (x y z, m) and ``ROTATION`` (quaternion x y z w) of a mapping.
+    """Return the pose in ``TRANSLATION`` (x y z, m) and ``ROTATION`` (quaternion x y z w) of a mapping.
 
-    In a file of its own it is a registration (body_ref_from_image) or a planned tool pose (image_from_coil).
+    At the top of a file it is a registration (body_ref_from_image) or a planned tool pose (image_from_coil).
 
     Args:
-        path: For errors.
+        path: The file, for errors.
         keys: The mapping.
-        prefix: Where it stands in the file, such as ``PLANNED_POSE.``; for errors.
+        prefix: Its place in the file, such as ``PLANNED_POSE.``; for errors.
 
     Raises:
-        FileFormatError: One of them is missing, incomplete, not finite or no unit quaternion.
+        FileFormatError: A part is missing, incomplete, not finite, or not a unit quaternion.
     """
     position = _numbers(path, f"{prefix}TRANSLATION", keys.get("TRANSLATION"), "xyz")
     quat_xyzw = _numbers(path, f"{prefix}ROTATION", keys.get("ROTATION"), "xyzw")
@@ -59,11 +59,11 @@ def lab_pose(path: Path, keys: Mapping[Any, Any], prefix: str) -> Transform:
 
 
 def lab_registration(body_ref_from_image: Transform, *, refined: bool) -> str:
-    """The text of a registration file.
+    """Return the text of a registration file.
 
     Args:
         body_ref_from_image: The registration.
-        refined: Whether a surface took part in it (``FLAG_ICP``).
+        refined: A surface was used for it (``FLAG_ICP``).
     """
     position = _braces("xyz", body_ref_from_image.translation.tolist())
     quat_xyzw = _braces("xyzw", body_ref_from_image.quat_xyzw.tolist())
@@ -90,7 +90,7 @@ def _numbers(path: Path, key: str, values: Any, axes: str) -> tuple[float, ...]:
     if set(given) != set(axes):
         refuse(path, f"needs {', '.join(axes)} under {key}, not {', '.join(map(str, given)) or 'nothing'}.", key=key)
     try:
-        # By way of text: C++ writes 1e-05 and nan as numbers, YAML reads text; and true is none, though 1 to Python.
+        # By way of text: YAML reads 1e-05 and nan, which C++ writes, as text, and true must not count as 1.
         return tuple(float(str(given[axis])) for axis in axes)
     except ValueError:
-        refuse(path, f"holds something under {key} that is no number: {given}.", key=key)
+        refuse(path, f"holds something under {key} that is not a number: {given}.", key=key)

@@ -1,4 +1,4 @@
-"""Landmarks of any file that PCMRS reads, and which of two files belong together."""
+"""Landmarks of any file that PCMRS reads, and the pairing of planned with digitized ones."""
 
 from __future__ import annotations
 
@@ -7,16 +7,38 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import msgspec
 import numpy as np
 
 from pcmrs.errors import GeometryError
 from pcmrs.formats.grid import Named, Role, Unit
 from pcmrs.formats.lab_yaml import read_lab_landmarks
-from pcmrs.formats.plan_json import read_plan_landmarks
 from pcmrs.formats.points_csv import read_points_csv
-from pcmrs.formats.reading import refuse
+from pcmrs.formats.reading import read_text, refuse
 from pcmrs.formats.slicer_markups import read_fcsv, read_markups
 from pcmrs.spatial import Floats
+
+
+class _Landmark(msgspec.Struct, frozen=True):
+    name: str
+    position: tuple[float, float, float]
+
+
+class _Plan(msgspec.Struct, frozen=True):
+    landmarks: tuple[_Landmark, ...]
+
+
+def _read_plan_landmarks(path: Path) -> tuple[list[Named], Role]:
+    """Return the planned landmarks in the image, RAS, m.
+
+    Raises:
+        FileFormatError: It is not a plan.
+    """
+    try:
+        plan = msgspec.json.decode(read_text(path), type=_Plan)
+    except (msgspec.MsgspecError, RecursionError) as error:
+        refuse(path, f"is not a plan: {error}.")
+    return [(landmark.name, landmark.position) for landmark in plan.landmarks], "planned"
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,9 +46,9 @@ class Landmarks:
     """Named points.
 
     Attributes:
-        names: Different from one another, in the order of the file.
-        points: In the frame of the file, turned to RAS where it says LPS, m, (N, 3).
-        role: What they are, where the file says so.
+        names: Unique names, in the order of the file.
+        points: Points in the frame of the file, converted to RAS if it is LPS, m, (N, 3).
+        role: Planned or digitized, if the file says so.
     """
 
     names: tuple[str, ...]
@@ -39,10 +61,10 @@ class Pairs:
     """Planned and digitized landmarks, row by row.
 
     Attributes:
-        names: As they are planned.
-        planned: In the image, m, (N, 3).
-        digitized: In body_ref, m, (N, 3).
-        matched_by: ``name``, or ``order`` where the files name their points differently.
+        names: Names in the plan.
+        planned: Points in the image, m, (N, 3).
+        digitized: Points in body_ref, m, (N, 3).
+        matched_by: ``name``, or ``order`` if the files name their points differently.
     """
 
     names: tuple[str, ...]
@@ -51,18 +73,18 @@ class Pairs:
     matched_by: Literal["name", "order"]
 
 
-ENDINGS = (".yaml", ".yml", ".mrk.json", ".json", ".fcsv", ".csv")
+SUFFIXES = (".yaml", ".yml", ".mrk.json", ".json", ".fcsv", ".csv")
 
 
 def read_landmarks(path: Path, csv_unit: Unit | None = None) -> Landmarks:
-    """The landmarks of a file, by its ending: YAML of the lab, 3D Slicer's markups, a plan of PCMRS, or CSV.
+    """Return the landmarks of a file, by its suffix: YAML of the lab, 3D Slicer's markups, a plan of PCMRS, or CSV.
 
     Args:
         path: The file.
-        csv_unit: Unit of a CSV file whose columns do not name theirs.
+        csv_unit: Unit of a CSV file whose columns do not name it.
 
     Raises:
-        FileFormatError: It cannot be read, its ending is unknown, or it does not hold named, finite points.
+        FileFormatError: It cannot be read, its suffix is unknown, or it does not hold named, finite points.
     """
     found, role = _read(path, csv_unit)
     return _landmarks(path, found, role)
@@ -75,12 +97,12 @@ def _read(path: Path, csv_unit: Unit | None) -> tuple[list[Named], Role | None]:
         case [*_, ".mrk", ".json"]:
             return read_markups(path), None
         case [*_, ".json"]:
-            return read_plan_landmarks(path)
+            return _read_plan_landmarks(path)
         case [*_, ".fcsv"]:
             return read_fcsv(path), None
         case [*_, ".csv"]:
             return read_points_csv(path, csv_unit), None
-    refuse(path, f"has none of the known endings: {', '.join(ENDINGS)}.")
+    refuse(path, f"has none of the known suffixes: {', '.join(SUFFIXES)}.")
 
 
 def _landmarks(path: Path, found: Sequence[Named], role: Role | None) -> Landmarks:
@@ -91,17 +113,21 @@ def _landmarks(path: Path, found: Sequence[Named], role: Role | None) -> Landmar
         if not name:
             refuse(path, f"has no name for its point {index + 1}; name every landmark.", index=index)
         if name in names[:index]:
-            refuse(path, f"names two landmarks {name}; give each a name of its own.", name=name)
+            refuse(path, f"names two landmarks {name}; give each its own name.", name=name)
         if not np.isfinite(point).all():
             refuse(path, f"has no point for landmark {name}: {point}; digitize it.", name=name)
     return Landmarks(names, np.array([point for _, point in found], dtype=float), role)
 
 
 def pair_landmarks(planned: Landmarks, digitized: Landmarks) -> Pairs:
-    """Brings landmarks together by name where both have the same names, else by order.
+    """Pair landmarks by name if both files have the same names, else by order.
+
+    Args:
+        planned: Landmarks of the plan.
+        digitized: Landmarks measured on the body.
 
     Raises:
-        GeometryError: One of them says that it is the other, their numbers differ, or a name that both have stands at
+        GeometryError: One of them has the role of the other, their numbers differ, or a name that both have is at
             different places.
     """
     _check_role(planned, "planned")
@@ -120,17 +146,20 @@ def pair_landmarks(planned: Landmarks, digitized: Landmarks) -> Pairs:
         if name in digitized.names and digitized.names[index] != name:
             raise GeometryError(
                 f"Landmark {name} is number {index + 1} of the plan but number {digitized.names.index(name) + 1} of "
-                "the digitization, and other names differ: nobody can say which belong together; name both alike.",
+                "the digitization, and other names differ: the pairs are ambiguous; use the same names in both.",
                 name=name,
             )
     return Pairs(planned.names, planned.points, digitized.points, "order")
 
 
 def _check_role(landmarks: Landmarks, wanted: Role) -> None:
-    """Exchanged, they would give the inverse transform, with the same residuals."""
+    """Refuse landmarks that are given for the other role.
+
+    Exchanged landmarks would give the inverse transform, with the same residuals.
+    """
     if landmarks.role not in (None, wanted):
         text = (
-            f"The landmarks to be the {wanted} ones say that they are {landmarks.role}; give plan and digitization in "
+            f"The file for the {wanted} landmarks says that they are {landmarks.role}; give plan and digitization in "
             "this order."
         )
         raise GeometryError(text, wanted=wanted, role=landmarks.role)

@@ -1,6 +1,6 @@
 """Triangle meshes of surfaces: STL, PLY and OBJ.
 
-None of these says its unit, few say their directions: both are declared by who gives the file.
+None of these formats declares its unit, few declare their directions: the caller declares both.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pcmrs.spatial import Floats
 
 KINDS = (".stl", ".ply", ".obj")
 MAX_MESH_BYTES = 64 * 1024 * 1024
-"""About a million triangles."""
+"""Limit of a file: about a million triangles."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,14 +37,19 @@ class Mesh:
 
 
 def read_mesh(path: Path, unit: Unit, space: Space) -> Mesh:
-    """The mesh of a file, corners that coincide made one.
+    """Return the mesh of a file, with coinciding vertices merged.
+
+    Args:
+        path: The file.
+        unit: Its unit of length.
+        space: Its directions.
 
     Raises:
-        FileFormatError: It cannot be read, is too long, of another kind, holds no triangle, or numbers that are none.
+        FileFormatError: It cannot be read, is too long, of another kind, or has no triangle, or invalid numbers.
     """
     kind = path.suffix.lower()
     if kind not in KINDS:
-        refuse(path, f"is no mesh that can be read: its ending must be one of {', '.join(KINDS)}.")
+        refuse(path, f"is not a mesh that can be read: its suffix must be one of {', '.join(KINDS)}.")
     vertices, faces = _load(path, read_bytes(path, MAX_MESH_BYTES), kind.removeprefix("."))
     if not len(faces):
         refuse(path, "holds no triangles.")
@@ -69,10 +74,10 @@ def _load(path: Path, raw: bytes, kind: str) -> tuple[npt.NDArray[Any], npt.NDAr
     try:
         loaded = trimesh.load_mesh(io.BytesIO(raw), file_type=kind, process=False, skip_materials=True)
         return np.asarray(loaded.vertices), np.asarray(loaded.faces)
-    except ImportError:  # the library looks for a module that guesses encodings where a binary file is cut short
-        refuse(path, f"is no {kind.upper()} mesh: it is neither a whole binary file nor text.")
-    except Exception as error:  # its parsers raise whatever they stumble over
-        refuse(path, f"is no {kind.upper()} mesh: {type(error).__name__}: {error}")
+    except ImportError:  # for a truncated binary file, the library imports a module that guesses encodings
+        refuse(path, f"is not a mesh in {kind.upper()}: it is neither a whole binary file nor text.")
+    except Exception as error:  # its parsers raise exceptions of any kind
+        refuse(path, f"is not a mesh in {kind.upper()}: {type(error).__name__}: {error}")
 
 
 def _merged(vertices: npt.NDArray[Any], faces: npt.NDArray[Any]) -> tuple[Floats, npt.NDArray[np.int64]]:

@@ -12,18 +12,18 @@ EXAMPLE = "name,x_mm,y_mm,z_mm"
 
 
 def read_points_csv(path: Path, unit: Unit | None = None) -> list[Named]:
-    """The points of a file, RAS, m; other columns are passed over.
+    """Return the points of a file, RAS, m; other columns are ignored.
 
     Args:
         path: The file.
-        unit: Of columns called x, y, z; of those that name theirs, it must be the same.
+        unit: Unit of columns called x, y, z; if the columns name a unit, it must be the same.
 
     Raises:
-        FileFormatError: There is no header, a column of it twice, no unit, two units, or a row that is none.
+        FileFormatError: It has no header, a column twice, no unit, two units, or a row that is not a point.
     """
     header, rows = read_table(path)
     if not header:
-        refuse(path, f"is empty, must begin with a header such as {EXAMPLE}.")
+        refuse(path, f"is empty; it must begin with a header such as {EXAMPLE}.")
     found = _unit(path, header, unit)
     axes = [axis if axis in header else f"{axis}_{found}" for axis in "xyz"]
     name = "name" if "name" in header else "label"
@@ -41,7 +41,7 @@ def _unit(path: Path, header: Sequence[str], given: Unit | None) -> Unit:
         refuse(path, f"has columns in {named[0]}, but {given} was asked for.", unit=named[0])
     unit = named[0] if named else given
     if unit is None:
-        refuse(path, "does not say in which unit its columns x, y, z are; call them x_mm or x_m, and y and z alike.")
+        refuse(path, "does not declare the unit of its columns x, y, z; call them x_mm or x_m, and y and z likewise.")
     return unit
 
 

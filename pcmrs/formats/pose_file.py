@@ -1,6 +1,6 @@
 """Saved placements: one YAML file per trial with the planned and the measured pose of the tool.
 
-The lab's software and the gateway's records write them: ``PLANNED_POSE`` and ``MEASURED_POSE``, each with a
+The lab's software and the gateway write them: ``PLANNED_POSE`` and ``MEASURED_POSE``, each with a
 ``TRANSLATION`` x y z in m and a ``ROTATION`` quaternion x y z w, in flow style with comments.
 """
 
@@ -21,10 +21,10 @@ SUFFIXES = (".yaml", ".yml")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Placement:
-    """Where the tool should have been, and where the tracker measured it.
+    """A planned pose of the tool, and the pose that the tracker measured.
 
     Attributes:
-        name: Of the trial: the file's name without suffix, or the row of a journal.
+        name: Name of the trial: the file's name without suffix, or the row of a journal.
         planned: ``image_from_tool`` as planned; +z of the tool points away from the body.
         measured: ``image_from_tool`` as measured.
     """
@@ -35,10 +35,10 @@ class Placement:
 
 
 def read_placements(path: Path) -> list[Placement]:
-    """Reads a saved placement, or all of a folder in the order of their names, numbers in them by value.
+    """Read a saved placement, or all of a folder in the order of their names, numbers in them by value.
 
     Raises:
-        FileFormatError: There are none, or some cannot be read: each of these is named with its reason.
+        FileFormatError: There are none, or some cannot be read; the text names each of these with its reason.
     """
     paths = _files_of(path) if path.is_dir() else [path]
     placements, refused = [], []
@@ -68,10 +68,10 @@ def _read(path: Path) -> Placement:
 def _pose(path: Path, content: dict[str, Any], key: str) -> Transform:
     block = content.get(key)
     if not isinstance(block, dict):
-        refuse(path, f"is no saved placement: it holds no pose under {key}.", key=key)
+        refuse(path, f"is not a saved placement: it holds no pose under {key}.", key=key)
     return lab_pose(path, block, f"{key}.")
 
 
 def _by_number(path: Path) -> list[str | int]:
-    """Sorts trial_2 before trial_10; texts and numbers alternate, so that they never meet."""
+    """Return a sort key that puts trial_2 before trial_10. Texts and numbers alternate, so they are never compared."""
     return [int(part) if part.isdecimal() else part for part in re.split(r"([0-9]+)", path.name)]

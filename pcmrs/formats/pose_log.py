@@ -1,6 +1,6 @@
 """Pose logs of a tracker: CSV rows ``name,x,y,z,qx,qy,qz,qw``, three for each sample, lengths in m.
 
-The lab's software and the gateway's records write them. A sample is the rows `ROWS` in their order; a row whose name
+The lab's software and the gateway write them. A sample is the rows `ROWS` in their order; a row whose name
 does not come after that of the row before begins the next sample, so a missing row leaves a gap in its own sample only.
 """
 
@@ -19,16 +19,16 @@ ROWS = ("body_tool", "pol_body", "pol_tool")
 """``body_from_tool``, ``tracker_from_body``, ``tracker_from_tool``."""
 
 MAX_BYTES = 20 * 1024 * 1024
-"""More than an hour at 20 samples per second."""
+"""Limit of a file: more than an hour at 20 samples per second."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PoseLog:
-    """What a tracker saw, sample by sample.
+    """Poses that a tracker measured, sample by sample.
 
     Attributes:
         name: The file's name without suffix.
-        poses: For each name of `ROWS` one pose per sample, all of one length; None where the row is missing.
+        poses: For each name of `ROWS`, one pose per sample; None if its row is missing.
     """
 
     name: str
@@ -36,15 +36,15 @@ class PoseLog:
 
     @property
     def samples(self) -> int:
-        """How many samples the log has."""
+        """Number of samples."""
         return len(self.poses[ROWS[0]])
 
 
 def read_pose_log(path: Path) -> PoseLog:
-    """Reads a pose log.
+    """Read a pose log.
 
     Raises:
-        FileFormatError: It cannot be read, has no rows, or a row is no pose; file and line are named.
+        FileFormatError: It cannot be read, has no rows, or a row is not a pose; the text names file and line.
     """
     poses: dict[str, list[Transform | None]] = {name: [] for name in ROWS}
     previous = len(ROWS)
@@ -66,7 +66,7 @@ def _rows(path: Path) -> Iterator[tuple[str, Transform]]:
             if cells:
                 yield _row(path, line, [cell.strip() for cell in cells])
     except (csv.Error, UnicodeDecodeError) as error:
-        refuse(path, f"is no CSV: {error}.")
+        refuse(path, f"is not CSV: {error}.")
 
 
 def _row(path: Path, line: int, cells: list[str]) -> tuple[str, Transform]:

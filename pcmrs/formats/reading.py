@@ -1,4 +1,4 @@
-"""Files that anybody may have written: never more of them than a limit, and as text, or refused with a reason."""
+"""Reading of untrusted files: at most a fixed number of bytes, as text, or refused with a reason."""
 
 from __future__ import annotations
 
@@ -11,16 +11,29 @@ import yaml
 from pcmrs.errors import FileFormatError
 
 MAX_TEXT_BYTES = 1024 * 1024
-"""Of a file of points or poses: a hundred times the largest that makes sense."""
+"""Limit of a file of points or poses: a hundred times the largest useful one."""
 
 
 def refuse(path: Path, problem: str, **fields: Any) -> NoReturn:
-    """Raises `FileFormatError` with a text that begins with the file."""
+    """Raise `FileFormatError` with a text that begins with the file.
+
+    Args:
+        path: The file.
+        problem: The rest of the text.
+        fields: Fields of the error.
+
+    Raises:
+        FileFormatError: Always.
+    """
     raise FileFormatError(f"{path} {problem}", file=str(path), **fields) from None
 
 
 def read_bytes(path: Path, limit: int) -> bytes:
-    """The bytes of a file.
+    """Return the bytes of a file.
+
+    Args:
+        path: The file.
+        limit: Largest number of bytes.
 
     Raises:
         FileFormatError: It cannot be read, or is longer than `limit` bytes.
@@ -28,16 +41,20 @@ def read_bytes(path: Path, limit: int) -> bytes:
     try:
         with path.open("rb") as stream:
             raw = stream.read(limit + 1)
-    except (OSError, ValueError) as error:  # a ValueError where it cannot be a path
+    except (OSError, ValueError) as error:  # a ValueError for a text that cannot be a path
         reason = error.strerror if isinstance(error, OSError) else str(error)
         refuse(path, f"cannot be read: {reason}.")
     if len(raw) > limit:
-        refuse(path, f"is longer than {limit} bytes, more than is read of such a file.", limit=limit)
+        refuse(path, f"is longer than {limit} bytes, the limit of such a file.", limit=limit)
     return raw
 
 
 def read_text(path: Path) -> str:
-    """The text of a file without a byte order mark. Raises `FileFormatError`."""
+    """Return the text of a file without a byte order mark.
+
+    Raises:
+        FileFormatError: It cannot be read, is too long or is not UTF-8.
+    """
     try:
         return read_bytes(path, MAX_TEXT_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -45,10 +62,10 @@ def read_text(path: Path) -> str:
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """The keys of a YAML file.
+    """Return the keys of a YAML file.
 
     Raises:
-        FileFormatError: It is no YAML, holds a key twice, or is no mapping; the text says where.
+        FileFormatError: It is not YAML, has a key twice, or is not a mapping; the text says where.
     """
     try:
         found = yaml.load(read_text(path), Loader=_UniqueKeysLoader)  # noqa: S506  # it is a SafeLoader
@@ -61,19 +78,19 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def read_table(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
-    """The rows of a CSV file with a header, blank lines passed over.
+    """Return the rows of a CSV file with a header, without blank lines.
 
     Returns:
-        The columns in small letters, and for each row its line and the cells by column; both empty for an empty file.
+        The columns in lower case, and for each row its line and the cells by column; both empty for an empty file.
 
     Raises:
-        FileFormatError: It is no CSV, a column is there twice, or a row has more cells than the header.
+        FileFormatError: It is not CSV, has a column twice, or a row has more cells than the header.
     """
     try:
         reader = csv.reader(read_text(path).splitlines())
         lines = [(reader.line_num, [cell.strip() for cell in cells]) for cells in reader if any(map(str.strip, cells))]
     except csv.Error as error:
-        refuse(path, f"is no CSV: {error}.")
+        refuse(path, f"is not CSV: {error}.")
     columns = [cell.lower() for cell in lines[0][1]] if lines else []
     if len(columns) == 1 and ";" in columns[0]:
         refuse(path, "has semicolons between its columns; save it with commas there, and points in numbers.")
@@ -87,7 +104,7 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]
 
 
 class _UniqueKeysLoader(yaml.SafeLoader):
-    """Refuses what YAML forbids and the library lets pass: of a landmark given twice it would take the last."""
+    """Refuses keys that are given twice, as YAML demands: the library would silently take the last."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]

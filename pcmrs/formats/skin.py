@@ -1,4 +1,4 @@
-"""The outer surface of a body in a volume: where its grey value passes a threshold."""
+"""The outer surface of a body in a volume: the surface where the grey value crosses a threshold."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from pcmrs.formats.grid import Volume
 from pcmrs.formats.mesh import Mesh
 
 FINEST = 0.0015
-"""Finer voxels than this are averaged before the surface is looked for, m."""
+"""Finer voxels than this are averaged before the surface is extracted, m."""
 SMOOTHING = 0.7
-"""Deviation of the Gaussian that takes the noise, in averaged voxels. It moves a surface of curvature radius R inwards
+"""Deviation of the Gaussian against noise, in averaged voxels. It moves a surface of curvature radius R inwards
 by (deviation squared) / R: 0.01 mm on a head."""
 MOST_FACES = 60_000
 LEAST_BODY = 1000
-"""Voxels of the largest connected part; fewer are a speck."""
+"""Fewest voxels of the largest connected part; a smaller part is not a body."""
 STAGES = ("average", "separate", "surface", "simplify")
 
 Step = Callable[[str, int, int], None]
 
 
 def skin_of(volume: Volume, threshold: float | None = None, step: Step | None = None) -> Mesh:
-    """The closed outer surface of the largest connected part that is brighter than a threshold.
+    """Return the closed outer surface of the largest connected part that is brighter than a threshold.
 
     Holes are filled slice by slice along all three axes, so that skull and airways leave no inner surfaces; where the
-    body leaves the volume it is cut off flat. The surface comes by marching cubes (Lewiner et al., J. Graph. Tools 8
-    (2003) 1) in the grey values, so that it lies between voxels, and is simplified by quadrics (Garland and Heckbert,
+    body leaves the volume it is cut off flat. The surface is found by marching cubes (Lewiner et al., J. Graph. Tools 8
+    (2003) 1) in the grey values, so it lies between voxels, and is simplified by quadrics (Garland and Heckbert,
     SIGGRAPH 1997).
 
     Args:
-        volume: Of a body that is brighter than what is around it.
+        volume: Volume of a body that is brighter than its surroundings.
         threshold: Grey value of the surface; None for Otsu's (IEEE Trans. SMC 9 (1979) 62).
-        step: Told what is done now, how many stages are behind it, and of how many.
+        step: Called with the present stage, the number of finished stages, and the number of stages.
 
     Raises:
         GeometryError: Nothing is brighter than the threshold, or too little, or all is.
@@ -67,7 +67,7 @@ def skin_of(volume: Volume, threshold: float | None = None, step: Step | None = 
 
 
 def _averaged(volume: Volume) -> tuple[npt.NDArray[np.float32], Any]:
-    """Blocks of voxels averaged to `FINEST`, and where their middles are."""
+    """Return blocks of voxels averaged to `FINEST`, and the positions of their centres."""
     edges = np.linalg.norm(volume.image_from_voxel[:3, :3], axis=0)
     factors = [
         max(1, min(round(FINEST / edge), length // 2)) for edge, length in zip(edges, volume.values.shape, strict=True)
@@ -82,7 +82,7 @@ def _averaged(volume: Volume) -> tuple[npt.NDArray[np.float32], Any]:
 
 
 def _body(values: npt.NDArray[np.float32], level: float) -> npt.NDArray[np.bool_]:
-    """Voxels of the largest part, holes filled first: a dark skull may part the scalp from a larger brain."""
+    """Return the voxels of the largest part, with holes filled first: a dark skull may separate scalp and brain."""
     from scipy import ndimage
 
     bright = values > level
@@ -107,7 +107,7 @@ def _body(values: npt.NDArray[np.float32], level: float) -> npt.NDArray[np.bool_
 
 
 def _only_body(values: npt.NDArray[np.float32], body: npt.NDArray[np.bool_], level: float) -> Any:
-    """Grey values with all else than the body dark, and nothing dark in the body; one voxel of dark around."""
+    """Return the grey values with everything outside the body dark, nothing dark inside, and a dark border voxel."""
     dark = min(float(values.min()), 2.0 * level - float(values.max()))
     just_bright = np.nextafter(np.float32(level), np.float32(np.inf))
     around = np.where(values > level, dark, values)
@@ -115,7 +115,7 @@ def _only_body(values: npt.NDArray[np.float32], body: npt.NDArray[np.bool_], lev
 
 
 def _simplified(points: Any, faces: Any) -> Mesh:
-    """The largest closed part, outwards, with at most `MOST_FACES` triangles."""
+    """Return the largest closed part, oriented outwards, with at most `MOST_FACES` triangles."""
     from trimesh import Trimesh
     from trimesh.graph import connected_components
 

@@ -1,4 +1,4 @@
-"""Point lists of 3D Slicer: markups (``.mrk.json``) and the older ``.fcsv``, in the directions that the file declares.
+"""Point lists of 3D Slicer: markups (``.mrk.json``) and the older ``.fcsv``, in the directions that they declare.
 
 https://slicer.readthedocs.io/en/latest/developer_guide/modules/markups.html
 """
@@ -36,19 +36,19 @@ class _Markups(msgspec.Struct, frozen=True):
 
 
 def read_markups(path: Path) -> list[Named]:
-    """The points of a ``.mrk.json`` file, RAS, m.
+    """Return the points of a ``.mrk.json`` file, RAS, m.
 
     Raises:
-        FileFormatError: It is no such file, does not declare LPS or RAS, has an unknown unit, several lists, another
+        FileFormatError: It is not such a file, does not declare LPS or RAS, has an unknown unit, several lists, another
             kind of markup, or a point that is not placed.
     """
     try:
         markups = msgspec.json.decode(read_text(path), type=_Markups).markups
     except (msgspec.MsgspecError, RecursionError) as error:
-        refuse(path, f"is no point list of 3D Slicer: {error}.")
+        refuse(path, f"is not a point list of 3D Slicer: {error}.")
     if len(markups) != 1 or markups[0].type != "Fiducial":
         kinds = ", ".join(markup.type for markup in markups) or "nothing"
-        refuse(path, f"holds {kinds}, must hold one point list (Fiducial); save that list alone.", kinds=kinds)
+        refuse(path, f"holds {kinds}; it must hold one point list (Fiducial): save that list alone.", kinds=kinds)
     return [_named(path, point, markups[0]) for point in markups[0].control_points]
 
 
@@ -60,10 +60,10 @@ def _named(path: Path, point: _ControlPoint, markup: _Markup) -> Named:
 
 
 def read_fcsv(path: Path) -> list[Named]:
-    """The points of an ``.fcsv`` file, which are in mm there, as RAS and m.
+    """Return the points of an ``.fcsv`` file, which are in mm there, as RAS and m.
 
     Raises:
-        FileFormatError: It does not declare its directions or its columns, is no CSV, or a row does not fit them.
+        FileFormatError: It does not declare its directions or its columns, is not CSV, or a row does not fit them.
     """
     lines = read_text(path).splitlines()
     declared = dict(line[1:].split("=", 1) for line in lines if line.startswith("#") and "=" in line)
@@ -77,7 +77,7 @@ def read_fcsv(path: Path) -> list[Named]:
     try:
         rows = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
     except csv.Error as error:
-        refuse(path, f"is no CSV: {error}.")
+        refuse(path, f"is not CSV: {error}.")
     return [_fcsv_point(path, number, dict(zip(columns, row, strict=False)), space) for number, row in enumerate(rows)]
 
 

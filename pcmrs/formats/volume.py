@@ -1,4 +1,4 @@
-"""Volumes of images: NIfTI files, and folders of one DICOM series."""
+"""Reads volumes: NIfTI files, and folders with one DICOM series."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ NIFTI = (".nii", ".nii.gz")
 
 
 def read_volume(path: Path) -> Volume:
-    """The volume of a NIfTI file, or of a folder with the files of one DICOM series.
+    """Return the volume of a NIfTI file, or of a folder with the files of one DICOM series.
 
     Raises:
-        FileFormatError: It cannot be read, is too large, does not say where it lies, or is another kind of file.
+        FileFormatError: It cannot be read, is too large, has no position, or is another kind of file.
         ConfigurationError: The library for it is not installed.
     """
     try:
@@ -31,4 +31,4 @@ def read_volume(path: Path) -> Volume:
         text = f"Volumes are read by the package {error.name}, which is missing: "
         text += "install the extra imaging (docs/supply.md)."
         raise ConfigurationError(text, package=error.name) from None
-    refuse(path, f"is no volume that can be read: give {' or '.join(NIFTI)}, or a folder with one DICOM series.")
+    refuse(path, f"is not a volume that can be read: give {' or '.join(NIFTI)}, or a folder with one DICOM series.")

@@ -1,4 +1,4 @@
-"""What a workflow answers to every operation in every joint state it can reach."""
+"""The answer of a workflow to every operation in every joint state it can reach."""
 
 from __future__ import annotations
 
@@ -12,42 +12,64 @@ Joint = tuple[str, ...]
 """The states of all branches, in the blueprint's order."""
 
 Ruling = Closure | Denial
-"""What a workflow answers to an operation that is asked for."""
+"""Answer of a workflow to a requested operation."""
 
 MAX_JOINT_STATES = 20_000
-"""Beyond this nobody can review the answers, and a tour through all of them takes too long."""
+"""Beyond this limit the answers can no longer be reviewed, and a tour through all of them takes too long."""
 
 
 def operations(blueprint: Blueprint) -> Iterator[tuple[str, str, OperationSpec]]:
-    """Branch, name and declaration of every operation, those that nobody may ask for included."""
+    """Branch, name and declaration of every operation, including those that nobody may ask for."""
     for branch, spec in blueprint.branches.items():
         for operation, declared in spec.operations.items():
             yield branch, operation, declared
 
 
 def joint_of(blueprint: Blueprint, states: Mapping[str, str]) -> Joint:
-    """The joint state as a tuple."""
+    """Return the joint state as a tuple.
+
+    Args:
+        blueprint: Workflow whose branches give the order.
+        states: Joint state: branch to state.
+    """
     return tuple(states[branch] for branch in blueprint.branches)
 
 
 def branch_states(blueprint: Blueprint, joint: Joint) -> dict[str, str]:
-    """The joint state as branch to state."""
+    """Return the joint state as branch to state.
+
+    Args:
+        blueprint: Workflow whose branches give the order.
+        joint: States of all branches, in that order.
+    """
     return dict(zip(blueprint.branches, joint, strict=True))
 
 
 def line_of(states: Mapping[str, str]) -> str:
-    """A joint state, or a part of one, in a line of text: ``branch=state`` each."""
+    """Return a joint state, or a part of one, in a line of text: ``branch=state`` each."""
     return " ".join(f"{branch}={state}" for branch, state in states.items())
 
 
 def endings(spec: OperationSpec, closure: Closure) -> dict[str, Change | None]:
-    """Every way an allowed operation can end, and what that changes; only steps can fail or leave doubt."""
+    """Return every way an allowed operation can end, and what that changes; only steps can fail or leave doubt.
+
+    Args:
+        spec: Declaration of the operation.
+        closure: Its closure in a joint state.
+
+    Returns:
+        Outcome, ``failed`` or ``unknown`` to the change; None where the branches stay as they are.
+    """
     unconfirmed = {"failed": closure.failure, "unknown": closure.unknown} if spec.steps else {}
     return {**closure.outcomes, **unconfirmed}
 
 
 def behaviour(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> dict[Joint, dict[str, Ruling]]:
-    """Every reachable joint state, the initial one first, and the answer there to each ``branch.operation``.
+    """Return every reachable joint state, the initial one first, with the answer there to each ``branch.operation``.
+
+    Args:
+        blueprint: A workflow that obeys the static rules.
+        limit: Largest number of joint states.
 
     Raises:
         BlueprintError: There are more than `limit` joint states.
@@ -58,14 +80,14 @@ def behaviour(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> dict[Joint
     for joint in waiting:
         states = branch_states(blueprint, joint)
         for branch, operation, spec in operations(blueprint):
-            said = found[joint][f"{branch}.{operation}"] = close(blueprint, states, branch, operation)
-            if spec.iio or isinstance(said, Denial):
+            answer = found[joint][f"{branch}.{operation}"] = close(blueprint, states, branch, operation)
+            if spec.iio or isinstance(answer, Denial):
                 continue
-            for change in endings(spec, said).values():
+            for change in endings(spec, answer).values():
                 after = joint if change is None else joint_of(blueprint, change.states)
                 if after not in found:
                     found[after] = {}
                     waiting.append(after)
         if len(found) > limit:
-            raise BlueprintError(f"over {limit} joint states: too many to go through one by one.", limit=limit)
+            raise BlueprintError(f"over {limit} joint states: too many to list one by one.", limit=limit)
     return found

@@ -15,10 +15,10 @@ Requirement = dict[str, list[str]]
 """Branch to the states it may be in."""
 
 Target = str | dict[str, str]
-"""The state gone to, or for each state it may come from the one gone to."""
+"""The target state, or a target state for each source state."""
 
 UNMET = "requirement_not_met"
-"""Code of the rejection when a requirement does not hold that has no code of its own."""
+"""Code of the rejection when a requirement without its own code does not hold."""
 
 ROBOT = "robot"
 """Name of the branch that connects the robot."""
@@ -32,7 +32,12 @@ class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 def target_from(target: Target, source: str) -> str:
-    """The state that `target` means, coming from `source`."""
+    """Return the state that `target` means, coming from `source`.
+
+    Args:
+        target: Target of an operation.
+        source: State that the branch is in before it.
+    """
     return target if isinstance(target, str) else target[source]
 
 
@@ -52,7 +57,7 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
     """One operation of a branch (SO); changing (SCO) or maintaining (SMO) by its `from` and target.
 
     Attributes:
-        title: What it does, in the words of those who ask for it.
+        title: Its effect, in the words of its users.
         from_: States it is valid in; ``["*"]`` for all.
         to: Target state; an operation has either this or `outcomes`.
         outcomes: Declared endings with their own targets, chosen by its last step.
@@ -62,14 +67,14 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
         timeout_s: Deadline for all steps together, in s of the cell's clock.
         requires: What must hold while it runs.
         refusal: Code of the rejection when `requires` does not hold, or one for each branch in it.
-        roles: Who of those who may ask for operations may ask for this one; empty for all of them.
+        roles: Roles that may ask for it; empty for all roles that may ask for operations.
         moves: It moves the robot.
-        motion: Which way it moves the robot. Where only `moves` says that it does, it counts as an approach.
+        motion: Direction of its motion. If only `moves` is given, it counts as an approach.
         affects_patient: It acts on the patient without moving the robot, as drilling does: refused while Stop is
             latched, and never kept waiting for others, as motions are.
         blocked_when_latched: The latch of Stop forbids it. Filled when it is read: what moves or affects the patient is
             forbidden, and nothing else unless it says so.
-        irreversible: What it does cannot be undone: it is not accepted again before an operation that allows that.
+        irreversible: Its effect cannot be undone: it is not accepted again before an operation that allows that.
         allows_again: Irreversible operations of the branch that may be done again after this one.
         confirm: Somebody has to confirm it each time before it is accepted, in a branch that
             `pcmrs.fsm.files.confirming` makes from this. False once that is made.
@@ -79,8 +84,8 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
         signals: It signals the parent also when the state is kept.
         unlatches: It releases the latch that Stop has set.
         sets: Child branch to state that it sets without calling an operation there.
-        on_failure: Where the branch goes when a step refuses, raises or is stopped; absent: stays.
-        on_unknown: Where the branch goes when nobody knows how it ended; absent: stays.
+        on_failure: Where the branch goes if a step refuses, raises or is stopped; absent: stays.
+        on_unknown: Where the branch goes when its ending is unknown; absent: stays.
     """
 
     title: str = ""
@@ -120,14 +125,14 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
 
     @property
     def implied(self) -> dict[str, Any]:
-        """Keys that came later than the others, with the values that they have where nothing is said of them."""
+        """Keys that were added later, with the values that they have if they are not given."""
         blocked = self.moves or self.affects_patient
         later = {"irreversible": False, "allows_again": [], "confirm": False}
         return {"moves": self.moves, "blocked_when_latched": blocked} | later
 
     @property
-    def askers(self) -> list[Role]:
-        """Who may ask for it."""
+    def allowed_roles(self) -> list[Role]:
+        """Roles that may ask for it."""
         return [role for role in COMMANDING if not self.roles or role in self.roles]
 
     @property
@@ -139,20 +144,20 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
 
     @property
     def unconfirmed(self) -> dict[str, OutcomeSpec]:
-        """Where it leads when it does not end as declared, by ``failed`` and ``unknown``, as far as it says so."""
+        """Targets after an ending that was not declared, by ``failed`` and ``unknown``; only those that are given."""
         unconfirmed = {"failed": self.on_failure, "unknown": self.on_unknown}
         return {name: OutcomeSpec(to=target) for name, target in unconfirmed.items() if target is not None}
 
     def targets(self) -> set[str]:
-        """Every state it can lead to, by success, failure or doubt."""
+        """Return every state it can lead to, by success, failure or doubt."""
         return _states_in([*self.endings.values(), *self.unconfirmed.values()])
 
     def declared_targets(self) -> set[str]:
-        """Every state that it leads to when it ends as declared."""
+        """Return every state that it leads to when it ends as declared."""
         return _states_in([*self.endings.values()])
 
-    def doubtful_targets(self) -> set[str]:
-        """Every state that failure or doubt can lead to."""
+    def unconfirmed_targets(self) -> set[str]:
+        """Return every state that failure or doubt can lead to."""
         return _states_in([*self.unconfirmed.values()])
 
 
@@ -189,8 +194,8 @@ class SequenceSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     Attributes:
         count: How many items there are, or
         items: their names, in order.
-        item: What one of a counted sequence is called; items are ``<item>_1``, ``<item>_2`` …
-        before: Name of a first state in which no item can be performed yet: an operation of the branch's own leads
+        item: Name of one item of a counted sequence; items are ``<item>_1``, ``<item>_2`` …
+        before: Name of a first state in which no item can be performed yet: the branch's own operation leads
             from it to the first item, and `reinit` leads back to it. Empty for none.
         perform: How one item is performed; `from`, `to` and `on_failure` are made.
         skip: Further keys of the operation that leaves an item out.
@@ -209,7 +214,7 @@ class SequenceSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class ActivitySpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What goes on while a branch is in a state: the do-activity of UML state machines, the `<invoke>` of SCXML.
+    """Function that runs while a branch is in a state: the do-activity of UML state machines, the `<invoke>` of SCXML.
 
     Attributes:
         run: Registered name of the function that runs from entering the state until it is left.
@@ -232,7 +237,7 @@ class BranchSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
         sequence: In place of states: items that are performed in order. Empty once it is expanded.
         flags: Names of the digits of the states, mirrored for display.
         emits: For each state, the parent's operation called on a change to it (Rule 2); ``"*"`` for all not named.
-        activities: State to what goes on while the branch is in it.
+        activities: State to the function that runs while the branch is in it.
     """
 
     level: int = 1
@@ -257,13 +262,18 @@ class BranchSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
         return next((name for name, operation in self.operations.items() if operation.rio), None)
 
     def valid_in(self, operation: str, state: str) -> bool:
-        """Whether the operation may be performed in the state."""
+        """Return true if the operation may be performed in the state.
+
+        Args:
+            operation: One of its operations.
+            state: One of its states.
+        """
         valid = self.operations[operation].from_
         return state in valid or valid == ["*"]
 
 
 class Condition(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What may hold at a moment of a procedure; all that is given must hold, and nothing given always holds.
+    """Condition on one moment of a procedure: all given parts must hold, and an empty condition always holds.
 
     Attributes:
         states: Each branch is in one of its states.
@@ -277,12 +287,12 @@ class Condition(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class PropertySpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Something the workflow promises, for the verifier to prove; exactly one of the four is given.
+    """A promise of the workflow, for the verifier to prove; exactly one of the four conditions is given.
 
     Attributes:
-        id: Its name in findings.
-        text: The promise in the words of those who asked for it.
-        when: Only moments at which this holds are looked at.
+        id: Name of the property in findings.
+        text: The promise in the words of its users.
+        when: Only moments at which this holds are checked.
         always: Holds at every reachable moment.
         never: Holds at no reachable moment.
         reachable: Holds at some reachable moment.
@@ -299,7 +309,7 @@ class PropertySpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class MigrationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An older blueprint of the same workflow whose journal may be taken up under this one.
+    """An older blueprint of the same workflow whose journal may be continued under this one.
 
     Attributes:
         version: Of the older blueprint.
@@ -318,10 +328,10 @@ class Blueprint(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, dic
     Attributes:
         id: Name of the workflow.
         version: Its version, which journals and snapshots carry.
-        goal: What the procedure is for: joint states that must stay within reach.
+        goal: Joint states that must stay within reach: the purpose of the procedure.
         properties: What it promises.
-        migrations: Older blueprints whose journals may be taken up.
-        defaults: What it changes in the defaults of the configuration, such as limits.
+        migrations: Older blueprints whose journals may be continued.
+        defaults: Changes to the defaults of the configuration, such as limits.
         hash: SHA-256 of its content, hexadecimal, whatever its comments, layout and migrations; filled when it is read.
     """
 
@@ -336,7 +346,12 @@ class Blueprint(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, dic
     hash: str = ""
 
     def find(self, branch: str, operation: str) -> OperationSpec | None:
-        """An operation by its names; None of one that this version of the workflow does not have."""
+        """Return an operation by its names, or None if this version of the workflow has no such operation.
+
+        Args:
+            branch: Name of the branch.
+            operation: Name of the operation.
+        """
         known = self.branches.get(branch)
         return None if known is None else known.operations.get(operation)
 
@@ -370,12 +385,12 @@ class Blueprint(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, dic
 
     @cached_property
     def uses_robot(self) -> bool:
-        """Whether it connects or moves the robot: without either, the arm stays latched as it has started."""
+        """It connects or moves the robot. Otherwise the arm stays latched as it has started."""
         operations = (spec.moves for branch in self.branches.values() for spec in branch.operations.values())
         activities = (spec.moves for branch in self.branches.values() for spec in branch.activities.values())
         return ROBOT in self.branches or any(operations) or any(activities)
 
     @cached_property
     def revokers(self) -> frozenset[str]:
-        """Branches whose change revokes a state of another: a plan change, while something moves."""
+        """Branches whose change revokes a state of another: for example, a plan that changes while the robot moves."""
         return frozenset(by for branch in self.branches.values() for rule in branch.revocations for by in rule.by)

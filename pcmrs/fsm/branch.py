@@ -18,7 +18,7 @@ class StateSet:
         blueprint: The loaded workflow; all branches start in their starting state.
 
     Raises:
-        BlueprintError: A state class does not say what the blueprint says.
+        BlueprintError: A state class disagrees with the blueprint.
     """
 
     def __init__(self, blueprint: Blueprint) -> None:
@@ -32,23 +32,29 @@ class StateSet:
             state.activate()
 
     def active(self, branch: str) -> State:
-        """The active state object of a branch."""
+        """Return the active state object of a branch."""
         return self._active[branch]
 
     def ask(self, branch: str, state: str, operation: str) -> Answer:
-        """What a state object, active or not, says to an operation."""
+        """Return the answer of a state object, active or not, to an operation.
+
+        Args:
+            branch: Name of the branch.
+            state: Name of its state.
+            operation: Name of the operation.
+        """
         return self.objects[branch][state].ask(operation)
 
     def joint(self) -> dict[str, str]:
-        """The joint state: branch to the name of its active state."""
+        """Return the joint state: branch to the name of its active state."""
         return {branch: state.name for branch, state in self._active.items()}
 
     def transition(self, targets: Mapping[str, str]) -> None:
-        """Moves all named branches in one step and checks that each branch has one active state.
+        """Move all named branches in one step and check that each branch has one active state.
 
         Raises:
             KeyError: A target does not exist; nothing has moved.
-            BlueprintError: A branch has not exactly one active state; nothing may be trusted any more.
+            BlueprintError: A branch does not have exactly one active state; the joint state is invalid.
         """
         arriving = {branch: self.objects[branch][target] for branch, target in targets.items()}
         for branch, state in arriving.items():
@@ -63,11 +69,11 @@ class StateSet:
                 for state, instance in self.objects[name].items():
                     answer = instance.ask(operation)
                     if answer != spec if branch.valid_in(operation, state) else not isinstance(answer, Denial):
-                        text = f"The class of {name} {state} does not say of {operation} what the blueprint says."
+                        text = f"The state class {name} {state} and the blueprint disagree on {operation}."
                         raise BlueprintError(text, branch=name, state=state, operation=operation)
 
     def check_unique(self) -> None:
-        """Raises `BlueprintError` unless every branch has exactly one active state."""
+        """Raise `BlueprintError` unless every branch has exactly one active state."""
         if [state for state in self._all if state.active] == list(self._active.values()):
             return
         for branch, objects in self.objects.items():
@@ -77,7 +83,12 @@ class StateSet:
 
 
 def flags_of(blueprint: Blueprint, states: Mapping[str, str]) -> dict[str, bool]:
-    """The flags that mirror the digits of the states, for display; nothing is decided by them."""
+    """Return the flags that mirror the digits of the states. They are for display; nothing is decided by them.
+
+    Args:
+        blueprint: The workflow.
+        states: Joint state: branch to state.
+    """
     return {
         flag: digit == "1"
         for name, branch in blueprint.branches.items()

@@ -1,6 +1,6 @@
 """Python source of the branch and state classes of a blueprint, and the classes that it defines.
 
-There is one way from a blueprint to what the dispatcher asks: this source is written and then executed. Texts
+The dispatcher only asks classes that were generated as source and then executed: there is no other path. Texts
 of a blueprint get into it as string literals only, its names only after `pcmrs.fsm.rules.names` has accepted them.
 """
 
@@ -21,16 +21,16 @@ RESERVED = frozenset(name for name in dir(State) if not name.startswith("_")) | 
 """Names that an operation or branch cannot have: the state classes use them."""
 
 LINE = 120
-"""Characters of the longest line of a table that is not broken up."""
+"""Longest line, in characters, of a table that is written on one line."""
 
 
 def class_name(branch: str) -> str:
-    """Name of a branch's class: ``tool_plan`` is ``ToolPlanBranch``."""
+    """Return the name of a branch's class: ``tool_plan`` is ``ToolPlanBranch``."""
     return "".join(word.capitalize() for word in branch.split("_")) + "Branch"
 
 
 def states_of(blueprint: Blueprint) -> dict[str, list[type[State]]]:
-    """The state classes of each branch, in the blueprint's order: those that `source_of` defines.
+    """Return the state classes of each branch, in the blueprint's order: those that `source_of` defines.
 
     Args:
         blueprint: One that passed `pcmrs.fsm.rules.check_rules`.
@@ -42,7 +42,7 @@ def states_of(blueprint: Blueprint) -> dict[str, list[type[State]]]:
 
 
 def source_of(blueprint: Blueprint) -> str:
-    """The Python source that a daemon of this blueprint executes.
+    """Return the Python source that a daemon of this blueprint executes.
 
     Args:
         blueprint: One that passed `pcmrs.fsm.rules.check_rules`.
@@ -77,10 +77,10 @@ def _classes(blueprint: Blueprint) -> Iterator[str]:
 
 
 def _relations(branch: BranchSpec) -> Iterator[str]:
-    """What a reader of the class must know of other branches."""
+    """Return comments on the other branches that this class depends on."""
     parent = branch.parent
     if parent is not None:
-        yield f"Level {branch.level}, refines {parent.branch}; starts anew when that comes to {parent.start} (Rule 3)."
+        yield f"Level {branch.level}, refines {parent.branch}; re-initiated when that enters {parent.start}: Rule 3."
         for state, called in branch.emits.items():
             yield f"A change to {state} calls {parent.branch}.{called} (Rule 2)."
             yield f"{state} fits {parent.branch} {', '.join(parent.compatible[state])}."
@@ -129,7 +129,7 @@ def _index(blueprint: Blueprint) -> Iterator[str]:
 
 @lru_cache(maxsize=16)
 def _compiled(source: str, name: str) -> CodeType:
-    """Compiled once, however many procedures of this process have classes of their own of it."""
+    """Return the compiled source, compiled once for all procedures of this process."""
     return compile(source, f"<blueprint {name}>", "exec")
 
 
@@ -153,7 +153,7 @@ def _fields(kind: type[msgspec.Struct]) -> tuple[msgspec.structs.FieldInfo, ...]
 
 
 def _literal(value: Any) -> str:
-    """Plain data as Python; a JSON string is a Python string that can end nowhere but at its end."""
+    """Return plain data as Python. A JSON string is also a Python string, and no character in it can end it early."""
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, list):

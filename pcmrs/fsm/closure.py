@@ -15,7 +15,7 @@ from typing import Any, Literal
 from pcmrs.fsm.blueprint import UNMET, Blueprint, OperationSpec, ParentSpec, Requirement, Target, target_from
 
 MAX_EFFECTS = 64
-"""Longest cascade at run time; the loader has proved that none reaches it."""
+"""Limit of a cascade at run time; the loader has proved that none reaches it."""
 
 EffectKind = Literal["operation", "signal", "reinit", "set", "revoke"]
 
@@ -51,7 +51,7 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Denial:
-    """Why a command is not allowed; a value, not an exception."""
+    """Reason why a command is not allowed; a value, not an exception."""
 
     code: str
     text: str
@@ -64,8 +64,8 @@ class Closure:
 
     Attributes:
         outcomes: The outcomes that can be taken now.
-        failure: What is committed when a step refuses, raises or is stopped, if anything.
-        unknown: What is committed when nobody knows how it ended, if anything.
+        failure: Change that is committed if a step refuses, raises or is stopped.
+        unknown: Change that is committed if its ending is unknown.
         writes: Branches to lock for writing.
         reads: Branches to lock for reading.
     """
@@ -86,14 +86,14 @@ class _DeniedError(Exception):
 
 
 Answer = OperationSpec | Denial
-"""What a state says to an operation: how to perform it, or why not."""
+"""Answer of a state to an operation: how to perform it, or why not."""
 
 Ask = Callable[[str, str, str], Answer]
 """Asks a state for an operation: (branch, state, operation) → its answer."""
 
 
 def as_declared(blueprint: Blueprint) -> Ask:
-    """Answers as the blueprint declares them."""
+    """Return a function that answers as the blueprint declares."""
 
     def ask(branch: str, state: str, operation: str) -> Answer:
         spec = blueprint.branches[branch]
@@ -107,14 +107,15 @@ def as_declared(blueprint: Blueprint) -> Ask:
 def close(
     blueprint: Blueprint, states: Mapping[str, str], branch: str, operation: str, ask: Ask | None = None
 ) -> Closure | Denial:
-    """Works out the closure of an operation that is asked for.
+    """Work out the closure of a requested operation.
 
     Args:
         blueprint: The workflow.
         states: The present joint state: branch to state.
-        branch: The branch asked.
+        branch: Branch of the operation.
         operation: Any of its operations.
-        ask: Who says what is valid and how it is performed: a daemon's state objects; by default the blueprint.
+        ask: Function that says what is valid and how it is performed: a daemon's state objects; by default the
+            blueprint.
 
     Returns:
         The closure, or why the branch's state or some other part of it does not allow it.
@@ -131,7 +132,7 @@ def close(
 
     denial = unmet(states, spec.requires, spec.refusal, f"{branch}.{operation}")
     if denial is not None:
-        return _with_ways(blueprint, denial)
+        return _with_remedies(blueprint, denial)
     outcomes: dict[str, Change] = {}
     try:
         for name, ending in spec.endings.items():
@@ -151,7 +152,14 @@ def close(
 def unmet(
     states: Mapping[str, str], requires: Requirement, refusal: str | Mapping[str, str], what: str
 ) -> Denial | None:
-    """The first requirement on other branches that does not hold, as a denial."""
+    """Return the first requirement on other branches that does not hold, as a denial.
+
+    Args:
+        states: Joint state: branch to state.
+        requires: Requirement to check.
+        refusal: Code of the denial, or one code for each branch.
+        what: Name of the operation in the text of the denial.
+    """
     for branch, wanted in requires.items():
         if states[branch] not in wanted:
             code = refusal if isinstance(refusal, str) else refusal.get(branch, UNMET)
@@ -160,25 +168,25 @@ def unmet(
     return None
 
 
-def _with_ways(blueprint: Blueprint, denial: Denial) -> Denial:
+def _with_remedies(blueprint: Blueprint, denial: Denial) -> Denial:
     """The denial of an unmet requirement, with the operations that would meet it from the present state."""
     branch, state, wanted = (denial.fields[key] for key in ("branch", "state", "needed"))
     declared = blueprint.branches[branch]
-    ways = [
+    remedies = [
         f"{branch}.{name}"
         for name, spec in declared.operations.items()
         if not (spec.event or spec.iio)
         and declared.valid_in(name, state)
         and any(target_from(ending.to, state) in wanted for ending in spec.endings.values())
     ]
-    hint = f" Ask for {' or '.join(ways)} first." if ways else ""
+    hint = f" Ask for {' or '.join(remedies)} first." if remedies else ""
     return Denial(denial.code, denial.text + hint, denial.fields)
 
 
 def _examined(blueprint: Blueprint, branch: str, spec: OperationSpec) -> frozenset[str]:
     """Branches whose state decides on the operation: requirements and parents.
 
-    Nothing on other branches may keep a retreat waiting: which of its outcomes can be taken is seen when it ends.
+    A retreat must not wait for other branches: which of its outcomes can be taken is checked when it ends.
     """
     examined = set(spec.requires)
     if spec.motion != "retreat":

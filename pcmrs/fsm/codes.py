@@ -1,4 +1,4 @@
-"""Every kind of finding: what a program that mends workflows goes by."""
+"""All codes of findings, by which a program can tell what is wrong with a workflow."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ READING = {
     "bad_sequence": "An ordered list has no items, too many, or some that cannot be states.",
 }
 RULES = {
-    "bad_name": "A name has other signs than the bus and Python can carry.",
+    "bad_name": "A name has characters that the bus or Python cannot carry.",
     "reserved_name": "A name is a word of Python or of PCMRS.",
     "name_collision": "Two names would be the same, in Python or as a flag.",
     "no_branches": "A workflow has no branches.",
     "no_states": "A branch has no states.",
-    "bad_flags": "A state has not one digit for each flag.",
+    "bad_flags": "A state does not have one digit for each flag.",
     "bad_level": "A level does not fit the parent, or `compatible` leaves a state out.",
     "unknown_branch": "A branch is named that does not exist.",
     "unknown_state": "A state is named that does not exist.",
     "unknown_operation": "An operation is named that does not exist.",
-    "bad_operation": "An operation is declared in a way that cannot be meant.",
-    "bad_activity": "An activity is declared in a way that cannot be meant, or something else would move beside it.",
-    "bad_property": "A property is declared in a way that cannot be meant.",
+    "bad_operation": "An operation is declared in a contradictory way.",
+    "bad_activity": "An activity is declared in a contradictory way, or another motion could run beside it.",
+    "bad_property": "A property is declared in a contradictory way.",
     "undeclared": "An operation or activity does not declare that it moves the robot or affects the patient.",
-    "latch_ignored": "What moves or affects the patient would be allowed while Stop is latched.",
+    "latch_ignored": "An operation that moves or affects the patient would be allowed while Stop is latched.",
     "no_release": "After a Stop, the latch that it sets could not be released.",
     "rule_1": "A state above level 1 has no re-initiation.",
     "rule_2": "A change at a higher level calls nothing of the level below.",
@@ -39,40 +39,40 @@ VERIFICATION = {
     "no_outcome": "An operation is accepted where it cannot end in any declared way.",
     "ambiguous_revocation": "Two revocations of a branch hold at once and lead to different states.",
     "order_dependent": "What a command does depends on the order of the branches in the file.",
-    "unreachable_state": "A branch never gets into a state.",
+    "unreachable_state": "No command leads to a state.",
     "never_accepted": "An operation is accepted in no joint state.",
     "never_called": "An operation that only children call is called by none.",
     "deadlock": "Nothing that a user may ask for is accepted any more, and the goal is not reached.",
     "goal_unreachable": "No sequence of commands reaches the goal.",
     "goal_lost": "The goal can no longer be reached.",
-    "no_way_back": "Nothing leads back to a state in which nothing has reached the patient.",
-    "repeatable": "What is irreversible can be done again without an operation that allows it.",
+    "no_way_back": "No operation leads back to a safe state.",
+    "repeatable": "An irreversible operation can be done again without an operation that allows it.",
     "activity_stuck": "Where an activity may end by itself, the operation for that is denied.",
     "cannot_conclude": "An operation that runs can be found where none of its endings is allowed.",
     "property_violated": "A property does not hold.",
-    "vacuous_property": "A property speaks of moments that cannot be reached.",
+    "vacuous_property": "The `when` of a property holds at no reachable moment.",
 }
 DESIGN = {
     "step_count": "A step table has no steps, or more than can be designed with.",
     "step_name": "A step has the name of another.",
     "step_unknown": "A step depends on one that does not exist.",
     "step_cycle": "Steps depend on each other in a circle.",
-    "step_branch": "Steps are said to be in a branch to which they cannot belong.",
+    "step_branch": "Steps are assigned to a branch to which they cannot belong.",
     "step_undeclared": "A step does not say whether it moves the robot, affects the patient or can be undone.",
-    "step_hazard": "A step that reaches the patient or cannot be undone stands where that cannot be kept track of.",
-    "step_refinement": "A step is refined in a way that cannot be meant.",
+    "step_hazard": "A step that reaches the patient or cannot be undone is in a place where that cannot be tracked.",
+    "step_refinement": "A step is refined in a contradictory way.",
 }
 EXCHANGE = {
     "not_xml": "A file is not well-formed XML.",
     "not_scxml": "An XML file is not SCXML.",
     "not_drawio": "An XML file is not a draw.io diagram, or its compressed part cannot be read.",
     "not_mermaid": "A line is not part of a Mermaid state diagram.",
-    "not_supported": "Something that a blueprint cannot express; it is named rather than guessed.",
+    "not_supported": "A file has something that a blueprint cannot express.",
     "no_start": "A drawing does not say where it starts.",
 }
 WARNINGS = {
-    "old_key": "A key has its old name, which still counts.",
+    "old_key": "A key has its old name, which is still accepted.",
 }
-"""What is said of a workflow that may be sound."""
+"""Codes of warnings, which a sound workflow can have."""
 
 CODES = READING | RULES | VERIFICATION | DESIGN | EXCHANGE | WARNINGS

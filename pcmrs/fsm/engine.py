@@ -13,7 +13,7 @@ from pcmrs.fsm.closure import Change, Closure, Denial, close
 
 @dataclass(slots=True)
 class _Situation:
-    """A joint state, and what has been worked out for it: all of that depends on nothing else."""
+    """A joint state, and the answers worked out for it, which depend on nothing else."""
 
     states: dict[str, str]
     answers: dict[tuple[str, str], Closure | Denial] = field(default_factory=dict)
@@ -24,7 +24,7 @@ class Engine:
     """One workflow and the joint state it is in.
 
     The active state object of a branch is asked for each operation, and the closure of what it allows is worked
-    out: once for each joint state, on which alone they depend.
+    out once for each joint state, since it depends on nothing else.
     """
 
     def __init__(self, blueprint: Blueprint) -> None:
@@ -34,14 +34,14 @@ class Engine:
         self._here = self._situation(self._states.joint())
 
     def joint(self) -> dict[str, str]:
-        """The joint state: branch to state."""
+        """Return the joint state: branch to state."""
         return self._here.states.copy()
 
     def ask(self, branch: str, operation: str, *, states: Mapping[str, str] | None = None) -> Closure | Denial:
-        """What the operation would change, or why it is not allowed.
+        """Return what the operation would change, or why it is not allowed.
 
         Args:
-            branch: The branch asked.
+            branch: Branch of the operation.
             operation: Any of its operations.
             states: A joint state; the present one by default.
 
@@ -51,10 +51,10 @@ class Engine:
         return self._ask(self._here if states is None else self._situation(states), branch, operation)
 
     def allowed(self, branch: str, states: Mapping[str, str] | None = None) -> list[str]:
-        """Operations of a branch that users may ask for and would not be denied, in the blueprint's order.
+        """Return the operations of a branch that users may ask for and would not be denied, in the blueprint's order.
 
         Args:
-            branch: The branch asked.
+            branch: Name of the branch.
             states: A joint state; the present one by default.
         """
         situation = self._here if states is None else self._situation(states)
@@ -66,15 +66,15 @@ class Engine:
         return situation.allowed[branch].copy()
 
     def perform(self, branch: str, operation: str, outcome: str | None = None) -> Change | Denial:
-        """Performs an operation at once.
+        """Perform an operation at once.
 
         Args:
-            branch: The branch asked.
+            branch: Branch of the operation.
             operation: One of its operations.
             outcome: A declared outcome, ``failed`` or ``unknown``; may be left out where one outcome is possible.
 
         Returns:
-            What has changed, or why nothing has. An operation that fails and stays where it is changes nothing.
+            The change, or why nothing changed. An operation that fails and stays where it is changes nothing.
 
         Raises:
             KeyError: There is no such branch, operation or outcome here.
@@ -87,7 +87,7 @@ class Engine:
         return change
 
     def place(self, states: Mapping[str, str]) -> None:
-        """Puts the named branches into states, all together.
+        """Put the named branches into states, all together.
 
         Raises:
             KeyError: A branch or state does not exist; nothing has moved.
@@ -101,7 +101,7 @@ class Engine:
         return endings(spec, closure)[outcome or ""] or Change(self.joint(), ())
 
     def _ask(self, situation: _Situation, branch: str, operation: str) -> Closure | Denial:
-        """What the state objects make of it, in a cascade as well: what is generated decides."""
+        """Return the answer of the state objects. They also decide on each operation that a cascade calls."""
         try:
             return situation.answers[branch, operation]
         except KeyError:

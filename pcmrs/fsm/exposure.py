@@ -1,4 +1,4 @@
-"""Where a patient is exposed: something is at or in the body, or one command away from acting on it."""
+"""Exposure of the patient: something is at or in the body, or one command away from acting on it."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, Requiremen
 
 
 class Exposure:
-    """What a workflow declares of the states in which nobody may leave the patient alone.
+    """States of a workflow in which nobody may leave the patient alone.
 
     A state exposes the patient if a motion towards the body leads to it, or if an activity moves the robot in it. So
     does one to which an operation leads that affects the patient. If such an operation needs the tool at the body, and
-    no activity goes on in the state, it exposes the patient only while the tool is there. The starting state of a
+    no activity runs in the state, it exposes the patient only while the tool is there. The starting state of a
     branch, and states to which an operation leads that was stopped or has failed, do not count: everything was held.
 
     Args:
-        blueprint: Of the workflow.
+        blueprint: The workflow.
     """
 
     def __init__(self, blueprint: Blueprint) -> None:
@@ -29,7 +29,7 @@ class Exposure:
                     self._by_treatment.setdefault((name, state), []).append(needed)
 
     def holds(self, joint: Mapping[str, str]) -> bool:
-        """Whether the patient is exposed in a joint state."""
+        """Return true if the patient is exposed in a joint state."""
         return any(
             state in self._by_motion.get(branch, ())
             or any(_met(needed, joint) for needed in self._by_treatment.get((branch, state), ()))
@@ -37,7 +37,7 @@ class Exposure:
         )
 
     def _tool_at_body(self, own: str, spec: OperationSpec) -> Requirement:
-        """What the operation requires of other branches where all that it allows are states that expose by motion."""
+        """Return those requirements of the operation on other branches that only states exposed by motion meet."""
         return {
             branch: states
             for branch, states in spec.requires.items()
@@ -46,7 +46,7 @@ class Exposure:
 
 
 def _moved_to(branch: BranchSpec) -> set[str]:
-    """States in which the robot is moved, or to which it was moved towards the body."""
+    """Return the states in which the robot is moved, or to which it was moved towards the body."""
     approaches = [spec.declared_targets() for spec in branch.operations.values() if spec.motion == "approach"]
     moving = {state for state, activity in branch.activities.items() if activity.moves}
     return moving.union(*approaches) - {branch.start}

@@ -1,8 +1,9 @@
-"""What is wrong with a workflow, said so that a person and a program can go and mend it."""
+"""Findings: what is wrong with a workflow, where, and how to mend it, for people and for programs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from difflib import get_close_matches
 from typing import NoReturn
 
 import msgspec
@@ -20,10 +21,10 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One thing that is wrong.
 
     Attributes:
-        code: Which kind, a key of `pcmrs.fsm.codes.CODES`.
-        text: What, which value, which limit, and what to do.
-        path: Keys from the root of the file to where it is wrong.
-        file: The file as it was named.
+        code: Kind of finding, a key of `pcmrs.fsm.codes.CODES`.
+        text: What is wrong, the value, the limit, and what to do.
+        path: Keys from the root of the file to the fault.
+        file: Name of the file, as the caller gave it.
         line: In the file, from 1; 0 where it is not known.
         column: In the line, from 1; 0 where it is not known.
         commands: A shortest sequence of commands that shows it, ``branch.operation`` or
@@ -40,7 +41,7 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def heading(self) -> str:
-        """Where, which kind and what, in one line whatever its texts contain."""
+        """Location, code and text in one line, whatever characters the text contains."""
         place = (str(part) for part in (self.file, self.line, self.column) if part)
         return printable(": ".join(filter(None, (":".join(place), self.code, self.text))))
 
@@ -50,22 +51,50 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 def printable(text: str) -> str:
-    """A text in which no sign from a file can move the cursor, forge a line or hide what it says."""
+    """Return a text in which no character from a file can move the cursor, forge a line or hide what it says."""
     return "".join(sign if sign.isprintable() else sign.encode("unicode_escape").decode() for sign in text)
 
 
 def summary(findings: Iterable[Finding]) -> str:
-    """All findings, a line each."""
+    """Return all findings, a line each."""
     return "\n".join(str(finding) for finding in findings)
 
 
-def unread(origin: str, text: str) -> Finding:
-    """What is to be said of a file that is not there or cannot be opened."""
+def hint(word: str, known: Iterable[str]) -> str:
+    """Return the end of a message about an unknown word: the closest known word, or all of them.
+
+    Args:
+        word: The unknown word.
+        known: All words that could be meant.
+    """
+    words = list(known)
+    close = get_close_matches(word, words, n=1, cutoff=0.75)
+    return f"did you mean {close[0]!r}?" if close else f"choose from {', '.join(words)}."
+
+
+def unreadable_file(origin: str, text: str) -> Finding:
+    """Return the finding on a file that does not exist or cannot be opened.
+
+    Args:
+        origin: Name of the file in findings.
+        text: Reason.
+    """
     return Finding(code="cannot_be_read", text=text, file=origin)
 
 
 def refuse(origin: str, code: str, text: str, place: Place = (1, 1), path: Path = ()) -> NoReturn:
-    """Raises the `BlueprintError` that ends the reading of a file, with its one finding."""
+    """Raise the `BlueprintError` that ends the reading of a file, with its one finding.
+
+    Args:
+        origin: Name of the file in findings.
+        code: Key of `pcmrs.fsm.codes.CODES`.
+        text: What is wrong, and what to do.
+        place: Line and column in the file.
+        path: Keys from the root of the file to the fault.
+
+    Raises:
+        BlueprintError: Always.
+    """
     line, column = place
     finding = Finding(code=code, text=text, path=path, file=origin, line=line, column=column)
     raise BlueprintError(str(finding), findings=[finding])

@@ -1,4 +1,4 @@
-"""What every state class is: the base of the classes that are generated from a blueprint."""
+"""Base of the state classes that are generated from a blueprint."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class State:
     Attributes:
         branch: Name of the State Branch.
         name: Digits or name of the state; empty on a branch's class.
-        meaning: What the state means, for people.
+        meaning: Meaning of the state, for people.
     """
 
     branch: ClassVar[str] = ""
@@ -30,19 +30,19 @@ class State:
         self.active = False
 
     def activate(self) -> None:
-        """Makes this the state its branch is in."""
+        """Make this the active state of its branch."""
         self.active = True
 
     def deactivate(self) -> None:
-        """Leaves this state."""
+        """Leave this state."""
         self.active = False
 
     def ask(self, operation: str) -> Answer:
-        """Calls the operation's method on this object: the state's own, or the branch's refusal."""
+        """Call the operation's method on this object: the state's own, or the branch's refusal."""
         method: Callable[[], Answer] = getattr(self, operation)
         return method()
 
     def refuse(self, operation: str) -> Denial:
-        """Why an operation that this state does not override is not valid in it."""
+        """Return why an operation that this state does not override is not valid in it."""
         text = f"{self.branch} is in {self.name} ({self.meaning}), which does not allow {operation}."
         return Denial("invalid_in_state", text, {"branch": self.branch, "state": self.name, "operation": operation})

@@ -2,7 +2,7 @@
 
 Fields and their order are those of the packages builtin_interfaces, std_msgs, geometry_msgs, sensor_msgs and tf2_msgs.
 Bytes are plain CDR with its header of four bytes (DDS-RTPS 2.5, 10.2; DDS-XTypes 1.3, 7.4.3), as every DDS of ROS 2
-sends them. The library resolves annotations at run time, so they are no strings here.
+sends them. The library resolves annotations at run time, so they must not be strings here.
 """
 
 import math
@@ -18,12 +18,12 @@ from pcmrs.errors import PayloadError
 from pcmrs.spatial import Transform
 
 MAX_BYTES: Final = 4096
-"""Longest message that is taken; the longest one of those here that come from elsewhere has less than 400."""
+"""Longest accepted message; the longest of those received here has less than 400 bytes."""
 
 _PLAIN: Final = (b"\x00\x00", b"\x00\x01")
 """First bytes of plain CDR, big-endian and little-endian."""
 _PADDING: Final = 3
-"""A sender may fill the last word."""
+"""Bytes with which a sender may fill the last word."""
 
 M = TypeVar("M", bound=IdlStruct)
 
@@ -38,7 +38,7 @@ class Time(IdlStruct, typename="builtin_interfaces/msg/Time"):
 
 @dataclass
 class Header(IdlStruct, typename="std_msgs/msg/Header"):
-    """When and in which frame."""
+    """Time and frame of a message."""
 
     stamp: Time
     frame_id: str
@@ -105,7 +105,7 @@ class RigidTransform(IdlStruct, typename="geometry_msgs/msg/Transform"):
 
 @dataclass
 class TransformStamped(IdlStruct, typename="geometry_msgs/msg/TransformStamped"):
-    """Where the child frame is in the header's frame."""
+    """Pose of the child frame in the header's frame."""
 
     header: Header
     child_frame_id: str
@@ -131,27 +131,49 @@ class JointState(IdlStruct, typename="sensor_msgs/msg/JointState"):
 
 
 def header(frame: str, at: float) -> Header:
-    """The header of something in `frame` at the wall time `at`, s."""
+    """Return the header of a message.
+
+    Args:
+        frame: Frame of the data.
+        at: Wall time, Unix s.
+    """
     sec = math.floor(at)
     return Header(Time(sec, int((at - sec) * 1e9)), frame)
 
 
 def pose_stamped(frame: str, pose: Transform, at: float) -> PoseStamped:
-    """``frame_from_body`` at the wall time `at`, s."""
+    """Return a pose in a frame.
+
+    Args:
+        frame: The frame.
+        pose: ``frame_from_body``.
+        at: Wall time, Unix s.
+    """
     return PoseStamped(header(frame, at), Pose(Point(*pose.translation.tolist()), _quaternion(pose)))
 
 
 def link(parent: str, child: str, parent_from_child: Transform, at: float) -> TransformStamped:
-    """Where one frame is in another at the wall time `at`, s."""
+    """Return the pose of one frame in another.
+
+    Args:
+        parent: Parent frame.
+        child: Child frame.
+        parent_from_child: The pose.
+        at: Wall time, Unix s.
+    """
     moved = RigidTransform(Vector3(*parent_from_child.translation.tolist()), _quaternion(parent_from_child))
     return TransformStamped(header(parent, at), child, moved)
 
 
 def decode(payload: bytes, kind: type[M]) -> M:
-    """The message of type `kind` that the bytes hold.
+    """Return the message that the bytes hold.
+
+    Args:
+        payload: The bytes.
+        kind: Type of the message.
 
     Raises:
-        PayloadError: Too long, no plain CDR, cut off, or longer than such a message is: it may be of another type.
+        PayloadError: It is too long, not plain CDR, cut off, or longer than this type: it may be of another type.
     """
     name = kind.__name__
     if len(payload) > MAX_BYTES:

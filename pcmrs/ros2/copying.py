@@ -1,4 +1,4 @@
-"""What a cell says, said once more for ROS 2: a client of the bus that hears there and publishes there."""
+"""Republishes the state of a cell for ROS 2: a client of the bus that subscribes there and publishes there."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.messages import BodyPose, JointState, Snapshot, Target
 from pcmrs.recording.chain import Chain, Mounting
 from pcmrs.ros2.topics import TOPICS, Topic
-from pcmrs.ros2.views import Shown, Views
+from pcmrs.ros2.views import RosMessage, Views
 
 log = structlog.get_logger(__name__)
 
@@ -26,17 +26,18 @@ LOG_PERIOD = 10.0
 async def copy_for_ros2(
     settings: BusSettings, arm: ArmFacts, mounting: Mounting, rate: float, ended: asyncio.Event
 ) -> dict[str, int]:
-    """Hears a cell and publishes what it says for ROS 2, until `ended` is set.
+    """Subscribe to a cell and publish its state for ROS 2, until `ended` is set.
 
     Args:
-        settings: Of the bus.
-        arm: The cell's arm.
-        mounting: What it carries.
+        settings: Settings of the bus.
+        arm: Arm of the cell.
+        mounting: Calibrated poses of what the arm carries.
         rate: Seconds of the cell per second of the machine.
         ended: Ends it.
 
     Returns:
         Topic to how many messages were published there.
+        Topic to the number of messages published there.
 
     Raises:
         BusError: No daemon answers at the endpoint.
@@ -71,23 +72,23 @@ class _Copier:
         self.counts[topic.name] = 0
         self._bus.announce(topic.token)
 
-    def copy(self, key: str, kind: type[Any], view: Callable[[Any], Iterable[Shown]]) -> None:
+    def copy(self, key: str, kind: type[Any], view: Callable[[Any], Iterable[RosMessage]]) -> None:
         def take(received: str, message: Any) -> None:
             try:
                 self.publish(view(message))
             except GeometryError as error:
-                self._complain(received, error.text)
+                self._log_refusal(received, error.text)
 
         self._bus.subscribe(key, kind, take)
 
-    def publish(self, shown: Iterable[Shown]) -> None:
-        for topic, message in shown:
+    def publish(self, messages: Iterable[RosMessage]) -> None:
+        for topic, message in messages:
             if topic.name not in self.counts:
                 self.announce(topic)
             self._bus.publish_cdr(topic.key, message.serialize())
             self.counts[topic.name] += 1
 
-    def _complain(self, key: str, why: str) -> None:
+    def _log_refusal(self, key: str, why: str) -> None:
         now = self._clock.monotonic()
         if now >= self._next_log:
             self._next_log = now + LOG_PERIOD

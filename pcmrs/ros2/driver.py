@@ -1,6 +1,6 @@
-"""Tracker by way of ROS 2: poses that its sensors measure, as zenoh-bridge-ros2dds puts them on the cell's bus.
+"""Tracker by way of ROS 2: poses from sensors of ROS, which zenoh-bridge-ros2dds puts on the cell's bus.
 
-It is no file of `pcmrs.devices.drivers`, for it is a client of the bus. Not tested on hardware, nor with ROS. It needs
+It is not in `pcmrs.devices.drivers`, because it is a client of the bus. Not tested on hardware, nor with ROS. It needs
 the extra ``ros2`` (`pycdr2`).
 """
 
@@ -29,9 +29,9 @@ class Ros2Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
     Attributes:
         names: Body to the last part of its topic, ``/tracker/<name>``.
-        frame: The ``frame_id`` that the poses have: that of the tracker.
-        max_age: From exposure to arrival at most, s.
-        latency: The same, taken for the whole time in which stamps are ahead of this machine's clock, s.
+        frame: The ``frame_id`` of the poses: that of the tracker.
+        max_age: Largest time from exposure to arrival, s.
+        latency: Time from exposure to arrival to assume while stamps are ahead of this machine's clock, s.
 
     Raises:
         ConfigurationError: There are no names, or two bodies share one.
@@ -50,7 +50,12 @@ class Ros2Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 async def open_devices(
     devices: Collection[str], settings: Mapping[str, Any], clock: Clock
 ) -> AsyncIterator[Mapping[str, Any]]:
-    """Opens the tracker; see `pcmrs.devices.protocols.OpenDriver`. While nothing is published it has no frames.
+    """Open the tracker; see `pcmrs.devices.protocols.OpenDriver`. While nothing is published it has no frames.
+
+    Args:
+        devices: Kinds of device to open; only the tracker is possible.
+        settings: The whole configuration as plain data.
+        clock: Clock of the cell.
 
     Raises:
         BusError: The cell's daemon does not answer.
@@ -75,7 +80,11 @@ async def open_devices(
 
 
 def _bus(settings: Mapping[str, Any], clock: Clock) -> BusSettings:
-    """The bus as a client joins it, from the whole configuration as plain data. Raises `ConfigurationError`."""
+    """Return the settings of the bus for a client, from the whole configuration as plain data.
+
+    Raises:
+        ConfigurationError: They are not valid.
+    """
     cell = settings["cell"]
     joined = BusSettings(endpoint=cell["endpoint"], site=cell["site"], cell=cell["name"])
     if not joined.endpoint.startswith(SECURED):

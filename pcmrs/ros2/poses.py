@@ -1,6 +1,6 @@
-"""What one PoseStamped of ROS says of a tracked body.
+"""Poses of tracked bodies in PoseStamped messages of ROS, and their stamps.
 
-From the stamps of a sender's monotonic clock to the wall's time, which ROS stamps with.
+Senders stamp with a monotonic clock, ROS with wall time.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ _LONGEST = 60.0
 
 
 class Stamps:
-    """The wall's time of what one sender measured.
+    """Wall times of the measurements of one sender.
 
-    How long ago it was comes from the sender's own stamps; what the way from there took beyond the quickest message is
-    taken off, so that two messages that arrive together do not seem to be of one moment.
+    The age of a measurement comes from the sender's own stamps. The delay of a message beyond the quickest one is
+    subtracted, so that two messages that arrive together do not seem to be simultaneous.
 
     Args:
-        clock: Of the cell.
+        clock: Clock of the cell.
         rate: Seconds of that clock per second of the machine.
     """
 
@@ -35,11 +35,12 @@ class Stamps:
         self._lateness = Lateness()
 
     def of(self, captured: float, sent: float) -> float:
-        """Unix seconds of a measurement.
+        """Return the Unix time of a measurement, s.
 
         Args:
-            captured: When it was made, s of the sender's clock.
-            sent: When it was sent; a sender without sense counts as one that measures and sends at once.
+            captured: Time of the measurement, s of the sender's clock.
+            sent: Time of sending, s of the sender's clock. With an impossible difference, the measurement counts as
+                just sent.
         """
         late = self._lateness.update(sent, self._clock.monotonic())
         age = sent - captured
@@ -48,19 +49,19 @@ class Stamps:
 
 
 def stamp_of(message: PoseStamped) -> float:
-    """Unix seconds of the measurement."""
+    """Return the Unix time of the measurement, s."""
     stamp = message.header.stamp
     return stamp.sec + stamp.nanosec * 1e-9
 
 
 def tracker_from_body(message: PoseStamped, frame: str, wall: float, max_age: float) -> Transform:
-    """The pose, of the frame and age that are asked for.
+    """Return the pose, if it has the required frame and age.
 
     Args:
-        message: As it came.
-        frame: Which ``frame_id`` it has to have.
-        wall: Unix seconds now.
-        max_age: Seconds.
+        message: The message as received.
+        frame: Required ``frame_id``.
+        wall: Wall time now, Unix s.
+        max_age: Largest age, s.
 
     Raises:
         RefusalError: ``wrong_frame``, ``stamp_ahead``, ``stamp_old``, ``not_finite`` or ``not_unit``.
@@ -73,7 +74,7 @@ def tracker_from_body(message: PoseStamped, frame: str, wall: float, max_age: fl
         text = f"The pose is stamped {-age:.3f} s ahead of this machine's clock, the limit is {APART:g} s: {_CLOCKS}"
         raise RefusalError("stamp_ahead", text, age=age, limit=-APART)
     if age > max_age:
-        text = f"The pose was {age:.3f} s old when it came, the limit is {max_age:g} s: {_CLOCKS}"
+        text = f"The pose was {age:.3f} s old when it arrived, the limit is {max_age:g} s: {_CLOCKS}"
         raise RefusalError("stamp_old", text, age=age, limit=max_age)
     at, turn = message.pose.position, message.pose.orientation
     position, quat_xyzw = (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w)

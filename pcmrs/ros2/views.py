@@ -1,4 +1,4 @@
-"""From messages of the bus to those of ROS 2."""
+"""Translation of the messages of the bus to those of ROS 2."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from pcmrs.ros2.poses import Stamps
 from pcmrs.ros2.topics import JOINT_STATES, STATE, TF, TF_STATIC, Topic, pose_topic
 from pcmrs.spatial import Frame, Transform
 
-Shown = tuple[Topic, IdlStruct]
+RosMessage = tuple[Topic, IdlStruct]
 
 
 class Views:
-    """Translates what is heard.
+    """Translates received messages.
 
-    Frames hang from the tracker: the bodies that it sees, and the arm by its base, which is worked out whenever the
-    arm stands and the coil is seen; see `pcmrs.recording.chain`. The arm's frames go out with its joints, and the image
-    with the reference, for as long as there is a registration: what is not known any more grows old for all who look.
+    The tracker is the root of all frames: the bodies that it sees, and the arm by its base, computed whenever the
+    arm stands and the coil is seen; see `pcmrs.recording.chain`. The arm's frames are sent with its joints, the image
+    with the reference, while there is a registration: an unknown pose is not sent, so that it grows old in ROS.
 
     Args:
-        names: Of the arm's joints, base to flange.
-        chain: Joins the arm to the tracker.
-        mounting: What was calibrated.
+        names: Names of the arm's joints, base to flange.
+        chain: Relates the arm to the tracker.
+        mounting: Calibrated poses of what the arm carries.
         clock: The cell's clock.
         rate: Seconds of that clock per second of the machine.
     """
@@ -42,16 +42,16 @@ class Views:
         self._base: Link | None = None
         self._body_ref_from_image: Transform | None = None
 
-    def fixed(self) -> Shown:
-        """What never moves."""
+    def fixed(self) -> RosMessage:
+        """Return the poses that never change."""
         at = self._clock.wall()
         return TF_STATIC, cdr.TFMessage([cdr.link(*link, at) for link in self._mounting.links()])
 
-    def joints(self, state: JointState) -> Iterator[Shown]:
-        """The arm.
+    def joints(self, state: JointState) -> Iterator[RosMessage]:
+        """Return the joints and frames of the arm.
 
         Raises:
-            GeometryError: There are not as many joints as the arm has, or one is not finite.
+            GeometryError: The number of joints is not that of the arm, or one is not finite.
         """
         at = self._of_robot.of(state.captured, state.sent)
         flange = self._chain.joints(state)
@@ -60,11 +60,11 @@ class Views:
         links = [flange] if self._base is None else [self._base, flange]
         yield TF, cdr.TFMessage([cdr.link(*link, at) for link in links])
 
-    def pose(self, pose: BodyPose) -> Iterator[Shown]:
-        """A tracked body; nothing while it is not seen.
+    def pose(self, pose: BodyPose) -> Iterator[RosMessage]:
+        """Return the pose of a tracked body; nothing while it is not seen.
 
         Raises:
-            GeometryError: It is no pose.
+            GeometryError: It is not a pose.
         """
         at = self._of_tracker.of(pose.captured, pose.sent)
         if not pose.valid:
@@ -79,12 +79,12 @@ class Views:
         yield TF, cdr.TFMessage(links)
 
     def target(self, target: Target) -> None:
-        """Keeps the registration in force."""
+        """Store the registration in force."""
         known = target.body_ref_from_image
         self._body_ref_from_image = None if known is None else _transform(known)
 
-    def snapshot(self, snapshot: Snapshot) -> Iterator[Shown]:
-        """The workflow's state, the latch and what goes on, as the JSON that the bus has."""
+    def snapshot(self, snapshot: Snapshot) -> Iterator[RosMessage]:
+        """Return the workflow's state, the latch and what is running, as the JSON of the bus."""
         yield STATE, cdr.String(msgspec.json.encode(snapshot).decode())
 
 

@@ -1,1 +1,1 @@
-"""The teleoperator's side: what hands do at a device becomes set points on the bus. Light: no geometry, no robot."""
+"""The teleoperator's side: movements of an input device become set points on the bus. Light: no geometry, no robot."""

@@ -1,4 +1,4 @@
-"""SpaceMouse and gamepad, as the kernel's input events tell of them."""
+"""SpaceMouse and gamepad, read from the kernel's input events."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from pcmrs.teleop.demand import Demand, Mapping
 
 EV_KEY, EV_REL, EV_ABS = 1, 2, 3
 X, Y, Z, RX, RY, RZ = range(6)
-"""Codes of the axes, of EV_REL and EV_ABS alike."""
+"""Codes of the axes, the same for EV_REL and EV_ABS."""
 HAT_X, HAT_Y = 16, 17
 BUTTON_0, BUTTON_1 = 0x100, 0x101
 EAST, SHOULDER_LEFT, START = 0x131, 0x136, 0x13B
 
 FORGOTTEN = 0.1
-"""A relative axis says nothing when it comes to rest: it counts as there when it has said nothing for so long, s."""
+"""A relative axis sends no event when it comes to rest: it counts as at rest after so long without one, s."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """What the axes and buttons of a kind of device mean.
+    """Meaning of the axes and buttons of a kind of device.
 
     Attributes:
-        name: For people.
+        name: Name for people.
         axes: Code to axis of the tool (x, y, z, about x, y, z) and direction.
         clutch: Button that has to be held.
         stop: Button of Stop.
-        leave: Button that ends; None where there is none.
-        full: Value of full deflection of axes that have no range of their own.
+        leave: Button that ends the session; None if there is none.
+        full: Value of full deflection of axes that report no range.
     """
 
     name: str
@@ -46,7 +46,7 @@ SPACEMOUSE = Layout(
     clutch=BUTTON_0,
     stop=BUTTON_1,
 )
-"""The cap is moved as the tool shall move: to the right, away from who sits before it, up."""
+"""The cap moves as the tool should move: to the right, away from the person in front of it, up."""
 
 GAMEPAD = Layout(
     name="gamepad",
@@ -59,12 +59,12 @@ GAMEPAD = Layout(
 
 
 class Controller:
-    """What a device asks for, by its events.
+    """State of a device, from its events.
 
     Args:
-        layout: What they mean.
-        mapping: From deflections to a twist.
-        ranges: Code of an axis to its least and greatest value, where it has a range.
+        layout: Meaning of its axes and buttons.
+        mapping: Converts deflections to a twist.
+        ranges: Code of an axis to its least and greatest value, if it has a range.
     """
 
     def __init__(self, layout: Layout, mapping: Mapping, ranges: Table[int, tuple[float, float]]) -> None:
@@ -73,7 +73,14 @@ class Controller:
         self._clutch = self._stop = self._leave = False
 
     def take(self, kind: int, code: int, value: int, now: float) -> None:
-        """Takes an event of the kernel at a time, s."""
+        """Take an event of the kernel.
+
+        Args:
+            kind: Type of the event, such as `EV_KEY`.
+            code: Axis or button.
+            value: Its value.
+            now: Time in s of the monotonic clock.
+        """
         if kind == EV_KEY:
             self._press(code, pressed=value != 0)
         elif kind in (EV_REL, EV_ABS) and code in self._layout.axes:
@@ -81,7 +88,7 @@ class Controller:
             self._values[code] = self._deflection(code, value), until
 
     def lose(self) -> None:
-        """The device is gone."""
+        """Note that the device has been unplugged."""
         self._clutch, self._leave = False, True
 
     def demand(self, now: float) -> Demand:

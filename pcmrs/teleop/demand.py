@@ -1,4 +1,4 @@
-"""What a teleoperator asks for at a moment, and how deflections become velocities. Pure."""
+"""The demand of a teleoperator at a moment, and the conversion of deflections to velocities. Pure."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from pcmrs.messages.teleop import AT_REST, Twist
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """What is asked for now.
+    """Demand of the teleoperator at a moment.
 
     Attributes:
-        twist: Along and about the tool's axes, m/s and rad/s; +z points away from the body.
-        clutch: Whether the clutch is held: nothing moves without it.
+        twist: Velocity along and about the tool's axes, m/s and rad/s; +z points away from the body.
+        clutch: The clutch is held: nothing moves without it.
         stop: Stop was pressed.
-        leave: The teleoperator has had enough.
+        leave: The teleoperator ends the session.
     """
 
     twist: Twist = AT_REST
@@ -27,20 +27,20 @@ class Demand:
 
 
 class InputDevice(Protocol):
-    """Something that hands move, or a script in its place."""
+    """A device that hands move, or a script in its place."""
 
     def demand(self, now: float) -> Demand:
-        """What is asked for at a time, s of the monotonic clock, which never goes back; never waits."""
+        """Return the present demand without waiting; `now` in s of the monotonic clock, never decreasing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mapping:
-    """From deflections of a device to a twist.
+    """Converts deflections of a device to a twist.
 
     Attributes:
         linear: Velocity at full deflection, m/s.
-        angular: The same for rotations, rad/s.
-        dead_zone: Part of the full deflection in which a device that nobody touches may lie.
+        angular: Angular velocity at full deflection, rad/s.
+        dead_zone: Deflection that an untouched device may have, as a part of the full one.
     """
 
     linear: float = 0.01
@@ -48,7 +48,7 @@ class Mapping:
     dead_zone: float = 0.1
 
     def twist(self, deflection: Sequence[float]) -> Twist:
-        """The twist for deflections along x, y, z and about x, y, z, -1 to 1 each."""
+        """Return the twist for deflections along x, y, z and about x, y, z, -1 to 1 each."""
         x, y, z, rx, ry, rz = (self._beyond_dead_zone(each) for each in deflection)
         return (
             *(each * self.linear for each in (x, y, z)),
@@ -56,6 +56,6 @@ class Mapping:
         )  # type: ignore[return-value]
 
     def _beyond_dead_zone(self, value: float) -> float:
-        """0 in the dead zone, and on from there without a step to 1."""
+        """Return 0 in the dead zone, and from its edge a value that rises without a step to 1."""
         length = min(abs(value), 1.0) - self.dead_zone
         return 0.0 if length <= 0.0 else (length if value > 0.0 else -length) / (1.0 - self.dead_zone)

@@ -11,15 +11,15 @@ DEVICES = ("keyboard", "spacemouse", "gamepad", "script")
 
 
 def open_device(name: str, mapping: Mapping, script: Path | None = None) -> AbstractContextManager[InputDevice]:
-    """Opens a device; to be entered where the event loop runs that is to read it.
+    """Open an input device; enter it in the event loop that is to read it.
 
     Args:
         name: One of `DEVICES`.
-        mapping: From deflections to twists.
-        script: File of the device ``script``.
+        mapping: Converts deflections to twists.
+        script: Script file of the device ``script``.
 
     Raises:
-        ConfigurationError: It cannot be read, on entering at the latest.
+        ConfigurationError: It cannot be read; raised on entering at the latest.
     """
     if script is not None:
         from pcmrs.teleop.script import read_script

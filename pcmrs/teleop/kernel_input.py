@@ -1,4 +1,4 @@
-"""Finds and reads input devices of the kernel, by the package evdev."""
+"""Finds and reads input devices of the kernel, with the package evdev."""
 
 from __future__ import annotations
 
@@ -15,7 +15,11 @@ from pcmrs.teleop.demand import Mapping
 
 @contextmanager
 def open_controller(layout: Layout, mapping: Mapping) -> Iterator[Controller]:
-    """Reads the first device that has all axes and buttons of a layout, in the running event loop.
+    """Read the first device that has all axes and buttons of a layout, in the running event loop.
+
+    Args:
+        layout: Meaning of its axes and buttons.
+        mapping: Converts deflections to a twist.
 
     Raises:
         ConfigurationError: The package is not installed, or there is no such device that this user may read.

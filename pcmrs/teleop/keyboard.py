@@ -1,4 +1,4 @@
-"""The keyboard of a terminal. It tells of no release: a key is held for as long as it repeats."""
+"""The keyboard of a terminal. It reports no release: a key counts as held for as long as it repeats."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ STOP, LEAVE = " ", ("q", "\x1b", "\x03", "\x04")
 HELP = "a d, w s, f r: along x, y, z (r: away from the body)   i k, j l, u o: about them   space: Stop   q: leave"
 
 HELD = 0.15
-"""After its last sign a key counts as held for so long, s: longer than between two repeats, about 33 ms."""
+"""A key counts as held for so long after its last character, s: longer than a repeat, about 33 ms."""
 CLUTCH_HELD = 1.0
 """The clutch stays closed for so long after a key, s: longer than the pause before the first repeat, which is about
-half a second. The tool stands meanwhile."""
+half a second. The tool stands still meanwhile."""
 
 
 class Keys:
-    """What keys ask for: the one that was pressed last moves the tool, while it is held; there is no other clutch.
+    """The demand of keys: the last pressed key moves the tool while it is held; there is no other clutch.
 
     Args:
-        mapping: Full deflection is a key.
+        mapping: Converts deflections to a twist; a key is full deflection.
     """
 
     def __init__(self, mapping: Mapping) -> None:
@@ -43,7 +43,12 @@ class Keys:
         self._stop = self._leave = False
 
     def press(self, key: str, now: float) -> None:
-        """Takes a key, first pressed or repeated, at a time in s."""
+        """Take a key, first pressed or repeated.
+
+        Args:
+            key: Character of the key.
+            now: Time in s of the monotonic clock.
+        """
         if key in AXES:
             self._key, self._pressed = key, now
         elif key == STOP:
@@ -51,7 +56,7 @@ class Keys:
         elif key in LEAVE:
             self._leave = True
         else:
-            self._pressed = float("-inf")  # whoever hits another key by mistake does not want to go on
+            self._pressed = float("-inf")  # a wrong key must stop the motion, not continue it
 
     def demand(self, now: float) -> Demand:
         stop, self._stop = self._stop, False
@@ -69,19 +74,21 @@ class Keys:
 
 @contextmanager
 def open_keyboard(mapping: Mapping) -> Iterator[Keys]:
-    """Reads the keys of the terminal one by one, in the running event loop; the terminal is as before afterwards.
+    """Read the keys of the terminal one by one, in the running event loop; afterwards the terminal is restored.
 
     Raises:
-        ConfigurationError: Standard input is no terminal.
+        ConfigurationError: Standard input is not a terminal.
     """
     if not sys.stdin.isatty():
-        raise ConfigurationError("The keyboard is read from a terminal, and standard input is none: use --device.")
+        raise ConfigurationError(
+            "The keyboard can only be read from a terminal, and standard input is not one: use --device."
+        )
     keys, loop, descriptor = Keys(mapping), asyncio.get_running_loop(), sys.stdin.fileno()
     before = termios.tcgetattr(descriptor)
 
     def read() -> None:
         text = os.read(descriptor, 1024).decode(errors="replace")
-        for key in text or LEAVE[0]:  # a terminal that is gone gives nothing for ever
+        for key in text or LEAVE[0]:  # a closed terminal reads as empty for ever
             keys.press(key, loop.time())
 
     tty.setcbreak(descriptor)

@@ -1,4 +1,4 @@
-"""A script in place of hands, for tests and demonstrations: when to ask for which twist."""
+"""A script in place of a device, for tests and demonstrations: times and twists."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ OPEN = "open"
 
 
 class Script:
-    """Lines of a time and a twist, each of which holds until the next; the last one ends the script.
+    """Lines with a time and a twist, each valid until the next; the last one ends the script.
 
     Args:
-        lines: Times, s from the first demand on and rising, with twists, or None for an open clutch.
+        lines: Rising times, s from the first demand, with twists, or None for an open clutch.
     """
 
     def __init__(self, lines: list[tuple[float, Twist | None]]) -> None:
@@ -36,7 +36,9 @@ class Script:
 
 
 def read_script(file: Path) -> Script:
-    """The script in a file: ``time x y z rx ry rz`` a line in s, m/s and rad/s, or ``time open``; ``#`` for remarks.
+    """Return the script in a file.
+
+    Each line is ``time x y z rx ry rz`` in s, m/s and rad/s, or ``time open``; ``#`` begins a remark.
 
     Raises:
         ConfigurationError: A line is something else, or times do not rise; the text names the line.
@@ -48,11 +50,11 @@ def read_script(file: Path) -> Script:
             continue
         line = _line(words)
         if line is None or (lines and line[0] <= lines[-1][0]):
-            told = f"{file}, line {number}: write a time later than the one before, and six velocities or {OPEN!r}."
-            raise ConfigurationError(told, file=str(file), line=number)
+            fault = f"{file}, line {number}: write a time later than the one before, and six velocities or {OPEN!r}."
+            raise ConfigurationError(fault, file=str(file), line=number)
         lines.append(line)
     if not lines:
-        raise ConfigurationError(f"{file} holds no line of a script.", file=str(file))
+        raise ConfigurationError(f"{file} has no line of a script.", file=str(file))
     return Script(lines)
 
 

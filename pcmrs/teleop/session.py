@@ -1,4 +1,4 @@
-"""One teleoperator at work: engages while the clutch is held, sends set points, and ends the guiding in any case."""
+"""One teleoperator at work: engages while the clutch is held, sends set points, and always ends the guiding."""
 
 from __future__ import annotations
 
@@ -16,70 +16,70 @@ from pcmrs.messages.teleop import AT_REST
 from pcmrs.teleop.demand import Demand, InputDevice
 
 TTL = 1.0
-"""A set point whose sender has heard nothing newer of the daemon than this is refused, s."""
+"""A set point is refused if its sender has received nothing from the daemon for longer than this, s."""
 PATIENCE = 5.0
-"""A tool that may be guided is told of within this, s, and a release is answered."""
+"""The status of a guided tool, and the answer to a release, must arrive within this, s."""
 
 GUIDED = "guided"
 ENDED = ("activity:teleoperate", "activity_ended")
-"""Device and code of the event that the arm is not moved any more."""
+"""Device and code of the event that the arm has stopped being guided."""
 
-Told = Verdict | DeviceEvent
-Tell = Callable[[Told], None]
+Report = Verdict | DeviceEvent
+Reporter = Callable[[Report], None]
 
 
 class TeleopSession:
-    """Use `run`.
+    """Guiding of the tool by one teleoperator; see `run`.
 
     Args:
-        client: Of the cell.
-        device: What hands move.
-        clock: The machine's.
+        client: Client of the cell.
+        device: Input device.
+        clock: Clock of this machine.
         rate: Set points per second.
-        tell: Called with every refusal, and every danger.
+        report: Called with every refusal, and every event that is a danger.
 
     Attributes:
-        status: Newest of the daemon; None before the first.
+        status: Newest status from the daemon; None before the first.
     """
 
-    def __init__(self, client: Client, device: InputDevice, clock: Clock, rate: float, tell: Tell) -> None:
+    def __init__(self, client: Client, device: InputDevice, clock: Clock, rate: float, report: Reporter) -> None:
         self._client, self._device, self._clock = client, device, clock
-        self._period, self._tell = 1.0 / rate, tell
+        self._period, self._report = 1.0 / rate, report
         self._sequence = 0
-        self._asking: asyncio.Task[Verdict] | None = None
+        self._request: asyncio.Task[Verdict] | None = None
         self._closed, self._may_engage = False, True
         self._placement, self._since = "", 0
-        self._heard, self._stands = asyncio.Event(), asyncio.Event()
+        self._status_received, self._stands = asyncio.Event(), asyncio.Event()
         self.status: TeleopStatus | None = None
 
     async def run(self) -> str:
-        """Guides until the teleoperator leaves or the tool cannot be guided any more.
+        """Guide until the teleoperator leaves or the tool cannot be guided any more.
 
         Returns:
-            Why it cannot; empty where the teleoperator has left.
+            The reason why it cannot be guided; empty if the teleoperator has left.
 
         Raises:
             CommandRefusedError: The tool may not be guided now.
             UnknownOutcomeError: The daemon is silent.
         """
-        async with AsyncExitStack() as ends:
+        async with AsyncExitStack() as stack:
             client = self._client
-            for end in (
+            for unsubscribe in (
                 client.listen("state/teleop", TeleopStatus, self._take_status),
                 client.listen("state/fsm", Snapshot, self._take_snapshot),
                 client.listen("state/event", dict, self._take_event),
             ):
-                ends.push_async_callback(end)
-            ends.push_async_callback(self._end)
-            await self._have_it_guided()
+                stack.push_async_callback(unsubscribe)
+            stack.push_async_callback(self._end)
+            await self._start_guiding()
             return await self._work()
 
     @property
     def engaged(self) -> bool:
-        """Whether the daemon takes our set points."""
+        """The daemon accepts the set points of this session."""
         return self.status is not None and self.status.user == self._client.user
 
-    async def _have_it_guided(self) -> None:
+    async def _start_guiding(self) -> None:
         shown = await self._client.state()
         self._since = shown.sequence
         if shown.branches["placement"] != GUIDED:
@@ -89,9 +89,9 @@ class TeleopSession:
         self._placement = GUIDED
         try:
             async with self._clock.timeout(PATIENCE):
-                await self._heard.wait()
+                await self._status_received.wait()
         except TimeoutError:
-            text = f"The daemon has not told how the guiding goes within {PATIENCE:g} s: look at the cell."
+            text = f"The daemon has not reported the state of the guiding within {PATIENCE:g} s: look at the cell."
             raise UnknownOutcomeError(text) from None
 
     async def _work(self) -> str:
@@ -104,32 +104,32 @@ class TeleopSession:
             self._clutch(demand)
             self._send(demand)
             await self._clock.sleep(self._period)
-        return f"The tool is not guided any more: it is {self._placement}. How to go on is decided at the cell."
+        return f"The tool is no longer guided: it is {self._placement}. Decide at the cell how to continue."
 
     def _clutch(self, demand: Demand) -> None:
-        """Has the daemon's clutch do as the teleoperator's does, one request at a time."""
-        self._hear_answer()
+        """Make the daemon's clutch follow the teleoperator's, one request at a time."""
+        self._take_answer()
         if not demand.clutch:
-            self._may_engage = True  # whoever was refused, or released by others, has to let go first
-        if self._asking is not None or demand.clutch == self._closed:
+            self._may_engage = True  # after a refusal, or a release by others, the clutch must be opened first
+        if self._request is not None or demand.clutch == self._closed:
             return
         if not demand.clutch:
-            self._ask("release")
+            self._request_clutch("release")
         elif self._may_engage:
-            self._ask("engage")
+            self._request_clutch("engage")
 
-    def _ask(self, operation: str) -> None:
+    def _request_clutch(self, operation: str) -> None:
         self._closed = operation == "engage"
         self._may_engage = False
-        self._asking = asyncio.create_task(self._client.call(f"teleoperation.{operation}"))
+        self._request = asyncio.create_task(self._client.call(f"teleoperation.{operation}"))
 
-    def _hear_answer(self) -> None:
-        if self._asking is None or not self._asking.done():
+    def _take_answer(self) -> None:
+        if self._request is None or not self._request.done():
             return
-        verdict, self._asking = self._asking.result(), None
+        verdict, self._request = self._request.result(), None
         if verdict.decision != "accepted":
             self._closed = False
-            self._tell(verdict)
+            self._report(verdict)
 
     def _send(self, demand: Demand) -> None:
         status = self.status
@@ -146,11 +146,11 @@ class TeleopSession:
         self._client.steer(setpoint)
 
     async def _end(self) -> None:
-        """Returns when the tool stands and the clutch is open; silence brings that about where nobody answers."""
+        """Wait until the tool stands and the clutch is open; if the daemon does not answer, silence opens it."""
         with suppress(PcmrsError):
-            if self._asking is not None:
-                await asyncio.wait([self._asking], timeout=PATIENCE)
-                self._asking.cancel()
+            if self._request is not None:
+                await asyncio.wait([self._request], timeout=PATIENCE)
+                self._request.cancel()
             if self._placement == GUIDED:
                 await self._client.call("placement.stop_guiding", timeout=PATIENCE)
                 with suppress(TimeoutError):
@@ -161,7 +161,7 @@ class TeleopSession:
         before, self.status = self.engaged, status
         if before and not self.engaged:
             self._closed = False
-        self._heard.set()
+        self._status_received.set()
 
     def _take_snapshot(self, snapshot: Snapshot) -> None:
         if snapshot.sequence >= self._since:
@@ -171,7 +171,7 @@ class TeleopSession:
         if (fields.get("device"), fields.get("code")) == ENDED:
             self._stands.set()
         if fields.get("danger"):
-            self._tell(convert(fields, DeviceEvent))
+            self._report(convert(fields, DeviceEvent))
 
 
 def _check_accepted(verdict: Verdict) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm import Blueprint
-from pcmrs.fsm.files.load import as_written
+from pcmrs.fsm.files.load import load_unexpanded
 from pcmrs.workflows.find import WorkflowFiles, find_workflow
 
 __all__ = ["WorkflowFiles", "find_workflow", "read_workflow"]
@@ -26,7 +26,7 @@ def read_workflow(name: str) -> Blueprint:
     """
     place = find_workflow(name)
     try:
-        return as_written(place.blueprint)
+        return load_unexpanded(place.blueprint)
     except OSError as error:
         text = f"{place.blueprint} cannot be read: {error.strerror}."
         raise ConfigurationError(text, file=str(place.blueprint)) from None

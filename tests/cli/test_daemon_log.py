@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 import structlog
 
-from pcmrs.cli.log import WAITING, LogStream, log_to_stderr
+from pcmrs.cli.log import MAX_WAITING, LogStream, log_to_stderr
 
 
 @pytest.fixture
@@ -63,10 +63,10 @@ def test_a_full_disk_raises_nothing_and_what_is_lost_is_counted() -> None:
 def test_a_reader_that_does_not_read_holds_up_nobody_and_is_told_what_was_lost(pipe: tuple[int, int]) -> None:
     reader, writer = pipe
     stream, line = LogStream(writer), "x" * 199 + "\n"
-    for _ in range(2 * WAITING):
+    for _ in range(2 * MAX_WAITING):
         stream.write(line)
     read = b""
-    while _told_lost(read) < stream.lost or read.count(b"x\n") < 2 * WAITING - stream.lost:
+    while _told_lost(read) < stream.lost or read.count(b"x\n") < 2 * MAX_WAITING - stream.lost:
         read += os.read(reader, 1 << 16)
     stream.close()
     assert 0 < stream.lost == _told_lost(read)

@@ -215,7 +215,7 @@ def test_a_picture_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 
 def test_a_folder_that_is_not_there_is_found_before_the_work(tmp_path: Path) -> None:
     ended = _run(str(tmp_path / "none.yaml"), "--plot", str(tmp_path / "none" / "errors.png"))
-    assert "make it first" in ended.stderr  # and not that none.yaml is missing
+    assert "create it first" in ended.stderr  # and not that none.yaml is missing
 
 
 @pytest.mark.parametrize("standoff", ["nan", "inf", "2000"])
@@ -232,7 +232,7 @@ def test_a_byte_order_mark_before_a_pose_log_is_passed_over(tmp_path: Path) -> N
 
 def test_a_file_of_another_kind_is_told_what_is_read(tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text("name,x_mm,y_mm,z_mm\n")
-    assert "points.csv is no saved placement (.yaml, .yml), no journal, and no pose log" in _refused(
+    assert "points.csv is neither a saved placement (.yaml, .yml) nor a journal nor a pose log" in _refused(
         str(tmp_path / "points.csv")
     )
 

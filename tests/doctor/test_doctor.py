@@ -15,7 +15,7 @@ from click.testing import CliRunner
 
 from pcmrs.cli.doctor import doctor
 from pcmrs.doctor import Examination, Finding, surroundings
-from pcmrs.doctor.disk import disk, free_space, judged
+from pcmrs.doctor.disk import assess_times, disk, free_space
 from pcmrs.doctor.machine import clock_source, kernel, limits, scheduling
 from pcmrs.doctor.surroundings import certificates, devices, extras, is_running, peers, ports, streams
 from pcmrs.settings import Settings, read_settings
@@ -124,7 +124,7 @@ def test_what_disk_the_journal_is_on(tmp_path: Path, kind: str, verdict: str) ->
 
 @pytest.mark.parametrize(("longest", "verdict"), [(0.004, "good"), (0.2, "warning"), (1.5, "bad")])
 def test_the_time_of_fsync_is_judged_by_the_longest(longest: float, verdict: str) -> None:
-    found = judged([0.002] * 49 + [longest])
+    found = assess_times([0.002] * 49 + [longest])
     assert found.verdict == verdict
     assert f"{longest * 1e3:.2g} ms" in found.found
 
@@ -200,7 +200,7 @@ def test_peers_whose_old_commands_would_be_taken_are_told(tmp_path: Path) -> Non
     assert only(peers(settings(tmp_path, *timed)), "peers").verdict == "good"
     found = only(peers(settings(tmp_path, *timed, "gateway.peers.panel.key_file=/panel.key")), "peers")
     assert found.verdict == "warning"
-    assert found.found.startswith("panel: a command that was held back")
+    assert found.found.startswith("panel: a delayed command is accepted")
 
 
 def test_an_identity_that_cannot_be_used_is_bad(tmp_path: Path) -> None:

@@ -109,14 +109,14 @@ def _without(content: dict[str, Any], key: str) -> str:
 @pytest.mark.parametrize(
     ("name", "text", "reason"),
     [
-        ("a.txt", "", "known endings"),
+        ("a.txt", "", "known suffixes"),
         ("a.yaml", "", "holds no keys"),
         ("a.yaml", "NUM: 3\n", "PLANNED nor DIGITIZED"),
         ("a.yaml", "PLANNED: 5\n", "no braces.* PLANNED"),
         ("a.yaml", "PLANNED: {}\n", "no landmarks"),
         ("a.yaml", "PLANNED: {p0: {x: 1, y: 2}}\n", r"x, y, z under PLANNED\.p0, not x, y"),
-        ("a.yaml", "PLANNED: {p0: {x: 1, y: 2, z: true}}\n", r"PLANNED\.p0 that is no number"),
-        ("a.yaml", "PLANNED: {p0: {x: 1, y: 2, z: far}}\n", r"PLANNED\.p0 that is no number"),
+        ("a.yaml", "PLANNED: {p0: {x: 1, y: 2, z: true}}\n", r"PLANNED\.p0 that is not a number"),
+        ("a.yaml", "PLANNED: {p0: {x: 1, y: 2, z: far}}\n", r"PLANNED\.p0 that is not a number"),
         ("a.yaml", "DIGITIZED: {d0: {x: nan, y: nan, z: nan}}\n", "no point for landmark d0.*digitize"),
         ("a.yaml", lab(num=5), "NUM: 5, but PLANNED holds 3"),
         ("a.yaml", lab(names=("p0", "p1", "p0")), "p0 is given twice"),
@@ -124,8 +124,8 @@ def _without(content: dict[str, Any], key: str) -> str:
         ("a.yaml", "PLANNED: !!python/object/apply:os.getcwd []\n", "is not YAML"),
         ("a.yaml", "WHEN: 2024-13-40\n", "is not YAML"),
         ("a.yaml", "{" * 500, "is not YAML"),
-        ("a.mrk.json", "{", "no point list of 3D Slicer"),
-        ("a.mrk.json", "[" * 100_000, "no point list of 3D Slicer"),
+        ("a.mrk.json", "{", "not a point list of 3D Slicer"),
+        ("a.mrk.json", "[" * 100_000, "not a point list of 3D Slicer"),
         ("a.mrk.json", _without(markups(), "coordinateSystem"), "coordinateSystem"),
         ("a.mrk.json", json.dumps(markups("XYZ")), "coordinateSystem|XYZ"),
         ("a.mrk.json", json.dumps(markups(unit="inch")), "coordinateUnits|inch"),
@@ -137,9 +137,9 @@ def _without(content: dict[str, Any], key: str) -> str:
         ("a.fcsv", fcsv().replace("# CoordinateSystem = LPS\n", ""), "CoordinateSystem"),
         ("a.fcsv", fcsv().replace("# columns", "# rows"), "columns"),
         ("a.fcsv", fcsv() + "3,1,two,3,0,0,0,1,1,1,0,q,,\n", "point 4"),
-        ("a.fcsv", fcsv() + '3,"' + "1" * 200_000, "is no CSV"),
+        ("a.fcsv", fcsv() + '3,"' + "1" * 200_000, "is not CSV"),
         ("a.csv", "", "is empty"),
-        ("a.csv", csv_text("name,x,y,z"), "in which unit"),
+        ("a.csv", csv_text("name,x,y,z"), "declare the unit"),
         ("a.csv", csv_text("name,x_mm,y_m,z_mm"), "three columns"),
         ("a.csv", csv_text("name,x_mm,y_mm,z_mm,x_m,y_m,z_m"), "three columns"),
         ("a.csv", csv_text("name,x_mm,x_mm,y_mm,z_mm"), "the column x_mm twice"),
@@ -148,7 +148,7 @@ def _without(content: dict[str, Any], key: str) -> str:
         ("a.csv", csv_text("p9,0.1,0.2,0.3"), "no column name or label"),
         ("a.csv", csv_text() + "p3,1,2\n", "row 5"),
         ("a.csv", csv_text() + "p3,1,2,inf\n", "no point for landmark p3"),
-        ("a.json", "{}", "is no plan"),
+        ("a.json", "{}", "is not a plan"),
     ],
 )
 def test_what_is_no_landmark_file_is_refused_with_file_and_reason(
@@ -196,7 +196,7 @@ def test_what_cannot_be_paired_is_refused() -> None:
         pair_landmarks(planned, Landmarks(NAMES[:2], POINTS[:2]))
     with pytest.raises(GeometryError, match="p1 is number 2 of the plan but number 3"):
         pair_landmarks(planned, Landmarks(("p0", "other", "p1"), POINTS))
-    with pytest.raises(GeometryError, match="to be the digitized ones say that they are planned"):
+    with pytest.raises(GeometryError, match="for the digitized landmarks says that they are planned"):
         pair_landmarks(planned, Landmarks(NAMES, POINTS, "planned"))
-    with pytest.raises(GeometryError, match="to be the planned ones say that they are digitized"):
+    with pytest.raises(GeometryError, match="for the planned landmarks says that they are digitized"):
         pair_landmarks(Landmarks(NAMES, POINTS, "digitized"), planned)

@@ -40,13 +40,13 @@ def test_the_surface_comes_back_in_ras_and_metres(kind: str, unit: Unit, space: 
 @pytest.mark.parametrize(
     ("name", "raw", "reason"),
     [
-        ("a.vtk", b"", "ending must be one of"),
+        ("a.vtk", b"", "suffix must be one of"),
         ("a.stl", b"", "no triangles"),
-        ("a.stl", b"\0" * 80 + b"\xff\xff\xff\xff" + b"1" * 50, "no STL mesh|no triangles"),
-        ("a.ply", b"nonsense", "no PLY mesh: ValueError"),
+        ("a.stl", b"\0" * 80 + b"\xff\xff\xff\xff" + b"1" * 50, "not a mesh in STL|no triangles"),
+        ("a.ply", b"nonsense", "not a mesh in PLY: ValueError"),
         ("a.ply", PLY_POINTS.encode(), "no triangles"),
         ("a.obj", b"nonsense", "no triangles"),
-        ("a.obj", (TRIANGLE + "f 1 2 9\n").encode(), "no OBJ mesh|does not hold"),
+        ("a.obj", (TRIANGLE + "f 1 2 9\n").encode(), "not a mesh in OBJ|does not hold"),
         ("a.obj", (TRIANGLE.replace("1 0 0", "nan 0 0") + "f 1 2 3\n").encode(), "not finite"),
     ],
 )

@@ -180,4 +180,4 @@ def test_what_is_no_pose_log_is_refused_with_its_line(tmp_path: Path, text: str,
 def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "poses_1.csv"
     path.write_bytes(b"body_tool,\xff\xfe")
-    assert "no CSV" in _refusal(path)
+    assert "not CSV" in _refusal(path)

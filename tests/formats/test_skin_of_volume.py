@@ -163,9 +163,9 @@ def bomb(path: Path, dim: tuple[int, ...], **more: Any) -> Path:
         ((4, 20, 20, 20, 300), {}, "give one volume"),
         ((3, 20, 20, 1), {}, "at least two slices"),
         ((3, 20, 20, 20), {"vox_offset": 2e9}, "data at byte"),
-        ((3, 20, 20, 20), {"sform_code": 0}, "does not say where it lies"),
-        ((3, 20, 20, 20), {"datatype": 128, "bitpix": 24}, "no grey values"),
-        ((3, 20, 20, 20), {}, "no whole NIfTI"),
+        ((3, 20, 20, 20), {"sform_code": 0}, "has no position"),
+        ((3, 20, 20, 20), {"datatype": 128, "bitpix": 24}, "instead of grey values"),
+        ((3, 20, 20, 20), {}, "not a whole NIfTI"),
     ],
 )
 @pytest.mark.parametrize("name", ["a.nii", "a.nii.gz"])
@@ -179,10 +179,10 @@ def test_a_volume_is_judged_by_its_header(name: str, dim: Any, more: Any, reason
 @pytest.mark.parametrize(
     ("name", "raw", "reason"),
     [
-        ("a.vtk", b"", "no volume that can be read"),
+        ("a.vtk", b"", "not a volume that can be read"),
         ("a.nii", b"nonsense", "does not begin with a header"),
-        ("a.nii.gz", b"nonsense", "no whole NIfTI"),
-        ("a.nii.gz", gzip.compress(bytes(2000), mtime=0)[:20], "no whole NIfTI|does not begin"),
+        ("a.nii.gz", b"nonsense", "not a whole NIfTI"),
+        ("a.nii.gz", gzip.compress(bytes(2000), mtime=0)[:20], "not a whole NIfTI|does not begin"),
     ],
 )
 def test_what_is_no_volume_is_refused(name: str, raw: bytes, reason: str, tmp_path: Path) -> None:
@@ -219,7 +219,7 @@ def compress_one(folder: Path) -> None:
     ("spoil", "reason"),
     [
         (lose_one, "unequal distances"),
-        (cut_one, "no pixels that can be read|no whole DICOM"),
+        (cut_one, "no pixels that can be read|not a whole DICOM"),
         (compress_one, "is compressed"),
         (lambda folder: change(folder, 2, SeriesInstanceUID="1.2.4"), "holds 2 series"),
         (lambda folder: change(folder, 2, PixelSpacing=[1.0, 1.0]), "another size or orientation"),

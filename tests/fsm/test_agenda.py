@@ -41,7 +41,7 @@ def tour(world: World, start: tuple[str, ...], most: int) -> tuple[set[Move], di
     for _ in range(most):
         move = agenda.next(here, lambda _: True)
         if move is None:
-            return seen, agenda.rest()
+            return seen, agenda.unseen()
         assert move.before == here
         ended = world.end(move)
         if ended is not None:
@@ -73,7 +73,7 @@ def test_what_is_never_wanted_again_is_walked_over_no_more() -> None:
     assert agenda.next(here, lambda _: True) == way
     agenda.drop(lambda move: move == way)
     assert agenda.next(here, lambda _: True) is None
-    assert agenda.rest() == {goal: ""}
+    assert agenda.unseen() == {goal: ""}
 
 
 def test_what_was_put_aside_is_tried_again_once_something_else_was_gained() -> None:
@@ -87,7 +87,7 @@ def test_what_was_put_aside_is_tried_again_once_something_else_was_gained() -> N
     assert agenda.next(here, lambda _: True) == shy
     agenda.missed(shy, "not now")
     assert agenda.next(here, lambda _: True) is None
-    assert agenda.rest() == {shy: "not now"}
+    assert agenda.unseen() == {shy: "not now"}
 
 
 def test_what_cannot_be_done_at_present_is_neither_wanted_nor_walked() -> None:

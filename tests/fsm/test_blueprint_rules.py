@@ -133,7 +133,7 @@ FAULTS = {
     "no time": ("motion =", "timeout_s = 0\nmotion =", "bad_operation", "timeout_s = 0", "operations.move"),
     "time is no number": ("motion =", "timeout_s = nan\nmotion =", "bad_operation", "nan", "operations.move"),
     "time without end": ("motion =", "timeout_s = inf\nmotion =", "bad_operation", "inf", "operations.move"),
-    "event that moves": ("motion =", "event = true\nmotion =", "bad_operation", "nobody asks", "operations.move"),
+    "event that moves": ("motion =", "event = true\nmotion =", "bad_operation", "no user asks", "operations.move"),
     "motion without failure": ('on_failure = "held"\n', "", "bad_operation", "on_failure", "operations.move"),
     "motion without doubt": ('on_unknown = "held"\n', "", "bad_operation", "on_unknown", "operations.move"),
     "motion without steps": ('steps = ["follow"]\n', "", "bad_operation", "no steps", "operations.move"),
@@ -141,7 +141,7 @@ FAULTS = {
         'on_failure = "held"',
         'on_failure = "safe"',
         "bad_operation",
-        "may fail to safe, where move begins",
+        "may fail to safe, where the approach move is valid",
         "operations.move",
     ),
     "only a motion could release Stop": (

@@ -15,7 +15,7 @@ from trials import examples
 
 import pcmrs
 from pcmrs.authoring.design import Design, design
-from pcmrs.authoring.design.branches import Designed
+from pcmrs.authoring.design.branches import DesignedBranch
 from pcmrs.authoring.design.count import excess_of
 from pcmrs.cli.fsm.design import design as command
 from pcmrs.fsm import Blueprint, Closure, Engine, examine, load_blueprint, parse_blueprint
@@ -421,7 +421,10 @@ def test_a_blueprint_too_large_is_said_of_the_step_that_makes_it_so(raw: bytes, 
 
 def test_too_many_joint_states_are_said_of_the_points_that_make_them() -> None:
     path = ("steps", "0")
-    branches = [Designed("b", BranchSpec(sequence=SequenceSpec(count=9)), path), Designed("a", BranchSpec(), path)]
+    branches = [
+        DesignedBranch("b", BranchSpec(sequence=SequenceSpec(count=9)), path),
+        DesignedBranch("a", BranchSpec(), path),
+    ]
     examination = Examination(
         Blueprint(id="x", version="1", branches={}), [Finding(code="too_many_states", text="Much.")]
     )

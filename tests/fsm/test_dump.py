@@ -26,7 +26,7 @@ from pcmrs.fsm.blueprint import (
     SequenceSpec,
 )
 from pcmrs.fsm.files.dump import LONGEST_LINE, blueprint_toml
-from pcmrs.fsm.files.load import as_written, content_hash
+from pcmrs.fsm.files.load import content_hash, load_unexpanded
 from pcmrs.fsm.files.sequence import expand
 
 WORKFLOWS = sorted((Path(pcmrs.__file__).parent / "workflows").glob("*.toml"))
@@ -93,7 +93,7 @@ def test_what_is_written_reads_back_as_itself(blueprint: Blueprint) -> None:
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
 def test_shipped_workflows_read_back_as_themselves(path: Path) -> None:
-    for blueprint in (as_written(path), expand(as_written(path))):
+    for blueprint in (load_unexpanded(path), expand(load_unexpanded(path))):
         text = blueprint_toml(msgspec.structs.replace(blueprint, hash="0" * 64), comment="One\n\ntwo")
         assert text.startswith("# One\n#\n# two\n")
         assert read(text) == blueprint

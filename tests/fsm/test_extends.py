@@ -13,8 +13,8 @@ from trials import examples
 from pcmrs.cli import main
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Blueprint, Finding, examine, load_blueprint, parse_blueprint
-from pcmrs.fsm.files.bounded import MAX_BYTES
 from pcmrs.fsm.files.dump import blueprint_toml
+from pcmrs.fsm.files.toml import MAX_BYTES
 
 BASE = """
 id = "base"
@@ -221,8 +221,8 @@ def test_findings_point_to_the_file_and_line_the_key_came_from(folder: Path, fau
         ('"base.toml\\u0000"', "without a folder"),
         ("7", "without a folder"),
         ('["base.toml"]', "without a folder"),
-        ('"absent.toml"', "beside this file is none"),
-        ('"sub.toml"', "beside this file is none"),
+        ('"absent.toml"', "there is no such file"),
+        ('"sub.toml"', "there is no such file"),
         ('"own.toml"', "extends another file itself"),
     ],
 )
@@ -234,7 +234,7 @@ def test_only_a_file_beside_it_that_stands_alone_can_be_extended(folder: Path, n
 
 
 def test_text_without_a_folder_extends_nothing(folder: Path) -> None:
-    with pytest.raises(BlueprintError, match="lies in no folder") as refused:
+    with pytest.raises(BlueprintError, match="has no folder") as refused:
         parse_blueprint(OWN.encode())
     assert [finding.code for finding in refused.value.fields["findings"]] == ["bad_extends"]
     assert parse_blueprint(OWN.encode(), folder=folder).id == "own"

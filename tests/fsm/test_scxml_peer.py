@@ -9,7 +9,7 @@ import pytest
 from random_blueprints import random_blueprint
 from scxml_peer import Peer, expected, fits
 
-from pcmrs.authoring.exchange.exporting.events import Command, commands
+from pcmrs.authoring.exchange.exporting.events import OperationEnding, commands
 from pcmrs.authoring.exchange.exporting.nesting import nesting_of
 from pcmrs.authoring.exchange.exporting.scxml import scxml
 from pcmrs.fsm import Blueprint
@@ -29,7 +29,7 @@ def workflow(name: str) -> Blueprint:
 RATMS = workflow("ratms.toml")
 
 
-def perform(engine: Engine, command: Command) -> bool:
+def perform(engine: Engine, command: OperationEnding) -> bool:
     """Whether the engine accepts the command, and can end it so."""
     closure = engine.ask(command.branch, command.operation)
     known = ("failed", "unknown")

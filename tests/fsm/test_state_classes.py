@@ -171,7 +171,7 @@ def test_classes_that_do_not_say_what_the_blueprint_says_are_refused(monkeypatch
     monkeypatch.setattr("pcmrs.fsm.branch.states_of", lambda _: states_of(RATMS))
     operations = later.branches["robot"].operations | {"connect": OperationSpec(from_=["0"], to="0")}
     changed = msgspec.structs.replace(later.branches["robot"], operations=operations)
-    with pytest.raises(BlueprintError, match="robot 0 does not say of connect"):
+    with pytest.raises(BlueprintError, match="robot 0 and the blueprint disagree on connect"):
         StateSet(msgspec.structs.replace(later, branches={"robot": changed}))
 
 

@@ -11,7 +11,7 @@ from ratms_oracle import BLUEPRINT
 from trials import examples
 
 from pcmrs.fsm import Finding, examine
-from pcmrs.fsm.files.bounded import MAX_BYTES
+from pcmrs.fsm.files.toml import MAX_BYTES
 
 RATMS = BLUEPRINT.read_bytes()
 

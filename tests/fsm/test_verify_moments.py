@@ -17,8 +17,8 @@ from pcmrs.fsm.behaviour import branch_states, endings, joint_of
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, Condition, OperationSpec, PropertySpec
 from pcmrs.fsm.closure import Closure, close
 from pcmrs.fsm.verify import search, verify
-from pcmrs.fsm.verify.liveness import Runs
-from pcmrs.fsm.verify.properties import promises
+from pcmrs.fsm.verify.liveness import TimedOperations
+from pcmrs.fsm.verify.properties import check_properties
 from pcmrs.fsm.verify.space import Space
 
 Locks = tuple[frozenset[str], frozenset[str]]
@@ -88,13 +88,13 @@ def test_a_commit_waits_for_what_runs_on_a_branch_it_would_move(other: str) -> N
     """A way home runs while a registration changes on which the standoff it began at rests: it can be concluded."""
     observed = frozenset({"placement.home", other})
     check_moments(ratms(), observed)
-    moments = Runs(Space(ratms(), 100)).moments(observed)
+    moments = TimedOperations(Space(ratms(), 100)).moments(observed)
     assert not any(moments.stranded(batch).any() for batch in moments.reached.batches())
 
 
 def check_moments(blueprint: Blueprint, observed: frozenset[str]) -> None:
     """The moments of both searches are the same, and so are the lengths of the shortest ways to them."""
-    moments = Runs(Space(blueprint, 10_000)).moments(observed)
+    moments = TimedOperations(Space(blueprint, 10_000)).moments(observed)
     found = {
         (joint_of(blueprint, values), frozenset((name, locks) for name, locks in running)): length
         for length, level in enumerate(moments.reached.levels)
@@ -107,7 +107,7 @@ def check_moments(blueprint: Blueprint, observed: frozenset[str]) -> None:
 @given(blueprints(), st.data())
 def test_what_its_locks_protect_need_not_be_searched(blueprint: Blueprint, data: st.DataObject) -> None:
     """Only operations that are called strandable can be found where they are denied."""
-    runs = Runs(Space(blueprint, 10_000))
+    runs = TimedOperations(Space(blueprint, 10_000))
     for branch, spec in blueprint.branches.items():
         for operation, declared in spec.operations.items():
             name = f"{branch}.{operation}"
@@ -120,7 +120,7 @@ def test_what_its_locks_protect_need_not_be_searched(blueprint: Blueprint, data:
 @given(blueprints(), st.data())
 def test_conditions_hold_at_the_same_moments(blueprint: Blueprint, data: st.DataObject) -> None:
     observed = some_operations(blueprint, data)
-    moments = Runs(Space(blueprint, 10_000)).moments(observed)
+    moments = TimedOperations(Space(blueprint, 10_000)).moments(observed)
     branch = data.draw(st.sampled_from(list(blueprint.branches)))
     states = data.draw(st.lists(st.sampled_from(list(blueprint.branches[branch].states)), max_size=2))
     condition = Condition(states={branch: states}, running=sorted(observed))
@@ -143,7 +143,9 @@ def test_what_it_leads_to_and_by_the_shortest_way(blueprint: Blueprint, data: st
     there = Condition(states={branch: [state]})
     spec = PropertySpec(id="leads", when=Condition(running=sorted(observed)), leads_to=there)
     blueprint = msgspec.structs.replace(blueprint, properties=[spec])
-    found = [each for each in promises(Runs(Space(blueprint, 10_000))) if each.path == ("properties", "0")]
+    found = [
+        each for each in check_properties(TimedOperations(Space(blueprint, 10_000))) if each.path == ("properties", "0")
+    ]
     moments = lengths(blueprint, observed)
     place = list(blueprint.branches).index(branch)
     closed = set(moments)
@@ -166,13 +168,13 @@ def test_an_operation_that_is_watched_costs_no_commands_where_it_does_not_matter
         never=Condition(states={"main": ["b"]}),
     )
     blueprint = Blueprint(id="ways", version="1.0.0", branches={"main": branch}, properties=[spec])
-    (finding,) = promises(Runs(Space(blueprint, 100)))
+    (finding,) = check_properties(TimedOperations(Space(blueprint, 100)))
     assert finding.commands == ("main.jump", "main.jump:started")
 
 
 @pytest.mark.parametrize("count", [5, 6])
 def test_all_searches_together_are_limited(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(search, "LEAST_WORK", 14_000)
+    monkeypatch.setattr(search, "MIN_BUDGET", 14_000)
     specs = [
         PropertySpec(id=f"p{n}", when=Condition(running=[f"b{n}.on"]), leads_to=Condition(states={"b7": ["s1"]}))
         for n in range(count)
@@ -184,7 +186,7 @@ def test_all_searches_together_are_limited(count: int, monkeypatch: pytest.Monke
 
 
 def test_an_operation_that_is_only_called_by_children_never_runs() -> None:
-    runs = Runs(Space(ratms(), 100))
+    runs = TimedOperations(Space(ratms(), 100))
     moments = runs.moments(frozenset({"registration.digitized"}))
     spec = PropertySpec(id="never", never=Condition(running=["registration.digitized"]))
     assert spec.never is not None

@@ -16,7 +16,7 @@ from pcmrs.fsm.blueprint import Blueprint, RevocationSpec
 from pcmrs.fsm.closure import Closure, close
 from pcmrs.fsm.verify import space, verify
 from pcmrs.fsm.verify.encoding import Encoding
-from pcmrs.fsm.verify.search import MAX_BITMAP, leading_to, visited
+from pcmrs.fsm.verify.search import MAX_BITMAP, states_leading_to, visited
 from pcmrs.fsm.verify.space import Space
 
 Joint = tuple[str, ...]
@@ -71,7 +71,7 @@ def test_the_way_back_is_the_way_there(blueprint: Blueprint, data: st.DataObject
     reached = levels(blueprint)
     goal = data.draw(st.sampled_from(list(reached)))
     code = space.encoding.code(branch_states(blueprint, goal))
-    known = leading_to(space.reached, np.array([code]), space.transitions)
+    known = states_leading_to(space.reached, np.array([code]), space.transitions)
     for joint in reached:
         expected = goal in _from(blueprint, joint)
         own = np.array([space.encoding.code(branch_states(blueprint, joint))])

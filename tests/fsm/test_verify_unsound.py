@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from pcmrs.fsm.codes import READING, RULES, VERIFICATION
-from pcmrs.fsm.files.bounded import MAX_BYTES
 from pcmrs.fsm.files.load import examine
+from pcmrs.fsm.files.toml import MAX_BYTES
 
 FOLDER = Path(__file__).parent / "unsound"
 FILES = sorted(FOLDER.glob("*.toml"), key=lambda file: file.name)

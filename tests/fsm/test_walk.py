@@ -35,7 +35,7 @@ def joint(walk: SimulationSession) -> Joint:
 def test_every_random_step_is_what_the_specification_says(seed: int) -> None:
     walk = SimulationSession(RATMS)
     before = INITIAL
-    for step in walk.wander(40, seed):
+    for step in walk.random_walk(40, seed):
         name, _, ending = step.command.partition(":")
         branch, _, operation = name.partition(".")
         endings = expected(before, branch, operation)
@@ -48,7 +48,7 @@ def test_every_random_step_is_what_the_specification_says(seed: int) -> None:
 
 
 def test_the_same_seed_is_the_same_walk() -> None:
-    walks = [list(SimulationSession(RATMS).wander(100, seed)) for seed in (7, 7, 8)]
+    walks = [list(SimulationSession(RATMS).random_walk(100, seed)) for seed in (7, 7, 8)]
     assert walks[0] == walks[1] != walks[2]
     assert {step.decision for step in walks[0]} == {"accepted", "rejected", "failed", "unknown"}
 
@@ -58,7 +58,7 @@ def test_the_same_seed_is_the_same_walk() -> None:
 def test_everything_can_be_taken_back(blueprint: Blueprint, seed: int) -> None:
     walk = SimulationSession(blueprint)
     passed = [walk.states()]
-    for step in walk.wander(10, seed):
+    for step in walk.random_walk(10, seed):
         assert walk.states() == step.states
         passed.append(walk.states())
     for states in passed[-2::-1]:
@@ -71,7 +71,7 @@ def test_everything_can_be_taken_back(blueprint: Blueprint, seed: int) -> None:
 @examples(30)
 def test_what_is_offered_is_accepted_and_the_rest_refused(blueprint: Blueprint, rng: Random) -> None:
     walk = SimulationSession(blueprint)
-    list(walk.wander(5, rng.randrange(1000)))
+    list(walk.random_walk(5, rng.randrange(1000)))
     offered = {choice.partition(":")[0] for choice in walk.choices()}
     for name, branch in blueprint.branches.items():
         for operation, spec in branch.operations.items():
@@ -161,7 +161,7 @@ def test_any_bytes_can_be_typed(lines: bytes) -> None:
 def test_random_steps_as_json_are_one_object_a_line() -> None:
     run = simulate("ratms", "--random", "30", "--seed", "5", "--json")
     steps = [msgspec.json.decode(line, type=Step) for line in run.output.splitlines()]
-    assert steps == list(SimulationSession(RATMS).wander(30, 5))
+    assert steps == list(SimulationSession(RATMS).random_walk(30, 5))
 
 
 def test_what_cannot_be_read_is_said(tmp_path: Path) -> None:

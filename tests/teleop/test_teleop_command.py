@@ -6,7 +6,7 @@ import pytest
 from click.testing import CliRunner
 
 from pcmrs.cli import main
-from pcmrs.cli.teleop import line_of, told_line
+from pcmrs.cli.teleop import report_line, status_line
 from pcmrs.messages import DeviceEvent, Reason, TeleopStatus, Verdict
 
 STATUS = TeleopStatus(
@@ -26,11 +26,11 @@ STATUS = TeleopStatus(
 
 def test_a_teleoperator_sees_delay_speed_place_and_limit_on_one_line() -> None:
     delay, place = "52 ms ± 3, speed 80 %", "71.2 mm and 1.0° from the plan, 70.0 mm above, as far as allowed"
-    assert line_of(STATUS, keys=False).plain == f"engaged by anna, {delay}, {place}, 3 refused"
-    assert line_of(TeleopStatus(stamp=1.0), keys=False).plain == "clutch open"
-    assert line_of(None, keys=True).plain.startswith("waiting for the cell\na d, w s")
+    assert status_line(STATUS, keys=False).plain == f"engaged by anna, {delay}, {place}, 3 refused"
+    assert status_line(TeleopStatus(stamp=1.0), keys=False).plain == "clutch open"
+    assert status_line(None, keys=True).plain.startswith("waiting for the cell\na d, w s")
     held = TeleopStatus(stamp=1.0, user="anna", round_trip=0.6, jitter=0.0, scale=0.0, held=True)
-    assert "let go once" in line_of(held, keys=False).plain
+    assert "release the clutch once" in status_line(held, keys=False).plain
 
 
 def test_refusals_and_dangers_are_told_with_their_reason() -> None:
@@ -38,9 +38,9 @@ def test_refusals_and_dangers_are_told_with_their_reason() -> None:
     verdict = Verdict(
         id="1", branch="teleoperation", operation="engage", decision="rejected", state="off", sequence=1, reason=reason
     )
-    assert told_line(verdict) == f"teleoperation.engage was rejected: {reason.text}"
+    assert report_line(verdict) == f"teleoperation.engage was rejected: {reason.text}"
     lost = DeviceEvent(device="activity:teleoperate", code="teleoperator_lost", text="No set point.", danger=True)
-    assert told_line(lost) == "teleoperator_lost: No set point."
+    assert report_line(lost) == "teleoperator_lost: No set point."
 
 
 @pytest.mark.parametrize("words", [["--device", "script"], ["--device", "keyboard", "--script", "pyproject.toml"]])

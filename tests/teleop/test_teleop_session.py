@@ -15,7 +15,7 @@ from pcmrs.messages import BlueprintTag, DeviceEvent, Reason, Snapshot, TeleopSe
 from pcmrs.messages.teleop import AT_REST
 from pcmrs.simulated_time.clock import SimulatedClock
 from pcmrs.teleop.demand import Demand
-from pcmrs.teleop.session import TeleopSession, Told
+from pcmrs.teleop.session import Report, TeleopSession
 
 UP = (0.0, 0.0, 0.01, 0.0, 0.0, 0.0)
 HOLDING = Demand(UP, clutch=True)
@@ -114,12 +114,12 @@ class PlayedDaemon:
 class Played:
     daemon: PlayedDaemon
     hands: Hands
-    told: list[Told]
+    told: list[Report]
     session: TeleopSession
 
 
 def played(**given: Any) -> Played:
-    daemon, hands, told = PlayedDaemon(**given), Hands(), cast(list[Told], [])
+    daemon, hands, told = PlayedDaemon(**given), Hands(), cast(list[Report], [])
     clock = SimulatedClock(asyncio.get_running_loop())
     return Played(daemon, hands, told, TeleopSession(cast(Client, daemon), hands, clock, 50.0, told.append))
 

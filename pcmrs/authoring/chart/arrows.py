@@ -1,4 +1,4 @@
-"""What is drawn inside one branch: operations with the same sources and target share an arrow."""
+"""Arrows inside one branch: operations with the same sources and target share an arrow."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Literal, NamedTuple
 from pcmrs.fsm.blueprint import BranchSpec, OperationSpec, Target, target_from
 
 Kind = Literal["transition", "failure", "signal", "call", "revocation"]
-"""Of a line: an operation, how it may go wrong, Rule 2, Rule 3, a revocation."""
+"""Kind of a line: an operation, its failure, Rule 2, Rule 3, or a revocation."""
 
 
-class Place(NamedTuple):
+class StateRef(NamedTuple):
     """A state of a branch; an empty state means the whole branch."""
 
     branch: str
@@ -24,10 +24,10 @@ class Arrow:
     """One arrow inside a branch.
 
     Attributes:
-        kind: What it stands for; a `signal` is an operation that only a child branch calls.
-        sources: States it comes from, in the branch's order; empty for all of them.
-        target: State it leads to; a loop has it as its only source, other arrows never have it.
-        heading: What all its labels have in common, such as ``failed``; may be empty.
+        kind: Kind of line; a `signal` is an operation that only a child branch calls.
+        sources: Source states, in the branch's order; empty for all of them.
+        target: Target state; a loop has it as its only source, other arrows never have it as a source.
+        heading: Common part of all its labels, such as ``failed``; may be empty.
         labels: Operations, ``operation: outcome`` where outcomes are declared.
     """
 
@@ -39,21 +39,25 @@ class Arrow:
 
     @property
     def loops(self) -> bool:
-        """Whether it ends where it begins."""
+        """It ends where it begins."""
         return self.sources == (self.target,)
 
     @property
     def words(self) -> list[str]:
-        """Its caption in pieces that stay unbroken."""
+        """Return its caption in pieces that stay unbroken."""
         heading = [f"{self.heading}:"] if self.heading else []
         return [*heading, *(f"{label}," for label in self.labels[:-1]), self.labels[-1]]
 
 
 def arrows(name: str, branch: BranchSpec) -> list[Arrow]:
-    """All arrows inside the branch `name`.
+    """Return all arrows inside a branch.
 
-    An operation that fails, or whose end is unknown, and then leaves the state as it is has no arrow: that is
-    what every operation does. So has no signal that finds its target reached.
+    An operation that fails, or whose end is unknown, and keeps its state has no arrow for that: it is the default
+    of every operation. Nor has a signal whose target is reached already.
+
+    Args:
+        name: Name of the branch.
+        branch: The branch.
     """
     grouped: dict[tuple[object, ...], list[_Ending]] = {}
     for ending in (*_endings(name, branch), *_revocations(branch)):
@@ -63,7 +67,12 @@ def arrows(name: str, branch: BranchSpec) -> list[Arrow]:
 
 
 def edges(name: str, branch: BranchSpec) -> list[Arrow]:
-    """The same arrows, each with one source, or none for all states, and just what is possible there."""
+    """Return the arrows of a branch as edges: one source each, or none for all states, and its possible operations.
+
+    Args:
+        name: Name of the branch.
+        branch: The branch.
+    """
     grouped: dict[tuple[Kind, tuple[str, ...], str, str], list[str]] = {}
     for ending in (*_endings(name, branch), *_revocations(branch)):
         for source in ending.sources or (None,):
@@ -96,12 +105,12 @@ def _endings(name: str, branch: BranchSpec) -> Iterator[_Ending]:
             label = f"{called}: {outcome}{mark}" if operation.outcomes else f"{called}{mark}"
             possible = ending.requires.get(name, [])
             yield from _split(branch, operation, ending.to, kind, "", label, possible)
-        for heading, target in _doubtful(operation):
+        for heading, target in _unconfirmed(operation):
             yield from _split(branch, operation, target, "failure", heading, called)
 
 
-def _doubtful(operation: OperationSpec) -> Iterator[tuple[str, Target]]:
-    """Where it leads when it does not end as declared, and how that is called."""
+def _unconfirmed(operation: OperationSpec) -> Iterator[tuple[str, Target]]:
+    """Return the targets of an operation that does not end as declared, each with its heading."""
     failure, unknown = operation.on_failure, operation.on_unknown
     if failure is not None:
         yield "failed or end unknown" if failure == unknown else "failed", failure
@@ -118,7 +127,7 @@ def _split(
     label: str,
     possible: Sequence[str] = (),
 ) -> Iterator[_Ending]:
-    """An ending's arrows: one per target, and one more for the source that is the target."""
+    """Return an ending's arrows: one for each target, and one more for the source that is the target."""
     if operation.from_ == ["*"] and isinstance(target, str) and not possible:
         yield _Ending(kind, heading, (), target, label, (kind, heading, (), target))
         return
@@ -128,7 +137,7 @@ def _split(
     for state in dict.fromkeys(leads.values()):
         others = tuple(source for source in sources if leads[source] == state != source)
         if others:
-            # Failures that end in one state share an arrow: where an operation is valid, its other arrows say.
+            # Failures that end in one state share an arrow: the other arrows of an operation show where it is valid.
             together = kind == "failure" and isinstance(target, str)
             yield _Ending(kind, heading, others, state, label, (kind, heading, None if together else others, state))
         if leads.get(state) == state and kind == "transition":

@@ -1,6 +1,6 @@
-"""SVG elements of a chart, with all looks as attributes: the picture stays itself inside any page or paper.
+"""SVG elements of a chart. All styles are attributes, so the picture looks the same in any page or on paper.
 
-Colours are those of Okabe and Ito, told apart by the colour-blind; in grey the dashes and arrowheads tell.
+Colours are those of Okabe and Ito, which the colour-blind can tell apart; in grey, dashes and arrowheads differ.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ HEAD = 9.0
 
 
 class Stroke(NamedTuple):
-    """How a kind of line is drawn: colour, dashes, width in px, and whether its head is filled."""
+    """Style of a kind of line: colour, dashes, width in px, and whether its head is filled."""
 
     colour: str
     dashes: str
@@ -38,7 +38,14 @@ STROKES: dict[Kind, Stroke] = {
 
 
 def group(parent: Element, css_class: str, title: str = "", **data: str) -> Element:
-    """A group with a tooltip and ``data-`` attributes."""
+    """Return a group with a tooltip and ``data-`` attributes.
+
+    Args:
+        parent: Element to append it to.
+        css_class: Its class.
+        title: Text of the tooltip.
+        data: Value of each ``data-`` attribute.
+    """
     attributes = {"class": css_class, **{f"data-{key}": clean(value) for key, value in data.items()}}
     element = SubElement(parent, "g", attributes)
     if title:
@@ -47,43 +54,97 @@ def group(parent: Element, css_class: str, title: str = "", **data: str) -> Elem
 
 
 def text(parent: Element, x: float, y: float, content: str, size: int, **given: str) -> None:
-    """A line of text on the baseline `y`; monospaced unless `font_family` says otherwise."""
+    """Draw a line of text; monospaced unless `font_family` says otherwise.
+
+    Args:
+        parent: Element to append it to.
+        x: Start of the text, in px.
+        y: Baseline of the text, in px.
+        content: The text.
+        size: Font size in px.
+        given: Further attributes, with ``_`` for ``-``.
+    """
     looks = {"font_family": MONO, "fill": INK, **given}
     attributes = {"x": _px(x), "y": _px(y), "font-size": str(size), **_dashed(looks)}
     SubElement(parent, "text", attributes).text = clean(content)
 
 
 def sans(parent: Element, x: float, y: float, content: str, size: int, **given: str) -> None:
-    """A line of proportional text on the baseline `y`."""
+    """Draw a line of proportional text.
+
+    Args:
+        parent: Element to append it to.
+        x: Start of the text, in px.
+        y: Baseline of the text, in px.
+        content: The text.
+        size: Font size in px.
+        given: Further attributes, with ``_`` for ``-``.
+    """
     text(parent, x, y, content, size, font_family=SANS, **given)
 
 
 def box(parent: Element, x: float, y: float, width: float, height: float, radius: float, **given: str) -> None:
-    """A rectangle with rounded corners."""
+    """Draw a rectangle with rounded corners.
+
+    Args:
+        parent: Element to append it to.
+        x: Left edge, in px.
+        y: Upper edge, in px.
+        width: Width in px.
+        height: Height in px.
+        radius: Radius of the corners, in px.
+        given: Further attributes, with ``_`` for ``-``.
+    """
     size = {"x": _px(x), "y": _px(y), "width": _px(width), "height": _px(height), "rx": _px(radius)}
     SubElement(parent, "rect", {**size, **_dashed(given)})
 
 
 def line(parent: Element, kind: Kind, path: str) -> None:
-    """A line along an SVG path."""
+    """Draw a line along an SVG path.
+
+    Args:
+        parent: Element to append it to.
+        kind: Kind of line, which gives its style.
+        path: Path data.
+    """
     stroke = STROKES[kind]
     attributes = {"d": path, "fill": "none", "stroke": stroke.colour, "stroke-width": str(stroke.width)}
     SubElement(parent, "path", {**attributes, **({"stroke-dasharray": stroke.dashes} if stroke.dashes else {})})
 
 
 def dot(parent: Element, kind: Kind, x: float, y: float) -> None:
-    """A junction of two lines."""
+    """Draw a junction of two lines.
+
+    Args:
+        parent: Element to append it to.
+        kind: Kind of line, which gives its colour.
+        x: Centre, in px.
+        y: Centre, in px.
+    """
     SubElement(parent, "circle", {"cx": _px(x), "cy": _px(y), "r": "2.4", "fill": STROKES[kind].colour})
 
 
 def diamond(parent: Element, kind: Kind, x: float, y: float) -> None:
-    """The mark of any state."""
+    """Draw the mark that stands for any state.
+
+    Args:
+        parent: Element to append it to.
+        kind: Kind of line, which gives its colour.
+        x: Centre, in px.
+        y: Centre, in px.
+    """
     path = f"M{point(x - 5, y)}L{point(x, y - 4)}L{point(x + 5, y)}L{point(x, y + 4)}Z"
     SubElement(parent, "path", {"d": path, "fill": "#fff", "stroke": STROKES[kind].colour, "stroke-width": "1.2"})
 
 
 def loop(parent: Element, x: float, y: float) -> None:
-    """A round arrow: the state is kept."""
+    """Draw a round arrow: the state is kept.
+
+    Args:
+        parent: Element to append it to.
+        x: Centre, in px.
+        y: Centre, in px.
+    """
     circle = f"M{point(x + 3.5, y - 1.5)}A3.8 3.8 0 1 0 {point(x + 3, y + 2.3)}"
     SubElement(parent, "path", {"d": circle, "fill": "none", "stroke": INK, "stroke-width": "1.1"})
     tip = f"M{point(x + 5.4, y + 0.6)}L{point(x + 4.6, y - 3.6)}L{point(x + 1.4, y - 0.9)}Z"
@@ -91,14 +152,29 @@ def loop(parent: Element, x: float, y: float) -> None:
 
 
 def start(parent: Element, x: float, y: float, length: float) -> None:
-    """The mark of the starting state: a dot at (x, y) with an arrow down from it."""
+    """Draw the mark of the starting state: a dot with an arrow down from it.
+
+    Args:
+        parent: Element to append it to.
+        x: Centre of the dot, in px.
+        y: Centre of the dot, in px.
+        length: Length of the arrow, in px.
+    """
     SubElement(parent, "circle", {"cx": _px(x), "cy": _px(y + 4), "r": "4", "fill": INK})
     line(parent, "transition", f"M{point(x, y + 4)}L{point(x, y + length - HEAD)}")
     head(parent, "transition", x, y + length, (0, 1))
 
 
 def head(parent: Element, kind: Kind, x: float, y: float, towards: tuple[int, int]) -> None:
-    """An arrowhead with its tip at (x, y), pointing right (1, 0), left (-1, 0) or down (0, 1)."""
+    """Draw an arrowhead.
+
+    Args:
+        parent: Element to append it to.
+        kind: Kind of line, which gives its style.
+        x: Tip, in px.
+        y: Tip, in px.
+        towards: Direction: right (1, 0), left (-1, 0) or down (0, 1).
+    """
     (along, down), side = towards, HEAD * 0.42
     base_x, base_y = x - HEAD * along, y - HEAD * down
     corners = [(x, y), (base_x - side * down, base_y - side * along), (base_x + side * down, base_y + side * along)]
@@ -109,7 +185,12 @@ def head(parent: Element, kind: Kind, x: float, y: float, towards: tuple[int, in
 
 
 def bus(lane: float, ends: Sequence[tuple[float, float]]) -> str:
-    """Path from the highest end to the lane at x, along it, and out to the lowest end, with round corners."""
+    """Return the path from the highest end to the lane, along it, and out to the lowest end, with round corners.
+
+    Args:
+        lane: Position x of the lane, in px.
+        ends: Points (x, y) of the ends, in px.
+    """
     (x0, y0), *_, (x1, y1) = sorted(ends, key=lambda end: end[1])
     r = min(5.0, (y1 - y0) / 2)
     r0, r1 = (r if lane > x else -r for x in (x0, x1))
@@ -120,7 +201,12 @@ def bus(lane: float, ends: Sequence[tuple[float, float]]) -> str:
 
 
 def point(x: float, y: float) -> str:
-    """Coordinates as SVG paths have them."""
+    """Return coordinates as SVG paths have them.
+
+    Args:
+        x: Position in px.
+        y: Position in px.
+    """
     return f"{_px(x)} {_px(y)}"
 
 

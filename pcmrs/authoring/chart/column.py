@@ -1,11 +1,11 @@
-"""The states of one branch with all ports of its arrows and links; not yet placed."""
+"""The states of one branch with all ports of its arrows and links, before they are placed."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from pcmrs.authoring.chart.arrows import Arrow, Place, arrows
+from pcmrs.authoring.chart.arrows import Arrow, StateRef, arrows
 from pcmrs.authoring.chart.links import Link
 from pcmrs.authoring.chart.row import CAPTION_COLUMNS, Port, Row, row
 from pcmrs.authoring.chart.text import activity_line, flow
@@ -14,7 +14,7 @@ from pcmrs.fsm.blueprint import BranchSpec
 
 @dataclass(frozen=True, slots=True)
 class Lane:
-    """An arrow that runs beside the boxes: which lane from the inside, and its ports."""
+    """An arrow that runs beside the boxes: the number of its lane, from the inside, and its ports."""
 
     arrow: Arrow
     number: int
@@ -31,18 +31,24 @@ class Column:
         straight: For a state, the arrow down to the next one and the lines of its caption.
         entries: Arrows from any state, with their ports at the left.
         lanes: Arrows that run beside the boxes, at the right.
-        links: Ports of the links that end at a state, at the left.
+        links: Ports at the left, of the links that end at a state.
     """
 
     rows: dict[str, Row]
     straight: dict[str, tuple[Arrow, list[str]]]
     entries: list[tuple[Arrow, Port]]
     lanes: list[Lane]
-    links: dict[tuple[Link, Place], Port]
+    links: dict[tuple[Link, StateRef], Port]
 
 
 def column(name: str, branch: BranchSpec, links: Iterable[Link]) -> Column:
-    """Arranges the branch `name`; of `links`, those that end at one of its states."""
+    """Arrange the states of a branch.
+
+    Args:
+        name: Name of the branch.
+        branch: The branch.
+        links: Links of the chart; those that end at a state of this branch get ports.
+    """
     drawn = arrows(name, branch)
     order = {state: number for number, state in enumerate(branch.states)}
     loops = {arrow.target: arrow.words for arrow in drawn if arrow.loops}
@@ -61,19 +67,19 @@ def column(name: str, branch: BranchSpec, links: Iterable[Link]) -> Column:
 
 
 def caption(arrow: Arrow) -> list[str]:
-    """Lines of an arrow's caption."""
+    """Return the lines of an arrow's caption."""
     return flow(arrow.words, CAPTION_COLUMNS)
 
 
 def _steps_down(arrow: Arrow, order: Mapping[str, int]) -> bool:
-    """Whether it is an operation that leads from one state to the next in order."""
+    """Return true for an operation that leads from one state to the next in order."""
     if arrow.kind != "transition" or len(arrow.sources) != 1:
         return False
     return order[arrow.target] == order[arrow.sources[0]] + 1
 
 
 def _lanes(drawn: Sequence[Arrow], order: Mapping[str, int]) -> list[Lane]:
-    """Gives each arrow the innermost lane that is free over its whole length, short arrows first."""
+    """Give each arrow the innermost lane that is free over its whole length, short arrows first."""
     taken: list[int] = []
     lanes = []
     for arrow in sorted(drawn, key=lambda arrow: _rows_passed(arrow, order).bit_count()):
@@ -86,12 +92,12 @@ def _lanes(drawn: Sequence[Arrow], order: Mapping[str, int]) -> list[Lane]:
 
 
 def _rows_passed(arrow: Arrow, order: Mapping[str, int]) -> int:
-    """The rows that an arrow begins at, ends at or passes, a bit each."""
+    """Return the rows that an arrow begins at, ends at or passes, a bit each."""
     ends = [order[state] for state in (*arrow.sources, arrow.target)]
     return (2 << max(ends)) - (1 << min(ends))
 
 
-def _link_port(link: Link, place: Place) -> Port:
+def _link_port(link: Link, place: StateRef) -> Port:
     return Port(link, flow([link.label], CAPTION_COLUMNS) if place in link.heads else [])
 
 
@@ -99,9 +105,9 @@ def _fill_left(
     name: str,
     rows: dict[str, Row],
     entries: Iterable[tuple[Arrow, Port]],
-    ports: dict[tuple[Link, Place], Port],
+    ports: dict[tuple[Link, StateRef], Port],
 ) -> None:
-    """At each state what comes from above, then from any state, then what goes below."""
+    """Order the left ports of each state: lines from above, arrows from any state, then lines to below."""
     for from_above in (True, False):
         for (link, place), port in ports.items():
             parent = (link.heads if link.kind == "signal" else link.tails)[0].branch
@@ -112,7 +118,10 @@ def _fill_left(
 
 
 def _fill_right(rows: dict[str, Row], lanes: Iterable[Lane], order: Mapping[str, int]) -> None:
-    """At each state what goes up, inner lanes first, then what goes down, outer lanes first: fewest crossings."""
+    """Order the right ports of each state for the fewest crossings.
+
+    Upward arrows come first, inner lanes first; then downward arrows, outer lanes first.
+    """
     found: dict[str, list[tuple[int, int, Port]]] = {state: [] for state in order}
     for lane in lanes:
         ends = [*zip(lane.arrow.sources, lane.tails, strict=True), (lane.arrow.target, lane.head)]

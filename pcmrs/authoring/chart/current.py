@@ -1,4 +1,4 @@
-"""What can be drawn: how deep, and which states may be highlighted."""
+"""Limits of a chart: how deep it can be, and which states may be highlighted."""
 
 from __future__ import annotations
 
@@ -8,15 +8,19 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.fsm.blueprint import Blueprint
 
 MAX_LEVEL = 64
-"""Deepest level that is drawn; every one costs all others some width."""
+"""Deepest level that is drawn; each level takes some width from all others."""
 
 
 def check_current(blueprint: Blueprint, current: Mapping[str, str] | None) -> dict[str, str]:
-    """The states to highlight, branch to state.
+    """Return the states to highlight, branch to state.
+
+    Args:
+        blueprint: The workflow.
+        current: States to highlight, branch to state; None for none.
 
     Raises:
-        ConfigurationError: The workflow has no such branch or state; the text lists those it has. Or it is
-            nested too deep to be drawn.
+        ConfigurationError: The workflow has no such branch or state; the text lists those that it has. Or it is
+            nested too deeply to be drawn.
     """
     deepest = max(branch.level for branch in blueprint.branches.values())
     if deepest > MAX_LEVEL:

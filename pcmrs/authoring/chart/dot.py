@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping
 
-from pcmrs.authoring.chart.arrows import Kind, Place, edges
+from pcmrs.authoring.chart.arrows import Kind, StateRef, edges
 from pcmrs.authoring.chart.canvas import STROKES
 from pcmrs.authoring.chart.current import check_current
 from pcmrs.authoring.chart.links import Link, links
@@ -19,10 +19,10 @@ _HEADER = """digraph {id} {{
 
 
 def dot(blueprint: Blueprint, current: Mapping[str, str] | None = None) -> str:
-    """Writes the state chart for Graphviz.
+    """Return the state chart as Graphviz text.
 
     Args:
-        blueprint: A workflow that keeps the static rules.
+        blueprint: A workflow that obeys the static rules.
         current: States to highlight, branch to state.
 
     Raises:
@@ -44,15 +44,16 @@ def _cluster(blueprint: Blueprint, name: str, current: Mapping[str, str]) -> Ite
     yield f"  {_mark(name, 'start')} [shape=point, fillcolor=black, width=0.12];"
     for state, meaning in branch.states.items():
         looks = ', fillcolor="#ffe08a", penwidth=3' if current.get(name) == state else ""
-        yield f"  {_node(Place(name, state))} [label={_quoted(state, meaning, activity_line(branch, state))}{looks}];"
-    yield f"  {_mark(name, 'start')} -> {_node(Place(name, branch.start))};"
+        label = _quoted(state, meaning, activity_line(branch, state))
+        yield f"  {_node(StateRef(name, state))} [label={label}{looks}];"
+    yield f"  {_mark(name, 'start')} -> {_node(StateRef(name, branch.start))};"
     drawn = edges(name, branch)
     if not all(edge.sources for edge in drawn):
         yield f"  {_mark(name, 'any')} [shape=diamond, label=any, fontsize=9];"
     for edge in drawn:
-        begin = _node(Place(name, edge.sources[0])) if edge.sources else _mark(name, "any")
+        begin = _node(StateRef(name, edge.sources[0])) if edge.sources else _mark(name, "any")
         looks = f"label={_quoted(' '.join(edge.words))}, {_style(edge.kind)}"
-        yield f"  {begin} -> {_node(Place(name, edge.target))} [{looks}];"
+        yield f"  {begin} -> {_node(StateRef(name, edge.target))} [{looks}];"
     for child in blueprint.children[name]:
         yield from (f"  {line}" for line in _cluster(blueprint, child, current))
     yield "}"
@@ -61,14 +62,14 @@ def _cluster(blueprint: Blueprint, name: str, current: Mapping[str, str]) -> Ite
 def _link(blueprint: Blueprint, link: Link) -> Iterator[str]:
     looks = f"label={_quoted(link.label or 'revokes')}, {_style(link.kind)}"
     for tail, head in itertools.product(link.tails, link.heads):
-        begin, end = (_node(Place(p.branch, p.state or blueprint.branches[p.branch].start)) for p in (tail, head))
+        begin, end = (_node(StateRef(p.branch, p.state or blueprint.branches[p.branch].start)) for p in (tail, head))
         apart = not {tail.branch, head.branch} & {*_above(blueprint, tail), *_above(blueprint, head)}
         ends = (("ltail", tail), ("lhead", head)) if apart else ()  # no edge from a frame into the same frame
         whole = (f", {key}={_quoted(f'cluster_{place.branch}')}" for key, place in ends if not place.state)
         yield f"{begin} -> {end} [{looks}{''.join(whole)}];"
 
 
-def _above(blueprint: Blueprint, place: Place) -> Iterator[str]:
+def _above(blueprint: Blueprint, place: StateRef) -> Iterator[str]:
     parent = blueprint.branches[place.branch].parent
     while parent is not None:
         yield parent.branch
@@ -82,7 +83,7 @@ def _style(kind: Kind) -> str:
     return f'class={kind}, color="{stroke.colour}", style={style}, arrowhead={tip}'
 
 
-def _node(place: Place) -> str:
+def _node(place: StateRef) -> str:
     return _quoted(f"{place.branch}.{place.state}")
 
 
@@ -91,6 +92,6 @@ def _mark(name: str, what: str) -> str:
 
 
 def _quoted(*lines: str) -> str:
-    """A quoted string of lines, centred."""
+    """Return a quoted string of lines, centred."""
     escaped = (clean(line).replace("\\", "\\\\").replace('"', '\\"') for line in lines if line)
     return '"' + "\\n".join(escaped) + '"'

@@ -1,4 +1,4 @@
-"""The whole chart laid out: root branches side by side, the revocations' lines below them."""
+"""Layout of the whole chart: root branches side by side, the lines of revocations below them."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class Layout:
         roots: The branches of level 1.
         links: Lines between branches.
         buses: Height of each revocation's line below the branches.
-        width: Of all branches.
-        bottom: Lower edge of what is drawn.
+        width: Width of all branches.
+        bottom: Lower edge of the drawing.
     """
 
     panels: dict[str, Panel]
@@ -37,14 +37,14 @@ class Layout:
 
 
 def layout(blueprint: Blueprint) -> Layout:
-    """Lays out all branches and what joins them."""
+    """Lay out all branches and the lines between them."""
     joined = links(blueprint)
     x = MARGIN
     roots = []
     for name in blueprint.roots:
         roots.append(panel(blueprint, joined, name, x, HEADING + MARGIN))
         x += roots[-1].width + MARGIN
-    panels = {inner.name: inner for root in roots for inner in root.everything()}
+    panels = {inner.name: inner for root in roots for inner in root.walk()}
     crossing = [link for link in joined if sum(link in root.gutter for root in roots) > 1]
     lowest = max(root.y + root.height for root in roots)
     buses = {link: lowest + PITCH * (number + 1) for number, link in enumerate(crossing)}

@@ -1,4 +1,4 @@
-"""What the signs of a chart mean."""
+"""The legend of a chart."""
 
 from __future__ import annotations
 
@@ -27,7 +27,14 @@ Sample = Callable[[Element, float, float], None]
 
 
 def draw_legend(parent: Element, x: float, y: float, width: float) -> float:
-    """Draws the legend in lines of `width` px from the height `y` down; gives its lower edge."""
+    """Draw the legend and return its lower edge, in px.
+
+    Args:
+        parent: Element to append it to.
+        x: Left edge, in px.
+        y: Upper edge, in px.
+        width: Width of its lines, in px.
+    """
     into = group(parent, "legend")
     at = x
     for words, sample in _samples().items():
@@ -41,7 +48,7 @@ def draw_legend(parent: Element, x: float, y: float, width: float) -> float:
 
 
 def least_width() -> float:
-    """Width in px below which the legend cannot go."""
+    """Return the smallest width of the legend, in px."""
     return max(_SAMPLE + 8 + sans_width(words, _SIZE) + _GAP for words in _samples())
 
 

@@ -1,11 +1,11 @@
-"""What is drawn between branches: Rule 2, Rule 3 and revocations."""
+"""Links between branches: Rule 2, Rule 3 and revocations."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from pcmrs.authoring.chart.arrows import Kind, Place
+from pcmrs.authoring.chart.arrows import Kind, StateRef
 from pcmrs.fsm.blueprint import Blueprint
 
 
@@ -21,18 +21,18 @@ class Link:
     """
 
     kind: Kind
-    tails: tuple[Place, ...]
-    heads: tuple[Place, ...]
+    tails: tuple[StateRef, ...]
+    heads: tuple[StateRef, ...]
     label: str
 
     @property
-    def places(self) -> tuple[Place, ...]:
-        """All that it joins."""
+    def places(self) -> tuple[StateRef, ...]:
+        """All places that it joins."""
         return (*self.tails, *self.heads)
 
 
 def links(blueprint: Blueprint) -> list[Link]:
-    """All links of a workflow: child states to the parent's operations, parent states to RIOs, revocations."""
+    """Return all links of a workflow: child states to the parent's operations, parent states to RIOs, revocations."""
     return [link for name in blueprint.branches for link in (*_rules(blueprint, name), *_revocations(blueprint, name))]
 
 
@@ -42,15 +42,15 @@ def _rules(blueprint: Blueprint, name: str) -> Iterator[Link]:
         return
     above = branch.parent.branch
     for called in dict.fromkeys(branch.emits.values()):
-        tails = tuple(Place(name, state) for state in branch.states if branch.emits.get(state) == called)
+        tails = tuple(StateRef(name, state) for state in branch.states if branch.emits.get(state) == called)
         reached = blueprint.branches[above].operations[called].targets()
-        heads = tuple(Place(above, state) for state in blueprint.branches[above].states if state in reached)
+        heads = tuple(StateRef(above, state) for state in blueprint.branches[above].states if state in reached)
         yield Link("signal", tails, heads, called)
-    yield Link("call", (Place(above, branch.parent.start),), (Place(name, branch.start),), branch.rio or "")
+    yield Link("call", (StateRef(above, branch.parent.start),), (StateRef(name, branch.start),), branch.rio or "")
 
 
 def _revocations(blueprint: Blueprint, name: str) -> Iterator[Link]:
     for by in dict.fromkeys(tuple(rule.by) for rule in blueprint.branches[name].revocations):
-        tails = tuple(Place(other, "") for other in by if other != name)
+        tails = tuple(StateRef(other, "") for other in by if other != name)
         if tails:
-            yield Link("revocation", tails, (Place(name, ""),), "")
+            yield Link("revocation", tails, (StateRef(name, ""),), "")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping
 
-from pcmrs.authoring.chart.arrows import Place, edges
+from pcmrs.authoring.chart.arrows import StateRef, edges
 from pcmrs.authoring.chart.current import check_current
 from pcmrs.authoring.chart.links import Link, links
 from pcmrs.authoring.chart.text import activity_line, clean
@@ -19,10 +19,10 @@ _SPECIAL = re.compile(r"[^\w ,.()/=*+-]")
 
 
 def mermaid(blueprint: Blueprint, current: Mapping[str, str] | None = None) -> str:
-    """Writes the state chart for Mermaid.
+    """Return the state chart as Mermaid text.
 
     Args:
-        blueprint: A workflow that keeps the static rules.
+        blueprint: A workflow that obeys the static rules.
         current: States to highlight, branch to state.
 
     Raises:
@@ -32,7 +32,7 @@ def mermaid(blueprint: Blueprint, current: Mapping[str, str] | None = None) -> s
     regions = _regions(list(_composite(blueprint, name)) for name in blueprint.roots)
     lines = [f'state "{_escaped(blueprint.title or blueprint.id)}" as WORKFLOW {{', *_indented(regions), "}"]
     lines += ["classDef current fill:#ffe08a,stroke:#1a1a1a,stroke-width:3px"]
-    lines += [f"class {_id(Place(name, state))} current" for name, state in highlighted.items()]
+    lines += [f"class {_id(StateRef(name, state))} current" for name, state in highlighted.items()]
     return "\n".join(["stateDiagram-v2", *_indented(lines), ""])
 
 
@@ -48,27 +48,27 @@ def _states(blueprint: Blueprint, name: str) -> Iterator[str]:
     branch = blueprint.branches[name]
     for state, meaning in branch.states.items():
         label = f"{state} ({meaning})" if meaning else state
-        yield f'state "{_escaped(label)}" as {_id(Place(name, state))}'
+        yield f'state "{_escaped(label)}" as {_id(StateRef(name, state))}'
         if state in branch.activities:
-            yield f"note right of {_id(Place(name, state))} : {_escaped(activity_line(branch, state))}"
+            yield f"note right of {_id(StateRef(name, state))} : {_escaped(activity_line(branch, state))}"
     drawn = edges(name, branch)
     if not all(edge.sources for edge in drawn):
         yield f'state "any state" as {name}_ANY'
-    yield f"[*] --> {_id(Place(name, branch.start))}"
+    yield f"[*] --> {_id(StateRef(name, branch.start))}"
     for edge in drawn:
-        begin = _id(Place(name, edge.sources[0])) if edge.sources else f"{name}_ANY"
-        yield f"{begin} --> {_id(Place(name, edge.target))} : {_escaped(' '.join(edge.words))}"
+        begin = _id(StateRef(name, edge.sources[0])) if edge.sources else f"{name}_ANY"
+        yield f"{begin} --> {_id(StateRef(name, edge.target))} : {_escaped(' '.join(edge.words))}"
     for link in links(blueprint):
         yield from _notes(link, name)
 
 
 def _notes(link: Link, name: str) -> Iterator[str]:
-    """What a link says at its beginnings in this branch; a revocation's arrow says it all."""
+    """Return the notes of a link at its beginnings in this branch; a revocation needs none, since it has an arrow."""
     heads = ", ".join(f"{place.branch} {place.state}" for place in link.heads)
-    said = {"signal": f"Rule 2, calls {link.label} ({heads})", "call": f"Rule 3, calls {link.label} ({heads})"}
+    texts = {"signal": f"Rule 2, calls {link.label} ({heads})", "call": f"Rule 3, calls {link.label} ({heads})"}
     for place in link.tails:
         if place.branch == name and place.state:
-            yield f"note right of {_id(place)} : {_escaped(said[link.kind])}"
+            yield f"note right of {_id(place)} : {_escaped(texts[link.kind])}"
 
 
 def _regions(parts: Iterable[list[str]]) -> Iterator[str]:
@@ -82,10 +82,10 @@ def _indented(lines: Iterable[str]) -> Iterator[str]:
     return (f"  {line}" for line in lines)
 
 
-def _id(place: Place) -> str:
+def _id(place: StateRef) -> str:
     return f"{place.branch}_IS_{place.state}"
 
 
 def _escaped(text: str) -> str:
-    """Text with all that has a meaning in Mermaid as entity codes."""
+    """Return the text with every character that has a meaning in Mermaid as an entity code."""
     return _SPECIAL.sub(lambda found: f"#{ord(found[0])};", clean(text))

@@ -1,8 +1,8 @@
 """One branch in a chart, laid out in a frame.
 
-From left to right: the gutter with the lanes of links, captions of what comes from there or from any
-state, the boxes, captions of arrows at their heads, the lanes of arrows. The branches that refine one of
-its states stand below, inside its frame and right of the gutter.
+From left to right: the gutter with the lanes of links, captions of lines from there or from any
+state, the boxes, captions of arrows at their heads, the lanes of arrows. Branches that refine one of
+its states are below, inside its frame and right of the gutter.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from pcmrs.authoring.chart.arrows import Place
+from pcmrs.authoring.chart.arrows import StateRef
 from pcmrs.authoring.chart.column import Column, column
 from pcmrs.authoring.chart.links import Link
 from pcmrs.authoring.chart.row import LABEL, LINE, Port
@@ -39,8 +39,8 @@ TITLE_LINE = 16.0
 _GAP, _BESIDE, _INDENT = 16.0, 14.0, 8.0
 
 
-class Across(NamedTuple):
-    """Where the parts of a panel begin, from left to right, in px.
+class PanelColumns(NamedTuple):
+    """Positions of the parts of a panel, from left to right, in px.
 
     Attributes:
         labels: Captions of links and of arrows from any state; headings; frames of the branches inside.
@@ -70,7 +70,7 @@ class Panel:
         y: Upper edge.
         width: Width of the frame.
         height: Height of the frame.
-        across: Where its parts begin.
+        columns: Positions of its parts.
         gutter: Lane of each link that runs in it.
         bars: Height at which each revocation meets the heading.
         children: Branches that refine one of its states.
@@ -84,47 +84,55 @@ class Panel:
     y: float
     width: float
     height: float
-    across: Across
+    columns: PanelColumns
     gutter: dict[Link, float]
     bars: dict[Link, float]
     children: list[Panel]
 
-    def everything(self) -> list[Panel]:
-        """This panel and all inside it."""
-        return [self, *(inner for child in self.children for inner in child.everything())]
+    def walk(self) -> list[Panel]:
+        """Return this panel and all panels inside it."""
+        return [self, *(inner for child in self.children for inner in child.walk())]
 
 
 def panel(blueprint: Blueprint, links: Sequence[Link], name: str, x: float, y: float) -> Panel:
-    """Lays out a branch and those that refine it, from the upper left corner of its frame."""
+    """Lay out a branch and those that refine it.
+
+    Args:
+        blueprint: The workflow.
+        links: Links of the chart.
+        name: Name of the branch.
+        x: Left edge of its frame, in px.
+        y: Upper edge of its frame, in px.
+    """
     branch = blueprint.branches[name]
     title, subtitle = _heading(name, branch)
     here = column(name, branch, (link for link in links if link.kind != "revocation"))
     gutter = _tracks((link for link in links if _runs_in(blueprint, link, name)), x + PAD)
-    bars = _tracks((link for link in links if Place(name, "") in link.places), y + PAD)
-    across = _across(here, x + 2 * PAD + PITCH * len(gutter))
+    bars = _tracks((link for link in links if StateRef(name, "") in link.places), y + PAD)
+    columns = _columns(here, x + 2 * PAD + PITCH * len(gutter))
     bottom = _stack(here, y + PAD + max(TITLE_LINE * len(title) + LINE, PITCH * (len(bars) + 1)) + START + 4)
     children = []
     for child in blueprint.children[name]:
-        children.append(panel(blueprint, links, child, across.labels, bottom + PAD))
+        children.append(panel(blueprint, links, child, columns.labels, bottom + PAD))
         bottom = children[-1].y + children[-1].height
     heading = max(mono_width(subtitle, LABEL), *(BOLD * sans_width(line, TITLE) for line in title))
-    ends = (across.end, across.labels + heading, *(child.x + child.width for child in children))
+    ends = (columns.end, columns.labels + heading, *(child.x + child.width for child in children))
     size = (max(ends) + PAD - x, bottom + PAD - y)
-    return Panel(name, title, subtitle, here, x, y, *size, across, gutter, bars, children)
+    return Panel(name, title, subtitle, here, x, y, *size, columns, gutter, bars, children)
 
 
 def _tracks(links: Iterable[Link], begin: float) -> dict[Link, float]:
     return {link: begin + PITCH * (number + 0.5) for number, link in enumerate(links)}
 
 
-def _across(here: Column, labels: float) -> Across:
+def _columns(here: Column, labels: float) -> PanelColumns:
     boxes = labels + widest(port.width + _BESIDE + PAD for port in _captions(here, "left"))
     captions = (line for _, lines in here.straight.values() for line in lines)
     straight = widest(STRAIGHT_X + _INDENT + mono_width(line, LABEL) for line in captions)
     width = max(straight, widest(row.width for row in here.rows.values()))
     lanes = boxes + width + _BESIDE + PITCH + widest(port.width for port in _captions(here, "right"))
     count = max((lane.number + 1 for lane in here.lanes), default=0)
-    return Across(labels, boxes, width, lanes, lanes + PITCH * count if count else boxes + width)
+    return PanelColumns(labels, boxes, width, lanes, lanes + PITCH * count if count else boxes + width)
 
 
 def _heading(name: str, branch: BranchSpec) -> tuple[list[str], str]:
@@ -133,7 +141,10 @@ def _heading(name: str, branch: BranchSpec) -> tuple[list[str], str]:
 
 
 def _runs_in(blueprint: Blueprint, link: Link, name: str) -> bool:
-    """Rules 2 and 3 run in the parent's gutter, revocations in those of the root branches."""
+    """Return true if a link runs in the gutter of a branch.
+
+    Links of Rules 2 and 3 run in the parent's gutter, revocations in those of the root branches.
+    """
     if link.kind == "revocation":
         return any(name == _root(blueprint, place.branch) for place in link.places)
     return name == (link.heads if link.kind == "signal" else link.tails)[0].branch
@@ -149,7 +160,7 @@ def _captions(here: Column, side: str) -> Iterable[Port]:
 
 
 def _stack(here: Column, y: float) -> float:
-    """Places the rows from `y` down, with room between them for straight arrows; gives the lower edge."""
+    """Place the rows from `y` down, with room between them for straight arrows, and return the lower edge."""
     bottom = y
     for state, row in here.rows.items():
         row.place(y)

@@ -1,4 +1,4 @@
-"""The same picture as pixels."""
+"""The state chart as a PNG picture."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MAX_PIXELS = 100_000_000
 """Largest picture; it takes 4 bytes per pixel in memory."""
 
 _MONOSPACE = (None, "DejaVu Sans Mono", "Liberation Mono")
-"""What the generic name stands for: the renderer's own choice, None, is not there on every system."""
+"""Fonts to try for the generic name. The renderer's own choice, None, does not exist on every system."""
 
 _SAMPLE = (
     '<svg xmlns="http://www.w3.org/2000/svg" width="20" height="20">'
@@ -24,13 +24,13 @@ _SAMPLE = (
 
 
 def png(svg: str) -> bytes:
-    """Renders a chart with the system's fonts, `ZOOM` pixels for each px of the drawing.
+    """Return a chart as PNG, drawn with the system's fonts, `ZOOM` pixels for each px of the drawing.
 
     Raises:
         ConfigurationError: The renderer is not installed, there is no font, so that the names would be missing, or the
             picture is too large.
     """
-    root = ElementTree.fromstring(svg)  # noqa: S314  # we have drawn it
+    root = ElementTree.fromstring(svg)  # noqa: S314  # drawn by this package
     pixels = float(root.attrib["width"]) * float(root.attrib["height"]) * ZOOM**2
     if pixels > MAX_PIXELS:
         text = f"the picture would have {pixels / 1e6:.0f} million pixels; {MAX_PIXELS / 1e6:.0f} are possible: use svg"
@@ -42,7 +42,7 @@ def png(svg: str) -> bytes:
 
 
 def _shows_text(font: str | None) -> bool:
-    """Whether text shows at all; the renderer leaves it out in silence where there is no font."""
+    """Return true if text is drawn: without a font, the renderer silently leaves it out."""
     texts = (_SAMPLE.format("M"), _SAMPLE.format(""))
     written, blank = (_pixels(text, font) for text in texts)
     return written != blank

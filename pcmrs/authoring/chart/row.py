@@ -1,6 +1,6 @@
 """One state in a chart: its box, and the ports where lines end at its left and right edge.
 
-Every line has a port of its own, as high as its caption, so that neither lines nor captions meet.
+Every line has its own port, as high as its caption, so that neither lines nor captions meet.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ _BARE, _AROUND, _MARGIN = 9.0, 8.0, 12.0
 
 @dataclass(slots=True)
 class Port:
-    """Where a line ends at a box: its caption stands above it.
+    """End of a line at a box, with the caption above it.
 
     Attributes:
-        line: Which line, unique in the chart.
-        caption: Lines of text; empty where a line only leaves.
+        line: Identity of the line, unique in the chart.
+        caption: Lines of text; empty for a line that only leaves.
         y: Height of the line in the chart, in px, once it is placed.
     """
 
@@ -53,7 +53,7 @@ class Row:
     Attributes:
         state: Its name.
         meaning: Lines of its meaning.
-        activity: What goes on in it, a line; empty where nothing does.
+        activity: Line about its activity; empty if it has none.
         loops: Lines with the operations that keep it.
         left: Ports at the left edge, from the top.
         right: Ports at the right edge, from the top.
@@ -90,7 +90,7 @@ class Row:
         return NAME + LINE * lines + 3 * bool(self.loops)
 
     def place(self, y: float) -> None:
-        """Puts the box at `y`, as high as its texts and ports need, and the ports along its edges."""
+        """Place the box at `y`, as high as its texts and ports need, and the ports along its edges."""
         self.y = y
         self.height = max(self.text_height + 14, *(_total(ports) + 4 for ports in (self.left, self.right)))
         for ports in (self.left, self.right):
@@ -101,7 +101,14 @@ class Row:
 
 
 def row(state: str, meaning: str, activity: str, loops: Sequence[str]) -> Row:
-    """A state without ports, from its texts; `loops` are the operations that keep it."""
+    """Return a state without ports.
+
+    Args:
+        state: Its name.
+        meaning: Its meaning.
+        activity: The line about its activity; may be empty.
+        loops: The operations that keep it.
+    """
     lines = wrap(clean(meaning), MEANING_COLUMNS, MEANING_LINES)
     return Row(cut(clean(state), NAME_COLUMNS), lines, cut(clean(activity), NAME_COLUMNS), flow(loops, CAPTION_COLUMNS))
 

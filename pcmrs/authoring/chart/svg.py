@@ -8,24 +8,23 @@ from xml.etree.ElementTree import Element, SubElement
 
 from pcmrs.authoring.chart.canvas import box, sans
 from pcmrs.authoring.chart.current import check_current
-from pcmrs.authoring.chart.figure import draw_panel
+from pcmrs.authoring.chart.figure import draw_link, draw_panel
 from pcmrs.authoring.chart.layout import MARGIN, layout
 from pcmrs.authoring.chart.legend import draw_legend, least_width
 from pcmrs.authoring.chart.text import BOLD, clean, cut, sans_width
-from pcmrs.authoring.chart.wiring import draw_link
 from pcmrs.fsm.blueprint import Blueprint
 
 _TITLE = 17
 
 
 def svg(blueprint: Blueprint, current: Mapping[str, str] | None = None) -> str:
-    """Draws the state chart of a workflow.
+    """Return the state chart of a workflow as SVG.
 
     Every state is a group of class ``state`` (``state current`` if highlighted) with the id
     ``state-<branch>-<state>`` and the attributes ``data-branch`` and ``data-state``.
 
     Args:
-        blueprint: A workflow that keeps the static rules.
+        blueprint: A workflow that obeys the static rules.
         current: States to highlight, branch to state.
 
     Returns:

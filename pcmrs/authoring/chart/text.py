@@ -1,4 +1,4 @@
-"""Texts of a chart: made fit for XML, measured without a font, wrapped and cut."""
+"""Texts of a chart: cleaned for XML, measured without a font, wrapped and cut."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MONO_EM = 0.602
 """Advance of a glyph in em: the same in nearly all monospaced fonts, so that names are measured exactly."""
 
 BOLD = 1.1
-"""How much wider bold text is."""
+"""Width of bold text relative to regular text."""
 
 _ILLEGAL = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _WIDE = frozenset("mwMW@%&—…")
@@ -24,32 +24,58 @@ _NARROW = frozenset("iljtfr.,:;'|!()[] ")
 
 
 def clean(text: str) -> str:
-    """The text on one line, with what XML cannot hold replaced by U+FFFD."""
+    """Return the text on one line, with U+FFFD for characters that XML cannot hold."""
     return " ".join(_ILLEGAL.sub("\ufffd", text).split())
 
 
 def mono_width(text: str, size: float) -> float:
-    """Width of monospaced text in the unit of `size`."""
+    """Return the width of monospaced text in the unit of `size`.
+
+    Args:
+        text: The text.
+        size: Font size.
+    """
     return MONO_EM * size * sum(_columns(character) for character in text)
 
 
 def sans_width(text: str, size: float) -> float:
-    """Width that proportional text has at most in the usual fonts, in the unit of `size`."""
+    """Return the largest width of proportional text in the usual fonts, in the unit of `size`.
+
+    Args:
+        text: The text.
+        size: Font size.
+    """
     return size * sum(map(_sans_em, text))
 
 
 def cut(text: str, columns: int) -> str:
-    """The text, or as much as fits in `columns` characters with an ellipsis."""
+    """Return the text, or as much of it as fits, with an ellipsis.
+
+    Args:
+        text: The text.
+        columns: Width in characters.
+    """
     return text if len(text) <= columns else text[: columns - 1] + "…"
 
 
 def wrap(text: str, columns: int, lines: int) -> list[str]:
-    """Text in at most `lines` lines of `columns` characters; an ellipsis shows that more was there."""
+    """Return the text in lines; an ellipsis shows that more was there.
+
+    Args:
+        text: The text.
+        columns: Width of a line in characters.
+        lines: Largest number of lines.
+    """
     return textwrap.wrap(text, columns, max_lines=lines, placeholder="…")
 
 
 def flow(words: Sequence[str], columns: int) -> list[str]:
-    """Words in as many lines as they need; one longer than a line is broken at its spaces, then cut."""
+    """Return words in as many lines as they need; one longer than a line is broken at its spaces, then cut.
+
+    Args:
+        words: Pieces of text that should stay unbroken.
+        columns: Width of a line in characters.
+    """
     lines: list[str] = []
     pieces = (piece for word in words for piece in ([word] if len(word) <= columns else word.split()))
     for word in (cut(clean(piece), columns) for piece in pieces):
@@ -61,13 +87,18 @@ def flow(words: Sequence[str], columns: int) -> list[str]:
 
 
 def activity_line(branch: BranchSpec, state: str) -> str:
-    """What goes on in a state, as UML writes it: ``do / follow_head``; empty where nothing does."""
+    """Return the activity of a state, as UML writes it: ``do / follow_head``; empty if it has none.
+
+    Args:
+        branch: The branch.
+        state: One of its states.
+    """
     activity = branch.activities.get(state)
     return "" if activity is None else f"do / {activity.run}"
 
 
 def widest(widths: Iterable[float]) -> float:
-    """The largest, 0 if there is none."""
+    """Return the largest value, or 0 if there is none."""
     return max(widths, default=0.0)
 
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from pcmrs.authoring.design.asking import Ask, answer
-from pcmrs.authoring.design.branches import Designed, root_branches
-from pcmrs.authoring.design.check import check_table, paths_of
+from pcmrs.authoring.design.branches import DesignedBranch, root_branches
+from pcmrs.authoring.design.check import Ask, check_table, fill_in, paths_of
 from pcmrs.authoring.design.count import Combinations, Impossible, count_combinations, excess_of
 from pcmrs.authoring.design.grouping import Group, UndesignableError, root_groups
 from pcmrs.authoring.design.hazards import GuardedOrder, hazards_in
@@ -19,7 +18,7 @@ from pcmrs.errors import BlueprintError
 from pcmrs.fsm.blueprint import Blueprint, Requirement
 from pcmrs.fsm.files.dump import blueprint_toml
 from pcmrs.fsm.files.load import examine
-from pcmrs.fsm.files.places import Places, placed
+from pcmrs.fsm.files.places import Places, with_locations
 from pcmrs.fsm.files.toml import convert, read_toml
 from pcmrs.fsm.finding import Finding, Path
 from pcmrs.fsm.verify import MAX_JOINT_STATES
@@ -31,13 +30,13 @@ HEAD = "Designed from a step table by `pcmrs fsm design`: change the table, not 
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """What came out of a step table.
+    """Result of designing a workflow from a step table.
 
     Attributes:
-        text: The blueprint's file; empty where there are findings.
-        combinations: Of the level 1 steps; None where the table has faults.
-        findings: All that is wrong, with the place in the step table; empty for a sound blueprint.
-        readable: Whether the file is a step table at all.
+        text: The blueprint's file; empty if there are findings.
+        combinations: Combinations of the level 1 steps; None if the table has faults.
+        findings: All faults, with their places in the step table; empty for a sound blueprint.
+        readable: The file is a step table.
     """
 
     text: str = ""
@@ -53,12 +52,12 @@ def design(
     progress: Callable[[int, int], None] | None = None,
     ask: Ask | None = None,
 ) -> Design:
-    """Designs the blueprint of a step table and verifies it.
+    """Design the blueprint of a step table and verify it.
 
     Args:
         raw: The file.
-        origin: How findings call it.
-        ask: Asked for what an operation does to the patient, where the table does not say it: gets the operation and
+        origin: Name of the file in findings.
+        ask: Called for each operation whose effect on the patient the table does not declare: gets the operation and
             returns the keys that are true. Without it such a table is refused.
         progress: See `pcmrs.fsm.verify.verify`.
     """
@@ -66,17 +65,17 @@ def design(
         content, places = read_toml(raw, origin)
         table = convert(content, StepTable, places)
         if ask is not None:
-            answer(content, table, ask)
+            fill_in(content, table, ask)
             table = convert(content, StepTable, places)
     except BlueprintError as error:
         return Design(findings=error.fields["findings"], readable=False)
     faults = list(check_table(table))
     if faults:
-        return Design(findings=placed(faults, places))
+        return Design(findings=with_locations(faults, places))
     try:
         return _design(table, places, progress)
     except UndesignableError as error:
-        return Design(findings=placed([error.finding], places))
+        return Design(findings=with_locations([error.finding], places))
 
 
 def _design(table: StepTable, places: Places, progress: Callable[[int, int], None] | None) -> Design:
@@ -85,12 +84,12 @@ def _design(table: StepTable, places: Places, progress: Callable[[int, int], Non
     combinations = count_combinations([group.order for group in groups])
     _check_count(combinations)
     branches = [branch for group in groups for branch in root_branches(group, paths)]
-    branches += _added(table, groups)
+    branches += _safety_branches(table, groups)
     _check_names(branches)
     text = blueprint_toml(_blueprint(table, groups, branches), comment=HEAD)
     examination = examine(text.encode(), origin="blueprint", progress=progress)
     excess = excess_of(examination, len(text.encode()), branches)
-    findings = placed([excess] if excess else _traced(examination.findings, branches), places)
+    findings = with_locations([excess] if excess else _at_their_steps(examination.findings, branches), places)
     return Design("" if findings else text, combinations, findings)
 
 
@@ -98,21 +97,21 @@ def _check_count(combinations: Combinations) -> None:
     if combinations.possible > MAX_JOINT_STATES:
         text = (
             f"The steps allow {combinations.possible} combinations, the limit is {MAX_JOINT_STATES}: "
-            "say what depends on what, or refine some steps."
+            "declare more dependencies, or refine some steps."
         )
         raise UndesignableError(Finding(code="step_count", text=text, path=("steps",)))
 
 
-def _check_names(branches: Iterable[Designed]) -> None:
+def _check_names(branches: Iterable[DesignedBranch]) -> None:
     seen: set[str] = set()
     for branch in branches:
         if branch.name in seen:
-            text = f"There would be two branches {branch.name!r}: give the steps that are not connected different ones."
+            text = f"There would be two branches {branch.name!r}: give steps that are not connected different branches."
             raise UndesignableError(Finding(code="name_collision", text=text, path=branch.path))
         seen.add(branch.name)
 
 
-def _blueprint(table: StepTable, groups: Sequence[Group], branches: Iterable[Designed]) -> Blueprint:
+def _blueprint(table: StepTable, groups: Sequence[Group], branches: Iterable[DesignedBranch]) -> Blueprint:
     return Blueprint(
         id=table.id,
         version=table.version,
@@ -122,8 +121,8 @@ def _blueprint(table: StepTable, groups: Sequence[Group], branches: Iterable[Des
     )
 
 
-def _added(table: StepTable, groups: Iterable[Group]) -> Iterator[Designed]:
-    """The connection of the robot where anything moves it, and the release of Stop where that bars anything."""
+def _safety_branches(table: StepTable, groups: Iterable[Group]) -> Iterator[DesignedBranch]:
+    """Return the branches for the connection of the robot and for the release of Stop, if they are needed."""
     hazards = list(hazards_in(step for _, step in paths_of(table.steps)))
     if any(hazard.moves for hazard in hazards):
         orders = {group.name: group.order for group in groups}
@@ -132,13 +131,13 @@ def _added(table: StepTable, groups: Iterable[Group]) -> Iterator[Designed]:
             for name, order in orders.items()
             if isinstance(order, GuardedOrder) and order.moving
         }
-        yield Designed(ROBOT, robot_branch(safe), ("steps",))
+        yield DesignedBranch(ROBOT, robot_branch(safe), ("steps",))
     if any(hazard.counts or hazard.confirm for hazard in hazards):
-        yield Designed(SAFETY, safety_branch(), ("steps",))
+        yield DesignedBranch(SAFETY, safety_branch(), ("steps",))
 
 
-def _traced(findings: Iterable[Finding], branches: Iterable[Designed]) -> list[Finding]:
-    """The findings of the blueprint, each at the step that is the reason for it."""
+def _at_their_steps(findings: Iterable[Finding], branches: Iterable[DesignedBranch]) -> list[Finding]:
+    """Return the findings of the blueprint, each at the step that causes it."""
     origins: dict[Path, Path] = {}
     for branch in branches:
         path = ("branches", branch.name)
@@ -148,7 +147,7 @@ def _traced(findings: Iterable[Finding], branches: Iterable[Designed]) -> list[F
 
 
 def _origin(path: Path, origins: Mapping[Path, Path]) -> Path:
-    """Where the table has it; `id`, `version` and `title` are named alike in both."""
+    """Return the path in the table; `id`, `version` and `title` have the same path in both."""
     while len(path) > 1 and path not in origins:
         path = path[:-1]
     return origins.get(path, path)

@@ -1,4 +1,4 @@
-"""From the steps of a branch to its specification, and to those of the branches that refine its steps."""
+"""Makes the specification of a branch from its steps, and those of the branches that refine its steps."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
-from pcmrs.authoring.design.commands import REINIT, Command, check_commands, commands_of
+from pcmrs.authoring.design.commands import REINIT, StepOperation, check_operations, operations_of
 from pcmrs.authoring.design.grouping import Group, UndesignableError
 from pcmrs.authoring.design.hazards import GuardedOrder
 from pcmrs.authoring.design.operations import Operations, reinit_of
@@ -19,28 +19,28 @@ from pcmrs.fsm.finding import Path
 
 
 @dataclass(frozen=True, slots=True)
-class Designed:
+class DesignedBranch:
     """One branch.
 
     Attributes:
-        name: Of the branch.
-        spec: The branch.
-        path: The step in the table that it comes from.
-        commands: What its operations come from.
+        name: Name of the branch.
+        spec: Its specification.
+        path: Path of its step in the table.
+        commands: The operations that its steps ask for.
     """
 
     name: str
     spec: BranchSpec
     path: Path
-    commands: Sequence[Command] = ()
+    commands: Sequence[StepOperation] = ()
 
 
-def root_branches(group: Group, paths: Mapping[str, Path]) -> Iterator[Designed]:
-    """The branch of a group of steps, then those that refine them, each before its own refinements.
+def root_branches(group: Group, paths: Mapping[str, Path]) -> Iterator[DesignedBranch]:
+    """Return the branch of a group of steps, then those that refine them, each before its own refinements.
 
     Args:
         group: The steps.
-        paths: Where each step is in the table.
+        paths: Path of each step in the table.
 
     Raises:
         UndesignableError: Operations collide, or a refinement is too large.
@@ -50,9 +50,9 @@ def root_branches(group: Group, paths: Mapping[str, Path]) -> Iterator[Designed]
 
 def _branches(
     group: Group, refinements: Sequence[Refinement], paths: Mapping[str, Path], above: Requirement, level: int
-) -> Iterator[Designed]:
-    order, commands = group.order, list(commands_of(group, paths))
-    for finding in check_commands(group, commands):
+) -> Iterator[DesignedBranch]:
+    order, commands = group.order, list(operations_of(group, paths))
+    for finding in check_operations(group, commands):
         raise UndesignableError(finding)
     spec = BranchSpec(
         level=level,
@@ -62,14 +62,14 @@ def _branches(
         operations=Operations(order, refinements, above, refines=level > 1).made(commands),
         revocations=_when_lost(order),
     )
-    yield Designed(group.name, spec, paths[order.steps[0].name], commands)
+    yield DesignedBranch(group.name, spec, paths[order.steps[0].name], commands)
     for refinement in refinements:
         calm = above | resting_on(refinement.step, refinements, order, signalled=True)
         yield from _refining(refinement, group, paths, calm, level + 1)
 
 
 def _when_lost(order: Order) -> list[RevocationSpec]:
-    """Where the robot was at the patient when it is lost, nobody knows that any more."""
+    """Return the revocations after a loss of the robot: what was at the patient is then unknown."""
     if not isinstance(order, GuardedOrder):
         return []
     moved = (each for each in order.combinations if each & order.moving)
@@ -78,13 +78,13 @@ def _when_lost(order: Order) -> list[RevocationSpec]:
 
 def _refining(
     refinement: Refinement, owner: Group, paths: Mapping[str, Path], above: Requirement, level: int
-) -> Iterator[Designed]:
+) -> Iterator[DesignedBranch]:
     step = owner.order.steps[refinement.step]
     if refinement.group is None:
         # Expanding the sequence makes the plain re-initiation.
         operations = {REINIT: reinit_of(refinement.start, above, {})} if above else {}
         spec = BranchSpec(level=level, title=refinement.title, sequence=refinement.sequence, operations=operations)
-        branches = iter([Designed(refinement.name, spec, paths[step.name])])
+        branches = iter([DesignedBranch(refinement.name, spec, paths[step.name])])
     else:
         branches = _branches(refinement.group, refinement.below, paths, above, level)
     first = next(branches)

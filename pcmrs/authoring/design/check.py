@@ -1,24 +1,30 @@
-"""What is wrong with a step table: names, dependencies, refinements."""
+"""Checks of a step table: names, dependencies, refinements; and questions about what it leaves open."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from graphlib import CycleError, TopologicalSorter
+from typing import Any
 
 from pcmrs.authoring.design.hazards import hazard_of, ways_of
-from pcmrs.authoring.design.table import ActionSpec, StepSpec, StepTable
-from pcmrs.fsm.finding import Finding, Path
+from pcmrs.authoring.design.table import DECLARATIONS, ActionSpec, StepSpec, StepTable
+from pcmrs.fsm.finding import Finding, Path, hint
 
 MAX_STEPS = 256
 TOP = 2
-"""Keys to a step of the first level."""
+"""Number of keys in the path of a step of the first level."""
 
 MAX_STEPS_OF_A_BRANCH = 32
 """A state's name has one digit for each step and at most 32 characters."""
 
 
 def paths_of(steps: Sequence[StepSpec], above: Path = ()) -> Iterator[tuple[Path, StepSpec]]:
-    """All steps, those of refinements too, and where in the table they are."""
+    """Return all steps, those of refinements too, with their paths in the table.
+
+    Args:
+        steps: Steps of one level.
+        above: Path of the step that they refine.
+    """
     for i, step in enumerate(steps):
         path = (*above, "steps", str(i))
         yield path, step
@@ -27,7 +33,7 @@ def paths_of(steps: Sequence[StepSpec], above: Path = ()) -> Iterator[tuple[Path
 
 
 def check_table(table: StepTable) -> Iterator[Finding]:
-    """All that can be said before the steps are grouped into branches."""
+    """Return the findings that do not depend on the grouping of steps into branches."""
     found = list(paths_of(table.steps))
     if not 1 <= len(found) <= MAX_STEPS:
         text = f"The table has {len(found)} steps; it must have 1 to {MAX_STEPS}."
@@ -44,10 +50,10 @@ def check_table(table: StepTable) -> Iterator[Finding]:
 
 
 def undeclared(table: StepTable) -> Iterator[tuple[Path, str, ActionSpec]]:
-    """The actions that say nothing of what they do to the patient: place in the table, operation, action.
+    """Return the actions that do not declare their effect on the patient: path in the table, operation, action.
 
-    A step that other steps refine does nothing itself; an alternative is as its step; what takes a step back without
-    `steps` is a mere report.
+    A refined step does nothing itself; an alternative inherits from its step; an operation that takes a step back
+    without `steps` is a mere report.
     """
     for path, step in paths_of(table.steps):
         if not (step.declared or (step.refined_by is not None and step.refined_by.points is None)):
@@ -61,25 +67,25 @@ def _doubled(found: Sequence[tuple[Path, StepSpec]]) -> Iterator[Finding]:
     seen: set[str] = set()
     for path, step in found:
         if step.name in seen:
-            text = f"The step {step.name!r} is there twice: every step, refining ones too, needs its own name."
+            text = f"There are two steps {step.name!r}: every step, also in a refinement, needs its own name."
             yield Finding(code="step_name", text=text, path=(*path, "name"))
         seen.add(step.name)
 
 
 def _dependencies(steps: Sequence[StepSpec], above: Path) -> Iterator[Finding]:
-    """Checks the dependencies of the steps of one level, then of the levels below."""
+    """Check the dependencies of the steps of one level, then of the levels below."""
     needs = {step.name: set(step.depends_on) for step in steps}
     for i, step in enumerate(steps):
         for j, name in enumerate(step.depends_on):
             if name not in needs:
-                text = f"{step.name} depends on {name!r}, which is no step beside it: {', '.join(needs)} are."
+                text = f"{step.name} depends on the unknown step {name!r}; {hint(name, needs)}"
                 yield Finding(code="step_unknown", text=text, path=(*above, "steps", str(i), "depends_on", str(j)))
     try:
         TopologicalSorter(needs).prepare()
     except CycleError as error:
         cycle = error.args[1][::-1]
         where = next(i for i, step in enumerate(steps) if step.name == cycle[0])
-        text = f"These steps wait for each other: {' needs '.join(cycle)}. Leave one dependency out."
+        text = f"These steps depend on each other in a circle: {' needs '.join(cycle)}. Leave one dependency out."
         yield Finding(code="step_cycle", text=text, path=(*above, "steps", str(where), "depends_on"))
     for i, step in enumerate(steps):
         if step.refined_by is not None:
@@ -97,7 +103,7 @@ def _refinement(path: Path, step: StepSpec) -> Iterator[Finding]:
         text = f"{step.name} is achieved by its refinement alone: put the alternatives there."
         yield Finding(code="step_refinement", text=text, path=(*path, "alternatives"))
     if refinement.points is not None and not step.steps:
-        text = f"{step.name} does not say how a point is performed: name at least one of its `steps`."
+        text = f"{step.name} does not define how a point is performed: give at least one of its `steps`."
         yield Finding(code="step_refinement", text=text, path=where)
     own = step.checks or step.steps or step.payload != "none"
     if refinement.steps and own:
@@ -110,14 +116,14 @@ def _refinement(path: Path, step: StepSpec) -> Iterator[Finding]:
 
 
 def _undeclared(path: Path, name: str) -> Finding:
-    text = f"{name} does not say what it does to the patient. Add which of these it is, as `moves = true`: `moves` "
+    text = f"{name} does not declare its effect on the patient. Add what is true, as in `moves = true`: `moves` "
     text += "(the robot), `affects_patient`, `irreversible`, `confirm` (asks for a confirmation each time); "
-    text += "or `moves = false` if it is none."
+    text += "or `moves = false` if none is."
     return Finding(code="step_undeclared", text=text, path=path)
 
 
 def _hazards(path: Path, step: StepSpec, *, refines: bool) -> Iterator[Finding]:
-    """Declarations where they cannot be kept track of."""
+    """Return declarations in places where they cannot be tracked."""
     own = hazard_of(step)
     ways = [own, *(hazard_of(other, step) for other in step.alternatives)]
     by_steps = step.refined_by is not None and step.refined_by.points is None
@@ -134,25 +140,41 @@ def _hazards(path: Path, step: StepSpec, *, refines: bool) -> Iterator[Finding]:
         yield Finding(code="step_hazard", text=text, path=path)
     for j, other in enumerate(step.alternatives):
         if other.partial and hazard_of(other, step).irreversible:
-            text = f"{other.operation} cannot be undone, and takes several goes: each of them would be done again."
+            text = f"{other.operation} cannot be undone, but takes several attempts: each of them would be repeated."
             yield Finding(code="step_hazard", text=text, path=(*path, "alternatives", str(j)))
     for j, reopener in enumerate(step.reopeners()):
         if hazard_of(reopener).irreversible:
-            text = (
-                f"{reopener.operation} takes {step.name} back, so that it is not irreversible itself: leave that out."
-            )
+            text = f"{reopener.operation} takes {step.name} back, so it cannot be irreversible itself: leave that out."
             yield Finding(code="step_hazard", text=text, path=(*path, "reopened_by", str(j)))
 
 
 def _nested(steps: Sequence[StepSpec]) -> Iterator[Finding]:
-    """Refinements of several levels that would be left behind when what they depend on is made safe."""
+    """Return refinements of several levels that would be left behind when the step they depend on is made safe."""
     reaching = {step.name for step in steps if any(hazard.counts for _, hazard in ways_of(step))}
     for _ in steps:
         reaching |= {step.name for step in steps if reaching & set(step.depends_on)}
     for i, step in enumerate(steps):
         below = step.refined_by.steps if step.refined_by is not None else []
         if step.name in reaching and any(each.refined_by is not None for each in below):
-            text = (
-                f"{step.name} rests on a step that reaches the patient, and is refined by more than one level: use one."
-            )
+            text = f"{step.name} depends on a step that reaches the patient, and is refined by several levels: use one."
             yield Finding(code="step_hazard", text=text, path=("steps", str(i), "refined_by"))
+
+
+Ask = Callable[[str], Collection[str]]
+"""Takes the name of an operation and returns those of `DECLARATIONS` that are true of it."""
+
+
+def fill_in(content: dict[str, Any], table: StepTable, ask: Ask) -> None:
+    """Write the answers into the content of a table.
+
+    Args:
+        content: Content of the file; changed in place.
+        table: The table, converted.
+        ask: Called once for each action without a declaration.
+    """
+    for path, operation, _ in undeclared(table):
+        true = ask(operation)
+        place: Any = content
+        for key in path:
+            place = place[int(key)] if isinstance(place, list) else place[key]
+        place |= {key: key in true for key in DECLARATIONS}

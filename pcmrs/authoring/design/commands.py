@@ -15,24 +15,24 @@ REINIT = "reinit"
 """The re-initiation operation (RIO) that every designed branch has."""
 
 MAKE_SAFE = "make_safe"
-"""The operation with which people say that nothing is at the patient any more."""
+"""The operation with which people report that nothing is at the patient any more."""
 
 Kind = Literal["achieve", "partial", "reopen", "signal", "unsignal", "make_safe", "allow"]
-"""What an operation does to its step, or to all; signals are called by the branch that refines it (IIO)."""
+"""Effect of an operation on its step, or on all; signals are called by the branch that refines it (IIO)."""
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class StepOperation:
     """An operation that a step asks for.
 
     Attributes:
-        name: Of the operation.
-        kind: What it does to the step.
+        name: Name of the operation.
+        kind: Effect on the step.
         step: Index of the step.
-        action: What is done, checked and given.
-        path: Where the table asks for it.
-        hazard: What it does to the patient.
-        title: What it does, in words; empty where its name says enough.
+        action: Its action, with checks and payload.
+        path: Path in the table.
+        hazard: Effect on the patient.
+        title: Its effect in words; empty if its name suffices.
     """
 
     name: str
@@ -44,48 +44,60 @@ class Command:
     title: str = ""
 
 
-def commands_of(group: Group, paths: Mapping[str, Path]) -> Iterator[Command]:
-    """The operations of a branch, in the order of its steps."""
+def operations_of(group: Group, paths: Mapping[str, Path]) -> Iterator[StepOperation]:
+    """Return the operations of a branch, in the order of its steps.
+
+    Args:
+        group: The steps of the branch.
+        paths: Path of each step in the table.
+    """
     for i, step in enumerate(group.order.steps):
         path = paths[step.name]
         yield from _signals(i, step, path) if step.refined_by else _ways(i, step, path)
         for j, reopener in enumerate(step.reopeners()):
-            yield Command(
+            yield StepOperation(
                 reopener.operation, "reopen", i, reopener, (*path, "reopened_by", str(j)), hazard_of(reopener)
             )
     if isinstance(group.order, GuardedOrder):
         yield from _reports(group.order, paths)
 
 
-def _signals(index: int, step: StepSpec, path: Path) -> Iterator[Command]:
+def _signals(index: int, step: StepSpec, path: Path) -> Iterator[StepOperation]:
     where, back = (*path, "operation"), f"un{step.operation}"
-    yield Command(step.operation, "signal", index, ActionSpec(operation=step.operation), where)
-    yield Command(back, "unsignal", index, ActionSpec(operation=back), where)
+    yield StepOperation(step.operation, "signal", index, ActionSpec(operation=step.operation), where)
+    yield StepOperation(back, "unsignal", index, ActionSpec(operation=back), where)
 
 
-def _ways(index: int, step: StepSpec, path: Path) -> Iterator[Command]:
-    yield Command(step.operation, "achieve", index, step, (*path, "operation"), hazard_of(step))
+def _ways(index: int, step: StepSpec, path: Path) -> Iterator[StepOperation]:
+    yield StepOperation(step.operation, "achieve", index, step, (*path, "operation"), hazard_of(step))
     for j, other in enumerate(step.alternatives):
         kind: Kind = "partial" if other.partial else "achieve"
-        yield Command(other.operation, kind, index, other, (*path, "alternatives", str(j)), hazard_of(other, step))
+        yield StepOperation(
+            other.operation, kind, index, other, (*path, "alternatives", str(j)), hazard_of(other, step)
+        )
 
 
-def _reports(order: GuardedOrder, paths: Mapping[str, Path]) -> Iterator[Command]:
-    """What the operator, who sees the patient, says of it."""
+def _reports(order: GuardedOrder, paths: Mapping[str, Path]) -> Iterator[StepOperation]:
+    """Return the reports of the operator, who sees the patient."""
     if order.exposed or order.stopped:
         action = ActionSpec(operation=MAKE_SAFE, roles=["operator"])
         title = "Nothing is at or in the patient any more, and nothing moves"
-        yield Command(MAKE_SAFE, "make_safe", 0, action, paths[order.steps[0].name], title=title)
+        yield StepOperation(MAKE_SAFE, "make_safe", 0, action, paths[order.steps[0].name], title=title)
     for i in order.once:
         step = order.steps[i]
         action = ActionSpec(operation=f"allow_{step.operation}_again", roles=["operator"])
         title = f"Allow once more, though it cannot be undone: {step.operation.replace('_', ' ')}"
-        yield Command(action.operation, "allow", i, action, paths[step.name], title=title)
+        yield StepOperation(action.operation, "allow", i, action, paths[step.name], title=title)
 
 
-def check_commands(group: Group, commands: Sequence[Command]) -> Iterator[Finding]:
-    """Names used twice: only re-opening, told in the same words, may be shared by steps."""
-    seen: dict[str, Command] = {}
+def check_operations(group: Group, commands: Sequence[StepOperation]) -> Iterator[Finding]:
+    """Return names that are used twice: steps may share only re-opening operations with the same declaration.
+
+    Args:
+        group: The steps of the branch.
+        commands: Its operations.
+    """
+    seen: dict[str, StepOperation] = {}
     for command in commands:
         other = seen.setdefault(command.name, command)
         shared = command.kind == other.kind == "reopen" and command.action == other.action

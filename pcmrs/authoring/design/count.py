@@ -1,6 +1,6 @@
-"""How many combinations of steps are possible in the single-level FSM, and why the others are not.
+"""Number of possible combinations of steps in the single-level FSM, with reasons for the impossible ones.
 
-What to say when the steps would make a blueprint that is too large to be read or verified.
+Also the finding for steps that would make a blueprint too large to be read or verified.
 """
 
 from __future__ import annotations
@@ -9,11 +9,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import prod
 
-from pcmrs.authoring.design.branches import Designed
+from pcmrs.authoring.design.branches import DesignedBranch
 from pcmrs.authoring.design.order import Order
 from pcmrs.fsm.blueprint import BranchSpec
-from pcmrs.fsm.files.bounded import MAX_BYTES
 from pcmrs.fsm.files.load import Examination
+from pcmrs.fsm.files.toml import MAX_BYTES
 from pcmrs.fsm.finding import Finding
 
 
@@ -22,7 +22,7 @@ class Impossible:
     """Combinations that have `step` without `missing`, on which it depends.
 
     Attributes:
-        count: How many; each combination counts under the first dependency that it breaks.
+        count: Number of combinations; each counts under the first dependency that it breaks.
     """
 
     step: str
@@ -36,8 +36,8 @@ class Combinations:
 
     Attributes:
         steps: N, of which there are 2^N combinations.
-        possible: How many of them respect all dependencies.
-        impossible: Why the others do not.
+        possible: Number of them that respect all dependencies.
+        impossible: Reasons why the others do not.
     """
 
     steps: int
@@ -51,10 +51,10 @@ class Combinations:
 
 
 def count_combinations(orders: Sequence[Order]) -> Combinations:
-    """Counts them without listing the impossible ones, of which there may be very many.
+    """Count the combinations without listing the impossible ones, of which there may be very many.
 
     Args:
-        orders: Of the level 1 branches; no step of one depends on a step of another.
+        orders: Orders of the level 1 branches; no step of one depends on a step of another.
     """
     impossible: list[Impossible] = []
     for i, order in enumerate(orders):
@@ -66,10 +66,10 @@ def count_combinations(orders: Sequence[Order]) -> Combinations:
 
 
 def _broken(order: Order) -> Iterator[tuple[str, str, int]]:
-    """For each dependency, in how many combinations it is the first that is broken.
+    """Return, for each dependency, the number of combinations in which it is the first that is broken.
 
-    All steps before have their dependencies kept, so their combinations are among the possible ones; the
-    steps after are free.
+    The dependencies of all earlier steps hold, so their combinations are among the possible ones; the
+    later steps are free.
     """
     before = 0
     for place, step in enumerate(order.sequence):
@@ -82,13 +82,13 @@ def _broken(order: Order) -> Iterator[tuple[str, str, int]]:
         before |= 1 << step
 
 
-def excess_of(examination: Examination, size: int, branches: Sequence[Designed]) -> Finding | None:
-    """The finding for the table, at the step that makes the largest branch, or at its points; None where none is due.
+def excess_of(examination: Examination, size: int, branches: Sequence[DesignedBranch]) -> Finding | None:
+    """Return the finding for a table that makes too large a blueprint, at the step of the largest branch; else None.
 
     Args:
-        examination: Of the blueprint.
-        size: Of the blueprint, in bytes.
-        branches: Of the blueprint.
+        examination: Examination of the blueprint.
+        size: Size of the blueprint in bytes.
+        branches: Branches of the blueprint.
     """
     if examination.readable and all(finding.code != "too_many_states" for finding in examination.findings):
         return None

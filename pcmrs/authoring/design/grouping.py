@@ -1,4 +1,4 @@
-"""Groups the steps of a table into State Branches: what is connected by dependencies is one branch."""
+"""Groups the steps of a table into State Branches: steps that are connected by dependencies share a branch."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pcmrs.authoring.design.table import StepSpec
 from pcmrs.fsm.finding import Finding, Path
 
 UNNAMED = "procedure"
-"""Name of the branch of steps that name none; followed by a number where there are several."""
+"""Name of the branch of steps that name none; followed by a number if there are several."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,9 +21,9 @@ class Group:
     """The steps of one branch.
 
     Attributes:
-        name: Of the branch.
-        title: What it is about.
-        order: How its steps depend on each other.
+        name: Name of the branch.
+        title: Its title.
+        order: Dependency order of its steps.
     """
 
     name: str
@@ -32,7 +32,7 @@ class Group:
 
 
 class UndesignableError(Exception):
-    """Steps that make no branch; `finding` says why."""
+    """Steps that cannot form a branch; `finding` says why."""
 
     def __init__(self, finding: Finding) -> None:
         super().__init__(finding.text)
@@ -40,7 +40,11 @@ class UndesignableError(Exception):
 
 
 def root_groups(steps: Sequence[StepSpec], paths: Mapping[str, Path]) -> list[Group]:
-    """The branches of level 1: the connected parts of the dependencies.
+    """Return the branches of level 1: the connected parts of the dependencies.
+
+    Args:
+        steps: Steps of the first level.
+        paths: Path of each step in the table.
 
     Raises:
         UndesignableError: Connected steps name different branches, or are too many for one.
@@ -52,7 +56,17 @@ def root_groups(steps: Sequence[StepSpec], paths: Mapping[str, Path]) -> list[Gr
 
 
 def group(name: str, title: str, steps: Sequence[StepSpec], paths: Mapping[str, Path]) -> Group:
-    """Steps as one branch. Raises `UndesignableError` when there are too many or too many combinations."""
+    """Return steps as one branch.
+
+    Args:
+        name: Name of the branch.
+        title: Its title.
+        steps: Its steps.
+        paths: Path of each step in the table.
+
+    Raises:
+        UndesignableError: There are too many steps or combinations.
+    """
     where = paths[steps[0].name]
     if len(steps) > MAX_STEPS_OF_A_BRANCH:
         text = f"{name} would have {len(steps)} connected steps; the limit is {MAX_STEPS_OF_A_BRANCH}. Refine some."

@@ -1,4 +1,4 @@
-"""What the actions of a table do to the patient, and the states of a branch in which that is kept track of."""
+"""Effects of the actions of a table on the patient, and the states of a branch that keep track of them."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from pcmrs.fsm.blueprint import Motion
 
 @dataclass(frozen=True, slots=True)
 class Hazard:
-    """What an action does to the patient.
+    """Effect of an action on the patient.
 
     Attributes:
-        motion: How it moves the robot.
+        motion: Direction of its motion.
         affects: It acts on the patient without moving the robot.
         irreversible: It cannot be undone.
         confirm: It is confirmed each time.
-        performed: The daemon performs it, by steps that may fail; otherwise people do, and report it.
+        performed: The daemon performs it, by steps that may fail; otherwise people perform and report it.
     """
 
     motion: Motion
@@ -31,22 +31,22 @@ class Hazard:
 
     @property
     def moves(self) -> bool:
-        """Whether it moves the robot."""
+        """It moves the robot."""
         return self.motion != "none"
 
     @property
     def exposes(self) -> bool:
-        """Whether something is at or in the patient afterwards, so that it takes a way back."""
+        """Something is at or in the patient afterwards, so that a way back is needed."""
         return self.moves or self.affects
 
     @property
     def counts(self) -> bool:
-        """Whether the branch keeps track of it."""
+        """The branch keeps track of it."""
         return self.exposes or self.irreversible
 
     @property
     def keys(self) -> dict[str, Any]:
-        """The keys of its operation. What people do themselves the daemon only bars: it moves nothing then."""
+        """Return the keys of its operation. If people perform it, the daemon only bars it: it moves nothing then."""
         keys: dict[str, Any] = {"motion": self.motion} if self.moves and self.performed else {}
         if self.affects or (self.moves and not self.performed):
             keys["affects_patient"] = True
@@ -54,11 +54,16 @@ class Hazard:
 
 
 NONE = Hazard("none", affects=False, irreversible=False, confirm=False, performed=False)
-"""Of what people only report, and of signals."""
+"""Effect of mere reports, and of signals."""
 
 
 def hazard_of(action: ActionSpec, step: ActionSpec | None = None) -> Hazard:
-    """What an action does to the patient; what it does not say is as `step` says, where that is given."""
+    """Return the effect of an action on the patient.
+
+    Args:
+        action: The action.
+        step: The step that it belongs to, whose declarations it inherits.
+    """
 
     def said(key: str) -> Any:
         own = getattr(action, key)
@@ -75,14 +80,14 @@ def hazard_of(action: ActionSpec, step: ActionSpec | None = None) -> Hazard:
 
 
 def ways_of(step: StepSpec) -> list[tuple[ActionSpec, Hazard]]:
-    """The actions that achieve a step, and what each does to the patient; none of one that is refined."""
+    """Return the actions that achieve a step, each with its effect on the patient; none for a refined step."""
     if step.refined_by is not None:
         return []
     return [(step, hazard_of(step)), *((other, hazard_of(other, step)) for other in step.alternatives)]
 
 
 def hazards_in(steps: Iterable[StepSpec]) -> Iterator[Hazard]:
-    """What all actions of some steps do to the patient, those of the points of a step too."""
+    """Return the effects on the patient of all actions of some steps, also of those of their points."""
     for step in steps:
         yield from _hazards_of(step)
         if step.refined_by is not None:
@@ -90,7 +95,7 @@ def hazards_in(steps: Iterable[StepSpec]) -> Iterator[Hazard]:
 
 
 def is_hazardous(steps: Sequence[StepSpec]) -> bool:
-    """Whether any of the steps of a branch reaches the patient, or cannot be undone."""
+    """Return true if any of the steps of a branch reaches the patient, or cannot be undone."""
     return any(hazard.counts for step in steps for hazard in _hazards_of(step))
 
 
@@ -102,9 +107,9 @@ def _hazards_of(step: StepSpec) -> Iterator[Hazard]:
 class GuardedOrder(Order):
     """Steps of which some move, affect the patient or cannot be undone.
 
-    Beside the steps that are achieved, a combination says which irreversible ones have been done, whether they still
-    count as achieved or not, and whether something was stopped on its way, so that nobody knows what is at the
-    patient. While something is at the patient, nothing it rests on is done again or taken back.
+    Besides the achieved steps, a combination says which irreversible steps have been done, whether they still
+    count as achieved or not, and whether a step was stopped halfway, so that it is unknown what is at the
+    patient. While something is at the patient, no step that it rests on is repeated or taken back.
 
     Args:
         name: Of the branch.
@@ -114,7 +119,7 @@ class GuardedOrder(Order):
         exposed: The steps after which something is at or in the patient, as bits.
         moving: Those of them that move the robot, as bits.
         once: The irreversible steps.
-        stopped: The bit that says that something was stopped on its way; 0 where nothing can be.
+        stopped: The bit that says that a step was stopped halfway; 0 if none can be.
     """
 
     def __init__(self, name: str, steps: Sequence[StepSpec]) -> None:
@@ -142,73 +147,95 @@ class GuardedOrder(Order):
 
     @property
     def _resting(self) -> int:
-        """What is at the patient, and all that depends on that, as bits."""
+        """Steps that are at the patient, and all that depend on them, as bits."""
         resting = self.exposed
         for step in _members(self.exposed):
             resting |= self.dependents[step]
         return resting
 
     def spent(self, step: int) -> int:
-        """The bit that says that an irreversible step has been done; 0 for others."""
+        """Return the bit that says that an irreversible step has been done; 0 for others."""
         return 1 << len(self) + self.once.index(step) if step in self.once else 0
 
     def meaning(self, combination: int) -> str:
-        """What is achieved, what cannot be done again, and whether something was stopped, in words."""
+        """Return in words: the achieved steps, those that cannot be done again, and whether one was stopped."""
         texts = [super().meaning(combination)]
         done = [i for i in self.once if combination & self.spent(i) and not combination >> i & 1]
         texts += [f"{self.steps[i].operation} cannot be done again" for i in done]
         return "; ".join(texts + ["stopped, and not known to be safe"] * bool(combination & self.stopped))
 
     def possible(self, step: int, combination: int) -> bool:
-        """Whether all it depends on is achieved, nothing at the patient rests on it, and it may be done again."""
+        """Return true if the step may be done.
+
+        All its dependencies must be achieved, nothing at the patient may rest on it, and it must not be spent.
+
+        Args:
+            step: Index of the step.
+            combination: Steps achieved, as bits.
+        """
         barred = self.spent(step) | (self.stopped if self._guarded >> step & 1 else 0)
         barred |= self.dependents[step] & self.exposed
         return super().possible(step, combination) and not combination & barred
 
     def reopenable(self, step: int, combination: int) -> bool:
-        """Whether the step is achieved, and nothing at the patient rests on it."""
+        """Return true if the step is achieved, and nothing at the patient rests on it."""
         return super().reopenable(step, combination) and not combination & self.dependents[step] & self.exposed
 
     def achieve(self, step: int, combination: int) -> int:
-        """The combination after doing the step."""
+        """Return the combination after doing the step."""
         return super().achieve(step, combination) | self.spent(step)
 
     def failed(self, step: int, combination: int) -> int:
-        """The combination after the step has failed: what has begun counts as done where it cannot be undone."""
+        """Return the combination after the step has failed: if it cannot be undone, a started step counts as done.
+
+        Args:
+            step: Index of the step.
+            combination: Steps achieved before, as bits.
+        """
         return self.interrupted(self.reopen(step, combination)) | self.spent(step)
 
     def interrupted(self, combination: int) -> int:
-        """The combination when nobody knows any more what is at the patient."""
+        """Return the combination after an interruption, when it is unknown what is at the patient."""
         return combination & ~self._resting | self.stopped
 
     def made_safe(self, combination: int) -> int:
-        """The combination once nothing is at the patient."""
+        """Return the combination once nothing is at the patient."""
         return combination & ~self._resting & ~self.stopped
 
     def unsafe(self, combination: int) -> bool:
-        """Whether something is at the patient, or may be."""
+        """Return true if something is at the patient, or may be."""
         return bool(combination & (self.exposed | self.stopped))
 
     def allowable(self, step: int, combination: int) -> bool:
-        """Whether an irreversible step was done, and can be allowed again."""
+        """Return true if an irreversible step was done, and can be allowed again.
+
+        Args:
+            step: Index of the step.
+            combination: Steps achieved, as bits.
+        """
         barred = self.stopped | (1 << step | self.dependents[step]) & self.exposed
         return bool(combination & self.spent(step)) and not combination & barred
 
     def allow(self, step: int, combination: int) -> int:
-        """The combination after an irreversible step is allowed again."""
+        """Return the combination after an irreversible step is allowed again.
+
+        Args:
+            step: Index of the step.
+            combination: Steps achieved before, as bits.
+        """
         return self.reopen(step, combination) & ~self.spent(step)
 
     def fresh(self, combination: int) -> bool:
-        """Whether the branch can be begun again as a whole: nothing is at the patient, nothing has been spent."""
+        """Return true if the branch can be restarted as a whole: nothing is at the patient, nothing is spent."""
         return not self.unsafe(combination) and not any(combination & self.spent(step) for step in self.once)
 
     def first_possible(self, step: int) -> int:
-        """The smallest combination in which the step can be done."""
+        """Return the smallest combination in which the step can be done."""
         closed = super().first_possible(step)
         return closed | sum(self.spent(i) for i in self.once if closed >> i & 1)
 
     def _reached(self) -> list[int]:
-        """Every combination that commands lead to, the start first."""
+        """Return every combination that commands lead to, the start first."""
         found = [0]
         known = set(found)
         for each in found:
@@ -220,7 +247,7 @@ class GuardedOrder(Order):
         return found
 
     def _after(self, combination: int) -> Iterator[int]:
-        """Where one command leads."""
+        """Return the combinations that one command leads to."""
         for i, step in enumerate(self.steps):
             if self.possible(i, combination):
                 yield self.achieve(i, combination)
@@ -238,7 +265,7 @@ class GuardedOrder(Order):
 
 
 def _may_fail(hazard: Hazard) -> bool:
-    """Whether it may fail on its way to or from the patient."""
+    """Return true if it may fail on its way to or from the patient."""
     return hazard.counts and hazard.performed
 
 

@@ -1,7 +1,7 @@
 """The dependency order of the steps of one branch, and the combinations of achieved steps that respect it.
 
 A combination is a set of steps as the bits of an integer. The possible ones are the order ideals of the
-dependencies, also called downward closed sets: with each step they hold all that it depends on.
+dependencies, also called downward closed sets: with each step they contain all its dependencies.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from pcmrs.authoring.design.table import StepSpec
 
 MAX_COMBINATIONS = 4096
-"""More states than this in one branch cannot be reviewed by anybody."""
+"""A branch with more states than this cannot be reviewed."""
 
 
 class TooManyCombinationsError(Exception):
@@ -19,7 +19,7 @@ class TooManyCombinationsError(Exception):
 
 
 class Order:
-    """Steps that depend on each other.
+    """The steps of one branch, with their dependencies.
 
     Attributes:
         steps: In the order of the table.
@@ -27,10 +27,10 @@ class Order:
         dependents: For each step, all that depend on it, directly or not, as bits.
         ideals: The possible combinations, the empty one first.
         combinations: The states of the branch, the start first.
-        flags: What the digits of a state stand for.
+        flags: Meaning of each digit of a state.
 
     Args:
-        steps: Without cycles; all they depend on is among them.
+        steps: Steps without cycles; all their dependencies are among them.
 
     Raises:
         TooManyCombinationsError: They have too few dependencies to make one branch.
@@ -55,36 +55,56 @@ class Order:
         return self._every
 
     def state(self, combination: int) -> str:
-        """Its digits in the order of the table, 1 for each step achieved."""
+        """Return the digits of a combination in the order of the table, 1 for each step achieved."""
         return "".join("1" if combination >> i & 1 else "0" for i in range(len(self.flags)))
 
     def meaning(self, combination: int) -> str:
-        """What is achieved, in words."""
+        """Return the achieved steps, in words."""
         achieved = [step.meaning for i, step in enumerate(self.steps) if combination >> i & 1]
         return ", ".join(achieved) or "nothing achieved yet"
 
     def possible(self, step: int, combination: int) -> bool:
-        """Whether all that the step depends on is achieved."""
+        """Return true if all that the step depends on is achieved.
+
+        Args:
+            step: Index of the step.
+            combination: Steps achieved, as bits.
+        """
         return not self.needs[step] & ~combination
 
     def possible_at(self, step: int) -> Iterator[int]:
-        """Combinations in which the step can be done."""
+        """Return the combinations in which the step can be done."""
         return (each for each in self.combinations if self.possible(step, each))
 
     def reopenable(self, step: int, combination: int) -> bool:
-        """Whether the step can be taken back."""
+        """Return true if the step can be taken back.
+
+        Args:
+            step: Index of the step.
+            combination: Steps achieved, as bits.
+        """
         return bool(combination >> step & 1)
 
     def achieve(self, step: int, combination: int) -> int:
-        """The combination after doing the step: what depends on it is open again."""
+        """Return the combination after doing the step: what depends on it is open again.
+
+        Args:
+            step: Index of the step.
+            combination: Steps achieved before, as bits.
+        """
         return (combination | 1 << step) & ~self.dependents[step]
 
     def reopen(self, step: int, combination: int) -> int:
-        """The combination after taking the step back, and all that depends on it."""
+        """Return the combination after taking the step back, and all that depends on it.
+
+        Args:
+            step: Index of the step.
+            combination: Steps achieved before, as bits.
+        """
         return combination & ~(1 << step | self.dependents[step])
 
     def first_possible(self, step: int) -> int:
-        """The smallest combination in which the step can be done."""
+        """Return the smallest combination in which the step can be done."""
         closed = self.needs[step]
         for i in reversed(self.sequence):
             if closed >> i & 1:
@@ -96,7 +116,7 @@ class Order:
         return (1 << len(self)) - 1
 
     def _sorted(self) -> Iterator[int]:
-        """Steps after all they depend on, else in the order of the table."""
+        """Return the steps after all they depend on, else in the order of the table."""
         done = 0
         while done != self._every:
             step = next(i for i, needs in enumerate(self.needs) if not done >> i & 1 and not needs & ~done)

@@ -1,4 +1,4 @@
-"""What refines a step, as the branch above sees it: where it starts, when it is complete, what lies between."""
+"""The refinement of a step, as the branch above sees it: its start, its complete state, and those in between."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ class Refinement:
     """A branch of level N+1.
 
     Attributes:
-        name: Of the branch.
-        title: What it is about.
+        name: Name of the branch.
+        title: Its title.
         step: Index of the step that it refines.
-        group: Its steps, or None for
+        group: Its steps, or None for a refinement by
         sequence: points that are performed in order.
         states: All its states, the start first.
-        complete: The one in which the refined step is achieved.
-        below: What refines its own steps.
+        complete: The state in which the refined step is achieved.
+        below: Refinements of its own steps.
     """
 
     name: str
@@ -51,18 +51,26 @@ class Refinement:
         return [state for state in self.states[1:] if state != self.complete]
 
     def subtree(self) -> Iterator[Refinement]:
-        """It and all that is below it."""
+        """Return this refinement and all below it."""
         yield self
         for each in self.below:
             yield from each.subtree()
 
     def calm(self) -> Requirement:
-        """That nothing has begun in it or below it without being complete."""
+        """Return the requirement that nothing has begun in it or below it without being complete."""
         return {each.name: [each.start, each.complete] for each in self.subtree() if each.partial}
 
 
 def refinements_of(owner: Group, paths: Mapping[str, Path]) -> list[Refinement]:
-    """The refinements of a branch's steps. Raises `UndesignableError`."""
+    """Return the refinements of a branch's steps.
+
+    Args:
+        owner: Steps of the branch.
+        paths: Path of each step in the table.
+
+    Raises:
+        UndesignableError: The steps of a refinement make no branch.
+    """
     return [
         _refinement(i, step, step.refined_by, paths)
         for i, step in enumerate(owner.order.steps)
@@ -111,7 +119,14 @@ def _states_in_order(name: str, sequence: SequenceSpec, path: Path) -> tuple[str
 
 
 def parent_of(refinement: Refinement, owner: Group) -> ParentSpec:
-    """Complete fits where the step is achieved, begun where it is possible, the start wherever it is not achieved."""
+    """Return the parent of a refinement.
+
+    Complete fits where the step is achieved, begun where it is possible, the start wherever it is not achieved.
+
+    Args:
+        refinement: The refinement.
+        owner: Steps of the branch above.
+    """
     order, step = owner.order, refinement.step
     achieved = [each for each in order.combinations if each >> step & 1]
     opened = [each for each in order.combinations if not each >> step & 1]
@@ -125,23 +140,28 @@ def parent_of(refinement: Refinement, owner: Group) -> ParentSpec:
 
 
 def emits_of(refinement: Refinement, step: StepSpec) -> dict[str, str]:
-    """Rule 2: complete achieves the step above, everything else takes it back."""
+    """Return the signals of a refinement (Rule 2): complete achieves the step above, any other state takes it back.
+
+    Args:
+        refinement: The refinement.
+        step: The step that it refines.
+    """
     incomplete = "*" if refinement.partial else refinement.start
     return {incomplete: f"un{step.operation}", refinement.complete: step.operation}
 
 
 def resting_on(step: int, refinements: Iterable[Refinement], owner: Order, *, signalled: bool = False) -> Requirement:
-    """That nothing has begun which would be left behind when the step is done again or taken back.
+    """Return the requirement that nothing would be left behind when the step is done again or taken back.
 
-    An operation can set the branches right below its own to their start. It cannot reach further down while
+    An operation can set the branches directly below its own to their start. It cannot reach further down while
     the branch between stays at its start, nor set anything where the step is done again further below and only
-    signalled: there it is refused until what has begun is begun again itself.
+    signalled: there it is refused until the refinement that has begun is itself restarted.
 
     Args:
         step: Index of the step.
-        refinements: Of the steps beside it.
-        owner: The steps beside it.
-        signalled: Whether the step is refined and done further below.
+        refinements: Refinements of the steps beside it.
+        owner: Steps beside it.
+        signalled: The step is refined and done further below.
     """
     calm: Requirement = {}
     for each in refinements:

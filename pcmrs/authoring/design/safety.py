@@ -18,10 +18,10 @@ CONNECTING: Sequence[Role] = ("operator", "teleoperator")
 
 
 def robot_branch(safe: Requirement) -> BranchSpec:
-    """The connection of the robot.
+    """Return the branch for the connection of the robot.
 
     Args:
-        safe: Where nothing that the robot moved is at the patient: only there it may be disconnected.
+        safe: States in which nothing that the robot moved is at the patient: only there it may be disconnected.
     """
     roles = list(CONNECTING)
     disconnect = OperationSpec(
@@ -48,16 +48,16 @@ def robot_branch(safe: Requirement) -> BranchSpec:
 
 
 def safety_branch() -> BranchSpec:
-    """The release of the latch of Stop, possible everywhere."""
+    """Return the branch for the release of Stop's latch, possible everywhere."""
     acknowledge = OperationSpec(title="Release Stop", from_=["*"], to="watched", roles=["operator"], unlatches=True)
     return BranchSpec(title="Stop", states={"watched": "Stop is heeded"}, operations={"acknowledge": acknowledge})
 
 
 def lost(ends: Mapping[str, str]) -> list[RevocationSpec]:
-    """What becomes of a branch when the robot is lost: where it was at the patient, nobody knows that any more.
+    """Return the revocation of a branch when the robot is lost: if a tool was at the patient, that is then unknown.
 
     Args:
-        ends: State to the one gone to.
+        ends: State to its target state.
     """
     targets = dict.fromkeys(ends.values())
     return [

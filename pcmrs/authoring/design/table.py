@@ -9,22 +9,22 @@ import msgspec
 from pcmrs.messages.identity import Role
 
 DECLARATIONS = ("moves", "affects_patient", "irreversible", "confirm")
-"""Keys that say what an action does to the patient; one that is not given is false where another is."""
+"""Keys that declare the effect of an action on the patient; a missing key is false if another is given."""
 
 
 class ActionSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Something people do; the keys mean what they mean in a blueprint's operation.
+    """An action of people; its keys have the same meaning as in an operation of a blueprint.
 
     Attributes:
         operation: Name of the command.
         payload: Registered name of its arguments' type.
         checks: Failure criteria: registered names of pure checks.
-        steps: Registered names of what is done, in order.
-        roles: Who of those who may ask for operations may do it; empty for all of them.
+        steps: Registered names of its steps, in order.
+        roles: Roles that may ask for it; empty for all roles that may ask for operations.
         timeout_s: Deadline of all steps together, in s of the cell's clock.
         moves: It moves the robot; ``"retreat"`` where it moves it away from the patient only.
         affects_patient: It acts on the patient without moving the robot.
-        irreversible: What it does cannot be undone.
+        irreversible: Its effect cannot be undone.
         confirm: Somebody has to confirm it each time.
     """
 
@@ -41,29 +41,29 @@ class ActionSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     @property
     def declared(self) -> bool:
-        """Whether anything is said of what it does to the patient."""
+        """Its effect on the patient is declared."""
         return any(getattr(self, key) is not None for key in DECLARATIONS)
 
 
 class AlternativeSpec(ActionSpec, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Another way to achieve a step; what it does not say of the patient is as the step says.
+    """Another way to achieve a step; keys about the patient that it leaves out are as in the step.
 
     Attributes:
-        partial: It may take several goes: its last step ends as ``partial`` or ``complete``.
+        partial: It may take several attempts: its last step ends as ``partial`` or ``complete``.
     """
 
     partial: bool = False
 
 
 class RefinementSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a step consists of: a branch one level below; exactly one of `steps` and `points` is given.
+    """The parts of a step: a branch one level below; exactly one of `steps` and `points` is given.
 
     Attributes:
         branch: Name of that branch.
-        title: What it is about.
+        title: Its title.
         steps: Its steps; all of them together achieve the refined step.
-        points: How many things are done in order, or their names.
-        item: What one of counted points is called.
+        points: Number of points that are performed in order, or their names.
+        item: Name of one of counted points.
     """
 
     branch: str
@@ -77,17 +77,17 @@ class StepSpec(ActionSpec, frozen=True, kw_only=True, forbid_unknown_fields=True
     """One critical operation and the condition it achieves.
 
     A refined step is achieved by its refinement: its `operation` is the signal with which the branch below
-    says so, and ``un`` before it the one that takes it back. Refined by points, its other keys say how one
-    point is performed.
+    reports that, and its name with ``un`` before it is the signal that takes it back. If it is refined by points,
+    its other keys define how one point is performed.
 
     Attributes:
         name: The condition that holds once it is achieved; becomes a flag.
         title: The same in words.
         depends_on: Steps that must be achieved before.
-        reopened_by: Operations that take it back, by name, or described where they do more than that.
+        reopened_by: Operations that take it back, by name, or as a table if they do more than that.
             Doing a step again always re-opens what depends on it.
         alternatives: Other operations that achieve it.
-        refined_by: What it consists of.
+        refined_by: Its parts.
         branch: Name of the branch it belongs to; once for all steps that are connected.
     """
 
@@ -105,7 +105,7 @@ class StepSpec(ActionSpec, frozen=True, kw_only=True, forbid_unknown_fields=True
         return self.title or self.name.replace("_", " ")
 
     def reopeners(self) -> list[ActionSpec]:
-        """What takes it back; who may do it may take it back, unless something else is said."""
+        """Return the operations that take it back; unless another role is given, whoever may do it may take it back."""
         return [
             ActionSpec(operation=each, roles=self.roles) if isinstance(each, str) else each for each in self.reopened_by
         ]

@@ -10,12 +10,17 @@ STRANGE = re.compile(r"[^a-z0-9_]")
 
 
 def plain(raw: str, prefix: str = "") -> str:
-    """`raw` in the letters a name may have; ``prefix.`` or ``prefix_IS_`` at its beginning is left out."""
+    """Return `raw` in the letters that a name may have.
+
+    Args:
+        raw: A name.
+        prefix: Left out if the name begins with it and a dot, or with it and ``_IS_``.
+    """
     inner = raw.removeprefix(f"{prefix}.").removeprefix(f"{prefix}_IS_")
     return STRANGE.sub("_", HUMP.sub("_", inner).lower())
 
 
 def descriptors(event: str) -> list[str]:
-    """What may be written to react to an event: itself, and its beginnings up to a dot."""
+    """Return all descriptors that match an event: itself, and its beginnings up to a dot."""
     tokens = event.split(".")
     return [".".join(tokens[:length]) for length in range(len(tokens), 0, -1)]

@@ -1,6 +1,6 @@
-"""Conditions on the states of several branches, made short.
+"""Short conditions on the states of several branches.
 
-A cube says of some branches which states they may be in; branches it does not name may be in any.
+A cube names, for some branches, the states that they may be in; other branches may be in any state.
 """
 
 from __future__ import annotations
@@ -11,17 +11,27 @@ Cube = dict[str, frozenset[str]]
 
 
 def holds(cube: Cube, states: Mapping[str, str]) -> bool:
-    """Whether the cube covers a joint state that names at least its branches."""
+    """Return true if the cube covers a joint state.
+
+    Args:
+        cube: The cube.
+        states: Branch to state, for at least the branches of the cube.
+    """
     return all(states[branch] in allowed for branch, allowed in cube.items())
 
 
 def cover(
     wanted: Sequence[Mapping[str, str]], unwanted: Sequence[Mapping[str, str]], branches: Iterable[str]
 ) -> list[Cube]:
-    """Few and short cubes of some branches that cover all of the wanted joint states and none of the unwanted ones.
+    """Return few and short cubes that cover all of the wanted joint states and none of the unwanted ones.
 
     Greedy: from each wanted joint state that is not covered yet a cube grows until it would touch an
     unwanted one. Joint states in neither list do not matter.
+
+    Args:
+        wanted: Joint states to cover.
+        unwanted: Joint states not to cover.
+        branches: Branches that the cubes may name.
     """
     cubes: list[Cube] = []
     for states in wanted:
@@ -40,7 +50,12 @@ def _grow(cube: Cube, wanted: Sequence[Mapping[str, str]], unwanted: Sequence[Ma
 
 
 def merge(cubes: Iterable[Cube], domains: Mapping[str, Iterable[str]]) -> list[Cube]:
-    """Fewer cubes that cover exactly the same: those that differ in one branch only become one."""
+    """Return fewer cubes that cover exactly the same: those that differ in one branch only become one.
+
+    Args:
+        cubes: Cubes.
+        domains: Branch to all its states.
+    """
     merged: list[Cube] = []
     for cube in cubes:
         grown = cube
@@ -52,7 +67,7 @@ def merge(cubes: Iterable[Cube], domains: Mapping[str, Iterable[str]]) -> list[C
 
 
 def _joined(one: Cube, other: Cube, domains: Mapping[str, Iterable[str]]) -> Cube | None:
-    """Both as one cube, or None when that would cover more than both."""
+    """Return both as one cube, or None if that would cover more than both."""
     full = {branch: frozenset(domain) for branch, domain in domains.items()}
     differing = [b for b in full if one.get(b, full[b]) != other.get(b, full[b])]
     if len(differing) > 1:

@@ -1,4 +1,4 @@
-"""How much of what a workflow can answer has been seen, and what was answered otherwise."""
+"""Coverage of the answers that a workflow can give, and deviations from the expected ones."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ MEANINGS = {
     "doubts": "steps that leave doubt",
     "commands": "different commands",
 }
-"""What is counted, in words."""
+"""Counters, with their meanings in words."""
 
 KINDS = {"accepted": "accepted", "rejected": "rejected", "failed": "steps", "unknown": "doubts"}
-"""What a decision counts for."""
+"""Decision to its counter."""
 
 
 class Count(msgspec.Struct, frozen=True):
-    """How many of how many."""
+    """A number of items out of all."""
 
     covered: int
     total: int
@@ -39,8 +39,8 @@ class Deviation(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         command: ``branch.operation:ending``, with the check or step that ends it.
         before: The joint state in which it was asked.
-        expected: What must come of it.
-        found: What came of it.
+        expected: Its expected result.
+        found: Its result.
     """
 
     command: str
@@ -53,7 +53,13 @@ class Deviation(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def coverage(blueprint: Blueprint, done: Iterable[Move], wanted: Iterable[Move]) -> dict[str, Count]:
-    """Counts what `done` covers of `wanted` and of all that the blueprint declares, by the keys of `MEANINGS`."""
+    """Count what has been covered, by the keys of `MEANINGS`.
+
+    Args:
+        blueprint: The workflow.
+        done: Moves that have been made.
+        wanted: Moves of the tour; the total also counts all that the blueprint declares.
+    """
     covered, total = set(_counted(done)), set(_counted(wanted)) | set(_declared(blueprint))
     return {
         key: Count(sum(of == key for of, _ in covered & total), sum(of == key for of, _ in total)) for key in MEANINGS
@@ -61,18 +67,26 @@ def coverage(blueprint: Blueprint, done: Iterable[Move], wanted: Iterable[Move])
 
 
 def is_complete(counts: dict[str, Count]) -> bool:
-    """Whether nothing is left."""
+    """Return true if nothing is left."""
     return all(count.covered == count.total for count in counts.values())
 
 
 def deviation(blueprint: Blueprint, move: Move, decision: str, after: Joint, code: str) -> Deviation | None:
-    """What is not as it must be in what came of a move, if anything; `code` is compared where the move has one."""
+    """Return how the result of a move deviates from the expected one, or None.
+
+    Args:
+        blueprint: The workflow.
+        move: The move.
+        decision: Decision of the verdict.
+        after: Joint state after it.
+        code: Code of the rejection; compared if the move has one.
+    """
     as_told = decision == move.decision and after == move.after and move.code in ("", code)
     if as_told:
         return None
     expected, found = (
-        f"{said}{f' ({why})' * bool(why)} and {line_of(branch_states(blueprint, joint))}"
-        for said, why, joint in ((move.decision, move.code, move.after), (decision, code, after))
+        f"{verdict}{f' ({why})' * bool(why)} and {line_of(branch_states(blueprint, joint))}"
+        for verdict, why, joint in ((move.decision, move.code, move.after), (decision, code, after))
     )
     before = line_of(branch_states(blueprint, move.before))
     return Deviation(command=str(move), before=before, expected=expected, found=found)
@@ -95,7 +109,7 @@ def _counted(moves: Iterable[Move]) -> Iterator[tuple[str, object]]:
 
 
 def _declared(blueprint: Blueprint) -> Iterator[tuple[str, object]]:
-    """Outcomes count although no joint state may ever give them."""
+    """Return all that the blueprint declares; outcomes count although no joint state may ever give them."""
     for branch, operation, spec in operations(blueprint):
         if not spec.iio:
             yield from (("outcomes", (f"{branch}.{operation}", outcome)) for outcome in spec.endings)

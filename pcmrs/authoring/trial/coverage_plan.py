@@ -1,18 +1,18 @@
-"""What a tour through a world with a will of its own still has to see, and the way to the nearest of it."""
+"""Plan of a tour through a live system that may not answer as wanted: the open moves, and the path to the nearest."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 
-from pcmrs.authoring.trial.tour import Move, nearest, ways_out
+from pcmrs.authoring.trial.tour import Move, exits, shortest_path
 from pcmrs.fsm.behaviour import Joint
 
 DEFAULT_PATIENCE = 3
-"""A move that has not ended as wanted so often is put aside."""
+"""Number of misses after which a move is put aside."""
 
 ORDER = ("rejected", "accepted", "unknown", "failed")
-"""What is looked at first in a joint state: what changes nothing, then what goes well."""
+"""Order of decisions in a joint state: first those that change nothing, then those that succeed."""
 
 
 class CoveragePlan:
@@ -20,7 +20,7 @@ class CoveragePlan:
 
     Args:
         moves: All moves that can be made in each joint state; each is to be made once.
-        patience: By ``branch.operation``, how often a move is tried before it is put aside, where not the default.
+        patience: ``branch.operation`` to the number of tries before such a move is put aside, if not the default.
     """
 
     def __init__(self, moves: Mapping[Joint, Iterable[Move]], patience: Mapping[str, int]) -> None:
@@ -36,48 +36,64 @@ class CoveragePlan:
         return sum(map(len, self._left.values())) + len(self._aside)
 
     def next(self, here: Joint, able: Callable[[Move], bool]) -> Move | None:
-        """A wanted move here, or the first one of the way to the nearest; None where nothing can be reached.
+        """Return a wanted move here, or the first move on the path to the nearest one; None if none can be reached.
 
         Args:
             here: The present joint state.
-            able: Whether a move can be made at present.
+            able: Returns true if a move can be made at present.
         """
         for attempt in range(2):
             goals = {joint for joint, there in self._left.items() if any(map(able, there))}
             if here in goals:
                 return next(filter(able, self._left[here]))
-            path = nearest(lambda joint: self._ways(joint, able), here, goals)
+            path = shortest_path(lambda joint: self._ways(joint, able), here, goals)
             if path:
                 return path[0]
-            if attempt or not self._take_up():
+            if attempt or not self._retry_aside():
                 break
         return None
 
     def towards(self, here: Joint, goals: set[Joint], able: Callable[[Move], bool]) -> Move | None:
-        """The first move of the way to one of `goals`; None where there is none or it is here."""
-        path = nearest(lambda joint: self._ways(joint, able), here, goals)
+        """Return the first move on the path to one of `goals`; None if there is none, or it is here.
+
+        Args:
+            here: The present joint state.
+            goals: Joint states.
+            able: Returns true if a move can be made at present.
+        """
+        path = shortest_path(lambda joint: self._ways(joint, able), here, goals)
         return path[0] if path else None
 
     def made(self, move: Move) -> None:
-        """It has ended as it may; nothing more is wanted of it, but ways may lead over it."""
+        """Note that a move has ended as wanted. It is not wanted again, but paths may use it."""
         self._blocked.discard(move)
         wanted = self._remove(move) or self._aside.pop(move, None) is not None
         self._gained = self._gained or wanted
 
     def missed(self, move: Move, reason: str) -> None:
-        """It has not led where it was to; once too often, and it is put aside."""
+        """Note that a move has not ended as wanted. After too many misses, it is put aside.
+
+        Args:
+            move: The move.
+            reason: How it ended instead.
+        """
         self._misses[move] += 1
         if self._misses[move] >= self._patience.get(move.name, DEFAULT_PATIENCE):
             self.put_aside(move, reason)
 
     def put_aside(self, move: Move, reason: str) -> None:
-        """No way leads over it for now."""
+        """Bar all paths over a move for now.
+
+        Args:
+            move: The move.
+            reason: Reason, for the report.
+        """
         self._blocked.add(move)
         if self._remove(move):
             self._aside[move] = reason
 
     def drop(self, unwanted: Callable[[Move], bool]) -> list[Move]:
-        """Takes moves off the agenda for good and returns them; ways lead over them no more."""
+        """Drop moves for good, bar all paths over them, and return them."""
         dropped = [move for there in self._left.values() for move in there if unwanted(move)]
         dropped += [move for move in self._aside if unwanted(move)]
         for move in dropped:
@@ -86,12 +102,12 @@ class CoveragePlan:
         self._moves = {joint: [m for m in there if not unwanted(m)] for joint, there in self._moves.items()}
         return dropped
 
-    def rest(self) -> dict[Move, str]:
-        """What has not been seen, and why where it was tried."""
+    def unseen(self) -> dict[Move, str]:
+        """Return the moves that have not been seen, each with the reason if it was tried."""
         return {move: "" for there in self._left.values() for move in there} | self._aside
 
     def _ways(self, joint: Joint, able: Callable[[Move], bool]) -> list[Move]:
-        return ways_out(move for move in self._moves.get(joint, ()) if move not in self._blocked and able(move))
+        return exits(move for move in self._moves.get(joint, ()) if move not in self._blocked and able(move))
 
     def _remove(self, move: Move) -> bool:
         there = self._left.get(move.before, [])
@@ -102,8 +118,8 @@ class CoveragePlan:
             del self._left[move.before]
         return True
 
-    def _take_up(self) -> bool:
-        """Another round with what was put aside, where something was gained since the last."""
+    def _retry_aside(self) -> bool:
+        """Start another round with the moves that were put aside, if anything was gained since the last."""
         if not (self._gained and self._blocked):
             return False
         for move in self._aside:

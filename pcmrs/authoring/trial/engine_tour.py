@@ -1,4 +1,4 @@
-"""The engine on a test tour, each answer compared with what must come of it."""
+"""A test tour of the engine, each answer compared with the expected one."""
 
 from __future__ import annotations
 
@@ -13,10 +13,15 @@ from pcmrs.fsm.engine import Engine
 
 
 def tour_engine(blueprint: Blueprint, tour: Tour) -> Iterator[tuple[Move, Deviation | None]]:
-    """Takes the engine through a tour: what it leaves to its callers, checks and who may ask, it does not see.
+    """Take the engine through a tour. It does not see the checks and roles that its callers are responsible for.
+
+    Args:
+        blueprint: The workflow.
+        tour: Its tour.
 
     Yields:
         Every command and what was not as it must be; a stretch that has left the tour is not gone on with.
+        Every command and its deviation. A stretch ends as soon as it has left the tour.
     """
     for stretch in tour.stretches:
         engine = Engine(blueprint)
@@ -29,13 +34,13 @@ def tour_engine(blueprint: Blueprint, tour: Tour) -> Iterator[tuple[Move, Deviat
 
 
 def _performed(engine: Engine, move: Move) -> tuple[str, str]:
-    """Decision and code of the engine; what it allows although it must not is not performed."""
-    said = engine.ask(move.branch, move.operation)
-    if isinstance(said, Denial):
-        return "rejected", said.code
+    """Return the decision and code of the engine. A command that it wrongly allows is not performed."""
+    answer = engine.ask(move.branch, move.operation)
+    if isinstance(answer, Denial):
+        return "rejected", answer.code
     if move.decision == "rejected":
         return "accepted", ""
-    if move.decision == "accepted" and move.ending not in said.outcomes:
+    if move.decision == "accepted" and move.ending not in answer.outcomes:
         return f"no outcome {move.ending}", ""
     engine.perform(move.branch, move.operation, move.ending)
     return move.decision, ""

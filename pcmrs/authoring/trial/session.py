@@ -1,4 +1,4 @@
-"""A person's way through a workflow, a command at a time, as simulations show it."""
+"""A walk through a workflow, one command at a time, as `pcmrs fsm simulate` shows it."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pcmrs.fsm.behaviour import endings, operations
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint
 from pcmrs.fsm.closure import Change, Closure, Denial, Effect
 from pcmrs.fsm.engine import Engine
+from pcmrs.fsm.finding import hint
 
 WORDS = {
     "operation": "{branch}: {source} → {target}",
@@ -20,18 +21,18 @@ WORDS = {
     "set": "sets {branch}: {source} → {target}",
     "revoke": "revokes {branch}: {source} → {target}",
 }
-"""How each kind of effect is told."""
+"""Texts of each kind of effect."""
 
 
 class Step(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One command and what came of it.
+    """One command and its result.
 
     Attributes:
         command: ``branch.operation`` or ``branch.operation:ending``.
         decision: ``accepted``, ``failed``, ``unknown`` or ``rejected``.
-        code: Of a rejection.
-        text: Why it was rejected.
-        effects: What it did, in order.
+        code: Code of a rejection.
+        text: Reason of the rejection.
+        effects: Its effects, in order.
         states: The joint state after it.
     """
 
@@ -43,20 +44,20 @@ class Step(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     states: dict[str, str]
 
     def lines(self) -> list[str]:
-        """What came of it in words: why not, or every effect."""
+        """Return its result in words: the reason for a rejection, or every effect."""
         if self.decision == "rejected":
             return [f"{self.code}: {self.text}"]
-        return [told(effect) for effect in self.effects] or ["nothing changes"]
+        return [describe_effect(effect) for effect in self.effects] or ["nothing changes"]
 
 
 class SimulationSession:
-    """Commands so far, and where they have led.
+    """The commands so far, and the joint state they have led to.
 
     Args:
-        blueprint: The workflow, at its start.
+        blueprint: The workflow; the session begins at its start.
 
     Attributes:
-        steps: What has been asked, in order.
+        steps: The commands and their results, in order.
     """
 
     def __init__(self, blueprint: Blueprint) -> None:
@@ -65,15 +66,15 @@ class SimulationSession:
         self._engine = Engine(blueprint)
 
     def states(self) -> dict[str, str]:
-        """The present joint state."""
+        """Return the present joint state."""
         return self._engine.joint()
 
     def choices(self) -> list[str]:
-        """Everything that can be asked for now, and every way in which it can end."""
+        """Return every command that can be given now, with every way in which it can end."""
         return [command for branch, operation in self._asked() for command in self._commands(branch, operation)]
 
     def ask(self, command: str) -> Step:
-        """Asks for ``branch.operation`` or ``branch.operation:ending`` and moves on when it is allowed.
+        """Give the command ``branch.operation`` or ``branch.operation:ending``, and move on if it is allowed.
 
         Raises:
             RefusalError: There is no such command, or it does not say how the operation ends.
@@ -84,7 +85,7 @@ class SimulationSession:
         return step
 
     def denial(self, name: str) -> Denial | None:
-        """Why ``branch.operation`` is denied now; None when it is allowed.
+        """Return why ``branch.operation`` is denied now, or None if it is allowed.
 
         Raises:
             RefusalError: There is no such operation.
@@ -93,7 +94,7 @@ class SimulationSession:
         return answer if isinstance(answer, Denial) else None
 
     def undo(self) -> bool:
-        """Takes the last command back; false when there is none."""
+        """Take the last command back; return false if there is none."""
         if self.steps:
             self.steps.pop()
             self._engine.place(self.steps[-1].states if self.steps else self.blueprint.initial())
@@ -101,12 +102,17 @@ class SimulationSession:
         return False
 
     def reset(self) -> None:
-        """Back to the start."""
+        """Go back to the start."""
         self.steps.clear()
         self._engine.place(self.blueprint.initial())
 
-    def wander(self, count: int, seed: int) -> Iterator[Step]:
-        """Asks `count` times for something at random, allowed or not; the same for the same seed."""
+    def random_walk(self, count: int, seed: int) -> Iterator[Step]:
+        """Give random commands, allowed or not.
+
+        Args:
+            count: Number of commands.
+            seed: Seed; the same seed gives the same commands.
+        """
         dice = random.Random(seed)
         asked = self._asked()
         for _ in range(count if asked else 0):
@@ -114,7 +120,7 @@ class SimulationSession:
             yield self.ask(dice.choice(self._commands(branch, operation) or [f"{branch}.{operation}"]))
 
     def _asked(self) -> list[tuple[str, str]]:
-        """Operations that a person or a device may ask for."""
+        """Return the operations that a person or a device may ask for."""
         return [(branch, operation) for branch, operation, spec in operations(self.blueprint) if not spec.iio]
 
     def _commands(self, branch: str, operation: str) -> list[str]:
@@ -129,11 +135,11 @@ class SimulationSession:
         branch, _, operation = name.partition(".")
         spec = self.blueprint.branches.get(branch)
         if spec is None:
-            known = ", ".join(self.blueprint.branches)
-            raise RefusalError("unknown_branch", f"There is no branch {branch!r}; the branches are {known}.")
+            text = f"There is no branch {branch!r}; {hint(branch, self.blueprint.branches)}"
+            raise RefusalError("unknown_branch", text)
         if operation not in spec.operations:
-            known = ", ".join(spec.operations)
-            raise RefusalError("unknown_operation", f"{branch} has no operation {operation!r}; it has {known}.")
+            text = f"{branch} has no operation {operation!r}; {hint(operation, spec.operations)}"
+            raise RefusalError("unknown_operation", text)
         return branch, operation
 
     def _step(self, command: str) -> Step:
@@ -150,7 +156,7 @@ class SimulationSession:
         ending = ending or _only_outcome(possible)
         if ending not in possible:
             ways = ", ".join(_command(name, way) for way in possible)
-            raise RefusalError("unknown_outcome", f"{command} does not say how it ends; say one of {ways}.")
+            raise RefusalError("unknown_outcome", f"{command} does not name an ending; choose from {ways}.")
         change = possible[ending]
         return Step(
             command=_command(name, ending),
@@ -160,8 +166,8 @@ class SimulationSession:
         )
 
 
-def told(effect: Effect) -> str:
-    """An effect in words."""
+def describe_effect(effect: Effect) -> str:
+    """Return an effect in words."""
     return WORDS[effect.kind].format(
         branch=effect.branch, operation=effect.operation, source=effect.source, target=effect.target
     )

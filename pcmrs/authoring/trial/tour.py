@@ -1,6 +1,6 @@
 """A tour of commands that makes a workflow give every answer it can give in every joint state.
 
-For each reachable joint state and each operation: the rejection, or every declared outcome, every refusing
+The moves for each reachable joint state and each operation: the rejection, or every declared outcome, every refusing
 check, and every step that refuses, raises, is late or leaves doubt.
 """
 
@@ -19,7 +19,7 @@ from pcmrs.fsm.blueprint import Blueprint, OperationSpec
 from pcmrs.fsm.closure import Change, Denial
 
 MAX_JOINT_STATES = 5_000
-"""A tour through more would be millions of commands long."""
+"""Limit of joint states; a longer tour would have millions of commands."""
 
 Principal = Literal["user", "device"]
 How = Literal["", "refuses", "raises", "late", "silent"]
@@ -28,16 +28,16 @@ FAILURES: tuple[How, ...] = ("refuses", "raises", "late")
 
 
 class Move(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One command of a tour and what must come of it.
+    """One command of a tour and its expected result.
 
     Attributes:
-        branch: The branch asked.
-        operation: What is asked for.
-        asker: Who asks: operations that devices call are asked for by users too, in vain.
+        branch: Branch of the operation.
+        operation: Name of the operation.
+        asker: Principal that asks: users also ask, in vain, for the operations of devices.
         ending: A declared outcome, ``failed``, ``unknown`` or ``rejected``.
-        at: The check or step that ends it, where it does not end well.
-        how: What that check or step does.
-        code: Of the rejection, where the workflow itself rejects.
+        at: The check or step that ends it, if it does not succeed.
+        how: Behaviour of that check or step.
+        code: Code of the rejection, if the workflow itself rejects.
         before: The joint state in which it is asked.
         after: The joint state that must follow.
     """
@@ -59,7 +59,7 @@ class Move(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def decision(self) -> str:
-        """What the verdict must say."""
+        """The expected decision of the verdict."""
         return self.ending if self.ending in ("failed", "unknown", "rejected") else "accepted"
 
     def __str__(self) -> str:
@@ -72,8 +72,8 @@ class Tour:
     """Commands in order, in stretches that each begin at the start of the workflow.
 
     Attributes:
-        stretches: The commands; between two stretches the workflow is started anew.
-        wanted: All that a tour has to do.
+        stretches: The commands; the workflow is restarted between two stretches.
+        wanted: All moves that a tour has to make.
     """
 
     stretches: list[list[Move]]
@@ -81,18 +81,22 @@ class Tour:
 
 
 def plan_tour(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> Tour:
-    """A short tour: always to the nearest joint state in which something is left to do.
+    """Return a short tour: always to the nearest joint state in which something is left to do.
+
+    Args:
+        blueprint: The workflow.
+        limit: Largest number of joint states.
 
     Raises:
         BlueprintError: There are more than `limit` joint states.
     """
     moves = all_moves(blueprint, limit)
-    ways = {joint: ways_out(there) for joint, there in moves.items()}
+    ways = {joint: exits(there) for joint, there in moves.items()}
     left = {joint: deque(sorted(there, key=_leaves)) for joint, there in moves.items()}
     start = here = joint_of(blueprint, blueprint.initial())
     stretches: list[list[Move]] = [[]]
     while left:
-        path = nearest(ways.__getitem__, here, left)
+        path = shortest_path(ways.__getitem__, here, left)
         if path is None:
             stretches.append([])
             here = start
@@ -108,8 +112,14 @@ def plan_tour(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> Tour:
     return Tour(stretches, [move for there in moves.values() for move in there])
 
 
-def nearest(ways: Callable[[Joint], list[Move]], here: Joint, goals: Container[Joint]) -> list[Move] | None:
-    """The shortest way from a joint state to one of `goals`, by the moves that lead elsewhere; None without any."""
+def shortest_path(ways: Callable[[Joint], list[Move]], here: Joint, goals: Container[Joint]) -> list[Move] | None:
+    """Return the shortest path from a joint state to one of `goals`, or None.
+
+    Args:
+        ways: Returns the moves out of a joint state.
+        here: The first joint state.
+        goals: Joint states.
+    """
     came: dict[Joint, Move | None] = {here: None}
     waiting = deque([here])
     while waiting:
@@ -127,8 +137,8 @@ def nearest(ways: Callable[[Joint], list[Move]], here: Joint, goals: Container[J
     return None
 
 
-def ways_out(moves: Iterable[Move]) -> list[Move]:
-    """One move to each other joint state, by something that goes well where there is such."""
+def exits(moves: Iterable[Move]) -> list[Move]:
+    """Return one move to each other joint state, if possible one that succeeds."""
     found: dict[Joint, Move] = {}
     for move in sorted(moves, key=lambda move: move.decision != "accepted"):
         if _leaves(move):
@@ -137,7 +147,11 @@ def ways_out(moves: Iterable[Move]) -> list[Move]:
 
 
 def all_moves(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> dict[Joint, list[Move]]:
-    """For each reachable joint state, every command of every tour there.
+    """Return, for each reachable joint state, every command of every tour there.
+
+    Args:
+        blueprint: The workflow.
+        limit: Largest number of joint states.
 
     Raises:
         BlueprintError: There are more than `limit` joint states.
@@ -153,7 +167,7 @@ def all_moves(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> dict[Joint
 
 
 def _moves(
-    blueprint: Blueprint, joint: Joint, branch: str, operation: str, spec: OperationSpec, said: Ruling
+    blueprint: Blueprint, joint: Joint, branch: str, operation: str, spec: OperationSpec, ruling: Ruling
 ) -> Iterator[Move]:
     asked = Move(branch=branch, operation=operation, ending="rejected", before=joint, after=joint)
     if spec.iio or spec.event:
@@ -162,18 +176,18 @@ def _moves(
     if spec.iio:
         return
     asked = msgspec.structs.replace(asked, asker="device" if spec.event else "user")
-    if isinstance(said, Denial):
-        yield msgspec.structs.replace(asked, code=said.code)
+    if isinstance(ruling, Denial):
+        yield msgspec.structs.replace(asked, code=ruling.code)
         return
     for check in dict.fromkeys(spec.checks):
         yield msgspec.structs.replace(asked, at=check, how="refuses")
-    for ending, change in endings(spec, said).items():
+    for ending, change in endings(spec, ruling).items():
         ended = msgspec.structs.replace(asked, ending=ending, after=_after(blueprint, joint, change))
         yield from _at_steps(ended, list(dict.fromkeys(spec.steps)))
 
 
 def _at_steps(move: Move, steps: list[str]) -> Iterator[Move]:
-    """A failure or doubt may come of every step, in every way."""
+    """Return a failure or doubt at every step, in every way."""
     if move.decision == "accepted":
         yield move
         return

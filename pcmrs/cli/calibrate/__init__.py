@@ -16,7 +16,7 @@ COMMANDS = {
 def calibrate() -> None:
     """Calibrate the pointer or the tool from poses in a file, or with --live on a running cell.
 
-    Prints the result, what every pose deviates from it, and which poses do not fit the others; -o writes a
-    calibration file for procedure.calibration. Exit status: 0 usable, 1 refused (the motion does not fix it, or an
+    Prints the result, the deviation of every pose, and the poses that do not fit the others; -o writes a
+    calibration file for procedure.calibration. Exit status: 0 usable, 1 refused (the poses do not determine it, or an
     error is over its limit), 2 unreadable, 3 no daemon.
     """

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
-from pcmrs.cli.calibrate.options import Asked, calibration_options
+from pcmrs.cli.calibrate.options import CalibrationRequest, calibration_options
+from pcmrs.cli.options import POSITIVE
 from pcmrs.cli.running import readable_errors
-from pcmrs.cli.values import POSITIVE
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the numerics.
     from pcmrs.calibration import ToolType
-    from pcmrs.cli.calibrate.solved import Solved
+    from pcmrs.cli.calibrate.result import CalibrationResult
     from pcmrs.registration.hand_eye import HandEyeCalibration
     from pcmrs.spatial import Transform
 
@@ -29,41 +29,43 @@ POSES = 15
 @click.option(
     "--limit-mm", type=POSITIVE, default=2.0, show_default=True, help="Largest rms residual that is accepted."
 )
-@click.option("--limit-deg", type=POSITIVE, default=0.5, show_default=True, help="The same of the rotations.")
+@click.option("--limit-deg", type=POSITIVE, default=0.5, show_default=True, help="Largest rms rotation residual.")
 @readable_errors
-def hand_eye(asked: Asked, tool: ToolType, robot: str, limit_mm: float, limit_deg: float) -> None:
+def hand_eye(request: CalibrationRequest, tool: ToolType, robot: str, limit_mm: float, limit_deg: float) -> None:
     """Find the tool on the flange from postures of the arm in which the tracker sees the tool.
 
-    FILE is CSV with base_from_flange_x_m, …_y_m, …_z_m, …_qx, …_qy, …_qz, …_qw and the same of tracker_from_coil (or
-    _mm), or JSON with the same names. With --live, bring the arm to other postures, by hand or by pcmrs call: every
-    one in which it rests is taken while the tracker sees the tool and the reference, until the bar is full.
+    FILE is CSV with base_from_flange_x_m, …_y_m, …_z_m, …_qx, …_qy, …_qz, …_qw and the same for tracker_from_coil (or
+    _mm), or JSON with the same names. With --live, move the arm to other postures, by hand or by pcmrs call: every
+    posture in which it rests is used while the tracker sees the tool and the reference, until the bar is full.
 
     Example: pcmrs calibrate hand-eye poses.csv --name MC-B70 --type coil -o coil.toml
     """
-    from pcmrs.cli.calibrate.conclude import conclude
+    from pcmrs.cli.calibrate.result import conclude
 
-    conclude(asked, lambda: _solve(*_poses(asked, robot), tool, {"mm": limit_mm, "deg": limit_deg}))
+    conclude(request, lambda: _solve(*_poses(request, robot), tool, {"mm": limit_mm, "deg": limit_deg}))
 
 
-def _poses(asked: Asked, robot: str) -> tuple[list[Transform], list[Transform]]:
+def _poses(request: CalibrationRequest, robot: str) -> tuple[list[Transform], list[Transform]]:
     from pcmrs.calibration.poses import HAND_EYE, read_poses
-    from pcmrs.cli.calibrate.live import hand_eye_poses, keep_poses
+    from pcmrs.cli.calibrate.live import hand_eye_poses, save_poses
     from pcmrs.cli.running import run
 
-    if isinstance(asked.source, Path):
-        flange, coil = read_poses(asked.source, HAND_EYE)
+    if isinstance(request.source, Path):
+        flange, coil = read_poses(request.source, HAND_EYE)
         return flange, coil
-    flange, coil = run(hand_eye_poses(asked.address, asked.source, robot))
-    keep_poses(asked.source, HAND_EYE, [flange, coil])
+    flange, coil = run(hand_eye_poses(request.address, request.source, robot))
+    save_poses(request.source, HAND_EYE, [flange, coil])
     return flange, coil
 
 
-def _solve(flange: list[Transform], coil: list[Transform], tool: ToolType, limits: dict[str, float]) -> Solved:
-    from pcmrs.cli.calibrate.solved import Solved
+def _solve(
+    flange: list[Transform], coil: list[Transform], tool: ToolType, limits: dict[str, float]
+) -> CalibrationResult:
+    from pcmrs.cli.calibrate.result import CalibrationResult
     from pcmrs.registration.hand_eye import calibrate_hand_eye
 
     found = calibrate_hand_eye(flange, coil)
-    return Solved(
+    return CalibrationResult(
         kind="tool",
         tool=tool,
         method=f"hand-eye and robot-world (Shah 2013, refined), {len(flange) - len(found.bad)} poses",

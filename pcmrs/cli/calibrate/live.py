@@ -1,4 +1,4 @@
-"""Gathering poses on a running cell, with a bar that shows the operator how far it is."""
+"""Gathering of poses on a running cell, with a progress bar for the operator."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from pcmrs.calibration.pose_collection import PoseCollection
 from pcmrs.calibration.poses import write_poses
-from pcmrs.cli.calibrate.options import Live
+from pcmrs.cli.calibrate.options import LiveOptions
 from pcmrs.cli.options import Address
 from pcmrs.cli.printing import Terminal
 from pcmrs.clock import Clock, SystemClock
@@ -23,21 +23,30 @@ from pcmrs.messages import BodyPose, JointState
 from pcmrs.spatial import Transform, distance, mean_transform, rotation_angle
 
 MAX_AGE = 1.0
-"""An older pose is no pose of now, s."""
+"""Largest age of a pose, s."""
 SPREAD, PIVOT_STEP = math.radians(15.0), math.radians(2.0)
 POSTURE_STEP = math.radians(5.0)
 AT_REST = 1e-3
-"""Joint velocity below which an arm stands, rad/s."""
+"""Joint velocity below which an arm stands still, rad/s."""
 REST = 0.5
-"""So long an arm must have stood, s: it swings for a while."""
+"""Time that an arm must have stood still, s: it vibrates for a while."""
 FRAMES = 20
 """Tracker frames averaged per posture of the arm."""
 MOVED, MOVED_TURN = 0.002, math.radians(0.5)
-"""The reference may not move farther in the tracker, m and rad: it or the tracker was pushed."""
+"""Largest motion of the reference in the tracker, m and rad: beyond it, it or the tracker was pushed."""
 
 
-async def pivot_poses(address: Address, live: Live) -> list[Transform]:
-    """``tracker_from_pointer`` while the operator pivots it. Raises `BusError`, `RefusalError`."""
+async def pivot_poses(address: Address, live: LiveOptions) -> list[Transform]:
+    """Return ``tracker_from_pointer`` while the operator pivots it.
+
+    Args:
+        address: The cell.
+        live: Options of the gathering.
+
+    Raises:
+        BusError: No daemon answers.
+        RefusalError: There are not enough poses.
+    """
     clock = SystemClock()
     feed, collection = PoseFeed(clock, MAX_AGE), PoseCollection(live.count, SPREAD, PIVOT_STEP)
 
@@ -53,8 +62,18 @@ async def pivot_poses(address: Address, live: Live) -> list[Transform]:
     return collection.poses
 
 
-async def hand_eye_poses(address: Address, live: Live, robot: str) -> tuple[list[Transform], list[Transform]]:
-    """``base_from_flange`` and ``tracker_from_coil`` wherever the arm rests. Raises `BusError`, `RefusalError`."""
+async def hand_eye_poses(address: Address, live: LiveOptions, robot: str) -> tuple[list[Transform], list[Transform]]:
+    """Return ``base_from_flange`` and ``tracker_from_coil`` wherever the arm rests.
+
+    Args:
+        address: The cell.
+        live: Options of the gathering.
+        robot: Model of the arm.
+
+    Raises:
+        BusError: No daemon answers.
+        RefusalError: There are not enough poses, the reference has moved, or the arm is of another model.
+    """
     clock = SystemClock()
     arm, feed = RestingArm(ArmModel(find_arm(robot)), clock), PoseFeed(clock, MAX_AGE)
     collection, seen = PoseCollection(live.count, SPREAD, POSTURE_STEP), list[dict[str, Transform]]()
@@ -82,10 +101,14 @@ async def hand_eye_poses(address: Address, live: Live, robot: str) -> tuple[list
 
 
 class RestingArm:
-    """Where the flange is while the arm stands.
+    """Pose of the flange while the arm stands still.
+
+    Args:
+        arm: Model of the arm.
+        clock: Clock of the cell.
 
     Attributes:
-        since: When the arm was last seen moving, s of the clock.
+        since: Time of the last motion of the arm, s of the clock.
     """
 
     def __init__(self, arm: ArmModel, clock: Clock) -> None:
@@ -95,13 +118,13 @@ class RestingArm:
         self._positions: list[float] = []
 
     def update(self, state: JointState) -> None:
-        """Takes a newly measured joint state."""
+        """Take a newly measured joint state."""
         if state.moving or np.abs(state.velocities).max(initial=0.0) > AT_REST:
             self.since = self._clock.monotonic()
         self._positions = state.positions
 
     def flange(self) -> Transform | None:
-        """``base_from_flange``; None while the arm is not heard, or has not stood for `REST`.
+        """Return ``base_from_flange``; None while no state is received, or the arm has not stood for `REST`.
 
         Raises:
             RefusalError: ``other_robot``: the joints are not those of the model.
@@ -115,10 +138,19 @@ class RestingArm:
         return self._arm.forward(self._positions)
 
 
-def keep_poses(live: Live, names: Sequence[str], poses: Sequence[Sequence[Transform]]) -> None:
-    """Keeps gathered poses where the operator wants them. Raises `OSError`."""
-    if live.keep is not None:
-        write_poses(live.keep, names, poses)
+def save_poses(live: LiveOptions, names: Sequence[str], poses: Sequence[Sequence[Transform]]) -> None:
+    """Save gathered poses, if the operator asked for it.
+
+    Args:
+        live: Options of the gathering.
+        names: Name of each list of poses.
+        poses: The lists.
+
+    Raises:
+        OSError: They cannot be written.
+    """
+    if live.save_to is not None:
+        write_poses(live.save_to, names, poses)
 
 
 def _check_still(first: Transform, now: Transform) -> None:
@@ -127,15 +159,15 @@ def _check_still(first: Transform, now: Transform) -> None:
         text = (
             f"The reference moved by {moved * 1000:.1f} mm and {math.degrees(turned):.2f}° in the tracker, the limits "
             f"are {MOVED * 1000:g} mm and {math.degrees(MOVED_TURN):g}°: fix it and the tracker to the robot's base, "
-            "and begin anew."
+            "and restart."
         )
         raise RefusalError("reference_moved", text, moved=moved, turned=turned)
 
 
 async def _collect(
-    collection: PoseCollection, live: Live, clock: Clock, another: Callable[[], Awaitable[None]], prompt: str
+    collection: PoseCollection, live: LiveOptions, clock: Clock, another: Callable[[], Awaitable[None]], prompt: str
 ) -> None:
-    """Asks for one pose after the other until there are enough.
+    """Ask for one pose after the other until there are enough.
 
     Raises:
         RefusalError: ``not_enough_poses`` within the time.
@@ -148,5 +180,5 @@ async def _collect(
                     await another()
                     bar.update(task, completed=collection.progress, description=f"{prompt}: {collection}")
         except TimeoutError:
-            text = f"After {live.seconds:g} s there are {collection}. {prompt}, and begin anew or give more --seconds."
+            text = f"After {live.seconds:g} s there are {collection}. {prompt}, and restart, or give more --seconds."
             raise RefusalError("not_enough_poses", text, poses=len(collection.poses)) from None

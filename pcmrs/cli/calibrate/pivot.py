@@ -1,4 +1,4 @@
-"""`pcmrs calibrate pivot`: where the tip of the pointer is."""
+"""`pcmrs calibrate pivot`: position of the pointer's tip."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import click
 import numpy as np
 
-from pcmrs.cli.calibrate.options import Asked, calibration_options
+from pcmrs.cli.calibrate.options import CalibrationRequest, calibration_options
+from pcmrs.cli.options import POSITIVE
 from pcmrs.cli.running import readable_errors
-from pcmrs.cli.values import POSITIVE
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the numerics.
-    from pcmrs.cli.calibrate.solved import Solved
+    from pcmrs.cli.calibrate.result import CalibrationResult
     from pcmrs.spatial import Transform
 
 POSES = 60
@@ -26,7 +26,7 @@ POSES = 60
     "--limit-mm", type=POSITIVE, default=1.0, show_default=True, help="Largest rms residual that is accepted."
 )
 @readable_errors
-def pivot(asked: Asked, limit_mm: float) -> None:
+def pivot(request: CalibrationRequest, limit_mm: float) -> None:
     """Find the tip of the pointer from poses taken while it rests on one point.
 
     FILE is CSV with the header tracker_from_pointer_x_m, …_y_m, …_z_m, …_qx, …_qy, …_qz, …_qw (or _mm), or JSON with
@@ -34,25 +34,25 @@ def pivot(asked: Asked, limit_mm: float) -> None:
 
     Example: pcmrs calibrate pivot poses.csv --name stylus --serial 17 -o stylus.toml
     """
-    from pcmrs.cli.calibrate.conclude import conclude
+    from pcmrs.cli.calibrate.result import conclude
 
-    conclude(asked, lambda: _solve(_poses(asked), limit_mm))
+    conclude(request, lambda: _solve(_poses(request), limit_mm))
 
 
-def _poses(asked: Asked) -> list[Transform]:
+def _poses(request: CalibrationRequest) -> list[Transform]:
     from pcmrs.calibration.poses import PIVOT, read_poses
-    from pcmrs.cli.calibrate.live import keep_poses, pivot_poses
+    from pcmrs.cli.calibrate.live import pivot_poses, save_poses
     from pcmrs.cli.running import run
 
-    if isinstance(asked.source, Path):
-        return read_poses(asked.source, PIVOT)[0]
-    poses = run(pivot_poses(asked.address, asked.source))
-    keep_poses(asked.source, PIVOT, [poses])
+    if isinstance(request.source, Path):
+        return read_poses(request.source, PIVOT)[0]
+    poses = run(pivot_poses(request.address, request.source))
+    save_poses(request.source, PIVOT, [poses])
     return poses
 
 
-def _solve(poses: list[Transform], limit_mm: float) -> Solved:
-    from pcmrs.cli.calibrate.solved import Solved
+def _solve(poses: list[Transform], limit_mm: float) -> CalibrationResult:
+    from pcmrs.cli.calibrate.result import CalibrationResult
     from pcmrs.registration.pivot import calibrate_pivot
     from pcmrs.spatial import Transform
 
@@ -60,7 +60,7 @@ def _solve(poses: list[Transform], limit_mm: float) -> Solved:
     tip_mm, sd_mm = found.tip_in_pointer * 1000.0, found.deviations * 1000.0
     tip = "  ".join(f"{value:.3f} ± {sd:.3f}" for value, sd in zip(tip_mm, sd_mm, strict=True))
     turned = ", ".join(f"{np.degrees(value):.1f}°" for value in found.singular_values)
-    return Solved(
+    return CalibrationResult(
         kind="pointer",
         tool=None,
         method=f"pivot, algebraic one-step (Yaniv 2015), {len(poses) - len(found.bad)} poses",

@@ -1,4 +1,4 @@
-"""`pcmrs fsm`: from a table of steps to a workflow that is proved, drawn, tested and run."""
+"""`pcmrs fsm`: design, verification, drawing and tests of workflows."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COMMANDS = {
 }
 
 
-@click.group(cls=LazyGroup, commands=COMMANDS, added="fsm.")
+@click.group(cls=LazyGroup, commands=COMMANDS, prefix="fsm.")
 def fsm() -> None:
     """Design, verify, draw, import, test and compare workflows.
 

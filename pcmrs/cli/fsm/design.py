@@ -19,11 +19,11 @@ from pcmrs.cli.progress import search_bar
 def design(steps: str, output: Path | None, as_json: bool) -> None:
     """Design a workflow from the critical operations in STEPS, a TOML file or - for standard input.
 
-    Asks what an operation does to the patient where STEPS does not say it; without a terminal that is a finding.
-    Says how many of the 2^N combinations of N steps are possible and why the others are not, on standard error
-    where the blueprint goes to standard output. Nothing is written unless the blueprint is sound. With --json, standard
-    output gets one object that says all this, and the blueprint is written with -o only. Exit status 0: sound,
-    1: unsound, 2: STEPS cannot be read.
+    Asks for the effect of an operation on the patient if STEPS does not declare it; without a terminal that is a
+    finding. Reports how many of the 2^N combinations of N steps are possible and why the others are not, on standard
+    error if the blueprint goes to standard output. Nothing is written unless the blueprint is sound. With --json,
+    standard output gets one object with all this, and the blueprint is written with -o only. Exit status 0: sound, 1:
+    unsound, 2: STEPS cannot be read.
     """
     from pcmrs.authoring.design import design as design_blueprint
 
@@ -41,9 +41,9 @@ def design(steps: str, output: Path | None, as_json: bool) -> None:
 
 QUESTIONS = {
     "moves": "Does {} move the robot?",
-    "affects_patient": "Does {} act on the patient otherwise, as an insertion or a pulse does?",
-    "irreversible": "Is what {} does irreversible?",
-    "confirm": "Must somebody confirm {} each time?",
+    "affects_patient": "Does {} act on the patient in another way, such as an insertion or a pulse?",
+    "irreversible": "Is the effect of {} irreversible?",
+    "confirm": "Must {} be confirmed each time?",
 }
 
 
@@ -52,7 +52,7 @@ def _can_ask(steps: str) -> bool:
 
 
 def _ask(operation: str) -> list[str]:
-    """Asks, and shows what to write into the table, so that it is asked once only."""
+    """Ask the user, and show what to write into the table, so that the question is asked only once."""
     true = [key for key, question in QUESTIONS.items() if click.confirm(question.format(operation), err=True)]
     keys = ", ".join(f"{key} = true" for key in true) or "moves = false"
     click.echo(f"  for the table, at {operation}: {keys}", err=True)

@@ -1,4 +1,4 @@
-"""`pcmrs fsm diff`: what a change of a workflow changes in its behaviour."""
+"""`pcmrs fsm diff`: differences in behaviour between two versions of a workflow."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from pcmrs.errors import BlueprintError
 @json_option
 @readable_errors
 def diff(old: str, new: str, as_json: bool) -> None:
-    """Say what the workflow NEW answers otherwise than OLD: joint states, accepted operations, where they lead.
+    """List the differences in behaviour of the workflows OLD and NEW: joint states, accepted operations, their targets.
 
-    Goal, properties and what operations declare count, too; comments, layout, order and titles do not. Exit status
+    Goal, properties and declarations of operations count, too; comments, layout, order and titles do not. Exit status
     0: the same behaviour, 1: it differs, 2: one is unsound, cannot be read, or has over 20,000 joint states.
     """
     from pcmrs.authoring.difference import compare

@@ -19,9 +19,9 @@ FORMATS = ("scxml", "promela", "json-schema", "table")
 def export(file: str | None, form: str, output: Path | None) -> None:
     """Write FILE for other tools.
 
-    scxml: a state chart with the same behaviour, which tools for the W3C's SCXML execute. promela: a model for SPIN,
-    with the properties of the workflow as claims. table: the transition table in Markdown. json-schema: what any
-    blueprint may hold, for editors; it needs no FILE.
+    scxml: a state chart with the same behaviour, for tools that execute the W3C's SCXML. promela: a model for SPIN,
+    with the properties of the workflow as claims. table: the transition table in Markdown. json-schema: the format of
+    any blueprint, for editors; it needs no FILE.
     """
     if form == "json-schema":
         from pcmrs.authoring.exchange.exporting.schema import schema

@@ -1,7 +1,4 @@
-"""Files that `pcmrs fsm` reads and writes.
-
-How a command that makes a blueprint says what came of it: to people, or with ``--json`` to programs.
-"""
+"""Files that `pcmrs fsm` reads and writes, and the results of commands that make a blueprint."""
 
 from __future__ import annotations
 
@@ -16,28 +13,36 @@ import msgspec
 from pcmrs.cli.printing import say
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm import Blueprint, examine
-from pcmrs.fsm.files.bounded import MAX_BYTES, read_bounded
+from pcmrs.fsm.files.toml import MAX_BYTES, read_bounded
 from pcmrs.fsm.finding import Finding, summary
 
 
 def check_json_output(output: Path | None, *, as_json: bool) -> None:
-    """Raises `click.UsageError` where the blueprint would be mixed with the JSON object on standard output."""
+    """Refuse to mix the blueprint with the JSON object on standard output.
+
+    Args:
+        output: File for the blueprint; None for standard output.
+        as_json: A JSON object is printed.
+
+    Raises:
+        click.UsageError: Both would go to standard output.
+    """
     if as_json and str(output) == "-":
         raise click.UsageError("--json prints its object on standard output: give -o a file for the blueprint.")
 
 
 def conclude(origin: str, findings: list[Finding], *, readable: bool, as_json: bool, **more: Any) -> None:
-    """Says what is wrong, and ends the command where something is: unsound, or unreadable.
+    """Report the findings, and end the command if there are any: unsound, or unreadable.
 
     Args:
-        origin: How the file was named.
-        findings: All that is wrong.
-        readable: Whether the file is what the command reads.
+        origin: Name of the file in findings.
+        findings: All findings.
+        readable: The file is of the kind that the command reads.
         as_json: Print one object instead of a line for each finding.
         more: Further keys of that object.
     """
     if not as_json:
-        return end_with(findings, readable=readable) if findings else None
+        return fail_with_findings(findings, readable=readable) if findings else None
     said = {"file": origin, "readable": readable, "sound": readable and not findings, "findings": findings, **more}
     # Counts of combinations have more digits than msgspec writes.
     say(json.dumps(msgspec.to_builtins(said), ensure_ascii=False))
@@ -58,9 +63,9 @@ class Source(NamedTuple):
     """A file that was read.
 
     Attributes:
-        raw: Its bytes; of a huge one no more than shows that it is too large.
-        origin: How findings call it.
-        folder: Where it lies; None for standard input.
+        raw: Its bytes; of a huge file, only so many that it is refused as too large.
+        origin: Name of the file in findings.
+        folder: Folder of the file; None for standard input.
     """
 
     raw: bytes
@@ -69,7 +74,7 @@ class Source(NamedTuple):
 
 
 def fetch(file: str) -> Source:
-    """The bytes of a file and where they are from.
+    """Return the bytes of a file, with its origin.
 
     Args:
         file: The name of an installed workflow, a path with a folder or suffix, or ``-`` for standard input.
@@ -82,18 +87,18 @@ def fetch(file: str) -> Source:
             return Source(_standard_input(), "<stdin>", None)
         path = _installed(file) if file.isidentifier() else Path(file)
         return Source(read_bounded(path), printable(str(path)), path.parent)
-    except (OSError, ValueError) as error:  # a ValueError where it cannot be a path
+    except (OSError, ValueError) as error:  # a ValueError for a text that cannot be a path
         reason = error.strerror if isinstance(error, OSError) else str(error)
         raise ConfigurationError(f"{printable(file)} cannot be read: {reason}.", file=file) from None
 
 
 def printable(text: str) -> str:
-    """A file's name as it can be printed: names may hold bytes that are no text."""
+    """Return a file's name as it can be printed: names may hold bytes that are not text."""
     return text.encode(errors="backslashreplace").decode()
 
 
 def read(file: str) -> Source:
-    """The same, for commands on one file: they end where it cannot be read."""
+    """Return the bytes of a file, with its origin, or end the command if it cannot be read."""
     try:
         return fetch(file)
     except ConfigurationError as error:
@@ -101,11 +106,11 @@ def read(file: str) -> Source:
 
 
 def sound(file: str, *, otherwise: int = EXIT_UNSOUND) -> Blueprint:
-    """The sound workflow in a file; otherwise the findings are printed and the command ends.
+    """Return the sound workflow in a file, or print its findings and end the command.
 
     Args:
         file: See `fetch`.
-        otherwise: Exit status for one that is readable, but unsound.
+        otherwise: Exit status for a workflow that is readable, but unsound.
     """
     raw, origin, folder = read(file)
     examination = examine(raw, origin=origin, folder=folder)
@@ -115,20 +120,30 @@ def sound(file: str, *, otherwise: int = EXIT_UNSOUND) -> Blueprint:
     return examination.blueprint
 
 
-def end_with(findings: list[Finding], *, readable: bool) -> NoReturn:
-    """Prints findings to standard error and ends: unsound where the file could be read, unreadable otherwise."""
+def fail_with_findings(findings: list[Finding], *, readable: bool) -> NoReturn:
+    """Print findings to standard error and end the command.
+
+    Args:
+        findings: The findings.
+        readable: The file could be read: the exit status is "unsound" instead of "unreadable".
+    """
     click.echo(summary(findings), err=True)
     sys.exit(EXIT_UNSOUND if readable else EXIT_UNREADABLE)
 
 
 def refuse(text: str) -> NoReturn:
-    """Ends a command that cannot be done."""
+    """End a command that cannot be done."""
     click.echo(f"{click.get_current_context().command_path}: {text}", err=True)
     sys.exit(EXIT_UNREADABLE)
 
 
 def write(text: str | bytes, output: Path | None) -> None:
-    """Writes a result to the file that was asked for, or to standard output (also for ``-``)."""
+    """Write a result to a file, or to standard output.
+
+    Args:
+        text: The result.
+        output: The file; None or ``-`` for standard output.
+    """
     if output is None or str(output) == "-":
         click.echo(text, nl=False)
         return
@@ -139,12 +154,12 @@ def write(text: str | bytes, output: Path | None) -> None:
 
 
 def _standard_input() -> bytes:
-    if sys.stdin is None:  # as the shell's <&- leaves it
+    if sys.stdin is None:  # closed by the shell with <&-
         raise ValueError("standard input is closed")
     return sys.stdin.buffer.read(MAX_BYTES + 1)
 
 
 def _installed(name: str) -> Path:
-    from pcmrs.workflows.find import find_workflow  # loads the procedures: not for a mere path
+    from pcmrs.workflows.find import find_workflow  # loads the procedures, which a mere path does not need
 
     return find_workflow(name).blueprint

@@ -1,4 +1,4 @@
-"""`pcmrs fsm generate`: the state classes that a daemon runs, to be read."""
+"""`pcmrs fsm generate`: the state classes that a daemon runs, for review."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pcmrs.cli.running import readable_errors
 def generate(file: str, output: Path | None) -> None:
     """Print the Python source of the branch and state classes of FILE.
 
-    A daemon makes its state objects by executing exactly this text: what is reviewed is what runs.
+    A daemon makes its state objects by executing exactly this text: you review the code that runs.
     """
     from pcmrs.fsm.classes import source_of
 

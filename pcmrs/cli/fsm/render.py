@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from pcmrs.cli.fsm.files import end_with, file_argument, output_option, read, refuse, write
+from pcmrs.cli.fsm.files import fail_with_findings, file_argument, output_option, read, refuse, write
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm import Blueprint, examine
 from pcmrs.fsm.files.load import read_blueprint
@@ -39,9 +39,9 @@ def _states(_context: click.Context, _parameter: click.Parameter, given: tuple[s
 def render(file: str, form: str, current: Mapping[str, str], output: Path | None) -> None:
     """Draw the state chart of FILE.
 
-    Branches stand side by side, those of a deeper level inside the frame of the branch that they refine. svg and
-    png are the same picture; dot is for Graphviz, mermaid for pages that draw stateDiagram-v2. What only the search
-    of `verify` finds wrong does not keep FILE from being drawn.
+    Branches stand side by side, those of a deeper level inside the frame of the branch that they refine. svg and png
+    are the same picture; dot is for Graphviz, mermaid for pages that draw stateDiagram-v2. A FILE that only the search
+    of `verify` finds unsound can be drawn.
     """
     try:
         write(_drawing(form)(_drawable(file), current), output)
@@ -50,13 +50,13 @@ def render(file: str, form: str, current: Mapping[str, str], output: Path | None
 
 
 def _drawable(file: str) -> Blueprint:
-    """The workflow in a file if it keeps the static rules; otherwise its findings are printed and the command ends."""
+    """Return the workflow in a file if it obeys the static rules; otherwise print its findings and end the command."""
     raw, origin, folder = read(file)
     blueprint, findings = read_blueprint(raw, origin, folder)
     if blueprint is None:
-        end_with(findings, readable=False)
+        fail_with_findings(findings, readable=False)
     if any(True for _ in check_rules(blueprint)):
-        end_with(examine(raw, origin=origin, folder=folder).findings, readable=True)
+        fail_with_findings(examine(raw, origin=origin, folder=folder).findings, readable=True)
     return blueprint
 
 

@@ -23,25 +23,25 @@ if TYPE_CHECKING:
 HELP = """\
 <number>                    ask for that line of the list
 <branch.operation>          ask for an operation; it must have one outcome only
-<branch.operation:ending>   the same, and say how it ends: an outcome, failed or unknown
+<branch.operation:ending>   ask for it, with its ending: an outcome, failed or unknown
 why <branch.operation>      why it is refused now
-state                       the states, and what can be asked for
+state                       the states, and all possible commands
 undo, reset                 take the last command back, or all of them
 help, quit"""
 
 
 LONGEST_LINE = 1000
-"""Bytes of a line that are read as one."""
+"""Limit of a line, bytes; longer lines are read in parts."""
 
 
 @click.command()
 @file_argument
-@click.option("--random", "count", type=click.IntRange(min=1), help="Ask so many times for something at random.")
-@click.option("--seed", default=1, show_default=True, help="Of what is asked for at random.")
+@click.option("--random", "count", type=click.IntRange(min=1), help="Number of random commands.")
+@click.option("--seed", default=1, show_default=True, help="Seed of the random commands.")
 @json_option
 @readable_errors
 def simulate(file: str, count: int | None, seed: int, as_json: bool) -> None:
-    """Step through the workflow FILE: what can be asked for, and what comes of it.
+    """Step through the workflow FILE: see all possible commands, and the effects of those you give.
 
     Commands are read line by line, from the terminal or a pipe; `help` lists them. With --json every step is
     one JSON object.
@@ -51,14 +51,14 @@ def simulate(file: str, count: int | None, seed: int, as_json: bool) -> None:
     walk = SimulationSession(sound(file))
     show: Callable[[Step], None] = _show_json if as_json else _show
     if count is not None:
-        for step in walk.wander(count, seed):
+        for step in walk.random_walk(count, seed):
             show(step)
     else:
         _converse(walk, show, tables=not as_json)
 
 
 def _converse(walk: SimulationSession, show: Callable[[Step], None], *, tables: bool) -> None:
-    """Answers line after line until there are no more; at a terminal every answer ends with the new state."""
+    """Answer line after line until there are no more; at a terminal every answer ends with the new state."""
     if tables:
         _show_state(walk)
     for line in _lines():
@@ -83,7 +83,7 @@ def _lines() -> Iterator[str]:
         if not line:
             return
         rest = line
-        while len(rest) == LONGEST_LINE and not rest.endswith(b"\n"):  # what is left of the line is no other line
+        while len(rest) == LONGEST_LINE and not rest.endswith(b"\n"):  # the rest of the line is not another line
             rest = sys.stdin.buffer.readline(LONGEST_LINE)
         yield line.decode(errors="replace").strip()
 
@@ -141,7 +141,7 @@ def _show(step: Step) -> None:
 
 
 def _show_state(walk: SimulationSession) -> None:
-    """The state of every branch with its meaning, then the numbered choices."""
+    """Print the state of every branch with its meaning, then the numbered choices."""
     table = Table("branch", "state", "meaning", box=SIMPLE_HEAD)
     for branch, state in walk.states().items():
         table.add_row(branch, state, walk.blueprint.branches[branch].states[state])

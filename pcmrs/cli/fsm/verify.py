@@ -1,4 +1,4 @@
-"""`pcmrs fsm verify`: proves that workflows are sound, or shows how they are not."""
+"""`pcmrs fsm verify`: proves that workflows are sound, or shows why they are not."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from pcmrs.cli.progress import search_bar
 from pcmrs.cli.running import readable_errors
 from pcmrs.errors import ConfigurationError
 from pcmrs.extras import missing_module
-from pcmrs.fsm.finding import unread
+from pcmrs.fsm.finding import unreadable_file
 
 if TYPE_CHECKING:
     from pcmrs.fsm import Examination
-    from pcmrs.fsm.rules.declared import Known
+    from pcmrs.fsm.rules.declared import KnownHazards
 
 
 @click.command()
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 @json_option
 @readable_errors
 def verify(files: tuple[str, ...], limit: int, as_json: bool) -> None:
-    """Search all joint states of each FILE for what breaks a rule or a property.
+    """Search all joint states of each FILE for violations of a rule or a property.
 
-    A finding says where in the file it is, and with which commands one gets there. Exit status 0: all are sound,
+    A finding has its place in the file, and the commands that lead to it. Exit status 0: all are sound,
     1: one is not, 2: one cannot be read.
     """
     found = [_examine(file, limit) for file in files]
@@ -53,13 +53,13 @@ def _examine(file: str, limit: int) -> tuple[str, Examination]:
         raw, origin, folder = fetch(file)
     except ConfigurationError as error:
         origin = printable(file)
-        return origin, Examination(None, [unread(origin, error.text)])
+        return origin, Examination(None, [unreadable_file(origin, error.text)])
     with search_bar(origin) as progress:
         return origin, examine(raw, origin=origin, folder=folder, limit=limit, progress=progress, known=_known(raw))
 
 
-def _known(raw: bytes) -> Known | None:
-    """What PCMRS's own steps do; not loaded for a file that names none."""
+def _known(raw: bytes) -> KnownHazards | None:
+    """Return the known effects of PCMRS's own steps; they are not loaded for a file that names none."""
     if b"steps" not in raw and b"extends" not in raw and b"activities" not in raw:
         return None
     try:
@@ -68,7 +68,7 @@ def _known(raw: bytes) -> Known | None:
         missing = missing_module(error)
         if missing is None:
             raise
-        say(f"What the steps of PCMRS do is not looked at. {missing.text}", err=True)
+        say(f"The effects of PCMRS's own steps are not checked. {missing.text}", err=True)
         return None
     return placement_registry().known
 

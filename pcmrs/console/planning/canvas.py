@@ -42,14 +42,14 @@ class Canvas:
             self.show_surface(SURFACE)
 
     def show_surface(self, url: str | None) -> None:
-        """Shows the STL at an address as the surface; None shows none."""
+        """Show the STL at an address as the surface; None shows none."""
         if self._surface is not None:
             self._surface.delete()
         with self._scene:
             self._surface = None if url is None else self._scene.stl(url).material(SKIN, 1.0).with_name("surface")
 
     def show_cortex(self, url: str) -> None:
-        """Shows the STL at an address as the cortex, and the surface so that one sees through it."""
+        """Show the STL at an address as the cortex, and the surface so that one sees through it."""
         if self._cortex is not None:
             self._cortex.delete()
         with self._scene:
@@ -58,13 +58,13 @@ class Canvas:
             self._surface.material(SKIN, 0.4)
 
     def look_at(self, vertices: npt.NDArray[np.float64]) -> None:
-        """Brings corners, m, (V, 3), into view, from in front and above."""
+        """Bring corners, m, (V, 3), into view, from in front and above."""
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         (x, y, z), size = (low + high) / 2.0, float((high - low).max())
         self._scene.move_camera(x + 0.3 * size, y + 1.1 * size, z + 0.5 * size, x, y, z, duration=0.0)
 
     def draw(self, draft: Draft, pose: Transform | None) -> None:
-        """Shows a draft, and the tool at a pose."""
+        """Show a draft, and the tool at a pose."""
         for ball in self._balls:
             ball.delete()
         points = [(np.array(each.planned), LANDMARK, f"landmark {each.name}") for each in draft.landmarks]

@@ -38,7 +38,7 @@ class Checking:
         ui.timer(ASKED, self._look)
 
     def of(self, requests: Requests) -> None:
-        """Has a plan looked at, one request after the other; none leaves the line empty."""
+        """Have a plan looked at, one request after the other; none leaves the line empty."""
         self._wanted = requests
 
     async def _look(self) -> None:

@@ -55,7 +55,7 @@ class Draft:
     end: Floats | None = None
 
     def add_landmark(self, point: Floats, name: str = "") -> None:
-        """Adds a landmark, (3,), by the next free number where it has no name. Raises `GeometryError`."""
+        """Add a landmark, (3,), by the next free number where it has no name. Raises `GeometryError`."""
         taken = {each.name for each in self.landmarks}
         number = next(number for number in range(1, len(taken) + 2) if f"landmark_{number}" not in taken)
         name = name.strip() or f"landmark_{number}"
@@ -65,7 +65,7 @@ class Draft:
         self.landmarks.append(LandmarkShown(name=name, planned=(x, y, z)))
 
     def take_landmarks(self, names: Sequence[str], points: Floats) -> None:
-        """Plans the landmarks of a file, (N, 3), in place of those there were.
+        """Plan the landmarks of a file, (N, 3), in place of those there were.
 
         Raises:
             GeometryError: They are not at the surface, or two have one name: then none is taken.
@@ -84,7 +84,7 @@ class Draft:
         self.landmarks = found.landmarks
 
     def aim(self, target: Floats, direction: Floats | None = None) -> None:
-        """Stands the tool on the surface over a target in the cortex, (3,).
+        """Stand the tool on the surface over a target in the cortex, (3,).
 
         Args:
             target: m, (3,).
@@ -113,7 +113,7 @@ class Draft:
         return float(np.linalg.norm(self.pose.translation - self.target))
 
     def replace_surface(self, surface: TriangleSurface | None) -> None:
-        """Plans on another surface: what stood on the one before is gone; landmarks are points of the image."""
+        """Plan on another surface: what stood on the one before is gone; landmarks are points of the image."""
         self.surface, self.pose, self.target, self.grid = surface, None, None, ()
 
     def normal_at(self, target: Floats) -> Floats:
@@ -124,7 +124,7 @@ class Draft:
         return normal
 
     def place(self, point: Floats) -> None:
-        """Stands the tool on the surface at a point, (3,), its handle as it was. Raises `GeometryError`."""
+        """Stand the tool on the surface at a point, (3,), its handle as it was. Raises `GeometryError`."""
         surface = self._surface()
         z = surface.closest(point[None])[1][0]
         before = np.eye(3) if self.pose is None else self.pose.rotation
@@ -144,7 +144,7 @@ class Draft:
             (self.pose,) = along_scalp(self._surface().closest, self.pose, [MOVES[key]])
 
     def lay_grid(self, spacing: float, rows: int, columns: int) -> None:
-        """Lays a grid around the tool, `spacing` in m. Raises `GeometryError`."""
+        """Lay a grid around the tool, `spacing` in m. Raises `GeometryError`."""
         if self.pose is None:
             raise GeometryError("The grid lies around the tool; place it first.")
         self.grid = rows_on_scalp(self._surface().closest, self.pose, spacing, rows, columns)

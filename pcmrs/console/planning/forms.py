@@ -41,7 +41,7 @@ class Editing:
     changed: Callable[[], None]
 
     def do(self, action: Callable[[], object]) -> None:
-        """Changes the draft; a refusal is told, and leaves it as it was."""
+        """Change the draft; a refusal is told, and leaves it as it was."""
         try:
             action()
         except PcmrsError as error:
@@ -83,12 +83,12 @@ class LandmarkForm:
             editing.button("clear", "clear-landmarks", lambda: editing.draft.landmarks.clear())
 
     def pick(self, point: Floats) -> None:
-        """Adds a landmark by the name that is written down. Raises `GeometryError`."""
+        """Add a landmark by the name that is written down. Raises `GeometryError`."""
         self._editing.draft.add_landmark(point, self._name.value or "")
         self._name.set_value("")
 
     def refresh(self) -> None:
-        """Shows the draft."""
+        """Show the draft."""
         self._list.clear()
         with self._list:
             for each in self._editing.draft.landmarks:
@@ -144,11 +144,11 @@ class ToolForm:
         return typed_numbers(self._normal.value) if self._normal.value else draft.normal_at(target)
 
     def pick(self, point: Floats) -> None:
-        """Stands the tool at a point of the surface. Raises `GeometryError`."""
+        """Stand the tool at a point of the surface. Raises `GeometryError`."""
         self._editing.draft.place(point)
 
     def refresh(self) -> None:
-        """Shows the draft."""
+        """Show the draft."""
         draft, texts = self._editing.draft, self._editing.texts
         if draft.pose is None:
             self._shown.set_text("")
@@ -177,7 +177,7 @@ class TrajectoryForm:
         self._shown = ui.label().props('data-testid="trajectory"')
 
     def pick(self, point: Floats) -> None:
-        """Takes a point as entry or end, whichever is chosen; after an entry comes the end."""
+        """Take a point as entry or end, whichever is chosen; after an entry comes the end."""
         if self._which.value == "entry":
             self._editing.draft.entry = point
             self._which.set_value("end")
@@ -185,7 +185,7 @@ class TrajectoryForm:
             self._editing.draft.end = point
 
     def refresh(self) -> None:
-        """Shows the draft."""
+        """Show the draft."""
         draft, texts = self._editing.draft, self._editing.texts
         named = {texts("entry"): draft.entry, texts("end"): draft.end}
         parts = [f"{name}: {in_mm(point)}" for name, point in named.items() if point is not None]
@@ -215,7 +215,7 @@ class GridForm:
         self._shown = ui.label().props('data-testid="grid"')
 
     def pick(self, point: Floats) -> None:
-        """Lays the grid around a point of the surface. Raises `GeometryError`."""
+        """Lay the grid around a point of the surface. Raises `GeometryError`."""
         self._editing.draft.place(point)
         self._lay()
 
@@ -226,5 +226,5 @@ class GridForm:
         self._editing.draft.lay_grid(spacing / 1000.0, int(rows), int(columns))
 
     def refresh(self) -> None:
-        """Shows the draft."""
+        """Show the draft."""
         self._shown.set_text(self._editing.texts("grid_points", count=len(self._editing.draft.grid)))

@@ -89,7 +89,7 @@ def main() -> None:
 
 
 def answer_to(request: Request) -> Answer:
-    """Reads the file. Raises `PcmrsError`."""
+    """Read the file. Raises `PcmrsError`."""
     path = Path(request.path)
     if isinstance(request, PointsRequest):
         found = read_points(path)

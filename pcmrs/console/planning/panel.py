@@ -36,10 +36,10 @@ class Form(Protocol):
     """One kind of plan."""
 
     def pick(self, point: Floats) -> None:
-        """Takes a point of the surface that was clicked. Raises `GeometryError`."""
+        """Take a point of the surface that was clicked. Raises `GeometryError`."""
 
     def refresh(self) -> None:
-        """Shows the draft."""
+        """Show the draft."""
 
 
 class PlanningPanel:
@@ -103,7 +103,7 @@ class PlanningPanel:
             self._editing.do(lambda: form.pick(point))
 
     def refresh(self, choices: Mapping[str, Choice]) -> None:
-        """Lets be sent what may be asked for, and has the plan looked at anew: what decides on it may have changed."""
+        """Let be sent what may be asked for, and has the plan looked at anew: what decides on it may have changed."""
         for kind, button in self._sending.items():
             choice = choices.get(self._operations[kind])
             button.set_enabled(choice is not None and not choice.why_not)

@@ -86,7 +86,7 @@ class UploadForm:
             self._busy.set_visibility(False)
 
     async def _use_in(self, folder: Path, files: Sequence[FileUpload]) -> None:
-        """Takes files by way of a folder; what is refused is told without that."""
+        """Take files by way of a folder; what is refused is told without that."""
         try:
             await self._use(await stored(files, folder))
         except (PcmrsError, OSError) as error:
@@ -94,7 +94,7 @@ class UploadForm:
             self._say(text.replace(f"{folder}/", "").replace(str(folder), self._editing.texts("files")), good=False)
 
     async def _use(self, path: Path) -> None:
-        """Takes a file for what it was said to be for. Raises `PcmrsError`; then nothing has changed."""
+        """Take a file for what it was said to be for. Raises `PcmrsError`; then nothing has changed."""
         draft, role = self._editing.draft, self._role.value
         if role in ("surface", "cortex"):
             mesh = await read_surface(path, self._unit.value, self._space.value, self._threshold.value)

@@ -29,7 +29,7 @@ class WellbeingPanel:
         self._table.props('data-testid="counters"')
 
     def draw(self, health: Health | None) -> None:
-        """Shows what the daemon said last; None while it does not answer, or where it has not been told."""
+        """Show what the daemon said last; None while it does not answer, or where it has not been told."""
         texts = self._texts
         status = texts("unknown") if health is None else health.status
         self._status.set_text(f"{texts('daemon')}: {status}")

@@ -32,11 +32,11 @@ class MotionPanel:
         self._body = _chart(texts("body_motion"))
 
     def look(self) -> None:
-        """Keeps the present moment."""
+        """Keep the present moment."""
         self._traces.look(self._told)
 
     def draw(self) -> None:
-        """Shows what was kept."""
+        """Show what was kept."""
         moments = self._traces.moments
         _draw(self._tool, [(each, each.tool) for each in moments], self._told.now)
         _draw(self._body, [(each, each.body) for each in moments], self._told.now)

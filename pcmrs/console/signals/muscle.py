@@ -40,7 +40,7 @@ class MusclePanel:
             self._found = ui.label().props('data-testid="threshold"')
 
     def draw(self) -> None:
-        """Shows what is new."""
+        """Show what is new."""
         if self._told.version == self._version:
             return
         self._version = self._told.version

@@ -38,7 +38,7 @@ class Traces:
         self._begun: Transform | None = None
 
     def look(self, told: CellViewModel) -> None:
-        """Adds the present moment; where time has gone back, as in a replay, it begins anew."""
+        """Add the present moment; where time has gone back, as in a replay, it begins anew."""
         coil, body_ref = told.poses.get("coil"), told.poses.get("body_ref")
         if self.moments and told.now < self.moments[-1].at:
             self.moments.clear()

@@ -1,1 +1,1 @@
-"""Blueprint files: reading what anybody may have written, and writing what people will read."""
+"""Blueprint files: reading files from any author, and writing files for people."""

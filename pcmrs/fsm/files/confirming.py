@@ -1,7 +1,7 @@
-"""Writes out `confirm = true`: a branch in which somebody confirms an operation each time before it is accepted.
+"""Expands `confirm = true` into a branch in which a user confirms an operation each time before it is accepted.
 
-A confirmation is used up by the next command of the operation's branch, whatever that is, and by any command of a
-branch that can release the latch of Stop: what was confirmed before a Stop does not count after it.
+A confirmation is consumed by the next command of the operation's branch, whatever that is, and by any command of a
+branch that can release the latch of Stop: a confirmation before a Stop does not count after it.
 """
 
 from __future__ import annotations
@@ -18,13 +18,20 @@ REFUSAL = "not_confirmed"
 
 
 def confirmation_of(blueprint: Blueprint, branch: str, operation: str) -> str:
-    """Name of the branch in which an operation is confirmed: by its own name where no other branch has that."""
+    """Return the name of the branch in which an operation is confirmed.
+
+    Args:
+        blueprint: The workflow.
+        branch: Branch of the operation.
+        operation: Name of the operation. The branch is named after it alone, unless another branch has one of this
+            name.
+    """
     shared = any(operation in spec.operations for name, spec in blueprint.branches.items() if name != branch)
     return f"{branch}_{operation}_confirmation" if shared else f"{operation}_confirmation"
 
 
 def expand_confirmations(blueprint: Blueprint) -> Blueprint:
-    """The same workflow without `confirm`, and with the branches that it stands for.
+    """Return the workflow with each `confirm` replaced by the branch that it stands for.
 
     An operation that cannot be confirmed keeps its `confirm`: see `pcmrs.fsm.rules.shapes`.
 

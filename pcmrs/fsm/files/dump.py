@@ -1,4 +1,4 @@
-"""Writes a blueprint as the TOML that a person would have written: no defaults, short tables in one line."""
+"""Writes a blueprint as TOML for people: without defaults, short tables in one line."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Path = tuple[str, ...]
 
 
 def blueprint_toml(blueprint: Blueprint, *, comment: str = "") -> str:
-    """The file that reads back as `blueprint`, except for its `hash`.
+    """Return the text of a file that reads back as `blueprint`, except for its `hash`.
 
     Args:
         blueprint: Expanded or not.
@@ -52,7 +52,7 @@ def _is_default(value: msgspec.Struct, field: msgspec.structs.FieldInfo) -> bool
 
 
 def _table(path: Path, table: dict[str, Any]) -> Iterator[str]:
-    """The lines of a table without its header: first what fits a line, then the tables below it."""
+    """The lines of a table without its header: first the values that fit a line, then the tables below it."""
     below = {key: value for key, value in table.items() if _has_header((*path, key), value)}
     yield from (_line(key, value) for key, value in table.items() if key not in below)
     for key, value in below.items():

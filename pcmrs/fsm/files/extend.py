@@ -1,4 +1,4 @@
-"""Lays a blueprint over the one beside it that it extends."""
+"""Merges a blueprint into the file beside it that it extends."""
 
 from __future__ import annotations
 
@@ -7,15 +7,14 @@ from collections.abc import Mapping
 from pathlib import Path as FilePath
 from typing import Any
 
-from pcmrs.fsm.files.bounded import read_bounded
 from pcmrs.fsm.files.keys import rename_keys
-from pcmrs.fsm.files.places import Places, placed
-from pcmrs.fsm.files.toml import read_toml
+from pcmrs.fsm.files.places import Places, with_locations
+from pcmrs.fsm.files.toml import read_bounded, read_toml
 from pcmrs.fsm.finding import Finding, Path, refuse
 
 EXTENDS = "extends"
 OWN = ("id", "version", "title", "goal", "migrations")
-"""What says which workflow a file is: never taken from the file that it extends."""
+"""Keys that identify a workflow: never taken from the file that it extends."""
 
 FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,99}\.toml")
 
@@ -23,33 +22,34 @@ Table = dict[str, Any]
 
 
 def read_layers(raw: bytes, origin: str, folder: FilePath | None) -> tuple[Table, Places, list[Finding]]:
-    """The table in a blueprint file, laid over that of the file which it extends.
-
-    Returned are the table, where each of its keys comes from, and warnings of keys that have an old name.
+    """Return the table of a blueprint file, merged into that of the file which it extends.
 
     Tables merge. Properties replace those of the same `id` and are else appended, revocations are appended, and
     anything else replaces what was there.
 
     Args:
         raw: The file.
-        origin: How findings call it.
-        folder: Where the file lies; None where nobody knows.
+        origin: Name of the file in findings.
+        folder: Folder of the file; None if it has none.
+
+    Returns:
+        The merged table, where each of its keys comes from, and warnings of keys that have an old name.
 
     Raises:
-        BlueprintError: One of the two cannot be read, or is no file that can be extended; `findings` has where.
+        BlueprintError: One of the two files cannot be read, or cannot be extended; `findings` has where.
     """
     own, places, warnings = _read_layer(raw, origin)
     if EXTENDS not in own:
         return own, places, warnings
     base, below, older = _read_base(own.pop(EXTENDS), places, folder)
     moved: dict[Path, Path] = {}
-    merged = _laid_over(base, own, (), moved)
+    merged = _merged(base, own, (), moved)
     return merged, places.over(below, moved), [*older, *warnings]
 
 
 def _read_layer(raw: bytes, origin: str) -> tuple[Table, Places, list[Finding]]:
     table, places = read_toml(raw, origin)
-    return table, places, placed(rename_keys(table), places)
+    return table, places, with_locations(rename_keys(table), places)
 
 
 def _read_base(name: object, places: Places, folder: FilePath | None) -> tuple[Table, Places, list[Finding]]:
@@ -59,12 +59,18 @@ def _read_base(name: object, places: Places, folder: FilePath | None) -> tuple[T
         text = f"`extends` is {name!r}; it must be the name of a .toml file beside this one, without a folder."
         refuse(origin, "bad_extends", text, here, (EXTENDS,))
     if folder is None:
-        text = f"`extends` names {name}, but this text lies in no folder: give the path of its file."
+        text = f"`extends` names {name}, but this text has no folder: give the path of its file."
         refuse(origin, "bad_extends", text, here, (EXTENDS,))
     path = folder / name
     try:
         if not path.is_file():
-            refuse(origin, "bad_extends", f"`extends` names {name}, but beside this file is none.", here, (EXTENDS,))
+            refuse(
+                origin,
+                "bad_extends",
+                f"`extends` names {name}, but there is no such file beside this one.",
+                here,
+                (EXTENDS,),
+            )
         raw = read_bounded(path)
     except OSError as error:
         text = f"`extends` names {name}, which cannot be read: {error.strerror}."
@@ -76,26 +82,26 @@ def _read_base(name: object, places: Places, folder: FilePath | None) -> tuple[T
     return {key: value for key, value in base.items() if key not in OWN}, below, warnings
 
 
-def _laid_over(base: Mapping[str, Any], own: Mapping[str, Any], above: Path, moved: dict[Path, Path]) -> Table:
-    """`own` over `base`; notes in `moved` where the elements of its lists have got to."""
+def _merged(base: Mapping[str, Any], own: Mapping[str, Any], above: Path, moved: dict[Path, Path]) -> Table:
+    """Return `own` merged into `base`, and note in `moved` the new position of each list element."""
     merged = dict(base)
     for key, value in own.items():
         path, below = (*above, key), merged.get(key)
         if isinstance(below, dict) and isinstance(value, dict):
-            merged[key] = _laid_over(below, value, path, moved)
-        elif isinstance(below, list) and isinstance(value, list) and _is_added_to(path):
-            merged[key] = _added(below, value, path, moved)
+            merged[key] = _merged(below, value, path, moved)
+        elif isinstance(below, list) and isinstance(value, list) and _is_extended(path):
+            merged[key] = _merged_list(below, value, path, moved)
         else:
             merged[key] = value
     return merged
 
 
-def _is_added_to(path: Path) -> bool:
+def _is_extended(path: Path) -> bool:
     return path == ("properties",) or (path[0] == "branches" and path[2:] == ("revocations",))
 
 
-def _added(below: list[Any], own: list[Any], path: Path, moved: dict[Path, Path]) -> list[Any]:
-    """Both lists; an element takes the place of the one below that has its `id`."""
+def _merged_list(below: list[Any], own: list[Any], path: Path, moved: dict[Path, Path]) -> list[Any]:
+    """Return both lists; an element replaces the one below that has its `id`."""
     numbers = {element["id"]: index for index, element in enumerate(below) if _identified(element)}
     result = list(below)
     for index, element in enumerate(own):

@@ -1,9 +1,9 @@
-"""Where in a TOML text its keys are: the parser of the standard library does not say.
+"""Positions of the keys in a TOML text, which the parser of the standard library does not give.
 
-The scanner reads what TOML 1.0 allows. It checks nothing but the depth: at what is no TOML it stops, and `tomllib` says
-what is wrong there.
+The scanner reads TOML 1.0. It checks only the depth: it stops at text that is not TOML, and `tomllib` says
+what is wrong.
 
-Keys of a blueprint that were renamed: the old names are accepted, with a warning.
+It also accepts the old names of renamed keys of a blueprint, with a warning.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from typing import Any, NamedTuple, NoReturn
 from pcmrs.fsm.finding import Finding, Path
 
 RENAMED = {"acts": "affects_patient", "halts": "blocked_when_latched"}
-"""Old name of an operation's key to its present one."""
+"""Old name of an operation's key to its present name."""
 
 OF_A_SEQUENCE = ("perform", "skip", "repeat", "abandon")
 
 
 def rename_keys(table: dict[str, Any]) -> list[Finding]:
-    """Gives the keys of a file's operations their present names, in place; returns a warning for each.
+    """Give the keys of a file's operations their present names, in place, and return a warning for each.
 
-    Where a key is there under both names, both stay: the old one is then unknown, and the file is refused.
+    If a key is given under both names, both stay: the old name is then unknown, and the file is refused.
     """
     warnings: list[Finding] = []
     for path, operation in _operations(table):
@@ -38,7 +38,7 @@ def rename_keys(table: dict[str, Any]) -> list[Finding]:
 
 
 def _operations(table: dict[str, Any]) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """What may be an operation in a file that nobody has checked yet."""
+    """Return everything in an unchecked file that may be an operation."""
     for name, branch in _tables(table.get("branches")):
         written = ((("operations", key), each) for key, each in _tables(branch.get("operations")))
         made = ((("sequence", key), each) for key, each in _tables(branch.get("sequence")) if key in OF_A_SEQUENCE)
@@ -52,7 +52,7 @@ def _tables(value: Any) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 MAX_DEPTH = 64
-"""Of nested arrays, inline tables and dotted keys."""
+"""Largest depth of nested arrays, inline tables and dotted keys."""
 
 _PART = r"""(?:[A-Za-z0-9_-]+|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')"""
 _KEY = re.compile(rf"{_PART}(?:[ \t]*\.[ \t]*{_PART})*")
@@ -74,7 +74,7 @@ class Key(NamedTuple):
     Attributes:
         at: Offset of its first character.
         path: Keys and indices that lead to it.
-        above: The part of the path that stands elsewhere in the text.
+        above: The part of the path that is written elsewhere in the text.
     """
 
     at: int
@@ -95,7 +95,7 @@ class DepthError(Exception):
 
 
 def keys_in(text: str) -> list[Key]:
-    """Return all keys and elements in the order of the text, up to the first place that is no TOML.
+    """Return all keys and elements in the order of the text, up to the first place that is not TOML.
 
     Raises:
         DepthError: They are nested too deep.
@@ -107,7 +107,7 @@ def keys_in(text: str) -> list[Key]:
 
 
 class _MalformedError(Exception):
-    """This is no TOML; `tomllib` says why."""
+    """The text is not TOML; `tomllib` says why."""
 
 
 class _Scanner:
@@ -162,7 +162,7 @@ class _Scanner:
             self._take(_STRING if first in "\"'" else _SCALAR)
 
     def _items(self, end: str) -> Iterator[int]:
-        """Stand at each item between brackets, and behind the closing one in the end."""
+        """Stop at each item between brackets, and finally behind the closing one."""
         self._at += 1
         index = 0
         while True:

@@ -1,4 +1,4 @@
-"""Reads blueprint files: what is wrong with one, or the workflow in it."""
+"""Reads blueprint files: returns the workflow, or all that is wrong with the file."""
 
 from __future__ import annotations
 
@@ -12,28 +12,27 @@ import msgspec
 
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
-from pcmrs.fsm.files.bounded import read_bounded
 from pcmrs.fsm.files.confirming import expand_confirmations
 from pcmrs.fsm.files.extend import read_layers
-from pcmrs.fsm.files.places import Places, placed
+from pcmrs.fsm.files.places import Places, with_locations
 from pcmrs.fsm.files.sequence import SequenceError, expand
-from pcmrs.fsm.files.toml import convert
+from pcmrs.fsm.files.toml import convert, read_bounded
 from pcmrs.fsm.finding import Finding, summary
 from pcmrs.fsm.rules import check_rules
-from pcmrs.fsm.rules.declared import Known, check_declared
+from pcmrs.fsm.rules.declared import KnownHazards, check_declared
 from pcmrs.fsm.verify import MAX_JOINT_STATES, verify
 
 
 @dataclass(frozen=True, slots=True)
 class Examination:
-    """What there is to say of a blueprint file.
+    """Result of reading and verifying a blueprint file.
 
     Attributes:
         blueprint: The workflow as far as it could be read; None where it could not.
         findings: All that is wrong; empty for a sound workflow.
-        joint_states: How many of them can be reached, where the search came to its end.
+        joint_states: Number of joint states that can be reached; 0 if the search did not end.
         transitions: Commands accepted in them, with each of their endings.
-        warnings: What still counts, and should be written otherwise.
+        warnings: Old forms that are still accepted and should be rewritten.
     """
 
     blueprint: Blueprint | None
@@ -44,24 +43,24 @@ class Examination:
 
     @property
     def readable(self) -> bool:
-        """Whether the file is a blueprint, sound or not."""
+        """The file is a blueprint, sound or not."""
         return self.blueprint is not None
 
     @property
     def sound(self) -> bool:
-        """Whether a daemon would run it."""
+        """A daemon would run it."""
         return self.readable and not self.findings
 
 
 def load_blueprint(path: FilePath, *, warn: Callable[[Finding], object] | None = None) -> Blueprint:
-    """Reads the blueprint at `path`.
+    """Read the blueprint at `path`.
 
     Args:
-        path: Its file.
-        warn: See `parse_blueprint`.
+        path: Blueprint file.
+        warn: Called with each warning.
 
     Raises:
-        BlueprintError: The file cannot be read, or is no sound blueprint.
+        BlueprintError: The file cannot be read, or is not a sound blueprint.
     """
     try:
         raw = read_bounded(path)
@@ -77,16 +76,16 @@ def parse_blueprint(
     folder: FilePath | None = None,
     warn: Callable[[Finding], object] | None = None,
 ) -> Blueprint:
-    """The sound workflow in a file.
+    """Return the sound workflow in a file.
 
     Args:
         raw: The file.
-        origin: How findings call it.
-        folder: Where it lies; without one it can extend no other file.
+        origin: Name of the file in findings.
+        folder: Folder of the file; without one it can extend no other file.
         warn: Called with each warning.
 
     Raises:
-        BlueprintError: It cannot be read or is unsound; `findings` has all that is wrong.
+        BlueprintError: It cannot be read or is unsound; `findings` has all faults.
     """
     examination = examine(raw, origin=origin, folder=folder)
     if warn is not None:
@@ -104,44 +103,50 @@ def examine(
     folder: FilePath | None = None,
     limit: int = MAX_JOINT_STATES,
     progress: Callable[[int, int], None] | None = None,
-    known: Known | None = None,
+    known: KnownHazards | None = None,
 ) -> Examination:
-    """Reads a blueprint, checks its rules, and searches all its joint states.
+    """Read a blueprint, check its rules, and search all its joint states.
 
     Args:
         raw: The file.
-        origin: How findings call it.
-        folder: Where it lies; without one it can extend no other file.
-        limit: A workflow of more joint states is refused.
+        origin: Name of the file in findings.
+        folder: Folder of the file; without one it can extend no other file.
+        limit: Largest number of joint states; a workflow of more is refused.
         progress: See `pcmrs.fsm.verify.verify`.
-        known: What is known of the functions that it names.
+        known: Registered steps and activities that are known to move the robot or affect the patient.
     """
     try:
         blueprint, places, warnings = _read(raw, origin, folder)
     except BlueprintError as error:
         return Examination(None, error.fields["findings"])
-    broken = list(check_rules(blueprint)) or list(check_declared(blueprint, known or Known()))
+    broken = list(check_rules(blueprint)) or list(check_declared(blueprint, known or KnownHazards()))
     if broken:
-        return Examination(blueprint, placed(broken, places), warnings=warnings)
+        return Examination(blueprint, with_locations(broken, places), warnings=warnings)
     found = verify(blueprint, limit=limit, progress=progress)
-    findings = placed(found.findings, places)
+    findings = with_locations(found.findings, places)
     return Examination(blueprint, findings, found.joint_states, found.transitions, warnings)
 
 
 def read_blueprint(raw: bytes, origin: str, folder: FilePath | None = None) -> tuple[Blueprint | None, list[Finding]]:
-    """The workflow in a file, sound or not, or why it cannot be read; see `examine` for the arguments."""
+    """Return the workflow in a file, sound or not, or the findings why it cannot be read.
+
+    Args:
+        raw: The file.
+        origin: Name of the file in findings.
+        folder: Folder of the file; without one it can extend no other file.
+    """
     try:
         return _read(raw, origin, folder)[0], []
     except BlueprintError as error:
         return None, error.fields["findings"]
 
 
-def as_written(path: FilePath) -> Blueprint:
-    """The blueprint at `path` as it and what it extends say: sequences are not expanded, nothing is verified.
+def load_unexpanded(path: FilePath) -> Blueprint:
+    """Return the blueprint at `path` as its file and the file that it extends say: nothing is expanded or verified.
 
     Raises:
         OSError: It cannot be opened.
-        BlueprintError: It is no blueprint; `findings` has where.
+        BlueprintError: It is not a blueprint; `findings` has where.
     """
     table, places, _ = read_layers(read_bounded(path), str(path), path.parent)
     return convert(table, Blueprint, places)
@@ -151,21 +156,21 @@ def _read(raw: bytes, origin: str, folder: FilePath | None) -> tuple[Blueprint, 
     table, places, warnings = read_layers(raw, origin, folder)
     blueprint = convert(table, Blueprint, places)
     if "hash" in table:
-        finding = Finding(code="bad_value", text="`hash` is worked out from the content: leave it out.", path=("hash",))
-        raise BlueprintError(finding.text, findings=placed([finding], places))
+        finding = Finding(code="bad_value", text="`hash` is computed from the content: leave it out.", path=("hash",))
+        raise BlueprintError(finding.text, findings=with_locations([finding], places))
     try:
         blueprint = expand(blueprint)
     except SequenceError as error:
         finding = Finding(code="bad_sequence", text=error.text, path=error.path)
-        raise BlueprintError(error.text, findings=placed([finding], places)) from None
+        raise BlueprintError(error.text, findings=with_locations([finding], places)) from None
     blueprint = expand_confirmations(blueprint)
     return msgspec.structs.replace(blueprint, hash=content_hash(blueprint)), places, warnings
 
 
 def content_hash(blueprint: Blueprint) -> str:
-    """SHA-256 of what a blueprint says, hexadecimal.
+    """Return the SHA-256 of the content of a blueprint, hexadecimal.
 
-    Comments, layout and its migrations do not matter, nor does the order of what has none: only states have one.
+    Comments, layout and its migrations do not matter. Of orders, only that of the states does.
     """
     order = sorted((name, list(branch.states)) for name, branch in blueprint.branches.items())
     branches = {name: _hashed_branch(branch) for name, branch in blueprint.branches.items()}
@@ -177,7 +182,7 @@ def content_hash(blueprint: Blueprint) -> str:
 OPERATION_FIELDS = msgspec.structs.fields(OperationSpec)
 
 FIRST_NAMES = {"affects_patient": "acts"}
-"""Keys that were renamed: journals name the hash, which must stay what it was where only a key is called otherwise."""
+"""Keys that were renamed: journals name the hash, which must not change when a key is only renamed."""
 
 
 def _hashed_branch(branch: BranchSpec) -> Any:
@@ -185,7 +190,7 @@ def _hashed_branch(branch: BranchSpec) -> Any:
 
 
 def _hashed(operation: OperationSpec) -> msgspec.Raw:
-    """An operation under the first names of its keys, without those that came later and say nothing here."""
+    """Return an operation under the first names of its keys, without later keys that have their implied values."""
     said: dict[str, msgspec.Raw] = {}
     implied = operation.implied
     for each in OPERATION_FIELDS:

@@ -1,4 +1,4 @@
-"""Places of keys in one TOML file, or in several that are laid over each other."""
+"""Locations of keys in one TOML file, or in several that are merged."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pcmrs.fsm.files.keys import Key
 from pcmrs.fsm.finding import Finding, Path
 
 Spot = tuple[str, int, int]
-"""File, as findings call it; line and column, from 1."""
+"""Name of the file in findings; line and column, from 1."""
 
 
 class Places:
@@ -21,8 +21,8 @@ class Places:
 
     Args:
         text: Text of a file that `tomllib` can read.
-        keys: Its keys.
-        origin: How findings call it.
+        keys: All keys of the text.
+        origin: Name of the file in findings.
     """
 
     def __init__(self, text: str, keys: Iterable[Key], origin: str) -> None:
@@ -32,21 +32,21 @@ class Places:
         for key in keys:
             row = bisect_right(lines, key.at)
             spot = (origin, row, key.at - lines[row - 1] + 1)
-            for length in range(len(key.above) + 1, len(key.path) + 1):  # with the tables on the way to it
+            for length in range(len(key.above) + 1, len(key.path) + 1):  # and the tables that it creates implicitly
                 self._places.setdefault(key.path[:length], spot)
 
     def of(self, path: Path) -> Spot:
-        """Where the key at `path` is, or the nearest above it that is in the file."""
+        """Return the location of the key at `path`, or of the nearest key above it that is in the file."""
         while path and path not in self._places:
             path = path[:-1]
         return self._places.get(path, (self._origin, 1, 1))
 
     def over(self, base: Places, moved: Mapping[Path, Path]) -> Places:
-        """Where the keys of this file are, laid over those of another.
+        """Return the locations of the keys of this file, merged into those of another.
 
         Args:
-            base: Of the other file.
-            moved: Elements of lists of this file, to where they are among those of both.
+            base: Locations of the other file.
+            moved: Path of each list element of this file to its path in the merged lists.
         """
         both = copy(self)
         taken = set(moved.values())
@@ -57,8 +57,13 @@ class Places:
         return both
 
 
-def placed(findings: Iterable[Finding], places: Places) -> list[Finding]:
-    """The findings with file, line and column."""
+def with_locations(findings: Iterable[Finding], places: Places) -> list[Finding]:
+    """Return the findings with file, line and column.
+
+    Args:
+        findings: Findings with the paths of their keys.
+        places: Locations of the keys.
+    """
     found = [(finding, *places.of(finding.path)) for finding in findings]
     return [msgspec.structs.replace(each, file=file, line=line, column=column) for each, file, line, column in found]
 

@@ -1,4 +1,4 @@
-"""Writes out what a blueprint abbreviates: ordered lists of items, and ``"*"`` for all states not named."""
+"""Expands the abbreviations of a blueprint: ordered lists of items, and ``"*"`` for all states not named."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ T = TypeVar("T")
 
 
 class SequenceError(BlueprintError):
-    """An ordered list that cannot be written out.
+    """An ordered list that cannot be expanded.
 
     Args:
-        path: Keys from the root of the file to what is wrong.
-        text: What, which value, which limit, what to do.
+        path: Keys from the root of the file to the fault.
+        text: What is wrong, the value, the limit, and what to do.
     """
 
     def __init__(self, path: tuple[str, ...], text: str) -> None:
@@ -37,7 +37,7 @@ class SequenceError(BlueprintError):
 
 
 def expand(blueprint: Blueprint) -> Blueprint:
-    """The same workflow without `sequence` and without ``"*"`` in `emits` and `compatible`.
+    """Return the workflow without `sequence` and without ``"*"`` in `emits` and `compatible`.
 
     Raises:
         SequenceError: A sequence has no items, too many, or some that cannot be states.
@@ -67,7 +67,7 @@ def _without_star(named: Mapping[str, T], states: Mapping[str, str]) -> dict[str
 
 def _without_sequence(path: tuple[str, ...], branch: BranchSpec, sequence: SequenceSpec) -> BranchSpec:
     if branch.states:
-        raise SequenceError((*path, "states"), "A branch with a sequence has its states from it: leave `states` out.")
+        raise SequenceError((*path, "states"), "A sequence makes the states of its branch: leave `states` out.")
     items = _items((*path, "sequence"), sequence)
     states = _before((*path, "sequence", "before"), sequence.before, items) | _states(items)
     made = _operations((*path, "sequence"), sequence, items, branch.operations)
@@ -79,7 +79,7 @@ def _without_sequence(path: tuple[str, ...], branch: BranchSpec, sequence: Seque
 
 
 def _items(path: tuple[str, ...], sequence: SequenceSpec) -> dict[str, str]:
-    """Name of each item to what it is called in texts, in order."""
+    """Return the name of each item and its title, in order."""
     if (sequence.count is None) == (not sequence.items):
         raise SequenceError(path, "A sequence needs either `count` or `items`.")
     if sequence.count is None:
@@ -130,7 +130,7 @@ def _states(items: Mapping[str, str]) -> dict[str, str]:
 def _operations(
     path: tuple[str, ...], sequence: SequenceSpec, items: Mapping[str, str], written: Mapping[str, OperationSpec]
 ) -> dict[str, OperationSpec]:
-    """A failed item stops the next: it must be repeated, left out, or all given up."""
+    """A failed item bars the next one: it must be repeated or left out, or the sequence be given up."""
     names = list(items)
     following = dict(zip(names, [*names[1:], DONE], strict=True))
     stopped = {name: name + STOPPED for name in names}

@@ -1,4 +1,4 @@
-"""Reads TOML that anybody may have written: bounded in size and depth, with the place of every fault."""
+"""Reads TOML from any author: bounded in size and depth, with the location of every fault."""
 
 from __future__ import annotations
 
@@ -6,14 +6,61 @@ import re
 import sys
 import tomllib
 from collections.abc import Mapping
+from pathlib import Path as FilePath
 from typing import Any, TypeVar
 
 import msgspec
 
-from pcmrs.fsm.files.bounded import text_of
 from pcmrs.fsm.files.keys import MAX_DEPTH, DepthError, keys_in
 from pcmrs.fsm.files.places import Places
 from pcmrs.fsm.finding import Path, Place, refuse
+
+MAX_BYTES = 256 * 1024
+
+
+def read_bounded(path: FilePath) -> bytes:
+    """Return the bytes of a file; of a huge file, only so many that `check_size` refuses it.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    with path.open("rb") as stream:
+        return stream.read(MAX_BYTES + 1)
+
+
+def check_size(raw: bytes, origin: str) -> None:
+    """Refuse a file that is too long.
+
+    Args:
+        raw: The file.
+        origin: Its name in findings.
+
+    Raises:
+        BlueprintError: The file is longer than `MAX_BYTES`; `findings` says so.
+    """
+    if len(raw) > MAX_BYTES:
+        refuse(origin, "too_large", f"The file has {len(raw)} bytes; the limit is {MAX_BYTES}. Split the workflow.")
+
+
+def decode_text(raw: bytes, origin: str) -> str:
+    """Return the text of a file.
+
+    Args:
+        raw: The file.
+        origin: Its name in findings.
+
+    Raises:
+        BlueprintError: It is too large or not UTF-8; `findings` has where.
+    """
+    check_size(raw, origin)
+    try:
+        return raw.decode()
+    except UnicodeDecodeError as error:
+        before = raw[: error.start].decode()
+        place = before.count("\n") + 1, len(before.rpartition("\n")[2]) + 1
+        text = f"Byte 0x{raw[error.start]:02x} is not UTF-8: save the file as UTF-8."
+        refuse(origin, "not_utf8", text, place)
+
 
 T = TypeVar("T")
 
@@ -23,12 +70,16 @@ _PATH = re.compile(r" - at (?:`[^`]*` in )?`\$?([^`]*)`$")
 
 
 def read_toml(raw: bytes, origin: str) -> tuple[dict[str, Any], Places]:
-    """The table in a file, and where its keys are.
+    """Return the table in a file, and the locations of its keys.
+
+    Args:
+        raw: The file.
+        origin: Its name in findings.
 
     Raises:
         BlueprintError: It is too large or too deep, or not TOML; `findings` has where.
     """
-    text = text_of(raw, origin)
+    text = decode_text(raw, origin)
     try:
         keys = keys_in(text)
         return tomllib.loads(text), Places(text, keys, origin)
@@ -39,11 +90,16 @@ def read_toml(raw: bytes, origin: str) -> tuple[dict[str, Any], Places]:
     except RecursionError:
         refuse(origin, "too_deep", f"Values are nested over {MAX_DEPTH} deep.")
     except ValueError as error:  # more than TOMLDecodeError: a number may have too many digits
-        refuse(origin, "not_toml", f"This is not TOML: {_said(error)}.", _place(error, text))
+        refuse(origin, "not_toml", f"This is not TOML: {_parser_message(error)}.", _place(error, text))
 
 
 def convert(table: Mapping[str, Any], kind: type[T], places: Places) -> T:
-    """The table as a typed structure.
+    """Return the table as a typed structure.
+
+    Args:
+        table: Table of a TOML file.
+        kind: Type to convert it to.
+        places: Locations of the keys in the file.
 
     Raises:
         BlueprintError: A key is unknown or missing, or a value has the wrong type; `findings` has where.
@@ -51,20 +107,20 @@ def convert(table: Mapping[str, Any], kind: type[T], places: Places) -> T:
     try:
         return msgspec.convert(table, kind)
     except msgspec.ValidationError as error:
-        path = _narrowed(table, kind, error)
+        path = _path_of_fault(table, kind, error)
         where = ".".join(path) or "the file"
         origin, line, column = places.of(path)
         refuse(origin, "bad_value", f"In {where}: {_PATH.sub('', str(error))}.", (line, column), path)
 
 
-def _said(error: ValueError) -> str:
+def _parser_message(error: ValueError) -> str:
     if not isinstance(error, tomllib.TOMLDecodeError):
         return f"a number has over {sys.get_int_max_str_digits()} digits"
     return _PLACE.sub("", str(error))
 
 
 def _place(error: ValueError, text: str) -> Place:
-    """Where the parser says it is, or the first number that is too long, or else the end of the file."""
+    """Return the place that the parser names, or the first number that is too long, or else the end of the file."""
     if (place := _PLACE.search(str(error))) and place[1]:
         return int(place[1]), int(place[2])
     digits = None if place else re.search(rf"[\d_]{{{sys.get_int_max_str_digits()},}}", text)
@@ -76,8 +132,8 @@ def _line_and_column(text: str, at: int) -> Place:
     return before.count("\n") + 1, len(before.rpartition("\n")[2]) + 1
 
 
-def _narrowed(table: Mapping[str, Any], kind: type[Any], error: msgspec.ValidationError) -> Path:
-    """The path of a fault; msgspec does not name the keys of dictionaries, so each is tried alone."""
+def _path_of_fault(table: Mapping[str, Any], kind: type[Any], error: msgspec.ValidationError) -> Path:
+    """Return the path of a fault. msgspec does not name the keys of dictionaries, so each is tried alone."""
     path: Path = ()
     found = _PATH.search(str(error))
     for step in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", found[1] if found else ""):
@@ -98,7 +154,7 @@ def _at(table: Mapping[str, Any], path: Path) -> Any:
 
 
 def _only(table: Any, path: Path, key: str) -> Any:
-    """The table with nothing but `key` at `path`."""
+    """Return the table with nothing but `key` at `path`."""
     if not path:
         return {key: table[key]}
     if isinstance(table, list):

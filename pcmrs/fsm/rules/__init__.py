@@ -1,4 +1,4 @@
-"""What can be said of a blueprint by reading it: names, references, shapes, activities, and rules 1 to 3."""
+"""Static rules of a blueprint: names, references, shapes, activities, and Rules 1 to 3."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from pcmrs.fsm.rules.shapes import check_shapes
 
 
 def check_rules(blueprint: Blueprint) -> Iterator[Finding]:
-    """All that is wrong; each kind is looked at only where the kinds before it are right.
+    """Return all findings; each kind is checked only if the kinds before it have none.
 
     Args:
-        blueprint: Expanded, see `pcmrs.fsm.files.sequence`.
+        blueprint: Expanded workflow, see `pcmrs.fsm.files.sequence`.
     """
     for check in (check_names, check_references, check_shapes, check_activities, check_levels):
         findings = list(check(blueprint))

@@ -1,7 +1,7 @@
 """Activities: each begins by entering its state, leaves it when it ends by itself, and moves the robot alone.
 
-That nothing else moves while an activity does is a matter of three rules: a state with a moving activity is entered by
-an approach only, which Stop refuses; a motion from there leads elsewhere however it ends, since it has taken over; and
+Three rules keep anything else from moving while an activity does: a state with a moving activity is entered by
+an approach only, which Stop refuses; a motion from there leads elsewhere however it ends, since it takes over; and
 motions of other branches require this one to be elsewhere.
 """
 
@@ -14,7 +14,7 @@ from pcmrs.fsm.finding import Finding
 
 
 def check_activities(blueprint: Blueprint) -> Iterator[Finding]:
-    """What cannot be meant of an activity, or would move beside one; every name must stand for something."""
+    """Return faults of activities, and motions that could run beside one; every name must exist."""
     for name, branch in blueprint.branches.items():
         for state in branch.activities:
             path = ("branches", name, "activities", state)
@@ -35,7 +35,7 @@ def _moving(branch: BranchSpec) -> list[str]:
 def _faults(blueprint: Blueprint, name: str, branch: BranchSpec, state: str) -> Iterator[str]:
     activity = branch.activities[state]
     if state == branch.start:
-        yield "would never begin where the branch starts: only a command that enters a state begins its activity."
+        yield "would never run in the starting state: only a command that enters a state starts its activity."
     yield from (f"has ended = {activity.ended!r}, which {fault}" for fault in _bad_ending(branch, state))
     if not activity.moves:
         return
@@ -45,17 +45,17 @@ def _faults(blueprint: Blueprint, name: str, branch: BranchSpec, state: str) -> 
         if operation.moves and branch.valid_in(key, state) and _may_keep(operation, state):
             yield f"moves, and {key} takes over from it: that must lead elsewhere, however it ends."
     if any(rule.to == state for rule in branch.revocations) or _is_set(blueprint, name, state):
-        yield "moves, but another branch takes this one there: only an approach of its own may."
+        yield "moves, but another branch takes this one there: only its own approach may."
 
 
 def _bad_ending(branch: BranchSpec, state: str) -> Iterator[str]:
-    """What keeps the operation that an activity ends with from leaving the state at any time."""
+    """Return the reasons why the operation that ends an activity might not leave the state."""
     key = branch.activities[state].ended
     operation = branch.operations[key]
     if not operation.event:
-        yield "is no event: mark it with event = true."
+        yield "is not an event: mark it with event = true."
     if operation.blocked_when_latched:
-        yield "moves or acts: it must be possible while Stop is latched."
+        yield "moves or affects the patient: it must be possible while Stop is latched."
     if operation.checks or operation.requires:
         yield "has checks or requires: nothing may keep it from being performed."
     if not branch.valid_in(key, state):
@@ -65,14 +65,14 @@ def _bad_ending(branch: BranchSpec, state: str) -> Iterator[str]:
 
 
 def _may_keep(operation: OperationSpec, state: str) -> bool:
-    """Whether an operation may leave the branch in the state that it was in."""
+    """Return true if an operation may leave the branch in the state that it was in."""
     targets = [target_from(ending.to, state) for ending in operation.endings.values()]
     unconfirmed = [operation.on_failure, operation.on_unknown] if operation.steps else []
     return state in targets or any(target is None or target_from(target, state) == state for target in unconfirmed)
 
 
 def _unfit_ways_in(branch: BranchSpec, state: str) -> Iterator[str]:
-    """Operations by which a state is entered otherwise than by an approach that succeeds."""
+    """Return operations that enter a state other than by an approach that succeeds."""
     for key, operation in branch.operations.items():
         sources = [source for source in branch.states if source != state and branch.valid_in(key, source)]
         for ending, spec in (operation.endings | operation.unconfirmed).items():
@@ -87,7 +87,7 @@ def _is_set(blueprint: Blueprint, name: str, state: str) -> bool:
 
 
 def _beside(blueprint: Blueprint, name: str, states: list[str]) -> Iterator[Finding]:
-    """Motions of other branches that could run beside a moving activity."""
+    """Return motions of other branches that could run beside a moving activity."""
     for other, branch in blueprint.branches.items():
         for key, operation in branch.operations.items() if other != name else ():
             required = operation.requires.get(name)

@@ -1,4 +1,4 @@
-"""Operations that do not say what their steps do: a step that moves must not be possible while Stop is latched."""
+"""Undeclared motion: an operation whose steps move must say so, since Stop has to bar it."""
 
 from __future__ import annotations
 
@@ -10,8 +10,12 @@ from pcmrs.fsm.finding import Finding
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
-    """What is known of registered functions.
+class KnownHazards:
+    """Registered functions that are known to move the robot or to act on the patient.
+
+    Args:
+        moving: Steps and activities that move the robot.
+        affecting: Steps that act on the patient otherwise.
 
     Attributes:
         moving: Steps and activities that move the robot.
@@ -22,8 +26,13 @@ class Known:
     affecting: Collection[str] = ()
 
 
-def check_declared(blueprint: Blueprint, known: Known) -> Iterator[Finding]:
-    """Operations and activities that do more than they declare; all other rules must hold."""
+def check_declared(blueprint: Blueprint, known: KnownHazards) -> Iterator[Finding]:
+    """Return operations and activities that do more than they declare; all other rules must hold.
+
+    Args:
+        blueprint: The workflow.
+        known: Functions with a known effect.
+    """
     for name, branch in blueprint.branches.items():
         for key, operation in branch.operations.items():
             path = ("branches", name, "operations", key, "steps")

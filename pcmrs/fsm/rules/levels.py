@@ -1,4 +1,4 @@
-"""Rules 1 to 3: how a branch of level N+1 and the branch of level N that it refines belong together."""
+"""Rules 1 to 3: relations between a branch of level N+1 and the branch of level N that it refines."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pcmrs.fsm.finding import Finding, Path
 
 
 def check_levels(blueprint: Blueprint) -> Iterator[Finding]:
-    """What breaks a rule; every name must stand for something, and every shape be right."""
+    """Return violations of the three rules; every name must exist and every shape be right."""
     for name, branch in blueprint.branches.items():
         yield from _rule_1(name, branch)
         yield from _rule_2(blueprint, name, branch)
@@ -21,7 +21,7 @@ def _rule_1(name: str, branch: BranchSpec) -> Iterator[Finding]:
     path: Path = ("branches", name)
     rios = [key for key, operation in branch.operations.items() if operation.rio]
     if len(rios) > 1:
-        text = f"Rule 1: {name} has the re-initiations {' and '.join(rios)}: nobody could tell which one is called."
+        text = f"Rule 1: {name} has the re-initiations {' and '.join(rios)}: keep one."
         yield Finding(code="rule_1", text=text, path=(*path, "operations", rios[1]))
     for key in rios[:1]:
         operation, where = branch.operations[key], (*path, "operations", key)

@@ -1,4 +1,4 @@
-"""Names in a blueprint: what the bus, Python and the class of a branch can carry, and no two the same."""
+"""Names in a blueprint: valid on the bus, in Python and in the class of a branch, and unique."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ NAME = re.compile(r"[a-z][a-z0-9_]{0,63}")
 STATE_NAME = re.compile(r"[a-z0-9][a-z0-9_]{0,31}")
 VERSION = re.compile(r"[0-9A-Za-z][0-9A-Za-z.+-]{0,31}")
 ENDINGS = frozenset({"started", "done", "failed", "unknown", "rejected"})
-"""What witnesses and tours say of any operation; an outcome cannot have these names."""
+"""Endings that witnesses and tours report of any operation; an outcome cannot have these names."""
 
 
 def check_names(blueprint: Blueprint) -> Iterator[Finding]:
-    """Names that cannot be used, or are used twice."""
+    """Return names that cannot be used, or are used twice."""
     yield from _name(blueprint.id, "the workflow", ("id",))
     if not VERSION.fullmatch(blueprint.version):
         text = f"The version {blueprint.version!r} cannot be used: up to 32 letters, digits, dots, plus and minus."
@@ -57,7 +57,7 @@ def _name(word: str, what: str, path: Path, reserved: frozenset[str] = RESERVED)
         text = f"{word[:70]!r} cannot be the name of {what}: a letter, then up to 63 of a-z, 0-9 and _."
         yield Finding(code="bad_name", text=text, path=path)
     elif keyword.iskeyword(word) or word in reserved:
-        text = f"{word!r} cannot be the name of {what}: Python or PCMRS use it. Choose another."
+        text = f"{word!r} cannot be the name of {what}: Python or PCMRS uses it. Choose another."
         yield Finding(code="reserved_name", text=text, path=path)
 
 
@@ -70,5 +70,7 @@ def _states(name: str, branch: BranchSpec) -> Iterator[Finding]:
             text = f"{state[:40]!r} cannot be a state of {name}: a letter or digit, then up to 31 of a-z, 0-9 and _."
             yield Finding(code="bad_name", text=text, path=(*path, state))
         elif branch.flags and (len(state) != len(branch.flags) or set(state) - {"0", "1"}):
-            text = f"The state {state} of {name} has not one digit 0 or 1 for each flag of {', '.join(branch.flags)}."
+            text = (
+                f"The state {state} of {name} must have one digit, 0 or 1, for each flag of {', '.join(branch.flags)}."
+            )
             yield Finding(code="bad_flags", text=text, path=(*path, state))

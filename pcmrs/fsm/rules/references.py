@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, Condition, OperationSpec, Requirement, Target
-from pcmrs.fsm.finding import Finding, Path
+from pcmrs.fsm.finding import Finding, Path, hint
 
 
 def check_references(blueprint: Blueprint) -> Iterator[Finding]:
-    """Names that stand for nothing."""
+    """Return references to branches, states and operations that do not exist."""
     for name, branch in blueprint.branches.items():
         path = ("branches", name)
         yield from _parent(blueprint, name, branch)
@@ -35,7 +35,7 @@ def check_references(blueprint: Blueprint) -> Iterator[Finding]:
 
 def _branch_exists(blueprint: Blueprint, branch: str, path: Path) -> Iterator[Finding]:
     if branch not in blueprint.branches:
-        text = f"There is no branch {branch!r}; there are {', '.join(blueprint.branches)}."
+        text = f"There is no branch {branch!r}; {hint(branch, blueprint.branches)}"
         yield Finding(code="unknown_branch", text=text, path=path)
 
 
@@ -45,8 +45,7 @@ def _states_exist(blueprint: Blueprint, states: Requirement, path: Path) -> Iter
         yield from missing
         for state in () if missing else named:
             if state not in blueprint.branches[branch].states:
-                known = ", ".join(blueprint.branches[branch].states)
-                text = f"{branch} has no state {state!r}; it has {known}."
+                text = f"{branch} has no state {state!r}; {hint(state, blueprint.branches[branch].states)}"
                 yield Finding(code="unknown_state", text=text, path=path)
 
 
@@ -54,7 +53,7 @@ def _requirement(blueprint: Blueprint, requirement: Requirement, path: Path) -> 
     yield from _states_exist(blueprint, requirement, path)
     for branch, states in requirement.items():
         if not states:
-            text = f"No state of {branch} is named, so that this can never hold: give at least one."
+            text = f"No state of {branch} is named, so this can never hold: give at least one."
             yield Finding(code="unknown_state", text=text, path=(*path, branch))
 
 

@@ -1,4 +1,4 @@
-"""Shapes of branches, operations and properties: what cannot be meant, whatever the names stand for."""
+"""Shapes of branches, operations and properties: combinations of keys that contradict each other."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pcmrs.fsm.finding import Finding
 
 
 def check_shapes(blueprint: Blueprint) -> Iterator[Finding]:
-    """What cannot be meant; every name must stand for something."""
+    """Return contradictions within branches, operations and properties; every name must exist."""
     for name, branch in blueprint.branches.items():
         yield from _level(blueprint, name, branch)
         for key, operation in branch.operations.items():
@@ -32,7 +32,7 @@ def check_shapes(blueprint: Blueprint) -> Iterator[Finding]:
 
 
 def _latch(blueprint: Blueprint) -> Iterator[Finding]:
-    """What the latch of Stop would not bar, or would bar for ever."""
+    """Return operations that Stop's latch would wrongly allow, or would bar for ever."""
     blocked: list[tuple[str, str]] = []
     for name, key, operation in _operations(blueprint):
         path = ("branches", name, "operations", key)
@@ -45,7 +45,7 @@ def _latch(blueprint: Blueprint) -> Iterator[Finding]:
             yield Finding(code="latch_ignored", text=text, path=(*path, "blocked_when_latched"))
     if blocked and not blueprint.unlatching:
         name, key = blocked[0]
-        text = f"After a Stop {name}.{key} could never be done again: mark an operation that users ask for, "
+        text = f"After a Stop, {name}.{key} could never be done again: mark an operation that users ask for, "
         text += "and that neither moves nor affects the patient, with unlatches = true."
         yield Finding(code="no_release", text=text, path=("branches", name, "operations", key))
 
@@ -73,7 +73,7 @@ def _level(blueprint: Blueprint, name: str, branch: BranchSpec) -> Iterator[Find
 
 
 def _faults(blueprint: Blueprint, branch: str, spec: BranchSpec, operation: OperationSpec) -> Iterator[str]:
-    """What is wrong with an operation whose names all stand for something."""
+    """Return the faults of an operation whose names all exist."""
     if (operation.to is None) == (not operation.outcomes):
         yield "needs either `to` or `outcomes`."
         return
@@ -82,43 +82,43 @@ def _faults(blueprint: Blueprint, branch: str, spec: BranchSpec, operation: Oper
     if not operation.from_ or ("*" in operation.from_ and len(operation.from_) > 1):
         yield "needs states in `from`, or exactly ['*']."
     if operation.iio and (operation.steps or operation.checks or operation.outcomes or operation.requires):
-        yield "is called by a child (iio): it has a target, no checks, steps, outcomes or requires."
+        yield "is called by a child (iio): give it a target, but no checks, steps, outcomes or requires."
     if operation.iio and (operation.event or operation.rio or operation.blocked_when_latched or operation.unlatches):
-        yield "is called by a child (iio): it cannot be an event, motion, act, release or re-initiation as well."
+        yield "is called by a child (iio): it cannot also be an event, motion, act, release or re-initiation."
     yield from _hazards(spec, operation)
     unconfirmed = operation.on_failure is not None or operation.on_unknown is not None
     if not operation.steps and (unconfirmed or operation.moves):
-        yield "has no steps: it can neither move nor fail, nor end in doubt."
-    for state in sorted(operation.doubtful_targets()) if operation.moves else ():
+        yield "has no steps: it can neither move, nor fail, nor end in an unknown state."
+    for state in sorted(operation.unconfirmed_targets()) if operation.moves else ():
         starting = [key for key, o in spec.operations.items() if o.motion == "approach" and spec.valid_in(key, state)]
         if starting:
-            yield f"may fail to {state}, where {starting[0]} begins: what was not confirmed may only be led away."
+            yield f"may fail to {state}, where the approach {starting[0]} is valid: only a retreat may follow that."
     sources = {state for state in spec.states if state in operation.from_ or operation.from_ == ["*"]}
     for target in (*(e.to for e in operation.endings.values()), operation.on_failure, operation.on_unknown):
         if isinstance(target, dict) and set(target) != sources:
-            yield f"goes to a state by where it comes from: the keys must be {sorted(sources)}, not {sorted(target)}."
+            yield f"has a target for each source state: the keys must be {sorted(sources)}, not {sorted(target)}."
     if isinstance(operation.refusal, dict) and not operation.refusal.keys() <= operation.requires.keys():
         yield f"has a refusal for {sorted(operation.refusal.keys() - operation.requires.keys())}, not in `requires`."
     for child in operation.sets:
         if child not in blueprint.children[branch]:
-            yield f"sets {child}, which is no child of {branch}."
+            yield f"sets {child}, which is not a child of {branch}."
 
 
 def _hazards(spec: BranchSpec, operation: OperationSpec) -> Iterator[str]:
-    """What is wrong with an operation that moves, or that cannot be undone, or allows what cannot."""
+    """Return the faults of an operation that moves, cannot be undone, or allows another that cannot."""
     undecided = operation.on_failure is None or operation.on_unknown is None
     if operation.event and (operation.moves or operation.affects_patient):
-        yield "is an event: it can neither move nor affect the patient, since nobody asks for it."
+        yield "is an event: it can neither move nor affect the patient, since no user asks for it."
     if operation.moves and undecided:
         yield "moves: it needs `on_failure` and `on_unknown`, since it cannot end where it began."
     elif operation.irreversible and operation.steps and undecided:
-        yield "is irreversible: it needs `on_failure` and `on_unknown`, since nobody knows how far it got."
+        yield "is irreversible: it needs `on_failure` and `on_unknown`, since it may end halfway."
     if operation.irreversible and (operation.iio or operation.event or operation.rio):
-        yield "is irreversible: it must be one that a user asks for, and no re-initiation."
+        yield "is irreversible: it must be one that a user asks for, and not a re-initiation."
     if operation.allows_again and (operation.iio or operation.event or operation.rio or operation.irreversible):
         yield "has `allows_again`: it must be one that a user asks for, neither a re-initiation nor irreversible."
     if operation.confirm:
-        yield "cannot be confirmed: users must ask for it, and <operation>_confirmation be no branch yet."
+        yield "cannot be confirmed: users must ask for it, and no branch may be called <operation>_confirmation."
     for key in operation.allows_again:
         if not spec.operations[key].irreversible:
             yield f"allows {key} again, which is not irreversible: mark that, or leave it out."

@@ -7,18 +7,18 @@ from dataclasses import dataclass, field
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.verify import hazards, liveness, structure
-from pcmrs.fsm.verify.liveness import Runs
-from pcmrs.fsm.verify.properties import promises
+from pcmrs.fsm.verify.liveness import TimedOperations
+from pcmrs.fsm.verify.properties import check_properties
 from pcmrs.fsm.verify.search import Progress, TooManyError
 from pcmrs.fsm.verify.space import Space
 
 __all__ = ["MAX_JOINT_STATES", "Verification", "verify"]
 
 MAX_JOINT_STATES = 2_000_000
-"""So many joint states are looked at unless more are asked for."""
+"""Default limit of joint states."""
 
-BY_ITSELF = (structure.denials, structure.revocations)
-IN_A_WHOLE_SEARCH = (
+ALWAYS_CHECKED = (structure.denials, structure.revocations)
+CHECKED_IF_COMPLETE = (
     structure.unused,
     structure.activities,
     liveness.deadlocks,
@@ -31,11 +31,11 @@ IN_A_WHOLE_SEARCH = (
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """What the search has shown.
+    """Result of the search.
 
     Attributes:
-        findings: Everything that is wrong; none when the workflow is sound.
-        joint_states: How many can be reached; where there are too many, how many were looked for.
+        findings: All faults; none if the workflow is sound.
+        joint_states: Number of reachable joint states; the limit if there are more.
         transitions: Commands accepted in them, with each of their endings.
     """
 
@@ -45,21 +45,21 @@ class Verification:
 
 
 def verify(blueprint: Blueprint, *, limit: int = MAX_JOINT_STATES, progress: Progress | None = None) -> Verification:
-    """Searches all joint states of a workflow that obeys the static rules.
+    """Search all joint states of a workflow that obeys the static rules.
 
     Args:
         blueprint: The workflow.
-        limit: How many joint states it may have.
-        progress: Called now and then with how many have been looked at and how many are known.
+        limit: Largest number of joint states.
+        progress: Called regularly with the numbers of joint states that have been examined and that are known.
     """
     try:
         space = Space(blueprint, limit, progress)
-        findings = [finding for check in BY_ITSELF for finding in check(space)]
-        whole = not any(finding.code in structure.CUT_SHORT for finding in findings)
-        findings += [finding for check in IN_A_WHOLE_SEARCH if whole for finding in check(space)]
-        broken = {finding.path for finding in findings}  # in which order these would go wrong matters to nobody
+        findings = [finding for check in ALWAYS_CHECKED for finding in check(space)]
+        whole = not any(finding.code in structure.INCOMPLETE for finding in findings)
+        findings += [finding for check in CHECKED_IF_COMPLETE if whole for finding in check(space)]
+        broken = {finding.path for finding in findings}  # of a broken operation, the order is no news
         findings += [finding for finding in structure.order(space) if finding.path not in broken]
-        findings += promises(Runs(space, progress)) if whole else ()
+        findings += check_properties(TimedOperations(space, progress)) if whole else ()
     except TooManyError as error:
         return Verification([Finding(code="too_many_states", text=str(error), path=("branches",))], limit)
     return Verification(findings, len(space.reached), space.taken)

@@ -20,7 +20,7 @@ MAX_COMBINATIONS = 2**62
 """More combinations than this cannot be told apart by a 64-bit integer."""
 
 FEW = 8
-"""Up to so many values of a digit are faster looked for one by one than sorted."""
+"""Up to so many values of a digit, comparing one by one is faster than sorting."""
 
 
 class Encoding:
@@ -41,43 +41,53 @@ class Encoding:
         self._value = [{value: index for index, value in enumerate(taken)} for taken in self.values]
 
     def value(self, name: str, value: str) -> int:
-        """What a digit is where it means `value`."""
+        """Return the digit that stands for `value`.
+
+        Args:
+            name: Name of the digit.
+            value: One of its values.
+        """
         return self._value[self.position[name]][value]
 
     def code(self, values: Mapping[str, str]) -> int:
-        """The number of a combination."""
+        """Return the number of a combination."""
         return sum(self.value(name, value) * self.weights[self.position[name]] for name, value in values.items())
 
     def decoded(self, code: int) -> dict[str, str]:
-        """The combination that a number means."""
+        """Return the combination that a number stands for."""
         digits = (code // weight % size for weight, size in zip(self.weights, self.sizes, strict=True))
         return {name: taken[digit] for name, taken, digit in zip(self.names, self.values, digits, strict=True)}
 
 
 class Batch:
-    """Some combinations, and their digits as far as they are asked for.
+    """Some combinations, and those of their digits that have been needed.
 
     Args:
-        encoding: Of the codes.
-        codes: Shape (n,).
+        encoding: Encoding of the codes.
+        codes: Codes, shape (n,).
     """
 
     def __init__(self, encoding: Encoding, codes: Codes) -> None:
         self.codes = codes
         self._encoding = encoding
         self._digits: dict[int, NDArray[np.uint16]] = {}
-        self._remembered: dict[str, NDArray[np.bool_]] = {}
+        self._cache: dict[str, NDArray[np.bool_]] = {}
         self._split: dict[int, list[tuple[int, Rows]]] = {}
 
     def digit(self, position: int) -> NDArray[np.uint16]:
-        """One digit of every code, shape (n,)."""
+        """Return one digit of every code, shape (n,)."""
         if position not in self._digits:
             weight, size = self._encoding.weights[position], self._encoding.sizes[position]
             self._digits[position] = (self.codes // weight % size).astype(np.uint16)
         return self._digits[position]
 
     def split(self, position: int, rows: Rows | None = None) -> Iterable[tuple[int, Rows]]:
-        """The values that one digit may have in some rows, all unless given, and where it has each."""
+        """Return the values of one digit, and the rows that have each.
+
+        Args:
+            position: Which digit.
+            rows: Rows to look at; all by default.
+        """
         size = self._encoding.sizes[position]
         if rows is not None:
             return _parts(self.digit(position)[rows], rows, size)
@@ -85,22 +95,33 @@ class Batch:
             self._split[position] = list(_parts(self.digit(position), np.arange(len(self.codes)), size))
         return self._split[position]
 
-    def among(self, position: int, values: Sequence[int], rows: Rows | None = None) -> Rows:
-        """In which rows, of all unless given, one digit has one of some values."""
+    def rows_among(self, position: int, values: Sequence[int], rows: Rows | None = None) -> Rows:
+        """Return the rows in which one digit has one of some values.
+
+        Args:
+            position: Which digit.
+            values: Values of the digit.
+            rows: Rows to look at; all by default.
+        """
         wanted = np.zeros(self._encoding.sizes[position], dtype=np.bool_)
         wanted[list(values)] = True
         if rows is None:
             return np.flatnonzero(wanted[self.digit(position)])
         return rows[wanted[self.digit(position)[rows]]]
 
-    def remembered(self, name: str, ask: Callable[[Batch], NDArray[np.bool_]]) -> NDArray[np.bool_]:
-        """What is asked of this batch, shape (n,), and not asked a second time under the same name."""
-        if name not in self._remembered:
-            self._remembered[name] = ask(self)
-        return self._remembered[name]
+    def cached(self, name: str, ask: Callable[[Batch], NDArray[np.bool_]]) -> NDArray[np.bool_]:
+        """Return a mask of this batch, shape (n,), computed once for each name.
+
+        Args:
+            name: Key of the mask.
+            ask: Computes the mask.
+        """
+        if name not in self._cache:
+            self._cache[name] = ask(self)
+        return self._cache[name]
 
     def matching(self, wanted: Mapping[str, Sequence[str]]) -> NDArray[np.bool_]:
-        """Which combinations have, for each digit named, one of the values wanted; shape (n,)."""
+        """Return a mask of the combinations that have, for each digit named, one of the wanted values; shape (n,)."""
         found = np.ones(len(self.codes), dtype=np.bool_)
         for name, values in wanted.items():
             digit = self._encoding.position[name]

@@ -1,4 +1,4 @@
-"""What reaches the patient: a way back to a safe state from everywhere, and nothing irreversible done twice unasked."""
+"""Hazards to the patient: missing ways back to a safe state, and irreversible operations that can be repeated."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 from pcmrs.fsm.blueprint import BranchSpec, OperationSpec, Requirement, target_from
 from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.verify.encoding import Batch, Codes
-from pcmrs.fsm.verify.liveness import shown
-from pcmrs.fsm.verify.search import Reached, leading_to, search
+from pcmrs.fsm.verify.liveness import describe_state
+from pcmrs.fsm.verify.search import Reached, search, states_leading_to
 from pcmrs.fsm.verify.space import Space
 from pcmrs.fsm.verify.structure import path_of
-from pcmrs.fsm.verify.transition import Choices, Transition
+from pcmrs.fsm.verify.transition import Transition, TransitionTree
 
 
 def ways_back(space: Space) -> Iterator[Finding]:
-    """A joint state from which nothing that a user may ask for leads back to where it is safe.
+    """Find a joint state from which nothing that a user may ask for leads back to a safe state.
 
     A state of a branch is safe if the branch can be in it before anything has moved or affected the patient, and if no
-    motion ends in it, a retreat that ends as declared excepted.
+    motion ends in it, except a retreat that ends as declared.
     """
     acting = {name: branch for name, branch in space.blueprint.branches.items() if _hazards(branch)}
     if not acting:
@@ -39,17 +39,17 @@ def ways_back(space: Space) -> Iterator[Finding]:
             yield Finding(code="no_way_back", text=text, path=("branches", name))
             return
     wanted = space.reached.which(lambda batch: batch.matching(safe))
-    back = leading_to(space.reached, wanted, [each for each in space.transitions if each.intended])
+    back = states_leading_to(space.reached, wanted, [each for each in space.transitions if each.intended])
     code = space.reached.first(lambda batch: ~back.has(batch.codes))
     if code is not None:
         where = " and ".join(f"{name} in {' or '.join(states)}" for name, states in safe.items())
-        text = f"From {shown(space, code)} nothing that ends as declared leads back to a safe state: {where}."
-        way = space.way_to(code)
+        text = f"From {describe_state(space, code)} no operation that ends as declared leads back to safety: {where}."
+        way = space.path_to(code)
         yield Finding(code="no_way_back", text=text, path=path_of(way[-1]) if way else ("branches",), commands=way)
 
 
 def repetitions(space: Space) -> Iterator[Finding]:
-    """An irreversible operation that is accepted again without an operation that allows it again."""
+    """Find irreversible operations that are accepted again without an operation that allows it."""
     for name, branch in space.blueprint.branches.items():
         for key, operation in branch.operations.items():
             if operation.irreversible:
@@ -60,13 +60,13 @@ def repetitions(space: Space) -> Iterator[Finding]:
 def _repetition(space: Space, branch: str, key: str, allowing: set[str]) -> Iterator[Finding]:
     asked = [each for each in space.transitions if (each.branch, each.operation) == (branch, key)]
     others = [each for each in space.transitions if each.branch != branch or each.operation not in allowing]
-    accepted, onwards = Choices(asked), Choices(others)
+    accepted, onwards = TransitionTree(asked), TransitionTree(others)
     begun = space.reached.which(accepted.mark)
     again = _first_again(space, begun, asked, onwards, accepted)
     if again is None:
         return
-    # A way that shows it: from a nearest joint state in which doing it leads there.
-    back = leading_to(space.reached, np.array([again], dtype=np.int64), others)
+    # A shortest counterexample begins at one of the nearest joint states from which the operation leads there.
+    back = states_leading_to(space.reached, np.array([again], dtype=np.int64), others)
     for transition in asked:
         starts = _enabled(space, begun, transition)
         showing = starts[back.has(starts + transition.shift)]
@@ -76,18 +76,20 @@ def _repetition(space: Space, branch: str, key: str, allowing: set[str]) -> Iter
         found = _search(space, np.array([first + transition.shift], dtype=np.int64), onwards)
         second = found.first(accepted.mark)
         if second is None:
-            raise LookupError("a joint state is known that cannot be reached")
-        way = (*space.way_to(first), transition.command, *found.way_to(second, others))
+            raise LookupError("a known joint state cannot be reached")
+        way = (*space.path_to(first), transition.command, *found.path_to(second, others))
         text = f"{branch}.{key} is irreversible, and after it was done is accepted again in "
-        text += f"{shown(space, second)}: bar it there, or name it in `allows_again` of an operation on the way."
+        text += (
+            f"{describe_state(space, second)}: bar it there, or name it in `allows_again` of an operation in between."
+        )
         yield Finding(code="repeatable", text=text, path=path_of(f"{branch}.{key}"), commands=way)
         return
 
 
 def _first_again(
-    space: Space, begun: Codes, asked: Sequence[Transition], onwards: Choices, accepted: Choices
+    space: Space, begun: Codes, asked: Sequence[Transition], onwards: TransitionTree, accepted: TransitionTree
 ) -> int | None:
-    """A joint state after the operation in which it is accepted, reached without what allows it again."""
+    """Return a joint state that accepts the operation again, reached without an operation that allows it."""
     after = [_enabled(space, begun, each) + each.shift for each in asked]
     if not after:
         return None
@@ -95,18 +97,18 @@ def _first_again(
 
 
 def _enabled(space: Space, codes: Codes, transition: Transition) -> Codes:
-    """Those of the joint states in which the transition can be taken."""
-    return codes[Choices([transition]).mark(Batch(space.encoding, codes))]
+    """Return those of the joint states in which the transition can be taken."""
+    return codes[TransitionTree([transition]).mark(Batch(space.encoding, codes))]
 
 
-def _search(space: Space, initial: Codes, onwards: Choices) -> Reached:
+def _search(space: Space, initial: Codes, onwards: TransitionTree) -> Reached:
     limit = len(space.reached)
     return search(space.encoding, initial, onwards.successors, limit=limit, within=space.reached.visited)
 
 
 def _before_any(space: Space) -> Reached:
-    """Joint states that can be reached while nothing has moved or affected the patient yet."""
-    harmless = Choices(each for each in space.transitions if not _is_hazard(_spec(space, each)))
+    """Return the joint states that can be reached before anything has moved or affected the patient."""
+    harmless = TransitionTree(each for each in space.transitions if not _is_hazard(_spec(space, each)))
     return _search(space, space.reached.levels[0], harmless)
 
 
@@ -123,7 +125,7 @@ def _hazards(branch: BranchSpec) -> dict[str, OperationSpec]:
 
 
 def _exposed(branch: BranchSpec) -> set[str]:
-    """States that a motion may leave the branch in, coming from another."""
+    """Return the states that a motion may leave the branch in, coming from another."""
     found: set[str] = set()
     for key, operation in branch.operations.items():
         if not operation.moves:

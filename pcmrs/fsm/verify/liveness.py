@@ -1,7 +1,4 @@
-"""Deadlocks, goals that are out of reach, and a latch that cannot be released.
-
-Operations that take time: can each be concluded wherever it, or Stop, may end it?
-"""
+"""Liveness: deadlocks, goals that are out of reach, a latch that cannot be released, operations that cannot end."""
 
 from __future__ import annotations
 
@@ -15,56 +12,64 @@ from pcmrs.fsm.behaviour import line_of
 from pcmrs.fsm.blueprint import OperationSpec
 from pcmrs.fsm.closure import Closure
 from pcmrs.fsm.finding import Finding
-from pcmrs.fsm.verify.decisions import Decisions
+from pcmrs.fsm.verify.decisions import Decision, Decisions
 from pcmrs.fsm.verify.encoding import Batch
 from pcmrs.fsm.verify.moments import Moments
-from pcmrs.fsm.verify.observed import Decision
-from pcmrs.fsm.verify.search import Progress, Work, leading_to
+from pcmrs.fsm.verify.search import Progress, SearchBudget, states_leading_to
 from pcmrs.fsm.verify.space import Space
 from pcmrs.fsm.verify.structure import path_of
-from pcmrs.fsm.verify.transition import Choices, Transition
+from pcmrs.fsm.verify.transition import Transition, TransitionTree
 
 
-class Runs:
-    """What can be said of a workflow whose operations take time.
+class TimedOperations:
+    """Analysis of a workflow whose operations take time.
 
-    An operation is asked again when it ends, in the joint state of then. Its locks keep the branches that it
-    depended on when it began; only one that looks at other branches too can find itself denied. For all others
+    An operation is asked again when it ends, in the joint state at that time. Its locks keep the branches that it
+    depended on when it began; only one that also reads other branches can be denied at its end. For all others
     nothing has to be searched.
 
     Args:
         space: The joint states.
-        progress: Told now and then how many moments have been looked at, and how many are known.
+        progress: Called regularly with the numbers of moments that have been examined and that are known.
 
     Attributes:
-        work: What the searches may still cost.
+        work: Remaining budget of the searches.
     """
 
     def __init__(self, space: Space, progress: Progress | None = None) -> None:
         self.space = space
-        self.work = Work(space.limit, progress, len(space.reached))
+        self.work = SearchBudget(space.limit, progress, len(space.reached))
 
     def moments(self, observed: frozenset[str]) -> Moments:
-        """What can be while these operations are watched. Raises `TooManyError`."""
+        """Return the moments that can occur while these operations are watched.
+
+        Raises:
+            TooManyError: There are too many of them.
+        """
         return Moments(self.space, observed, self.work)
 
     @cached_property
     def strandable(self) -> list[str]:
-        """Operations that, as far as their locks tell, might end where they are denied."""
+        """Operations that might end where they are denied, as far as their locks show."""
         lasting = [operation for operation in self.space.operations if operation.spec.steps]
         return [operation.name for operation in lasting if _may_be_denied_at_its_end(operation)]
 
 
 def stranded(moments: Moments, name: str) -> Iterator[Finding]:
-    """The one operation watched can be found, when it ends, where none of its endings is allowed."""
+    """Find a moment at which the one watched operation runs and none of its endings is allowed.
+
+    Args:
+        moments: The moments of this operation.
+        name: The operation, ``branch.operation``.
+    """
     code = moments.reached.first(moments.stranded)
     if code is not None:
-        text = f"{name} cannot be concluded in {moments.shown(code)}: it is denied there, whatever its ending."
-        yield Finding(code="cannot_conclude", text=text, path=path_of(name), commands=moments.way_to(code))
+        text = f"{name} cannot be concluded in {moments.describe_state(code)}: it is denied there, whatever its ending."
+        yield Finding(code="cannot_conclude", text=text, path=path_of(name), commands=moments.path_to(code))
 
 
 def _may_be_denied_at_its_end(operation: Decisions) -> bool:
-    """Whether it may begin somewhere and be denied somewhere else, its locked branches being the same in both."""
+    """Return true if two joint states with the same states of its locked branches may differ in their answer to it."""
     begun = [decision for decision in operation.known if isinstance(decision.answer, Closure)]
     denied = [decision for decision in operation.known if not isinstance(decision.answer, Closure)]
     return any(_alike(one, other) for one in begun for other in denied)
@@ -77,49 +82,49 @@ def _alike(begun: Decision, denied: Decision) -> bool:
 
 
 def deadlocks(space: Space) -> Iterator[Finding]:
-    """A joint state short of the goal in which a user may ask for nothing; what devices report does not count."""
-    asked = Choices(each for each in space.transitions if not _operation(space, each).event)
+    """Find a joint state short of the goal in which a user may ask for nothing; device events do not count."""
+    asked = TransitionTree(each for each in space.transitions if not _operation(space, each).event)
     code = space.reached.first(lambda batch: ~_at_goal(space, batch) & ~asked.mark(batch))
     if code is not None:
-        text = f"Nothing is accepted any more in {shown(space, code)}: add an operation that leads on, or a goal."
+        text = f"No operation is accepted in {describe_state(space, code)}: add one that leads out of it, or a goal."
         yield _after(space, "deadlock", text, code)
 
 
 def goals(space: Space) -> Iterator[Finding]:
-    """A goal that cannot be reached from the start, or from somewhere no longer.
+    """Find a goal that cannot be reached from the start, or no longer from a joint state.
 
-    Only what a user asks for and what ends as declared leads to it: nobody can rely on a fault, or wait for a device.
+    Only requests of users and declared endings count: nobody can rely on a fault, or wait for a device.
     """
     goal = space.blueprint.goal
     if not goal:
         return
     wanted = " and ".join(f"{branch} in {' or '.join(states)}" for branch, states in goal.items())
     seeds = space.reached.which(lambda batch: batch.matching(goal))
-    open_ = leading_to(space.reached, seeds, [each for each in space.transitions if each.intended])
+    open_ = states_leading_to(space.reached, seeds, [each for each in space.transitions if each.intended])
     if not open_.has(space.reached.levels[0]).all():
         text = f"No sequence of commands that end as declared leads to the goal: {wanted}."
         yield Finding(code="goal_unreachable", text=text, path=("goal",))
         return
     code = space.reached.first(lambda batch: ~open_.has(batch.codes))
     if code is not None:
-        text = f"From {shown(space, code)} no commands that end as declared lead to the goal any more: {wanted}."
+        text = (
+            f"From {describe_state(space, code)} no commands that end as declared lead to the goal any more: {wanted}."
+        )
         yield _after(space, "goal_lost", text, code)
 
 
 def releases(space: Space) -> Iterator[Finding]:
-    """A joint state in which a Stop could not be acknowledged any more, by whatever the latch still allows."""
+    """Find a joint state in which a Stop could no longer be acknowledged by what the latch still allows."""
     blueprint = space.blueprint
     if not any(operation.spec.blocked_when_latched for operation in space.operations):
         return
     allowed = [each for each in space.transitions if each.intended and not _operation(space, each).blocked_when_latched]
-    releasing = Choices(each for each in allowed if f"{each.branch}.{each.operation}" in blueprint.unlatching)
-    open_ = leading_to(space.reached, space.reached.which(releasing.mark), allowed)
+    releasing = TransitionTree(each for each in allowed if f"{each.branch}.{each.operation}" in blueprint.unlatching)
+    open_ = states_leading_to(space.reached, space.reached.which(releasing.mark), allowed)
     code = space.reached.first(lambda batch: ~open_.has(batch.codes))
     if code is not None:
         release = " or ".join(blueprint.unlatching)
-        text = (
-            f"After a Stop in {shown(space, code)}, nothing that may be done then leads to where {release} is accepted."
-        )
+        text = f"After a Stop in {describe_state(space, code)}, no operation that the latch allows leads to {release}."
         yield _after(space, "no_release", text, code)
 
 
@@ -127,8 +132,13 @@ def _operation(space: Space, transition: Transition) -> OperationSpec:
     return space.blueprint.branches[transition.branch].operations[transition.operation]
 
 
-def shown(space: Space, code: int) -> str:
-    """A joint state in a line."""
+def describe_state(space: Space, code: int) -> str:
+    """Return a joint state in a line.
+
+    Args:
+        space: The joint states.
+        code: Code of the joint state.
+    """
     return line_of(space.encoding.decoded(code))
 
 
@@ -139,5 +149,5 @@ def _at_goal(space: Space, batch: Batch) -> NDArray[np.bool_]:
 
 
 def _after(space: Space, code: str, text: str, state: int) -> Finding:
-    way = space.way_to(state)
+    way = space.path_to(state)
     return Finding(code=code, text=text, path=path_of(way[-1]) if way else ("branches",), commands=way)

@@ -1,4 +1,4 @@
-"""Joint states together with operations that are running in them: what can happen while something runs."""
+"""Moments: joint states together with the operations that are running in them."""
 
 from __future__ import annotations
 
@@ -8,55 +8,54 @@ from numpy.typing import NDArray
 from pcmrs.fsm.behaviour import line_of
 from pcmrs.fsm.blueprint import Condition
 from pcmrs.fsm.closure import Closure
-from pcmrs.fsm.verify.decisions import Decisions
+from pcmrs.fsm.verify.decisions import Decision, Decisions
 from pcmrs.fsm.verify.encoding import Batch, Encoding
-from pcmrs.fsm.verify.observed import Decision
-from pcmrs.fsm.verify.search import Reached, Visited, Work, leading_to, search
-from pcmrs.fsm.verify.space import Ending, Space, digits, encodable, endings_of, guard
-from pcmrs.fsm.verify.transition import Choices, Transition
+from pcmrs.fsm.verify.search import Reached, SearchBudget, Visited, search, states_leading_to
+from pcmrs.fsm.verify.space import Ending, Space, check_encodable, digits, endings_of, guard
+from pcmrs.fsm.verify.transition import Transition, TransitionTree
 
 Locks = tuple[frozenset[str], frozenset[str]]
 """Branches locked for writing, and for reading."""
 
-WORK_OF_TRANSITION = 20
-"""To make a transition takes as long as to look at so many moments."""
+COST_OF_TRANSITION = 20
+"""Making a transition takes as long as examining so many moments."""
 
 STARTED = "started"
-"""In place of an outcome in a command: it began, and how it ends comes later or is left open."""
+"""In place of an outcome in a command: the operation started; its ending comes later or is left open."""
 
 STOP = "stop"
-"""What conditions call Stop."""
+"""Name of Stop in conditions."""
 
 
 class Moments:
-    """What can be while some operations are watched from their start to their end; all others happen at once.
+    """Everything that can occur while some operations are watched from start to end; all others happen at once.
 
-    Those that are watched may also happen at once, so that a shortest way counts no more commands than are given.
+    Watched operations may also happen at once, so that a shortest path has no more commands than are needed.
 
-    What runs holds the locks of its closure at the start. Nothing begins, and nothing is committed, that needs a
-    branch which another has locked; a commit that turns out to move more than was locked waits for it.
+    A running operation holds the locks of its closure at the start. No operation starts or is committed that needs a
+    branch which another has locked; a commit that moves more branches than it has locked waits for them.
 
     Args:
         space: The joint states.
         observed: The operations to watch, ``branch.operation``.
-        work: What the search may cost.
+        work: Budget of the search.
 
     Attributes:
-        reached: All moments that can be; the digits of a moment are those of the joint state, then one for each
-            operation watched: 0 while it is not running, else which locks it holds.
-        transitions: Every way from one moment to another.
+        reached: All moments that can occur; the digits of a moment are those of the joint state, then one for each
+            watched operation: 0 while it is not running, else the number of the locks that it holds.
+        transitions: All transitions between moments.
 
     Raises:
-        TooManyError: That is more than is left of the work, or more combinations than can be encoded.
+        TooManyError: The search exceeds the budget, or there are more combinations than can be encoded.
     """
 
-    def __init__(self, space: Space, observed: frozenset[str], work: Work) -> None:
+    def __init__(self, space: Space, observed: frozenset[str], work: SearchBudget) -> None:
         self._observed = [operation for operation in space.operations if operation.name in observed]
         self._locks = {each.name: sorted(_locks(each), key=_sorted) for each in self._observed}
         joint = dict(zip(space.encoding.names, space.encoding.values, strict=True))
         running = {name: ["", *map(str, range(len(locks)))] for name, locks in self._locks.items()}
         self._encoding = Encoding({**joint, **running})
-        encodable(self._encoding)
+        check_encodable(self._encoding)
         self._work = work
         self.transitions: list[Transition] = []
         accepting: dict[str, list[Transition]] = {operation.name: [] for operation in space.operations}
@@ -65,28 +64,33 @@ class Moments:
             accepting[operation.name] += self._begins(operation, decision)
             self._ends(operation, decision)
             stranded += self._stays(operation, decision)
-        self._accepting = {name: Choices(transitions) for name, transitions in accepting.items()}
-        self._stranded = Choices(stranded)
+        self._accepting = {name: TransitionTree(transitions) for name, transitions in accepting.items()}
+        self._stranded = TransitionTree(stranded)
         self.reached = self._search(space) if self._observed else space.reached
 
-    def way_to(self, code: int) -> tuple[str, ...]:
-        """The commands of a shortest way to a moment."""
-        return self.reached.way_to(code, self.transitions)
+    def path_to(self, code: int) -> tuple[str, ...]:
+        """Return the commands of a shortest path to a moment."""
+        return self.reached.path_to(code, self.transitions)
 
     def decoded(self, code: int) -> tuple[dict[str, str], list[tuple[str, Locks]]]:
-        """The joint state of a moment, and what runs at it with the locks that it holds."""
+        """Return the joint state of a moment, and the running operations with the locks that they hold."""
         values = self._encoding.decoded(code)
         running = [(name, held[int(values[name])]) for name, held in self._locks.items() if values[name]]
         return {name: value for name, value in values.items() if name not in self._locks}, running
 
-    def shown(self, code: int) -> str:
-        """A moment in a line."""
+    def describe_state(self, code: int) -> str:
+        """Return a moment in a line."""
         states, running = self.decoded(code)
-        said = line_of(states)
-        return f"{said} while {' and '.join(name for name, _ in running)} runs" if running else said
+        line = line_of(states)
+        return f"{line} while {' and '.join(name for name, _ in running)} runs" if running else line
 
     def hold(self, condition: Condition, batch: Batch) -> NDArray[np.bool_]:
-        """At which moments of a batch a condition holds; shape (n,)."""
+        """Return a mask of the moments of a batch at which a condition holds; shape (n,).
+
+        Args:
+            condition: The condition.
+            batch: Some moments.
+        """
         found = batch.matching(condition.states)
         if condition.running:
             found &= np.logical_or.reduce([self.running(name, batch) for name in condition.running])
@@ -95,38 +99,43 @@ class Moments:
         return found
 
     def running(self, name: str, batch: Batch) -> NDArray[np.bool_]:
-        """At which moments an operation runs; one that is never asked for from outside never does."""
+        """Return a mask of the moments at which an operation runs; shape (n,).
+
+        Args:
+            name: The operation, ``branch.operation``. One that is never asked for from outside never runs.
+            batch: Some moments.
+        """
         if name not in self._locks:
             return np.zeros(len(batch.codes), dtype=np.bool_)
         return batch.digit(self._encoding.position[name]) > 0
 
     def stranded(self, batch: Batch) -> NDArray[np.bool_]:
-        """At which moments an operation that is watched runs and none of its endings is allowed."""
-        return batch.remembered(STOP, self._stranded.mark)
+        """Return a mask of the moments at which a watched operation runs that cannot be concluded; shape (n,)."""
+        return batch.cached(STOP, self._stranded.mark)
 
-    def leading_to(self, condition: Condition) -> Visited:
-        """The moments from which what users ask for and what ends as declared leads to where a condition holds."""
+    def states_leading_to(self, condition: Condition) -> Visited:
+        """Return the moments from which users can, with declared endings, reach one at which a condition holds."""
         goal = self.reached.which(lambda batch: self.hold(condition, batch))
         intended = [transition for transition in self.transitions if transition.intended]
-        found = leading_to(self.reached, goal, intended, progress=self._work.follow)
+        found = states_leading_to(self.reached, goal, intended, progress=self._work.follow)
         self._work.spend(len(self.reached))
         return found
 
     def _accepted(self, name: str, batch: Batch) -> NDArray[np.bool_]:
-        if name not in self._accepting:  # only children call it
+        if name not in self._accepting:  # called by children only
             return np.zeros(len(batch.codes), dtype=np.bool_)
-        return batch.remembered(name, self._accepting[name].mark)
+        return batch.cached(name, self._accepting[name].mark)
 
     def _search(self, space: Space) -> Reached:
         initial = np.array([self._encoding.code(space.blueprint.initial())], dtype=np.int64)
-        following = Choices(self.transitions).successors
+        following = TransitionTree(self.transitions).successors
         limit = self._encoding.combinations
         reached = search(self._encoding, initial, following, limit=limit, progress=self._work.follow)
         self._work.spend(len(reached))
         return reached
 
     def _begins(self, operation: Decisions, decision: Decision) -> list[Transition]:
-        """Adds the transitions of an operation that begins, or happens at once, where a decision is taken."""
+        """Add the transitions of an operation that begins, or happens at once, where a decision is taken."""
         closure = decision.answer
         if not isinstance(closure, Closure):
             return []
@@ -143,7 +152,7 @@ class Moments:
         return found
 
     def _ends(self, operation: Decisions, decision: Decision) -> None:
-        """Adds the transitions of an operation that is watched and ends where a decision is taken."""
+        """Add the transitions of an operation that is watched and ends where a decision is taken."""
         if operation.name not in self._locks or not isinstance(decision.answer, Closure):
             return
         where = guard(self._encoding, decision) | self._free(operation, (decision.answer.writes, frozenset()))
@@ -154,7 +163,7 @@ class Moments:
                 self.transitions.append(found)
 
     def _stays(self, operation: Decisions, decision: Decision) -> list[Transition]:
-        """Where an operation that is watched runs, and a decision is taken that denies it."""
+        """Return the transitions that stand for a watched operation which runs where it is denied."""
         if operation.name not in self._locks or isinstance(decision.answer, Closure):
             return []
         digit = self._encoding.position[operation.name]
@@ -162,7 +171,7 @@ class Moments:
         return [self._transition(operation, Ending(operation.name, declared=False, targets={}), where, {})]
 
     def _free(self, operation: Decisions, locks: Locks) -> dict[int, tuple[int, ...]]:
-        """What the other operations that are watched may be at when this one needs these locks."""
+        """Return the values of the other watched operations that do not conflict with these locks."""
         free: dict[int, tuple[int, ...]] = {}
         for name, held in self._locks.items():
             allowed = (0, *(n for n, other in enumerate(held, 1) if not _conflict(locks, other)))
@@ -173,8 +182,10 @@ class Moments:
     def _transition(
         self, operation: Decisions, ending: Ending, where: dict[int, tuple[int, ...]], running: dict[int, int]
     ) -> Transition:
-        self._work.spend(WORK_OF_TRANSITION)
-        intended = ending.declared and (not operation.spec.event or 0 in running.values())  # once it runs it will end
+        self._work.spend(COST_OF_TRANSITION)
+        intended = ending.declared and (
+            not operation.spec.event or 0 in running.values()
+        )  # once it runs, its device will end it
         targets = digits(self._encoding, ending.targets) | running
         asked = (operation.branch, operation.operation)
         return Transition.of(self._encoding, ending.command, asked, intended, where, targets)
@@ -190,5 +201,5 @@ def _sorted(locks: Locks) -> tuple[list[str], list[str]]:
 
 
 def _conflict(one: Locks, other: Locks) -> bool:
-    """Whether two locks cannot be held together: one writes what the other reads or writes."""
+    """Return true if two locks cannot be held together: one writes what the other reads or writes."""
     return bool(one[0] & (other[0] | other[1]) or one[1] & other[0])

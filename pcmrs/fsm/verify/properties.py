@@ -1,4 +1,4 @@
-"""The promises of a blueprint: always, never, reachable, leads to; and that what runs can be concluded."""
+"""Properties of a blueprint: always, never, reachable, leads to; and that running operations can be concluded."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from numpy.typing import NDArray
 from pcmrs.fsm.blueprint import Condition, PropertySpec
 from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.verify.encoding import Batch
-from pcmrs.fsm.verify.liveness import Runs, stranded
+from pcmrs.fsm.verify.liveness import TimedOperations, stranded
 from pcmrs.fsm.verify.moments import STOP, Moments
 from pcmrs.fsm.verify.search import Visited
 
 Wanted = Callable[[Batch], NDArray[np.bool_]]
-"""At which moments of a batch something is so; shape (n,)."""
+"""Mask of the moments of a batch that match; shape (n,)."""
 
 Specs = dict[int, PropertySpec]
-"""Properties by their place in the file."""
+"""Properties by their index in the file."""
 
 PROPERTIES_PER_MOMENT = 50
-"""To look at a moment for so many properties takes as long as to find it."""
+"""Checking so many properties at a moment takes as long as finding it."""
 
 
-def promises(runs: Runs) -> Iterator[Finding]:
-    """Operations that cannot be concluded, and every property that does not hold or speaks of nothing.
+def check_properties(runs: TimedOperations) -> Iterator[Finding]:
+    """Return operations that cannot be concluded, and properties that do not hold or are vacuous.
 
-    All that watch the same operations are looked at together; the fewest operations come first.
+    Properties that watch the same operations are checked together, those with the fewest operations first.
     """
     specs = dict(enumerate(runs.space.blueprint.properties))
     watching = {index: _observations(runs, spec) for index, spec in specs.items()}
@@ -50,10 +50,11 @@ def _by_size(observed: frozenset[str]) -> tuple[int, list[str]]:
     return len(observed), sorted(observed)
 
 
-def _observations(runs: Runs, spec: PropertySpec) -> list[frozenset[str]]:
-    """Sets of operations to watch, one after the other.
+def _observations(runs: TimedOperations, spec: PropertySpec) -> list[frozenset[str]]:
+    """Return the sets of operations to watch, one after the other.
 
-    Those that the property speaks of; for Stop, together with each of which it is not plain that it can be concluded.
+    The first has those that the property names. A property of Stop also watches, one by one, each operation that might
+    not be concludable.
     """
     conditions = [spec.when, *filter(None, (spec.always, spec.never, spec.reachable, spec.leads_to))]
     mentioned = frozenset(name for condition in conditions for name in condition.running)
@@ -63,13 +64,13 @@ def _observations(runs: Runs, spec: PropertySpec) -> list[frozenset[str]]:
 
 
 def _broken(moments: Moments, specs: Specs, new: set[int]) -> dict[int, Finding]:
-    """The properties that do not hold at these moments; of those that are new, also the vacuous."""
+    """Return the properties that do not hold at these moments and, of the new ones, those that are vacuous."""
     occurring = {i: _both(moments, specs[i].when, specs[i].reachable or Condition()) for i in new}
     occurs = moments.reached.firsts(occurring)
     found = {i: _vacuous(i, specs[i]) for i in new - occurs.keys()}
     for part in _by_goal({i: spec for i, spec in specs.items() if i not in found and spec.reachable is None}):
         goal = next(iter(part.values())).leads_to
-        open_ = None if goal is None else moments.leading_to(goal)
+        open_ = None if goal is None else moments.states_leading_to(goal)
         against = {
             i: _against(moments, spec) if open_ is None else _closed(moments, spec, open_) for i, spec in part.items()
         }
@@ -79,7 +80,7 @@ def _broken(moments: Moments, specs: Specs, new: set[int]) -> dict[int, Finding]
 
 
 def _by_goal(specs: Specs) -> list[Specs]:
-    """Those that lead to the same, together: one way back serves them all."""
+    """Return groups of properties with the same `leads_to`: one backward search serves them all."""
     groups: dict[bytes, Specs] = {}
     for index, spec in specs.items():
         groups.setdefault(msgspec.json.encode(spec.leads_to), {})[index] = spec
@@ -87,7 +88,7 @@ def _by_goal(specs: Specs) -> list[Specs]:
 
 
 def _against(moments: Moments, spec: PropertySpec) -> Wanted:
-    """Which moments contradict a property that speaks of each alone."""
+    """Return the mask of moments that contradict a property of single moments."""
     if spec.never is not None:
         return _both(moments, spec.when, spec.never)
     always = spec.always or Condition()
@@ -95,7 +96,7 @@ def _against(moments: Moments, spec: PropertySpec) -> Wanted:
 
 
 def _closed(moments: Moments, spec: PropertySpec, open_: Visited) -> Wanted:
-    """Which moments contradict a property that says where they lead to; `open_` are those that do."""
+    """Return the mask of moments that contradict a `leads_to`; from those in `open_` it can be reached."""
     return lambda batch: moments.hold(spec.when, batch) & ~open_.has(batch.codes)
 
 
@@ -104,18 +105,18 @@ def _both(moments: Moments, *conditions: Condition) -> Wanted:
 
 
 def _violated(index: int, spec: PropertySpec, moments: Moments, code: int) -> Finding:
-    what = "nothing leads from there to what it names" if spec.leads_to is not None else "there it is broken"
-    text = f"{spec.id} does not hold: {moments.shown(code)}: {what}."
-    return _finding("property_violated", index, spec, text, moments.way_to(code))
+    what = "from there its `leads_to` cannot be reached" if spec.leads_to is not None else "there it is broken"
+    text = f"{spec.id} does not hold: {moments.describe_state(code)}: {what}."
+    return _finding("property_violated", index, spec, text, moments.path_to(code))
 
 
 def _vacuous(index: int, spec: PropertySpec) -> Finding:
     if spec.reachable is not None:
-        return _finding("property_violated", index, spec, f"{spec.id} does not hold: nothing leads to what it names.")
-    text = f"{spec.id} promises nothing: what its `when` says is so at no moment that can be reached."
+        return _finding("property_violated", index, spec, f"{spec.id} does not hold: its condition is never met.")
+    text = f"{spec.id} promises nothing: its `when` holds at no reachable moment."
     return _finding("vacuous_property", index, spec, text)
 
 
 def _finding(code: str, index: int, spec: PropertySpec, text: str, commands: tuple[str, ...] | None = None) -> Finding:
-    said = text + (f" It promises: {spec.text}" if spec.text else "")
-    return Finding(code=code, text=said, path=("properties", str(index)), commands=commands)
+    full = text + (f" It promises: {spec.text}" if spec.text else "")
+    return Finding(code=code, text=full, path=("properties", str(index)), commands=commands)

@@ -1,9 +1,4 @@
-"""Breadth-first search in arrays, and the shortest way to what it has found.
-
-How much the searches of one verification may cost together, and how far they have come.
-
-Sets of codes that are fast to ask and to add to, a bit of memory for each.
-"""
+"""Breadth-first search in arrays, the shortest paths to what it has found, and the budget of all searches."""
 
 from __future__ import annotations
 
@@ -14,38 +9,50 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcmrs.fsm.verify.encoding import Batch, Codes, Encoding
-from pcmrs.fsm.verify.transition import Choices, Transition
+from pcmrs.fsm.verify.transition import Transition, TransitionTree
 
 MOMENTS_PER_STATE = 32
-"""So many times the limit of joint states may moments be looked at, in all searches and ways back together."""
+"""Moments that all searches may examine together, for each joint state of the limit."""
 
-LEAST_WORK = 1_000_000
-"""So many may always be looked at, however low the limit."""
+MIN_BUDGET = 1_000_000
+"""Budget of moments that does not depend on the limit of joint states."""
 
 
-class Work:
-    """Counts the moments that are looked at.
+class SearchBudget:
+    """Budget of moments that the searches of one verification may examine together.
 
     Args:
-        limit: How many joint states there may be.
-        progress: Told now and then how many moments have been looked at, and how many are known.
-        done: So many joint states have been looked at before.
+        limit: Largest number of joint states.
+        progress: Called regularly with the numbers of moments that have been examined and that are known.
+        done: Number of joint states that were examined before.
     """
 
     def __init__(self, limit: int, progress: Progress | None = None, done: int = 0) -> None:
-        self._limit = max(LEAST_WORK, MOMENTS_PER_STATE * limit)
+        self._limit = max(MIN_BUDGET, MOMENTS_PER_STATE * limit)
         self._left = self._limit
         self._progress = progress
         self._done = done
 
     def spend(self, moments: int) -> None:
-        """Notes that so many have been looked at, or what takes as long. Raises `TooManyError`."""
+        """Subtract so many examined moments, or what takes as long.
+
+        Raises:
+            TooManyError: The budget is exhausted.
+        """
         self._check(moments)
         self._left -= moments
         self._done += moments
 
     def follow(self, looked_at: int, known: int) -> None:
-        """Progress of a search whose work is not yet spent. Raises `TooManyError`."""
+        """Report the progress of a search whose work is not yet spent.
+
+        Args:
+            looked_at: Moments that it has examined.
+            known: Moments that it has found.
+
+        Raises:
+            TooManyError: The search goes beyond the budget.
+        """
         self._check(known)
         if self._progress is not None:
             self._progress(self._done + looked_at, self._done + known)
@@ -53,27 +60,27 @@ class Work:
     def _check(self, moments: int) -> None:
         if moments > self._left:
             text = f"The properties watch too many joint states and running operations: over {self._limit} moments. "
-            raise TooManyError(f"{text}Make it fewer properties of `running`, `leads_to` or Stop, or raise the limit.")
+            raise TooManyError(f"{text}Reduce the properties of `running`, `leads_to` or Stop, or raise the limit.")
 
 
 MAX_BITMAP = 2**27
-"""Up to so many combinations there is a byte for each."""
+"""Up to so many combinations, a set has a byte for each."""
 
 
 class Visited(Protocol):
-    """A set of codes."""
+    """A set of codes that is fast to query and to extend."""
 
     def add(self, codes: Codes) -> Codes:
-        """Adds codes, none of them twice in the array, and returns those that are new."""
+        """Add codes, none of them twice in the array, and return those that are new."""
         ...
 
     def has(self, codes: Codes) -> NDArray[np.bool_]:
-        """Which of the codes are in the set, shape (n,)."""
+        """Return a mask of the codes that are in the set, shape (n,)."""
         ...
 
 
 def visited(combinations: int) -> Visited:
-    """An empty set for codes below `combinations`."""
+    """Return an empty set for codes below `combinations`."""
     return _Bitmap(combinations) if combinations <= MAX_BITMAP else _Runs()
 
 
@@ -114,10 +121,10 @@ class _Runs:
 
 
 BATCH = 2**17
-"""So many codes are looked at together: their digits take a few MB."""
+"""Codes that are examined together: their digits take a few MB."""
 
 Progress = Callable[[int, int], None]
-"""Called with how many joint states have been looked at, and how many are known."""
+"""Called with the numbers of joint states that have been examined and that are known."""
 
 
 Key = TypeVar("Key", bound=Hashable)
@@ -128,7 +135,12 @@ class TooManyError(Exception):
 
 
 class Reached:
-    """What can be reached, in the order of the length of the shortest way there.
+    """All codes that can be reached, by the length of the shortest path.
+
+    Args:
+        encoding: Encoding of the codes.
+        levels: Codes by the length of the shortest path from the initial one, each level sorted.
+        known: All of them.
 
     Attributes:
         encoding: Of the codes.
@@ -145,15 +157,15 @@ class Reached:
         return sum(map(len, self.levels))
 
     def batches(self) -> Iterator[Batch]:
-        """All of them, nearest first."""
+        """Return all of them, nearest first."""
         return _batches(self.encoding, np.concatenate(self.levels))
 
     def first(self, wanted: Callable[[Batch], NDArray[np.bool_]]) -> int | None:
-        """One of the nearest that is wanted, if any is."""
+        """Return one of the nearest codes that are wanted, or None."""
         return self.firsts({None: wanted}).get(None)
 
     def firsts(self, wanted: Mapping[Key, Callable[[Batch], NDArray[np.bool_]]]) -> dict[Key, int]:
-        """One of the nearest of each kind that is wanted, found in one pass; of some kinds there may be none."""
+        """Return one of the nearest codes of each kind, found in one pass; kinds without any are left out."""
         found: dict[Key, int] = {}
         for batch in self.batches():
             for key in wanted.keys() - found.keys():
@@ -165,12 +177,17 @@ class Reached:
         return found
 
     def which(self, wanted: Callable[[Batch], NDArray[np.bool_]]) -> Codes:
-        """All that are wanted."""
+        """Return all codes that are wanted."""
         return np.concatenate([batch.codes[wanted(batch)] for batch in self.batches()])
 
-    def way_to(self, code: int, transitions: Iterable[Transition]) -> tuple[str, ...]:
-        """The commands of a shortest way from the initial code."""
-        back = Choices(transition.backward() for transition in transitions if transition.shift)
+    def path_to(self, code: int, transitions: Iterable[Transition]) -> tuple[str, ...]:
+        """Return the commands of a shortest path from the initial code.
+
+        Args:
+            code: Code to reach.
+            transitions: All transitions that the search has taken.
+        """
+        back = TransitionTree(transition.backward() for transition in transitions if transition.shift)
         length = next(n for n, level in enumerate(self.levels) if _contains(level, code))
         commands: list[str] = []
         for level in reversed(self.levels[:length]):
@@ -188,15 +205,15 @@ def search(
     progress: Progress | None = None,
     within: Visited | None = None,
 ) -> Reached:
-    """Finds everything that can be reached.
+    """Find all codes that can be reached.
 
     Args:
-        encoding: Of the codes.
-        initial: Where it begins.
-        following: Successors of the codes in a batch, in arrays that hold no code twice.
-        limit: How many may be found.
-        progress: Told now and then.
-        within: Only these are entered.
+        encoding: Encoding of the codes.
+        initial: Codes to start from.
+        following: Returns the successors of the codes in a batch, in arrays that hold no code twice.
+        limit: Largest number of codes.
+        progress: Called regularly with the numbers of codes that have been examined and that are known.
+        within: Set that the search may not leave; None for no limit.
 
     Raises:
         TooManyError: There are more than `limit`.
@@ -213,7 +230,7 @@ def search(
                 new.append(entered)
             if found > limit:
                 text = f"There are more than {limit} joint states, which is the limit: "
-                raise TooManyError(f"{text}make it fewer branches or states, or raise the limit.")
+                raise TooManyError(f"{text}reduce the branches or states, or raise the limit.")
             looked_at += len(batch.codes)
             if progress is not None:
                 progress(looked_at, found)
@@ -221,11 +238,18 @@ def search(
     return Reached(encoding, levels[:-1], known)
 
 
-def leading_to(
+def states_leading_to(
     reached: Reached, goal: Codes, transitions: Iterable[Transition], *, progress: Progress | None = None
 ) -> Visited:
-    """All that is reached and from which one of `goal` can be reached."""
-    back = Choices(transition.backward() for transition in transitions if transition.shift)
+    """Return all reached codes from which one of `goal` can be reached.
+
+    Args:
+        reached: Codes of an earlier search.
+        goal: Codes to reach.
+        transitions: All transitions that may be taken.
+        progress: Called regularly with the numbers of codes that have been examined and that are known.
+    """
+    back = TransitionTree(transition.backward() for transition in transitions if transition.shift)
     limit = len(reached)
     return search(
         reached.encoding, goal, back.successors, limit=limit, progress=progress, within=reached.visited
@@ -242,7 +266,7 @@ def _contains(level: Codes, code: int) -> bool:
     return place < len(level) and int(level[place]) == code
 
 
-def _predecessors(encoding: Encoding, code: int, back: Choices, level: Codes) -> Iterator[tuple[str, int]]:
+def _predecessors(encoding: Encoding, code: int, back: TransitionTree, level: Codes) -> Iterator[tuple[str, int]]:
     batch = Batch(encoding, np.array([code], dtype=np.int64))
     for transitions, _ in back.enabled(batch):
         for transition in transitions:

@@ -1,4 +1,4 @@
-"""The joint states that a workflow can reach, and every way from one to another."""
+"""The joint states that a workflow can reach, and every transition between them."""
 
 from __future__ import annotations
 
@@ -11,32 +11,31 @@ import numpy as np
 from pcmrs.fsm.behaviour import endings
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint
 from pcmrs.fsm.closure import Closure
-from pcmrs.fsm.verify.decisions import Decisions
+from pcmrs.fsm.verify.decisions import Decision, Decisions
 from pcmrs.fsm.verify.encoding import MAX_COMBINATIONS, Batch, Codes, Encoding, Rows
-from pcmrs.fsm.verify.observed import Decision
 from pcmrs.fsm.verify.search import Progress, TooManyError, search
 from pcmrs.fsm.verify.transition import Transition
 
 MAX_DECISIONS = 10_000
-"""So many closures are worked out; a common workflow has hundreds, even with a million joint states."""
+"""Limit of evaluated closures; a common workflow needs hundreds, even with a million joint states."""
 
 MAX_WORK = 1_000_000
-"""Fewer are worked out of a workflow so large that each takes long: this many branches and revocations in all."""
+"""Limit of branches and revocations in all evaluations together: in a large workflow, each evaluation is slow."""
 
 
 class Space:
-    """What a workflow can do.
+    """Reachable joint states of a workflow, and the transitions between them.
 
     Args:
         blueprint: The workflow, obeying the static rules.
-        limit: How many joint states it may have.
-        progress: Told now and then how many joint states have been looked at, and how many are known.
+        limit: Largest number of joint states.
+        progress: Called regularly with the numbers of joint states that have been examined and that are known.
 
     Attributes:
         encoding: Of joint states.
-        operations: The decisions of everything that may be asked for from outside.
+        operations: Decisions of every operation that may be asked for from outside.
         reached: The joint states that can be reached.
-        taken: How many transitions there are between them: commands that are accepted, with each of their endings.
+        taken: Number of transitions between them: accepted commands, with each of their endings.
 
     Raises:
         TooManyError: There are more than `limit` joint states, or more combinations than can be encoded or decided on.
@@ -46,7 +45,7 @@ class Space:
         self.blueprint = blueprint
         self.limit = limit
         self.encoding = Encoding({name: list(branch.states) for name, branch in blueprint.branches.items()})
-        encodable(self.encoding)
+        check_encodable(self.encoding)
         other = msgspec.structs.replace(blueprint, branches=dict(reversed(blueprint.branches.items())))
         self.operations = [
             Decisions(blueprint, other, self.encoding, name, operation, self._count)
@@ -66,28 +65,28 @@ class Space:
         return [transition for found in self._transitions.values() for transition in found]
 
     def decisions(self) -> Iterator[tuple[Decisions, Decision]]:
-        """Every operation with each decision about it that occurs."""
+        """Return every operation with each decision about it that occurs."""
         for operation in self.operations:
             for decision in operation.known:
                 yield operation, decision
 
-    def way_to(self, code: int) -> tuple[str, ...]:
-        """The commands of a shortest way to a joint state."""
-        return self.reached.way_to(code, self.transitions)
+    def path_to(self, code: int) -> tuple[str, ...]:
+        """Return the commands of a shortest path to a joint state."""
+        return self.reached.path_to(code, self.transitions)
 
     def nearest(self, decision: Decision) -> int:
-        """One of the nearest joint states where the decision is taken."""
+        """Return one of the nearest joint states where the decision is taken."""
         taken = {branch: [state] for branch, state in decision.seen.items()}
         found = self.reached.first(lambda batch: batch.matching(taken))
         if found is None:
-            raise LookupError("a decision is known that is taken nowhere")
+            raise LookupError("a known decision is taken in no joint state")
         return found
 
     def _count(self) -> None:
         self._left -= 1
         if self._left < 0:
             text = "The operations depend on too many combinations of the states of their own and other branches: "
-            raise TooManyError(f"{text}make it fewer states, or let commands touch fewer branches.")
+            raise TooManyError(f"{text}reduce the states, or let commands touch fewer branches.")
 
     def _following(self, batch: Batch) -> Iterator[Codes]:
         for operation in self.operations:
@@ -119,9 +118,9 @@ class Ending:
     """One way in which an operation may end.
 
     Attributes:
-        command: How it is written, ``branch.operation`` or ``branch.operation:outcome``.
-        declared: It ends as the blueprint wants it, not in a failure or in doubt.
-        targets: The branches that it changes, and to what.
+        command: ``branch.operation`` or ``branch.operation:outcome``.
+        declared: It ends as the blueprint declares, not in a failure or in doubt.
+        targets: The branches that it changes, and their new states.
     """
 
     command: str
@@ -130,26 +129,45 @@ class Ending:
 
 
 def endings_of(operation: Decisions, decision: Decision) -> Iterator[Ending]:
-    """Every way the operation may end where the decision is taken; none where it is denied."""
+    """Return every way the operation may end where the decision is taken; none where it is denied.
+
+    Args:
+        operation: The operation.
+        decision: One of its decisions.
+    """
     if isinstance(decision.answer, Closure):
         for name, change in endings(operation.spec, decision.answer).items():
             command = operation.name + (f":{name}" if name != START_OUTCOME else "")
             yield Ending(command, name in decision.answer.outcomes, {} if change is None else change.targets)
 
 
-def encodable(encoding: Encoding) -> None:
-    """Raises `TooManyError` where there are more combinations than can be told apart."""
+def check_encodable(encoding: Encoding) -> None:
+    """Refuse an encoding with more combinations than a 64-bit integer can tell apart.
+
+    Raises:
+        TooManyError: There are more than `MAX_COMBINATIONS`.
+    """
     if encoding.combinations > MAX_COMBINATIONS:
         text = "The states of the branches and what runs in them have more than 2^62 combinations: "
-        raise TooManyError(f"{text}make it fewer branches or states, or properties that watch fewer operations.")
+        raise TooManyError(f"{text}reduce the branches, the states, or the operations that properties watch.")
 
 
 def guard(encoding: Encoding, decision: Decision) -> dict[int, tuple[int, ...]]:
-    """The digits that a decision depends on."""
+    """Return the digits that a decision depends on, with their values.
+
+    Args:
+        encoding: Encoding of the joint states.
+        decision: The decision.
+    """
     return {digit: (value,) for digit, value in digits(encoding, decision.seen).items()}
 
 
 def digits(encoding: Encoding, states: dict[str, str]) -> dict[int, int]:
-    """States of branches as digits; one that has a single state says nothing."""
+    """Return the states of branches as digits; a branch with a single state is left out.
+
+    Args:
+        encoding: Encoding of the joint states.
+        states: Branch to state.
+    """
     found = {encoding.position[branch]: encoding.value(branch, state) for branch, state in states.items()}
     return {digit: value for digit, value in found.items() if encoding.sizes[digit] > 1}

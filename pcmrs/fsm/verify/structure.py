@@ -1,4 +1,4 @@
-"""Findings that the decisions themselves show: cascades, determinism, and what is never used."""
+"""Findings that follow from the decisions alone: cascades, determinism, and unused states and operations."""
 
 from __future__ import annotations
 
@@ -9,22 +9,24 @@ import numpy as np
 
 from pcmrs.fsm.closure import Closure, Denial
 from pcmrs.fsm.finding import Finding
-from pcmrs.fsm.verify.decisions import Decisions
-from pcmrs.fsm.verify.observed import Decision, changes
+from pcmrs.fsm.verify.decisions import Decision, Decisions, changes
 from pcmrs.fsm.verify.space import Space
 
 UNSOUND = {
-    "cascade_too_long": ("endless_cascade", "triggers changes without an end: let revocations not undo each other."),
+    "cascade_too_long": (
+        "endless_cascade",
+        "triggers an endless cascade of changes: revocations must not undo each other.",
+    ),
     "no_outcome": ("no_outcome", "is accepted, but cannot end in any declared way: add to its `requires` or outcomes."),
 }
-"""Denials that no joint state may give a reason for, and the findings they are."""
+"""Denials that must not occur in any joint state, and the findings that report them."""
 
-CUT_SHORT = {code for code, _ in UNSOUND.values()}
-"""Where one of these is found, operations that should go on do not, and what cannot be reached says nothing."""
+INCOMPLETE = {code for code, _ in UNSOUND.values()}
+"""Findings after which the search is incomplete: an unreached state may only lie behind a broken operation."""
 
 
 def denials(space: Space) -> Iterator[Finding]:
-    """Operations that trigger an endless cascade, or that can begin but not end."""
+    """Find operations that trigger an endless cascade, or that can begin but not end."""
     for operation, decision in _first_of_each(space, _is_unsound):
         denial = decision.answer
         if isinstance(denial, Denial):
@@ -33,17 +35,17 @@ def denials(space: Space) -> Iterator[Finding]:
 
 
 def order(space: Space) -> Iterator[Finding]:
-    """Operations whose closure depends on the order of the branches in the file."""
+    """Find operations whose closure depends on the order of the branches in the file."""
     for operation, decision in _first_of_each(space, lambda found: found.ordered):
         text = (
-            f"{operation.name} does something else when the branches of the file are in another order: "
+            f"{operation.name} has another effect if the branches of the file are in another order: "
             "let at most one revocation or signal apply to each branch it touches."
         )
         yield _shown(space, operation, decision, "order_dependent", text)
 
 
 def activities(space: Space) -> Iterator[Finding]:
-    """Activities that may end by themselves where the operation that leaves their state is denied."""
+    """Find activities that may end by themselves where the operation that leaves their state is denied."""
     for operation in space.operations:
         declared = space.blueprint.branches[operation.branch].activities
         ending = {state for state, activity in declared.items() if activity.ended == operation.operation}
@@ -54,13 +56,13 @@ def activities(space: Space) -> Iterator[Finding]:
         }
         for state, decision in denied.items():
             text = f"The activity {declared[state].run} of {operation.branch} {state} may end by itself where "
-            text += f"{operation.operation} is denied: nothing of it may be refused in that state."
-            path, way = ("branches", operation.branch, "activities", state), space.way_to(space.nearest(decision))
+            text += f"{operation.operation} is denied: that operation must never be refused in that state."
+            path, way = ("branches", operation.branch, "activities", state), space.path_to(space.nearest(decision))
             yield Finding(code="activity_stuck", text=text, path=path, commands=way)
 
 
 def revocations(space: Space) -> Iterator[Finding]:
-    """Revocations of one branch that hold at once and disagree; the file alone shows it."""
+    """Find revocations of one branch that hold at once and disagree; the file alone shows it."""
     for name, branch in space.blueprint.branches.items():
         for (_, one), (second, other) in combinations(enumerate(branch.revocations), 2):
             by, states = sorted({*one.by} & {*other.by}), sorted({*one.from_} & {*other.from_})
@@ -71,7 +73,7 @@ def revocations(space: Space) -> Iterator[Finding]:
 
 
 def unused(space: Space) -> Iterator[Finding]:
-    """States that no branch gets into, and operations that are never accepted or never called."""
+    """Find states that no branch enters, and operations that are never accepted or never called."""
     for digit, (name, states) in enumerate(zip(space.encoding.names, space.encoding.values, strict=True)):
         seen = np.zeros(len(states), dtype=np.bool_)
         for batch in space.reached.batches():
@@ -84,7 +86,7 @@ def unused(space: Space) -> Iterator[Finding]:
 
 
 def path_of(command: str) -> tuple[str, ...]:
-    """Where the operation of a command is declared."""
+    """Return the path, in the blueprint, of the operation of a command."""
     branch, operation = command.partition(":")[0].split(".")
     return ("branches", branch, "operations", operation)
 
@@ -112,11 +114,11 @@ def _is_unsound(decision: Decision) -> bool:
 
 
 def _first_of_each(space: Space, wanted: Callable[[Decision], bool]) -> Iterator[tuple[Decisions, Decision]]:
-    """One decision of the kind wanted, of each operation that has one."""
+    """Return one wanted decision of each operation that has one."""
     for operation in space.operations:
         yield from ((operation, decision) for decision in [*filter(wanted, operation.known)][:1])
 
 
 def _shown(space: Space, operation: Decisions, decision: Decision, code: str, text: str) -> Finding:
-    commands = (*space.way_to(space.nearest(decision)), operation.name)
+    commands = (*space.path_to(space.nearest(decision)), operation.name)
     return Finding(code=code, text=text, path=path_of(operation.name), commands=commands)

@@ -97,7 +97,7 @@ class LiveTour:
                 break
             state = await self._make(move, state)
             progress(len(seen.made), len(seen.wanted) - len(seen.left))
-        seen.left |= {move: reason or why for move, reason in self._record.agenda.rest().items()}
+        seen.left |= {move: reason or why for move, reason in self._record.agenda.unseen().items()}
         for move in seen.made & seen.left.keys():
             del seen.left[move]  # given up, and come by itself
         return seen

@@ -1,4 +1,4 @@
-"""Which branches an operation looks at or moves, and the joint states of these that can matter."""
+"""The branches that an operation reads or moves, and their joint states that can matter."""
 
 from __future__ import annotations
 
@@ -10,13 +10,19 @@ from pcmrs.errors import BlueprintError
 from pcmrs.fsm.blueprint import Blueprint, OperationSpec, Target
 
 MAX_COMBINATIONS = 100_000
-"""Of states of the branches that one operation depends on; beyond this an export would be unreadable."""
+"""Limit of combinations that one operation depends on; beyond it an export would be unreadable."""
 
 Joint = dict[str, str]
 
 
 def coupled(blueprint: Blueprint, branch: str, operation: str) -> list[str]:
-    """Branches that decide on an operation or may be moved by it, with their ancestors, in the blueprint's order."""
+    """Return the branches that an operation reads or may move, with their ancestors, in the blueprint's order.
+
+    Args:
+        blueprint: The workflow.
+        branch: Branch of the operation.
+        operation: Name of the operation.
+    """
     spec = blueprint.branches[branch].operations[operation]
     seen = {branch, *spec.requires, *_moved(blueprint, branch)}
     for ending in spec.endings.values():
@@ -27,7 +33,12 @@ def coupled(blueprint: Blueprint, branch: str, operation: str) -> list[str]:
 
 
 def ancestors(blueprint: Blueprint, branch: str) -> Iterator[str]:
-    """The branch's parent, the parent's parent and so on."""
+    """Return the branch's parent, the parent's parent and so on.
+
+    Args:
+        blueprint: The workflow.
+        branch: Name of the branch.
+    """
     parent = blueprint.branches[branch].parent
     while parent is not None:
         yield parent.branch
@@ -35,7 +46,11 @@ def ancestors(blueprint: Blueprint, branch: str) -> Iterator[str]:
 
 
 def combinations(blueprint: Blueprint, branches: list[str]) -> Iterator[Joint]:
-    """Joint states of some branches in which every child fits its parent; the other branches are at their start.
+    """Return the joint states of some branches in which every child fits its parent; the others are at their start.
+
+    Args:
+        blueprint: The workflow.
+        branches: Names of the branches.
 
     Raises:
         BlueprintError: There are more than `MAX_COMBINATIONS`.
@@ -57,7 +72,7 @@ def _fits(blueprint: Blueprint, branch: str, joint: Joint) -> bool:
 
 
 def _moved(blueprint: Blueprint, branch: str) -> set[str]:
-    """Every branch that a cascade from `branch` may reach."""
+    """Return every branch that a cascade from `branch` may reach."""
     reached, waiting = {branch}, [branch]
     while waiting:
         for name in _next(blueprint, waiting.pop()) - reached:
@@ -67,7 +82,7 @@ def _moved(blueprint: Blueprint, branch: str) -> set[str]:
 
 
 def _next(blueprint: Blueprint, branch: str) -> set[str]:
-    """Branches that a change of `branch` may move at once; a parent that keeps its state passes it on."""
+    """Return the branches that a change of `branch` may move at once; a parent that keeps its state passes it on."""
     found = {name for name, spec in blueprint.branches.items() if any(branch in r.by for r in spec.revocations)}
     found.update(blueprint.children[branch])
     while (parent := blueprint.branches[branch].parent) is not None:
@@ -82,7 +97,7 @@ def _next(blueprint: Blueprint, branch: str) -> set[str]:
 
 
 def _keeps(signal: OperationSpec, states: list[str]) -> bool:
-    """Whether a signal leaves the parent in every state as it is."""
+    """Return true if a signal keeps every state of the parent."""
     sources = states if signal.from_ == ["*"] else signal.from_
     return all(_target(signal.to, source) == source for source in sources)
 

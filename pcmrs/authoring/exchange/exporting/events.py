@@ -1,9 +1,7 @@
-"""What the events of an exported chart are called.
+"""Commands of a workflow, their effects, and the names of their events in an exported chart.
 
-``branch.operation``; in a workflow that was imported as the chart that it comes from calls them, which is what the
-titles of its operations say.
-
-What may be asked of a workflow, with each way it can end, and what that changes.
+Events are ``branch.operation``. In an imported workflow, they have the names of the chart that it comes from, which are
+the titles of its operations.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from pcmrs.fsm.closure import Change, Closure, close
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class OperationEnding:
     """An operation and one of the ways it can end."""
 
     branch: str
@@ -31,19 +29,27 @@ class Command:
     event: str
 
 
-def commands(blueprint: Blueprint) -> Iterator[Command]:
-    """All commands that somebody may give: an operation that signals for a child is none."""
+def commands(blueprint: Blueprint) -> Iterator[OperationEnding]:
+    """Return all commands that a user or device may give; operations that signal for a child are left out."""
     events = event_names(blueprint)
     for branch, spec in blueprint.branches.items():
         for name, operation in spec.operations.items():
             possible = [] if operation.iio else [*operation.endings, *operation.unconfirmed]
             for ending in possible:
                 event = events[branch, name]
-                yield Command(branch, name, ending, event if possible == [START_OUTCOME] else f"{event}.{ending}")
+                yield OperationEnding(
+                    branch, name, ending, event if possible == [START_OUTCOME] else f"{event}.{ending}"
+                )
 
 
-def change_of(blueprint: Blueprint, states: Joint, command: Command) -> Change | None:
-    """What a command changes in a joint state; None where it is rejected."""
+def change_of(blueprint: Blueprint, states: Joint, command: OperationEnding) -> Change | None:
+    """Return the change of a command in a joint state, or None if it is rejected.
+
+    Args:
+        blueprint: The workflow.
+        states: The joint state.
+        command: The command.
+    """
     said = close(blueprint, states, command.branch, command.operation)
     if not isinstance(said, Closure):
         return None
@@ -58,10 +64,10 @@ EVENT = re.compile(r"(?!(?:done|error)\.)[\w-]+(?:\.[\w-]+)*")
 
 
 def event_names(blueprint: Blueprint) -> dict[Key, str]:
-    """The event of each operation that somebody may ask for, without its outcome.
+    """Return the event of each operation that a user or device may ask for, without its outcome.
 
-    Titles are the events where all of them are what an import would have made the operations' names of, and no event
-    could be taken for another; only a re-initiation needs no title.
+    Titles are the events if an import would have made the names of all operations from them, and if no event
+    can be mistaken for another; only a re-initiation needs no title.
     """
     operations = {
         (branch, name): operation
@@ -83,13 +89,13 @@ def _is_imported(name: str, operation: OperationSpec) -> bool:
 
 
 def _are_apart(names: Iterable[str]) -> bool:
-    """Whether no event is the beginning of another, whose transitions it would trigger."""
+    """Return true if no event is the beginning of another, whose transitions it would trigger."""
     events = set(names)
     return not any(beginning in events for event in events for beginning in descriptors(event)[1:])
 
 
 def _exclude_each_other(operations: dict[Key, OperationSpec], names: dict[Key, str]) -> bool:
-    """Whether of operations with the same event one at most is accepted in any joint state."""
+    """Return true if, of operations with the same event, at most one is accepted in any joint state."""
     where: dict[str, list[dict[str, set[str]]]] = defaultdict(list)
     for (branch, name), operation in operations.items():
         required = {each: set(states) for each, states in operation.requires.items()}

@@ -1,6 +1,6 @@
-"""Which branches a state chart can draw inside the parent's state they refine.
+"""The branches that a state chart can draw inside the state of the parent that they refine.
 
-Such a branch leaves its start only while the parent is in that state, so that nothing is lost when the
+Such a branch leaves its start only while the parent is in that state, so nothing is lost although the
 chart has no state for it elsewhere.
 """
 
@@ -26,14 +26,19 @@ class Nesting:
         self._branches = blueprint.branches
 
     def around(self, branch: str) -> Iterator[str]:
-        """The branches that a branch is nested in, from within."""
+        """Return the branches that a branch is nested in, innermost first."""
         while branch in self.nested:
             parent = self._branches[branch].parent
             branch = parent.branch if parent is not None else ""
             yield branch
 
     def inside(self, branch: str, state: str) -> list[str]:
-        """Branches drawn in a state, in the blueprint's order."""
+        """Return the branches that are drawn in a state, in the blueprint's order.
+
+        Args:
+            branch: Name of the branch.
+            state: One of its states.
+        """
         return [
             n
             for n, s in self._branches.items()
@@ -41,7 +46,12 @@ class Nesting:
         ]
 
     def active(self, branch: str, joint: Mapping[str, str]) -> bool:
-        """Whether the chart is in a state of the branch: every state around it is active."""
+        """Return true if the chart is in a state of the branch: every state around it is active.
+
+        Args:
+            branch: Name of the branch.
+            joint: The joint state.
+        """
         while branch in self.nested:
             parent = self._branches[branch].parent
             if parent is None or joint[parent.branch] != parent.start:
@@ -50,15 +60,20 @@ class Nesting:
         return True
 
     def holds(self, joint: Mapping[str, str]) -> bool:
-        """Whether every nested branch that is not active is at its start."""
+        """Return true if every nested branch that is not active is at its start."""
         return not self.broken(joint)
 
     def broken(self, joint: Mapping[str, str]) -> set[str]:
-        """The nested branches that have left their start while the chart has no place for that."""
+        """Return the nested branches that have left their start while the chart has no place for that."""
         return {n for n in self.nested if joint[n] != self._branches[n].start and not self.active(n, joint)}
 
     def entered(self, branch: str, joint: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-        """What must be named to enter a branch's state with all that is nested in it: `joint` says where they go."""
+        """Return the branches and states to name in order to enter a branch's state with all that is nested in it.
+
+        Args:
+            branch: Name of the branch.
+            joint: Joint state to enter.
+        """
         deeper = [pair for child in self.inside(branch, joint[branch]) for pair in self._named(child, joint)]
         yield from deeper or [(branch, joint[branch])]
 
@@ -68,7 +83,7 @@ class Nesting:
 
 
 def nesting_of(blueprint: Blueprint) -> Nesting:
-    """The most branches that can be nested; proved by trying every command in every fitting joint state.
+    """Return the largest valid nesting, proved by trying every command in every fitting joint state.
 
     Raises:
         BlueprintError: Too many branches depend on each other.
@@ -80,7 +95,7 @@ def nesting_of(blueprint: Blueprint) -> Nesting:
 
 
 def _has_the_shape(spec: BranchSpec) -> bool:
-    """Its start fits any state of the parent, the others only the one it refines."""
+    """Return true if its start fits any state of the parent, and the others only the one it refines."""
     parent = spec.parent
     return parent is not None and all(
         fitting == [parent.start] for state, fitting in parent.compatible.items() if state != spec.start

@@ -11,10 +11,10 @@ from pcmrs.errors import BlueprintError
 from pcmrs.fsm.behaviour import endings, operations
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, Condition, PropertySpec, Requirement
 from pcmrs.fsm.closure import Closure
-from pcmrs.fsm.verify.observed import Decision, decide
+from pcmrs.fsm.verify.decisions import Decision, decide
 
 MAX_DECISIONS = 5_000
-"""Combinations of states that the operations depend on; a model of more could neither be read nor compiled."""
+"""Limit of combinations that the operations depend on; a larger model could neither be read nor compiled."""
 
 STOP = "stop"
 
@@ -30,11 +30,11 @@ class _Way:
 
 
 def promela(blueprint: Blueprint) -> str:
-    """A model with one guarded, indivisible transition for each ending of each operation.
+    """Return a model with one guarded, indivisible transition for each ending of each operation.
 
     It has the claims ``deadlock`` (at every moment a user may ask for something, or the goal is reached),
     ``children_fit``, and ``property_<n>`` for every property that speaks of states only and is always, never or
-    reachable; a reachable one is claimed never to hold, so that SPIN shows the way there.
+    reachable; a reachable one is claimed never to hold, so that SPIN shows the path there.
 
     Args:
         blueprint: A sound or unsound workflow that obeys the static rules.
@@ -86,7 +86,7 @@ def _claims(blueprint: Blueprint, ways: list[_Way]) -> Iterator[str]:
 
 
 def _claim(name: str, holds: Iterable[str]) -> Iterator[str]:
-    """A claim that at every moment one of some conditions holds."""
+    """Return a claim that at every moment one of some conditions holds."""
     yield f"never {name} {{"
     yield "do"
     yield from (f":: {condition}" for condition in holds)
@@ -96,7 +96,7 @@ def _claim(name: str, holds: Iterable[str]) -> Iterator[str]:
 
 
 def _holds(spec: PropertySpec, ways: list[_Way]) -> list[str]:
-    """Conditions of which one must hold at every moment; none where the model cannot say it."""
+    """Return conditions of which one must hold at every moment; none if the model cannot express it."""
     conditions = [spec.when, *filter(None, (spec.always, spec.never, spec.reachable))]
     if spec.leads_to is not None or any(each.running or STOP in each.accepted for each in conditions):
         return []
@@ -121,7 +121,7 @@ def _children_fit(blueprint: Blueprint) -> str:
 
 
 def _ways(blueprint: Blueprint) -> Iterator[_Way]:
-    """Every ending of every operation, its guards as few and short as they can be made."""
+    """Return every ending of every operation, with as few and short guards as possible."""
     states = {name: list(branch.states) for name, branch in blueprint.branches.items()}
     left = MAX_DECISIONS
     for branch, operation, spec in operations(blueprint):
@@ -144,7 +144,7 @@ def _ways(blueprint: Blueprint) -> Iterator[_Way]:
 
 
 def _decisions(blueprint: Blueprint, branch: str, operation: str) -> Iterator[Decision]:
-    """Everything the operation may do, in whatever states: no search has to have found them."""
+    """Return every decision of an operation in whatever states; no search has to have found them."""
     waiting: list[dict[str, str]] = [{}]
     while waiting:
         fixed = waiting.pop()
@@ -178,7 +178,7 @@ def _joined(terms: Iterable[str], sign: str, empty: str) -> str:
 
 
 def _variable(branch: str) -> str:
-    """No keyword of Promela: names in a blueprint have no capitals."""
+    """Return the variable of a branch, which is no keyword of Promela: names in a blueprint have no capitals."""
     return f"AT_{branch}"
 
 
@@ -187,5 +187,5 @@ def _constant(branch: str, state: str) -> str:
 
 
 def _harmless(text: str) -> str:
-    """Text that cannot end a comment."""
+    """Return text that cannot end a comment."""
     return "".join(sign if sign.isalnum() or sign in " _-." else "_" for sign in text)

@@ -1,4 +1,4 @@
-"""What each command of a workflow does to each of its branches, as transitions with conditions on the others."""
+"""Effects of each command on each branch, as transitions with conditions on the other branches."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 from pcmrs.authoring.exchange.cubes import Cube, cover
 from pcmrs.authoring.exchange.exporting.coupling import Joint, combinations, coupled
-from pcmrs.authoring.exchange.exporting.events import Command, change_of, commands
+from pcmrs.authoring.exchange.exporting.events import OperationEnding, change_of, commands
 from pcmrs.authoring.exchange.exporting.nesting import Nesting
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.closure import Change
 
 Entered = tuple[tuple[str, str], ...]
-"""Branches and the states they go to."""
+"""Branches and their target states."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,10 +23,10 @@ class Reaction:
     Attributes:
         event: ``branch.operation``, with ``.outcome`` where the operation can end in several ways.
         branch: The branch that reacts.
-        source: The state it reacts in.
-        entered: The states it goes to: of the branch, and of branches nested in it that do not enter their start
-            there; empty where the command is accepted and leaves the branch as it is.
-        guard: The states of other branches in which it reacts so.
+        source: The state in which it reacts.
+        entered: The target states: of the branch, and of branches nested in it that do not enter their start
+            there; empty if the command is accepted and keeps the state of the branch.
+        guard: The states of other branches in which it reacts like this.
     """
 
     event: str
@@ -37,7 +37,11 @@ class Reaction:
 
 
 def reactions(blueprint: Blueprint, nesting: Nesting) -> Iterator[Reaction]:
-    """All transitions, for every joint state in which children fit their parents.
+    """Return all transitions, for every joint state in which children fit their parents.
+
+    Args:
+        blueprint: The workflow.
+        nesting: The branches that are drawn inside others.
 
     Raises:
         BlueprintError: Too many branches depend on each other.
@@ -51,7 +55,11 @@ def reactions(blueprint: Blueprint, nesting: Nesting) -> Iterator[Reaction]:
 
 
 def _of_branch(
-    command: Command, branch: str, nesting: Nesting, changes: list[tuple[Joint, Change | None]], others: list[str]
+    command: OperationEnding,
+    branch: str,
+    nesting: Nesting,
+    changes: list[tuple[Joint, Change | None]],
+    others: list[str],
 ) -> Iterator[Reaction]:
     reached: dict[str, dict[Entered | None, list[Joint]]] = {}
     for joint, change in changes:
@@ -65,8 +73,8 @@ def _of_branch(
                 yield Reaction(command.event, branch, source, entered or (), guard)
 
 
-def _entered(command: Command, branch: str, nesting: Nesting, before: Joint, change: Change) -> Entered | None:
-    """Where the branch itself goes; empty where it is the one asked and stays; None where it has no part in it."""
+def _entered(command: OperationEnding, branch: str, nesting: Nesting, before: Joint, change: Change) -> Entered | None:
+    """Return the target of the branch itself: empty if it is the one asked and stays, None if it is not affected."""
     after = dict(change.states)
     if any(before[above] != after[above] for above in nesting.around(branch)):
         return None

@@ -16,7 +16,7 @@ from pcmrs.fsm.rules.names import NAME, STATE_NAME
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 ANY = r"\*"
 PARTIAL = "Partial"
-"""Begins the names of the parts of a file that extends another."""
+"""Prefix of the names of the parts of a file that extends another."""
 
 NAMES = {
     ("Blueprint", "branches"): NAME.pattern,
@@ -27,13 +27,13 @@ NAMES = {
     ("OperationSpec", "outcomes"): NAME.pattern,
     ("ParentSpec", "compatible"): f"{STATE_NAME.pattern}|{ANY}",
 }
-"""What the keys of a table must look like."""
+"""Pattern of the keys of each table."""
 
 _ATTRIBUTE = re.compile(r"^    (\w+): (.*(?:\n        .*)*)", re.MULTILINE)
 
 
 def schema() -> str:
-    """The JSON Schema as text; it says what a file may hold, `pcmrs fsm verify` whether that is sound."""
+    """Return the JSON Schema as text. It says what a file may hold; `pcmrs fsm verify` checks whether that is sound."""
     whole = msgspec.json.schema(Blueprint)["$defs"]
     for name, definition in whole.items():
         _describe(name, definition, getattr(parts, name))
@@ -50,7 +50,7 @@ def schema() -> str:
 
 
 def _partial(whole: dict[str, Any]) -> dict[str, Any]:
-    """The same for a file that extends another: what that one says need not be said again."""
+    """Return the schema of a file that extends another: no key is required."""
     text = msgspec.json.encode(whole).replace(b"#/$defs/", f"#/$defs/{PARTIAL}".encode())
     definitions: dict[str, Any] = msgspec.json.decode(text)
     for definition in definitions.values():
@@ -60,13 +60,13 @@ def _partial(whole: dict[str, Any]) -> dict[str, Any]:
     blueprint["properties"][EXTENDS] = {
         "type": "string",
         "pattern": f"^(?:{FILE_NAME.pattern})$",
-        "description": "The file beside this one that is read first; this one's tables are laid over its.",
+        "description": "The file beside this one that is read first; the tables of this file are merged into it.",
     }
     return {PARTIAL + name: definition for name, definition in definitions.items()}
 
 
 def _describe(name: str, definition: dict[str, Any], part: type[Part]) -> None:
-    """Adds what the attributes mean, and patterns of names."""
+    """Add what the attributes mean, and patterns of names."""
     documentation = inspect.getdoc(part) or ""
     definition["description"] = documentation.partition("\n\n")[0].replace("\n", " ")
     meanings = {key.rstrip("_"): " ".join(text.split()) for key, text in _ATTRIBUTE.findall(documentation)}

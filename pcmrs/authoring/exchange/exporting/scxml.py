@@ -2,7 +2,7 @@
 
 One parallel region per branch, a branch that refines one state of its parent inside that state. States are
 ``branch.state``. Events are ``branch.operation``, or ``branch.operation.outcome`` where it can end in several ways;
-``done`` is the outcome of an operation that declares none. In an imported workflow events are called as they were. A
+``done`` is the outcome of an operation that declares none. In an imported workflow events keep their names. A
 transition without target is an operation that is accepted and keeps the state. Checks, steps and roles are not part
 of the chart, activities a comment in it: processors refuse an ``<invoke>`` that they do not know.
 """
@@ -23,10 +23,10 @@ PARALLEL = "joint-state"
 
 
 def scxml(blueprint: Blueprint) -> str:
-    """The workflow as an SCXML document.
+    """Return the workflow as an SCXML document.
 
     Args:
-        blueprint: Sound, see `pcmrs.fsm.verify`.
+        blueprint: A sound workflow, see `pcmrs.fsm.verify`.
 
     Raises:
         BlueprintError: So many branches depend on each other that the conditions cannot be written out.
@@ -52,7 +52,7 @@ class _Writer:
             self._reactions[reaction.branch, reaction.source].append(reaction)
 
     def write_branch(self, above: Element, branch: str) -> None:
-        """Adds a region; within it its states, and within these the branches that refine them."""
+        """Add a region; within it its states, and within these the branches that refine them."""
         spec = self._branches[branch]
         region = SubElement(above, "state", id=branch, initial=_id(branch, spec.start))
         for state in spec.states:
@@ -81,7 +81,7 @@ class _Writer:
         return " && ".join(f"({text})" if "||" in text else text for text in alternatives)
 
     def _in_one_of(self, branch: str, allowed: frozenset[str]) -> list[str]:
-        """Predicates of which one must hold; a nested branch is at its start also when the chart is outside of it."""
+        """Return predicates of which one must hold. A nested branch is at its start also outside its parent's state."""
         predicates = [f"In('{_id(branch, state)}')" for state in self._branches[branch].states if state in allowed]
         if self._branches[branch].start in allowed:
             for outer in self.nesting.around(branch):

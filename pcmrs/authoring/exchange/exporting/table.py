@@ -1,4 +1,4 @@
-"""Writes the transition table of a workflow, as reviewers of a procedure read it."""
+"""Writes the transition table of a workflow for the reviewers of a procedure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ COLUMNS = ("branch", "operation", "from → to", "requires", "checks", "steps", 
 
 
 def table(blueprint: Blueprint) -> str:
-    """The operations of all branches as a Markdown table, one line for each way an operation can end."""
+    """Return the operations of all branches as a Markdown table, a line for each way an operation can end."""
     rows = [row for name, branch in blueprint.branches.items() for row in _branch(name, branch)]
     lines = [COLUMNS, tuple("---" for _ in COLUMNS), *rows]
     text = "\n".join(f"| {' | '.join(line)} |" for line in lines)
@@ -54,7 +54,7 @@ def _asked_by(operation: OperationSpec) -> str:
 
 
 def _calls(branch: BranchSpec, key: str, operation: OperationSpec, to: Target) -> Iterator[str]:
-    """What follows in other branches: states that are set, and the parent's operations (Rule 2)."""
+    """Return the effects on other branches: states that are set, and the parent's operations (Rule 2)."""
     yield from (f"{child} := {state}" for child, state in operation.sets.items())
     ways = [(state, target_from(to, state)) for state in branch.states if branch.valid_in(key, state)]
     targets = {target for source, target in ways if target != source or operation.signals}

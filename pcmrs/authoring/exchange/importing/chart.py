@@ -1,4 +1,4 @@
-"""A state chart as other tools know it: nested and parallel states and what events do. All readers make one."""
+"""A state chart as other tools know it: nested and parallel states and the effects of events. All readers make one."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from pcmrs.authoring.exchange import descriptors
 from pcmrs.fsm.finding import Place
 
 Condition = tuple[tuple[str, ...], ...]
-"""Ids of states in groups, of each of which at least one must be active."""
+"""Groups of state ids; at least one state of each group must be active."""
 
 
 @dataclass(slots=True, eq=False)
 class Edge:
-    """A transition; without targets it uses up the event and keeps the state.
+    """A transition; without targets it consumes the event and keeps the state.
 
     Attributes:
         source: The state it leaves.
         events: Any of them triggers it.
         targets: Ids of the states it goes to.
-        place: Where the file says so.
+        place: Its place in the file.
         internal: It does not leave its source when its targets are inside.
-        condition: Where it can be taken: of each group of states one must be active.
+        condition: Condition for taking it: one state of each group must be active.
     """
 
     source: Node
@@ -39,9 +39,9 @@ class Node:
 
     Attributes:
         id: Unique in the chart.
-        place: Where the file says so.
-        name: What it is called where that is not its id; need not be unique.
-        title: What it means, where the file says more than the name.
+        place: Its place in the file.
+        name: Its name, if that is not its id; need not be unique.
+        title: Its meaning, if the file says more than the name.
         parallel: All of its children are active together.
         final: Nothing leaves it.
         initial: Id of the child it starts in; empty for the first.
@@ -62,43 +62,43 @@ class Node:
     edges: list[Edge] = field(default_factory=list)
 
     @property
-    def called(self) -> str:
-        """Its name."""
+    def display_name(self) -> str:
+        """Its name for people."""
         return self.name or self.id
 
     @property
     def compound(self) -> bool:
-        """Whether exactly one of its children is active with it."""
+        """Exactly one of its children is active with it."""
         return bool(self.children) and not self.parallel
 
     def walk(self) -> Iterator[Node]:
-        """It and all states in it, in the order of the file."""
+        """Return this state and all states in it, in the order of the file."""
         yield self
         for child in self.children:
             yield from child.walk()
 
     def inside(self) -> Iterator[Node]:
-        """All states in it, in the order of the file."""
+        """Return all states in it, in the order of the file."""
         return (node for node in self.walk() if node is not self)
 
     def by_id(self) -> dict[str, Node]:
-        """All states in it; of two with one id the last."""
+        """Return all states in it; of two with the same id, the last."""
         return {node.id: node for node in self.inside()}
 
     def outward(self) -> Iterator[Node]:
-        """The states it is in, from within, the root last."""
+        """Return the states that it is in, innermost first, the root last."""
         node = self.above
         while node is not None:
             yield node
             node = node.above
 
     def add(self, child: Node) -> Node:
-        """Puts a state into it; returns the state."""
+        """Add a state to it, and return that state."""
         child.above = self
         self.children.append(child)
         return child
 
     def edges_on(self, event: str) -> list[Edge]:
-        """Its transitions, not of the states around it, that the event triggers where their conditions hold."""
+        """Return its own transitions, not those of the states around it, that an event may trigger."""
         matching = set(descriptors(event))
         return [edge for edge in self.edges if matching.intersection(edge.events)]

@@ -1,6 +1,6 @@
 """Conditions on active states, as an export writes them: ``In('a') && (In('b') || In('c'))``.
 
-What an event does in each situation of a state chart, by the priorities of SCXML.
+Also the effects of an event in each situation of a state chart, by the priorities of SCXML.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from pcmrs.authoring.exchange.importing.chart import Condition, Edge, Node
 from pcmrs.authoring.exchange.importing.regions import Region
 
 MAX_WORK = 1_000_000
-"""Situations of all events together times the states and conditions looked at in each."""
+"""Limit of the situations of all events together, times the states and conditions examined in each."""
 
 IN = re.compile(r"\s*In\(\s*(?:'([^'\\]+)'|\"([^\"\\]+)\")\s*\)\s*")
 
 
 def read_condition(text: str) -> Condition | None:
-    """The groups of states of a condition; None where it says anything else."""
+    """Return the groups of states of a condition, or None if it has any other form."""
     parts = text.split("&&")
     groups = [_group(part.strip(), alone=len(parts) == 1) for part in parts]
     return None if None in groups else tuple(group for group in groups if group)
@@ -36,10 +36,10 @@ def _group(text: str, *, alone: bool) -> tuple[str, ...] | None:
 
 
 class Conditions:
-    """What events do where transitions depend on the states of regions elsewhere.
+    """Effects of events whose transitions depend on the states of other regions.
 
     Args:
-        regions: All of them.
+        regions: All regions.
         nodes: All states by id.
     """
 
@@ -49,7 +49,12 @@ class Conditions:
         self._work = 0
 
     def choices(self, region: Region, event: str, edges: Sequence[Edge]) -> list[Choice]:
-        """As `choices` of a region, with the situations of other regions that the conditions of `edges` name.
+        """Return the choices of a region in each situation of other regions that the conditions of `edges` name.
+
+        Args:
+            region: The region.
+            event: The event.
+            edges: Its transitions.
 
         Raises:
             TooManyError: There are too many.
@@ -83,16 +88,16 @@ class Conditions:
         return all(now[region] is state for region, state in self._needed(name).items())
 
     def _needed(self, name: str) -> Situation:
-        """The regions in which a certain state must be active for the named one to be; none where it always is."""
+        """Return the regions that must be in a certain state for the named one to be active; none if it always is."""
         node = self._nodes[name]
         return {self._regions[each]: each for each in (node, *node.outward()) if each in self._regions}
 
 
 MAX_SITUATIONS = 2_000
-"""Of one event; beyond this the operations made from it could not be reviewed."""
+"""Limit for one event; beyond it the operations made from the event could not be reviewed."""
 
 Situation = dict[Region, Node]
-"""Regions to their active states; regions it does not name do not matter."""
+"""Regions to their active states; other regions do not matter."""
 
 
 class TooManyError(Exception):
@@ -101,7 +106,7 @@ class TooManyError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """The transitions an event triggers in one situation; those without target use the event up."""
+    """The transitions that an event triggers in one situation; those without target consume the event."""
 
     where: Situation
     edges: tuple[Edge, ...]
@@ -112,9 +117,13 @@ First = Callable[[Node], Edge | None]
 
 
 def choices(region: Region, first: First) -> list[Choice]:
-    """Every situation of a region and the regions inside in which an event finds different transitions.
+    """Return every situation of a region and the regions inside in which an event finds different transitions.
 
     Inner transitions come before those of the states around them, the first in the file before the next.
+
+    Args:
+        region: The region.
+        first: Returns the first transition that the event triggers in a state.
 
     Raises:
         TooManyError: There are too many.
@@ -146,5 +155,5 @@ def _of_state(region: Region, state: Node, first: First) -> Iterator[Choice]:
 
 
 def _quiet_or(found: list[Choice]) -> list[Choice]:
-    """All situations as one where the event finds nothing in any of them."""
+    """Return one situation for all of them if the event finds nothing in any."""
     return found if any(choice.edges for choice in found) else [Choice({}, ())]

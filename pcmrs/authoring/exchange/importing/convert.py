@@ -1,4 +1,4 @@
-"""A state chart as a blueprint: regions become branches, nesting becomes levels, events become operations."""
+"""Converts a state chart to a blueprint: regions become branches, nesting becomes levels, events become operations."""
 
 from __future__ import annotations
 
@@ -9,34 +9,34 @@ from pcmrs.authoring.exchange import descriptors, plain
 from pcmrs.authoring.exchange.importing.chart import Edge, Node
 from pcmrs.authoring.exchange.importing.conditions import Conditions, TooManyError
 from pcmrs.authoring.exchange.importing.moves import Group, Move, Mover, grouped
-from pcmrs.authoring.exchange.importing.naming import Names
-from pcmrs.authoring.exchange.importing.reading import Findings
+from pcmrs.authoring.exchange.importing.reading import Findings, Names
 from pcmrs.authoring.exchange.importing.regions import Region, regions_of
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, ParentSpec, Requirement, RevocationSpec
 from pcmrs.fsm.finding import Place
 
 MAX_WORK = 1_000_000
-"""Events times states and transitions: what can be converted without a wait."""
+"""Limit of events times states and transitions, which bounds the time of a conversion."""
 
 MAX_REACTIONS = 20_000
-"""Situations in which some event has an effect, of all events together."""
+"""Limit of situations in which any event has an effect."""
 
 REINIT = "reinit"
 """Name of the re-initiation operation (RIO) of a branch."""
 
 ROOT_NAME = "main"
-"""Name of the workflow and of its outermost branch where the file has none."""
+"""Name of the workflow and of its outermost branch if the file has none."""
 
 
 def blueprint_of(root: Node, findings: Findings) -> Blueprint | None:
-    """The blueprint of a chart.
+    """Return the blueprint of a chart.
 
     Args:
         root: The chart; ids are unique and every target exists.
-        findings: Gets what cannot be converted.
+        findings: Collects what cannot be converted.
 
     Returns:
         None where there are findings.
+        The blueprint, or None if there are findings.
     """
     nodes = root.by_id()
     events: dict[str, Place] = {}
@@ -46,7 +46,7 @@ def blueprint_of(root: Node, findings: Findings) -> Blueprint | None:
             events.setdefault(event, edge.place)
     if len(events) * (len(nodes) + len(edges)) > MAX_WORK:
         text = f"{len(nodes)} states with {len(edges)} transitions on {len(events)} events are too many."
-        findings.say("too_large", text, root.place)
+        findings.add("too_large", text, root.place)
         return None
     blueprint = _Converter(root, nodes, findings).blueprint(events)
     return None if findings else blueprint
@@ -69,7 +69,7 @@ class _Converter:
         self._counts: Counter[tuple[Region, str]] = Counter()
         self._operations: dict[Region, dict[str, OperationSpec]] = {region: {} for region in self._regions}
         self._operation_names = {
-            r: Names(f"operations of {r.label.called or ROOT_NAME}", findings) for r in self._regions
+            r: Names(f"operations of {r.label.display_name or ROOT_NAME}", findings) for r in self._regions
         }
 
     def blueprint(self, events: dict[str, Place]) -> Blueprint:
@@ -78,16 +78,16 @@ class _Converter:
             self._add_event(event, place)
         branches = {region.name: self._branch(region) for region in self._regions}
         goal = {r.name: finals for r in self._roots if (finals := [self._names[s] for s in r.states if s.final])}
-        name = plain(self._root.called) or ROOT_NAME
+        name = plain(self._root.display_name) or ROOT_NAME
         return Blueprint(id=name, version="1.0.0", title=self._root.title, branches=branches, goal=goal)
 
     def _name_all(self) -> None:
         branches = Names("branches", self._findings)
         for region in self._regions:
-            region.name = branches.make(region.label.called or ROOT_NAME, region.label.place)
-            states = Names(f"states of {region.label.called or ROOT_NAME}", self._findings, states=True)
+            region.name = branches.make(region.label.display_name or ROOT_NAME, region.label.place)
+            states = Names(f"states of {region.label.display_name or ROOT_NAME}", self._findings, states=True)
             for state in region.states:
-                self._names[state] = states.make(state.called, state.place, prefix=region.label.called)
+                self._names[state] = states.make(state.display_name, state.place, prefix=region.label.display_name)
 
     def _add_event(self, event: str, place: Place) -> None:
         moves: list[Move] = []
@@ -96,12 +96,12 @@ class _Converter:
             try:
                 found = [each for each in self._conditions.choices(region, event, edges) if each.edges]
             except TooManyError:
-                self._findings.say("too_large", f"The event {event} has too many situations.", place)
+                self._findings.add("too_large", f"The event {event} has too many situations.", place)
                 continue
             self._reactions += len(found)
             if self._reactions > MAX_REACTIONS:
                 text = f"From {event} on, events have an effect in over {MAX_REACTIONS} situations."
-                return self._findings.say("too_large", text, self._root.place)
+                return self._findings.add("too_large", text, self._root.place)
             moves += [move for choice in found for move in self._mover.moves(choice.where, choice.edges)]
         domains = {region.name: [self._names[state] for state in region.states] for region in self._regions}
         for group in [] if self._findings else grouped(moves, domains, self._names):
@@ -109,7 +109,7 @@ class _Converter:
 
     def _add_operation(self, event: str, group: Group, place: Place) -> None:
         region = group.region
-        base = plain(event, prefix=region.label.called)
+        base = plain(event, prefix=region.label.display_name)
         self._counts[region, event] += 1
         count = self._counts[region, event]
         name = base if count == 1 else f"{base}_{count}"
@@ -128,7 +128,7 @@ class _Converter:
         return [self._names[state] for state in region.states if self._names[state] in states]
 
     def _branch(self, region: Region) -> BranchSpec:
-        states = {self._names[state]: state.title or state.called for state in region.states}
+        states = {self._names[state]: state.title or state.display_name for state in region.states}
         operations = {**self._operations[region], **dict(self._signals(region, list(states)))}
         if region.outer is None or region.home is None:
             return BranchSpec(title=region.label.title, states=states, operations=operations)
@@ -151,14 +151,14 @@ class _Converter:
         )
 
     def _reinit_event(self, region: Region, found: OperationSpec | None, around: Requirement) -> str:
-        """The event that re-initiates a region already, as one in an export does; empty where there is none."""
+        """Return the event that re-initiates a region already, as one in an export does; empty if there is none."""
         if found is None or found.sets or not found.requires.items() <= around.items():
             return ""
         start, *others = (self._names[state] for state in region.states)
         return found.title if found.to == start and found.from_ in (["*"], others) else ""
 
     def _signals(self, region: Region, states: list[str]) -> Iterator[tuple[str, OperationSpec]]:
-        """Rule 2: what each branch inside calls when it changes; nothing follows from it."""
+        """Return the operations that each branch inside calls when it changes (Rule 2); they have no effect."""
         keep = states[0] if len(states) == 1 else {state: state for state in states}
         for inner in region.inner:
             name = f"{inner.name}_changed"
@@ -166,7 +166,7 @@ class _Converter:
             yield name, OperationSpec(from_=["*"], to=keep, iio=True)
 
     def _revocations(self, region: Region, outer: Region) -> list[RevocationSpec]:
-        """Any change further out than the parent leaves the region, also where the parent itself keeps its state.
+        """Return the revocations of a region by changes further out, also if the parent keeps its state.
 
         Such a change takes the parent to its start or sets it. A parent that was there already does not change, and
         Rule 3 re-initiates the region only with a change: so this is needed where the parent's start, or a state that
@@ -179,7 +179,7 @@ class _Converter:
         return [RevocationSpec(by=further, from_=others, to=start)]
 
     def _may_be_kept(self, region: Region, state: Node | None) -> bool:
-        """Whether a change further out may enter a state of the region that is active already."""
+        """Return true if a change further out may enter a state of the region that is active already."""
         operations = (operation for taken in self._operations.values() for operation in taken.values())
         set_to = (operation.sets.get(region.name) for operation in operations)
         return state is not None and (state is region.states[0] or self._names[state] in set_to)

@@ -3,8 +3,6 @@
 Containers that stand side by side without arrows between them are active together. Every other container, and the
 page, needs a small circle without text with an arrow to the state it starts in. An arrow without text to an end
 marker says that the procedure may end there. Notes and texts are ignored.
-
-The cells of a draw.io file, compressed or not.
 """
 
 from __future__ import annotations
@@ -19,11 +17,11 @@ from dataclasses import dataclass
 from urllib.parse import unquote
 
 from pcmrs.authoring.exchange.importing.chart import Edge, Node
-from pcmrs.authoring.exchange.importing.imported import imported
+from pcmrs.authoring.exchange.importing.imported import import_chart
 from pcmrs.authoring.exchange.importing.markup import Element, read_xml
 from pcmrs.authoring.exchange.importing.reading import MAX_DEPTH, NO_EVENTS, Findings, events_of
 from pcmrs.fsm.blueprint import Blueprint
-from pcmrs.fsm.files.bounded import MAX_BYTES
+from pcmrs.fsm.files.toml import MAX_BYTES
 from pcmrs.fsm.finding import Finding, Place, refuse
 
 RAW_DEFLATE = -15
@@ -39,14 +37,14 @@ class Cell:
     """One thing on the page.
 
     Attributes:
-        id: What others name it by.
+        id: Its identity in the file.
         parent: The cell it is in.
-        text: What is written on it.
+        text: Its text.
         shape: Names of its shape in its style.
         kind: ``vertex``, ``edge``, or empty for a layer.
         source: Where an arrow begins.
         target: Where it ends.
-        place: In the file.
+        place: Its place in the file.
     """
 
     id: str
@@ -60,38 +58,42 @@ class Cell:
 
     @property
     def layer(self) -> bool:
-        """Whether it only holds others."""
+        """It only holds others."""
         return not self.kind
 
     @property
     def arrow(self) -> bool:
-        """Whether it joins two others."""
+        """It joins two others."""
         return self.kind == "edge"
 
     @property
     def start_marker(self) -> bool:
-        """Whether it marks the start of what it is in."""
+        """It marks the start of the state or page that contains it."""
         return bool(self.shape & STARTS) or ("ellipse" in self.shape and not self.text and not self.end_marker)
 
     @property
     def end_marker(self) -> bool:
-        """Whether an arrow to it says that the procedure may end."""
+        """An arrow to it says that the procedure may end."""
         return bool(self.shape & ENDS) and not self.text
 
     @property
     def unsupported(self) -> str:
-        """What it is, where that cannot be read."""
+        """Name of its kind, if that cannot be read; else empty."""
         return next((UNSUPPORTED[name] for name in self.shape if name in UNSUPPORTED), "")
 
     @property
     def state(self) -> bool:
-        """Whether it is a state."""
+        """It is a state."""
         marker = self.start_marker or self.end_marker
         return self.kind == "vertex" and not marker and not self.shape & TEXTS
 
 
 def read_cells(raw: bytes, origin: str) -> tuple[str, list[Cell]]:
-    """The name of the diagram and its cells, in the order of the file.
+    """Return the name of the diagram and its cells, in the order of the file.
+
+    Args:
+        raw: The file, its diagram compressed or not.
+        origin: Name of the file in findings.
 
     Raises:
         BlueprintError: It is no draw.io diagram, has several pages, or is too large when decompressed.
@@ -101,14 +103,14 @@ def read_cells(raw: bytes, origin: str) -> tuple[str, list[Cell]]:
     if document.name == "mxfile":
         pages = document.every("diagram")
         if len(pages) != 1:
-            text = f"The file has {len(pages)} pages: only one with exactly one is read."
+            text = f"The file has {len(pages)} pages; it must have exactly one."
             refuse(origin, "not_supported", text, pages[1].place if pages else document.place)
         name = pages[0].attributes.get("name", "")
         models = pages[0].every("mxGraphModel")
         place = None if models else pages[0].place
         model = models[0] if models else _decompressed(pages[0], origin)
     if model.name != "mxGraphModel":
-        refuse(origin, "not_drawio", f"There is no diagram in this: it has a {model.name[:60]}.", model.place)
+        refuse(origin, "not_drawio", f"There is no diagram in this file: it has a {model.name[:60]}.", model.place)
     roots = model.every("root")
     cells = [_cell(element, place) for root in roots for element in root.children]
     return "" if re.fullmatch(r"Page-\d+", name) else name, [cell for cell in cells if cell is not None]
@@ -126,7 +128,7 @@ def _decompressed(page: Element, origin: str) -> Element:
 
 
 def _cell(element: Element, place: Place | None) -> Cell | None:
-    """The cell in an element; draw.io puts one with data of its own inside of another element."""
+    """Return the cell in an element; draw.io wraps a cell that has its own data in another element."""
     wrapped = element.every("mxCell")
     inner = wrapped[0] if wrapped else element
     if inner.name != "mxCell":
@@ -155,22 +157,22 @@ def _shapes(style: str) -> Iterator[str]:
 
 
 def _text(label: str) -> str:
-    """A label without its markup, on one line."""
+    """Return a label without its markup, on one line."""
     return " ".join(html.unescape(TAG.sub(" ", label)).split())
 
 
 def from_drawio(raw: bytes, origin: str = "drawio") -> tuple[Blueprint | None, list[Finding]]:
-    """A blueprint with the behaviour that a draw.io diagram shows.
+    """Return a blueprint with the behaviour that a draw.io diagram shows.
 
     Args:
         raw: The file, its diagram compressed or not.
-        origin: How findings call it.
+        origin: Name of the file in findings.
 
     Returns:
-        The blueprint, or None and what is not supported, each with its line and column. What is in a compressed
-        diagram has the place of the diagram.
+        The blueprint, or None and what is not supported, each with its line and column. Cells of a compressed
+        diagram have the place of the diagram.
     """
-    return imported(raw, origin, _read)
+    return import_chart(raw, origin, _read)
 
 
 def _read(raw: bytes, findings: Findings) -> Node:
@@ -186,7 +188,7 @@ class _Maker:
         for cell in cells:
             self._inside.setdefault(cell.parent, []).append(cell)
             if self._cells.setdefault(cell.id, cell) is not cell:
-                findings.say("name_collision", f"Two cells have the id {cell.id[:70]!r}.", cell.place)
+                findings.add("name_collision", f"Two cells have the id {cell.id[:70]!r}.", cell.place)
         self._nodes: dict[str, Node] = {}
 
     def chart(self, name: str) -> Node:
@@ -198,8 +200,8 @@ class _Maker:
         for arrow in [cell for cell in self._cells.values() if cell.arrow]:
             self._add_arrow(arrow)
         for node in root.walk():
-            self._settle(node)
-        return _framed(root) if root.parallel else root
+            self._check_start(node)
+        return _with_frame(root) if root.parallel else root
 
     def _add_states(self, cell: Cell, node: Node, depth: int) -> None:
         if depth > MAX_DEPTH:
@@ -208,7 +210,7 @@ class _Maker:
             if inner.unsupported:
                 self._refuse(f"A {inner.unsupported} is not supported", inner.place)
             elif inner.state and not inner.text and not self._inside.get(inner.id):
-                self._findings.say("bad_name", "This shape has no text: a state needs a name.", inner.place)
+                self._findings.add("bad_name", "This shape has no text: a state needs a name.", inner.place)
             elif inner.state:
                 made = node.add(Node(inner.id, inner.place, name=inner.text or "region"))
                 self._nodes[inner.id] = made
@@ -218,7 +220,7 @@ class _Maker:
         source, target = self._cells.get(arrow.source), self._cells.get(arrow.target)
         text = " ".join([arrow.text, *(cell.text for cell in self._inside.get(arrow.id, []))]).strip()
         if source is None or target is None:
-            self._refuse("This arrow begins or ends at no shape: attach it to one", arrow.place)
+            self._refuse("This arrow is not attached to a shape at both ends: attach it", arrow.place)
         elif source.start_marker and target.id in self._nodes and not text:
             node = self._nodes[target.id]
             if node.above is not None and node.above.initial not in ("", node.id):
@@ -235,22 +237,22 @@ class _Maker:
             node = self._nodes[source.id]
             node.edges.append(Edge(node, events, [target.id], arrow.place))
 
-    def _settle(self, node: Node) -> None:
-        """Says whether the states inside a state are active together; where not, one must be the first."""
+    def _check_start(self, node: Node) -> None:
+        """Set whether the states inside a state are active together; if not, one must be the first."""
         inside = {child.id for child in node.children}
         joined = any(target in inside for child in node.children for edge in child.edges for target in edge.targets)
         node.parallel = len(inside) > 1 and all(child.children for child in node.children) and not joined
         node.parallel = node.parallel and not node.initial
         if len(inside) > 1 and not node.parallel and not node.initial:
-            text = f"Nothing says where {node.called or 'the diagram'} starts: draw an arrow from a small circle."
-            self._findings.say("no_start", text, node.place)
+            text = f"{node.display_name or 'The diagram'} has no start: draw an arrow from a small circle to a state."
+            self._findings.add("no_start", text, node.place)
 
     def _refuse(self, text: str, place: Place) -> None:
-        self._findings.say("not_supported", f"{text}.", place)
+        self._findings.add("not_supported", f"{text}.", place)
 
 
-def _framed(root: Node) -> Node:
-    """A chart whose only state is parallel, in place of a root that is."""
+def _with_frame(root: Node) -> Node:
+    """Return a chart whose only state is parallel, in place of a parallel root."""
     framed = Node(root.id, root.place, name=root.name)
     root.id, root.name = "(page)", "page"
     framed.add(root)

@@ -1,7 +1,4 @@
-"""From a file to a blueprint. Every chart is checked before it is converted: ids differ, targets exist.
-
-The file of an imported blueprint; none where nobody could read it again.
-"""
+"""Reads, checks and converts the file of a chart to a blueprint, and writes the blueprint's file."""
 
 from __future__ import annotations
 
@@ -13,42 +10,45 @@ from pcmrs.authoring.exchange.importing.convert import blueprint_of
 from pcmrs.authoring.exchange.importing.reading import Findings
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.blueprint import Blueprint
-from pcmrs.fsm.files.bounded import MAX_BYTES
 from pcmrs.fsm.files.dump import blueprint_toml
 from pcmrs.fsm.files.load import examine
+from pcmrs.fsm.files.toml import MAX_BYTES
 from pcmrs.fsm.finding import Finding
 
 
-def written(blueprint: Blueprint, chart: str, output: str) -> tuple[str, list[Finding]]:
-    """The blueprint as text, and what is wrong with it.
+def blueprint_file(blueprint: Blueprint, chart: str, output: str) -> tuple[str, list[Finding]]:
+    """Return the blueprint as text, and all that is wrong with it.
 
     Args:
-        blueprint: Imported.
+        blueprint: An imported blueprint.
         chart: The file it was imported from.
-        output: How findings call the file it goes to.
+        output: Name of its file in findings.
 
     Returns:
         The text, with what makes it unsound; an empty one where it would be too large to be read, said of the chart.
+        The text, with the findings that make it unsound. An empty text, with a finding about the chart, if it would be
+        too large to be read.
     """
     text = blueprint_toml(blueprint, comment=f"Imported from {Path(chart).name}.")
     if (size := len(text.encode())) > MAX_BYTES:
-        said = f"The blueprint of this chart would have {size} bytes; the limit is {MAX_BYTES}. Split the chart."
-        return "", [Finding(code="too_large", text=said, file=chart, line=1, column=1)]
+        fault = f"The blueprint of this chart would have {size} bytes; the limit is {MAX_BYTES}. Split the chart."
+        return "", [Finding(code="too_large", text=fault, file=chart, line=1, column=1)]
     return text, examine(text.encode(), origin=output).findings
 
 
-def imported(
+def import_chart(
     raw: bytes, origin: str, read: Callable[[bytes, Findings], Node]
 ) -> tuple[Blueprint | None, list[Finding]]:
-    """Reads, checks and converts a chart.
+    """Read, check and convert a chart.
 
     Args:
         raw: The file.
-        origin: How findings call it.
-        read: Makes a chart of it; adds findings or raises `BlueprintError` with them.
+        origin: Name of the file in findings.
+        read: Reads the chart; adds findings or raises `BlueprintError` with them.
 
     Returns:
         The blueprint, or None and what is wrong.
+        The blueprint, or None and the findings.
     """
     findings = Findings(origin)
     try:
@@ -64,25 +64,25 @@ def _check(root: Node, findings: Findings) -> None:
     nodes = root.by_id()
     for node in root.inside():
         if nodes[node.id] is not node:
-            findings.say("name_collision", f"There are two states {node.id!r}: rename one.", node.place)
+            findings.add("name_collision", f"There are two states {node.id!r}: rename one.", node.place)
     if not root.children:
-        findings.say("no_states", "There is no state in the chart.", root.place)
+        findings.add("no_states", "There is no state in the chart.", root.place)
     for node in root.walk():
         if node.initial and node.initial not in {child.id for child in node.children}:
-            text = f"The initial state {node.initial[:70]!r} is not directly inside {node.called or 'the chart'}"
-            findings.say("not_supported", f"{text}: not supported.", node.place)
+            text = f"The initial state {node.initial[:70]!r} is not directly inside {node.display_name or 'the chart'}"
+            findings.add("not_supported", f"{text}: not supported.", node.place)
         for edge in node.edges:
             if missing := [target for target in edge.targets if target not in nodes]:
-                findings.say("unknown_state", f"There is no state {missing[0][:70]!r} to go to.", edge.place)
+                findings.add("unknown_state", f"There is no state {missing[0][:70]!r} to go to.", edge.place)
             elif missing := [name for group in edge.condition for name in group if name not in nodes]:
-                findings.say("unknown_state", f"There is no state {missing[0][:70]!r} to be in.", edge.place)
+                findings.add("unknown_state", f"There is no state {missing[0][:70]!r} to be in.", edge.place)
             elif len(edge.targets) > 1 and not _together(edge.targets, nodes):
                 text = f"The targets {' and '.join(edge.targets)} can never be active together."
-                findings.say("not_supported", text, edge.place)
+                findings.add("not_supported", text, edge.place)
 
 
 def _together(targets: list[str], nodes: dict[str, Node]) -> bool:
-    """Whether any two of the targets lie in different regions of a parallel state."""
+    """Return true if any two of the targets lie in different regions of a parallel state."""
     for one in targets:
         for other in targets:
             if one != other and not _apart(nodes[one], nodes[other]):

@@ -1,4 +1,4 @@
-"""XML as a tree that knows its lines and columns; what could make a parser work without end is refused."""
+"""Reads XML as a tree that knows its lines and columns, and refuses whatever could occupy a parser for ever."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 from xml.parsers import expat
 
 from pcmrs.authoring.exchange.importing.reading import MAX_DEPTH
-from pcmrs.fsm.files.bounded import check_size
+from pcmrs.fsm.files.toml import check_size
 from pcmrs.fsm.finding import Place, refuse
 
 
@@ -23,12 +23,16 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def every(self, name: str) -> list[Element]:
-        """Its children of that name."""
+        """Return its children of that name."""
         return [child for child in self.children if child.name == name]
 
 
 def read_xml(raw: bytes, origin: str) -> Element:
-    """The root element of an XML file.
+    """Return the root element of an XML file.
+
+    Args:
+        raw: The file.
+        origin: Name of the file in findings.
 
     Raises:
         BlueprintError: It is not XML, too large or too deep, or declares a document type: entities are not read.
@@ -56,8 +60,8 @@ class _Builder:
         except expat.ExpatError as error:
             text = f"Not XML: {expat.ErrorString(error.code)}."
             refuse(self._origin, "not_xml", text, (error.lineno, error.offset + 1))
-        except (ValueError, LookupError):  # what the parser makes of an encoding that it cannot read
-            refuse(self._origin, "not_xml", "Not XML in an encoding that can be read; use UTF-8.", (1, 1))
+        except (ValueError, LookupError):  # raised by the parser for an unknown encoding
+            refuse(self._origin, "not_xml", "The encoding of this XML cannot be read: use UTF-8.", (1, 1))
         return self._open[0].children[0]
 
     def _start(self, name: str, attributes: dict[str, str]) -> None:

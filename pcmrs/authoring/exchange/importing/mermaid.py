@@ -3,8 +3,6 @@
 The label of an arrow is the event, or several with commas between; a remark in brackets at its end is ignored.
 An arrow to ``[*]`` without a label says that the procedure may end there. A state that is described as ``any state``
 stands for every state next to it. A state belongs to the innermost composite state that it is named in.
-
-The lines of a Mermaid state diagram as nested regions.
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from pcmrs.authoring.exchange.importing.chart import Edge, Node
-from pcmrs.authoring.exchange.importing.imported import imported
+from pcmrs.authoring.exchange.importing.imported import import_chart
 from pcmrs.authoring.exchange.importing.reading import MAX_DEPTH, NO_EVENTS, Findings, events_of, read_text
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.finding import Finding, Place, refuse
@@ -43,7 +41,7 @@ class Arrow:
 
 @dataclass(slots=True, eq=False)
 class RegionLines:
-    """What is said in one region of a composite state, or of the diagram.
+    """Statements in one region of a composite state, or of the diagram.
 
     Attributes:
         place: Where it begins.
@@ -61,11 +59,11 @@ class RegionLines:
 
 
 def read_lines(text: str, findings: Findings) -> list[RegionLines]:
-    """The regions of a diagram.
+    """Return the regions of a diagram.
 
     Args:
         text: The file.
-        findings: Gets what is not supported.
+        findings: Collects what is not supported.
 
     Raises:
         BlueprintError: It is no state diagram, its braces do not match, or it is too deep.
@@ -84,7 +82,7 @@ def read_lines(text: str, findings: Findings) -> list[RegionLines]:
 
 
 def _statements(text: str) -> Iterator[tuple[str, Place]]:
-    """Lines without comments, front matter and notes, in single spaces."""
+    """Return the lines without comments, front matter and notes, in single spaces."""
     skipped_until = ""
     for number, line in enumerate(text.splitlines(), 1):
         words = " ".join(line.partition("%%")[0].split()).removesuffix(";").rstrip()
@@ -114,7 +112,7 @@ class _Lines:
         elif arrow := ARROW.fullmatch(line):
             self._arrow(region, arrow, place)
         elif pseudo := PSEUDO.fullmatch(line):
-            self._findings.say("not_supported", f"{pseudo['name']}: a {pseudo['kind']} is not supported.", place)
+            self._findings.add("not_supported", f"{pseudo['name']}: a {pseudo['kind']} is not supported.", place)
         elif state := STATE.fullmatch(line):
             self._state(region, state, place)
         elif IGNORED.fullmatch(line):
@@ -149,7 +147,7 @@ class _Lines:
 
 
 def _plain(text: str) -> str:
-    """Text with its entity codes resolved."""
+    """Return text with its entity codes resolved."""
     return ENTITY.sub(lambda found: chr(min(int(found[1]), 0xFFFD)), text).strip()
 
 
@@ -158,16 +156,16 @@ ANY_STATE = "any state"
 
 
 def from_mermaid(raw: bytes, origin: str = "mermaid") -> tuple[Blueprint | None, list[Finding]]:
-    """A blueprint with the behaviour of a Mermaid ``stateDiagram-v2``.
+    """Return a blueprint with the behaviour of a Mermaid ``stateDiagram-v2``.
 
     Args:
         raw: The file.
-        origin: How findings call it.
+        origin: Name of the file in findings.
 
     Returns:
         The blueprint, or None and what is not supported, each with its line and column.
     """
-    return imported(raw, origin, _read)
+    return import_chart(raw, origin, _read)
 
 
 def _read(raw: bytes, findings: Findings) -> Node:
@@ -214,8 +212,8 @@ class _Maker:
                 if homes[name].region is region:
                     self._add_states(inner, self._nodes[name], homes)
                 else:
-                    text = f"The state {name!r} is opened twice, in different places."
-                    self._findings.say("name_collision", text, inner[0].place)
+                    text = f"The state {name!r} is opened twice, in different regions."
+                    self._findings.add("name_collision", text, inner[0].place)
 
     def _add_state(self, region: RegionLines, above: Node, node: Node) -> None:
         if node.title == ANY_STATE and node.id not in region.composites:
@@ -243,18 +241,18 @@ class _Maker:
         elif not events:
             self._refuse(NO_EVENTS, arrow)
         elif arrow.target in self._anys:
-            self._refuse("Any state is no target", arrow)
+            self._refuse("Any state cannot be a target", arrow)
         else:
             anywhere = self._anys.get(arrow.source)
             source = self._nodes[arrow.source] if anywhere is None else anywhere
             source.edges.append(Edge(source, events, [arrow.target], arrow.place, internal=anywhere is not None))
 
     def _refuse(self, text: str, arrow: Arrow) -> None:
-        self._findings.say("not_supported", f"{arrow.source} --> {arrow.target}: {text}.", arrow.place)
+        self._findings.add("not_supported", f"{arrow.source} --> {arrow.target}: {text}.", arrow.place)
 
 
 def _find_homes(regions: list[RegionLines], depth: int, homes: dict[str, Home]) -> None:
-    """Finds the region that each state is in: where its inside is said, or else the innermost that names it."""
+    """Find the region of each state: the one that says its inside, or else the innermost that names it."""
     for region in regions:
         for name in region.named:
             home = Home(name in region.composites, depth, region)

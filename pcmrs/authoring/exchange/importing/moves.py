@@ -23,7 +23,7 @@ Sets = tuple[tuple[Region, Node], ...]
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """What happens in one situation: a region goes from a state to a state, and sets regions inside that state."""
+    """Effect of an event in one situation: a region changes its state, and sets regions inside that state."""
 
     region: Region
     source: Node
@@ -43,12 +43,12 @@ class Group:
 
 
 class Mover:
-    """Turns transitions into moves and says which cannot be.
+    """Turns transitions into moves and reports those that cannot be converted.
 
     Args:
-        regions: All of them.
+        regions: All regions.
         nodes: All states by id.
-        findings: Where to say what is not supported.
+        findings: Collects what is not supported.
     """
 
     def __init__(self, regions: Sequence[Region], nodes: dict[str, Node], findings: Findings) -> None:
@@ -57,7 +57,12 @@ class Mover:
         self._findings = findings
 
     def moves(self, where: Situation, edges: Sequence[Edge]) -> list[Move]:
-        """What the transitions do together; empty where that is nothing or not supported."""
+        """Return the joint effect of the transitions; empty if there is none or it is not supported.
+
+        Args:
+            where: The situation.
+            edges: The transitions that an event triggers in it.
+        """
         moving = [edge for edge in edges if edge.targets]
         if not moving:
             return self._stay(where, edges[0])
@@ -77,7 +82,7 @@ class Mover:
         return found
 
     def _sets(self, region: Region, source: Node, target: Node, edge: Edge) -> Sets | None:
-        """The states that regions inside the target must be set to, since they would not go there by themselves."""
+        """Return the states to set in regions inside the target, if they would not go there by themselves."""
         sets: list[tuple[Region, Node]] = []
         ends = [self._nodes[name] for name in edge.targets]
         for inner in region.inside(target):
@@ -91,7 +96,7 @@ class Mover:
         return tuple(sets)
 
     def _default_below(self, region: Region, state: Node, ends: list[Node]) -> bool:
-        """Whether what is inside of a state is entered at its start by these targets."""
+        """Return true if these targets enter everything inside a state at its start."""
         for inner in region.inside(state):
             named = {s for end in ends if (s := inner.state_around(end)) is not None}
             if named - {inner.states[0]} or not self._default_below(inner, inner.states[0], ends):
@@ -99,7 +104,7 @@ class Mover:
         return True
 
     def _together(self, where: Situation, edges: list[Edge]) -> list[Move]:
-        """One move of the region around those that move, which sets their states."""
+        """Return one move of the region around those that move, which sets their states."""
         domains = [self._by_label[domain_of(edge, self._nodes)] for edge in edges]
         outer, home = domains[0].outer, domains[0].home
         event = " ".join(edges[0].events)
@@ -125,12 +130,18 @@ class Mover:
         ]
 
     def _refuse(self, edge: Edge, text: str) -> list[Move]:
-        self._findings.say("not_supported", f"{text}: not supported.", edge.place)
+        self._findings.add("not_supported", f"{text}: not supported.", edge.place)
         return []
 
 
 def grouped(moves: list[Move], domains: dict[str, list[str]], names: dict[Node, str]) -> list[Group]:
-    """The fewest operations that make the same moves."""
+    """Return the fewest operations that make the same moves.
+
+    Args:
+        moves: The moves.
+        domains: Region's branch to all its states.
+        names: Names of the states.
+    """
     cubes: dict[tuple[Region, Node, Node, Sets], list[Cube]] = defaultdict(list)
     for move in moves:
         cube = {r.name: frozenset({names[s]}) for r, s in move.where.items() if r is not move.region}

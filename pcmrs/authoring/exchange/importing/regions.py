@@ -14,7 +14,7 @@ class Region:
     """States of which exactly one is active while `home` is.
 
     Attributes:
-        label: The state that the region is named after: the one it is inside of, or a child of a parallel state.
+        label: The state that the region is named after: the one around it, or a child of a parallel state.
         states: Its states, the start first.
         outer: The region of the state it refines; None for a root.
         home: That state.
@@ -29,43 +29,51 @@ class Region:
     inner: list[Region] = field(default_factory=list)
 
     def inside(self, state: Node) -> list[Region]:
-        """The regions that refine one of its states, in the order of the file."""
+        """Return the regions that refine one of its states, in the order of the file."""
         return [region for region in self.inner if region.home is state]
 
     def walk(self) -> Iterator[Region]:
-        """It and all regions inside."""
+        """Return this region and all regions inside."""
         yield self
         for region in self.inner:
             yield from region.walk()
 
     def chain(self) -> Iterator[tuple[Region, Node]]:
-        """The regions and states that must be active for it to be active, from within."""
+        """Return the regions and states that must be active for it to be active, innermost first."""
         region = self
         while region.outer is not None and region.home is not None:
             yield region.outer, region.home
             region = region.outer
 
     def state_around(self, node: Node) -> Node | None:
-        """Its state that `node` is or is inside of."""
+        """Return the state of this region that `node` is, or is inside of."""
         return next((state for state in (node, *node.outward()) if state in self.states), None)
 
 
 def regions_of(root: Node, nodes: dict[str, Node]) -> list[Region]:
-    """The outermost regions of a chart, with those inside.
+    """Return the outermost regions of a chart, with those inside.
 
-    A region whose only state is a mere frame around others is left out: nothing ever happens in it.
+    A region whose only state is a mere frame around others is left out: it never changes.
+
+    Args:
+        root: The chart.
+        nodes: All states by id.
     """
     whole = Region(root, _start_first(root))
     _refine(whole)
-    return _unframed(whole, {id(domain) for domain in _domains(root, nodes)})
+    return _without_frame(whole, {id(domain) for domain in _domains(root, nodes)})
 
 
 def domain_of(edge: Edge, nodes: dict[str, Node]) -> Node:
-    """The innermost state with one active child that a transition does not leave: its children change.
+    """Return the innermost state with one active child that a transition does not leave: its children change.
 
     A transition from a compound state into itself is a change inside of that state, which it would only leave to
-    enter it again; where leaving it would take other regions along, the state around them is the answer, unless
+    enter it again. If leaving it would also leave other regions, the state around them is returned, unless
     the transition is internal.
+
+    Args:
+        edge: The transition.
+        nodes: All states by id.
     """
     ends = [nodes[target] for target in edge.targets]
     source, around = edge.source, edge.source.above
@@ -81,7 +89,7 @@ def _is_region(node: Node) -> bool:
 
 
 def _domains(root: Node, nodes: dict[str, Node]) -> Iterator[Node]:
-    """The states whose children change by a transition, or by several regions moving on one event."""
+    """Return the states whose children change by a transition, or by several regions moving on one event."""
     for node in root.walk():
         yield from (domain_of(edge, nodes) for edge in node.edges if edge.targets)
         if node.parallel and _shared(node):
@@ -89,7 +97,7 @@ def _domains(root: Node, nodes: dict[str, Node]) -> Iterator[Node]:
 
 
 def _shared(parallel: Node) -> bool:
-    """Whether two regions may react to the same event."""
+    """Return true if two regions may react to the same event."""
     seen: set[str] = set()
     beginnings: set[str] = set()
     for child in parallel.children:
@@ -107,7 +115,7 @@ def _start_first(node: Node) -> list[Node]:
 
 
 def _refine(region: Region) -> None:
-    """Adds the regions inside the states of a region."""
+    """Add the regions inside the states of a region."""
     for state in region.states:
         if state.parallel:
             made = [Region(c, _start_first(c) if c.compound else [c], region, state) for c in state.children]
@@ -118,9 +126,9 @@ def _refine(region: Region) -> None:
         _refine(inner)
 
 
-def _unframed(region: Region, needed: set[int]) -> list[Region]:
-    """The region itself, or where it is a mere frame those inside it."""
-    kept = [deeper for inner in region.inner for deeper in _unframed(inner, needed)]
+def _without_frame(region: Region, needed: set[int]) -> list[Region]:
+    """Return the region itself or, if it is a mere frame, those inside it."""
+    kept = [deeper for inner in region.inner for deeper in _without_frame(inner, needed)]
     only = region.states[0]
     reacts = (only.parallel and only.edges) or (_is_region(region.label) and region.label.edges)
     if len(region.states) == 1 and kept and not reacts and id(region.label) not in needed:

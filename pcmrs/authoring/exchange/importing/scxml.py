@@ -1,6 +1,6 @@
 """Reads SCXML: flat, nested and parallel states, finals, initials and transitions on events.
 
-Conditions may name active states. What else SCXML has, executable content above all, is named in a finding: a
+Conditions may name active states. Everything else in SCXML, above all executable content, gives a finding: a
 blueprint holds no code.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 from pcmrs.authoring.exchange import SCXML_NAMESPACE
 from pcmrs.authoring.exchange.importing.chart import Edge, Node
 from pcmrs.authoring.exchange.importing.conditions import read_condition
-from pcmrs.authoring.exchange.importing.imported import imported
+from pcmrs.authoring.exchange.importing.imported import import_chart
 from pcmrs.authoring.exchange.importing.markup import Element, read_xml
 from pcmrs.authoring.exchange.importing.reading import Findings
 from pcmrs.fsm.blueprint import Blueprint
@@ -19,16 +19,16 @@ STATES = frozenset({"state", "parallel", "final"})
 
 
 def from_scxml(raw: bytes, origin: str = "scxml") -> tuple[Blueprint | None, list[Finding]]:
-    """A blueprint with the behaviour of an SCXML document.
+    """Return a blueprint with the behaviour of an SCXML document.
 
     Args:
         raw: The file.
-        origin: How findings call it.
+        origin: Name of the file in findings.
 
     Returns:
         The blueprint, or None and what is not supported, each with its line and column.
     """
-    return imported(raw, origin, _read)
+    return import_chart(raw, origin, _read)
 
 
 def _read(raw: bytes, findings: Findings) -> Node:
@@ -70,11 +70,11 @@ class _Reader:
     def _read_state(self, element: Element, above: Node) -> None:
         name = element.attributes.get("id", "")
         if not name:
-            self._findings.say("bad_name", f"This {element.name} has no id: give it one.", element.place)
+            self._findings.add("bad_name", f"This {element.name} has no id: give it one.", element.place)
         node = above.add(Node(name, element.place, parallel=element.name == "parallel", final=element.name == "final"))
         self._read_inside(element, node)
         if node.final and (node.edges or node.children):
-            self._refuse("Nothing may be in a final state, and nothing leaves it", element.place)
+            self._refuse("A final state with contents or transitions is not supported", element.place)
         node.parallel = node.parallel and bool(node.children)
 
     def _read_transition(self, element: Element, node: Node) -> None:
@@ -87,7 +87,9 @@ class _Reader:
             self._refuse("A transition without event is not supported", element.place)
         for event in events:
             if not event or event.startswith(("done.", "error.")):
-                self._refuse(f"The event {event or '*'} is not supported: name what somebody does", element.place)
+                self._refuse(
+                    f"The event {event or '*'} is not supported: name an action of a user or device", element.place
+                )
         self._refuse_contents(element)
         targets = given.get("target", "").split()
         internal = given.get("type") == "internal"
@@ -98,4 +100,4 @@ class _Reader:
             self._refuse(f"<{child.name}> is not supported", child.place)
 
     def _refuse(self, text: str, place: Place) -> None:
-        self._findings.say("not_supported", f"{text}.", place)
+        self._findings.add("not_supported", f"{text}.", place)
