@@ -70,13 +70,13 @@ def _beginning(path: Path) -> bytes:
 
 def _recorded(path: Path, standoff_mm: float | None) -> list[Recorded]:
     from pcmrs.analysis.placements import Recorded
-    from pcmrs.cli.journalled import read_journalled
     from pcmrs.formats.pose_file import SUFFIXES, read_placements
     from pcmrs.formats.pose_log import ROWS
     from pcmrs.formats.reading import refuse
+    from pcmrs.report.session_journal import read_placements as read_journal_placements
 
     if _is_journal(path):
-        return read_journalled(path, standoff_mm)
+        return read_journal_placements(path, standoff_mm)
     if path.is_file() and path.suffix not in SUFFIXES:
         refuse(
             path, f"is no saved placement ({', '.join(SUFFIXES)}), no journal, and no pose log of rows {ROWS[0]}, …."

@@ -51,6 +51,17 @@ def all_files(folder: Path) -> list[Path]:
     return sorted((path for path in folder.glob(f"*{SUFFIX}") if _match(path)), key=_order)
 
 
+def session_files(folder: Path, sessions: Sequence[str]) -> list[Path]:
+    """Return the files in a folder that a daemon recorded in these sessions, oldest first.
+
+    Args:
+        folder: Folder of the daemon's recordings.
+        sessions: Ids of the sessions; a recording's name ends with the first 8 characters of one.
+    """
+    endings = tuple(f"-{session[:8]}" for session in sessions)
+    return [path for path in all_files(folder) if path.name.partition(".")[0].endswith(endings)]
+
+
 def recordings_in(folder: Path) -> dict[str, list[Path]]:
     """Name of each recording in a folder to its files, oldest first; those that are numbered belong together."""
     found: dict[str, list[Path]] = {}

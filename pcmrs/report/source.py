@@ -15,7 +15,7 @@ from pcmrs.errors import JournalError
 from pcmrs.journal import JournalReader, StoredRow, journal_files, verify
 from pcmrs.journal.head import head_path
 from pcmrs.journal.keys import PUBLIC
-from pcmrs.recording.series import SUFFIX, all_files
+from pcmrs.recording.series import SUFFIX, session_files
 from pcmrs.recording.settings import FOLDER
 from pcmrs.report.record import File, Journal
 from pcmrs.report.session_export import README
@@ -92,11 +92,7 @@ def files_of(source: Source, sessions: Sequence[str], calibrations: Mapping[str,
     if source.exported is not None:
         return tuple(_listed(folder))
     beside = [*journal_files(source.path), head_path(source.path), folder / PUBLIC]
-    recordings = [
-        path
-        for path in all_files(folder / FOLDER)
-        if path.name.partition(".")[0].endswith(tuple(f"-{session[:8]}" for session in sessions))
-    ]
+    recordings = session_files(folder / FOLDER, sessions)
     found = [_file(path.relative_to(folder).as_posix(), path) for path in (*beside, *recordings) if path.is_file()]
     for kind, path in calibrations.items():
         name = f"calibration of the {kind}: {Path(path).name}"

@@ -13,7 +13,6 @@ import msgspec
 from pcmrs.analysis.report.facts import facts_of
 from pcmrs.analysis.session import SessionRecord, Truth
 from pcmrs.errors import PcmrsError
-from pcmrs.journal import JournalReader
 from pcmrs.messages import PoseMessage, SceneTruth
 from pcmrs.report.session_folder import (
     JOURNAL,
@@ -23,10 +22,11 @@ from pcmrs.report.session_folder import (
     write_results,
     write_sums,
 )
+from pcmrs.report.session_journal import SessionJournal
+from pcmrs.report.stimulation import StimulationSession
 from pcmrs.tms.scalp import as_transform
 from pcmrs_lab.experiment.private import Bench, private_bench
 from pcmrs_lab.experiment.session.course import Course
-from pcmrs_lab.experiment.session.reading import Journalled
 from pcmrs_lab.experiment.session.setup import SessionSetup
 from pcmrs_lab.experiment.setup import ShowProgress
 from pcmrs_sim.tms.recruitment import Recruitment
@@ -131,29 +131,28 @@ def read_record(journal: Path, setup: SessionSetup, truth: SceneTruth | None, en
     Raises:
         JournalError: The journal cannot be read, or holds nothing.
     """
-    with JournalReader(journal) as reader:
-        journalled = Journalled.read(reader)
-    procedure, hotspot = setup.configuration.procedure, journalled.hotspot()
+    session = StimulationSession(SessionJournal.read(journal))
+    procedure, hotspot = setup.configuration.procedure, session.hotspot()
     return SessionRecord(
         subject=procedure.patient,
         seed=setup.seed,
         rate=setup.rate,
-        begun=journalled.begun,
-        duration=journalled.duration,
-        workflow=journalled.workflow,
+        begun=session.started_at,
+        duration=session.duration,
+        workflow=session.workflow,
         settings=tuple(setup.settings()),
         versions={"Python": platform.python_version(), **{name: version(name) for name in LIBRARIES}},
         mep_settings=procedure.stimulation.mep,
         ended=ended,
-        ceiling=journalled.ceiling(),
-        registration=journalled.registration(),
-        placements=journalled.placements(),
-        pulses=journalled.pulses(),
-        refusals=journalled.refusals(),
-        search=journalled.search(),
+        ceiling=session.ceiling(),
+        registration=session.registration(),
+        placements=session.placements(),
+        pulses=session.pulses(),
+        refusals=session.refusals(),
+        search=session.search(),
         hotspot=hotspot,
-        hunt=journalled.hunt(),
-        threshold=journalled.threshold(),
+        hunt=session.hunt(),
+        threshold=session.threshold(),
         truth=None if truth is None else true_of(truth, None if hotspot is None else hotspot.image_from_coil),
     )
 
