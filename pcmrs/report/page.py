@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import base64
-import datetime
 from collections.abc import Mapping
 from typing import Final
 
 import msgspec
 
 from pcmrs.analysis.placements import Summary, summarize
-from pcmrs.pages import fixed, render
+from pcmrs.report.pages import SVG, embedded, fixed, render, utc
 from pcmrs.report.record import Placement, Refusal, Registration, SessionReport
 
 TEMPLATE: Final = "report.html.j2"
@@ -66,7 +64,7 @@ def render_page(report: SessionReport, figures: Mapping[str, bytes]) -> str:
         gate_value,
         report=report,
         sums=summarized(report),
-        figures={name: embedded(drawing) for name, drawing in figures.items()},
+        figures={name: embedded(drawing, SVG) for name, drawing in figures.items()},
         meanings={branch.name: branch.states for branch in report.branches},
         first=FIRST,
         most=MOST,
@@ -101,19 +99,14 @@ def _gravity(refusal: Refusal) -> tuple[int, int]:
     return rank, refusal.sequence
 
 
-def embedded(drawing: bytes) -> str:
-    """An SVG picture as an address that holds it."""
-    return f"data:image/svg+xml;base64,{base64.b64encode(drawing).decode()}"
-
-
 def date(wall: float) -> str:
     """Day and time, UTC."""
-    return _utc(wall).strftime("%Y-%m-%d %H:%M")
+    return utc(wall, "%Y-%m-%d %H:%M")
 
 
 def clock(wall: float) -> str:
     """Time of the day, UTC."""
-    return _utc(wall).strftime("%H:%M:%S")
+    return utc(wall, "%H:%M:%S")
 
 
 def minutes(seconds: float) -> str:
@@ -143,7 +136,3 @@ def gate_value(value: float, name: str) -> str:
     """A value or limit of a gate, with its unit where it has one."""
     unit, factor = UNITS.get(name, ("", 1.0))
     return f"{value * factor:.4g} {unit}".rstrip()
-
-
-def _utc(wall: float) -> datetime.datetime:
-    return datetime.datetime.fromtimestamp(wall, datetime.UTC)

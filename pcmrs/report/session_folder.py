@@ -12,12 +12,13 @@ import tomli_w
 
 from pcmrs.analysis.mep_table import write_meps
 from pcmrs.analysis.nibs_tables import write_nibs
-from pcmrs.analysis.report import draw_figures, render_report
 from pcmrs.analysis.session import SessionRecord
 from pcmrs.errors import ConfigurationError
 from pcmrs.formats.mesh import Mesh
 from pcmrs.journal import JournalReader, copy_journal
 from pcmrs.journal.export import json_lines
+from pcmrs.report.stimulation.figures import draw_figures
+from pcmrs.report.stimulation.page import render_report
 from pcmrs.settings import Settings
 
 JOURNAL, ROWS, CONFIGURATION, REPORT, SUMS = (

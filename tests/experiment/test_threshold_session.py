@@ -26,7 +26,7 @@ from pcmrs.journal.writer import JournalWriter
 from pcmrs.messages import BlueprintTag, PoseMessage, Reason, SceneTruth, Snapshot, Verdict
 from pcmrs.report.session_folder import JOURNAL, ROWS, SUMS, make_folder, write_configuration, write_journal
 from pcmrs.report.session_journal import SessionJournal
-from pcmrs.report.stimulation import StimulationSession
+from pcmrs.report.stimulation.reading import StimulationSession
 from pcmrs.settings import read_settings
 from pcmrs.testing.plan import example_plan, read_plan
 from pcmrs_lab.experiment.session import operator as operating

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import msgspec
 
-from pcmrs.analysis.report.facts import facts_of
 from pcmrs.analysis.session import SessionRecord, Truth
 from pcmrs.errors import PcmrsError
 from pcmrs.messages import PoseMessage, SceneTruth
@@ -23,7 +22,8 @@ from pcmrs.report.session_folder import (
     write_sums,
 )
 from pcmrs.report.session_journal import SessionJournal
-from pcmrs.report.stimulation import StimulationSession
+from pcmrs.report.stimulation.facts import facts_of
+from pcmrs.report.stimulation.reading import StimulationSession
 from pcmrs.tms.scalp import as_transform
 from pcmrs_lab.experiment.private import Bench, private_bench
 from pcmrs_lab.experiment.session.course import Course
