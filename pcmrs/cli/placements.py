@@ -15,7 +15,7 @@ from pcmrs.cli.values import Finite
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the analysis.
-    from pcmrs.analysis.placements import Recorded
+    from pcmrs.analysis.placements import PlacementTrial
 
 STANDOFF_MM = 10.0
 """The lab's placements are saved this far before the target."""
@@ -68,8 +68,8 @@ def _beginning(path: Path) -> bytes:
         return file.read(100)
 
 
-def _recorded(path: Path, standoff_mm: float | None) -> list[Recorded]:
-    from pcmrs.analysis.placements import Recorded
+def _trials(path: Path, standoff_mm: float | None) -> list[PlacementTrial]:
+    from pcmrs.analysis.placements import PlacementTrial
     from pcmrs.formats.pose_file import SUFFIXES, read_placements
     from pcmrs.formats.pose_log import ROWS
     from pcmrs.formats.reading import refuse
@@ -82,25 +82,25 @@ def _recorded(path: Path, standoff_mm: float | None) -> list[Recorded]:
             path, f"is no saved placement ({', '.join(SUFFIXES)}), no journal, and no pose log of rows {ROWS[0]}, …."
         )
     standoff = (STANDOFF_MM if standoff_mm is None else standoff_mm) / 1000.0
-    return [Recorded(placement, standoff) for placement in read_placements(path)]
+    return [PlacementTrial(placement, standoff) for placement in read_placements(path)]
 
 
 def _show_placements(path: Path, standoff_mm: float | None, plot: Path | None, *, as_json: bool) -> None:
     from pcmrs.analysis.plots import placement_figure, save_png
-    from pcmrs.cli.recorded import placements_report
-    from pcmrs.cli.recorded_tables import placements_tables
+    from pcmrs.cli.placement_reports import placements_report
+    from pcmrs.cli.placement_tables import placements_tables
 
-    recorded = _recorded(path, standoff_mm)
-    report = placements_report(path, recorded)
+    trials = _trials(path, standoff_mm)
+    report = placements_report(path, trials)
     if plot is not None:
-        save_png(placement_figure(recorded, f"Placements in {path.resolve().name}"), plot)
+        save_png(placement_figure(trials, f"Placements in {path.resolve().name}"), plot)
     print_report(report, placements_tables(report), as_json=as_json)
 
 
 def _show_pose_log(path: Path, plot: Path | None, *, as_json: bool) -> None:
     from pcmrs.analysis.plots import pose_log_figure, save_png
-    from pcmrs.cli.recorded import pose_log_report
-    from pcmrs.cli.recorded_tables import pose_log_table
+    from pcmrs.cli.placement_reports import pose_log_report
+    from pcmrs.cli.placement_tables import pose_log_table
     from pcmrs.formats.pose_log import read_pose_log
 
     log = read_pose_log(path)

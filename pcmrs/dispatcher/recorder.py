@@ -16,7 +16,7 @@ Joint = Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class EarlierDecision:
     """A command that was decided.
 
     Attributes:
@@ -45,7 +45,7 @@ class Recorder(Protocol):
     def event(self, event: DeviceEvent, states: Joint) -> Awaitable[None]:
         """Resolves when a device event or a stop is durable."""
 
-    def recall(self, source: str, command_id: str) -> Recorded | None:
+    def recall(self, source: str, command_id: str) -> EarlierDecision | None:
         """What is recorded of a command that was decided, also in an earlier run of the daemon.
 
         Called for every command, in the event loop: for one that is new it must not wait for the disk.

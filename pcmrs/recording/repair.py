@@ -11,7 +11,7 @@ from mcap.writer import Writer
 from pcmrs.errors import ConfigurationError
 from pcmrs.messages import Message as Struct
 from pcmrs.recording.file import CHUNK
-from pcmrs.recording.reading import Reading
+from pcmrs.recording.reader import RecordingReader
 
 
 class Repaired(Struct, frozen=True, kw_only=True, omit_defaults=False):
@@ -46,7 +46,7 @@ def repair(source: Path, target: Path) -> Repaired:
         ConfigurationError: The target is there already.
         OSError: One of them cannot be read or written.
     """
-    reading = Reading(source)
+    reading = RecordingReader(source)
     if target.exists():
         raise ConfigurationError(f"{target} is there already: give another name.", file=str(target))
     with target.open("xb") as file:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 from foxglove.messages import (
@@ -20,12 +20,15 @@ from foxglove.messages import (
 )
 
 from pcmrs.messages import Message
+from pcmrs.messages.setup import ProcedureDataView
 from pcmrs.spatial import Transform
 
 View = FrameTransforms | JointStates | Log | PoseInFrame | Message
 """What a topic for people shows; a `Message` is shown as JSON."""
 
 _SECOND = 1_000_000_000
+_SCHEMA_NAMES: Final[dict[type[Message], str]] = {ProcedureDataView: "Gathered"}
+"""Schema names that differ from the class: recordings keep them, since other programs select topics by schema."""
 
 
 def stamp(at_ns: int) -> Timestamp:
@@ -77,7 +80,7 @@ def json_schema(kind: type[Message]) -> dict[str, Any]:
     """
     whole = msgspec.json.schema(kind)
     schema: dict[str, Any] = _plain(whole, whole["$defs"])
-    return {**schema, "title": f"pcmrs.{kind.__name__}"}
+    return {**schema, "title": f"pcmrs.{_SCHEMA_NAMES.get(kind, kind.__name__)}"}
 
 
 def json_bytes(message: Message) -> bytes:

@@ -10,7 +10,7 @@ from pcmrs.errors import DeviceError, PcmrsError, RefusalError, UnknownOutcomeEr
 from pcmrs.journal import JournalRow
 from pcmrs.messages import Reason, Verdict
 from pcmrs.replay.keys import is_danger
-from pcmrs.replay.recorded import Pursued
+from pcmrs.replay.workflow import Pursued
 
 
 def _refusal(verdict: Verdict) -> PcmrsError:

@@ -18,9 +18,9 @@ from pcmrs.messages import Command, DeviceEvent, Reason
 from pcmrs.replay.answers import Holds, end_activities, end_by_itself
 from pcmrs.replay.durability import WINDOW, busy_with, name_of, turned_away
 from pcmrs.replay.keys import command_of, is_danger, is_followed_by_report, same_reason
-from pcmrs.replay.recorded import RecordedWorkflow
 from pcmrs.replay.recorder import ReplayRecorder
-from pcmrs.replay.world import RecordedCell, RowsClock
+from pcmrs.replay.workflow import ReplayWorkflow
+from pcmrs.replay.world import ReplayCell, RowsClock
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 
@@ -39,29 +39,29 @@ class JournalPlayer:
 
     Attributes:
         dispatcher: Decides anew.
-        book: What is decided anew.
+        recorder: What is decided anew.
         answered: Commands for which the journal said what came of the world.
     """
 
     def __init__(
         self,
         workflow: Workflow[Cell, PlacementData],
-        cell: RecordedCell,
+        cell: ReplayCell,
         rows: Sequence[StoredRow],
         *,
         lease_required: bool,
     ) -> None:
-        self.book = ReplayRecorder(rows)
+        self.recorder = ReplayRecorder(rows)
         self._clock = RowsClock()
         self._rows = [stored.row for stored in rows]
         self._holds = Holds(self._rows)
         self._turned_away = dict(turned_away(self._rows))
-        self._recorded = RecordedWorkflow(workflow, self.book, self._ask)
+        self._workflow = ReplayWorkflow(workflow, self.recorder, self._ask)
         self.dispatcher: Dispatcher[Cell, PlacementData] = Dispatcher(
-            self._recorded.workflow,
+            self._workflow.workflow,
             cell,
             self._clock,
-            self.book,
+            self.recorder,
             self._holds.hold,
             lambda _: None,
             release=self._holds.release,
@@ -77,24 +77,24 @@ class JournalPlayer:
 
     @property
     def answered(self) -> int:
-        return len(self._recorded.answered)
+        return len(self._workflow.answered)
 
     async def feed(self, index: int) -> None:
         """Brings about the row at `index`, if the dispatcher still decides as it did."""
-        book, row = self.book, self._rows[index]
+        recorder, row = self.recorder, self._rows[index]
         self._clock.show(row)
         group = self._turned_away_with(index)
-        if book.decided(index) is None and group:
+        if recorder.decided(index) is None and group:
             await self._submit_all(group[:-1])
             await self._endanger(group[-1])
-        elif book.decided(index) is None:
+        elif recorder.decided(index) is None:
             await self._cause(index, row)
-        if book.decided(index) is None:
+        if recorder.decided(index) is None:
             await self._let_the_world_go_on(index, row)
 
     async def end(self) -> None:
         """Ends whatever is under way, as the end of the process once did."""
-        self.book.end()
+        self.recorder.end()
         for task in [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]:
             task.cancel()
         self._holds.end()
@@ -106,13 +106,13 @@ class JournalPlayer:
         if row.kind == "device":
             await self._report(index, row)
             return
-        self.book.release(index)
+        self.recorder.release(index)
         await self._idle()
-        if (row.source, row.command_id) not in self.book.asked:
+        if (row.source, row.command_id) not in self.recorder.asked:
             if not self._follows_by_itself(row):
                 await self._submit_all([*self._running_unseen(index), index])
         else:
-            for steps in list(self._recorded.waiting):
+            for steps in list(self._workflow.waiting):
                 if steps.index == index:
                     steps.end.set()
             await self._idle()
@@ -132,11 +132,11 @@ class JournalPlayer:
         return found
 
     def _is_new(self, row: JournalRow) -> bool:
-        return row.kind != "device" and (row.source, row.command_id) not in self.book.asked
+        return row.kind != "device" and (row.source, row.command_id) not in self.recorder.asked
 
     def _is_running(self, name: str) -> bool:
         running = {f"{each.branch}.{each.operation}" for each in self.dispatcher.snapshot().running}
-        return name in running or self.book.holds_locks(name)
+        return name in running or self.recorder.holds_locks(name)
 
     async def _submit_all(self, indices: Sequence[int]) -> None:
         for each in indices:
@@ -153,7 +153,7 @@ class JournalPlayer:
         spec = self.dispatcher.procedure.blueprint.find(command.branch, command.operation)
         if spec is None or not spec.unlatches:
             return command
-        outcome = self.book.outcome_of(command)
+        outcome = self.recorder.outcome_of(command)
         verdict = outcome[1].row.verdict if outcome is not None else None
         code = verdict.reason.code if verdict is not None and verdict.reason is not None else ""
         if code != PENDING and self._holds.answer(index):
@@ -173,7 +173,7 @@ class JournalPlayer:
         if is_danger(row):
             await self._endanger(index)
             return
-        self.book.release(index)
+        self.recorder.release(index)
         await self._idle()
         if not source.startswith("activity:"):
             fields = result.get("fields", {})
@@ -196,9 +196,9 @@ class JournalPlayer:
         await self._end_what_had_ended(reason)
         activity = source.removeprefix("activity:")
         if activity != source:
-            while self.book.release_event(index, source):
+            while self.recorder.release_event(index, source):
                 await self._idle()  # it has begun
-            end_by_itself(self._recorded.pursued, activity, reason)
+            end_by_itself(self._workflow.pursued, activity, reason)
         elif source == SHUTDOWN:
             self._spawn(self.dispatcher.close())
         elif source.startswith("device:"):
@@ -211,7 +211,7 @@ class JournalPlayer:
 
     async def _end_what_had_ended(self, reason: Reason) -> None:
         """Steps that are on record with another ending than by this Stop had ended before it."""
-        for steps in list(self._recorded.waiting):
+        for steps in list(self._workflow.waiting):
             if steps.row is not None and not same_reason(steps.row, reason.code, reason.text):
                 steps.end.set()
         await self._idle()
@@ -220,17 +220,24 @@ class JournalPlayer:
 
     async def _let_the_world_go_on(self, index: int, row: JournalRow) -> None:
         """One after the other, what the dispatcher may be waiting for comes, until it writes the row."""
-        book = self.book
-        own_events = partial(book.release_event, source=row.source or "")
+        recorder = self.recorder
+        own_events = partial(recorder.release_event, source=row.source or "")
         holds = self._holds
-        answers = (own_events, self._quieten, holds.answer_release, holds.answer, book.release_event, book.release_any)
-        while book.decided(index) is None and any(answer(index) for answer in answers):
+        answers = (
+            own_events,
+            self._quieten,
+            holds.answer_release,
+            holds.answer,
+            recorder.release_event,
+            recorder.release_any,
+        )
+        while recorder.decided(index) is None and any(answer(index) for answer in answers):
             await self._idle()
-        if book.decided(index) is None and self._is_new(row) and (row.source or "").startswith("activity:"):
+        if recorder.decided(index) is None and self._is_new(row) and (row.source or "").startswith("activity:"):
             await self._submit_all([index])
 
     def _quieten(self, index: int) -> bool:
-        return end_activities(self._recorded.pursued, self._rows[index].source)
+        return end_activities(self._workflow.pursued, self._rows[index].source)
 
     # -- helpers ------------------------------------------------------------------------------------------
 

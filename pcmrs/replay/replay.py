@@ -18,7 +18,7 @@ from pcmrs.messages import BlueprintTag
 from pcmrs.replay.differences import Difference, added, compared, missing, reported_already
 from pcmrs.replay.history import CarryOver, DaemonRun, read_runs
 from pcmrs.replay.player import JournalPlayer
-from pcmrs.replay.world import RecordedCell
+from pcmrs.replay.world import ReplayCell
 from pcmrs.settings import read_settings
 from pcmrs.simulated_time.loop import SimulatedLoop
 from pcmrs.workflows.cell import Cell
@@ -32,7 +32,7 @@ SHOWN_EVERY = 100
 """Rows after which progress is shown."""
 
 
-class Replayed(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
+class ReplayReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
     """What a replay came to.
 
     Attributes:
@@ -59,7 +59,9 @@ class Replayed(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
         return not self.differences
 
 
-def replay(path: Path, clock: Clock, blueprint: Path | None = None, progress: ShowProgress | None = None) -> Replayed:
+def replay(
+    path: Path, clock: Clock, blueprint: Path | None = None, progress: ShowProgress | None = None
+) -> ReplayReport:
     """Decides a journal anew.
 
     Args:
@@ -83,7 +85,7 @@ def replay_runs(
     workflow_of: Callable[[BlueprintTag], AnyWorkflow],
     clock: Clock,
     progress: ShowProgress | None = None,
-) -> Replayed:
+) -> ReplayReport:
     """Decides runs of a daemon anew; see `replay`."""
     begun, heritage = clock.monotonic(), CarryOver()
     differences: list[Difference] = []
@@ -96,7 +98,7 @@ def replay_runs(
         answered += asked
         differences += found
         heritage.end(run, workflow)
-    return Replayed(
+    return ReplayReport(
         journal=name,
         rows=total,
         compared=sum(len(run.decided()) for run in runs),
@@ -110,22 +112,22 @@ def replay_runs(
 async def _replay_run(
     name: str, run: DaemonRun, workflow: AnyWorkflow, heritage: CarryOver, show: Callable[[int], None]
 ) -> tuple[list[Difference], int]:
-    rows, cell = run.decided(), RecordedCell(_procedure_settings(name, run), run.calibration)
+    rows, cell = run.decided(), ReplayCell(_procedure_settings(name, run), run.calibration)
     access = (run.settings or {}).get("access", {})
-    feeding = JournalPlayer(heritage.inherited(workflow), cell, rows, lease_required=bool(access.get("identity")))
-    heritage.give_to(feeding.dispatcher, run)
+    player = JournalPlayer(heritage.inherited(workflow), cell, rows, lease_required=bool(access.get("identity")))
+    heritage.give_to(player.dispatcher, run)
     differences: list[Difference] = []
     extra = 0
     for index, stored in enumerate(rows):
         show(stored.sequence)
-        await feeding.feed(index)
-        decided = feeding.book.decided(index)
+        await player.feed(index)
+        decided = player.recorder.decided(index)
         differences += [missing(stored)] if decided is None else compared(stored, decided)
-        extras = (each for each in feeding.book.extra[extra:] if not reported_already(each, rows))
+        extras = (each for each in player.recorder.extra[extra:] if not reported_already(each, rows))
         differences += [added(stored.sequence, each) for each in extras]
-        extra = len(feeding.book.extra)
-    await feeding.end()
-    return differences, feeding.answered
+        extra = len(player.recorder.extra)
+    await player.end()
+    return differences, player.answered
 
 
 def _show(progress: ShowProgress | None, total: int, done: int) -> None:

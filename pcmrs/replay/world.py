@@ -10,7 +10,7 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.settings import ProcedureSettings
 
 
-class NotRecordedError(Exception):
+class NotJournalledError(Exception):
     """A check or step has looked at the world, of which the journal holds what came of it, not what was seen.
 
     No `PcmrsError`: what handles refusals must not take it for one.
@@ -21,7 +21,7 @@ _WORKED_OUT = ("calibration_id", "calibrations")
 """What a cell works out from the attributes that are known; where they are not, neither is this."""
 
 
-class RecordedCell(Cell):
+class ReplayCell(Cell):
     """Stands for the cell in a replay: settings and calibrated poses are known, everything else is not recorded.
 
     Args:
@@ -45,7 +45,7 @@ class RecordedCell(Cell):
             return self._known[name]
         if name in _WORKED_OUT:
             return super().__getattribute__(name)
-        raise NotRecordedError(name)
+        raise NotJournalledError(name)
 
 
 class RowsClock:
@@ -65,17 +65,17 @@ class RowsClock:
         return self._wall
 
     async def sleep(self, seconds: float) -> None:
-        raise NotRecordedError(f"sleep of {seconds} s")
+        raise NotJournalledError(f"sleep of {seconds} s")
 
     def timeout(self, seconds: float) -> AbstractAsyncContextManager[Any]:  # noqa: ARG002 (what waits is ended by rows)
         return nullcontext()
 
 
-class RecordedClock(RowsClock):
+class ReplayClock(RowsClock):
     """The same for checks and steps: at which moment they looked at it is not on record."""
 
     def monotonic(self) -> float:
-        raise NotRecordedError("monotonic")
+        raise NotJournalledError("monotonic")
 
     def wall(self) -> float:
-        raise NotRecordedError("wall")
+        raise NotJournalledError("wall")

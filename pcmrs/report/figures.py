@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from pcmrs.analysis.placements import Recorded
+from pcmrs.analysis.placements import PlacementTrial
 from pcmrs.analysis.plots import BLUE, GREEN, ORANGE, new_figure, placement_figure
 from pcmrs.formats.pose_file import Placement as Poses
-from pcmrs.report.record import Branch, Placement, Registration, SessionReport
+from pcmrs.report.contents import Branch, Placement, Registration, SessionReport
 from pcmrs.workflows.data import as_transform
 
 if TYPE_CHECKING:
@@ -150,12 +150,14 @@ def _errors(placements: Sequence[Placement]) -> Figure:
 
 def _placements(placements: Sequence[Placement]) -> Figure:
     """The paper's two panels: both errors of each placement, and the error vectors where the targets are."""
-    recorded = [
-        Recorded(Poses(str(each.sequence), as_transform(each.planned), as_transform(each.measured)), each.standoff)
+    trials = [
+        PlacementTrial(
+            Poses(str(each.sequence), as_transform(each.planned), as_transform(each.measured)), each.standoff
+        )
         for each in placements
         if each.planned is not None and each.measured is not None
     ]
-    return placement_figure(recorded, "")
+    return placement_figure(trials, "")
 
 
 def _bare(axes: Any) -> None:

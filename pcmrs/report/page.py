@@ -8,8 +8,8 @@ from typing import Final
 import msgspec
 
 from pcmrs.analysis.placements import Summary, summarize
+from pcmrs.report.contents import Placement, Refusal, Registration, SessionReport
 from pcmrs.report.pages import SVG, embedded, fixed, render, utc
-from pcmrs.report.record import Placement, Refusal, Registration, SessionReport
 
 TEMPLATE: Final = "report.html.j2"
 PLACED: Final = 4

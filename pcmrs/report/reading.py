@@ -23,7 +23,7 @@ from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.journal import JournalRow, StoredRow
 from pcmrs.messages import PoseMessage
 from pcmrs.report.advice import WRONG_TIME, advise
-from pcmrs.report.record import (
+from pcmrs.report.contents import (
     Branch,
     Done,
     Entry,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
-from pcmrs.analysis.placements import Recorded
+from pcmrs.analysis.placements import PlacementTrial
 from pcmrs.errors import FileFormatError, GeometryError, JournalError
 from pcmrs.formats.pose_file import Placement
 from pcmrs.journal import JournalReader, JournalRow, StoredRow
@@ -121,7 +121,7 @@ class SessionJournal:
         return next((result[field] for result in results if result and field in result), None)
 
 
-def read_placements(path: Path, standoff_mm: float | None) -> list[Recorded]:
+def read_placements(path: Path, standoff_mm: float | None) -> list[PlacementTrial]:
     """Return the accepted `confirm` operations of a journal, in order; each is named by the sequence of its row.
 
     Args:
@@ -133,19 +133,19 @@ def read_placements(path: Path, standoff_mm: float | None) -> list[Recorded]:
         FileFormatError: There are none, or one has no poses.
     """
     journal = SessionJournal.read(path, kind="outcome", branch=CONFIRM.partition(".")[0])
-    recorded = [_placement(path, outcome, standoff_mm) for outcome in journal.accepted(CONFIRM)]
-    if not recorded:
+    trials = [_placement(path, outcome, standoff_mm) for outcome in journal.accepted(CONFIRM)]
+    if not trials:
         raise FileFormatError(f"{path} holds no accepted placement.confirm: nothing was placed.", file=str(path))
-    return recorded
+    return trials
 
 
-def _placement(path: Path, outcome: Outcome, standoff_mm: float | None) -> Recorded:
+def _placement(path: Path, outcome: Outcome, standoff_mm: float | None) -> PlacementTrial:
     planned, measured = outcome.pose("planned"), outcome.pose("measured")
     if planned is None or measured is None:
         text = f"{path} holds no planned and measured pose in row {outcome.sequence}, an accepted placement.confirm."
         raise FileFormatError(text, file=str(path), sequence=outcome.sequence)
     standoff = outcome.result.get("confirm_offset", 0.0) if standoff_mm is None else standoff_mm / 1000.0
-    return Recorded(Placement(str(outcome.sequence), planned, measured), standoff)
+    return PlacementTrial(Placement(str(outcome.sequence), planned, measured), standoff)
 
 
 def find_session(sessions: Sequence[str], start: str | None, path: Path) -> int:

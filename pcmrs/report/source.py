@@ -17,7 +17,7 @@ from pcmrs.journal.head import head_path
 from pcmrs.journal.keys import PUBLIC
 from pcmrs.recording.series import SUFFIX, session_files
 from pcmrs.recording.settings import FOLDER
-from pcmrs.report.record import File, Journal
+from pcmrs.report.contents import File, Journal
 from pcmrs.report.session_export import README
 from pcmrs.report.session_folder import JOURNAL, SUMS
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.devices.lsl import inlet as inlet_module
-from pcmrs.devices.lsl.epochs import Recording
+from pcmrs.devices.lsl.epochs import SampleBuffer
 from pcmrs.devices.lsl.inlet import FORGOTTEN, Inlet
 from pcmrs.errors import DeviceError
 from pcmrs.spatial import Floats
@@ -19,9 +19,9 @@ from pcmrs.spatial import Floats
 RATE = 1000.0
 
 
-def recorded(times: Floats, packet: int, jitter: float = 0.002, seconds: float = 10.0) -> Recording:
+def recorded(times: Floats, packet: int, jitter: float = 0.002, seconds: float = 10.0) -> SampleBuffer:
     """A recording whose samples are their true times, fed in packets."""
-    recording = Recording(RATE, seconds, jitter)
+    recording = SampleBuffer(RATE, seconds, jitter)
     for start in range(0, times.size, packet):
         recording.add(times[start : start + packet], times[start : start + packet])
     return recording
@@ -42,7 +42,7 @@ def test_an_epoch_holds_just_the_samples_of_its_time(
 def test_packets_with_uneven_stamps_are_averaged_out(shift: float, packet: int) -> None:
     times = 100.0 + np.arange(2000) / RATE
     stamped = times + shift * (-1.0) ** (np.arange(2000) // packet)
-    recording = Recording(RATE, 10.0, 0.004)
+    recording = SampleBuffer(RATE, 10.0, 0.004)
     recording.add(stamped, times)
     first, samples = recording.cut(100.5, 101.0)
     assert abs(first - samples[0]) <= shift * packet / samples.size + 1e-6

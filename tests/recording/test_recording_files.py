@@ -17,7 +17,7 @@ from health_facts import WELL
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from recorded import ARM, MOUNTING, decoded, joints, pose, recording, until
+from recording_bench import ARM, MOUNTING, decoded, joints, pose, recording, until
 
 from pcmrs.bus.codec import pack
 from pcmrs.errors import ConfigurationError, FileFormatError

@@ -17,7 +17,7 @@ import numpy as np
 
 from pcmrs.background import background_task
 from pcmrs.clock import Clock
-from pcmrs.devices.lsl.epochs import LONGEST, Recording, check_window
+from pcmrs.devices.lsl.epochs import LONGEST, SampleBuffer, check_window
 from pcmrs.devices.lsl.inlet import Inlet
 from pcmrs.devices.lsl.library import EMG, StreamName, load_lsl
 from pcmrs.devices.lsl.markers import PULSES, read_pulse
@@ -81,7 +81,7 @@ class LslEmg:
         self._markers = Inlet(settings.markers)
         self._lsl = load_lsl()
         self._info: Any = None
-        self._recording: Recording | None = None
+        self._recording: SampleBuffer | None = None
         self._pulses: dict[int, float] = {}
         self._unusable = ""
         self._news = asyncio.Event()
@@ -132,7 +132,7 @@ class LslEmg:
         elif channel >= count:
             self._unusable = f"{name} has {count} channels; lsl.channel = {channel} is not among 0 to {count - 1}"
         else:
-            self._recording = Recording(rate, KEPT, self._settings.jitter)
+            self._recording = SampleBuffer(rate, KEPT, self._settings.jitter)
 
     def _measured(self, pulse: int, after: float) -> bool:
         """Whether the epoch is complete."""

@@ -26,7 +26,7 @@ def check_window(before: float, after: float) -> None:
         )
 
 
-class Recording:
+class SampleBuffer:
     """The newest samples of one channel with their times.
 
     Args:

@@ -18,7 +18,7 @@ from pcmrs.fsm import Closure, Denial
 from pcmrs.journal import JournalRow
 from pcmrs.messages import Reason
 from pcmrs.replay.recorder import ReplayRecorder
-from pcmrs.replay.world import NotRecordedError, RecordedClock
+from pcmrs.replay.world import NotJournalledError, ReplayClock
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 
@@ -62,12 +62,12 @@ class Pursued:
     quiet: asyncio.Future[None]
 
 
-class RecordedWorkflow:
+class ReplayWorkflow:
     """Checks and steps of data are performed for real; what looks at the world is answered by the journal.
 
     Args:
         workflow: The real one.
-        book: What is on record.
+        recorder: What is on record.
         ask: `Procedure.ask` of the dispatcher that decides anew.
 
     Attributes:
@@ -78,7 +78,10 @@ class RecordedWorkflow:
     """
 
     def __init__(
-        self, workflow: Workflow[Cell, PlacementData], book: ReplayRecorder, ask: Callable[[str, str], Closure | Denial]
+        self,
+        workflow: Workflow[Cell, PlacementData],
+        recorder: ReplayRecorder,
+        ask: Callable[[str, str], Closure | Denial],
     ) -> None:
         real = workflow.registry
         registry: Registry[Cell, PlacementData] = Registry(payloads=real.payloads, side_effecting=real.side_effecting)
@@ -91,42 +94,42 @@ class RecordedWorkflow:
         self.answered: set[Asked] = set()
         self._worldly = real.side_effecting
         self._taken: set[Asked] = set()
-        self._book = book
+        self._recorder = recorder
         self._ask = ask
 
     # -- checks and steps -----------------------------------------------------------------------------
 
     def _check(self, name: str, check: Callable[[Run], None], run: Run) -> None:
-        run.clock = RecordedClock()
+        run.clock = ReplayClock()
         try:
             check(run)
-        except NotRecordedError:
+        except NotJournalledError:
             self.answered.add(_asked(run))
-            self._refuse_as_recorded(name, run)
+            self._refuse_as_journalled(name, run)
         except PcmrsError:
             raise
         except Exception:
             if _asked(run) not in self.answered:
                 raise
-            self._refuse_as_recorded(name, run)  # it misses what a check before it has not worked out
+            self._refuse_as_journalled(name, run)  # it misses what a check before it has not worked out
 
-    def _refuse_as_recorded(self, name: str, run: Run) -> None:
-        _, row = self._recorded(run)
+    def _refuse_as_journalled(self, name: str, run: Run) -> None:
+        _, row = self._journalled(run)
         reason = row.verdict.reason if row is not None and row.verdict is not None else None
         if reason is not None and reason.fields.get("check") == name:
             raise _refusal(reason)
 
     def _step(self, step: Callable[[Run], Awaitable[None] | None], run: Run) -> Awaitable[None] | None:
-        run.clock = RecordedClock()
+        run.clock = ReplayClock()
         spec = self.workflow.blueprint.branches[run.command.branch].operations[run.command.operation]
         if not self._worldly.isdisjoint(spec.steps):
             return self._wait(run)
         if _asked(run) not in self.answered:
             try:
                 return step(run)
-            except NotRecordedError:
+            except NotJournalledError:
                 self.answered.add(_asked(run))
-        self._end_as_recorded(run, self._recorded(run)[1])
+        self._end_as_journalled(run, self._journalled(run)[1])
         return None
 
     async def _wait(self, run: Run) -> None:
@@ -134,17 +137,17 @@ class RecordedWorkflow:
         if _asked(run) in self._taken:
             return
         self.answered.add(_asked(run))
-        index, row = self._recorded(run)
+        index, row = self._journalled(run)
         steps = Steps(run, index, row, asyncio.Event())
         self.waiting.append(steps)
         try:
             await steps.end.wait()
         finally:
             self.waiting.remove(steps)
-        self._end_as_recorded(run, row)
+        self._end_as_journalled(run, row)
         self._taken.add(_asked(run))
 
-    def _end_as_recorded(self, run: Run, row: JournalRow | None) -> None:
+    def _end_as_journalled(self, run: Run, row: JournalRow | None) -> None:
         verdict = row.verdict if row is not None else None
         if row is None or verdict is None:
             return
@@ -162,8 +165,8 @@ class RecordedWorkflow:
         fitting = (name for name, change in closure.outcomes.items() if change.targets.items() <= after.items())
         return next(fitting, None)
 
-    def _recorded(self, run: Run) -> tuple[int | None, JournalRow | None]:
-        found = self._book.outcome_of(run.command)
+    def _journalled(self, run: Run) -> tuple[int | None, JournalRow | None]:
+        found = self._recorder.outcome_of(run.command)
         return (None, None) if found is None else (found[0], found[1].row)
 
     # -- activities -----------------------------------------------------------------------------------

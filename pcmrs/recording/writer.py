@@ -37,7 +37,7 @@ class RecordingError(PcmrsError):
     code = "recording_ended"
 
 
-class Report(Message, frozen=True, kw_only=True, omit_defaults=False):
+class RecordingReport(Message, frozen=True, kw_only=True, omit_defaults=False):
     """What a recording came to.
 
     Attributes:
@@ -58,7 +58,7 @@ class Report(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class RecordingPlan:
     """What to write where.
 
     Attributes:
@@ -74,7 +74,7 @@ class Plan:
     pool: Callable[[], list[Path]]
 
 
-class Recorder:
+class RecordingWriter:
     """Writes what a tap hears.
 
     Times of messages are those of the monotonic clock, counted from the wall's time at the start: they never jump. What
@@ -92,7 +92,7 @@ class Recorder:
         OSError: The first file cannot be made.
     """
 
-    def __init__(self, plan: Plan, views: Views, clock: Clock) -> None:
+    def __init__(self, plan: RecordingPlan, views: Views, clock: Clock) -> None:
         self._plan, self._views, self._clock = plan, views, clock
         self._begun = self._settled = clock.monotonic()
         self._begun_ns = int(clock.wall() * _SECOND)
@@ -100,7 +100,7 @@ class Recorder:
         self.messages = self._number = self._removed = self._dropped = 0
         self._file = self._next_file()
 
-    async def run(self, tap: Subscriber, ended: asyncio.Event) -> Report:
+    async def run(self, tap: Subscriber, ended: asyncio.Event) -> RecordingReport:
         """Records until `ended` is set, or nothing more can be written: then the daemon is told why.
 
         Args:
@@ -116,7 +116,7 @@ class Recorder:
             _log.error("recording_ended %s", error.text)
             await tap.report(DeviceEvent(device="recorder", code=error.code, text=error.text, fields=error.fields))
         error = self._close() or error
-        return Report(
+        return RecordingReport(
             files=[str(path) for path in self._plan.pool() if path.exists()],
             removed=self._removed,
             messages=self.messages,

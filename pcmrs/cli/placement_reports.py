@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from pcmrs.analysis.placements import Recorded, Summary, summarize
+from pcmrs.analysis.placements import PlacementTrial, Summary, summarize
 from pcmrs.analysis.pose_log import Track, analyse_track, check_loop
 from pcmrs.formats.pose_log import PoseLog
 from pcmrs.spatial import Floats
@@ -59,22 +59,22 @@ class PoseLogReport(msgspec.Struct, frozen=True):
     max_deviation_deg: float | None
 
 
-def placements_report(path: Path, recorded: list[Recorded]) -> PlacementsReport:
+def placements_report(path: Path, trials: list[PlacementTrial]) -> PlacementsReport:
     """The errors of one or more placements."""
-    trials = [_trial(item) for item in recorded]
+    errors = [_trial(trial) for trial in trials]
     return PlacementsReport(
         str(path),
-        trials,
-        summarize([trial.translation_error_mm for trial in trials]),
-        summarize([trial.rotation_error_deg for trial in trials]),
+        errors,
+        summarize([trial.translation_error_mm for trial in errors]),
+        summarize([trial.rotation_error_deg for trial in errors]),
     )
 
 
-def _trial(recorded: Recorded) -> TrialErrors:
-    error = recorded.error
+def _trial(trial: PlacementTrial) -> TrialErrors:
+    error = trial.error
     return TrialErrors(
-        trial=recorded.placement.name,
-        standoff_mm=recorded.standoff * 1000.0,
+        trial=trial.placement.name,
+        standoff_mm=trial.standoff * 1000.0,
         translation_error_mm=error.distance * 1000.0,
         rotation_error_deg=math.degrees(error.angle),
         error_vector_mm=_axes(error.vector * 1000.0),

@@ -8,7 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from pcmrs.analysis.placements import Summary
-from pcmrs.cli.recorded import Axes, PlacementsReport, PoseLogReport
+from pcmrs.cli.placement_reports import Axes, PlacementsReport, PoseLogReport
 
 
 def placements_tables(report: PlacementsReport) -> Group:

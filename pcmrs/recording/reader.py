@@ -22,7 +22,7 @@ LARGEST_CHUNK: Final = 2 * MAX_BYTES
 _MAGIC = b"\x89MCAP0\r\n"
 
 
-class Reading:
+class RecordingReader:
     """One pass over a file.
 
     Args:

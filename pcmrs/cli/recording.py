@@ -25,8 +25,8 @@ from pcmrs.cli.values import POSITIVE, Size
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the robot's kinematics.
-    from pcmrs.recording.recorder import Plan, Recorder, Report
     from pcmrs.recording.repair import Repaired
+    from pcmrs.recording.writer import RecordingPlan, RecordingReport, RecordingWriter
     from pcmrs.settings import Settings
 
 
@@ -73,9 +73,9 @@ def record(
 
     Example: pcmrs record run.mcap --max-size 512MB --max-total 4GB
     """
-    from pcmrs.recording.recorder import Plan
     from pcmrs.recording.series import Limits, all_files, check_new, files_of
     from pcmrs.recording.topics import TOPICS, check_topics
+    from pcmrs.recording.writer import RecordingPlan
     from pcmrs.settings import read_settings
 
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(levelname)s %(message)s")
@@ -93,12 +93,12 @@ def record(
         pool = partial(files_of, recording)
     check_topics(chosen)
     check_new(recording)
-    plan = Plan(recording, limits, _origin(settings, session), pool)
+    plan = RecordingPlan(recording, limits, _origin(settings, session), pool)
     report = run(_record(settings, plan, chosen, key, lifeline=lifeline))
     if as_json:
         say_json(report)
     else:
-        click.echo(_recorded(report))
+        click.echo(_summary(report))
     if report.error is not None:
         sys.exit(EXIT_FAILED)
 
@@ -138,16 +138,16 @@ def _origin(settings: Settings, session: str) -> dict[str, str]:
 
 
 async def _record(
-    settings: Settings, plan: Plan, topics: tuple[str, ...], device_key: bytes, *, lifeline: bool
-) -> Report:
+    settings: Settings, plan: RecordingPlan, topics: tuple[str, ...], device_key: bytes, *, lifeline: bool
+) -> RecordingReport:
     from pcmrs.bus.seal import Seal
     from pcmrs.clock import SystemClock
     from pcmrs.kinematics.urdf_arms import find_arm
     from pcmrs.node import when_input_ends
     from pcmrs.recording.chain import Mounting
-    from pcmrs.recording.recorder import Recorder
     from pcmrs.recording.subscriber import Subscriber
     from pcmrs.recording.views import Views
+    from pcmrs.recording.writer import RecordingWriter
 
     loop, ended, clock = asyncio.get_running_loop(), asyncio.Event(), SystemClock()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -158,11 +158,11 @@ async def _record(
     views = Views(find_arm(settings.robot.model), mounting, settings.cell.rate)
     tap = await Subscriber.open(settings.bus("client"), topics, clock, Seal(device_key) if device_key else None)
     try:
-        recorder = Recorder(plan, views, clock)
-        with _status(recorder, str(plan.first)) as shown:
+        writer = RecordingWriter(plan, views, clock)
+        with _status(writer, str(plan.first)) as shown:
             showing = asyncio.create_task(shown())
             try:
-                return await recorder.run(tap, ended)
+                return await writer.run(tap, ended)
             finally:
                 showing.cancel()
     finally:
@@ -170,19 +170,19 @@ async def _record(
 
 
 @contextmanager
-def _status(recorder: Recorder, name: str) -> Iterator[Callable[[], Coroutine[Any, Any, None]]]:
+def _status(writer: RecordingWriter, name: str) -> Iterator[Callable[[], Coroutine[Any, Any, None]]]:
     """A line on a terminal that says how much has been recorded; what it gives keeps it up to date."""
     with Terminal(stderr=True).status(f"recording {name}") as status:
 
         async def show() -> None:
             while True:
                 await asyncio.sleep(1.0)
-                status.update(f"recording {name}: {recorder.messages} messages; Ctrl-C ends it")
+                status.update(f"recording {name}: {writer.messages} messages; Ctrl-C ends it")
 
         yield show
 
 
-def _recorded(report: Report) -> str:
+def _summary(report: RecordingReport) -> str:
     lost = f", {report.dropped} dropped" if report.dropped else ""
     removed = f"; {report.removed} older files were removed" if report.removed else ""
     files = ", ".join(report.files)

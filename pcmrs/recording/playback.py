@@ -18,7 +18,7 @@ from pcmrs.bus.settings import open_session
 from pcmrs.clock import Clock
 from pcmrs.errors import ConfigurationError, FileFormatError
 from pcmrs.messages import Message
-from pcmrs.recording.reading import Reading
+from pcmrs.recording.reader import RecordingReader
 from pcmrs.recording.subscriber import RawSample
 from pcmrs.recording.topics import TopicFilter
 
@@ -51,7 +51,7 @@ class Excerpt:
     rate: float = 1.0
 
 
-class Played(Message, frozen=True, kw_only=True, omit_defaults=False):
+class PlaybackReport(Message, frozen=True, kw_only=True, omit_defaults=False):
     """What was played.
 
     Attributes:
@@ -69,8 +69,8 @@ class Played(Message, frozen=True, kw_only=True, omit_defaults=False):
     damage: list[str] = msgspec.field(default_factory=list)
 
 
-class Player:
-    """Publishes on the bus what files say. Use `Player.open`.
+class PlaybackPublisher:
+    """Publishes on the bus what files say. Use `PlaybackPublisher.open`.
 
     Attributes:
         prefix: Under which the keys lie.
@@ -83,7 +83,7 @@ class Player:
         self._publishers: dict[str, Any] = {}
 
     @classmethod
-    async def open(cls, endpoint: str, name: str, clock: Clock) -> Player:
+    async def open(cls, endpoint: str, name: str, clock: Clock) -> PlaybackPublisher:
         """Joins the bus, if nobody there is a daemon by that name.
 
         Args:
@@ -105,7 +105,7 @@ class Player:
             raise ConfigurationError(f"A daemon runs under {prefix}: choose another name by --as.", prefix=prefix)
         return player
 
-    async def play(self, files: Sequence[Path], excerpt: Excerpt, progress: Progress) -> Played:
+    async def play(self, files: Sequence[Path], excerpt: Excerpt, progress: Progress) -> PlaybackReport:
         """Publishes the messages of all files at the times at which they came.
 
         Args:
@@ -118,7 +118,7 @@ class Player:
             ConfigurationError: A topic is no key expression.
             OSError: One cannot be read.
         """
-        wanted, readings = TopicFilter(excerpt.topics), [Reading(path) for path in files]
+        wanted, readings = TopicFilter(excerpt.topics), [RecordingReader(path) for path in files]
         total = sum(reading.size for reading in readings)
         begun, count, last = self._clock.monotonic(), 0, 0.0
         for since, heard, done, name in _timed(readings):
@@ -146,9 +146,9 @@ class Player:
             self._publishers[heard.key] = publisher
         self._publishers[heard.key].put(heard.payload)
 
-    def _told(self, readings: Sequence[Reading], count: int, duration: float) -> Played:
+    def _told(self, readings: Sequence[RecordingReader], count: int, duration: float) -> PlaybackReport:
         damaged = [reading for reading in readings if reading.damage]
-        return Played(
+        return PlaybackReport(
             prefix=self.prefix,
             messages=count,
             duration=duration,
@@ -166,7 +166,7 @@ class Player:
             publisher.undeclare()
 
 
-def _timed(readings: Sequence[Reading]) -> Iterator[tuple[float, RawSample, int, str]]:
+def _timed(readings: Sequence[RecordingReader]) -> Iterator[tuple[float, RawSample, int, str]]:
     """Messages in order: s since the first, the message, bytes read of all files until then, and the file's name."""
     first_ns, before = None, 0
     for reading in readings:
@@ -176,14 +176,14 @@ def _timed(readings: Sequence[Reading]) -> Iterator[tuple[float, RawSample, int,
         before += reading.size
 
 
-def recorded_cell(path: Path) -> str:
+def read_cell_name(path: Path) -> str:
     """Name of the cell that a recording is of.
 
     Raises:
         FileFormatError: The file does not say; it is no recording of PCMRS.
         OSError: It cannot be read.
     """
-    reading = Reading(path)
+    reading = RecordingReader(path)
     for _ in reading.records():
         if reading.origin:
             break
