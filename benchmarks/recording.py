@@ -30,11 +30,11 @@ from pcmrs.bus.settings import open_session
 from pcmrs.clock import SystemClock
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BlueprintTag, BodyPose, DeviceEvent, JointState, Snapshot
-from pcmrs.recording.chain import Mounting
+from pcmrs.recording.frame_tree import Mounting
 from pcmrs.recording.series import Limits, files_of
 from pcmrs.recording.subscriber import Subscriber
 from pcmrs.recording.topics import TOPICS
-from pcmrs.recording.views import Views
+from pcmrs.recording.views import RecordingViews
 from pcmrs.recording.writer import RecordingPlan, RecordingWriter
 from pcmrs.testing.daemon import free_port
 from pcmrs.workflows.settings import CalibrationSettings
@@ -104,7 +104,7 @@ def recorder(settings: BusSettings, seconds: float, results: Connection) -> None
 async def _record(settings: BusSettings, seconds: float, file: Path) -> dict[str, float]:
     clock, ended = SystemClock(), asyncio.Event()
     tap = await Subscriber.open(settings, TOPICS, clock)
-    views = Views(ARM, Mounting.read(CalibrationSettings()), 1.0)
+    views = RecordingViews(ARM, Mounting.read(CalibrationSettings()), 1.0)
     writing = RecordingWriter(RecordingPlan(file, Limits(), {}, lambda: files_of(file)), views, clock)
     work = asyncio.create_task(writing.run(tap, ended))
     await clock.sleep(WARM)

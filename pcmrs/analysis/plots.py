@@ -41,7 +41,7 @@ def new_figure(width: float = 10.0, height: float = 4.5) -> Figure:
 
 
 def save_png(figure: Figure, path: Path) -> None:
-    """Writes the figure as a PNG file. Raises `OSError` when that cannot be written."""
+    """Write the figure as a PNG file. Raises `OSError` when that cannot be written."""
     figure.savefig(path, format="png", dpi=DPI)
 
 
@@ -126,7 +126,7 @@ GRAY = "#777777"
 
 
 def draw_mep(file: Path, epochs: Sequence[Epoch], meps: Sequence[Mep], settings: MepSettings) -> None:
-    """Saves `mep_figure` as a PNG file. Raises `OSError` when that cannot be written."""
+    """Save `mep_figure` as a PNG file. Raises `OSError` when that cannot be written."""
     save_png(mep_figure(epochs, meps, settings), file)
 
 

@@ -25,7 +25,7 @@ from pcmrs.cli.values import POSITIVE, Size
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the robot's kinematics.
-    from pcmrs.recording.repair import Repaired
+    from pcmrs.recording.repair import RepairReport
     from pcmrs.recording.writer import RecordingPlan, RecordingReport, RecordingWriter
     from pcmrs.settings import Settings
 
@@ -144,9 +144,9 @@ async def _record(
     from pcmrs.clock import SystemClock
     from pcmrs.kinematics.urdf_arms import find_arm
     from pcmrs.node import when_input_ends
-    from pcmrs.recording.chain import Mounting
+    from pcmrs.recording.frame_tree import Mounting
     from pcmrs.recording.subscriber import Subscriber
-    from pcmrs.recording.views import Views
+    from pcmrs.recording.views import RecordingViews
     from pcmrs.recording.writer import RecordingWriter
 
     loop, ended, clock = asyncio.get_running_loop(), asyncio.Event(), SystemClock()
@@ -155,7 +155,7 @@ async def _record(
     if lifeline:
         when_input_ends(ended.set)
     mounting = Mounting.read(settings.procedure.calibration)
-    views = Views(find_arm(settings.robot.model), mounting, settings.cell.rate)
+    views = RecordingViews(find_arm(settings.robot.model), mounting, settings.cell.rate)
     tap = await Subscriber.open(settings.bus("client"), topics, clock, Seal(device_key) if device_key else None)
     try:
         writer = RecordingWriter(plan, views, clock)
@@ -190,7 +190,7 @@ def _summary(report: RecordingReport) -> str:
     return said if report.error is None else f"{said}\nended early: {report.error}"
 
 
-def _saved(saved: Repaired) -> str:
+def _saved(saved: RepairReport) -> str:
     if saved.complete:
         return f"the file was whole: {saved.messages} messages copied"
     share = 100.0 * saved.lost_bytes / max(1, saved.kept_bytes + saved.lost_bytes)

@@ -45,7 +45,7 @@ class CountingFile:
         self._file = path.open("xb", buffering=1 << 16)
 
     def write(self, data: bytes | bytearray) -> int:
-        """Appends all of it."""
+        """Append all of it."""
         self._attempt(lambda: self._file.write(data))
         self.size += len(data)
         return len(data)
@@ -57,11 +57,11 @@ class CountingFile:
         return self.size
 
     def flush(self) -> None:
-        """Hands everything to the operating system, so that it survives the end of this process."""
+        """Hand everything to the operating system, so that it survives the end of this process."""
         self._attempt(self._file.flush)
 
     def close(self) -> None:
-        """Ends the file; the disk has it then."""
+        """End the file; the disk has it then."""
         self._attempt(self._file.flush)
         self._attempt(lambda: os.fsync(self._file.fileno()))
         try:
@@ -99,7 +99,7 @@ class Topics:
         self._channels: dict[str, Any] = {}
 
     def write_raw(self, key: str, monotonic: float, payload: bytes, at_ns: int) -> None:
-        """Records a message of the bus as it was.
+        """Record a message of the bus as it was.
 
         Args:
             key: Relative to the cell.
@@ -114,7 +114,7 @@ class Topics:
         self._channels[topic].log(raw.encode(monotonic, payload), log_time=at_ns)
 
     def write(self, topic: str, view: View, at_ns: int) -> None:
-        """Records something to look at, ns since 1970; a topic always has views of one type."""
+        """Record something to look at, ns since 1970; a topic always has views of one type."""
         if topic not in self._channels:
             self._channels[topic] = self._opened(topic, view)
         self._channels[topic].log(json_bytes(view) if isinstance(view, Message) else view, log_time=at_ns)
@@ -156,10 +156,10 @@ class RecordingFile:
         return self._sink.error
 
     def flush(self) -> None:
-        """Ends the chunk: what was written until now survives the end of this process."""
+        """End the chunk: what was written until now survives the end of this process."""
         self._writer.flush()
 
     def close(self) -> None:
-        """Writes the summary and ends the file; whether that worked says `error`."""
+        """Write the summary and ends the file; whether that worked says `error`."""
         self._writer.close()
         self._sink.close()

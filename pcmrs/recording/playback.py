@@ -84,7 +84,7 @@ class PlaybackPublisher:
 
     @classmethod
     async def open(cls, endpoint: str, name: str, clock: Clock) -> PlaybackPublisher:
-        """Joins the bus, if nobody there is a daemon by that name.
+        """Join the bus, if nobody there is a daemon by that name.
 
         Args:
             endpoint: Of a running daemon's bus, or of another router.
@@ -106,7 +106,7 @@ class PlaybackPublisher:
         return player
 
     async def play(self, files: Sequence[Path], excerpt: Excerpt, progress: Progress) -> PlaybackReport:
-        """Publishes the messages of all files at the times at which they came.
+        """Publish the messages of all files at the times at which they came.
 
         Args:
             files: Of one recording, oldest first; of damaged ones, what can be read.
@@ -132,7 +132,7 @@ class PlaybackPublisher:
         return self._told(readings, count, last)
 
     async def close(self) -> None:
-        """Leaves the bus."""
+        """Leave the bus."""
         loop = asyncio.get_running_loop()
         await loop.run_in_executor(None, self._undeclare)
         await loop.run_in_executor(None, self._session.close)
@@ -157,7 +157,7 @@ class PlaybackPublisher:
         )
 
     def _is_live(self) -> bool:
-        """Whether a process of a running cell is connected under the prefix."""
+        """Return whether a process of a running cell is connected under the prefix."""
         replies = self._session.liveliness().get(f"{self.prefix}/alive/**", timeout=_ASKING)
         return any(True for _ in replies)
 

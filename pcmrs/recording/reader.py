@@ -95,7 +95,7 @@ class RecordingReader:
 
 
 def _parts(chunk: Chunk) -> list[McapRecord]:
-    """Records of a chunk. Raises `ValueError` before a small one is decompressed to more than `LARGEST_CHUNK`."""
+    """Record of a chunk. Raises `ValueError` before a small one is decompressed to more than `LARGEST_CHUNK`."""
     size = len(chunk.data)
     if chunk.compression == "zstd":
         # The decompressor believes the frame, and the chunk's record only where the frame does not say.

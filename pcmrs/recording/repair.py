@@ -14,7 +14,7 @@ from pcmrs.recording.file import CHUNK
 from pcmrs.recording.reader import RecordingReader
 
 
-class Repaired(Struct, frozen=True, kw_only=True, omit_defaults=False):
+class RepairReport(Struct, frozen=True, kw_only=True, omit_defaults=False):
     """What a repair came to.
 
     Attributes:
@@ -34,8 +34,8 @@ class Repaired(Struct, frozen=True, kw_only=True, omit_defaults=False):
     until: float | None = None
 
 
-def repair(source: Path, target: Path) -> Repaired:
-    """Writes what can be read of an MCAP file, up to its last whole chunk, as a file of its own.
+def repair(source: Path, target: Path) -> RepairReport:
+    """Write what can be read of an MCAP file, up to its last whole chunk, as a file of its own.
 
     Args:
         source: Stays as it is.
@@ -54,7 +54,7 @@ def repair(source: Path, target: Path) -> Repaired:
         for record in reading.records():
             copy.take(record)
         copy.finish()
-    return Repaired(
+    return RepairReport(
         complete=reading.complete,
         messages=copy.messages,
         kept_bytes=reading.whole,

@@ -31,7 +31,7 @@ class Limits:
 
     @property
     def numbered(self) -> bool:
-        """Whether there may be more than one file."""
+        """True if there may be more than one file."""
         return self.file_bytes is not None or self.file_s is not None
 
 
@@ -71,7 +71,7 @@ def recordings_in(folder: Path) -> dict[str, list[Path]]:
 
 
 def check_new(first: Path) -> None:
-    """Accepts the name of a recording that is not there yet.
+    """Accept the name of a recording that is not there yet.
 
     Raises:
         ConfigurationError: It does not end in ``.mcap``, its folder is missing, or it is there already.
@@ -87,7 +87,7 @@ def check_new(first: Path) -> None:
 
 
 def remove_oldest(files: Sequence[Path], limit: float, removed: Callable[[Path, int], None]) -> None:
-    """Removes files until the others have at most `limit` bytes together; the last one stays.
+    """Remove files until the others have at most `limit` bytes together; the last one stays.
 
     Args:
         files: Oldest first; the last one is being written.

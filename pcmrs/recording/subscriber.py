@@ -69,7 +69,7 @@ class Subscriber:
     async def open(
         cls, settings: BusSettings, topics: Sequence[str], clock: Clock, seal: Seal | None = None
     ) -> Subscriber:
-        """Joins the bus and hears from now on.
+        """Join the bus and hears from now on.
 
         Args:
             settings: Of the bus.
@@ -103,13 +103,13 @@ class Subscriber:
         await self._in_pool(partial(publisher.put, payload, attachment=self._seal.put("put", key, payload)))
 
     async def close(self) -> None:
-        """Leaves the bus."""
+        """Leave the bus."""
         await self._in_pool(self._undeclare)
         await self._in_pool(self._session.close)
         self._pool.shutdown()
 
     def _take(self, sample: zenoh.Sample) -> None:
-        """Runs in Zenoh's threads."""
+        """Run in Zenoh's threads."""
         at = self._clock.monotonic()
         if len(self._waiting) >= CAPACITY:
             self.dropped += 1

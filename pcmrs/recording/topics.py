@@ -33,7 +33,7 @@ all are on ``state/event``."""
 
 
 def check_topics(topics: Sequence[str]) -> None:
-    """Accepts key expressions of which no two share a key: what both match would be recorded twice.
+    """Accept key expressions of which no two share a key: what both match would be recorded twice.
 
     Raises:
         ConfigurationError: One is no key expression, there are none, or two overlap; they are named.
@@ -62,7 +62,7 @@ class TopicFilter:
         self._known: dict[str, bool] = {}
 
     def __call__(self, key: str) -> bool:
-        """Whether one of the expressions includes `key`."""
+        """Return whether one of the expressions includes `key`."""
         if not self._expressions:
             return True
         if key not in self._known:

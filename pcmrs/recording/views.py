@@ -14,7 +14,7 @@ from pcmrs.messages import BodyPose, DeviceHealth, Epoch, JointState, Message, P
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import ProcedureDataView
 from pcmrs.recording import shapes
-from pcmrs.recording.chain import Chain, Link, Mounting
+from pcmrs.recording.frame_tree import FrameTree, Link, Mounting
 from pcmrs.recording.shapes import View
 from pcmrs.recording.subscriber import RawSample
 from pcmrs.spatial import Frame, Transform
@@ -32,7 +32,7 @@ _SECOND = 1_000_000_000
 _LEVELS = {"accepted": LogLevel.Info, "rejected": LogLevel.Warning}
 
 
-class Views:
+class RecordingViews:
     """Translates what is heard, and keeps what a later file must begin with.
 
     Args:
@@ -43,7 +43,7 @@ class Views:
 
     def __init__(self, arm: ArmFacts, mounting: Mounting, rate: float) -> None:
         self._names = [joint.name for joint in arm.joints]
-        self._chain = Chain(arm, mounting)
+        self._frames = FrameTree(arm, mounting)
         self._fixed = mounting.links()
         self._rate = rate
         self._latest: dict[str, tuple[str, Any]] = {}
@@ -89,20 +89,20 @@ class Views:
         captured_ns = at_ns - self._age_ns(pose.sent - pose.captured)
         tracker_from_body = _transform(pose)
         yield TF_BODIES, shapes.link(Frame.TRACKER, pose.body, tracker_from_body, captured_ns)
-        base = self._chain.coil(tracker_from_body) if pose.body == Frame.COIL else None
+        base = self._frames.coil(tracker_from_body) if pose.body == Frame.COIL else None
         if base is not None:
             yield self._kept("base", TF_BASE, lambda at: self._linked(base, at), captured_ns)
 
     def _joints(self, heard: RawSample, at_ns: int) -> Iterator[Shown]:
         state = unpack(heard.payload, JointState)
         captured_ns = at_ns - self._age_ns(state.sent - state.captured)
-        flange = self._chain.joints(state)
+        flange = self._frames.joints(state)
         if len(state.velocities) == len(self._names):
             yield JOINTS, shapes.joints(self._names, state.positions, state.velocities, captured_ns)
         yield TF_ARM, self._linked(flange, captured_ns)
 
     def _last(self, topic: str, kind: type[Message]) -> Callable[[RawSample, int], Iterator[Shown]]:
-        """Shows messages of which the last one holds until the next."""
+        """Show messages of which the last one holds until the next."""
 
         def translate(heard: RawSample, at_ns: int) -> Iterator[Shown]:
             message = unpack(heard.payload, kind)

@@ -19,7 +19,7 @@ from pcmrs.recording.file import RecordingFile, Topics
 from pcmrs.recording.series import Limits, path_of, remove_oldest
 from pcmrs.recording.shapes import line
 from pcmrs.recording.subscriber import RawSample, Subscriber
-from pcmrs.recording.views import LOG, Views
+from pcmrs.recording.views import LOG, RecordingViews
 
 PERIOD: Final = 0.05
 """Between two looks at what has come, s: the fewer, the less it costs."""
@@ -92,7 +92,7 @@ class RecordingWriter:
         OSError: The first file cannot be made.
     """
 
-    def __init__(self, plan: RecordingPlan, views: Views, clock: Clock) -> None:
+    def __init__(self, plan: RecordingPlan, views: RecordingViews, clock: Clock) -> None:
         self._plan, self._views, self._clock = plan, views, clock
         self._begun = self._settled = clock.monotonic()
         self._begun_ns = int(clock.wall() * _SECOND)
@@ -101,7 +101,7 @@ class RecordingWriter:
         self._file = self._next_file()
 
     async def run(self, tap: Subscriber, ended: asyncio.Event) -> RecordingReport:
-        """Records until `ended` is set, or nothing more can be written: then the daemon is told why.
+        """Record until `ended` is set, or nothing more can be written: then the daemon is told why.
 
         Args:
             tap: What to record; its rest is written, too.
@@ -126,7 +126,7 @@ class RecordingWriter:
         )
 
     def _work(self, tap: Subscriber) -> RecordingError | None:
-        """Writes what has come; returns why it cannot go on."""
+        """Write what has come; returns why it cannot go on."""
         for heard in tap.heard():
             self._write(heard)
         if tap.dropped > self._dropped:
@@ -145,7 +145,7 @@ class RecordingWriter:
         self.messages += 1
 
     def _rotate(self) -> RecordingError | None:
-        """Begins the next file where it is due. Raises `OSError`."""
+        """Start the next file where it is due. Raises `OSError`."""
         limits = self._plan.limits
         age = self._clock.monotonic() - self._opened
         too_long = limits.file_s is not None and age >= limits.file_s

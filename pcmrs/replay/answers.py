@@ -38,7 +38,7 @@ class Holds:
         self._ended = False
 
     async def hold(self, _latch: bool) -> None:
-        """Waits for the answer. Raises `DeviceError` where none came."""
+        """Wait for the answer. Raises `DeviceError` where none came."""
         if self._ended:
             return
         asked: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -46,7 +46,7 @@ class Holds:
         await asked
 
     async def release(self, _stopped: bool) -> Sequence[str]:
-        """Waits for the release of the devices. Raises `DeviceError` where they were not released."""
+        """Wait for the release of the devices. Raises `DeviceError` where they were not released."""
         released: asyncio.Future[Sequence[str]] = asyncio.get_running_loop().create_future()
         if self._ended:
             return []

@@ -82,7 +82,7 @@ def _pairs(row: JournalRow, decided: Decided) -> Iterator[tuple[str, Any, Any]]:
 
 
 def same(before: Any, now: Any) -> bool:
-    """Whether two pieces of plain data are equal, numbers but for rounding."""
+    """Return whether two pieces of plain data are equal, numbers but for rounding."""
     if isinstance(before, dict) and isinstance(now, dict):
         return before.keys() == now.keys() and all(same(value, now[key]) for key, value in before.items())
     if isinstance(before, list | tuple) and isinstance(now, list | tuple):

@@ -79,7 +79,7 @@ def _without(rows: Sequence[JournalRow], index: int, later: int, changed: dict[s
 
 
 def _is_journalled_with_outcome(rows: Sequence[JournalRow], index: int) -> bool:
-    """Whether the intent was written together with its outcome: then it shows the states after that."""
+    """Return whether the intent was written together with its outcome: then it shows the states after that."""
     pair = rows[index : index + 2]
     return (
         len(pair) == 2 and len({(row.source, row.command_id) for row in pair}) == 1 and pair[0].states == pair[1].states
@@ -102,7 +102,7 @@ def _finds_it_running(rows: Sequence[JournalRow], index: int, later: int) -> boo
 
 
 def _held_locks(decision: JournalRow) -> bool:
-    """Whether the command was begun: performed, or rejected by a check of its own."""
+    """Return whether the command was begun: performed, or rejected by a check of its own."""
     reason = decision.verdict.reason if decision.verdict is not None else None
     return not is_rejection(decision) or (reason is not None and "check" in reason.fields)
 
@@ -126,5 +126,5 @@ def _changed(rows: Sequence[JournalRow], index: int) -> dict[str, str]:
 
 
 def _moves(rows: Sequence[JournalRow], branch: str, state: str) -> bool:
-    """Whether one of the decisions moved the branch elsewhere."""
+    """Return whether one of the decisions moved the branch elsewhere."""
     return any(row.kind == "outcome" and (row.states or {}).get(branch, state) != state for row in rows)

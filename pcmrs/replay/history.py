@@ -35,7 +35,7 @@ class CarryOver:
         self.kept = PersistedState()
 
     def begin(self, run: DaemonRun, workflow: Workflow[Cell, PlacementData]) -> Iterator[Difference]:
-        """Closes what the run before has begun: where this run has not done so, or closed something else.
+        """Close what the run before has begun: where this run has not done so, or closed something else.
 
         Args:
             run: That begins.
@@ -59,7 +59,7 @@ class CarryOver:
         self.kept = ledger.kept
 
     def give_to(self, dispatcher: Dispatcher[Cell, PlacementData], run: DaemonRun) -> None:
-        """Has the dispatcher begin with it, as daemons do that write down how they begin."""
+        """Have the dispatcher begin with it, as daemons do that write down how they begin."""
         if run.settings is not None:
             start = run.rows[0].sequence
             dispatcher.take_up(latched=self.kept.latched, unknown=self.kept.unknown, start=start)
@@ -80,7 +80,7 @@ class CarryOver:
         return replace(workflow, initial=msgspec.structs.replace(initial, **kept))
 
     def end(self, run: DaemonRun, workflow: Workflow[Cell, PlacementData]) -> None:
-        """Takes in what a run leaves."""
+        """Take in what a run leaves."""
         ledger = RestartState(workflow.blueprint, self.kept)
         for stored in run.decided():
             ledger.take(stored.row)
@@ -124,7 +124,7 @@ class DaemonRun:
 
 
 def closes_earlier_run(stored: StoredRow) -> bool:
-    """Whether the row ends what an earlier run of the daemon had begun."""
+    """Return whether the row ends what an earlier run of the daemon had begun."""
     verdict = stored.row.verdict
     reason = verdict.reason if verdict is not None else None
     return reason is not None and reason.code == ENDED.code and stored.row.states is None

@@ -67,29 +67,29 @@ def command_of(row: JournalRow) -> Command:
 
 
 def is_followed_by_report(row: JournalRow) -> bool:
-    """Whether the dispatcher itself asked for it, because a device had reported an event of that name."""
+    """Return whether the dispatcher itself asked for it, because a device had reported an event of that name."""
     drawn = _DRAWN.search(row.command_id or "") is not None
     return drawn and (row.source or "").startswith("device:")
 
 
 def same_reason(row: JournalRow, code: str | None, text: str) -> bool:
-    """Whether the row gives this reason."""
+    """Return whether the row gives this reason."""
     reason = row.verdict.reason if row.verdict is not None else None
     return reason is not None and (reason.code, reason.text) == (code, text)
 
 
 def is_rejection(row: JournalRow) -> bool:
-    """Whether the row is the outcome of a command that was rejected."""
+    """Return whether the row is the outcome of a command that was rejected."""
     return row.kind == "outcome" and row.verdict is not None and row.verdict.decision == "rejected"
 
 
 def is_rejected_report(row: JournalRow) -> bool:
-    """Whether a device or an activity has reported what the state did not allow: only older journals have such rows."""
+    """Return whether a device or an activity has reported what the state did not allow: only older journals have such rows."""
     return is_rejection(row) and (row.source or "").startswith(_DRAWS_IDS)
 
 
 def is_danger(row: JournalRow) -> bool:
-    """Whether the row is an event that took the lane of Stop, or tells that Stop is not confirmed."""
+    """Return whether the row is an event that took the lane of Stop, or tells that Stop is not confirmed."""
     result: Mapping[str, object] = row.result or {}
     return row.kind == "device" and bool(result.get("danger"))
 

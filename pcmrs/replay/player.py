@@ -80,7 +80,7 @@ class JournalPlayer:
         return len(self._workflow.answered)
 
     async def feed(self, index: int) -> None:
-        """Brings about the row at `index`, if the dispatcher still decides as it did."""
+        """Bring about the row at `index`, if the dispatcher still decides as it did."""
         recorder, row = self.recorder, self._rows[index]
         self._clock.show(row)
         group = self._turned_away_with(index)
@@ -93,7 +93,7 @@ class JournalPlayer:
             await self._let_the_world_go_on(index, row)
 
     async def end(self) -> None:
-        """Ends whatever is under way, as the end of the process once did."""
+        """End whatever is under way, as the end of the process once did."""
         self.recorder.end()
         for task in [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]:
             task.cancel()
@@ -118,7 +118,7 @@ class JournalPlayer:
             await self._idle()
 
     def _follows_by_itself(self, row: JournalRow) -> bool:
-        """Whether the dispatcher asks for it without being asked: it follows from an event or an activity's end."""
+        """Return whether the dispatcher asks for it without being asked: it follows from an event or an activity's end."""
         return is_followed_by_report(row) or (row.source, name_of(row)) in self._endings
 
     def _running_unseen(self, index: int) -> list[int]:
@@ -182,7 +182,7 @@ class JournalPlayer:
             await self._idle()
 
     async def _endanger(self, index: int) -> None:
-        """Stops everything as a person, a device or an activity did."""
+        """Stop everything as a person, a device or an activity did."""
         row = self._rows[index]
         source, result = row.source or "", row.result or {}
         if row.operation == NOT_CONFIRMED:
@@ -249,5 +249,5 @@ class JournalPlayer:
 
     @staticmethod
     async def _idle() -> None:
-        """Returns when nobody has anything to do any more."""
+        """Return when nobody has anything to do any more."""
         await asyncio.sleep(IDLE)

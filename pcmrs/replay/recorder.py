@@ -102,7 +102,7 @@ class ReplayRecorder:
         return (left[0], self.rows[left[0]]) if left else None
 
     def release(self, before: int) -> None:
-        """Makes durable what was, as far as the rows on record show, before the one at `before` was written.
+        """Make durable what was, as far as the rows on record show, before the one at `before` was written.
 
         Events stay as they are: nobody but those who wait for them to be durable can tell.
         """
@@ -114,7 +114,7 @@ class ReplayRecorder:
             self._make_durable(each)
 
     def release_event(self, before: int, source: str = "") -> bool:
-        """Makes the first event durable that is not, of those before the row at `before`; whether there was one.
+        """Make the first event durable that is not, of those before the row at `before`; whether there was one.
 
         Args:
             before: Index of a row on record.
@@ -125,15 +125,15 @@ class ReplayRecorder:
         return self._release_first(each for each in events if not source or each.key.source in sources)
 
     def release_any(self, before: int) -> bool:
-        """Makes the first row durable that is not, whatever the record shows; whether there was one."""
+        """Make the first row durable that is not, whatever the record shows; whether there was one."""
         return self._release_first(iter(self._in_order(before)))
 
     def holds_locks(self, name: str) -> bool:
-        """Whether a decision on an operation of that name is not durable yet."""
+        """Return whether a decision on an operation of that name is not durable yet."""
         return any(each.key.kind == "outcome" and each.key.what == name for each in self._waiting)
 
     def end(self) -> None:
-        """Lets the dispatcher come to its end."""
+        """Let the dispatcher come to its end."""
         self.ended = True
         for each in self._waiting:
             if not each.durable.done():

@@ -55,14 +55,14 @@ class ReplayReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Fals
 
     @property
     def is_same(self) -> bool:
-        """Whether every decision is the same."""
+        """True if every decision is the same."""
         return not self.differences
 
 
 def replay(
     path: Path, clock: Clock, blueprint: Path | None = None, progress: ShowProgress | None = None
 ) -> ReplayReport:
-    """Decides a journal anew.
+    """Decide a journal anew.
 
     Args:
         path: The journal, or its export.
@@ -86,7 +86,7 @@ def replay_runs(
     clock: Clock,
     progress: ShowProgress | None = None,
 ) -> ReplayReport:
-    """Decides runs of a daemon anew; see `replay`."""
+    """Decide runs of a daemon anew; see `replay`."""
     begun, heritage = clock.monotonic(), CarryOver()
     differences: list[Difference] = []
     answered, total = 0, sum(len(run.rows) for run in runs)

@@ -55,7 +55,7 @@ class RowsClock:
         self._monotonic = self._wall = 0.0
 
     def show(self, row: JournalRow) -> None:
-        """Goes to the time at which the row was written."""
+        """Go to the time at which the row was written."""
         self._monotonic, self._wall = row.monotonic, row.wall
 
     def monotonic(self) -> float:

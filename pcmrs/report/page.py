@@ -8,7 +8,7 @@ from typing import Final
 import msgspec
 
 from pcmrs.analysis.placements import Summary, summarize
-from pcmrs.report.contents import Placement, Refusal, Registration, SessionReport
+from pcmrs.report.contents import ReportedPlacement, ReportedRefusal, ReportedRegistration, SessionReport
 from pcmrs.report.pages import SVG, embedded, fixed, render, utc
 
 TEMPLATE: Final = "report.html.j2"
@@ -24,7 +24,7 @@ UNITS: Final = {"residual_too_large": ("mm", 1e3), "tre_too_large": ("mm", 1e3)}
 """Unit of a gate that has one, and by what its value is to be multiplied."""
 
 
-class Summarized(msgspec.Struct, frozen=True, kw_only=True):
+class FirstPage(msgspec.Struct, frozen=True, kw_only=True):
     """What the first page has in large letters.
 
     Attributes:
@@ -37,11 +37,11 @@ class Summarized(msgspec.Struct, frozen=True, kw_only=True):
 
     placement_mm: Summary | None
     placement_deg: Summary | None
-    shown: tuple[Placement, ...]
-    registration: Registration | None
+    shown: tuple[ReportedPlacement, ...]
+    registration: ReportedRegistration | None
     tre_mm: float | None
     tre_at: str
-    important: tuple[Refusal, ...]
+    important: tuple[ReportedRefusal, ...]
 
 
 def render_page(report: SessionReport, figures: Mapping[str, bytes]) -> str:
@@ -71,7 +71,7 @@ def render_page(report: SessionReport, figures: Mapping[str, bytes]) -> str:
     )
 
 
-def summarized(report: SessionReport) -> Summarized:
+def summarized(report: SessionReport) -> FirstPage:
     """The few numbers of the first page."""
     placements = report.placements
     largest = sorted(placements, key=lambda each: -each.error_mm)[:PLACED]
@@ -82,7 +82,7 @@ def summarized(report: SessionReport) -> Summarized:
         for each in report.registrations
     ]
     told = [(tre, at) for _, tre, at in predicted if tre is not None]
-    return Summarized(
+    return FirstPage(
         placement_mm=summarize([each.error_mm for each in placements]) if placements else None,
         placement_deg=summarize([each.error_deg for each in placements]) if placements else None,
         shown=shown,
@@ -93,7 +93,7 @@ def summarized(report: SessionReport) -> Summarized:
     )
 
 
-def _gravity(refusal: Refusal) -> tuple[int, int]:
+def _gravity(refusal: ReportedRefusal) -> tuple[int, int]:
     """Failed before refused by a check before asked for at a wrong time; then in order."""
     rank = 0 if refusal.decision == "failed" else 1 if refusal.checked else 2
     return rank, refusal.sequence

@@ -24,21 +24,21 @@ from pcmrs.journal import JournalRow, StoredRow
 from pcmrs.messages import PoseMessage
 from pcmrs.report.advice import WRONG_TIME, advise
 from pcmrs.report.contents import (
-    Branch,
-    Done,
-    Entry,
-    Event,
+    AcceptedOperation,
     EventKind,
-    Gate,
-    Landmark,
-    Placement,
-    Plan,
-    Refusal,
-    Registration,
-    Run,
+    ReportedBranch,
+    ReportedEvent,
+    ReportedGate,
+    ReportedLandmark,
+    ReportedPlacement,
+    ReportedPlan,
+    ReportedRefusal,
+    ReportedRegistration,
+    ReportedRun,
     SessionReport,
-    Span,
-    Unknown,
+    StateSpan,
+    TimelineEntry,
+    UnknownOutcome,
 )
 from pcmrs.report.session_journal import (
     SessionJournal,
@@ -181,7 +181,7 @@ class _ReportView:
         names = [f"{arguments[role]} ({role})" for arguments in given for role in NAMED if arguments.get(role)]
         return tuple(dict.fromkeys(names))
 
-    def registrations(self) -> Iterator[Registration]:
+    def registrations(self) -> Iterator[ReportedRegistration]:
         """Yield the registrations that were put in force."""
         limits = self._procedure.get("registration", {})
         for outcome in self._journal.accepted():
@@ -189,10 +189,10 @@ class _ReportView:
             if not stored:
                 continue
             judged = result.get("landmarks") if isinstance(result.get("landmarks"), dict) else result
-            gates = tuple(msgspec.convert(gate, Gate) for gate in (judged or {}).get("gates", ()))
+            gates = tuple(msgspec.convert(gate, ReportedGate) for gate in (judged or {}).get("gates", ()))
             by_name = {gate.name: gate.limit for gate in gates}
             registered = _registered(stored)
-            yield Registration(
+            yield ReportedRegistration(
                 sequence=outcome.sequence,
                 wall=outcome.row.wall,
                 operation=outcome.name,
@@ -207,14 +207,14 @@ class _ReportView:
                 id=str(stored.get("id", "")),
             )
 
-    def plans(self) -> Iterator[Plan]:
+    def plans(self) -> Iterator[ReportedPlan]:
         """Yield the planned poses that were put in force."""
         for outcome in self._journal.accepted():
             if outcome.data.get("plan"):
                 tre = _mm(outcome.result.get("tre"))
-                yield Plan(sequence=outcome.sequence, wall=outcome.row.wall, operation=outcome.name, tre_mm=tre)
+                yield ReportedPlan(sequence=outcome.sequence, wall=outcome.row.wall, operation=outcome.name, tre_mm=tre)
 
-    def placements(self) -> Iterator[Placement]:
+    def placements(self) -> Iterator[ReportedPlacement]:
         """Yield the measurements of the tool against its planned pose."""
         for outcome in self._journal.accepted():
             result = outcome.result
@@ -228,7 +228,7 @@ class _ReportView:
                 error = placement_error(as_transform(planned), as_transform(measured), standoff)
                 x, y, z = (1e3 * error.vector).tolist()
                 axes = (x, y, z)
-            yield Placement(
+            yield ReportedPlacement(
                 sequence=outcome.sequence,
                 wall=outcome.row.wall,
                 operation=outcome.name,
@@ -240,23 +240,23 @@ class _ReportView:
                 standoff=standoff,
             )
 
-    def done(self) -> tuple[Done, ...]:
+    def done(self) -> tuple[AcceptedOperation, ...]:
         """Return the accepted operations, in the order of their first time."""
         times = Counter(outcome.name for outcome in self._journal.accepted())
         return tuple(
-            Done(operation=name, title=self._title(name), times=count, acts=self._acts(name))
+            AcceptedOperation(operation=name, title=self._title(name), times=count, acts=self._acts(name))
             for name, count in times.items()
         )
 
-    def refusals(self) -> tuple[Refusal, ...]:
+    def refusals(self) -> tuple[ReportedRefusal, ...]:
         """Return what was not accepted; an operation with the same reason is one entry."""
-        found: dict[tuple[str, ...], Refusal] = {}
+        found: dict[tuple[str, ...], ReportedRefusal] = {}
         for outcome in self._journal.not_accepted():
             key = (outcome.name, outcome.verdict.decision, outcome.code, outcome.text)
             if key in found:
                 found[key] = msgspec.structs.replace(found[key], times=found[key].times + 1)
                 continue
-            found[key] = Refusal(
+            found[key] = ReportedRefusal(
                 sequence=outcome.sequence,
                 wall=outcome.row.wall,
                 operation=outcome.name,
@@ -270,7 +270,7 @@ class _ReportView:
             )
         return tuple(found.values())
 
-    def unknown(self, known: _Known | None) -> list[Unknown]:
+    def unknown(self, known: _Known | None) -> list[UnknownOutcome]:
         """Return the operations whose end is unknown, among them those without an outcome, in order of their rows.
 
         Args:
@@ -281,7 +281,7 @@ class _ReportView:
         rows = [(stored.sequence, stored.row, text) for stored, text in texts]
         rows += [(outcome.sequence, outcome.row, outcome.text) for outcome in ended]
         return [
-            Unknown(
+            UnknownOutcome(
                 sequence=sequence,
                 wall=row.wall,
                 operation=operation_name(row),
@@ -291,14 +291,14 @@ class _ReportView:
             for sequence, row, text in sorted(rows, key=lambda each: each[0])
         ]
 
-    def events(self) -> Iterator[Event]:
+    def events(self) -> Iterator[ReportedEvent]:
         """What devices and the daemon reported, but for what is routine; the same in a row is one."""
-        found: list[Event] = []
+        found: list[ReportedEvent] = []
         for stored in self._journal.rows:
             kind = _event_kind(stored.row)
             if kind is None:
                 continue
-            event = Event(
+            event = ReportedEvent(
                 sequence=stored.sequence,
                 wall=stored.row.wall,
                 kind=kind,
@@ -313,7 +313,7 @@ class _ReportView:
                 found.append(event)
         yield from found
 
-    def branches(self) -> Iterator[Branch]:
+    def branches(self) -> Iterator[ReportedBranch]:
         """Every branch with its states over time."""
         moments = [(stored.row.wall, stored.row.states) for stored in self._journal.rows if _is_committed(stored.row)]
         end = self._journal.rows[-1].row.wall
@@ -323,18 +323,18 @@ class _ReportView:
             changes = [next(group) for _, group in itertools.groupby(walls, key=lambda each: each[1])]
             ends = [*(wall for wall, _ in changes[1:]), end]
             spec = None if self._blueprint is None else self._blueprint.branches.get(name)
-            yield Branch(
+            yield ReportedBranch(
                 name=name,
                 title=name if spec is None else spec.title or name,
                 states={} if spec is None else dict(spec.states),
                 spans=tuple(
-                    Span(state=state, begun=wall, ended=until)
+                    StateSpan(state=state, begun=wall, ended=until)
                     for (wall, state), until in zip(changes, ends, strict=True)
                 ),
                 final=changes[-1][1],
             )
 
-    def timeline(self, runs: Sequence[Run]) -> Iterator[Entry]:
+    def timeline(self, runs: Sequence[ReportedRun]) -> Iterator[TimelineEntry]:
         """What was done, what went wrong and what was reported, in order; what was only rejected is not in it."""
         starts = {run.first: run for run in runs}
         for stored in self._journal.rows:
@@ -368,13 +368,13 @@ class _ReportView:
         return spec is not None and spec.affects_patient
 
 
-def _runs(rows: Sequence[StoredRow]) -> list[Run]:
+def _runs(rows: Sequence[StoredRow]) -> list[ReportedRun]:
     """The runs of the daemon, by the sessions that the rows name."""
     found = []
     for session, group in itertools.groupby(rows, key=lambda stored: stored.row.session_id):
         own = list(group)
         found.append(
-            Run(
+            ReportedRun(
                 session=session,
                 begun=own[0].row.wall,
                 ended=own[-1].row.wall,
@@ -387,7 +387,7 @@ def _runs(rows: Sequence[StoredRow]) -> list[Run]:
     return found
 
 
-def _chosen(runs: Sequence[Run], session: str | None, path: Path) -> tuple[int, int]:
+def _chosen(runs: Sequence[ReportedRun], session: str | None, path: Path) -> tuple[int, int]:
     """First and last run of a session: it goes on in the next run where a daemon did not end in order."""
     first = last_run = find_session([run.session for run in runs], session, path)
     while first > 0 and _goes_on(runs[first - 1], runs[first]):
@@ -395,7 +395,7 @@ def _chosen(runs: Sequence[Run], session: str | None, path: Path) -> tuple[int, 
     return first, last_run
 
 
-def _goes_on(one: Run, other: Run) -> bool:
+def _goes_on(one: ReportedRun, other: ReportedRun) -> bool:
     return not one.in_order and other.patient == one.patient and other.begun - one.ended < CONTINUES
 
 
@@ -448,12 +448,12 @@ def _registered(kept: Mapping[str, Any]) -> Registered | None:
     return None
 
 
-def _landmarks(registered: Registered) -> Iterator[Landmark]:
+def _landmarks(registered: Registered) -> Iterator[ReportedLandmark]:
     """Each with its distance after the fit."""
     fit = as_transform(registered.body_ref_from_image)
     for landmark, point in zip(registered.landmarks, registered.digitized, strict=True):
         left = fit @ landmark.position - np.array(point)
-        yield Landmark(name=landmark.name, distance_mm=1e3 * float(np.linalg.norm(left)))
+        yield ReportedLandmark(name=landmark.name, distance_mm=1e3 * float(np.linalg.norm(left)))
 
 
 def _message(pose: Transform | None) -> PoseMessage | None:
@@ -471,19 +471,19 @@ def _event_kind(row: JournalRow) -> EventKind | None:
     return "fault" if (row.result or {}).get("danger") else "notice"
 
 
-def _is_same(one: Event, other: Event) -> bool:
+def _is_same(one: ReportedEvent, other: ReportedEvent) -> bool:
     told = (one.kind, one.source, one.code, one.text) == (other.kind, other.source, other.code, other.text)
     return told and other.wall - one.wall < AT_ONCE
 
 
 def _is_committed(row: JournalRow) -> bool:
-    """Whether the row says in which states the branches are; an intent says in which they may end."""
+    """Return whether the row says in which states the branches are; an intent says in which they may end."""
     return row.states is not None and row.kind != "intent"
 
 
-def _merged(entries: Iterable[Entry]) -> Iterator[Entry]:
+def _merged(entries: Iterable[TimelineEntry]) -> Iterator[TimelineEntry]:
     """The same in a row as one."""
-    last: Entry | None = None
+    last: TimelineEntry | None = None
     for entry in entries:
         if last is not None and (last.what, last.who, last.outcome, last.state, last.text) == (
             entry.what,
@@ -501,8 +501,8 @@ def _merged(entries: Iterable[Entry]) -> Iterator[Entry]:
         yield last
 
 
-def _entry(stored: StoredRow, *, what: str, outcome: str, text: str, state: str = "") -> Entry:
-    return Entry(
+def _entry(stored: StoredRow, *, what: str, outcome: str, text: str, state: str = "") -> TimelineEntry:
+    return TimelineEntry(
         sequence=stored.sequence,
         wall=stored.row.wall,
         what=what,

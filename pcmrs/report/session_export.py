@@ -29,7 +29,7 @@ VERIFICATION, VERSIONS, README = "verification.json", "versions.json", "README.t
 CALIBRATION = "calibration"
 
 
-class Exported(Message, frozen=True, kw_only=True, omit_defaults=False):
+class ExportReport(Message, frozen=True, kw_only=True, omit_defaults=False):
     """What was exported.
 
     Attributes:
@@ -71,8 +71,8 @@ class _Session:
 
 def export_session(
     settings: Settings, journal: Path, session: str | None, folder: Path, progress: Progress
-) -> Exported:
-    """Copies journal, recordings, calibrations and configuration of a session, and verifies the journal's copy.
+) -> ExportReport:
+    """Copy journal, recordings, calibrations and configuration of a session, and verifies the journal's copy.
 
     Args:
         settings: Of the cell, as it is configured now.
@@ -103,7 +103,7 @@ def export_session(
     _write_json(folder / VERSIONS, {"session": found.versions, "export": _versions()})
     _copy_all({path.name: path for path in recordings}, folder / FOLDER, progress)
     _copy_all(calibrations, folder / CALIBRATION, progress)
-    exported = Exported(
+    exported = ExportReport(
         folder=str(folder),
         session=found.row.session_id,
         begun=found.row.wall,
@@ -166,7 +166,7 @@ def _versions() -> dict[str, str]:
     return {"pcmrs": version("pcmrs"), "python": platform.python_version()}
 
 
-def _readme(exported: Exported, calibration: str) -> str:
+def _readme(exported: ExportReport, calibration: str) -> str:
     lost = "\n".join(f"- {line}" for line in exported.missing) or "- nothing"
     sound = "sound" if not exported.problems else f"NOT SOUND: {'; '.join(exported.problems)}"
     return f"""Session {exported.session} of a cell of PCMRS: research software, not a medical device.

@@ -37,7 +37,7 @@ beside this folder.
 
 
 def make_folder(folder: Path) -> None:
-    """Makes the folder, or takes one that is empty.
+    """Make the folder, or takes one that is empty.
 
     Raises:
         ConfigurationError: There is something in it, or it is no folder.
@@ -50,7 +50,7 @@ def make_folder(folder: Path) -> None:
 
 
 def write_journal(source: Path, folder: Path) -> None:
-    """Copies a journal, also one that is being written, with its head, and writes it as one row of JSON per line.
+    """Copy a journal, also one that is being written, with its head, and writes it as one row of JSON per line.
 
     Raises:
         JournalError: It cannot be read or copied.

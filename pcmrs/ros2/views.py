@@ -9,7 +9,7 @@ from pycdr2 import IdlStruct
 
 from pcmrs.clock import Clock
 from pcmrs.messages import BodyPose, JointState, PoseMessage, Snapshot, Target
-from pcmrs.recording.chain import Chain, Link, Mounting
+from pcmrs.recording.frame_tree import FrameTree, Link, Mounting
 from pcmrs.ros2 import cdr
 from pcmrs.ros2.poses import Stamps
 from pcmrs.ros2.topics import JOINT_STATES, STATE, TF, TF_STATIC, Topic, pose_topic
@@ -22,7 +22,7 @@ class Views:
     """Translates what is heard.
 
     Frames hang from the tracker: the bodies that it sees, and the arm by its base, which is worked out whenever the
-    arm stands and the coil is seen; see `pcmrs.recording.chain`. The arm's frames go out with its joints, and the image
+    arm stands and the coil is seen; see `pcmrs.recording.frame_tree`. The arm's frames go out with its joints, and the image
     with the reference, for as long as there is a registration: what is not known any more grows old for all who look.
 
     Args:
@@ -33,7 +33,7 @@ class Views:
         rate: Seconds of that clock per second of the machine.
     """
 
-    def __init__(self, names: Sequence[str], chain: Chain, mounting: Mounting, clock: Clock, rate: float) -> None:
+    def __init__(self, names: Sequence[str], chain: FrameTree, mounting: Mounting, clock: Clock, rate: float) -> None:
         self._names = [*names]
         self._chain = chain
         self._mounting = mounting

@@ -19,11 +19,11 @@ from pcmrs.bus.seal import Seal, new_key
 from pcmrs.clock import SystemClock
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose, JointState
-from pcmrs.recording.chain import Mounting
+from pcmrs.recording.frame_tree import Mounting
 from pcmrs.recording.series import Limits, files_of
 from pcmrs.recording.subscriber import Subscriber
 from pcmrs.recording.topics import TOPICS
-from pcmrs.recording.views import Views
+from pcmrs.recording.views import RecordingViews
 from pcmrs.recording.writer import PERIOD, RecordingPlan, RecordingReport, RecordingWriter
 from pcmrs.testing.daemon import free_port
 from pcmrs.workflows.settings import CalibrationSettings
@@ -84,7 +84,7 @@ async def recording(
     bus = await Bus.open(router, Seal(key))
     try:
         tap = await Subscriber.open(msgspec.structs.replace(router, mode="client"), topics, clock, Seal(key))
-        work = Recording(bus, tap, RecordingWriter(plan, Views(ARM, MOUNTING, 1.0), clock))
+        work = Recording(bus, tap, RecordingWriter(plan, RecordingViews(ARM, MOUNTING, 1.0), clock))
         try:
             yield work
         finally:

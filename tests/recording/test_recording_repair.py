@@ -30,7 +30,7 @@ from pcmrs.recording.raw import encode
 from pcmrs.recording.reader import RecordingReader
 from pcmrs.recording.repair import repair
 from pcmrs.recording.subscriber import RawSample
-from pcmrs.recording.views import Views
+from pcmrs.recording.views import RecordingViews
 from pcmrs.testing.daemon import free_port
 
 MAGIC = 8
@@ -43,7 +43,7 @@ SPACING = 10**6
 
 def written(path: Path) -> list[bytes]:
     """Writes a recording of a few chunks; returns the payloads in order."""
-    topics, views, noise = Topics(), Views(ARM, MOUNTING, 1.0), random.Random(1)
+    topics, views, noise = Topics(), RecordingViews(ARM, MOUNTING, 1.0), random.Random(1)
     file = RecordingFile(path, topics, {"cell": "x"})
     payloads = []
     for number in range(MESSAGES):

@@ -64,7 +64,7 @@ class Mounting:
         ]
 
 
-class Chain:
+class FrameTree:
     """Joins the arm to the tracker.
 
     Args:
