@@ -103,10 +103,10 @@ def recorder(settings: BusSettings, seconds: float, results: Connection) -> None
 
 async def _record(settings: BusSettings, seconds: float, file: Path) -> dict[str, float]:
     clock, ended = SystemClock(), asyncio.Event()
-    tap = await Subscriber.open(settings, TOPICS, clock)
+    subscriber = await Subscriber.open(settings, TOPICS, clock)
     views = RecordingViews(ARM, Mounting.read(CalibrationSettings()), 1.0)
     writing = RecordingWriter(RecordingPlan(file, Limits(), {}, lambda: files_of(file)), views, clock)
-    work = asyncio.create_task(writing.run(tap, ended))
+    work = asyncio.create_task(writing.run(subscriber, ended))
     await clock.sleep(WARM)
     before, counted, size = time.process_time(), writing.messages, _size(file)
     await clock.sleep(seconds)
@@ -114,7 +114,7 @@ async def _record(settings: BusSettings, seconds: float, file: Path) -> dict[str
     written = _size(file) - size
     ended.set()
     report = await work
-    await tap.close()
+    await subscriber.close()
     return {
         "cpu_percent": 100 * used / seconds,
         "messages": counted,

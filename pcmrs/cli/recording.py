@@ -156,17 +156,17 @@ async def _record(
         when_input_ends(ended.set)
     mounting = Mounting.read(settings.procedure.calibration)
     views = RecordingViews(find_arm(settings.robot.model), mounting, settings.cell.rate)
-    tap = await Subscriber.open(settings.bus("client"), topics, clock, Seal(device_key) if device_key else None)
+    subscriber = await Subscriber.open(settings.bus("client"), topics, clock, Seal(device_key) if device_key else None)
     try:
         writer = RecordingWriter(plan, views, clock)
         with _status(writer, str(plan.first)) as shown:
             showing = asyncio.create_task(shown())
             try:
-                return await writer.run(tap, ended)
+                return await writer.run(subscriber, ended)
             finally:
                 showing.cancel()
     finally:
-        await tap.close()
+        await subscriber.close()
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""A recording on the bus again, under a prefix that is no cell's."""
+"""Playback of a recording on the bus, under a prefix that no cell uses."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     import zenoh
 
 SITE: Final = "replay"
-"""Recordings are played to cells of this site only, where no robot listens."""
+"""Site of all played cells: no robot subscribes to it."""
 
 _ASKING = 1.0
 _SECOND = 1_000_000_000
@@ -36,12 +36,12 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Excerpt:
-    """What of a recording is played, and how fast.
+    """Part of a recording to be played, and its speed.
 
     Attributes:
-        begin: s since the first message.
-        end: The same; None for all.
-        topics: Key expressions; none for all.
+        begin: Start, s since the first message.
+        end: End, s since the first message; None for the end of the recording.
+        topics: Key expressions of the topics; empty for all.
         rate: Seconds of the recording per second of the machine.
     """
 
@@ -52,14 +52,14 @@ class Excerpt:
 
 
 class PlaybackReport(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """What was played.
+    """Result of a playback.
 
     Attributes:
-        prefix: Where it was heard.
-        messages: How many.
-        duration: Of the recording from its first message to the last that was played, s.
-        lost_bytes: Of damaged files, that could not be read.
-        damage: What was wrong with them, one line for each.
+        prefix: Key prefix of the messages.
+        messages: Number of messages.
+        duration: Time from the recording's first message to the last one played, s.
+        lost_bytes: Number of bytes of damaged files that could not be read.
+        damage: Damage of the files, one line each.
     """
 
     prefix: str
@@ -70,10 +70,10 @@ class PlaybackReport(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class PlaybackPublisher:
-    """Publishes on the bus what files say. Use `PlaybackPublisher.open`.
+    """Publisher of recordings on the bus. Use `PlaybackPublisher.open`.
 
     Attributes:
-        prefix: Under which the keys lie.
+        prefix: Prefix of all keys.
     """
 
     def __init__(self, session: zenoh.Session, prefix: str, clock: Clock) -> None:
@@ -84,15 +84,15 @@ class PlaybackPublisher:
 
     @classmethod
     async def open(cls, endpoint: str, name: str, clock: Clock) -> PlaybackPublisher:
-        """Join the bus, if nobody there is a daemon by that name.
+        """Connect to the bus, unless a daemon runs under the prefix.
 
         Args:
-            endpoint: Of a running daemon's bus, or of another router.
-            name: Of the cell that is played: its prefix is ``pcmrs/replay/<name>``.
-            clock: Of the machine.
+            endpoint: Endpoint of a running daemon's bus, or of another router.
+            name: Name of the played cell; the prefix is ``pcmrs/replay/<name>``.
+            clock: Clock of the machine.
 
         Raises:
-            BusError: Nobody answers at the endpoint.
+            BusError: There is no answer at the endpoint.
             PayloadError: The name cannot be a part of a key.
             ConfigurationError: A daemon runs under that prefix.
         """
@@ -106,33 +106,33 @@ class PlaybackPublisher:
         return player
 
     async def play(self, files: Sequence[Path], excerpt: Excerpt, progress: Progress) -> PlaybackReport:
-        """Publish the messages of all files at the times at which they came.
+        """Publish the messages of all files with their original timing.
 
         Args:
-            files: Of one recording, oldest first; of damaged ones, what can be read.
-            excerpt: What of it.
-            progress: Told the file, how many bytes have been played, and of how many.
+            files: Files of one recording, oldest first; a damaged one is played as far as it can be read.
+            excerpt: Part to be played, and its speed.
+            progress: Callback for the file name, the number of bytes played, and their total.
 
         Raises:
-            FileFormatError: One is no recording of PCMRS.
-            ConfigurationError: A topic is no key expression.
-            OSError: One cannot be read.
+            FileFormatError: A file is not a recording of PCMRS.
+            ConfigurationError: A topic is not a key expression.
+            OSError: A file cannot be read.
         """
-        wanted, readings = TopicFilter(excerpt.topics), [RecordingReader(path) for path in files]
-        total = sum(reading.size for reading in readings)
-        begun, count, last = self._clock.monotonic(), 0, 0.0
-        for since, heard, done, name in _timed(readings):
+        wanted, readers = TopicFilter(excerpt.topics), [RecordingReader(path) for path in files]
+        total = sum(reader.size for reader in readers)
+        started_at, count, last = self._clock.monotonic(), 0, 0.0
+        for since, sample, done, name in _timed(readers):
             if excerpt.end is not None and since > excerpt.end:
                 break
-            if since >= excerpt.begin and wanted(heard.key):
-                await self._wait_until(begun + (since - excerpt.begin) / excerpt.rate)
-                self._publish(heard)
+            if since >= excerpt.begin and wanted(sample.key):
+                await self._wait_until(started_at + (since - excerpt.begin) / excerpt.rate)
+                self._publish(sample)
                 count, last = count + 1, since
                 progress(name, done, total)
-        return self._told(readings, count, last)
+        return self._report(readers, count, last)
 
     async def close(self) -> None:
-        """Leave the bus."""
+        """Disconnect from the bus."""
         loop = asyncio.get_running_loop()
         await loop.run_in_executor(None, self._undeclare)
         await loop.run_in_executor(None, self._session.close)
@@ -140,20 +140,20 @@ class PlaybackPublisher:
     async def _wait_until(self, due: float) -> None:
         await self._clock.sleep(max(0.0, due - self._clock.monotonic()))
 
-    def _publish(self, heard: RawSample) -> None:
-        if heard.key not in self._publishers:
-            publisher = declare_publisher(self._session, f"{self.prefix}/{heard.key}", class_of(heard.key))
-            self._publishers[heard.key] = publisher
-        self._publishers[heard.key].put(heard.payload)
+    def _publish(self, sample: RawSample) -> None:
+        if sample.key not in self._publishers:
+            publisher = declare_publisher(self._session, f"{self.prefix}/{sample.key}", class_of(sample.key))
+            self._publishers[sample.key] = publisher
+        self._publishers[sample.key].put(sample.payload)
 
-    def _told(self, readings: Sequence[RecordingReader], count: int, duration: float) -> PlaybackReport:
-        damaged = [reading for reading in readings if reading.damage]
+    def _report(self, readers: Sequence[RecordingReader], count: int, duration: float) -> PlaybackReport:
+        damaged = [reader for reader in readers if reader.damage]
         return PlaybackReport(
             prefix=self.prefix,
             messages=count,
             duration=duration,
-            lost_bytes=sum(reading.size - reading.whole for reading in damaged),
-            damage=[f"{reading.path}: {reading.damage}" for reading in damaged],
+            lost_bytes=sum(reader.size - reader.whole for reader in damaged),
+            damage=[f"{reader.path}: {reader.damage}" for reader in damaged],
         )
 
     def _is_live(self) -> bool:
@@ -166,28 +166,28 @@ class PlaybackPublisher:
             publisher.undeclare()
 
 
-def _timed(readings: Sequence[RecordingReader]) -> Iterator[tuple[float, RawSample, int, str]]:
-    """Messages in order: s since the first, the message, bytes read of all files until then, and the file's name."""
+def _timed(readers: Sequence[RecordingReader]) -> Iterator[tuple[float, RawSample, int, str]]:
+    """Yield time since the first message, s, the message, bytes read of all files until then, and the file's name."""
     first_ns, before = None, 0
-    for reading in readings:
-        for at_ns, heard in reading.bus_messages():
+    for reader in readers:
+        for at_ns, sample in reader.bus_messages():
             first_ns = at_ns if first_ns is None else first_ns
-            yield (at_ns - first_ns) / _SECOND, heard, before + reading.whole, reading.path.name
-        before += reading.size
+            yield (at_ns - first_ns) / _SECOND, sample, before + reader.whole, reader.path.name
+        before += reader.size
 
 
 def read_cell_name(path: Path) -> str:
-    """Name of the cell that a recording is of.
+    """Return the name of the recorded cell.
 
     Raises:
-        FileFormatError: The file does not say; it is no recording of PCMRS.
-        OSError: It cannot be read.
+        FileFormatError: The file does not name it: it is not a recording of PCMRS.
+        OSError: The file cannot be read.
     """
-    reading = RecordingReader(path)
-    for _ in reading.records():
-        if reading.origin:
+    reader = RecordingReader(path)
+    for _ in reader.records():
+        if reader.origin:
             break
-    if "cell" not in reading.origin:
+    if "cell" not in reader.origin:
         text = f"{path} does not say which cell it is of: it is no recording of pcmrs record, or was cut at its start."
         raise FileFormatError(text, file=str(path))
-    return reading.origin["cell"]
+    return reader.origin["cell"]

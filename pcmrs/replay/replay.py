@@ -1,4 +1,4 @@
-"""Replaying a whole journal: every run of the daemon in it is decided anew and compared."""
+"""Replay of a whole journal: each run of the daemon is decided again and compared."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ SHOWN_EVERY = 100
 
 
 class ReplayReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
-    """What a replay came to.
+    """Result of a replay.
 
     Attributes:
-        rows: In the journal.
-        compared: Of these, what dispatchers decided.
-        runs: Of the daemon.
-        answered: Commands for which the journal said what came of the world; all others were decided by arguments, data
-            and settings alone.
-        differences: In order; empty where everything was decided as it was.
-        rows_per_second: How quick it was.
+        rows: Number of rows of the journal.
+        compared: Number of rows that dispatchers decided.
+        runs: Number of runs of the daemon.
+        answered: Number of commands that the journal answered in place of devices; all others were decided by
+            arguments, data and settings alone.
+        differences: Differences, in order; empty if all decisions are the same.
+        rows_per_second: Speed of the replay.
     """
 
     journal: str
@@ -55,25 +55,24 @@ class ReplayReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Fals
 
     @property
     def is_same(self) -> bool:
-        """True if every decision is the same."""
+        """True if all decisions are the same."""
         return not self.differences
 
 
 def replay(
     path: Path, clock: Clock, blueprint: Path | None = None, progress: ShowProgress | None = None
 ) -> ReplayReport:
-    """Decide a journal anew.
+    """Decide a journal again.
 
     Args:
-        path: The journal, or its export.
-        clock: To say how quick it was.
-        blueprint: The workflow to decide by, whatever the journal says; None for the one that it names, which has to be
-            as it was then.
-        progress: Called with rows done and all rows.
+        path: Journal, or its export.
+        clock: Clock that measures the speed.
+        blueprint: Blueprint to decide by; None for the workflow that the journal names, which must be unchanged.
+        progress: Callback for the number of rows done, and of all rows.
 
     Raises:
-        ReplayError: The journal cannot be replayed by this program.
-        JournalError: It cannot be read.
+        ReplayError: This program cannot replay the journal.
+        JournalError: The journal cannot be read.
     """
     runs = read_runs(path)
     return replay_runs(str(path), runs, _Workflows(path, blueprint).of, clock, progress)
@@ -86,18 +85,31 @@ def replay_runs(
     clock: Clock,
     progress: ShowProgress | None = None,
 ) -> ReplayReport:
-    """Decide runs of a daemon anew; see `replay`."""
-    begun, heritage = clock.monotonic(), CarryOver()
+    """Decide runs of a daemon again; see `replay`.
+
+    Args:
+        name: Name of the journal, for the report.
+        runs: Runs, in order.
+        workflow_of: Returns the workflow of a run.
+        clock: Clock that measures the speed.
+        progress: Callback for the number of rows done, and of all rows.
+
+    Raises:
+        ReplayError: This program cannot replay the runs.
+    """
+    started_at, carry_over = clock.monotonic(), CarryOver()
     differences: list[Difference] = []
     answered, total = 0, sum(len(run.rows) for run in runs)
     for run in runs:
         workflow = workflow_of(run.tag)
-        differences += heritage.begin(run, workflow)
+        differences += carry_over.begin(run, workflow)
         with asyncio.Runner(loop_factory=SimulatedLoop) as runner:
-            found, asked = runner.run(_replay_run(name, run, workflow, heritage, partial(_show, progress, total)))
-        answered += asked
+            found, from_journal = runner.run(
+                _replay_run(name, run, workflow, carry_over, partial(_show, progress, total))
+            )
+        answered += from_journal
         differences += found
-        heritage.end(run, workflow)
+        carry_over.end(run, workflow)
     return ReplayReport(
         journal=name,
         rows=total,
@@ -105,17 +117,17 @@ def replay_runs(
         runs=len(runs),
         answered=answered,
         differences=sorted(differences, key=lambda each: each.sequence),
-        rows_per_second=total / max(clock.monotonic() - begun, 1e-9),
+        rows_per_second=total / max(clock.monotonic() - started_at, 1e-9),
     )
 
 
 async def _replay_run(
-    name: str, run: DaemonRun, workflow: AnyWorkflow, heritage: CarryOver, show: Callable[[int], None]
+    name: str, run: DaemonRun, workflow: AnyWorkflow, carry_over: CarryOver, show: Callable[[int], None]
 ) -> tuple[list[Difference], int]:
     rows, cell = run.decided(), ReplayCell(_procedure_settings(name, run), run.calibration)
     access = (run.settings or {}).get("access", {})
-    player = JournalPlayer(heritage.inherited(workflow), cell, rows, lease_required=bool(access.get("identity")))
-    heritage.give_to(player.dispatcher, run)
+    player = JournalPlayer(carry_over.with_state(workflow), cell, rows, lease_required=bool(access.get("identity")))
+    carry_over.restore(player.dispatcher, run)
     differences: list[Difference] = []
     extra = 0
     for index, stored in enumerate(rows):
@@ -136,7 +148,7 @@ def _show(progress: ShowProgress | None, total: int, done: int) -> None:
 
 
 def _procedure_settings(name: str, run: DaemonRun) -> ProcedureSettings:
-    """The settings of the procedure that the run wrote, or else the workflow's defaults."""
+    """Return the procedure settings that the run journalled, or else the workflow's defaults."""
     try:
         if run.settings is None:
             return read_settings(None, [f"workflow={run.tag.id}"]).procedure
@@ -149,11 +161,11 @@ def _procedure_settings(name: str, run: DaemonRun) -> ProcedureSettings:
 
 
 class _Workflows:
-    """The workflows that a journal names.
+    """Workflows of the runs of a journal.
 
     Args:
-        journal: For the text of errors.
-        blueprint: The one to decide by instead.
+        journal: Journal, for the messages.
+        blueprint: Blueprint to decide by instead; None for the workflows that the journal names.
     """
 
     def __init__(self, journal: Path, blueprint: Path | None) -> None:
@@ -162,7 +174,7 @@ class _Workflows:
         self._known: dict[str, AnyWorkflow] = {}
 
     def of(self, tag: BlueprintTag) -> AnyWorkflow:
-        """The workflow of a run. Raises `ReplayError` where it is not the one of then, and none was given."""
+        """Return the workflow of a run. Raises `ReplayError` if it has changed since and no blueprint was given."""
         if tag.id not in self._known:
             self._known[tag.id] = self._open(tag)
         workflow = self._known[tag.id]
@@ -186,7 +198,11 @@ class _Workflows:
 
 
 def with_blueprint(workflow: str, blueprint: Path) -> AnyWorkflow:
-    """The workflow in a file; where that has no Python file beside it, with the code of the shipped one of its name.
+    """Return the workflow of a blueprint file; without a Python file beside it, with the code of the installed one.
+
+    Args:
+        workflow: Name of the installed workflow.
+        blueprint: Blueprint file.
 
     Raises:
         PcmrsError: There is no such workflow, or the blueprint is unsound.

@@ -22,8 +22,9 @@ class Views:
     """Translates what is heard.
 
     Frames hang from the tracker: the bodies that it sees, and the arm by its base, which is worked out whenever the
-    arm stands and the coil is seen; see `pcmrs.recording.frame_tree`. The arm's frames go out with its joints, and the image
-    with the reference, for as long as there is a registration: what is not known any more grows old for all who look.
+    arm stands and the coil is seen; see `pcmrs.recording.frame_tree`. The arm's frames go out with its joints, and the
+    image with the reference, for as long as there is a registration: what is not known any more grows old for all who
+    look.
 
     Args:
         names: Of the arm's joints, base to flange.

@@ -42,11 +42,11 @@ class Recording:
         bus: Where to say something.
     """
 
-    def __init__(self, bus: Bus, tap: Subscriber, recorder: RecordingWriter) -> None:
+    def __init__(self, bus: Bus, subscriber: Subscriber, recorder: RecordingWriter) -> None:
         self.bus = bus
         self._recorder = recorder
         self._ended = asyncio.Event()
-        self._task = asyncio.create_task(recorder.run(tap, self._ended))
+        self._task = asyncio.create_task(recorder.run(subscriber, self._ended))
 
     async def end(self) -> RecordingReport:
         """Ends the recording as Ctrl-C does."""
@@ -83,13 +83,13 @@ async def recording(
     key = new_key()
     bus = await Bus.open(router, Seal(key))
     try:
-        tap = await Subscriber.open(msgspec.structs.replace(router, mode="client"), topics, clock, Seal(key))
-        work = Recording(bus, tap, RecordingWriter(plan, RecordingViews(ARM, MOUNTING, 1.0), clock))
+        subscriber = await Subscriber.open(msgspec.structs.replace(router, mode="client"), topics, clock, Seal(key))
+        work = Recording(bus, subscriber, RecordingWriter(plan, RecordingViews(ARM, MOUNTING, 1.0), clock))
         try:
             yield work
         finally:
             await work.end()
-            await tap.close()
+            await subscriber.close()
     finally:
         await bus.close()
 
