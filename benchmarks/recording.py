@@ -30,12 +30,12 @@ from pcmrs.bus.settings import open_session
 from pcmrs.clock import SystemClock
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BlueprintTag, BodyPose, DeviceEvent, JointState, Snapshot
-from pcmrs.recording.chain import Mounting
-from pcmrs.recording.recorder import Plan, Recorder
+from pcmrs.recording.frame_tree import Mounting
 from pcmrs.recording.series import Limits, files_of
 from pcmrs.recording.subscriber import Subscriber
 from pcmrs.recording.topics import TOPICS
-from pcmrs.recording.views import Views
+from pcmrs.recording.views import RecordingViews
+from pcmrs.recording.writer import RecordingPlan, RecordingWriter
 from pcmrs.testing.daemon import free_port
 from pcmrs.workflows.settings import CalibrationSettings
 
@@ -103,10 +103,10 @@ def recorder(settings: BusSettings, seconds: float, results: Connection) -> None
 
 async def _record(settings: BusSettings, seconds: float, file: Path) -> dict[str, float]:
     clock, ended = SystemClock(), asyncio.Event()
-    tap = await Subscriber.open(settings, TOPICS, clock)
-    views = Views(ARM, Mounting.read(CalibrationSettings()), 1.0)
-    writing = Recorder(Plan(file, Limits(), {}, lambda: files_of(file)), views, clock)
-    work = asyncio.create_task(writing.run(tap, ended))
+    subscriber = await Subscriber.open(settings, TOPICS, clock)
+    views = RecordingViews(ARM, Mounting.read(CalibrationSettings()), 1.0)
+    writing = RecordingWriter(RecordingPlan(file, Limits(), {}, lambda: files_of(file)), views, clock)
+    work = asyncio.create_task(writing.run(subscriber, ended))
     await clock.sleep(WARM)
     before, counted, size = time.process_time(), writing.messages, _size(file)
     await clock.sleep(seconds)
@@ -114,7 +114,7 @@ async def _record(settings: BusSettings, seconds: float, file: Path) -> dict[str
     written = _size(file) - size
     ended.set()
     report = await work
-    await tap.close()
+    await subscriber.close()
     return {
         "cpu_percent": 100 * used / seconds,
         "messages": counted,

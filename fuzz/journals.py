@@ -16,7 +16,7 @@ import msgspec
 
 from fuzz.running import instrumented, run
 
-with instrumented("pcmrs.journal", "pcmrs.report.reading", "pcmrs.report.source"):
+with instrumented("pcmrs.journal", "pcmrs.report.reading", "pcmrs.report.session_journal", "pcmrs.report.source"):
     from pcmrs.errors import JournalError
     from pcmrs.journal import JournalReader, StoredRow, verify
     from pcmrs.journal.export import copy_journal, csv_lines, json_lines

@@ -16,13 +16,13 @@ from mcap.writer import CompressionType, Writer
 from fuzz.running import instrumented, run
 
 with instrumented("mcap", "pcmrs.recording", "pcmrs.console.playback", "pcmrs.console.cell_view_model"):
-    from pcmrs.console.playback import Playback, read_recorded
+    from pcmrs.console.playback import Playback, load_recording
     from pcmrs.errors import PcmrsError
     from pcmrs.fsm import parse_blueprint
     from pcmrs.recording import raw
     from pcmrs.recording.file import METADATA
-    from pcmrs.recording.playing import recorded_cell
-    from pcmrs.recording.reading import Reading
+    from pcmrs.recording.playback import read_cell_name
+    from pcmrs.recording.reader import RecordingReader
     from pcmrs.recording.repair import repair
 
 BLUEPRINT = parse_blueprint((Path(__file__).parents[1] / "pcmrs" / "workflows" / "ratms.toml").read_bytes())
@@ -39,9 +39,9 @@ def one(data: bytes) -> None:
     else:
         write(path, rest)
     with suppress(PcmrsError):
-        recorded_cell(path)
+        read_cell_name(path)
     with suppress(PcmrsError):
-        recorded = read_recorded([path], lambda _: None)
+        recorded = load_recording([path], lambda _: None)
         page = Playback(recorded, SETUP, BLUEPRINT)
         page.seek(recorded.duration / 2)
         page.seek(recorded.duration)
@@ -69,7 +69,7 @@ def mend(path: Path) -> None:
     mended.unlink(missing_ok=True)
     with suppress(PcmrsError):
         repaired = repair(path, mended)
-        again = Reading(mended)
+        again = RecordingReader(mended)
         count = sum(type(record).__name__ == "Message" for record in again.records())
         assert again.complete, again.damage
         assert count == repaired.messages

@@ -53,7 +53,7 @@ class Column(Generic[R]):
 
 
 def write_table(path: Path, columns: Sequence[Column[R]], rows: Iterable[R], **fields: Any) -> None:
-    """Writes a table and its sidecar, whose name ends in ``.json`` instead; both folders and files are new.
+    """Write a table and its sidecar, whose name ends in ``.json`` instead; both folders and files are new.
 
     Args:
         path: Ending in ``.tsv``, or ``.tsv.gz`` for a table that is packed.
@@ -71,7 +71,7 @@ def write_table(path: Path, columns: Sequence[Column[R]], rows: Iterable[R], **f
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Writes a sidecar, or another file of keys and values."""
+    """Write a sidecar, or another file of keys and values."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n")
 

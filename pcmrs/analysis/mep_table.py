@@ -54,7 +54,7 @@ SAMPLES: tuple[Column[Sample], ...] = (
 
 
 def write_meps(record: SessionRecord, dataset: Path) -> None:
-    """Writes table and signals into the folder of a derived dataset."""
+    """Write table and signals into the folder of a derived dataset."""
     name = f"sub-{subject_label(record)}"
     stem = f"{name}_task-{TASK}"
     settings = record.mep_settings

@@ -103,7 +103,7 @@ MARKERS: tuple[Column[Position], ...] = (
 
 
 def write_nibs(record: SessionRecord, dataset: Path) -> None:
-    """Writes the files of the proposal into a dataset's folder."""
+    """Write the files of the proposal into a dataset's folder."""
     name = f"sub-{subject_label(record)}"
     stem = f"{name}_task-{TASK}"
     folder = dataset / name / "nibs"

@@ -67,7 +67,7 @@ def placement_error(planned: Transform, measured: Transform, standoff: float) ->
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Recorded:
+class PlacementTrial:
     """A placement on record.
 
     Attributes:

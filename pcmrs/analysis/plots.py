@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pcmrs.analysis.placements import PlacementError, Recorded
+from pcmrs.analysis.placements import PlacementError, PlacementTrial
 from pcmrs.analysis.pose_log import seen
 from pcmrs.formats.pose_log import PoseLog
 from pcmrs.messages import Epoch
@@ -41,7 +41,7 @@ def new_figure(width: float = 10.0, height: float = 4.5) -> Figure:
 
 
 def save_png(figure: Figure, path: Path) -> None:
-    """Writes the figure as a PNG file. Raises `OSError` when that cannot be written."""
+    """Write the figure as a PNG file. Raises `OSError` when that cannot be written."""
     figure.savefig(path, format="png", dpi=DPI)
 
 
@@ -52,14 +52,14 @@ SMALLEST_EXTENT_MM = 10.0
 """Of targets that are one and the same."""
 
 
-def placement_figure(recorded: Sequence[Recorded], title: str) -> Figure:
+def placement_figure(trials: Sequence[PlacementTrial], title: str) -> Figure:
     """Two panels of one or more placements: both errors of each trial; error vectors at the targets, in the image."""
     figure = new_figure()
     figure.suptitle(title)
-    errors = [item.error for item in recorded]
+    errors = [item.error for item in trials]
     _draw_errors(figure.add_subplot(1, 2, 1), errors)
-    targets = np.array([item.placement.planned.translation for item in recorded])
-    rotations = [item.placement.measured.rotation for item in recorded]
+    targets = np.array([item.placement.planned.translation for item in trials])
+    rotations = [item.placement.measured.rotation for item in trials]
     vectors = np.array([rotation @ error.vector for rotation, error in zip(rotations, errors, strict=True)])
     _draw_vectors(figure.add_subplot(1, 2, 2, projection="3d"), targets * 1000.0, vectors * 1000.0)
     return figure
@@ -126,7 +126,7 @@ GRAY = "#777777"
 
 
 def draw_mep(file: Path, epochs: Sequence[Epoch], meps: Sequence[Mep], settings: MepSettings) -> None:
-    """Saves `mep_figure` as a PNG file. Raises `OSError` when that cannot be written."""
+    """Save `mep_figure` as a PNG file. Raises `OSError` when that cannot be written."""
     save_png(mep_figure(epochs, meps, settings), file)
 
 

@@ -16,7 +16,7 @@ FEWEST = 3
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Spread:
+class PoseJitter:
     """How a pose that should stand still moves; each (3,).
 
     Attributes:
@@ -49,7 +49,7 @@ class Track:
     missing: int
     identities: int
     frozen: int
-    spread: Spread | None
+    spread: PoseJitter | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ def analyse_track(name: str, poses: Sequence[Transform | None]) -> Track:
 
 
 def check_loop(log: PoseLog) -> LoopCheck | None:
-    """Compares body_tool with what the other two make of it; None where no sample has all three."""
+    """Compare body_tool with what the other two make of it; None where no sample has all three."""
     deviations = []
     for body_from_tool, tracker_from_body, tracker_from_tool in zip(
         *(seen(log.poses[row]) for row in ROWS), strict=True
@@ -99,12 +99,12 @@ def check_loop(log: PoseLog) -> LoopCheck | None:
     return LoopCheck(len(deviations), max_distance, max_angle)
 
 
-def _spread(samples: Floats, poses: list[Transform]) -> Spread:
+def _spread(samples: Floats, poses: list[Transform]) -> PoseJitter:
     mean_from_parent = mean_transform(poses).inverse()
     jitter, drift = _around_line(samples, np.array([pose.translation for pose in poses]))
     rotations = np.array([(mean_from_parent @ pose).rotvec for pose in poses])
     rotation_jitter, rotation_drift = _around_line(samples, rotations)
-    return Spread(jitter, rotation_jitter, drift, rotation_drift)
+    return PoseJitter(jitter, rotation_jitter, drift, rotation_drift)
 
 
 def _around_line(samples: Floats, values: Floats) -> tuple[Floats, Floats]:

@@ -153,7 +153,7 @@ class SessionRecord(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def simulated(self) -> bool:
-        """Whether any of it was simulated."""
+        """True if any of it was simulated."""
         return self.seed is not None
 
     def of_phase(self, phase: Phase) -> tuple[PulseRecord, ...]:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def draw_hunt(file: Path, hunt: MotorThresholdEstimator) -> None:
-    """Saves `hunt_figure` as a PNG file. Raises `OSError` when that cannot be written."""
+    """Save `hunt_figure` as a PNG file. Raises `OSError` when that cannot be written."""
     save_png(hunt_figure(hunt), file)
 
 

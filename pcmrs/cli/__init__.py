@@ -36,10 +36,10 @@ COMMANDS = {
     "node": "pcmrs.cli.serve:node",
     "serve": "pcmrs.cli.serve:serve",
     "router": "pcmrs.cli.router:router",
-    "record": "pcmrs.cli.record:record",
+    "record": "pcmrs.cli.recording:record",
     "ros2": "pcmrs.cli.ros2:ros2",
-    "repair": "pcmrs.cli.record:repair",
-    "play": "pcmrs.cli.play:play",
+    "repair": "pcmrs.cli.recording:repair",
+    "play": "pcmrs.cli.playback:play",
     "export-session": "pcmrs.cli.export_session:export_session",
     "report": "pcmrs.cli.report:report",
 }

@@ -15,7 +15,7 @@ from pcmrs.cli.running import EXIT_REJECTED, readable_errors
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the experiments.
-    from pcmrs.report.session_export import Exported
+    from pcmrs.report.session_export import ExportReport
 
 
 @click.command("export-session")
@@ -55,7 +55,7 @@ def export_session(
         sys.exit(EXIT_REJECTED)
 
 
-def _text(exported: Exported) -> str:
+def _text(exported: ExportReport) -> str:
     lines = [
         f"session {exported.session} in {exported.folder}: {exported.rows} rows of the journal, "
         f"{len(exported.recordings)} recording files, {len(exported.calibrations)} calibration files",

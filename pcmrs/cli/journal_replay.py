@@ -20,7 +20,7 @@ from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors
 
 if TYPE_CHECKING:
-    from pcmrs.replay import Replayed
+    from pcmrs.replay import ReplayReport
 
 LONG = 2000
 """Number of rows from which a replay takes long enough for a bar."""
@@ -64,7 +64,7 @@ def replay(
         sys.exit(EXIT_REJECTED)
 
 
-def _table(replayed: Replayed) -> RenderableType:
+def _table(replayed: ReplayReport) -> RenderableType:
     result = "all as recorded" if replayed.is_same else f"{len(replayed.differences)} differences"
     summary = escape(
         f"{replayed.journal}: {replayed.rows} rows of {replayed.runs} runs, {replayed.compared} repeated, {result}; "

@@ -14,7 +14,7 @@ from pcmrs.cli.running import readable_errors
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the analysis.
-    from pcmrs.analysis.placements import Recorded
+    from pcmrs.analysis.placements import PlacementTrial
 
 STANDOFF_MM = 10.0
 """Distance before the target at which the lab's placements are saved, mm."""
@@ -67,12 +67,12 @@ def _beginning(path: Path) -> bytes:
         return file.read(100)
 
 
-def _recorded(path: Path, standoff_mm: float | None) -> list[Recorded]:
-    from pcmrs.analysis.placements import Recorded
-    from pcmrs.cli.recorded import read_journal_placements
+def _trials(path: Path, standoff_mm: float | None) -> list[PlacementTrial]:
+    from pcmrs.analysis.placements import PlacementTrial
     from pcmrs.formats.pose_file import SUFFIXES, read_placements
     from pcmrs.formats.pose_log import ROWS
     from pcmrs.formats.reading import refuse
+    from pcmrs.report.session_journal import read_placements as read_journal_placements
 
     if _is_journal(path):
         return read_journal_placements(path, standoff_mm)
@@ -82,23 +82,23 @@ def _recorded(path: Path, standoff_mm: float | None) -> list[Recorded]:
             f"is neither a saved placement ({', '.join(SUFFIXES)}) nor a journal nor a pose log of rows {ROWS[0]}, ….",
         )
     standoff = (STANDOFF_MM if standoff_mm is None else standoff_mm) / 1000.0
-    return [Recorded(placement, standoff) for placement in read_placements(path)]
+    return [PlacementTrial(placement, standoff) for placement in read_placements(path)]
 
 
 def _show_placements(path: Path, standoff_mm: float | None, plot: Path | None, *, as_json: bool) -> None:
     from pcmrs.analysis.plots import placement_figure, save_png
-    from pcmrs.cli.recorded import placements_report, placements_tables
+    from pcmrs.cli.placement_reports import placements_report, placements_tables
 
-    recorded = _recorded(path, standoff_mm)
-    report = placements_report(path, recorded)
+    trials = _trials(path, standoff_mm)
+    report = placements_report(path, trials)
     if plot is not None:
-        save_png(placement_figure(recorded, f"Placements in {path.resolve().name}"), plot)
+        save_png(placement_figure(trials, f"Placements in {path.resolve().name}"), plot)
     print_report(report, placements_tables(report), as_json=as_json)
 
 
 def _show_pose_log(path: Path, plot: Path | None, *, as_json: bool) -> None:
     from pcmrs.analysis.plots import pose_log_figure, save_png
-    from pcmrs.cli.recorded import pose_log_report, pose_log_table
+    from pcmrs.cli.placement_reports import pose_log_report, pose_log_table
     from pcmrs.formats.pose_log import read_pose_log
 
     log = read_pose_log(path)

@@ -15,8 +15,8 @@ from pcmrs.console.feed import Feed
 from pcmrs.console.geometry import placement
 from pcmrs.console.planning.panel import PlanningPanel
 from pcmrs.console.playback import Playback
+from pcmrs.console.playback_bar import PlaybackBar, choose_recording
 from pcmrs.console.recordings import Recordings
-from pcmrs.console.replaying import ReplayBar, choose_recording
 from pcmrs.console.signals.panel import SignalsPanel
 from pcmrs.console.surfaces import Surfaces
 from pcmrs.console.texts import Texts, languages
@@ -89,7 +89,7 @@ class Page:
         self._trouble = ui.label().classes("w-full bg-red-2 q-pa-sm").props('data-testid="trouble"')
         if playback is not None:
             name, shown = playback
-            ReplayBar(shown, name, texts)
+            PlaybackBar(shown, name, texts)
         with ui.splitter(value=50).classes("w-full halves").props(f':horizontal="{IS_NARROW}"') as halves:
             with halves.before, ui.column().classes("w-full h-full gap-0 no-wrap"):
                 self._left(surfaces)
@@ -98,7 +98,7 @@ class Page:
         ui.timer(REFRESHED, self._refresh)
 
     @property
-    def _is_replay(self) -> bool:
+    def _is_playback(self) -> bool:
         return self._told is not self._feed
 
     def _header(self) -> None:
@@ -142,7 +142,7 @@ class Page:
     def _right(self, recordings: Recordings) -> None:
         texts, feed, setup = self._texts, self._feed, self._setup
         names = ["workflow", "planning", "signals", "session"]
-        if self._is_replay:
+        if self._is_playback:
             names.remove("planning")
         with ui.tabs().props("dense no-caps align=left") as tabs:
             for name in names:
@@ -151,7 +151,7 @@ class Page:
         with ui.tab_panels(tabs, value="workflow", animated=False, keep_alive=True).classes("w-full"):
             with ui.tab_panel("workflow").classes("p-1"):
                 self._workflow = WorkflowPanel(self._told, setup, self._blueprint, texts, self._asking)
-            if not self._is_replay:
+            if not self._is_playback:
                 with ui.tab_panel("planning").classes("p-1"):
                     self._planning = PlanningPanel(feed, setup, self._blueprint, texts, self._asking)
             with ui.tab_panel("signals").classes("p-1"):
@@ -195,11 +195,11 @@ class Page:
         texts = self._texts
         self._lease.set_text(texts("nobody_holds") if holder is None else texts("holds", user=holder))
         self._holding.set_text(texts("release" if holder == self._setup.user else "take"))
-        self._holding.set_visibility(not self._is_replay)
+        self._holding.set_visibility(not self._is_playback)
 
     def _possible(self, shown: Snapshot) -> dict[str, Choice]:
         choices = self._choices.all(shown, self._setup)
-        why_not = self._texts("only_replay") if self._is_replay else ""
+        why_not = self._texts("only_replay") if self._is_playback else ""
         if self._feed.client is None:
             why_not = self._feed.trouble
         return {name: replace(each, why_not=why_not or each.why_not) for name, each in choices.items()}

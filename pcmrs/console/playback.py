@@ -16,7 +16,7 @@ from pcmrs.fsm import Blueprint
 from pcmrs.messages import BodyPose, DeviceEvent, Epoch, JointState, Snapshot, Target, Verdict
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import ProcedureDataView, Setup
-from pcmrs.recording.reading import Reading
+from pcmrs.recording.reader import RecordingReader
 
 RATE_HZ = 10.0
 """Of joints and poses so many are kept: more than an eye follows, and an hour of them fits into memory."""
@@ -44,7 +44,7 @@ class Track:
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class LoadedRecording:
     """What was read of a recording.
 
     Attributes:
@@ -60,7 +60,7 @@ class Recorded:
     damage: str
 
 
-def read_recorded(files: Sequence[Path], progress: Callable[[float], None]) -> Recorded:
+def load_recording(files: Sequence[Path], progress: Callable[[float], None]) -> LoadedRecording:
     """Read a recording, thinned; takes a while, so not in an event loop.
 
     Args:
@@ -71,7 +71,7 @@ def read_recorded(files: Sequence[Path], progress: Callable[[float], None]) -> R
         FileFormatError: One is no recording of PCMRS, or nothing is in them.
         OSError: One cannot be read.
     """
-    readings = [Reading(path) for path in files]
+    readings = [RecordingReader(path) for path in files]
     total, before = sum(each.size for each in readings), 0
     tracks: dict[str, Track] = defaultdict(Track)
     first = last = None
@@ -85,7 +85,7 @@ def read_recorded(files: Sequence[Path], progress: Callable[[float], None]) -> R
     if first is None or last is None:
         raise FileFormatError(f"{files[0]} holds nothing that a cell has said.", file=str(files[0]))
     damage = "; ".join(f"{each.path.name}: {each.damage}" for each in readings if each.damage)
-    return Recorded(first / _SECOND, (last - first) / _SECOND, dict(tracks), damage)
+    return LoadedRecording(first / _SECOND, (last - first) / _SECOND, dict(tracks), damage)
 
 
 class Playback(CellViewModel):
@@ -104,7 +104,7 @@ class Playback(CellViewModel):
         FileFormatError: It is of another workflow, or another arm.
     """
 
-    def __init__(self, recorded: Recorded, setup: Setup, blueprint: Blueprint) -> None:
+    def __init__(self, recorded: LoadedRecording, setup: Setup, blueprint: Blueprint) -> None:
         super().__init__()
         self.recorded = recorded
         self.position = 0.0

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from nicegui import background_tasks
 
-from pcmrs.console.playback import Recorded, read_recorded
+from pcmrs.console.playback import LoadedRecording, load_recording
 from pcmrs.errors import PcmrsError
 from pcmrs.recording.series import recordings_in
 
@@ -26,7 +26,7 @@ class Recordings:
     def __init__(self, folder: Path | None) -> None:
         self._folder = folder
         self._name = ""
-        self._read: Recorded | None = None
+        self._read: LoadedRecording | None = None
         self._reading: asyncio.Task[None] | None = None
         self.progress = 0.0
         self.trouble = ""
@@ -35,7 +35,7 @@ class Recordings:
         """Newest first, where their names begin with their date."""
         return [] if self._folder is None else sorted(recordings_in(self._folder), reverse=True)
 
-    def get(self, name: str) -> Recorded | None:
+    def get(self, name: str) -> LoadedRecording | None:
         """One of `names`; None while it is being read, which begins now, and where that failed."""
         if name != self._name or self.trouble:
             if self._reading is not None:
@@ -55,7 +55,7 @@ class Recordings:
             self.trouble = f"There is no recording {name}."
             return
         try:
-            read = await asyncio.to_thread(read_recorded, files, self._tell)
+            read = await asyncio.to_thread(load_recording, files, self._tell)
         except (PcmrsError, OSError) as error:
             self.trouble = str(error)
         else:

@@ -18,8 +18,8 @@ from pcmrs.console.guard import Guard
 from pcmrs.console.page import Page
 from pcmrs.console.planning.files import LARGEST as LARGEST_UPLOAD
 from pcmrs.console.playback import Playback
+from pcmrs.console.playback_bar import refuse_recording, wait_for_recording
 from pcmrs.console.recordings import Recordings
-from pcmrs.console.replaying import refuse_recording, wait_for_recording
 from pcmrs.console.surfaces import Surfaces
 from pcmrs.console.texts import Texts
 from pcmrs.console.uploads import UploadLimit, keep_temporary_files

@@ -16,7 +16,7 @@ Joint = Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class EarlierDecision:
     """A command that was decided.
 
     Attributes:
@@ -63,7 +63,7 @@ class Recorder(Protocol):
             states: Joint state once everything that is being journalled is committed.
         """
 
-    def recall(self, source: str, command_id: str) -> Recorded | None:
+    def recall(self, source: str, command_id: str) -> EarlierDecision | None:
         """Return the record of a command that was decided, also in an earlier run of the daemon; None for a new one.
 
         It is called for every command, in the event loop: for a new one it must not wait for the disk.

@@ -13,7 +13,7 @@ from pcmrs.gateway.adapter import Core
 from pcmrs.gateway.commands import Action, Plan, Step
 from pcmrs.gateway.grammar import Request
 from pcmrs.gateway.outcome import Outcome, of_verdict
-from pcmrs.gateway.records import Records
+from pcmrs.gateway.pose_files import PoseFileWriter
 from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.gateway.streams import Streams
 from pcmrs.messages import Command
@@ -160,7 +160,7 @@ class Services:
     core: Core
     clock: Clock
     streams: Streams
-    records: Records
+    pose_files: PoseFileWriter
     refusals: RejectionLog
 
 
@@ -198,7 +198,7 @@ class CommandHandlers:
             Action.START_TIP: lambda request: self._done(request, services.streams.start_tip),
             Action.STOP_TIP: lambda request: self._done(request, services.streams.stop_tip),
             Action.SAVE_PLACEMENT: lambda request: lambda: self._save_placement(request),
-            Action.LOG_POSES: lambda request: self._done(request, services.records.log_poses),
+            Action.LOG_POSES: lambda request: self._done(request, services.pose_files.log_poses),
         }
 
     def prepare(self, request: Request, arrived: float) -> Outcome | Job:
@@ -353,7 +353,7 @@ class CommandHandlers:
         return self.accepted(request)
 
     async def _save_placement(self, request: Request) -> Outcome:
-        await self._services.records.save_placement()
+        await self._services.pose_files.save_placement()
         return self.accepted(request)
 
     def _state(self, request: Request) -> str:

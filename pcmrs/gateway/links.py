@@ -22,7 +22,7 @@ from pcmrs.gateway.auth.peers import SignedPeer
 from pcmrs.gateway.handlers import Services
 from pcmrs.gateway.intake import Counters, Intake
 from pcmrs.gateway.periodic_timer import kernel_beats
-from pcmrs.gateway.records import Records
+from pcmrs.gateway.pose_files import PoseFileWriter
 from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.gateway.settings import UNIX_NS, GatewayConfig, LinkConfig, PeerConfig
 from pcmrs.gateway.streams import Markers, Send, Streams
@@ -74,12 +74,12 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         stack.push_async_callback(tasks.close)
         stack.push_async_callback(jobs.close)
         streams = Streams(core, kernel_beats, config, await _open_sender(stack), tasks)
-        records = Records(core, clock, folder / RECORDS, tasks)
+        pose_files = PoseFileWriter(core, clock, folder / RECORDS, tasks)
         refusals = RejectionLog(core, clock, tasks)
         admission = None
         if config.peers:
             admission = _open_admission(stack, core, config, clock, folder / COUNTERS, refusals, tasks)
-        services = Services(uuid4().hex, core, clock, streams, records, refusals)
+        services = Services(uuid4().hex, core, clock, streams, pose_files, refusals)
         intake = Intake(services, jobs, config.unsigned_peers, admission)
         core.add_listener(intake)
         if config.markers.enabled:

@@ -1,4 +1,4 @@
-"""The durable decision log: what was asked, decided and reported, in order and without gaps."""
+"""The durable decision log: commands, decisions and device reports, in order and without gaps."""
 
 from pcmrs.journal.export import copy_journal
 from pcmrs.journal.journal import Journal

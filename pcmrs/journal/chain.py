@@ -1,9 +1,8 @@
-"""Following the hash chain through the rows as they lie in the file.
+"""The hash chain through the stored rows, and the message authentication code (MAC) of each row.
 
-A MAC for each row, so that rows after the head that a crash left are told from rows that were added without the key.
-
-Hashes alone do not show who wrote a row: anybody can compute them. Rows up to the one that the head names are proven by
-its signature; the MAC proves the ones after it, which the next start takes up.
+Hashes alone do not show who wrote a row: anyone can compute them. The signature of the head proves the rows up to the
+one that it names. After a crash, rows may follow it; their MACs show that they were written with the key and not added
+without it, and the next start adopts them.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF
 
 from pcmrs.errors import JournalError
-from pcmrs.journal.rows import START, JournalRow, Place, StoredRow, chain_hash, decode_row
+from pcmrs.journal.rows import START, JournalRow, RowPosition, StoredRow, chain_hash, decode_row
 from pcmrs.journal.schema import DATABASE_ERRORS, WITHOUT_MAC, version_of
 
 COLUMNS: Final = "sequence, body, previous_hash, hash"
@@ -30,14 +29,18 @@ REMEDY: Final = (
     "`pcmrs journal verify` says what is good, `pcmrs journal export --good-part` saves it; keep the files as they are "
     "and go on in another cell.folder."
 )
-"""What to do with a journal that is damaged."""
+"""Advice for a damaged journal."""
 
 
 def stored_row(path: Path, record: tuple[Any, ...]) -> StoredRow:
-    """The row of a record with `COLUMNS`.
+    """Return the row of a database record.
+
+    Args:
+        path: Journal file, for the message.
+        record: Values of `COLUMNS`.
 
     Raises:
-        JournalError: Its bytes do not have the hash that was recorded with them; the field ``sequence`` says which.
+        JournalError: The bytes do not match the hash that is stored with them; the field ``sequence`` names the row.
     """
     sequence, body, previous, own = record
     if not (isinstance(sequence, int) and sequence > 0 and all(isinstance(each, bytes) for each in record[1:])):
@@ -51,16 +54,16 @@ def stored_row(path: Path, record: tuple[Any, ...]) -> StoredRow:
     return StoredRow(sequence=sequence, row=row, previous_hash=previous, hash=own)
 
 
-def follow_chain(connection: sqlite3.Connection, path: Path, after: Place | int = START) -> Iterator[StoredRow]:
-    """All rows after a place, in order, each only when it is whole, the next in the chain, and found by its command.
+def follow_chain(connection: sqlite3.Connection, path: Path, after: RowPosition | int = START) -> Iterator[StoredRow]:
+    """Yield the rows after a position, in order, and check that each is whole, chained and found by its command.
 
     Args:
-        connection: To the journal.
-        path: Of the journal, for the texts.
-        after: The place from which the chain is followed; a sequence alone where its hash is taken on trust.
+        connection: Connection to the journal file.
+        path: Journal file, for the messages.
+        after: Position after which to start; a sequence alone to trust its hash.
 
     Raises:
-        JournalError: A row is missing, changed or unreadable; the field ``sequence`` says which.
+        JournalError: A row is missing, changed or unreadable; the field ``sequence`` names it.
     """
     expected, previous = (after, None) if isinstance(after, int) else (after.sequence, after.hash)
     query = f"SELECT {_ALL_COLUMNS} FROM journal WHERE sequence > ? ORDER BY sequence"  # noqa: S608  # constants
@@ -79,19 +82,26 @@ def follow_chain(connection: sqlite3.Connection, path: Path, after: Place | int 
         raise _damaged(path, expected + 1, f"cannot be read ({error})") from error
 
 
-def follow_files(files: Iterable[tuple[Path, sqlite3.Connection]], after: Place | int = START) -> Iterator[StoredRow]:
-    """All rows of several files after a place in the first of them; see `follow_chain`."""
+def follow_files(
+    files: Iterable[tuple[Path, sqlite3.Connection]], after: RowPosition | int = START
+) -> Iterator[StoredRow]:
+    """Yield the rows of several files; see `follow_chain`.
+
+    Args:
+        files: Path and connection of each file, in order.
+        after: Position in the first file after which to start.
+    """
     for path, connection in files:
         for stored in follow_chain(connection, path, after):
-            after = Place(stored.sequence, stored.hash)
+            after = RowPosition(stored.sequence, stored.hash)
             yield stored
 
 
-def starts_of(files: Sequence[tuple[Path, sqlite3.Connection]]) -> list[Place]:
-    """For each file the place after which its rows go on, which is the end of the file before it.
+def starts_of(files: Sequence[tuple[Path, sqlite3.Connection]]) -> list[RowPosition]:
+    """Return the position before the first row of each file, which is the end of the file before it.
 
     Raises:
-        JournalError: A file does not begin where the one before it ends.
+        JournalError: A file does not start where the one before it ends.
     """
     starts = [START]
     for (earlier, before), (path, connection) in pairwise(files):
@@ -104,16 +114,16 @@ def starts_of(files: Sequence[tuple[Path, sqlite3.Connection]]) -> list[Place]:
     return starts
 
 
-def _edge(path: Path, connection: sqlite3.Connection, query: str) -> Place:
+def _edge(path: Path, connection: sqlite3.Connection, query: str) -> RowPosition:
     try:
         found = connection.execute(query).fetchone()
     except DATABASE_ERRORS as error:
         raise _damaged(path, 0, f"cannot be read ({error})") from error
-    return START if found is None else Place(*found)
+    return START if found is None else RowPosition(*found)
 
 
 def _check_found(connection: sqlite3.Connection, path: Path, row: JournalRow, record: tuple[Any, ...]) -> None:
-    """The columns and indexes beside the row must lead to it: by them repeats and unfinished commands are found."""
+    """Require that the columns and indexes lead to the row: repeats and unfinished commands are found by them."""
     if record[4:] != (row.kind, row.source, row.command_id, row.branch, row.wall):
         raise _damaged(path, record[0], "is entered under other keys than its own")
     if row.command_id is None or row.source is None or row.kind not in ("intent", "outcome"):
@@ -134,17 +144,27 @@ _LABEL: Final = b"PCMRS journal row MAC 1"
 
 
 def mac_key(key: Ed25519PrivateKey) -> bytes:
-    """The key of the rows' MACs, derived from the private key that signs the head."""
+    """Return the key of the rows' MACs, derived from the private key that signs the head."""
     return HKDF(SHA256(), length=32, salt=None, info=_LABEL).derive(key.private_bytes_raw())
 
 
 def row_mac(key: bytes, own_hash: bytes) -> bytes:
-    """HMAC-SHA256 of a row's hash, which covers the row, its sequence and all rows before it."""
+    """Return the HMAC-SHA256 of a row's hash, which covers the row, its sequence and all rows before it.
+
+    Args:
+        key: Key from `mac_key`.
+        own_hash: Hash of the row.
+    """
     return hmac.digest(key, own_hash, "sha256")
 
 
 def first_without_mac(files: Iterable[tuple[Path, sqlite3.Connection]], after: int, key: bytes) -> int | None:
-    """Sequence of the first row after a sequence that does not have its MAC; None when all have theirs.
+    """Return the sequence of the first row without a valid MAC; None if all have one.
+
+    Args:
+        files: Path and connection of each file, in order.
+        after: Sequence after which rows are checked.
+        key: Key from `mac_key`.
 
     Raises:
         JournalError: A file cannot be read.

@@ -1,7 +1,4 @@
-"""Rows as lines of other formats.
-
-Copying a journal as database files without logs, with the head that belongs to it and the key that proves it.
-"""
+"""Export of a journal: rows as JSON or CSV, and a copy of the database files with its head and public key."""
 
 from __future__ import annotations
 
@@ -28,16 +25,14 @@ _TRIES: Final = 20
 
 
 def copy_journal(source: Path, target: Path) -> None:
-    """Copies a journal with all its files so that `verify` finds the copy as good as the original.
-
-    It may be written meanwhile.
+    """Copy a journal with all its files so that `verify` gives the same result; a daemon may be writing it.
 
     Args:
-        source: The journal.
-        target: Of the copy; the head and `journal.pub` are put beside it.
+        source: First file of the journal.
+        target: First file of the copy; the head and `journal.pub` are written beside it.
 
     Raises:
-        JournalError: It cannot be read or copied, or was written too fast for its head to be copied with it.
+        JournalError: The journal cannot be read or copied, or is written too fast to copy its head with it.
         OSError: The copy cannot be written.
     """
     for _ in range(_TRIES):
@@ -53,7 +48,7 @@ def copy_journal(source: Path, target: Path) -> None:
             head_path(target).write_bytes(head)
             state = read_head(head_path(target), public_key(target.parent / PUBLIC))
             named = state.head.place.sequence if state is not None and state.head is not None else None
-            # Where nobody writes, the two may differ as far as a crash has left them.
+            # Without a writer, head and rows may differ by what a crash left.
             if named == last or before == after:
                 return
     raise JournalError(f"{source} is written too fast to be copied with its head: try again.", path=str(source))
@@ -65,7 +60,7 @@ def _head_bytes(journal: Path) -> bytes | None:
 
 
 def _copy_database(source: Path, target: Path) -> tuple[int, int]:
-    """Returns the version and the last sequence of the copy."""
+    """Return the version and the last sequence of the copy."""
     version = last = 0
     try:
         for number, file in enumerate(journal_files(source), start=1):
@@ -101,18 +96,18 @@ CSV_COLUMNS: Final = (
     "blueprint",
     "hash",
 )
-"""Of a table: ``time`` is the wall's in UTC (ISO 8601), ``wall`` the same in Unix seconds, ``monotonic`` seconds of the
-cell's clock; arguments, states and result are JSON, the hash is hexadecimal."""
+"""Columns of the CSV export: ``time`` is UTC (ISO 8601), ``wall`` the same in Unix seconds, ``monotonic`` seconds of
+the cell's clock; arguments, states and result are JSON, the hash is hexadecimal."""
 
 
 def json_lines(rows: Iterable[StoredRow]) -> Iterator[str]:
-    """One row of JSON per line; bytes are in base64."""
+    """Yield a line of JSON for each row; bytes are in base64."""
     for stored in rows:
         yield msgspec.json.encode(stored).decode() + "\n"
 
 
 def csv_lines(rows: Iterable[StoredRow]) -> Iterator[str]:
-    """A line of `CSV_COLUMNS`, and one for each row; what a row does not have is empty."""
+    """Yield the line of `CSV_COLUMNS`, then a line for each row; missing values are empty."""
     yield _line(CSV_COLUMNS)
     for stored in rows:
         values = _values(stored)

@@ -1,4 +1,4 @@
-"""Group commit: one thread writes whatever waits, with one wait for the disk."""
+"""Group commit: one thread writes all queued rows in one transaction and waits for the disk once."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pcmrs.journal.soundness import LARGEST_GROUP
 from pcmrs.journal.writer import Encoded, JournalWriter
 
 MOST_WAITING: Final = 4096
-"""Rows that wait for the disk at most; what comes then is refused."""
+"""Largest number of rows that may wait for the disk; further rows are refused."""
 
 
 class _Waiting(NamedTuple):
@@ -28,14 +28,14 @@ class _Reopening(NamedTuple):
 
 
 class GroupCommit:
-    """Writes rows in a thread of its own, in the order in which they were queued.
+    """Writer of rows in its own thread, in the order in which they were queued.
 
     Args:
-        writer: Used by the thread only from now on.
-        failed: Called in the event loop of who has appended when the writer has failed.
+        writer: Journal writer; from now on only the thread may use it.
+        failed: Called in the caller's event loop after the writer has failed.
 
     Attributes:
-        waiting: Rows that are queued or being written.
+        waiting: Number of rows that are queued or being written.
     """
 
     def __init__(self, writer: JournalWriter, failed: Callable[[], None]) -> None:
@@ -51,11 +51,11 @@ class GroupCommit:
 
     @property
     def oldest_wait(self) -> float:
-        """How long the row that waits longest has waited, s of the machine; 0 when none waits."""
+        """Time that the oldest waiting row has waited, s of the machine; 0 if none waits."""
         return self._clock.monotonic() - self._since[0] if self._since else 0.0
 
     def append(self, rows: list[Encoded]) -> asyncio.Future[int]:
-        """Queues the rows; the future has the sequence of the last once the disk has them all.
+        """Queue the rows; the future returns the sequence of the last one when all are on the disk.
 
         Raises:
             JournalError: Too many rows wait already; nothing was queued.
@@ -74,13 +74,13 @@ class GroupCommit:
         return durable
 
     def reopen(self) -> asyncio.Future[int]:
-        """Has the thread reopen the journal after what is queued; see `JournalWriter.reopen`."""
+        """Queue a reopening of the journal after the queued rows; see `JournalWriter.reopen`."""
         reopened: asyncio.Future[int] = asyncio.get_running_loop().create_future()
         self._put(_Reopening(reopened))
         return reopened
 
     def close(self) -> None:
-        """Blocks until everything queued is written."""
+        """Block until all queued rows are written, and end the thread."""
         self._put(None)
         self._thread.join()
 
@@ -106,7 +106,7 @@ class GroupCommit:
                 return
 
     def _take_group(self) -> list[_Waiting]:
-        """All rows that are queued next, as far as one commit may hold them."""
+        """Take the next queued rows, as many as fit into one commit."""
         group: list[_Waiting] = []
         rows = 0
         while self._queue and isinstance(first := self._queue[0], _Waiting):
@@ -128,7 +128,7 @@ class GroupCommit:
         group[0].durable.get_loop().call_soon_threadsafe(self._settle, group, outcome)
 
     def _settle(self, group: list[_Waiting], outcome: int | JournalError) -> None:
-        """Tells every waiter its own last sequence, counted on from the last one before the group."""
+        """Give each waiter its own last sequence, counted from the last one before the group."""
         for rows, durable in group:
             self.waiting -= len(rows)
             self._since.popleft()
@@ -142,7 +142,7 @@ class GroupCommit:
             outcome = self._writer.reopen()
         except JournalError as error:
             outcome = error
-        except Exception as error:  # the thread has to outlive it: nothing would be committed any more
+        except Exception as error:  # without the thread, nothing would be committed any more
             outcome = JournalError(f"The journal could not be reopened: {error!r}.")
         reopened.get_loop().call_soon_threadsafe(_tell, reopened, outcome)
 

@@ -1,7 +1,7 @@
-"""The signed head: how far the journal goes, kept outside its database, so that a lost tail is seen.
+"""The signed head: the last row of the journal, stored outside its database, so that a lost tail is detected.
 
-A hash chain shows what was changed in it, but a chain that ends early is a whole chain. The head names the last row
-that may have been acknowledged, and is signed, so that nobody without the key can shorten the journal unseen.
+A hash chain shows changes inside it, but a chain that ends early is still valid. The head names the last row that may
+have been acknowledged. It is signed, so that without the key the journal cannot be shortened undetected.
 """
 
 from __future__ import annotations
@@ -17,42 +17,42 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 from pcmrs.errors import JournalError
 from pcmrs.files import write_durably
 from pcmrs.journal.keys import signed_by
-from pcmrs.journal.rows import START, Place
+from pcmrs.journal.rows import START, RowPosition
 
 _MAGIC: Final = b"PCMRSJH1"
 _SIGNED: Final = struct.Struct(">8sQQ32s")
 """Magic, counter, sequence and hash of the row."""
 _SIGNATURE: Final = 64
 _SLOT: Final = 4096
-"""The slots lie in sectors of their own: a torn write of one leaves the other whole."""
+"""Size of a slot, bytes. Each has its own sectors: a torn write of one leaves the other whole."""
 SLOTS: Final = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """What one slot says.
+    """Content of one slot.
 
     Attributes:
-        counter: Grows by one with every write.
-        place: The last row that may have been acknowledged.
+        counter: Number of the write, increased by one each time.
+        place: Position of the last row that may have been acknowledged.
     """
 
     counter: int
-    place: Place
+    place: RowPosition
 
     def pack(self, key: Ed25519PrivateKey) -> bytes:
-        """The bytes of a slot."""
+        """Return the signed bytes of a slot."""
         message = _SIGNED.pack(_MAGIC, self.counter, self.place.sequence, self.place.hash)
         return message + key.sign(message)
 
 
 @dataclass(frozen=True, slots=True)
 class HeadState:
-    """What the file of a head says.
+    """Content of a head file.
 
     Attributes:
-        head: The newest slot whose signature holds; None when there is none.
-        damaged: How many of the slots are not whole or not signed by the key.
+        head: Newest slot with a valid signature; None if there is none.
+        damaged: Number of slots that are incomplete or not signed by the key.
     """
 
     head: Head | None
@@ -60,15 +60,19 @@ class HeadState:
 
 
 def head_path(journal: Path) -> Path:
-    """Where the head of a journal is kept."""
+    """Return the path of a journal's head."""
     return journal.with_name(journal.name + ".head")
 
 
 def read_head(path: Path, key: Ed25519PublicKey) -> HeadState | None:
-    """The head in a file; None when there is no such file.
+    """Return the content of a head file; None if there is no such file.
+
+    Args:
+        path: Head file.
+        key: Public key that verifies it.
 
     Raises:
-        JournalError: It cannot be read.
+        JournalError: The file cannot be read.
     """
     try:
         content = path.read_bytes()
@@ -81,17 +85,29 @@ def read_head(path: Path, key: Ed25519PublicKey) -> HeadState | None:
     return HeadState(max(whole, key=lambda head: head.counter, default=None), SLOTS - len(whole))
 
 
-def begin_head(path: Path, key: Ed25519PrivateKey, place: Place = START) -> None:
-    """Makes the file of a head, with both slots. Raises `OSError`."""
+def begin_head(path: Path, key: Ed25519PrivateKey, place: RowPosition = START) -> None:
+    """Create a head file with both slots.
+
+    Args:
+        path: Head file.
+        key: Private key that signs it.
+        place: Position of the last row.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
     slots = [Head(counter, place).pack(key).ljust(_SLOT, b"\0") for counter in range(SLOTS)]
     write_durably(path, b"".join(slots), mode=0o644)
 
 
 class HeadFile:
-    """Writes the head of a journal that is open for writing; nobody else may write it meanwhile.
+    """The head of a journal that is open for writing; it locks the journal against other writers.
 
     Args:
-        durable: Whether a write waits until the disk has it.
+        path: Head file.
+        key: Private key that signs it.
+        head: Present content.
+        durable: True to wait at each write until it is on the disk.
 
     Raises:
         JournalError: Another process writes this journal, or the file cannot be opened.
@@ -106,7 +122,7 @@ class HeadFile:
         except OSError as error:
             raise JournalError(f"{path} cannot be written: {error.strerror}.", path=str(path)) from error
         try:
-            import fcntl  # who only reads a journal does so on Windows, too
+            import fcntl  # not on Windows, where journals can be read but not written
 
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -114,8 +130,12 @@ class HeadFile:
             text = f"Another process writes the journal of {path}: stop it, or give another cell.folder."
             raise JournalError(text, path=str(path)) from error
 
-    def write(self, place: Place) -> None:
-        """Names the last row, in the slot that is older. Raises `OSError`."""
+    def write(self, place: RowPosition) -> None:
+        """Write the position of the last row into the older slot.
+
+        Raises:
+            OSError: The file cannot be written.
+        """
         head = Head(self._counter + 1, place)
         slot = head.pack(self._key)
         written = os.pwrite(self._descriptor, slot, head.counter % SLOTS * _SLOT)
@@ -126,7 +146,7 @@ class HeadFile:
         self._counter = head.counter
 
     def close(self) -> None:
-        """Lets others write; closing again does nothing."""
+        """Release the lock; a second call does nothing."""
         if self._descriptor >= 0:
             os.close(self._descriptor)
         self._descriptor = -1
@@ -137,4 +157,4 @@ def _unpack(slot: bytes, key: Ed25519PublicKey) -> Head | None:
     if len(signature) != _SIGNATURE or not signed_by(key, signature, message):
         return None
     magic, counter, sequence, own = _SIGNED.unpack(message)
-    return Head(counter, Place(sequence, own)) if magic == _MAGIC else None
+    return Head(counter, RowPosition(sequence, own)) if magic == _MAGIC else None

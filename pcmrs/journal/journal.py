@@ -1,4 +1,4 @@
-"""The journal of a running daemon: append, and wait until it is durable."""
+"""The journal of a running daemon: append rows, and wait until they are durable."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from pcmrs.journal.writer import JournalWriter
 
 
 class Journal:
-    """Append-only SQLite files of facts, chained by hashes, with a signed head beside them. Use `Journal.open`.
+    """Append-only SQLite files of rows, chained by hashes, with a signed head beside them. Use `Journal.open`.
 
     Attributes:
-        reader: Reads what has been committed.
+        reader: Reader of the committed rows.
     """
 
     def __init__(self, writer: JournalWriter, reader: JournalReader, *, durable: bool) -> None:
@@ -32,55 +32,56 @@ class Journal:
 
     @classmethod
     def open(cls, path: Path, *, durable: bool = True, largest: float = LARGEST) -> Journal:
-        """Opens the journal, or makes it with its head and, in a new folder, the key pair that signs it.
+        """Open the journal, or create it with its head and, in a new folder, the key pair that signs it.
 
         Args:
-            path: Of the first file; its folder exists.
-            durable: True: a thread commits, and an append ends when the disk has it. False, for simulated
-                time and benchmarks: an append commits at once in the calling thread and survives a kill,
-                but not a power cut.
-            largest: Size beyond which the journal goes on in a new file, bytes.
+            path: First file. Its folder must exist.
+            durable: True to commit in a thread; an append then ends when the rows are on the disk. False, for
+                simulated time and benchmarks, to commit at once in the calling thread: rows survive a kill of the
+                process, but not a power cut.
+            largest: Size beyond which the journal continues in a new file, bytes.
 
         Raises:
-            JournalError: The file cannot be opened, is no journal or one of another version, is open elsewhere,
-                or does not hold all that its signed head names. Nothing in it was changed then.
+            JournalError: The file cannot be opened, is not a journal or has another version, is open elsewhere,
+                or does not hold all rows that its signed head names. Nothing in it was changed.
         """
         writer = JournalWriter(path, durable=durable, largest=largest)
         return cls(writer, JournalReader(path), durable=durable)
 
     @property
     def broken(self) -> JournalError | None:
-        """Why nothing can be appended any more, until `reopen` succeeds."""
+        """Reason why nothing can be appended until `reopen` succeeds; None if the journal works."""
         return self._writer.error
 
     def on_failure(self, callback: Callable[[JournalError], object]) -> None:
-        """Has `callback` called when the journal cannot be written any more, also where no row is there to tell of it.
+        """Register a callback for a failure of the journal, also for one that no append reports.
 
-        A log that cannot be carried over into the database is found after the rows in it are acknowledged.
+        SQLite moves its write-ahead log into the database after the rows in it are acknowledged: an error there
+        belongs to no append.
         """
         self._failure_listeners.append(callback)
 
     @property
     def waiting(self) -> int:
-        """Rows that wait for the disk."""
+        """Number of rows that wait for the disk."""
         return 0 if self._group is None else self._group.waiting
 
     @property
     def oldest_wait(self) -> float:
-        """How long the oldest of them has waited, s of the machine; 0 when none waits."""
+        """Time that the oldest of them has waited, s of the machine; 0 if none waits."""
         return 0.0 if self._group is None else self._group.oldest_wait
 
     def append(self, rows: Sequence[JournalRow]) -> asyncio.Future[int]:
-        """Commits the rows together, after all earlier ones.
+        """Commit the rows together, after all earlier ones.
 
         Returns:
-            To be awaited: the sequence of the last row, once the rows are durable.
+            Future of the sequence of the last row, done when the rows are durable.
 
         Raises:
-            JournalError: At once: a row is not plain data, there are too many, too many wait for the disk, or the
-                journal is closed or `broken`; nothing was written. When awaited: they could not be written; the
-                error's field ``sequence`` is the one that the last row would have, or None when nothing was tried.
-                Whether they are durable nevertheless, `reopen` finds out.
+            JournalError: At once: a row is not plain data, there are too many rows, too many wait for the disk, or
+                the journal is closed or `broken`; nothing was written. From the future: the rows could not be
+                written; the field ``sequence`` is the one that the last row would have, or None if no write was
+                tried. `reopen` finds out whether they are durable nevertheless.
         """
         if self._closed:
             raise JournalError("The journal is closed: nothing can be appended.")
@@ -101,31 +102,31 @@ class Journal:
         return committed
 
     async def reopen(self) -> int:
-        """After a failed write: reads what the disk really has, and goes on from there.
+        """Continue after a failed write from what is really on the disk.
 
         Returns:
-            The sequence of the last row on the disk. An append that failed with a larger one in its error's field
-            ``sequence``, or with None, is not durable; one with a smaller or the same is.
+            Sequence of the last row on the disk. An append whose error has a larger one in its field ``sequence``,
+            or None, is not durable; one with a smaller or equal one is.
 
         Raises:
-            JournalError: Rows that were acknowledged are lost, or the journal still cannot be written; it stays
-                `broken`, and may be reopened again.
+            JournalError: Acknowledged rows are lost, or the journal still cannot be written; it stays `broken`, and
+                you may call this again.
         """
-        self.reader.close()  # its view of the log would outlive the failed write
+        self.reader.close()  # it would keep the log as it was before the failed write
         try:
             if self._group is None:
                 return self._writer.reopen()
             return await self._group.reopen()
         finally:
-            with suppress(JournalError):  # whoever reads hears of it
+            with suppress(JournalError):  # the next read reports it
                 self.reader.open()
 
     async def close(self) -> None:
-        """Waits until everything appended is durable, then closes the file."""
+        """Wait until all appended rows are durable, and close the file."""
         self._closed = True
         if self._group is not None:
             await asyncio.get_running_loop().run_in_executor(None, self._group.close)
-        self.reader.close()  # first, since the last one to close carries the log over, and a reader cannot
+        self.reader.close()  # first: the last connection to close empties the log, and a reader cannot
         self._writer.close()
 
     def _tell_of_failure(self) -> None:

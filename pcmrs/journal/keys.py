@@ -1,4 +1,4 @@
-"""The key pair that signs the journal's head: made with the first journal of a cell's folder."""
+"""The key pair that signs the journal's head, created with the first journal of a cell's folder."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ PRIVATE: Final = "journal.key"
 PUBLIC: Final = "journal.pub"
 
 _NO_KEY: Final = (ValueError, TypeError, UnsupportedAlgorithm, InternalError)
-"""What OpenSSL finds in bytes that are no key, depending on where they are damaged."""
+"""Errors that OpenSSL raises for bytes that are not a key, depending on the damage."""
 
 
 def signing_key(folder: Path, *, make: bool) -> Ed25519PrivateKey:
-    """The private key of the journals in `folder`; the public one lies beside it afterwards.
+    """Return the private key of the journals in a folder, and write the public key beside it if it is missing.
 
     Args:
-        folder: Of the journals.
-        make: Whether a pair is made where there is none.
+        folder: Folder of the journals.
+        make: True to create a pair if there is none.
 
     Raises:
-        JournalError: The key is missing, is none, does not fit the public one, or others may read it.
+        JournalError: The private key is missing, damaged, does not match the public key, or is readable by others.
     """
     path = folder / PRIVATE
     try:
@@ -42,10 +42,10 @@ def signing_key(folder: Path, *, make: bool) -> Ed25519PrivateKey:
 
 
 def public_key(path: Path) -> Ed25519PublicKey:
-    """Reads a public key in PEM.
+    """Read a public key in PEM.
 
     Raises:
-        JournalError: It is missing or no Ed25519 key.
+        JournalError: The file is missing or is not an Ed25519 key.
     """
     try:
         key = serialization.load_pem_public_key(path.read_bytes())
@@ -57,7 +57,13 @@ def public_key(path: Path) -> Ed25519PublicKey:
 
 
 def signed_by(key: Ed25519PublicKey, signature: bytes, message: bytes) -> bool:
-    """Whether the signature holds."""
+    """Return whether a signature is valid.
+
+    Args:
+        key: Public key of the signer.
+        signature: Signature, 64 bytes.
+        message: Bytes that were signed.
+    """
     try:
         key.verify(signature, message)
     except InvalidSignature:

@@ -1,23 +1,23 @@
-"""What the journal writes about itself: after a crash or a failure, and when it takes up an older version."""
+"""Rows that the journal writes about itself: after a crash or a failure, and when it adopts an older version."""
 
 from __future__ import annotations
 
 from pcmrs.clock import SystemClock
 from pcmrs.errors import JournalError
-from pcmrs.journal.rows import JournalRow, Place
+from pcmrs.journal.rows import JournalRow, RowPosition
 from pcmrs.journal.schema import HEADLESS, WITHOUT_MAC
-from pcmrs.journal.soundness import Found
+from pcmrs.journal.soundness import WritableJournal
 
 SOURCE = "journal"
 """Source of rows that the journal writes about itself."""
 CONTINUED = "continued"
-"""Of the first row of every file but the first."""
+"""Operation of the first row of each file but the first."""
 
 
-def note_rows(found: Found) -> list[JournalRow]:
-    """The rows that are still to be journalled about a file that was taken up.
+def note_rows(found: WritableJournal) -> list[JournalRow]:
+    """Return the rows to be journalled about what was found when the journal was opened.
 
-    They belong to the session of the row before them, and carry its time of the cell's clock, which is not running yet.
+    They belong to the session of the row before them and have its time of the cell's clock, which does not run yet.
     """
     rows = []
     if found.last is not None and found.version == HEADLESS:
@@ -35,21 +35,26 @@ def note_rows(found: Found) -> list[JournalRow]:
     return rows
 
 
-def reopened_rows(found: Found, why: JournalError | None) -> list[JournalRow]:
-    """The row that says that the journal was reopened after a failure; none where it has no row yet."""
+def reopened_rows(found: WritableJournal, why: JournalError | None) -> list[JournalRow]:
+    """Return the row that reports a reopening after a failure; none if the journal has no rows yet.
+
+    Args:
+        found: Journal as it was found on the disk.
+        why: The failure; None if it is unknown.
+    """
     if found.last is None:
         return []
     text = f"The journal was reopened, and what the disk has was read again. {why.text if why is not None else ''}"
     return [_note(found.last.row, "reopened", {"text": text.rstrip()})]
 
 
-def continued_row(before: JournalRow, earlier: str, place: Place) -> JournalRow:
-    """The row with which a new file continues an earlier one.
+def continued_row(before: JournalRow, earlier: str, place: RowPosition) -> JournalRow:
+    """Return the first row of a new file that continues an earlier one.
 
     Args:
-        before: The last row of that file.
-        earlier: Its name.
-        place: Of that row.
+        before: Last row of the earlier file.
+        earlier: Name of the earlier file.
+        place: Position of that row.
     """
     text = f"The journal has grown and goes on in this file, after row {place.sequence} of {earlier}."
     result = {"text": text, "earlier": earlier, "rows": place.sequence, "hash": place.hash.hex()}

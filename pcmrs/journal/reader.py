@@ -1,9 +1,8 @@
-"""Reading the journal: in order, filtered, and by command.
+"""Reader of a journal: in order, filtered, and by command.
 
-The files of one journal: the first, and those in which it goes on once that has grown.
-
-`ratms.sqlite` is followed by `ratms.sqlite.0002`. The first row of a later file continues the chain of hashes and names
-the file before it. An earlier file is not written any more, and stays where it is: repeats of commands are found in it.
+A journal that has grown continues in a new file: `ratms.sqlite` is followed by `ratms.sqlite.0002`. The first row of a
+later file continues the hash chain and names the file before it. Earlier files are not written any more but must stay:
+repeats of commands are found in them.
 """
 
 from __future__ import annotations
@@ -21,16 +20,21 @@ from pcmrs.journal.schema import DATABASE_ERRORS, last_sequence, open_for_readin
 from pcmrs.messages import Verdict
 
 LARGEST: Final = 256e6
-"""Size beyond which a journal goes on in a new file unless told otherwise, bytes: some 200,000 rows."""
+"""Default size beyond which a journal continues in a new file, bytes: about 200,000 rows."""
 
 
 def numbered(journal: Path, number: int) -> Path:
-    """The file of a journal with this number, from 1."""
+    """Return the path of one file of a journal.
+
+    Args:
+        journal: First file.
+        number: Number of the file, from 1.
+    """
     return journal if number == 1 else journal.with_name(f"{journal.name}.{number:04d}")
 
 
 def journal_files(journal: Path) -> list[Path]:
-    """All files of a journal in their order; the first, `journal` itself, need not be there when it is the only one.
+    """Return all files of a journal in order; `journal` itself is the first, and need not exist if it is the only one.
 
     Raises:
         JournalError: A file before the last one is missing.
@@ -51,17 +55,17 @@ _File = tuple[Path, sqlite3.Connection]
 
 
 class JournalReader:
-    """A read-only view of a journal with all its files, also while a daemon writes it.
+    """Read-only view of a journal with all its files, also while a daemon writes it.
 
     Args:
-        path: Of the first file.
+        path: First file of the journal.
 
     Attributes:
-        path: Of the first file; a second reader of it may work in another thread.
+        path: First file of the journal; a second reader of it may be used in another thread.
 
     Raises:
         JournalError: From the constructor: there is no such journal. From all methods: it cannot be read, or a row
-            does not have the hash that was recorded with it.
+            does not match its hash.
     """
 
     def __init__(self, path: Path) -> None:
@@ -86,17 +90,17 @@ class JournalReader:
         source: str | None = None,
         command_id: str | None = None,
     ) -> Iterator[StoredRow]:
-        """Rows in order of their sequence, those that fit all filters given.
+        """Yield the rows that match all given filters, in order of their sequence.
 
         Args:
-            after: Only rows with a larger sequence.
-            before: Only rows with a smaller one.
-            first: At most so many: the first ones, of the `last` ones when both are given.
-            last: At most so many: the last ones.
-            kind: Only this kind.
-            branch: Only of this branch.
-            source: Only from this source.
-            command_id: Only of this command.
+            after: Lower limit of the sequence, exclusive.
+            before: Upper limit of the sequence, exclusive.
+            first: Largest number of rows, counted from the start; with `last`, from the start of those.
+            last: Largest number of rows, counted from the end.
+            kind: Kind of the rows.
+            branch: Branch of the rows.
+            source: Source of the rows.
+            command_id: Id of the command.
         """
         wanted = {"kind": kind, "branch": branch, "source": source, "command_id": command_id}
         filters = {column: value for column, value in wanted.items() if value is not None}
@@ -112,20 +116,35 @@ class JournalReader:
         yield from islice(found, first)
 
     def verdict_of(self, source: str, command_id: str) -> Verdict | None:
-        """The recorded verdict on a command, so that a repeat runs nothing; None when there is none."""
+        """Return the journalled verdict on a command, so that a repeat runs nothing; None if there is none.
+
+        Args:
+            source: Source of the command.
+            command_id: Id of the command, unique for its source.
+        """
         outcome = self.outcome_of(source, command_id)
         return None if outcome is None else outcome.verdict
 
     def outcome_of(self, source: str, command_id: str) -> JournalRow | None:
-        """The row with the verdict on a command; None when there is none."""
+        """Return the row with the verdict on a command; None if there is none.
+
+        Args:
+            source: Source of the command.
+            command_id: Id of the command, unique for its source.
+        """
         return self._row_of("outcome", source, command_id)
 
     def intent_of(self, source: str, command_id: str) -> JournalRow | None:
-        """The row that was written before a command began; None when there is none."""
+        """Return the row that was written before a command started; None if there is none.
+
+        Args:
+            source: Source of the command.
+            command_id: Id of the command, unique for its source.
+        """
         return self._row_of("intent", source, command_id)
 
     def decided(self) -> Iterator[tuple[str, str]]:
-        """Source and id of every command that has a verdict."""
+        """Yield source and id of each command that has a verdict."""
         for path, connection in self._followed():
             try:
                 yield from connection.execute("SELECT source, command_id FROM journal WHERE kind = 'outcome'")
@@ -133,20 +152,20 @@ class JournalReader:
                 raise JournalError(f"{path} cannot be read: {error}.", path=str(path)) from error
 
     def read_whole(self) -> Iterator[StoredRow]:
-        """All rows, each only when it is whole and follows from the one before; a journal that is not ends in an error.
+        """Yield all rows, and check that each is whole and follows from the one before.
 
         Raises:
-            JournalError: Its field ``sequence`` is the first row that is bad.
+            JournalError: A row is bad; the field ``sequence`` names the first one.
         """
         return follow_files(self._followed())
 
     def last_sequence(self) -> int:
-        """Sequence of the last row; 0 when there is none."""
+        """Return the sequence of the last row; 0 if there is none."""
         path, newest = self._followed()[-1]
         return last_sequence(newest, path)
 
     def open(self) -> None:
-        """Opens the files again after `close`, as they are now."""
+        """Open the files; after `close`, as they are then."""
         self._files: list[_File] = []
         try:
             for path in journal_files(self.path):
@@ -156,12 +175,12 @@ class JournalReader:
             raise
 
     def close(self) -> None:
-        """Closes the files."""
+        """Close the files."""
         for _, connection in self._files:
             connection.close()
 
     def _followed(self) -> Sequence[_File]:
-        """All files in their order, with those in which the journal has gone on meanwhile."""
+        """Return all files in order, including new ones in which the journal continues."""
         while (path := numbered(self.path, len(self._files) + 1)).exists():
             self._files.append((path, open_for_reading(path)))
         return self._files
@@ -175,7 +194,7 @@ class JournalReader:
         return reversed(found)
 
     def _row_of(self, kind: Literal["intent", "outcome"], source: str, command_id: str) -> JournalRow | None:
-        # The kind is part of the text: only so does SQLite use the index of that kind.
+        # The kind is part of the text since SQLite uses the index of that kind only then.
         query = f"SELECT {COLUMNS} FROM journal WHERE kind = '{kind}' AND source = ? AND command_id = ?"  # noqa: S608  # ours
         for file in reversed(self._followed()):
             for stored in self._rows(file, query, (source, command_id)):

@@ -1,4 +1,4 @@
-"""What the journal holds, and the hash chain over it."""
+"""Rows of the journal and their hashes."""
 
 from __future__ import annotations
 
@@ -15,42 +15,42 @@ from pcmrs.messages.identity import Role
 Kind = Literal["intent", "outcome", "event", "device", "snapshot", "config"]
 
 Wall = Annotated[float, msgspec.Meta(ge=0.0, lt=2.5e11)]
-"""Unix seconds; until the year 9892, so that every reader can make a date of them."""
+"""Unix seconds until the year 9892, so that every reader can convert them into a date."""
 
 GENESIS: Final = bytes(32)
 """Previous hash of the first row."""
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """Where in the chain: a row's sequence and its hash."""
+class RowPosition:
+    """Position in the chain: sequence and hash of a row."""
 
     sequence: int
     hash: bytes
 
 
-START: Final = Place(0, GENESIS)
-"""Before the first row."""
+START: Final = RowPosition(0, GENESIS)
+"""Position before the first row."""
 
 
 class JournalRow(Message, frozen=True, kw_only=True):
-    """One fact, as handed to the journal.
+    """One row, before it has its sequence and hash.
 
     Attributes:
-        kind: ``intent`` before an operation's first step, ``outcome`` with its verdict, ``device`` for what
-            a device reported, ``event`` for what the daemon did by itself, ``snapshot``, ``config``.
-        command_id: Unique per source for intents, and for outcomes.
-        source: Who asked and which way, such as ``udp:planner:127.0.0.1``.
-        user: Who that was; None in rows of versions that did not ask.
-        role: What they may do; None likewise.
-        states: State of every branch afterwards.
+        kind: ``intent`` before an operation's first step, ``outcome`` with its verdict, ``device`` for a report of
+            a device, ``event`` for an action of the daemon itself, ``snapshot``, ``config``.
+        command_id: Id of the command, unique per source for intents, and for outcomes.
+        source: Sender and link, such as ``udp:planner:127.0.0.1``.
+        user: Identity of the sender; None in rows of versions without identities.
+        role: Role of the sender; None likewise.
+        states: State of each branch afterwards.
         result: Results of steps that later decisions depend on.
         parent: Id of the command whose step submitted this one.
         wall: Unix seconds.
         monotonic: Seconds of the cell's clock, comparable within one `boot_id` only.
-        boot_id: Of the machine's start.
-        session_id: Of the patient session.
-        blueprint: The workflow under which it was decided.
+        boot_id: Id of the machine's boot.
+        session_id: Id of the session.
+        blueprint: Workflow under which the row was decided.
     """
 
     kind: Kind
@@ -73,11 +73,11 @@ class JournalRow(Message, frozen=True, kw_only=True):
 
 
 _NO_DATA: Final = (TypeError, ValueError, OverflowError, RecursionError)
-"""What encoding raises where a value is not plain data."""
+"""Errors of encoding a value that is not plain data."""
 
 
 class StoredRow(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """A row as the journal holds it; `sequence` starts at 1 and has no gaps."""
+    """A row of the journal; `sequence` starts at 1 and has no gaps."""
 
     sequence: int
     row: JournalRow
@@ -86,10 +86,10 @@ class StoredRow(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 def encode_row(row: JournalRow) -> bytes:
-    """The row as canonical MessagePack: keys in alphabetical order at every level.
+    """Return a row as canonical MessagePack: keys in alphabetical order at each level.
 
     Raises:
-        JournalError: It holds a value that is not plain data.
+        JournalError: The row holds a value that is not plain data.
     """
     try:
         return msgspec.msgpack.encode(row, order="sorted")
@@ -101,14 +101,14 @@ def encode_row(row: JournalRow) -> bytes:
 
 
 def decode_row(body: bytes) -> JournalRow:
-    """The row that `encode_row` made.
+    """Return the row that `encode_row` encoded.
 
     Raises:
         JournalError: The bytes are not such a row.
     """
     try:
         row = msgspec.msgpack.decode(body, type=JournalRow, ext_hook=_refuse)
-        # MessagePack can hold more than plain data, such as keys that are no text: exports and reports cannot.
+        # MessagePack can hold more than plain data, such as keys that are not text: exports and reports cannot.
         msgspec.msgpack.encode(row, order="sorted")
         return row
     except (msgspec.DecodeError, UnicodeDecodeError, *_NO_DATA) as error:
@@ -120,5 +120,11 @@ def _refuse(code: int, _: memoryview) -> object:
 
 
 def chain_hash(previous: bytes, sequence: int, body: bytes) -> bytes:
-    """SHA-256 over the previous hash, the sequence (8 bytes, big-endian) and the encoded row."""
+    """Return the SHA-256 of the previous hash, the sequence (8 bytes, big-endian) and the encoded row.
+
+    Args:
+        previous: Hash of the row before, 32 bytes.
+        sequence: Sequence of the row.
+        body: Encoded row.
+    """
     return hashlib.sha256(previous + sequence.to_bytes(8, "big") + body).digest()

@@ -12,17 +12,17 @@ from pcmrs.files import publish
 from pcmrs.journal.rows import Kind
 
 HEADLESS: Final = 1
-"""The version that had no signed head."""
+"""Version without a signed head."""
 WITHOUT_MAC: Final = 2
-"""The last version whose rows had no MAC."""
+"""Last version whose rows had no MAC."""
 VERSION: Final = 3
 _HEADER: Final = 100
-"""Bytes with which every SQLite file begins."""
+"""Size of the header of an SQLite file, bytes."""
 LOCK_TIMEOUT: Final = 5.0
-"""How long a write waits while another process has the file locked, s."""
+"""Time that a write waits while another process has the file locked, s."""
 
-# `body` is the row; the columns before it only find it again. `mac` is written as SQLite adds a
-# column to an older table: an upgraded file has the same schema as a new one.
+# `body` is the row; the columns before it only serve to find it. `mac` is written as SQLite adds a
+# column to an older table: so an upgraded file has the same schema as a new one.
 _STATEMENTS: Final = {
     "journal": """CREATE TABLE journal (
     sequence INTEGER PRIMARY KEY,
@@ -49,21 +49,21 @@ _ADD_MAC: Final = ", mac BLOB"
 INSERT: Final = "INSERT INTO journal VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 
 Record = tuple[object, ...]
-"""A row as the table has it."""
+"""Values of a row of the table."""
 
 DATABASE_ERRORS: Final = (sqlite3.Error, UnicodeDecodeError)
-"""What reading a damaged database raises; the second where even SQLite's message quotes damaged text."""
+"""Errors of reading a damaged database; the second if SQLite's message itself quotes damaged text."""
 
 
 def make_database(path: Path, first: Record | None = None) -> None:
-    """Makes a file of a journal, which appears under its name only when it is whole.
+    """Create a journal file; it appears under its name only when it is complete.
 
     Args:
-        path: Of the file.
-        first: The row with which it continues an earlier file; None for the first file of a journal, which is empty.
+        path: Path of the file.
+        first: Row with which it continues an earlier file; None for the first file of a journal, which is empty.
 
     Raises:
-        JournalError: It cannot be made.
+        JournalError: The file cannot be created.
     """
     part = path.with_name(path.name + ".part")
     try:
@@ -72,7 +72,7 @@ def make_database(path: Path, first: Record | None = None) -> None:
             connection.execute("BEGIN IMMEDIATE")
             connection.execute(_STATEMENTS["journal"])
             if first is not None:
-                connection.execute(INSERT, first)  # before there is a trigger that lets rows begin with 1 only
+                connection.execute(INSERT, first)  # before the trigger that requires the first sequence to be 1
             for name, statement in _STATEMENTS.items():
                 if name != "journal":
                     connection.execute(statement)
@@ -85,14 +85,14 @@ def make_database(path: Path, first: Record | None = None) -> None:
 
 
 def open_for_writing(path: Path, *, durable: bool) -> sqlite3.Connection:
-    """Opens the journal in WAL mode.
+    """Open a journal file in WAL mode.
 
     Args:
-        path: Of the file, which exists.
-        durable: Whether a commit waits until the disk has it (``synchronous=FULL``).
+        path: Path of the file. It must exist.
+        durable: True to wait at each commit until it is on the disk (``synchronous=FULL``).
 
     Raises:
-        JournalError: The file cannot be opened, is no journal or one of another version.
+        JournalError: The file cannot be opened, is not a journal, or has another version.
     """
     synchronous = 2 if durable else 0
     try:
@@ -101,7 +101,7 @@ def open_for_writing(path: Path, *, durable: bool) -> sqlite3.Connection:
         (mode,) = connection.execute("PRAGMA journal_mode = WAL").fetchone()
         connection.execute(f"PRAGMA synchronous = {synchronous}")
         (in_force,) = connection.execute("PRAGMA synchronous").fetchone()
-        # SQLite keeps the errors of its own checkpoints to itself; the writer makes them, and hears of them.
+        # SQLite does not report errors of its own checkpoints; the writer makes them itself, to see the errors.
         connection.execute("PRAGMA wal_autocheckpoint = 0")
     except DATABASE_ERRORS as error:
         raise _unusable(path, error) from error
@@ -115,10 +115,10 @@ def open_for_writing(path: Path, *, durable: bool) -> sqlite3.Connection:
 
 
 def open_for_reading(path: Path) -> sqlite3.Connection:
-    """Opens an existing journal, also while a daemon writes it.
+    """Open an existing journal file for reading, also while a daemon writes it.
 
     Raises:
-        JournalError: There is no such file, it is no journal or one of another version.
+        JournalError: There is no such file, it is not a journal, or has another version.
     """
     location = f"{path.resolve().as_uri()}?mode=ro"
     try:
@@ -134,26 +134,35 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
 
 
 def statements(version: int) -> dict[str, str]:
-    """The statements that make the tables, indexes and triggers of a version, by their names."""
+    """Return the statements that create the tables, indexes and triggers of a version, by their names."""
     if version > WITHOUT_MAC:
         return dict(_STATEMENTS)
     return {**_STATEMENTS, "journal": _STATEMENTS["journal"].replace(_ADD_MAC, "")}
 
 
 def upgrade(connection: sqlite3.Connection) -> None:
-    """Makes a file of an older version one of this version, in the transaction that is open; its rows get no MAC."""
+    """Upgrade a file of an older version to this version, in the open transaction; its rows get no MAC."""
     connection.execute("ALTER TABLE journal ADD COLUMN mac BLOB")
     connection.execute(f"PRAGMA user_version = {VERSION}")
 
 
 def version_of(connection: sqlite3.Connection) -> int:
-    """The version of an open journal."""
+    """Return the version of an open journal file."""
     version: int = connection.execute("PRAGMA user_version").fetchone()[0]
     return version
 
 
 def last_sequence(connection: sqlite3.Connection, path: Path, *, kind: Kind | None = None) -> int:
-    """Sequence of the last row, of its kind where one is given; 0 when there is none. Raises `JournalError`."""
+    """Return the sequence of the last row; 0 if there is none.
+
+    Args:
+        connection: Connection to the file.
+        path: Path of the file, for the message.
+        kind: Kind of the row; None for any.
+
+    Raises:
+        JournalError: The file cannot be read.
+    """
     where, values = ("", ()) if kind is None else ("WHERE kind = ?", (kind,))
     query = f"SELECT sequence FROM journal {where} ORDER BY sequence DESC LIMIT 1"  # noqa: S608  # values are bound
     try:
@@ -164,10 +173,14 @@ def last_sequence(connection: sqlite3.Connection, path: Path, *, kind: Kind | No
 
 
 def check_schema(connection: sqlite3.Connection, path: Path) -> None:
-    """The tables and guards must be those that this program makes.
+    """Require that tables, indexes and triggers are those that this program creates.
+
+    Args:
+        connection: Connection to the file.
+        path: Path of the file, for the message.
 
     Raises:
-        JournalError: One is missing or another: what it guards may have been changed.
+        JournalError: One is missing or differs: what it guards may have been changed.
     """
     try:
         found = dict(connection.execute("SELECT name, sql FROM sqlite_schema"))
@@ -196,7 +209,7 @@ def _check_version(connection: sqlite3.Connection, path: Path) -> None:
 
 
 def _check_table(connection: sqlite3.Connection) -> None:
-    """Raise `sqlite3.DatabaseError` unless the table is ours: a view in its place can make rows without end."""
+    """Raise `sqlite3.DatabaseError` unless the table is ours: a view in its place could produce endless rows."""
     found = connection.execute("SELECT sql FROM sqlite_schema WHERE name = 'journal'").fetchone()
     if found != (statements(version_of(connection))["journal"],):
         connection.close()

@@ -1,4 +1,4 @@
-"""Whether a journal may be written on: it must hold everything that its head says, since a tail was lost otherwise."""
+"""Check before a journal is written: it must hold every row that its head names, or its end was lost."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from pcmrs.journal.chain import REMEDY, first_without_mac, follow_files, mac_key
 from pcmrs.journal.head import Head, HeadState, head_path, read_head
 from pcmrs.journal.keys import signing_key
 from pcmrs.journal.reader import journal_files
-from pcmrs.journal.rows import START, Place, StoredRow
+from pcmrs.journal.rows import START, RowPosition, StoredRow
 from pcmrs.journal.schema import HEADLESS, WITHOUT_MAC, check_schema, last_sequence, open_for_reading, version_of
 
 LARGEST_GROUP: Final = 512
-"""Rows of one commit at most, so that a crash can leave so many, and no more, that the head does not name yet."""
+"""Largest number of rows of one commit, and so of rows that a crash can leave unnamed by the head."""
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """A journal that may be written on.
+class WritableJournal:
+    """A journal that may be written.
 
     Attributes:
-        file: The one to write on.
-        key: Signs its head.
-        version: Of the file; 0 when there is none yet.
-        head: None when one is still to be begun.
-        last: None when there are no rows.
-        damaged: How many slots of the head are damaged.
+        file: File to be written.
+        key: Private key that signs the head.
+        version: Version of the file; 0 if there is none yet.
+        head: Present head; None if it must be created.
+        last: Last row; None if there are no rows.
+        damaged: Number of damaged slots of the head.
     """
 
     file: Path
@@ -43,25 +43,25 @@ class Found:
     damaged: int
 
     @property
-    def place(self) -> Place:
-        """Of the last row."""
-        return START if self.last is None else Place(self.last.sequence, self.last.hash)
+    def place(self) -> RowPosition:
+        """Position of the last row."""
+        return START if self.last is None else RowPosition(self.last.sequence, self.last.hash)
 
     @property
     def unnamed(self) -> int:
-        """Rows that the head does not name: committed when the writer died, and never acknowledged."""
+        """Number of rows after the head: they were committed when the writer died, and never acknowledged."""
         return 0 if self.head is None else self.place.sequence - self.head.place.sequence
 
 
-def examine(path: Path) -> Found:
-    """Reads the journal from its last snapshot on, and the head; writes nothing into either.
+def examine(path: Path) -> WritableJournal:
+    """Read the journal from its last snapshot on, and the head, without writing to either.
 
-    Where no snapshot begins a shorter part of the newest file, the chain is followed from the end of the file before it
-    on, or from its beginning; so it is for a journal of version 1, which has no head.
+    Without a snapshot in the newest file, the chain is followed from the end of the file before it, or from the first
+    row; so is that of a journal of version 1, which has no head.
 
     Raises:
         JournalError: Rows are missing, changed, or were added without the key; the head or its key is missing
-            or damaged; the file is no journal.
+            or damaged; the file is not a journal.
     """
     files = journal_files(path)
     newest = files[-1]
@@ -73,7 +73,7 @@ def examine(path: Path) -> Found:
     last, without_mac = None, None
     if version:
         last, without_mac = _read_end(files, version, head, mac_key(key))
-    found = Found(newest, key, version, head, last, 0 if state is None else state.damaged)
+    found = WritableJournal(newest, key, version, head, last, 0 if state is None else state.damaged)
     if head is not None:
         require_rows(path, head.place, found.place)
         require_named(path, found.unnamed, found.damaged)
@@ -82,10 +82,15 @@ def examine(path: Path) -> Found:
 
 
 def require_head(path: Path, state: HeadState | None, version: int) -> Head | None:
-    """The head that a journal must have; None where it is still to be begun.
+    """Return the head that a journal must have; None if it must be created.
+
+    Args:
+        path: First file of the journal.
+        state: Content of the head file; None if there is no such file.
+        version: Version of the journal; 0 if there is none yet.
 
     Raises:
-        JournalError: It is missing or damaged.
+        JournalError: The head is missing or damaged.
     """
     where = head_path(path)
     if state is None:
@@ -99,11 +104,16 @@ def require_head(path: Path, state: HeadState | None, version: int) -> Head | No
     return state.head
 
 
-def require_rows(path: Path, named: Place, last: Place) -> None:
-    """The row that the head names must be there.
+def require_rows(path: Path, named: RowPosition, last: RowPosition) -> None:
+    """Require that the journal holds the row that the head names.
+
+    Args:
+        path: First file of the journal.
+        named: Position that the head names.
+        last: Position of the last row.
 
     Raises:
-        JournalError: Rows are missing; the field ``missing`` says how many.
+        JournalError: Rows are missing; the field ``missing`` is their number.
     """
     missing = named.sequence - last.sequence
     if missing > 0:
@@ -116,17 +126,27 @@ def require_rows(path: Path, named: Place, last: Place) -> None:
         )
 
 
-def another_row(path: Path, named: Place) -> JournalError:
-    """Of a row that is not the one that the head names."""
+def another_row(path: Path, named: RowPosition) -> JournalError:
+    """Return the error for a row that is not the one that the head names.
+
+    Args:
+        path: First file of the journal.
+        named: Position that the head names.
+    """
     text = f"{path} holds another row {named.sequence} than the one that its signed head names. {REMEDY}"
     return JournalError(text, path=str(path), sequence=named.sequence)
 
 
 def require_named(path: Path, unnamed: int, damaged: int) -> None:
-    """No more rows may follow the head than a crash can leave: a group, or two where one of its slots was torn.
+    """Require that no more rows follow the head than a crash can leave: one group, or two if a slot was torn.
+
+    Args:
+        path: First file of the journal.
+        unnamed: Number of rows after the head.
+        damaged: Number of damaged slots.
 
     Raises:
-        JournalError: There are more; the field ``unnamed`` says how many.
+        JournalError: There are more; the field ``unnamed`` is their number.
     """
     if unnamed > LARGEST_GROUP * (1 + damaged):
         raise JournalError(
@@ -138,10 +158,10 @@ def require_named(path: Path, unnamed: int, damaged: int) -> None:
 
 
 def _require_macs(path: Path, without_mac: int | None, version: int) -> None:
-    """Every row after the head must have its MAC: it would be signed with the next head, no matter who wrote it.
+    """Require the MAC of each row after the head: the next head would sign the row, no matter who wrote it.
 
     Raises:
-        JournalError: One does not; the field ``sequence`` names the first.
+        JournalError: A row has no valid MAC; the field ``sequence`` names the first one.
     """
     if without_mac is None:
         return
@@ -169,7 +189,7 @@ def _version(path: Path) -> int:
 def _read_end(
     files: Sequence[Path], version: int, head: Head | None, key: bytes
 ) -> tuple[StoredRow | None, int | None]:
-    """The last row, and the sequence of the first one after the head that does not have its MAC."""
+    """Return the last row, and the sequence of the first row after the head without a valid MAC."""
     last = without_mac = None
     with ExitStack() as stack:
         opened = [(path, stack.enter_context(closing(open_for_reading(path)))) for path in files]

@@ -1,4 +1,4 @@
-"""Reading a whole journal to say what is good in it: every row, every index, and what the signed head says."""
+"""Verification of a whole journal: each row, each index, and the signed head."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from pcmrs.journal.chain import follow_chain
 from pcmrs.journal.head import HeadState, head_path, read_head
 from pcmrs.journal.keys import PUBLIC, public_key
 from pcmrs.journal.reader import journal_files
-from pcmrs.journal.rows import START, Place
+from pcmrs.journal.rows import START, RowPosition
 from pcmrs.journal.schema import DATABASE_ERRORS, HEADLESS, check_schema, last_sequence, open_for_reading, version_of
 from pcmrs.journal.soundness import another_row, require_head, require_named, require_rows
 from pcmrs.messages import Message
 
 Progress = Callable[[str, int, int], None]
-"""Is told what is done now, how much is done, and of how much."""
+"""Callback for the present step, the amount done, and the total."""
 
 
 class Verification(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """What is good in a journal.
+    """Result of a verification.
 
     Attributes:
-        journal: Its path.
-        version: Of the file; 0 when it cannot be told.
-        rows: So many rows from the first on are whole and follow from each other.
-        first_bad: Sequence of the first row that is missing, changed or unreadable; None when all are good.
-        signed: So many rows from the first on are proven by the signature of the head.
-        missing: Rows that the head names, and that are not there.
-        unnamed: Rows after the last one that the head names: it does not prove them. The next start of a
-            daemon, which has the key of their MACs, takes them up or refuses them.
-        signature: Of the head; ``none``: it has no head, since the version of the journal knows none.
-        head: The last row that the head names, its hash in hexadecimal, and how often the head was written.
-        damaged_slots: Of the two slots of the head.
-        problems: What is not as it must be; empty when the journal is good.
+        journal: Path of the journal.
+        version: Version of the file; 0 if it is unknown.
+        rows: Number of rows, from the first on, that are whole and follow from each other.
+        first_bad: Sequence of the first row that is missing, changed or unreadable; None if all are good.
+        signed: Number of rows, from the first on, that the signature of the head proves.
+        missing: Number of rows that the head names and the journal lacks.
+        unnamed: Number of rows after the last one that the head names; it does not prove them. The next start of a
+            daemon, which has the key of their MACs, adopts or refuses them.
+        signature: Signature of the head; ``none`` for a version of the journal without a head.
+        head: Last row that the head names, its hash in hexadecimal, and the number of writes of the head.
+        damaged_slots: Number of damaged slots of the head, of two.
+        problems: Problems, one sentence each; empty if the journal is good.
     """
 
     journal: str
@@ -56,22 +56,21 @@ class Verification(Message, frozen=True, kw_only=True, omit_defaults=False):
 
     @property
     def sound(self) -> bool:
-        """Whether everything is there, and as it was written."""
+        """True if the journal is complete and unchanged."""
         return not self.problems
 
 
 def verify(
     path: Path, *, public: Path | None = None, kept: Path | None = None, progress: Progress | None = None
 ) -> Verification:
-    """Reads a journal as a whole, also while a daemon writes it, and changes nothing.
+    """Verify a whole journal, also while a daemon writes it, without changing anything.
 
     Args:
-        path: Of the journal.
-        public: The public key in PEM; `journal.pub` beside the journal when None. One from elsewhere shows that the
+        path: First file of the journal.
+        public: Public key in PEM; None for `journal.pub` beside the journal. A key from elsewhere shows that the
             pair was not replaced.
-        kept: A copy of the head from an earlier time, kept elsewhere: shows that journal and head were not set back
-            together.
-        progress: Is told how many rows are read.
+        kept: Earlier copy of the head, stored elsewhere; it shows that journal and head were not set back together.
+        progress: Callback for the number of rows read.
 
     Raises:
         JournalError: There is no journal, or no key.
@@ -79,10 +78,10 @@ def verify(
     if not path.exists() and not head_path(path).exists():
         raise JournalError(f"There is no journal {path}.", path=str(path))
     key = _key(path, public)
-    # The head is read before the rows, which must reach it, and again after them: they may not go far beyond it.
+    # The head is read before the rows, which must reach it, and again after them, which may not go far beyond it.
     before = _head(head_path(path), key)
     earlier = None if kept is None else _head(kept, key)
-    reading = _Reading(path, {state.head.place for state in (before, earlier) if state is not None and state.head})
+    reading = _JournalCheck(path, {state.head.place for state in (before, earlier) if state is not None and state.head})
     reading.attempt(lambda: reading.read(progress or (lambda *_: None)))
     reading.attempt(lambda: reading.compare(before, _head(head_path(path), key)))
     if kept is not None and (earlier is None or earlier.head is None or earlier.head.place not in reading.reached):
@@ -91,7 +90,7 @@ def verify(
 
 
 def _key(path: Path, public: Path | None) -> Ed25519PublicKey | None:
-    """The key to verify with; None for a journal that has no head and no key, as version 1."""
+    """Return the key to verify with; None for a journal without head and key, as of version 1."""
     beside = path.parent / PUBLIC
     return public_key(public or beside) if public or beside.exists() or head_path(path).exists() else None
 
@@ -100,18 +99,19 @@ def _head(path: Path, key: Ed25519PublicKey | None) -> HeadState | None:
     return None if key is None else read_head(path, key)
 
 
-class _Reading:
-    """What is found while a journal is read, which goes on after a problem as far as it can.
+class _JournalCheck:
+    """The reading of a journal, continued after a problem as far as possible.
 
     Args:
-        path: Of the journal.
-        named: Places that heads name.
+        path: First file of the journal.
+        named: Positions that heads name.
 
     Attributes:
-        reached: Those of them that the rows have.
+        problems: Problems found so far.
+        reached: Those of `named` that the rows have.
     """
 
-    def __init__(self, path: Path, named: set[Place]) -> None:
+    def __init__(self, path: Path, named: set[RowPosition]) -> None:
         self.problems: list[str] = []
         self.reached = named & {START}
         self._path = path
@@ -122,7 +122,7 @@ class _Reading:
         self._unnamed = 0
 
     def attempt(self, part: Callable[[], None]) -> None:
-        """Does a part of the reading, and keeps what is wrong."""
+        """Run a part of the reading and store its problem."""
         try:
             part()
         except DATABASE_ERRORS as error:
@@ -132,7 +132,11 @@ class _Reading:
             self._first_bad = error.fields.get("sequence", self._first_bad)
 
     def read(self, progress: Progress) -> None:
-        """Reads all rows and pages. Raises `JournalError` at the first bad row."""
+        """Read all rows and pages.
+
+        Raises:
+            JournalError: A row is bad; the field ``sequence`` names it.
+        """
         files = journal_files(self._path)
         if files == [self._path] and (not self._path.exists() or self._path.stat().st_size == 0):
             return
@@ -149,7 +153,7 @@ class _Reading:
         connection.execute("BEGIN")  # one view of rows and indexes
         end = last_sequence(connection, path)
         for stored in follow_chain(connection, path, self._end):
-            self._end = Place(stored.sequence, stored.hash)
+            self._end = RowPosition(stored.sequence, stored.hash)
             if self._end in self._named:
                 self.reached.add(self._end)
             if stored.sequence % 1000 == 0 or stored.sequence == end:
@@ -157,7 +161,15 @@ class _Reading:
         self._check_pages(path, connection)
 
     def compare(self, before: HeadState | None, after: HeadState | None) -> None:
-        """Compares the rows with the head as it was before they were read, and after. Raises `JournalError`."""
+        """Compare the rows with the head.
+
+        Args:
+            before: Head as it was before the rows were read; None if there was none.
+            after: Head as it was after that.
+
+        Raises:
+            JournalError: The rows do not match the head.
+        """
         head = require_head(self._path, before, self._version)
         if head is None or self._first_bad is not None:
             return
@@ -169,7 +181,11 @@ class _Reading:
             require_named(self._path, self._unnamed, after.damaged)
 
     def report(self, before: HeadState | None) -> Verification:
-        """What was found."""
+        """Return the result.
+
+        Args:
+            before: Head as it was before the rows were read.
+        """
         head = before.head if before is not None else None
         return Verification(
             journal=str(self._path),
@@ -186,7 +202,7 @@ class _Reading:
         )
 
     def _check_pages(self, path: Path, connection: sqlite3.Connection) -> None:
-        """SQLite's own check of pages and indexes."""
+        """Run SQLite's own check of pages and indexes."""
         try:
             found = [line for (line,) in connection.execute("PRAGMA integrity_check(10)")]
         except DATABASE_ERRORS as error:

@@ -1,4 +1,4 @@
-"""Writing the journal: rows get their sequence and their place in the hash chain in one transaction."""
+"""Writer of the journal: rows get their sequence and their position in the hash chain in one transaction."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from pcmrs.journal.chain import mac_key, row_mac
 from pcmrs.journal.head import Head, HeadFile, begin_head, head_path
 from pcmrs.journal.notes import continued_row, note_rows, reopened_rows
 from pcmrs.journal.reader import LARGEST, journal_files, numbered
-from pcmrs.journal.rows import START, JournalRow, Place, chain_hash, encode_row
+from pcmrs.journal.rows import START, JournalRow, RowPosition, chain_hash, encode_row
 from pcmrs.journal.schema import DATABASE_ERRORS, INSERT, VERSION, Record, make_database, open_for_writing, upgrade
-from pcmrs.journal.soundness import Found, examine
+from pcmrs.journal.soundness import WritableJournal, examine
 
 _CHECKPOINT_AFTER: Final = 200
-"""Commits after which the log is carried over into the database, about 1000 pages."""
+"""Number of commits after which the write-ahead log is moved into the database, about 1000 pages."""
 
 Encoded = tuple[JournalRow, bytes]
 """A row and its canonical bytes."""
 
 
 class JournalWriter:
-    """The one writer of a journal, used by one thread at a time.
+    """The only writer of a journal, used by one thread at a time.
 
-    After an error it writes nothing more, since what is acknowledged afterwards could not be trusted, until
-    `reopen` has found out what the disk has.
+    After an error it writes nothing until `reopen` has found out what is on the disk: later acknowledgements could not
+    be trusted.
 
     Args:
-        path: Of the first file; its folder exists.
-        durable: Whether a commit waits until the disk has it.
-        largest: Size beyond which it goes on in a new file, bytes.
+        path: First file. Its folder must exist.
+        durable: True to wait at each commit until it is on the disk.
+        largest: Size beyond which the journal continues in a new file, bytes.
 
     Attributes:
-        place: Of the last row that was written, and that the head names.
-        error: Why nothing can be written any more.
+        place: Position of the last row that was written, and that the head names.
+        error: Reason why nothing can be written; None if the writer works.
 
     Raises:
-        JournalError: The file cannot be opened, is no journal or one of another version, or not all is there that
-            its head names; see `examine`.
+        JournalError: The file cannot be opened, is not a journal or has another version, or does not hold all rows
+            that its head names; see `examine`.
     """
 
     def __init__(self, path: Path, *, durable: bool, largest: float = LARGEST) -> None:
@@ -55,26 +55,26 @@ class JournalWriter:
         self._file = path
         self._connection: sqlite3.Connection
         self._last: JournalRow | None = None
-        self._failed: Place | None = None
-        self._attempts: set[Place] = set()
+        self._failed: RowPosition | None = None
+        self._attempts: set[RowPosition] = set()
         self._commits = 0
         self._take_up(self._open())
 
     def write(self, rows: Sequence[Encoded]) -> int:
-        """Commits the rows together and returns the sequence of the last.
+        """Commit the rows together and return the sequence of the last one.
 
         Raises:
-            JournalError: They cannot be written, or an earlier write failed. Its field ``sequence`` is the one that
-                the last row would have, None when nothing was tried.
+            JournalError: They cannot be written, or an earlier write failed. The field ``sequence`` is the one that
+                the last row would have, None if no write was tried.
         """
         if self.error is not None:
             raise JournalError(self.error.text, sequence=None)
         return self._append(rows)
 
     def maintain(self) -> None:
-        """Carries a long log over into the database, and goes on in a new file when that has grown.
+        """Move a long write-ahead log into the database, and continue in a new file if that has grown.
 
-        Nobody waits for it: what fails is in `error` then.
+        It raises nothing, since nothing waits for it: a failure is stored in `error`.
         """
         if self.error is not None or self._commits < _CHECKPOINT_AFTER:
             return
@@ -88,17 +88,17 @@ class JournalWriter:
             self._grow()
 
     def reopen(self) -> int:
-        """Reads what the disk has and goes on from there, beginning with a row that says so.
+        """Continue from what is on the disk, and append a row that reports it.
 
-        All rows that were acknowledged must be there; those of the write that failed may be.
+        All acknowledged rows must be there; those of the failed write may be.
 
         Returns:
-            The sequence of the last row on the disk before that one. Nothing of the failed write is there if this is
-            smaller than the sequence in its error, all of it otherwise.
+            Sequence of the last row on the disk before that row. If it is smaller than the sequence in the error of
+            the failed write, nothing of that write is there; otherwise all of it is.
 
         Raises:
-            JournalError: Acknowledged rows are lost, other ones were written, or the journal still cannot be
-                written. It can be tried again.
+            JournalError: Acknowledged rows are lost, another program wrote rows, or the journal still cannot be
+                written. You may call this again.
         """
         acknowledged, failed, why = self.place, self._failed, self.error
         try:
@@ -111,7 +111,7 @@ class JournalWriter:
         self.place = found.place
         self._last = None if found.last is None else found.last.row
         try:
-            # A commit, which also writes over what a reader elsewhere may keep of the failed one in the log.
+            # This commit also overwrites what a reader in another process may keep of the failed one in the log.
             self._append([(row, encode_row(row)) for row in reopened_rows(found, why)])
         except JournalError:
             self.place = acknowledged
@@ -120,16 +120,19 @@ class JournalWriter:
         return failed.sequence if failed is not None and kept else acknowledged.sequence
 
     def close(self) -> None:
-        """Closes the file; a transaction that failed is rolled back."""
+        """Close the files; a failed transaction is rolled back."""
         self._connection.close()
         self._head.close()
 
     def _grow(self) -> None:
-        """Has a journal that has grown go on in a new file, which gets its name only when its first row is in it.
+        """Continue a journal that has grown in a new file, which gets its name when its first row is in it.
 
-        That one rename moves the journal on. A crash before it leaves a part without a name, which nobody reads; one
-        between it and the writing of the head leaves a row that the head does not name yet, as after any commit. After
-        an error only `reopen` finds out in which file the journal goes on. Raises as a commit does.
+        That rename is the switch. A crash before it leaves a partial file, which is never read; a crash between it
+        and the write of the head leaves a row that the head does not name yet, as after any commit. After an error,
+        only `reopen` finds out in which file the journal continues.
+
+        Raises:
+            JournalError: The new file or the head cannot be written.
         """
         if self._last is None or self._file.stat().st_size <= self._largest:
             return
@@ -152,11 +155,11 @@ class JournalWriter:
             raise self.error from error
         self._written(place, row)
 
-    def _written(self, place: Place, last: JournalRow | None) -> None:
+    def _written(self, place: RowPosition, last: JournalRow | None) -> None:
         self.place, self._last, self._failed = place, last, None
         self._attempts.clear()
 
-    def _read_again(self) -> Found:
+    def _read_again(self) -> WritableJournal:
         self.close()
         suffixes = ("", "-wal")
         parts = [path.with_name(path.name + suffix) for path in journal_files(self._path)[-2:] for suffix in suffixes]
@@ -167,12 +170,12 @@ class JournalWriter:
         self._connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
         return found
 
-    def _holds(self, place: Place) -> bool:
+    def _holds(self, place: RowPosition) -> bool:
         query = "SELECT hash FROM journal WHERE sequence = ?"
         return bool(self._connection.execute(query, (place.sequence,)).fetchone() == (place.hash,))
 
-    def _open(self) -> Found:
-        """Opens what was found sound; a journal that is not is left as it is."""
+    def _open(self) -> WritableJournal:
+        """Open the journal if it is sound; otherwise leave it unchanged."""
         try:
             found = examine(self._path)
             if found.head is None:
@@ -193,8 +196,8 @@ class JournalWriter:
             raise
         return found
 
-    def _take_up(self, found: Found) -> None:
-        """Names in the head what a crash left unnamed there, and journals that, and that a head was begun."""
+    def _take_up(self, found: WritableJournal) -> None:
+        """Name the rows that a crash left unnamed in the head, and journal what was found."""
         self.place = found.place
         self._last = None if found.last is None else found.last.row
         rows = [(row, encode_row(row)) for row in note_rows(found)]
@@ -202,7 +205,7 @@ class JournalWriter:
             older = 0 < found.version < VERSION
             if rows or older:
                 self._append(rows, older=older)
-            self._grow()  # runs that are too short for `maintain` would never do it
+            self._grow()  # short runs never reach the commit count of `maintain`
         except JournalError:
             self.close()
             raise
@@ -222,7 +225,7 @@ class JournalWriter:
             failpoint("journal.after_commit")
             self._head.write(attempted)
             failpoint("journal.after_head")
-        except Exception as error:  # whatever it is, those who wait must hear of it
+        except Exception as error:  # every error must reach those who wait
             self._failed = self._failed or attempted
             self.error = _unwritable(error, attempted.sequence)
             raise self.error from error
@@ -230,7 +233,7 @@ class JournalWriter:
         self._commits += 1
         return attempted.sequence
 
-    def _chain(self, rows: Sequence[Encoded]) -> tuple[list[Record], Place]:
+    def _chain(self, rows: Sequence[Encoded]) -> tuple[list[Record], RowPosition]:
         sequence, previous = self.place.sequence, self.place.hash
         records: list[Record] = []
         for row, body in rows:
@@ -239,7 +242,7 @@ class JournalWriter:
             keys = (row.kind, row.source, row.command_id, row.branch, row.wall)
             records.append((sequence, *keys, body, previous, own, row_mac(self._mac_key, own)))
             previous = own
-        return records, Place(sequence, previous)
+        return records, RowPosition(sequence, previous)
 
 
 def _unwritable(error: Exception, sequence: int | None) -> JournalError:
@@ -250,7 +253,7 @@ def _unwritable(error: Exception, sequence: int | None) -> JournalError:
     )
 
 
-def _foreign(path: Path, acknowledged: Place, found: Place) -> JournalError:
+def _foreign(path: Path, acknowledged: RowPosition, found: RowPosition) -> JournalError:
     missing = acknowledged.sequence - found.sequence
     what = f"{missing} acknowledged rows are lost" if missing > 0 else "another program has written rows"
     return JournalError(

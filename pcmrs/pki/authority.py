@@ -56,7 +56,7 @@ class Authority:
 
     @classmethod
     def init(cls, folder: Path, site: str, now: float) -> Authority:
-        """Makes an authority.
+        """Make an authority.
 
         Args:
             folder: Made where it does not exist; it must hold no authority yet.
@@ -99,7 +99,7 @@ class Authority:
         via: Sequence[str] = (),
         into: Path,
     ) -> Issued:
-        """Issues a certificate with a new key; a name that has one, and the same role, gets a newer one.
+        """Issue a certificate with a new key; a name that has one, and the same role, gets a newer one.
 
         Args:
             role: What it may do.
@@ -141,7 +141,7 @@ class Authority:
         return Issued(identity=identity, folder=str(folder))
 
     def revoke(self, name: str, now: float) -> Identity:
-        """Takes an identity's rights away, for good; returns it.
+        """Take an identity's rights away, for good; returns it.
 
         Raises:
             ConfigurationError: Nobody has this name, or it is revoked already.

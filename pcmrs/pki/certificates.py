@@ -38,7 +38,7 @@ def key_bytes(key: EllipticCurvePrivateKey) -> bytes:
 
 
 def read_key(path: Path) -> EllipticCurvePrivateKey:
-    """Reads a private key.
+    """Read a private key.
 
     Raises:
         ConfigurationError: Others may read it, it is missing, or it is no such key.

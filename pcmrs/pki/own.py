@@ -51,7 +51,7 @@ def read_credentials(folder: Path, now: float) -> Credentials:
 
 
 def check_registered(own: Credentials, members: Iterable[Identity], role: Role, cell: str = "") -> None:
-    """Refuses to run as what the register does not have: nobody could say what it may do.
+    """Refuse to run as what the register does not have: nobody could say what it may do.
 
     Args:
         own: Of the process.

@@ -11,7 +11,7 @@ from pcmrs.messages.identity import Identity, check_name
 
 
 def read_register(path: Path) -> list[Identity]:
-    """Reads the register of an authority, or a copy of it.
+    """Read the register of an authority, or a copy of it.
 
     Raises:
         ConfigurationError: It cannot be read, or has a name that nobody may have.

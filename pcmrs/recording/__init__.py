@@ -1,1 +1,1 @@
-"""Recordings: what a cell says on its bus in MCAP files, their repair, and playing them again."""
+"""Recordings of a cell's bus as MCAP files, their repair, and their playback."""

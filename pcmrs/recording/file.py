@@ -1,7 +1,4 @@
-"""One MCAP file in writing, and the topics that all files of a recording share.
-
-One file as the writer of MCAP sees it: it counts, and a full disk never reaches the writer.
-"""
+"""An MCAP file that is being written, and the topics that all files of a recording share."""
 
 from __future__ import annotations
 
@@ -23,20 +20,20 @@ from pcmrs.recording.shapes import View, json_bytes, json_schema
 
 
 class CountingFile:
-    """A new file that is only ever appended to.
+    """A new append-only file that counts its bytes.
 
-    An error of the disk is kept, and what comes afterwards is thrown away: the writer would report the same error for
-    each message, and could not even be closed.
+    It stores the first disk error and discards all later data: otherwise the MCAP writer would report the error for
+    each message, and could not be closed.
 
     Args:
-        path: Of the file; must not exist.
+        path: Path of the file. It must not exist.
 
     Attributes:
-        size: Bytes written.
-        error: What went wrong first; None so far.
+        size: Number of bytes written.
+        error: First error; None if there was none.
 
     Raises:
-        OSError: It exists, or cannot be made.
+        OSError: The file exists, or cannot be created.
     """
 
     def __init__(self, path: Path) -> None:
@@ -45,28 +42,36 @@ class CountingFile:
         self._file = path.open("xb", buffering=1 << 16)
 
     def write(self, data: bytes | bytearray) -> int:
-        """Appends all of it."""
+        """Append the data; return its length."""
         self._attempt(lambda: self._file.write(data))
         self.size += len(data)
         return len(data)
 
     def seek(self, offset: int, whence: int = SEEK_SET) -> int:
-        """The end, where the writer is and stays. Raises `OSError` for any other place."""
+        """Return the end of the file, the only position allowed.
+
+        Args:
+            offset: Offset, bytes.
+            whence: Reference of the offset, as for `io.IOBase.seek`.
+
+        Raises:
+            OSError: The position is not the end.
+        """
         if (offset, whence) not in ((0, SEEK_CUR), (self.size, SEEK_SET)):
             raise OSError(f"{self._file.name} can only be appended to.")
         return self.size
 
     def flush(self) -> None:
-        """Hands everything to the operating system, so that it survives the end of this process."""
+        """Pass all data to the operating system, so that it survives the end of this process."""
         self._attempt(self._file.flush)
 
     def close(self) -> None:
-        """Ends the file; the disk has it then."""
+        """Write all data to the disk and close the file."""
         self._attempt(self._file.flush)
         self._attempt(lambda: os.fsync(self._file.fileno()))
         try:
             self._file.close()
-        except OSError as error:  # what could not be flushed before
+        except OSError as error:  # from data that could not be flushed before
             self.error = self.error or error
 
     def _attempt(self, act: Callable[[], object]) -> None:
@@ -78,7 +83,7 @@ class CountingFile:
 
 
 CHUNK: Final = 16_384
-"""Bytes that are compressed together; what a killed writer loses at most, besides what came since the last flush."""
+"""Size of a chunk, bytes: a killed writer loses at most one, besides the messages since the last flush."""
 
 METADATA: Final = "pcmrs"
 
@@ -91,7 +96,7 @@ _CHANNELS: dict[type, Any] = {
 
 
 class Topics:
-    """Writes into whichever file is open in its context; topics are declared when they are first used."""
+    """Topics of a recording, written into the file that is open in their context, and declared at first use."""
 
     def __init__(self) -> None:
         self.context = Context()
@@ -99,13 +104,13 @@ class Topics:
         self._channels: dict[str, Any] = {}
 
     def write_raw(self, key: str, monotonic: float, payload: bytes, at_ns: int) -> None:
-        """Records a message of the bus as it was.
+        """Write a message of the bus unchanged.
 
         Args:
-            key: Relative to the cell.
-            monotonic: When it came, s of the machine's monotonic clock.
-            payload: As it was on the bus.
-            at_ns: When it came, ns since 1970.
+            key: Key, relative to the cell.
+            monotonic: Time of arrival, s of the machine's monotonic clock.
+            payload: Payload on the bus.
+            at_ns: Time of arrival, ns since 1970.
         """
         topic = raw.PREFIX + key
         if topic not in self._channels:
@@ -114,7 +119,13 @@ class Topics:
         self._channels[topic].log(raw.encode(monotonic, payload), log_time=at_ns)
 
     def write(self, topic: str, view: View, at_ns: int) -> None:
-        """Records something to look at, ns since 1970; a topic always has views of one type."""
+        """Write a view.
+
+        Args:
+            topic: Topic; all its views are of one type.
+            view: View to be written.
+            at_ns: Time of the view, ns since 1970.
+        """
         if topic not in self._channels:
             self._channels[topic] = self._opened(topic, view)
         self._channels[topic].log(json_bytes(view) if isinstance(view, Message) else view, log_time=at_ns)
@@ -126,40 +137,40 @@ class Topics:
 
 
 class RecordingFile:
-    """An MCAP file that takes what is written to the topics of its context.
+    """An MCAP file that receives what is written to the topics of its context.
 
     Args:
-        path: Of the file; must not exist.
-        topics: Only one file at a time may be open in their context.
-        metadata: What the file says of itself.
+        path: Path of the file. It must not exist.
+        topics: Topics; only one file at a time may be open in their context.
+        metadata: Metadata of the file, such as cell, session and versions.
 
     Raises:
-        OSError: It exists, or cannot be made.
+        OSError: The file exists, or cannot be created.
     """
 
     def __init__(self, path: Path, topics: Topics, metadata: dict[str, str]) -> None:
         self.path = path
         self._sink = CountingFile(path)
-        # Without seeking a chunk reaches the file as a whole; with one thread the writer takes one processor at most.
+        # Without seeking, a chunk reaches the file as a whole; without threads, the writer uses one processor at most.
         options = MCAPWriteOptions(chunk_size=CHUNK, disable_seeking=True, compression_threads=0)
         self._writer = foxglove.open_mcap(self._sink, context=topics.context, writer_options=options)
         self._writer.write_metadata(METADATA, metadata)
 
     @property
     def size(self) -> int:
-        """Bytes written; what is in the present chunk comes on top."""
+        """Number of bytes written, without the present chunk."""
         return self._sink.size
 
     @property
     def error(self) -> OSError | None:
-        """Why nothing more can be written; None while all is well."""
+        """Error after which nothing more is written; None if there was none."""
         return self._sink.error
 
     def flush(self) -> None:
-        """Ends the chunk: what was written until now survives the end of this process."""
+        """End the chunk, so that all data until now survives the end of this process."""
         self._writer.flush()
 
     def close(self) -> None:
-        """Writes the summary and ends the file; whether that worked says `error`."""
+        """Write the summary and close the file; a failure is in `error`."""
         self._writer.close()
         self._sink.close()

@@ -1,4 +1,4 @@
-"""What came over the bus, byte for byte, as a protobuf message that every reader of MCAP can show.
+"""Messages of the bus, byte for byte, as a protobuf message that every reader of MCAP can show.
 
 message BusMessage {
   double monotonic = 1;
@@ -17,7 +17,7 @@ from typing import Final
 from pcmrs.errors import FileFormatError
 
 PREFIX: Final = "bus/"
-"""The topic of what came on the relative key ``state/fsm`` is ``bus/state/fsm``."""
+"""Prefix of the topics: messages on the relative key ``state/fsm`` have the topic ``bus/state/fsm``."""
 
 NAME: Final = "pcmrs.BusMessage"
 
@@ -27,20 +27,20 @@ _TAG_MONOTONIC, _TAG_PAYLOAD = 0x09, 0x12
 
 
 def encode(monotonic: float, payload: bytes) -> bytes:
-    """A ``BusMessage``.
+    """Return an encoded ``BusMessage``.
 
     Args:
-        monotonic: When it was heard, s of the recorder's monotonic clock.
-        payload: As it was on the bus.
+        monotonic: Time of arrival, s of the recorder's monotonic clock.
+        payload: Payload on the bus.
     """
     return _MONOTONIC.pack(_TAG_MONOTONIC, monotonic) + _block(2, payload)
 
 
 def decode(data: bytes) -> tuple[float, bytes]:
-    """Monotonic time and payload of what `encode` made.
+    """Return monotonic time, s, and payload of an encoded ``BusMessage``.
 
     Raises:
-        FileFormatError: It is no such message.
+        FileFormatError: The data is not such a message.
     """
     try:
         tag, monotonic = _MONOTONIC.unpack_from(data)
@@ -54,7 +54,7 @@ def decode(data: bytes) -> tuple[float, bytes]:
 
 
 def schema() -> bytes:
-    """The ``FileDescriptorSet`` of `NAME`, as MCAP wants it."""
+    """Return the ``FileDescriptorSet`` of `NAME`, as MCAP requires it."""
     package, _, name = NAME.rpartition(".")
     fields = _field("monotonic", 1, _DOUBLE) + _field("payload", 2, _BYTES)
     message = _block(4, _text(1, name) + fields)
@@ -87,7 +87,7 @@ def _varint(value: int) -> bytes:
 
 
 def _read_varint(data: bytes, at: int) -> tuple[int, int]:
-    """The number that begins `at`, and where it ends. Raises `IndexError` when it does not end."""
+    """Return the number that starts at `at`, and the index after it. Raises `IndexError` if it does not end."""
     value = shift = 0
     while True:
         byte = data[at]

@@ -1,4 +1,4 @@
-"""A whole file from what is left of a damaged one."""
+"""Repair of a damaged recording."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from mcap.writer import Writer
 from pcmrs.errors import ConfigurationError
 from pcmrs.messages import Message as Struct
 from pcmrs.recording.file import CHUNK
-from pcmrs.recording.reading import Reading
+from pcmrs.recording.reader import RecordingReader
 
 
-class Repaired(Struct, frozen=True, kw_only=True, omit_defaults=False):
-    """What a repair came to.
+class RepairReport(Struct, frozen=True, kw_only=True, omit_defaults=False):
+    """Result of a repair.
 
     Attributes:
-        complete: The file was whole; nothing is lost.
-        messages: That were saved, of all topics.
-        kept_bytes: Of the damaged file, up to the last whole record or chunk.
-        lost_bytes: What comes after.
-        damage: What was wrong there; empty where nothing was.
-        until: Time of the last message that was saved, s since 1970; None where there is none.
+        complete: True if the file was whole and nothing is lost.
+        messages: Number of saved messages, of all topics.
+        kept_bytes: Number of bytes of the damaged file up to the last whole record or chunk.
+        lost_bytes: Number of bytes after that.
+        damage: Damage there; empty if there is none.
+        until: Time of the last saved message, s since 1970; None if there is none.
     """
 
     complete: bool
@@ -34,38 +34,38 @@ class Repaired(Struct, frozen=True, kw_only=True, omit_defaults=False):
     until: float | None = None
 
 
-def repair(source: Path, target: Path) -> Repaired:
-    """Writes what can be read of an MCAP file, up to its last whole chunk, as a file of its own.
+def repair(source: Path, target: Path) -> RepairReport:
+    """Copy the readable part of an MCAP file, up to its last whole chunk, into a new file.
 
     Args:
-        source: Stays as it is.
-        target: Must not exist.
+        source: Damaged file; it is not changed.
+        target: New file. It must not exist.
 
     Raises:
-        FileFormatError: The source does not begin as an MCAP file.
-        ConfigurationError: The target is there already.
+        FileFormatError: The source does not start as an MCAP file.
+        ConfigurationError: The target exists.
         OSError: One of them cannot be read or written.
     """
-    reading = Reading(source)
+    reader = RecordingReader(source)
     if target.exists():
         raise ConfigurationError(f"{target} is there already: give another name.", file=str(target))
     with target.open("xb") as file:
         copy = _Copy(Writer(file, chunk_size=CHUNK))
-        for record in reading.records():
+        for record in reader.records():
             copy.take(record)
         copy.finish()
-    return Repaired(
-        complete=reading.complete,
+    return RepairReport(
+        complete=reader.complete,
         messages=copy.messages,
-        kept_bytes=reading.whole,
-        lost_bytes=reading.size - reading.whole,
-        damage=reading.damage,
+        kept_bytes=reader.whole,
+        lost_bytes=reader.size - reader.whole,
+        damage=reader.damage,
         until=copy.latest_ns / 1e9 if copy.messages else None,
     )
 
 
 class _Copy:
-    """Takes records of one file into another, where schemas and channels have numbers of their own."""
+    """Copy of records into another file, with new numbers of schemas and channels."""
 
     def __init__(self, writer: Any) -> None:
         self.messages = 0

@@ -1,4 +1,4 @@
-"""The numbered files of a recording, and how much of the disk they may take together."""
+"""The numbered files of a recording, and the disk space that they may use together."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _NUMBERED = re.compile(r"(?P<stem>.+)\.(?P<number>\d{4,})\.mcap")
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """When a file is followed by the next one, and when a recording ends.
+    """Limits of the files of a recording.
 
     Attributes:
-        file_bytes: Size of a file, about; None for any.
-        file_s: Its duration, s; None for any.
-        total_bytes: Of all files together; beyond it the oldest are removed. None for any.
-        keep_free_bytes: The recording ends rather than leave less on the disk.
+        file_bytes: Approximate size at which the next file starts; None for no limit.
+        file_s: Duration after which the next file starts, s; None for no limit.
+        total_bytes: Size of all files together, beyond which the oldest are removed; None for no limit.
+        keep_free_bytes: Free space on the disk below which the recording ends.
     """
 
     file_bytes: float | None = None
@@ -31,28 +31,44 @@ class Limits:
 
     @property
     def numbered(self) -> bool:
-        """Whether there may be more than one file."""
+        """True if there may be more than one file."""
         return self.file_bytes is not None or self.file_s is not None
 
 
 def path_of(first: Path, number: int) -> Path:
-    """File `number`, from 1, of the recording that is called `first`: ``run.mcap`` gives ``run.0001.mcap``."""
+    """Return the path of a numbered file: ``run.mcap`` gives ``run.0001.mcap``.
+
+    Args:
+        first: Name of the recording.
+        number: Number of the file, from 1.
+    """
     return first.with_name(f"{first.stem}.{number:04}{SUFFIX}")
 
 
 def files_of(first: Path) -> list[Path]:
-    """The files of a recording, oldest first: itself, or the numbered ones that are left of it."""
+    """Return the files of a recording, oldest first: the file of that name, or the remaining numbered ones."""
     own = [path for path in first.parent.glob(f"*{SUFFIX}") if (found := _match(path)) and found["stem"] == first.stem]
     return [first] if first.exists() else sorted(own, key=_order)
 
 
 def all_files(folder: Path) -> list[Path]:
-    """All numbered files in a folder, oldest first, where the names of recordings begin with their date."""
+    """Return all numbered files in a folder, oldest first if the names of recordings start with their date."""
     return sorted((path for path in folder.glob(f"*{SUFFIX}") if _match(path)), key=_order)
 
 
+def session_files(folder: Path, sessions: Sequence[str]) -> list[Path]:
+    """Return the files in a folder that a daemon recorded in these sessions, oldest first.
+
+    Args:
+        folder: Folder of the daemon's recordings.
+        sessions: Ids of the sessions; a recording's name ends with the first 8 characters of one.
+    """
+    endings = tuple(f"-{session[:8]}" for session in sessions)
+    return [path for path in all_files(folder) if path.name.partition(".")[0].endswith(endings)]
+
+
 def recordings_in(folder: Path) -> dict[str, list[Path]]:
-    """Name of each recording in a folder to its files, oldest first; those that are numbered belong together."""
+    """Return the recordings in a folder: name to files, oldest first; numbered files belong together."""
     found: dict[str, list[Path]] = {}
     for path in sorted(folder.glob(f"*{SUFFIX}"), key=_order):
         found.setdefault(_order(path)[0], []).append(path)
@@ -60,10 +76,10 @@ def recordings_in(folder: Path) -> dict[str, list[Path]]:
 
 
 def check_new(first: Path) -> None:
-    """Accepts the name of a recording that is not there yet.
+    """Check the name of a new recording.
 
     Raises:
-        ConfigurationError: It does not end in ``.mcap``, its folder is missing, or it is there already.
+        ConfigurationError: It does not end in ``.mcap``, its folder is missing, or it exists.
     """
     if first.suffix != SUFFIX:
         raise ConfigurationError(f"{first} does not end in {SUFFIX}: give such a name.", file=str(first))
@@ -76,15 +92,15 @@ def check_new(first: Path) -> None:
 
 
 def remove_oldest(files: Sequence[Path], limit: float, removed: Callable[[Path, int], None]) -> None:
-    """Removes files until the others have at most `limit` bytes together; the last one stays.
+    """Remove the oldest files until the others have at most `limit` bytes together; the last one stays.
 
     Args:
-        files: Oldest first; the last one is being written.
-        limit: Bytes.
-        removed: Told each file that went, and its size.
+        files: Files, oldest first; the last one is being written.
+        limit: Largest total size, bytes.
+        removed: Callback for each removed file and its size, bytes.
 
     Raises:
-        OSError: One cannot be removed.
+        OSError: A file cannot be removed.
     """
     sizes = {path: path.stat().st_size for path in files}
     total = sum(sizes.values())

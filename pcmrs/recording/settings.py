@@ -1,4 +1,4 @@
-"""What is recorded by default, and how much of the disk it may take."""
+"""Settings of the daemon's recordings."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from pcmrs.recording.topics import TOPICS
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 MEGABYTE = 1_000_000
 FOLDER = "recordings"
-"""Where the recordings of all sessions of a cell lie, in the cell's folder."""
+"""Folder of the recordings of all sessions, in the cell's folder."""
 
 
 class RecordingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How the daemon records each of its sessions, by a process of its own.
+    """Recording of each session of the daemon, by its own process.
 
     Attributes:
-        enabled: Whether it does.
-        file_mb: A file of about this size is followed by the next one, 1e6 bytes.
-        total_mb: Of all sessions' files of a cell together; beyond it the oldest are removed.
-        file_s: A file is followed by the next one after this time, s.
-        keep_free_mb: The recording ends rather than leave less than this on the disk: the journal needs room.
-        topics: Key expressions of what is recorded, relative to the cell; none may lie within another one.
+        enabled: True to record.
+        file_mb: Approximate size at which the next file starts, 1e6 bytes.
+        total_mb: Size of all sessions' files of a cell together, beyond which the oldest are removed, 1e6 bytes.
+        file_s: Duration after which the next file starts, s.
+        keep_free_mb: Free space below which the recording ends, 1e6 bytes: the journal needs room.
+        topics: Key expressions of the recorded topics, relative to the cell; they must not overlap.
     """
 
     enabled: bool = True
@@ -35,7 +35,7 @@ class RecordingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     topics: tuple[str, ...] = TOPICS
 
     def limits(self) -> Limits:
-        """The same as the recorder counts them."""
+        """Return the limits in bytes."""
         return Limits(
             file_bytes=self.file_mb * MEGABYTE,
             file_s=self.file_s,

@@ -1,8 +1,8 @@
-"""Poses, frames and text as the messages of Foxglove, which Foxglove and Rerun know how to show."""
+"""Poses, frames and text as messages of Foxglove, which Foxglove and Rerun can show."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 from foxglove.messages import (
@@ -20,21 +20,31 @@ from foxglove.messages import (
 )
 
 from pcmrs.messages import Message
+from pcmrs.messages.setup import ProcedureDataView
 from pcmrs.spatial import Transform
 
 View = FrameTransforms | JointStates | Log | PoseInFrame | Message
-"""What a topic for people shows; a `Message` is shown as JSON."""
+"""Message of a topic for people; a `Message` is written as JSON."""
 
 _SECOND = 1_000_000_000
+_SCHEMA_NAMES: Final[dict[type[Message], str]] = {ProcedureDataView: "Gathered"}
+"""Schema names that differ from the class: recordings keep them, since other programs select topics by schema."""
 
 
 def stamp(at_ns: int) -> Timestamp:
-    """Nanoseconds since 1970 as seconds and nanoseconds."""
+    """Return a time, ns since 1970, as seconds and nanoseconds."""
     return Timestamp(at_ns // _SECOND, at_ns % _SECOND)
 
 
 def link(parent: str, child: str, parent_from_child: Transform, at_ns: int) -> FrameTransforms:
-    """Where one frame is in another, at a time."""
+    """Return a link between two frames.
+
+    Args:
+        parent: Parent frame.
+        child: Child frame.
+        parent_from_child: Pose of the child in the parent frame.
+        at_ns: Time of the pose, ns since 1970.
+    """
     return FrameTransforms(
         transforms=[
             FrameTransform(
@@ -49,13 +59,26 @@ def link(parent: str, child: str, parent_from_child: Transform, at_ns: int) -> F
 
 
 def pose_in(frame: str, pose: Transform, at_ns: int) -> PoseInFrame:
-    """A pose in a frame, at a time."""
+    """Return a pose in a frame.
+
+    Args:
+        frame: Frame.
+        pose: Pose in that frame.
+        at_ns: Time of the pose, ns since 1970.
+    """
     shown = Pose(position=_vector(pose), orientation=_quaternion(pose))
     return PoseInFrame(timestamp=stamp(at_ns), frame_id=frame, pose=shown)
 
 
 def joints(names: list[str], positions: list[float], velocities: list[float], at_ns: int) -> JointStates:
-    """Joint positions, rad, and velocities, rad/s, of which there are as many as names."""
+    """Return the states of the joints.
+
+    Args:
+        names: Names of the joints.
+        positions: Positions, rad, one for each name.
+        velocities: Velocities, rad/s, one for each name.
+        at_ns: Time of the measurement, ns since 1970.
+    """
     each = [
         JointState(name=name, position=position, velocity=velocity)
         for name, position, velocity in zip(names, positions, velocities, strict=True)
@@ -64,29 +87,36 @@ def joints(names: list[str], positions: list[float], velocities: list[float], at
 
 
 def line(level: LogLevel, name: str, text: str, at_ns: int) -> Log:
-    """A line of the log."""
+    """Return a line of the log.
+
+    Args:
+        level: Level.
+        name: Source of the line.
+        text: Text.
+        at_ns: Time, ns since 1970.
+    """
     return Log(timestamp=stamp(at_ns), level=level, name=name, message=text)
 
 
 def json_schema(kind: type[Message]) -> dict[str, Any]:
-    """JSON schema of a type of messages in the words that Foxglove's reader knows.
+    """Return the JSON schema of a type of messages in the subset that Foxglove supports.
 
-    It follows no references and has none for choices, tuples, maps, and lists of lists, and does not show a topic whose
-    schema has one: so an optional field is described as what it is where it is not null, a tuple as a list, a map as an
-    object without fields, and of a list of lists nothing is said.
+    Foxglove does not show a topic whose schema has references, choices, tuples, maps, or lists of lists. So an optional
+    field is described without null, a tuple as a list, a map as an object without fields, and a list of lists is left
+    out.
     """
     whole = msgspec.json.schema(kind)
     schema: dict[str, Any] = _plain(whole, whole["$defs"])
-    return {**schema, "title": f"pcmrs.{kind.__name__}"}
+    return {**schema, "title": f"pcmrs.{_SCHEMA_NAMES.get(kind, kind.__name__)}"}
 
 
 def json_bytes(message: Message) -> bytes:
-    """A message as JSON."""
+    """Return a message as JSON."""
     return msgspec.json.encode(message)
 
 
 def _plain(schema: dict[str, Any], parts: dict[str, Any]) -> Any:
-    """See `json_schema`; None for what cannot be said."""
+    """Return a schema in Foxglove's subset (see `json_schema`); None if it cannot be expressed."""
     if "$ref" in schema:
         return _plain(parts[schema["$ref"].rpartition("/")[2]], parts)
     if "anyOf" in schema:

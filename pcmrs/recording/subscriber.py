@@ -1,4 +1,4 @@
-"""Hearing a cell without understanding it: payloads as they are, with the time at which they came."""
+"""Subscriber to a cell that stores payloads undecoded, with their time of arrival."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import zenoh
 
 CAPACITY: Final = 20_000
-"""Messages that may wait to be written: many seconds of a cell at work."""
+"""Largest number of messages that wait to be written: many seconds of a cell at work."""
 
 EVENTS: Final = "daemon/event"
 
@@ -35,9 +35,9 @@ class RawSample:
     """One message.
 
     Attributes:
-        key: Relative to the cell.
-        payload: As it was on the bus.
-        at: When it came, s of the machine's monotonic clock.
+        key: Key, relative to the cell.
+        payload: Payload on the bus.
+        at: Time of arrival, s of the machine's monotonic clock.
     """
 
     key: str
@@ -46,13 +46,13 @@ class RawSample:
 
 
 class Subscriber:
-    """Keeps what comes on some keys of a cell until it is taken; what is too much is dropped and counted.
+    """Queue of messages on some keys of a cell; when it is full, new ones are dropped and counted.
 
     Use `Subscriber.open`.
 
     Attributes:
-        prefix: Of the cell.
-        dropped: So many messages came while the queue was full.
+        prefix: Key prefix of the cell.
+        dropped: Number of messages that arrived while the queue was full.
     """
 
     def __init__(self, session: zenoh.Session, prefix: str, clock: Clock, seal: Seal | None = None) -> None:
@@ -69,13 +69,13 @@ class Subscriber:
     async def open(
         cls, settings: BusSettings, topics: Sequence[str], clock: Clock, seal: Seal | None = None
     ) -> Subscriber:
-        """Joins the bus and hears from now on.
+        """Connect to the bus and subscribe.
 
         Args:
-            settings: Of the bus.
+            settings: Settings of the bus.
             topics: Key expressions, relative to the cell, that do not overlap.
-            clock: Of the machine.
-            seal: Of a recorder that has the key of daemon and nodes: it may report to the daemon.
+            clock: Clock of the machine.
+            seal: Seal with the key of daemon and nodes, which allows reports to the daemon; None without the key.
 
         Raises:
             BusError: No daemon answers at the endpoint.
@@ -83,18 +83,18 @@ class Subscriber:
         """
         prefix = cell_prefix(settings.site, settings.cell)
         session = await asyncio.get_running_loop().run_in_executor(None, open_session, settings)
-        tap = cls(session, prefix, clock, seal)
+        subscriber = cls(session, prefix, clock, seal)
         for topic in topics:
-            subscriber = declare_subscriber(session, f"{prefix}/{topic}", class_of(topic), tap._take)
-            tap._declared.append(subscriber)
-        return tap
+            handle = declare_subscriber(session, f"{prefix}/{topic}", class_of(topic), subscriber._receive)
+            subscriber._declared.append(handle)
+        return subscriber
 
-    def heard(self) -> list[RawSample]:
-        """What has come since the last call, in order."""
+    def take(self) -> list[RawSample]:
+        """Take the messages that arrived since the last call, in order."""
         return [self._waiting.popleft() for _ in range(len(self._waiting))]
 
     async def report(self, event: DeviceEvent) -> None:
-        """Report to the daemon, which journals it; a recorder without the key cannot."""
+        """Report an event to the daemon, which journals it; without the key this does nothing."""
         if self._seal is None:
             return
         key, payload = f"{self.prefix}/{EVENTS}", pack(event)
@@ -103,13 +103,13 @@ class Subscriber:
         await self._in_pool(partial(publisher.put, payload, attachment=self._seal.put("put", key, payload)))
 
     async def close(self) -> None:
-        """Leaves the bus."""
+        """Disconnect from the bus."""
         await self._in_pool(self._undeclare)
         await self._in_pool(self._session.close)
         self._pool.shutdown()
 
-    def _take(self, sample: zenoh.Sample) -> None:
-        """Runs in Zenoh's threads."""
+    def _receive(self, sample: zenoh.Sample) -> None:
+        """Queue a message. Zenoh calls it in its threads."""
         at = self._clock.monotonic()
         if len(self._waiting) >= CAPACITY:
             self.dropped += 1

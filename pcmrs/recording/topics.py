@@ -1,4 +1,4 @@
-"""Which keys of a cell are recorded or played, as key expressions."""
+"""Key expressions of the topics that are recorded or played."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ TOPICS: Final = (
     "cmd/**",
     "stop/*",
 )
-"""All but heartbeats, which say nothing afterwards, and video. Of the commands, those that were put; the verdicts of
-all are on ``state/event``."""
+"""All but heartbeats, which are of no use afterwards, and video. Of the commands, only those sent by put; the verdicts
+on all commands are on ``state/event``."""
 
 
 def check_topics(topics: Sequence[str]) -> None:
-    """Accepts key expressions of which no two share a key: what both match would be recorded twice.
+    """Check key expressions: no two may share a key, since its messages would be recorded twice.
 
     Raises:
-        ConfigurationError: One is no key expression, there are none, or two overlap; they are named.
+        ConfigurationError: There are none, one is not a key expression, or two overlap; the error names them.
     """
     if not topics:
         raise ConfigurationError("No topics are given: name at least one key expression, such as state/**.")
@@ -48,13 +48,13 @@ def check_topics(topics: Sequence[str]) -> None:
 
 
 class TopicFilter:
-    """Says whether a relative key is asked for.
+    """Filter of relative keys.
 
     Args:
-        topics: Key expressions; none for all keys.
+        topics: Key expressions; empty for all keys.
 
     Raises:
-        ConfigurationError: One is no key expression.
+        ConfigurationError: One is not a key expression.
     """
 
     def __init__(self, topics: Sequence[str]) -> None:
@@ -62,7 +62,7 @@ class TopicFilter:
         self._known: dict[str, bool] = {}
 
     def __call__(self, key: str) -> bool:
-        """Whether one of the expressions includes `key`."""
+        """Return whether one of the expressions includes `key`."""
         if not self._expressions:
             return True
         if key not in self._known:

@@ -1,4 +1,4 @@
-"""From messages of the bus to what people see in a recording: one topic for each thing they look at."""
+"""Views for people in a recording, from messages of the bus: one topic for each kind of view."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pcmrs.messages import BodyPose, DeviceHealth, Epoch, JointState, Message, P
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import ProcedureDataView
 from pcmrs.recording import shapes
-from pcmrs.recording.chain import Chain, Link, Mounting
+from pcmrs.recording.frame_tree import FrameTree, Link, Mounting
 from pcmrs.recording.shapes import View
 from pcmrs.recording.subscriber import RawSample
 from pcmrs.spatial import Frame, Transform
@@ -32,18 +32,18 @@ _SECOND = 1_000_000_000
 _LEVELS = {"accepted": LogLevel.Info, "rejected": LogLevel.Warning}
 
 
-class Views:
-    """Translates what is heard, and keeps what a later file must begin with.
+class RecordingViews:
+    """Translator of messages into views; it stores those with which a later file must start.
 
     Args:
-        arm: The arm's facts.
-        mounting: What was calibrated.
+        arm: Facts of the arm.
+        mounting: Calibrated poses.
         rate: Seconds of the cell, in which senders stamp, per second of the machine.
     """
 
     def __init__(self, arm: ArmFacts, mounting: Mounting, rate: float) -> None:
         self._names = [joint.name for joint in arm.joints]
-        self._chain = Chain(arm, mounting)
+        self._frames = FrameTree(arm, mounting)
         self._fixed = mounting.links()
         self._rate = rate
         self._latest: dict[str, tuple[str, Any]] = {}
@@ -59,86 +59,90 @@ class Views:
             ("dev/", self._device),
         ]
 
-    def of(self, heard: RawSample, at_ns: int) -> list[Shown]:
-        """What there is to see of a message.
+    def of(self, sample: RawSample, at_ns: int) -> list[Shown]:
+        """Return the views of a message.
 
         Args:
-            heard: The message.
-            at_ns: When it came, ns since 1970.
+            sample: Message of the bus.
+            at_ns: Time of arrival, ns since 1970.
 
         Returns:
-            Nothing for a key that has no view; a line of the log for a message that cannot be read.
+            Topics and views; none for a key without views, a line of the log for a message that cannot be read.
         """
-        translate = next((each for start, each in self._translators if heard.key.startswith(start)), None)
+        translate = next((each for start, each in self._translators if sample.key.startswith(start)), None)
         if translate is None:
             return []
         try:
-            return list(translate(heard, at_ns))
+            return list(translate(sample, at_ns))
         except PcmrsError as error:
-            return [(LOG, shapes.line(LogLevel.Warning, "recorder", f"{heard.key}: {error.text}", at_ns))]
+            return [(LOG, shapes.line(LogLevel.Warning, "recorder", f"{sample.key}: {error.text}", at_ns))]
 
     def opening(self, at_ns: int) -> list[Shown]:
-        """What a file begins with, so that it can be understood without those before it."""
+        """Return the views with which a file starts, so that it can be read without the files before it.
+
+        Args:
+            at_ns: Time of the start, ns since 1970.
+        """
         fixed = [(TF_CALIBRATION, self._linked(link, at_ns)) for link in self._fixed]
         return [*fixed, *((topic, view(at_ns)) for topic, view in self._latest.values())]
 
-    def _pose(self, heard: RawSample, at_ns: int) -> Iterator[Shown]:
-        pose = unpack(heard.payload, BodyPose)
+    def _pose(self, sample: RawSample, at_ns: int) -> Iterator[Shown]:
+        pose = unpack(sample.payload, BodyPose)
         if not pose.valid:
             return
         captured_ns = at_ns - self._age_ns(pose.sent - pose.captured)
         tracker_from_body = _transform(pose)
         yield TF_BODIES, shapes.link(Frame.TRACKER, pose.body, tracker_from_body, captured_ns)
-        base = self._chain.coil(tracker_from_body) if pose.body == Frame.COIL else None
+        base = self._frames.coil(tracker_from_body) if pose.body == Frame.COIL else None
         if base is not None:
-            yield self._kept("base", TF_BASE, lambda at: self._linked(base, at), captured_ns)
+            yield self._stored("base", TF_BASE, lambda at: self._linked(base, at), captured_ns)
 
-    def _joints(self, heard: RawSample, at_ns: int) -> Iterator[Shown]:
-        state = unpack(heard.payload, JointState)
+    def _joints(self, sample: RawSample, at_ns: int) -> Iterator[Shown]:
+        state = unpack(sample.payload, JointState)
         captured_ns = at_ns - self._age_ns(state.sent - state.captured)
-        flange = self._chain.joints(state)
+        flange = self._frames.joints(state)
         if len(state.velocities) == len(self._names):
             yield JOINTS, shapes.joints(self._names, state.positions, state.velocities, captured_ns)
         yield TF_ARM, self._linked(flange, captured_ns)
 
     def _last(self, topic: str, kind: type[Message]) -> Callable[[RawSample, int], Iterator[Shown]]:
-        """Shows messages of which the last one holds until the next."""
+        """Return a translator for messages that are valid until the next one."""
 
-        def translate(heard: RawSample, at_ns: int) -> Iterator[Shown]:
-            message = unpack(heard.payload, kind)
-            yield self._kept(heard.key, topic, lambda _: message, at_ns)
+        def translate(sample: RawSample, at_ns: int) -> Iterator[Shown]:
+            message = unpack(sample.payload, kind)
+            yield self._stored(sample.key, topic, lambda _: message, at_ns)
 
         return translate
 
-    def _device(self, heard: RawSample, at_ns: int) -> Iterator[Shown]:
-        if heard.key.endswith("/state"):
-            yield from self._last(HEALTH, DeviceHealth)(heard, at_ns)
+    def _device(self, sample: RawSample, at_ns: int) -> Iterator[Shown]:
+        if sample.key.endswith("/state"):
+            yield from self._last(HEALTH, DeviceHealth)(sample, at_ns)
 
-    def _epoch(self, heard: RawSample, _: int) -> Iterator[Shown]:
-        yield EPOCH, unpack(heard.payload, Epoch)
+    def _epoch(self, sample: RawSample, _: int) -> Iterator[Shown]:
+        yield EPOCH, unpack(sample.payload, Epoch)
 
-    def _target(self, heard: RawSample, at_ns: int) -> Iterator[Shown]:
-        target = unpack(heard.payload, Target)
+    def _target(self, sample: RawSample, at_ns: int) -> Iterator[Shown]:
+        target = unpack(sample.payload, Target)
         self._latest.pop("image", None)
         self._latest.pop("target", None)
         if target.body_ref_from_image is not None:
             body_ref_from_image = _transform(target.body_ref_from_image)
             link = Frame.BODY_REF, Frame.IMAGE, body_ref_from_image
-            yield self._kept("image", TF_IMAGE, lambda at: shapes.link(*link, at), at_ns)
+            yield self._stored("image", TF_IMAGE, lambda at: shapes.link(*link, at), at_ns)
         if target.pose is not None:
             image_from_coil = _transform(target.pose)
-            yield self._kept("target", TARGET, lambda at: shapes.pose_in(Frame.IMAGE, image_from_coil, at), at_ns)
+            yield self._stored("target", TARGET, lambda at: shapes.pose_in(Frame.IMAGE, image_from_coil, at), at_ns)
 
-    def _event(self, heard: RawSample, at_ns: int) -> Iterator[Shown]:
-        event = convert_event(unpack(heard.payload, dict))
+    def _event(self, sample: RawSample, at_ns: int) -> Iterator[Shown]:
+        event = convert_event(unpack(sample.payload, dict))
         if isinstance(event, Verdict):
             level = _LEVELS.get(event.decision, LogLevel.Error)
-            yield LOG, shapes.line(level, f"{event.branch}.{event.operation}", _said(event), at_ns)
+            yield LOG, shapes.line(level, f"{event.branch}.{event.operation}", _text(event), at_ns)
         else:
             level = LogLevel.Error if event.danger else LogLevel.Warning
             yield LOG, shapes.line(level, event.device, f"{event.code}: {event.text}", at_ns)
 
-    def _kept(self, key: str, topic: str, view: Callable[[int], View], at_ns: int) -> Shown:
+    def _stored(self, key: str, topic: str, view: Callable[[int], View], at_ns: int) -> Shown:
         self._latest[key] = topic, view
         return topic, view(at_ns)
 
@@ -146,7 +150,7 @@ class Views:
         return shapes.link(*link, at_ns)
 
     def _age_ns(self, age: float) -> int:
-        """A sender's age of what it measured; senders without sense have none."""
+        """Return the age of a measurement, ns; 0 for an implausible one."""
         seconds = age / self._rate
         return int(seconds * _SECOND) if 0.0 <= seconds < 60.0 else 0
 
@@ -155,6 +159,6 @@ def _transform(pose: PoseMessage | BodyPose) -> Transform:
     return Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
 
 
-def _said(verdict: Verdict) -> str:
+def _text(verdict: Verdict) -> str:
     reason = "" if verdict.reason is None else f": {verdict.reason.code}: {verdict.reason.text}"
     return f"{verdict.decision}, {verdict.branch} is in {verdict.state}{reason}"

@@ -1,6 +1,6 @@
-"""Deciding a journal anew: what the world answered comes from the record, every decision is made again."""
+"""Replay of a journal: every decision is made again, with the answers of devices taken from the journal."""
 
 from pcmrs.replay.differences import Difference
-from pcmrs.replay.replay import Replayed, replay
+from pcmrs.replay.replay import ReplayReport, replay
 
-__all__ = ["Difference", "Replayed", "replay"]
+__all__ = ["Difference", "ReplayReport", "replay"]

@@ -1,4 +1,4 @@
-"""What the world answered besides the ends of steps: that the robot stands, and that activities have ended."""
+"""Answers of the devices besides the ends of steps: the robot stands still, and activities have ended."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from pcmrs.errors import DeviceError, PcmrsError, RefusalError, UnknownOutcomeEr
 from pcmrs.journal import JournalRow
 from pcmrs.messages import Reason, Verdict
 from pcmrs.replay.keys import is_danger
-from pcmrs.replay.recorded import Pursued
+from pcmrs.replay.workflow import PendingActivity
 
 
 def _refusal(verdict: Verdict) -> PcmrsError:
-    """What a release has raised, by its outcome."""
+    """Return the error that a release raised, from its outcome."""
     reason = verdict.reason
     if reason is None:
         return DeviceError("The devices were not released.")
@@ -25,28 +25,28 @@ def _refusal(verdict: Verdict) -> PcmrsError:
 
 
 class Holds:
-    """Holds and releases of the devices that have not been answered yet.
+    """Pending holds and releases of the devices.
 
     Args:
-        rows: On record.
+        rows: Journalled rows of the run.
     """
 
     def __init__(self, rows: Sequence[JournalRow]) -> None:
         self._rows = rows
-        self._asked: list[asyncio.Future[None]] = []
+        self._pending: list[asyncio.Future[None]] = []
         self._released: list[asyncio.Future[Sequence[str]]] = []
         self._ended = False
 
     async def hold(self, _latch: bool) -> None:
-        """Waits for the answer. Raises `DeviceError` where none came."""
+        """Wait for the answer. Raises `DeviceError` if there was none."""
         if self._ended:
             return
-        asked: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        self._asked.append(asked)
-        await asked
+        answered: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._pending.append(answered)
+        await answered
 
     async def release(self, _stopped: bool) -> Sequence[str]:
-        """Waits for the release of the devices. Raises `DeviceError` where they were not released."""
+        """Wait for the release of the devices. Raises `DeviceError` if they were not released."""
         released: asyncio.Future[Sequence[str]] = asyncio.get_running_loop().create_future()
         if self._ended:
             return []
@@ -54,7 +54,7 @@ class Holds:
         return await released
 
     def answer_release(self, index: int) -> bool:
-        """The devices are released as the outcome at `index` shows; whether anybody waited."""
+        """Answer the releases as the outcome at `index` shows; return whether there were any."""
         verdict = self._rows[index].verdict
         waiting, self._released = [each for each in self._released if not each.done()], []
         for each in waiting:
@@ -65,16 +65,16 @@ class Holds:
         return bool(waiting)
 
     def answer(self, index: int) -> bool:
-        """The robot stands, or does not confirm it where the row at `index` shows that; whether anybody waited."""
+        """Answer the holds: confirmed, unless the row at `index` shows otherwise; return whether there were any."""
         return self._answer(confirmed=self._is_confirmed(index))
 
     def end(self) -> None:
-        """All stands, from now on at once."""
+        """Confirm all holds, and later ones at once."""
         self._ended = True
         self._answer(confirmed=True)
 
     def _answer(self, *, confirmed: bool) -> bool:
-        waiting, self._asked = [each for each in self._asked if not each.done()], []
+        waiting, self._pending = [each for each in self._pending if not each.done()], []
         for each in waiting:
             if confirmed:
                 each.set_result(None)
@@ -90,18 +90,32 @@ class Holds:
         return danger is None or danger.operation != NOT_CONFIRMED
 
 
-def end_activities(pursued: Sequence[Pursued], source: str | None) -> bool:
-    """Activities that were told to end have ended: the one that is `source`, or else all; whether there was any."""
-    waiting = [each for each in pursued if each.told.is_set() and not each.quiet.done()]
+def end_activities(activities: Sequence[PendingActivity], source: str | None) -> bool:
+    """End the activities that were asked to end: the one that is the source, or else all.
+
+    Args:
+        activities: Pending activities.
+        source: Source of the row that shows the end.
+
+    Returns:
+        True if there was any.
+    """
+    waiting = [each for each in activities if each.end_requested.is_set() and not each.end_allowed.done()]
     for each in [each for each in waiting if source == f"activity:{each.name}"] or waiting:
-        each.quiet.set_result(None)
+        each.end_allowed.set_result(None)
     return bool(waiting)
 
 
-def end_by_itself(pursued: Sequence[Pursued], name: str, reason: Reason) -> None:
-    """An activity ends without having been told to, or in another way than it was told to."""
-    for each in pursued:
-        ending = each.quiet if each.told.is_set() else each.by_itself
+def end_unrequested(activities: Sequence[PendingActivity], name: str, reason: Reason) -> None:
+    """End an activity that was not asked to end, or that ends with another reason.
+
+    Args:
+        activities: Pending activities.
+        name: Name of the activity.
+        reason: Reason of its end.
+    """
+    for each in activities:
+        ending = each.end_allowed if each.end_requested.is_set() else each.unrequested_end
         if each.name != name or ending.done():
             continue
         if reason.code == "activity_ended":

@@ -1,4 +1,4 @@
-"""Where a decision made anew is another one than the decision on record."""
+"""Differences between replayed and journalled decisions."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from pcmrs.replay.keys import event_key
 from pcmrs.replay.recorder import Decided
 
 RELATIVE, ABSOLUTE = 1e-9, 1e-12
-"""Numbers worked out anew may differ so much: another machine's linear algebra rounds differently."""
+"""Tolerances of recomputed numbers: another machine's linear algebra rounds differently."""
 
 
 class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
-    """One thing that was decided differently.
+    """One difference.
 
     Attributes:
-        sequence: Of the row on record; that of the next one for a row that is not on record.
+        sequence: Sequence of the journalled row; that of the next one for a row that was not journalled.
         row: Kind, operation or event, and source.
-        what: ``row`` where there is none on one side, otherwise what differs in it.
-        recorded: On record; None where there is nothing.
-        decided: Decided anew; None where nothing was.
+        what: ``row`` if one side has no row, otherwise the part of the row that differs.
+        recorded: Journalled value; None if there is none.
+        decided: Replayed value; None if there is none.
     """
 
     sequence: int
@@ -38,32 +38,46 @@ class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False)
 
 
 def missing(stored: StoredRow) -> Difference:
-    """A row on record for which nothing was decided anew."""
+    """Return the difference for a journalled row that was not decided again."""
     row = stored.row
     verdict = row.verdict
-    told = verdict.decision if verdict is not None else row.kind
-    return Difference(sequence=stored.sequence, row=_name(row), what="row", recorded=_with_code(told, verdict))
+    decision = verdict.decision if verdict is not None else row.kind
+    return Difference(sequence=stored.sequence, row=_name(row), what="row", recorded=_with_code(decision, verdict))
 
 
 def added(sequence: int, decided: Decided) -> Difference:
-    """A row that is not on record."""
+    """Return the difference for a decision that was not journalled.
+
+    Args:
+        sequence: Sequence of the next journalled row.
+        decided: The decision.
+    """
     key, verdict = decided.key, decided.verdict
-    told = _with_code(verdict.decision if verdict is not None else key.kind, verdict)
+    decision = _with_code(verdict.decision if verdict is not None else key.kind, verdict)
     name = f"{key.kind} {key.what} [{key.source}]"
-    return Difference(sequence=sequence, row=name, what="row", decided=told)
+    return Difference(sequence=sequence, row=name, what="row", decided=decision)
 
 
 def reported_already(decided: Decided, rows: Sequence[StoredRow]) -> bool:
-    """Return whether it only says again that a hold was not confirmed.
+    """Return whether a decision only repeats that a hold was not confirmed.
 
-    Of several holds that were pending at once, a journal does not say which one was confirmed, and when.
+    If several holds were pending at once, a journal does not say which one was confirmed, and when.
+
+    Args:
+        decided: Decision that was not journalled.
+        rows: Journalled rows of the run.
     """
     unconfirmed = event_key(decided.key.source, NOT_CONFIRMED, danger=True)
     return decided.key == unconfirmed and any(stored.row.operation == NOT_CONFIRMED for stored in rows)
 
 
 def compared(stored: StoredRow, decided: Decided) -> Iterator[Difference]:
-    """What differs between a row on record and its counterpart."""
+    """Yield the differences between a journalled row and its replayed counterpart.
+
+    Args:
+        stored: Journalled row.
+        decided: Replayed decision.
+    """
     for what, before, now in _pairs(stored.row, decided):
         if not same(before, now):
             name = _name(stored.row)
@@ -82,7 +96,12 @@ def _pairs(row: JournalRow, decided: Decided) -> Iterator[tuple[str, Any, Any]]:
 
 
 def same(before: Any, now: Any) -> bool:
-    """Whether two pieces of plain data are equal, numbers but for rounding."""
+    """Return whether two pieces of plain data are equal, up to the rounding of numbers.
+
+    Args:
+        before: Journalled data.
+        now: Replayed data.
+    """
     if isinstance(before, dict) and isinstance(now, dict):
         return before.keys() == now.keys() and all(same(value, now[key]) for key, value in before.items())
     if isinstance(before, list | tuple) and isinstance(now, list | tuple):
@@ -97,9 +116,9 @@ def _code(verdict: Verdict) -> str | None:
     return verdict.reason.code if verdict.reason is not None else None
 
 
-def _with_code(told: str, verdict: Verdict | None) -> str:
+def _with_code(decision: str, verdict: Verdict | None) -> str:
     code = _code(verdict) if verdict is not None else None
-    return told if code is None else f"{told}: {code}"
+    return decision if code is None else f"{decision}: {code}"
 
 
 def _name(row: JournalRow) -> str:

@@ -1,6 +1,6 @@
-"""Reading a journal for its replay: the file itself or its export, cut into runs of the daemon.
+"""Runs of the daemon in a journal or its export, and the state that each passes to the next.
 
-What one run of the daemon leaves to the next, worked out anew: data, doubts, the latch, and what had begun.
+The state is recomputed: data, unknown outcomes, the latch, and operations in progress.
 """
 
 from __future__ import annotations
@@ -25,66 +25,76 @@ from pcmrs.workflows.data import PlacementData
 
 
 class CarryOver:
-    """Follows the runs in order.
+    """State that runs pass on, in order.
 
     Attributes:
-        kept: What the next run begins with.
+        state: State with which the next run starts.
     """
 
     def __init__(self) -> None:
-        self.kept = PersistedState()
+        self.state = PersistedState()
 
     def begin(self, run: DaemonRun, workflow: Workflow[Cell, PlacementData]) -> Iterator[Difference]:
-        """Closes what the run before has begun: where this run has not done so, or closed something else.
+        """Close the operations in progress of the run before; yield those that this run closed differently.
 
         Args:
-            run: That begins.
-            workflow: That it was decided under.
+            run: Run that starts.
+            workflow: Workflow under which it was decided.
         """
         closed = {
             (each.row.source or "", each.row.command_id or ""): each for each in run.rows if closes_earlier_run(each)
         }
-        begun = {(each.source, each.command): each for each in self.kept.begun}
-        for asked in begun.keys() - closed.keys():
-            name = f"outcome {begun[asked].branch}.{begun[asked].operation}"
+        in_flight = {(each.source, each.command): each for each in self.state.begun}
+        for key in in_flight.keys() - closed.keys():
+            name = f"outcome {in_flight[key].branch}.{in_flight[key].operation}"
             yield Difference(sequence=run.rows[0].sequence, row=name, what="row", decided="unknown")
-        for asked in closed.keys() - begun.keys():
-            row = closed[asked].row
+        for key in closed.keys() - in_flight.keys():
+            row = closed[key].row
             name = f"outcome {row.branch}.{row.operation}"
-            yield Difference(sequence=closed[asked].sequence, row=name, what="row", recorded="unknown")
-        ledger = RestartState(workflow.blueprint, self.kept)
+            yield Difference(sequence=closed[key].sequence, row=name, what="row", recorded="unknown")
+        restart_state = RestartState(workflow.blueprint, self.state)
         started = [each for each in run.rows if each.row.kind == "config"][:1]
         for stored in (*started, *closed.values()):
-            ledger.take(stored.row)
-        self.kept = ledger.kept
+            restart_state.take(stored.row)
+        self.state = restart_state.kept
 
-    def give_to(self, dispatcher: Dispatcher[Cell, PlacementData], run: DaemonRun) -> None:
-        """Has the dispatcher begin with it, as daemons do that write down how they begin."""
+    def restore(self, dispatcher: Dispatcher[Cell, PlacementData], run: DaemonRun) -> None:
+        """Restore the state in a dispatcher, as daemons do that journal their start.
+
+        Args:
+            dispatcher: Dispatcher of the replay.
+            run: Run that starts.
+        """
         if run.settings is not None:
             start = run.rows[0].sequence
-            dispatcher.take_up(latched=self.kept.latched, unknown=self.kept.unknown, start=start)
+            dispatcher.take_up(latched=self.state.latched, unknown=self.state.unknown, start=start)
 
-    def inherited(self, workflow: Workflow[Cell, PlacementData]) -> Workflow[Cell, PlacementData]:
-        """The workflow with the data that a run begins with.
+    def with_state(self, workflow: Workflow[Cell, PlacementData]) -> Workflow[Cell, PlacementData]:
+        """Return the workflow with the data with which a run starts.
 
         Raises:
-            ReplayError: What an earlier run has left is not of the types that this program knows.
+            ReplayError: Data of an earlier run do not have the types of this program.
         """
         initial = workflow.initial
         kinds = {each.name: each.type for each in msgspec.structs.fields(type(initial))}
         try:
-            kept = {name: msgspec.convert(value, kinds[name]) for name, value in self.kept.taken_back.items()}
+            data = {name: msgspec.convert(value, kinds[name]) for name, value in self.state.taken_back.items()}
         except msgspec.ValidationError as error:
             text = f"The journal holds registrations that this program cannot read: {error}."
             raise ReplayError(text) from None
-        return replace(workflow, initial=msgspec.structs.replace(initial, **kept))
+        return replace(workflow, initial=msgspec.structs.replace(initial, **data))
 
     def end(self, run: DaemonRun, workflow: Workflow[Cell, PlacementData]) -> None:
-        """Takes in what a run leaves."""
-        ledger = RestartState(workflow.blueprint, self.kept)
+        """Apply the rows of a run to the state.
+
+        Args:
+            run: Run that ended.
+            workflow: Workflow under which it was decided.
+        """
+        restart_state = RestartState(workflow.blueprint, self.state)
         for stored in run.decided():
-            ledger.take(stored.row)
-        self.kept = ledger.kept
+            restart_state.take(stored.row)
+        self.state = restart_state.kept
 
 
 _SQLITE = b"SQLite format 3\0"
@@ -92,11 +102,11 @@ _SQLITE = b"SQLite format 3\0"
 
 @dataclass(frozen=True)
 class DaemonRun:
-    """The rows that one run of the daemon wrote.
+    """Rows of one run of the daemon.
 
     Attributes:
-        tag: The blueprint under which all of them were decided.
-        rows: In order.
+        tag: Blueprint under which they were decided.
+        rows: Rows, in order.
     """
 
     tag: BlueprintTag
@@ -104,37 +114,37 @@ class DaemonRun:
 
     @property
     def settings(self) -> dict[str, Any] | None:
-        """The configuration as plain data; None where the run did not write it."""
+        """Configuration as plain data; None if the run did not journal it."""
         return self._started().get("settings")
 
     @property
     def calibration(self) -> str | None:
-        """Identity of the calibrations in use; None where the run did not write it."""
+        """Identity of the calibrations in use; None if the run did not journal it."""
         return self._started().get("calibration")
 
     def decided(self) -> list[StoredRow]:
-        """What the dispatcher writes: neither the daemon's own rows, nor what it closed for the run before it."""
+        """Return the rows of the dispatcher: without the daemon's own, and without those that close the earlier run."""
         own = (each for each in self.rows if each.row.kind in COMPARED and not closes_earlier_run(each))
         return [each for each in own if not is_rejected_report(each.row)]
 
     def _started(self) -> dict[str, Any]:
-        """What the daemon wrote down first; empty of daemons that did not."""
+        """Return the data that the daemon journalled at its start; empty for daemons that did not."""
         rows = (each.row for each in self.rows if each.row.kind == "config" and each.row.operation == "started")
         return next((row.result for row in rows if row.result is not None), {})
 
 
 def closes_earlier_run(stored: StoredRow) -> bool:
-    """Whether the row ends what an earlier run of the daemon had begun."""
+    """Return whether the row closes an operation of an earlier run."""
     verdict = stored.row.verdict
     reason = verdict.reason if verdict is not None else None
     return reason is not None and reason.code == ENDED.code and stored.row.states is None
 
 
 def read_runs(path: Path) -> list[DaemonRun]:
-    """The runs of the daemon in a journal, in order.
+    """Return the runs of the daemon in a journal, in order.
 
     Args:
-        path: A journal, or its export: one row a line as JSON.
+        path: Journal, or its export with one row of JSON per line.
 
     Raises:
         ReplayError: There is no such file, it is neither, or rows are missing.

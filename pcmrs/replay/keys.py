@@ -1,4 +1,4 @@
-"""What makes a row of the journal and a row that is decided anew the same one."""
+"""Keys that match a journalled row with its replayed counterpart."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from pcmrs.messages.identity import ON_SITE
 
 RowKind = Literal["intent", "outcome", "device"]
 COMPARED: tuple[RowKind, ...] = ("intent", "outcome", "device")
-"""Kinds of rows that the dispatcher writes; the others are the daemon's own."""
+"""Kinds of rows that the dispatcher writes; the daemon itself writes the others."""
 
 _DRAWN = re.compile(r"-[0-9a-f]{32}$")
 _DRAWS_IDS = ("device:", "activity:")
 
 
 class Key(NamedTuple):
-    """Names a row among those of one run of the daemon; where several have one key, their order decides.
+    """Key of a row within one run of the daemon; rows with the same key are matched in their order.
 
     Attributes:
-        source: Who asked, or what reported.
-        what: Branch and operation, or the event's code and whether it is danger.
-        id: Of the command, without what was drawn at random; empty for events.
+        source: Source of the command or event.
+        what: Branch and operation, or the event's code and ``danger``.
+        id: Id of the command without its random part; empty for events.
     """
 
     kind: RowKind
@@ -34,17 +34,28 @@ class Key(NamedTuple):
 
 
 def command_key(kind: RowKind, command: Command) -> Key:
-    """The key of a command's intent or outcome."""
+    """Return the key of a command's intent or outcome.
+
+    Args:
+        kind: ``intent`` or ``outcome``.
+        command: The command.
+    """
     return Key(kind, command.source, f"{command.branch}.{command.operation}", _lasting(command.source, command.id))
 
 
 def event_key(source: str, code: str, *, danger: bool) -> Key:
-    """The key of an event."""
+    """Return the key of an event.
+
+    Args:
+        source: Source of the event.
+        code: Code of the event.
+        danger: True if it stops the cell.
+    """
     return Key("device", source, f"{code}, danger" if danger else code)
 
 
 def key_of(row: JournalRow) -> Key | None:
-    """The key of a row; None for what no dispatcher writes."""
+    """Return the key of a row; None for a row that no dispatcher writes."""
     if row.kind == "device":
         return event_key(row.source or "", row.operation or "", danger=is_danger(row))
     if row.kind not in COMPARED:
@@ -53,7 +64,7 @@ def key_of(row: JournalRow) -> Key | None:
 
 
 def command_of(row: JournalRow) -> Command:
-    """The command that an intent or outcome is of; when it was sent is not on record."""
+    """Return the command of an intent or outcome, without the time at which it was sent, which is not journalled."""
     return Command(
         id=row.command_id or "",
         branch=row.branch or "",
@@ -67,29 +78,35 @@ def command_of(row: JournalRow) -> Command:
 
 
 def is_followed_by_report(row: JournalRow) -> bool:
-    """Whether the dispatcher itself asked for it, because a device had reported an event of that name."""
+    """Return whether the dispatcher itself submitted the command after a device reported an event of that name."""
     drawn = _DRAWN.search(row.command_id or "") is not None
     return drawn and (row.source or "").startswith("device:")
 
 
 def same_reason(row: JournalRow, code: str | None, text: str) -> bool:
-    """Whether the row gives this reason."""
+    """Return whether the row has this reason.
+
+    Args:
+        row: Outcome.
+        code: Code of the reason.
+        text: Text of the reason.
+    """
     reason = row.verdict.reason if row.verdict is not None else None
     return reason is not None and (reason.code, reason.text) == (code, text)
 
 
 def is_rejection(row: JournalRow) -> bool:
-    """Whether the row is the outcome of a command that was rejected."""
+    """Return whether the row is the outcome of a rejected command."""
     return row.kind == "outcome" and row.verdict is not None and row.verdict.decision == "rejected"
 
 
 def is_rejected_report(row: JournalRow) -> bool:
-    """Whether a device or an activity has reported what the state did not allow: only older journals have such rows."""
+    """Return whether the row rejects a report of a device or activity; only older journals have such rows."""
     return is_rejection(row) and (row.source or "").startswith(_DRAWS_IDS)
 
 
 def is_danger(row: JournalRow) -> bool:
-    """Whether the row is an event that took the lane of Stop, or tells that Stop is not confirmed."""
+    """Return whether the row is an event that stopped the cell, or reports that Stop is not confirmed."""
     result: Mapping[str, object] = row.result or {}
     return row.kind == "device" and bool(result.get("danger"))
 

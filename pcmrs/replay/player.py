@@ -1,4 +1,4 @@
-"""Feeds a dispatcher what once came from outside, row by row, and lets it decide everything else anew."""
+"""Player of a journal: it gives a dispatcher all external inputs, row by row; the dispatcher decides the rest again."""
 
 from __future__ import annotations
 
@@ -15,53 +15,53 @@ from pcmrs.dispatcher.stops import PENDING, UNNAMED
 from pcmrs.fsm import Closure, Denial
 from pcmrs.journal import JournalRow, StoredRow
 from pcmrs.messages import Command, DeviceEvent, Reason
-from pcmrs.replay.answers import Holds, end_activities, end_by_itself
-from pcmrs.replay.durability import WINDOW, busy_with, name_of, turned_away
+from pcmrs.replay.answers import Holds, end_activities, end_unrequested
+from pcmrs.replay.durability import WINDOW, name_of, rejected_by_stop, running_operations
 from pcmrs.replay.keys import command_of, is_danger, is_followed_by_report, same_reason
-from pcmrs.replay.recorded import RecordedWorkflow
 from pcmrs.replay.recorder import ReplayRecorder
-from pcmrs.replay.world import RecordedCell, RowsClock
+from pcmrs.replay.workflow import ReplayWorkflow
+from pcmrs.replay.world import ReplayCell, RowsClock
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 
 IDLE = 1.0
-"""In simulated time nobody but the feeder waits for a timer: one passes when nobody else has anything to do, s."""
+"""Timer of the player, s. No other task waits in simulated time, so it expires when all of them are idle."""
 
 
 class JournalPlayer:
-    """One run of the daemon, decided anew. In an event loop of simulated time.
+    """Replay of one run of the daemon, in an event loop of simulated time.
 
     Args:
-        workflow: With the data that the run began with.
-        cell: What is known of the cell.
-        rows: What the run's dispatcher wrote.
-        lease_required: Whether somebody had to hold the cell.
+        workflow: Workflow with the data with which the run started.
+        cell: Known attributes of the cell.
+        rows: Rows that the run's dispatcher wrote.
+        lease_required: True if commands needed the lease of the cell.
 
     Attributes:
-        dispatcher: Decides anew.
-        book: What is decided anew.
-        answered: Commands for which the journal said what came of the world.
+        dispatcher: Dispatcher that decides again.
+        recorder: Replayed decisions.
+        answered: Number of commands that the journal answered in place of devices.
     """
 
     def __init__(
         self,
         workflow: Workflow[Cell, PlacementData],
-        cell: RecordedCell,
+        cell: ReplayCell,
         rows: Sequence[StoredRow],
         *,
         lease_required: bool,
     ) -> None:
-        self.book = ReplayRecorder(rows)
+        self.recorder = ReplayRecorder(rows)
         self._clock = RowsClock()
         self._rows = [stored.row for stored in rows]
         self._holds = Holds(self._rows)
-        self._turned_away = dict(turned_away(self._rows))
-        self._recorded = RecordedWorkflow(workflow, self.book, self._ask)
+        self._rejected_by_stop = dict(rejected_by_stop(self._rows))
+        self._workflow = ReplayWorkflow(workflow, self.recorder, self._ask)
         self.dispatcher: Dispatcher[Cell, PlacementData] = Dispatcher(
-            self._recorded.workflow,
+            self._workflow.workflow,
             cell,
             self._clock,
-            self.book,
+            self.recorder,
             self._holds.hold,
             release=self._holds.release,
             lease_required=lease_required,
@@ -76,24 +76,24 @@ class JournalPlayer:
 
     @property
     def answered(self) -> int:
-        return len(self._recorded.answered)
+        return len(self._workflow.answered)
 
     async def feed(self, index: int) -> None:
-        """Brings about the row at `index`, if the dispatcher still decides as it did."""
-        book, row = self.book, self._rows[index]
+        """Cause the row at `index`, if the dispatcher still decides as it did."""
+        recorder, row = self.recorder, self._rows[index]
         self._clock.show(row)
-        group = self._turned_away_with(index)
-        if book.decided(index) is None and group:
+        group = self._rejected_with(index)
+        if recorder.decided(index) is None and group:
             await self._submit_all(group[:-1])
-            await self._endanger(group[-1])
-        elif book.decided(index) is None:
+            await self._stop(group[-1])
+        elif recorder.decided(index) is None:
             await self._cause(index, row)
-        if book.decided(index) is None:
-            await self._let_the_world_go_on(index, row)
+        if recorder.decided(index) is None:
+            await self._give_answers(index, row)
 
     async def end(self) -> None:
-        """Ends whatever is under way, as the end of the process once did."""
-        self.book.end()
+        """End all operations and activities in progress, as the end of the process did."""
+        self.recorder.end()
         for task in [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]:
             task.cancel()
         self._holds.end()
@@ -105,25 +105,25 @@ class JournalPlayer:
         if row.kind == "device":
             await self._report(index, row)
             return
-        self.book.release(index)
+        self.recorder.release(index)
         await self._idle()
-        if (row.source, row.command_id) not in self.book.asked:
+        if (row.source, row.command_id) not in self.recorder.submitted:
             if not self._follows_by_itself(row):
-                await self._submit_all([*self._running_unseen(index), index])
+                await self._submit_all([*self._running_undecided(index), index])
         else:
-            for steps in list(self._recorded.waiting):
+            for steps in list(self._workflow.waiting):
                 if steps.index == index:
                     steps.end.set()
             await self._idle()
 
     def _follows_by_itself(self, row: JournalRow) -> bool:
-        """Whether the dispatcher asks for it without being asked: it follows from an event or an activity's end."""
+        """Return whether the dispatcher itself submits the command, after an event or the end of an activity."""
         return is_followed_by_report(row) or (row.source, name_of(row)) in self._endings
 
-    def _running_unseen(self, index: int) -> list[int]:
-        """Commands that kept the one at `index` from starting, although their own first rows come later."""
+    def _running_undecided(self, index: int) -> list[int]:
+        """Return the commands that made the one at `index` busy, although their own first rows come later."""
         found = []
-        for name in busy_with(self._rows[index]):
+        for name in running_operations(self._rows[index]):
             later = range(index + 1, min(index + WINDOW, len(self._rows)))
             first = next((each for each in later if name_of(self._rows[each]) == name), None)
             if first is not None and self._is_new(self._rows[first]) and not self._is_running(name):
@@ -131,28 +131,28 @@ class JournalPlayer:
         return found
 
     def _is_new(self, row: JournalRow) -> bool:
-        return row.kind != "device" and (row.source, row.command_id) not in self.book.asked
+        return row.kind != "device" and (row.source, row.command_id) not in self.recorder.submitted
 
     def _is_running(self, name: str) -> bool:
         running = {f"{each.branch}.{each.operation}" for each in self.dispatcher.snapshot().running}
-        return name in running or self.book.holds_locks(name)
+        return name in running or self.recorder.holds_locks(name)
 
     async def _submit_all(self, indices: Sequence[int]) -> None:
         for each in indices:
             if self._is_new(self._rows[each]):
-                self._spawn(self.dispatcher.submit(await self._asked(each)))
+                self._spawn(self.dispatcher.submit(await self._command(each)))
         await self._idle()
 
-    async def _asked(self, index: int) -> Command:
-        """The command at `index`; one that acknowledges comes when the holds that it had to wait for are answered.
+    async def _command(self, index: int) -> Command:
+        """Return the command at `index`; before one that acknowledges, answer the holds that it had to wait for.
 
-        In older journals it names no Stop: it answered the newest one.
+        In older journals it names no Stop, and acknowledged the newest one.
         """
         command = command_of(self._rows[index])
         spec = self.dispatcher.procedure.blueprint.find(command.branch, command.operation)
         if spec is None or not spec.unlatches:
             return command
-        outcome = self.book.outcome_of(command)
+        outcome = self.recorder.outcome_of(command)
         verdict = outcome[1].row.verdict if outcome is not None else None
         code = verdict.reason.code if verdict is not None and verdict.reason is not None else ""
         if code != PENDING and self._holds.answer(index):
@@ -162,17 +162,17 @@ class JournalPlayer:
         named = {**command.arguments, "stop": self.dispatcher.stop_number}
         return msgspec.structs.replace(command, arguments=named)
 
-    def _turned_away_with(self, index: int) -> list[int]:
-        """Rows of commands that were rejected because of a Stop, and of that Stop; empty where `index` is none."""
-        stop = self._turned_away.get(index)
+    def _rejected_with(self, index: int) -> list[int]:
+        """Return the rows of commands that a Stop rejected, and of that Stop; empty if `index` is not the first one."""
+        stop = self._rejected_by_stop.get(index)
         return [] if stop is None else list(range(index, stop + 1))
 
     async def _report(self, index: int, row: JournalRow) -> None:
         source, result = row.source or "", row.result or {}
         if is_danger(row):
-            await self._endanger(index)
+            await self._stop(index)
             return
-        self.book.release(index)
+        self.recorder.release(index)
         await self._idle()
         if not source.startswith("activity:"):
             fields = result.get("fields", {})
@@ -180,24 +180,24 @@ class JournalPlayer:
             self._spawn(self.dispatcher.report(event))
             await self._idle()
 
-    async def _endanger(self, index: int) -> None:
-        """Stops everything as a person, a device or an activity did."""
+    async def _stop(self, index: int) -> None:
+        """Stop the cell as a person, a device or an activity did."""
         row = self._rows[index]
         source, result = row.source or "", row.result or {}
         if row.operation == NOT_CONFIRMED:
-            return  # what a hold leads to
+            return  # it follows from a hold
         if (source, row.operation) == (DAEMON, FAIL_STOP):
             fields = result.get("fields", {})
             self.dispatcher.fail(Reason(code=fields.get("reason", ""), text=result.get("text", "")))
             await self._idle()
             return
         reason = Reason(code=row.operation or "", text=result.get("text", ""), fields=result.get("fields", {}))
-        await self._end_what_had_ended(reason)
+        await self._end_finished_steps(reason)
         activity = source.removeprefix("activity:")
         if activity != source:
-            while self.book.release_event(index, source):
-                await self._idle()  # it has begun
-            end_by_itself(self._recorded.pursued, activity, reason)
+            while self.recorder.release_event(index, source):
+                await self._idle()  # its start is durable
+            end_unrequested(self._workflow.activities, activity, reason)
         elif source == SHUTDOWN:
             self._spawn(self.dispatcher.close())
         elif source.startswith("device:"):
@@ -208,28 +208,35 @@ class JournalPlayer:
             self._spawn(self.dispatcher.stop(source, reason))
         await self._idle()
 
-    async def _end_what_had_ended(self, reason: Reason) -> None:
-        """Steps that are on record with another ending than by this Stop had ended before it."""
-        for steps in list(self._recorded.waiting):
+    async def _end_finished_steps(self, reason: Reason) -> None:
+        """End the steps that were journalled with another end than this Stop: they ended before it."""
+        for steps in list(self._workflow.waiting):
             if steps.row is not None and not same_reason(steps.row, reason.code, reason.text):
                 steps.end.set()
         await self._idle()
 
     # -- what the world answers -------------------------------------------------------------------------
 
-    async def _let_the_world_go_on(self, index: int, row: JournalRow) -> None:
-        """One after the other, what the dispatcher may be waiting for comes, until it writes the row."""
-        book = self.book
-        own_events = partial(book.release_event, source=row.source or "")
+    async def _give_answers(self, index: int, row: JournalRow) -> None:
+        """Give the answers that the dispatcher may wait for, one after the other, until it writes the row."""
+        recorder = self.recorder
+        own_events = partial(recorder.release_event, source=row.source or "")
         holds = self._holds
-        answers = (own_events, self._quieten, holds.answer_release, holds.answer, book.release_event, book.release_any)
-        while book.decided(index) is None and any(answer(index) for answer in answers):
+        answers = (
+            own_events,
+            self._end_activities,
+            holds.answer_release,
+            holds.answer,
+            recorder.release_event,
+            recorder.release_any,
+        )
+        while recorder.decided(index) is None and any(answer(index) for answer in answers):
             await self._idle()
-        if book.decided(index) is None and self._is_new(row) and (row.source or "").startswith("activity:"):
+        if recorder.decided(index) is None and self._is_new(row) and (row.source or "").startswith("activity:"):
             await self._submit_all([index])
 
-    def _quieten(self, index: int) -> bool:
-        return end_activities(self._recorded.pursued, self._rows[index].source)
+    def _end_activities(self, index: int) -> bool:
+        return end_activities(self._workflow.activities, self._rows[index].source)
 
     # -- helpers ------------------------------------------------------------------------------------------
 
@@ -241,5 +248,5 @@ class JournalPlayer:
 
     @staticmethod
     async def _idle() -> None:
-        """Returns when nobody has anything to do any more."""
+        """Return when all other tasks are idle."""
         await asyncio.sleep(IDLE)

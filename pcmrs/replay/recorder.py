@@ -1,4 +1,4 @@
-"""The journal of a replay: what is decided anew, beside what is on record, and durable when the record shows it was."""
+"""Decisions of a replay, matched with the journalled rows, and durable when those rows show that they were."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from pcmrs.replay.keys import Key, command_key, event_key, key_of
 
 @dataclass(eq=False)
 class Decided:
-    """A row that is written anew.
+    """A replayed row.
 
     Attributes:
-        states: As the dispatcher hands them to the journal.
-        changes: Of the procedure's data, as plain data.
-        index: Of the row on record with which it is compared; None where there is none.
-        durable: Set when the dispatcher may believe that it is on the disk.
+        states: States that the dispatcher passed to the journal.
+        changes: Changes of the procedure's data, as plain data.
+        index: Index of the journalled row with which it is compared; None if there is none.
+        durable: Done when the dispatcher may take the row for durable.
     """
 
     key: Key
@@ -37,17 +37,17 @@ class Decided:
 
 @dataclass
 class ReplayRecorder:
-    """Implements `pcmrs.dispatcher.Recorder`: nothing is durable before the rows on record allow it.
+    """Implementation of `pcmrs.dispatcher.Recorder` in which a row becomes durable when the journalled rows allow it.
 
     Attributes:
-        rows: Of one run of the daemon, those that its dispatcher wrote.
-        asked: Source and id of every command that the dispatcher has been asked for.
-        extra: What was decided anew and is not on record.
-        ended: Everything is durable at once: nothing is compared any more.
+        rows: Rows that the dispatcher wrote in one run of the daemon.
+        submitted: Source and id of each command that was submitted to the dispatcher.
+        extra: Decisions that were not journalled.
+        ended: True after the end: all rows are durable at once, and none is compared.
     """
 
     rows: Sequence[StoredRow]
-    asked: set[tuple[str, str]] = field(default_factory=set)
+    submitted: set[tuple[str, str]] = field(default_factory=set)
     extra: list[Decided] = field(default_factory=list)
     ended: bool = False
 
@@ -87,24 +87,24 @@ class ReplayRecorder:
         return self._write(event_key(event.device, event.code, danger=event.danger), states)
 
     def recall(self, source: str, command_id: str) -> None:
-        """See `Recorder.recall`; a repeat leaves no row, so that none is ever replayed."""
-        self.asked.add((source, command_id))
+        """See `Recorder.recall`; a repeat leaves no row, so it is never replayed."""
+        self.submitted.add((source, command_id))
 
     # -- what the replay calls --------------------------------------------------------------------------
 
     def decided(self, index: int) -> Decided | None:
-        """What was decided anew for a row on record, so far."""
+        """Return the decision for the journalled row at `index`; None if it was not made yet."""
         return self._at.get(index)
 
     def outcome_of(self, command: Command) -> tuple[int, StoredRow] | None:
-        """The outcome on record of a command that has not been decided anew; None where it never came."""
+        """Return index and row of the journalled outcome of a command not decided yet; None if there was no outcome."""
         left = self._left.get(command_key("outcome", command))
         return (left[0], self.rows[left[0]]) if left else None
 
     def release(self, before: int) -> None:
-        """Makes durable what was, as far as the rows on record show, before the one at `before` was written.
+        """Make the decisions durable that, as the journalled rows show, were durable before the row at `before`.
 
-        Events stay as they are: nobody but those who wait for them to be durable can tell.
+        Events are left out: only those who wait for them notice when they are durable.
         """
         for each in self._in_order(before):
             if each.key.kind == "device":
@@ -114,33 +114,36 @@ class ReplayRecorder:
             self._make_durable(each)
 
     def release_event(self, before: int, source: str = "") -> bool:
-        """Makes the first event durable that is not, of those before the row at `before`; whether there was one.
+        """Make the first event durable that is not yet, of those before a row.
 
         Args:
-            before: Index of a row on record.
-            source: Only of this source, or of the device that is meant by it.
+            before: Index of the journalled row.
+            source: Source of the event, or of its device; empty for any.
+
+        Returns:
+            True if there was one.
         """
         sources = (source, source.removeprefix("device:"))
         events = (each for each in self._in_order(before) if each.key.kind == "device")
         return self._release_first(each for each in events if not source or each.key.source in sources)
 
     def release_any(self, before: int) -> bool:
-        """Makes the first row durable that is not, whatever the record shows; whether there was one."""
+        """Make the first row durable that is not yet, whatever the journal shows; return whether there was one."""
         return self._release_first(iter(self._in_order(before)))
 
     def holds_locks(self, name: str) -> bool:
-        """Whether a decision on an operation of that name is not durable yet."""
+        """Return whether a decision on the operation is not durable yet, so that it holds its locks."""
         return any(each.key.kind == "outcome" and each.key.what == name for each in self._waiting)
 
     def end(self) -> None:
-        """Lets the dispatcher come to its end."""
+        """Make all rows durable, so that the dispatcher can end."""
         self.ended = True
         for each in self._waiting:
             if not each.durable.done():
                 each.durable.set_result(None)
 
     def _in_order(self, before: int) -> list[Decided]:
-        """What is not durable and was before the row at `before`, or is not on record at all."""
+        """Return the rows that are not durable: those before the row at `before`, and those not journalled."""
         waiting = [each for each in self._waiting if each.index is None or each.index < before]
         return sorted(waiting, key=lambda each: -1 if each.index is None else each.index)
 

@@ -1,4 +1,4 @@
-"""Replaying a whole journal: every run of the daemon in it is decided anew and compared."""
+"""Replay of a whole journal: each run of the daemon is decided again and compared."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pcmrs.messages import BlueprintTag
 from pcmrs.replay.differences import Difference, added, compared, missing, reported_already
 from pcmrs.replay.history import CarryOver, DaemonRun, read_runs
 from pcmrs.replay.player import JournalPlayer
-from pcmrs.replay.world import RecordedCell
+from pcmrs.replay.world import ReplayCell
 from pcmrs.settings import read_settings
 from pcmrs.simulated_time.loop import SimulatedLoop
 from pcmrs.workflows.cell import Cell
@@ -32,17 +32,17 @@ SHOWN_EVERY = 100
 """Rows after which progress is shown."""
 
 
-class Replayed(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
-    """What a replay came to.
+class ReplayReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
+    """Result of a replay.
 
     Attributes:
-        rows: In the journal.
-        compared: Of these, what dispatchers decided.
-        runs: Of the daemon.
-        answered: Commands for which the journal said what came of the world; all others were decided by arguments, data
-            and settings alone.
-        differences: In order; empty where everything was decided as it was.
-        rows_per_second: How quick it was.
+        rows: Number of rows of the journal.
+        compared: Number of rows that dispatchers decided.
+        runs: Number of runs of the daemon.
+        answered: Number of commands that the journal answered in place of devices; all others were decided by
+            arguments, data and settings alone.
+        differences: Differences, in order; empty if all decisions are the same.
+        rows_per_second: Speed of the replay.
     """
 
     journal: str
@@ -55,23 +55,24 @@ class Replayed(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
 
     @property
     def is_same(self) -> bool:
-        """Whether every decision is the same."""
+        """True if all decisions are the same."""
         return not self.differences
 
 
-def replay(path: Path, clock: Clock, blueprint: Path | None = None, progress: ShowProgress | None = None) -> Replayed:
-    """Decides a journal anew.
+def replay(
+    path: Path, clock: Clock, blueprint: Path | None = None, progress: ShowProgress | None = None
+) -> ReplayReport:
+    """Decide a journal again.
 
     Args:
-        path: The journal, or its export.
-        clock: To say how quick it was.
-        blueprint: The workflow to decide by, whatever the journal says; None for the one that it names, which has to be
-            as it was then.
-        progress: Called with rows done and all rows.
+        path: Journal, or its export.
+        clock: Clock that measures the speed.
+        blueprint: Blueprint to decide by; None for the workflow that the journal names, which must be unchanged.
+        progress: Callback for the number of rows done, and of all rows.
 
     Raises:
-        ReplayError: The journal cannot be replayed by this program.
-        JournalError: It cannot be read.
+        ReplayError: This program cannot replay the journal.
+        JournalError: The journal cannot be read.
     """
     runs = read_runs(path)
     return replay_runs(str(path), runs, _Workflows(path, blueprint).of, clock, progress)
@@ -83,49 +84,62 @@ def replay_runs(
     workflow_of: Callable[[BlueprintTag], AnyWorkflow],
     clock: Clock,
     progress: ShowProgress | None = None,
-) -> Replayed:
-    """Decides runs of a daemon anew; see `replay`."""
-    begun, heritage = clock.monotonic(), CarryOver()
+) -> ReplayReport:
+    """Decide runs of a daemon again; see `replay`.
+
+    Args:
+        name: Name of the journal, for the report.
+        runs: Runs, in order.
+        workflow_of: Returns the workflow of a run.
+        clock: Clock that measures the speed.
+        progress: Callback for the number of rows done, and of all rows.
+
+    Raises:
+        ReplayError: This program cannot replay the runs.
+    """
+    started_at, carry_over = clock.monotonic(), CarryOver()
     differences: list[Difference] = []
     answered, total = 0, sum(len(run.rows) for run in runs)
     for run in runs:
         workflow = workflow_of(run.tag)
-        differences += heritage.begin(run, workflow)
+        differences += carry_over.begin(run, workflow)
         with asyncio.Runner(loop_factory=SimulatedLoop) as runner:
-            found, asked = runner.run(_replay_run(name, run, workflow, heritage, partial(_show, progress, total)))
-        answered += asked
+            found, from_journal = runner.run(
+                _replay_run(name, run, workflow, carry_over, partial(_show, progress, total))
+            )
+        answered += from_journal
         differences += found
-        heritage.end(run, workflow)
-    return Replayed(
+        carry_over.end(run, workflow)
+    return ReplayReport(
         journal=name,
         rows=total,
         compared=sum(len(run.decided()) for run in runs),
         runs=len(runs),
         answered=answered,
         differences=sorted(differences, key=lambda each: each.sequence),
-        rows_per_second=total / max(clock.monotonic() - begun, 1e-9),
+        rows_per_second=total / max(clock.monotonic() - started_at, 1e-9),
     )
 
 
 async def _replay_run(
-    name: str, run: DaemonRun, workflow: AnyWorkflow, heritage: CarryOver, show: Callable[[int], None]
+    name: str, run: DaemonRun, workflow: AnyWorkflow, carry_over: CarryOver, show: Callable[[int], None]
 ) -> tuple[list[Difference], int]:
-    rows, cell = run.decided(), RecordedCell(_procedure_settings(name, run), run.calibration)
+    rows, cell = run.decided(), ReplayCell(_procedure_settings(name, run), run.calibration)
     access = (run.settings or {}).get("access", {})
-    feeding = JournalPlayer(heritage.inherited(workflow), cell, rows, lease_required=bool(access.get("identity")))
-    heritage.give_to(feeding.dispatcher, run)
+    player = JournalPlayer(carry_over.with_state(workflow), cell, rows, lease_required=bool(access.get("identity")))
+    carry_over.restore(player.dispatcher, run)
     differences: list[Difference] = []
     extra = 0
     for index, stored in enumerate(rows):
         show(stored.sequence)
-        await feeding.feed(index)
-        decided = feeding.book.decided(index)
+        await player.feed(index)
+        decided = player.recorder.decided(index)
         differences += [missing(stored)] if decided is None else compared(stored, decided)
-        extras = (each for each in feeding.book.extra[extra:] if not reported_already(each, rows))
+        extras = (each for each in player.recorder.extra[extra:] if not reported_already(each, rows))
         differences += [added(stored.sequence, each) for each in extras]
-        extra = len(feeding.book.extra)
-    await feeding.end()
-    return differences, feeding.answered
+        extra = len(player.recorder.extra)
+    await player.end()
+    return differences, player.answered
 
 
 def _show(progress: ShowProgress | None, total: int, done: int) -> None:
@@ -134,7 +148,7 @@ def _show(progress: ShowProgress | None, total: int, done: int) -> None:
 
 
 def _procedure_settings(name: str, run: DaemonRun) -> ProcedureSettings:
-    """The settings of the procedure that the run wrote, or else the workflow's defaults."""
+    """Return the procedure settings that the run journalled, or else the workflow's defaults."""
     try:
         if run.settings is None:
             return read_settings(None, [f"workflow={run.tag.id}"]).procedure
@@ -147,11 +161,11 @@ def _procedure_settings(name: str, run: DaemonRun) -> ProcedureSettings:
 
 
 class _Workflows:
-    """The workflows that a journal names.
+    """Workflows of the runs of a journal.
 
     Args:
-        journal: For the text of errors.
-        blueprint: The one to decide by instead.
+        journal: Journal, for the messages.
+        blueprint: Blueprint to decide by instead; None for the workflows that the journal names.
     """
 
     def __init__(self, journal: Path, blueprint: Path | None) -> None:
@@ -160,7 +174,7 @@ class _Workflows:
         self._known: dict[str, AnyWorkflow] = {}
 
     def of(self, tag: BlueprintTag) -> AnyWorkflow:
-        """The workflow of a run. Raises `ReplayError` where it is not the one of then, and none was given."""
+        """Return the workflow of a run. Raises `ReplayError` if it has changed since and no blueprint was given."""
         if tag.id not in self._known:
             self._known[tag.id] = self._open(tag)
         workflow = self._known[tag.id]
@@ -184,7 +198,11 @@ class _Workflows:
 
 
 def with_blueprint(workflow: str, blueprint: Path) -> AnyWorkflow:
-    """The workflow in a file; where that has no Python file beside it, with the code of the shipped one of its name.
+    """Return the workflow of a blueprint file; without a Python file beside it, with the code of the installed one.
+
+    Args:
+        workflow: Name of the installed workflow.
+        blueprint: Blueprint file.
 
     Raises:
         PcmrsError: There is no such workflow, or the blueprint is unsound.

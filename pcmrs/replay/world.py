@@ -1,4 +1,4 @@
-"""A cell of which only the configuration is left: whoever looks at its devices, frames or clock is told so."""
+"""Cell and clock of a replay: only the configuration is known; any use of devices, frames or time raises an error."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.settings import ProcedureSettings
 
 
-class NotRecordedError(Exception):
-    """A check or step has looked at the world, of which the journal holds what came of it, not what was seen.
+class NotJournalledError(Exception):
+    """A check or step needs a measurement; the journal holds its result, not the measurement.
 
-    No `PcmrsError`: what handles refusals must not take it for one.
+    It is not a `PcmrsError`, so that code that handles refusals does not catch it.
     """
 
 
 _WORKED_OUT = ("calibration_id", "calibrations")
-"""What a cell works out from the attributes that are known; where they are not, neither is this."""
+"""Attributes that a cell computes from others; they are known only if those are."""
 
 
-class RecordedCell(Cell):
-    """Stands for the cell in a replay: settings and calibrated poses are known, everything else is not recorded.
+class ReplayCell(Cell):
+    """Cell of a replay: settings and calibrated poses are known, everything else was not journalled.
 
     Args:
-        settings: Of the procedure, as recorded.
-        calibration: Identity of the calibrations, as recorded; None where that is not known.
+        settings: Journalled settings of the procedure.
+        calibration: Journalled identity of the calibrations; None if it is unknown.
     """
 
     def __init__(self, settings: ProcedureSettings, calibration: str | None) -> None:
         poses = settings.calibration
         known: dict[str, Any] = {"settings": settings}
-        if not (poses.tool_file or poses.pointer_file):  # those files are not in the journal
+        if not (poses.tool_file or poses.pointer_file):  # the journal does not contain these files
             known |= {"tool_calibration": None, "pointer_calibration": None}
         if calibration is not None:
             known["calibration_id"] = calibration
@@ -45,17 +45,17 @@ class RecordedCell(Cell):
             return self._known[name]
         if name in _WORKED_OUT:
             return super().__getattribute__(name)
-        raise NotRecordedError(name)
+        raise NotJournalledError(name)
 
 
 class RowsClock:
-    """Implements `pcmrs.clock.Clock` for the dispatcher: it shows the time of a row, and no deadline ever passes."""
+    """Implementation of `pcmrs.clock.Clock` for the dispatcher: it shows the time of a row, and no deadline expires."""
 
     def __init__(self) -> None:
         self._monotonic = self._wall = 0.0
 
     def show(self, row: JournalRow) -> None:
-        """Goes to the time at which the row was written."""
+        """Set the time to that of a row."""
         self._monotonic, self._wall = row.monotonic, row.wall
 
     def monotonic(self) -> float:
@@ -65,17 +65,17 @@ class RowsClock:
         return self._wall
 
     async def sleep(self, seconds: float) -> None:
-        raise NotRecordedError(f"sleep of {seconds} s")
+        raise NotJournalledError(f"sleep of {seconds} s")
 
     def timeout(self, seconds: float) -> AbstractAsyncContextManager[Any]:  # noqa: ARG002 (what waits is ended by rows)
         return nullcontext()
 
 
-class RecordedClock(RowsClock):
-    """The same for checks and steps: at which moment they looked at it is not on record."""
+class ReplayClock(RowsClock):
+    """Clock for checks and steps: the time at which they read it was not journalled."""
 
     def monotonic(self) -> float:
-        raise NotRecordedError("monotonic")
+        raise NotJournalledError("monotonic")
 
     def wall(self) -> float:
-        raise NotRecordedError("wall")
+        raise NotJournalledError("wall")

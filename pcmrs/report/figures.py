@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from pcmrs.analysis.placements import Recorded
+from pcmrs.analysis.placements import PlacementTrial
 from pcmrs.analysis.plots import BLUE, GREEN, ORANGE, new_figure, placement_figure
 from pcmrs.formats.pose_file import Placement as Poses
-from pcmrs.report.record import Branch, Placement, Registration, SessionReport
+from pcmrs.report.contents import ReportedBranch, ReportedPlacement, ReportedRegistration, SessionReport
 from pcmrs.workflows.data import as_transform
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def _timeline(report: SessionReport) -> Figure:
     return figure
 
 
-def _draw_branch(axes: Axes, line: int, branch: Branch, begun: float, whole: float) -> None:
+def _draw_branch(axes: Axes, line: int, branch: ReportedBranch, begun: float, whole: float) -> None:
     order = [*branch.states, *(span.state for span in branch.spans if span.state not in branch.states)]
     tints = {state: TINTS[index % len(TINTS)] for index, state in enumerate(dict.fromkeys(order))} | DOUBTFUL
     for span in branch.spans:
@@ -103,7 +103,7 @@ def _explain(figure: Figure, report: SessionReport) -> None:
         figure.legend(handles=lines, loc="outside upper right", ncols=3, frameon=False, fontsize=7)
 
 
-def _landmarks(registration: Registration) -> Figure:
+def _landmarks(registration: ReportedRegistration) -> Figure:
     """How far every landmark is from its place, with the mean and its limit."""
     landmarks = registration.landmarks
     figure = new_figure(WIDTH, 0.9 + 0.22 * len(landmarks))
@@ -125,7 +125,7 @@ def _landmarks(registration: Registration) -> Figure:
     return figure
 
 
-def _errors(placements: Sequence[Placement]) -> Figure:
+def _errors(placements: Sequence[ReportedPlacement]) -> Figure:
     """Two panels: the translation error per axis of the tool with its length, and the rotation error."""
     figure = new_figure(WIDTH, 2.5)
     left, right = figure.subplots(1, 2)
@@ -148,14 +148,16 @@ def _errors(placements: Sequence[Placement]) -> Figure:
     return figure
 
 
-def _placements(placements: Sequence[Placement]) -> Figure:
+def _placements(placements: Sequence[ReportedPlacement]) -> Figure:
     """The paper's two panels: both errors of each placement, and the error vectors where the targets are."""
-    recorded = [
-        Recorded(Poses(str(each.sequence), as_transform(each.planned), as_transform(each.measured)), each.standoff)
+    trials = [
+        PlacementTrial(
+            Poses(str(each.sequence), as_transform(each.planned), as_transform(each.measured)), each.standoff
+        )
         for each in placements
         if each.planned is not None and each.measured is not None
     ]
-    return placement_figure(recorded, "")
+    return placement_figure(trials, "")
 
 
 def _bare(axes: Any) -> None:

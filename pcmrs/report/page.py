@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import base64
-import datetime
 from collections.abc import Mapping
 from typing import Final
 
 import msgspec
 
 from pcmrs.analysis.placements import Summary, summarize
-from pcmrs.pages import fixed, render
-from pcmrs.report.record import Placement, Refusal, Registration, SessionReport
+from pcmrs.report.contents import ReportedPlacement, ReportedRefusal, ReportedRegistration, SessionReport
+from pcmrs.report.pages import SVG, embedded, fixed, render, utc
 
 TEMPLATE: Final = "report.html.j2"
 PLACED: Final = 4
@@ -26,7 +24,7 @@ UNITS: Final = {"residual_too_large": ("mm", 1e3), "tre_too_large": ("mm", 1e3)}
 """Unit of a gate that has one, and by what its value is to be multiplied."""
 
 
-class Summarized(msgspec.Struct, frozen=True, kw_only=True):
+class FirstPage(msgspec.Struct, frozen=True, kw_only=True):
     """What the first page has in large letters.
 
     Attributes:
@@ -39,11 +37,11 @@ class Summarized(msgspec.Struct, frozen=True, kw_only=True):
 
     placement_mm: Summary | None
     placement_deg: Summary | None
-    shown: tuple[Placement, ...]
-    registration: Registration | None
+    shown: tuple[ReportedPlacement, ...]
+    registration: ReportedRegistration | None
     tre_mm: float | None
     tre_at: str
-    important: tuple[Refusal, ...]
+    important: tuple[ReportedRefusal, ...]
 
 
 def render_page(report: SessionReport, figures: Mapping[str, bytes]) -> str:
@@ -66,14 +64,14 @@ def render_page(report: SessionReport, figures: Mapping[str, bytes]) -> str:
         gate_value,
         report=report,
         sums=summarized(report),
-        figures={name: embedded(drawing) for name, drawing in figures.items()},
+        figures={name: embedded(drawing, SVG) for name, drawing in figures.items()},
         meanings={branch.name: branch.states for branch in report.branches},
         first=FIRST,
         most=MOST,
     )
 
 
-def summarized(report: SessionReport) -> Summarized:
+def summarized(report: SessionReport) -> FirstPage:
     """The few numbers of the first page."""
     placements = report.placements
     largest = sorted(placements, key=lambda each: -each.error_mm)[:PLACED]
@@ -84,7 +82,7 @@ def summarized(report: SessionReport) -> Summarized:
         for each in report.registrations
     ]
     told = [(tre, at) for _, tre, at in predicted if tre is not None]
-    return Summarized(
+    return FirstPage(
         placement_mm=summarize([each.error_mm for each in placements]) if placements else None,
         placement_deg=summarize([each.error_deg for each in placements]) if placements else None,
         shown=shown,
@@ -95,25 +93,20 @@ def summarized(report: SessionReport) -> Summarized:
     )
 
 
-def _gravity(refusal: Refusal) -> tuple[int, int]:
+def _gravity(refusal: ReportedRefusal) -> tuple[int, int]:
     """Failed before refused by a check before asked for at a wrong time; then in order."""
     rank = 0 if refusal.decision == "failed" else 1 if refusal.checked else 2
     return rank, refusal.sequence
 
 
-def embedded(drawing: bytes) -> str:
-    """An SVG picture as an address that holds it."""
-    return f"data:image/svg+xml;base64,{base64.b64encode(drawing).decode()}"
-
-
 def date(wall: float) -> str:
     """Day and time, UTC."""
-    return _utc(wall).strftime("%Y-%m-%d %H:%M")
+    return utc(wall, "%Y-%m-%d %H:%M")
 
 
 def clock(wall: float) -> str:
     """Time of the day, UTC."""
-    return _utc(wall).strftime("%H:%M:%S")
+    return utc(wall, "%H:%M:%S")
 
 
 def minutes(seconds: float) -> str:
@@ -143,7 +136,3 @@ def gate_value(value: float, name: str) -> str:
     """A value or limit of a gate, with its unit where it has one."""
     unit, factor = UNITS.get(name, ("", 1.0))
     return f"{value * factor:.4g} {unit}".rstrip()
-
-
-def _utc(wall: float) -> datetime.datetime:
-    return datetime.datetime.fromtimestamp(wall, datetime.UTC)

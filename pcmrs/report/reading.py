@@ -17,28 +17,35 @@ import numpy as np
 from pcmrs.analysis.placements import placement_error
 from pcmrs.config import as_table
 from pcmrs.dispatcher.events import SHUTDOWN
-from pcmrs.errors import BlueprintError, ConfigurationError, GeometryError, JournalError, PcmrsError
+from pcmrs.errors import BlueprintError, ConfigurationError, JournalError, PcmrsError
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.journal import JournalRow, StoredRow
 from pcmrs.messages import PoseMessage
 from pcmrs.report.advice import WRONG_TIME, advise
-from pcmrs.report.record import (
-    Branch,
-    Done,
-    Entry,
-    Event,
+from pcmrs.report.contents import (
+    AcceptedOperation,
     EventKind,
-    Gate,
-    Landmark,
-    Placement,
-    Plan,
-    Refusal,
-    Registration,
-    Run,
+    ReportedBranch,
+    ReportedEvent,
+    ReportedGate,
+    ReportedLandmark,
+    ReportedPlacement,
+    ReportedPlan,
+    ReportedRefusal,
+    ReportedRegistration,
+    ReportedRun,
     SessionReport,
-    Span,
-    Unknown,
+    StateSpan,
+    TimelineEntry,
+    UnknownOutcome,
+)
+from pcmrs.report.session_journal import (
+    SessionJournal,
+    configured_calibrations,
+    find_session,
+    operation_name,
+    source_without_port,
 )
 from pcmrs.report.source import Source, files_of, open_source
 from pcmrs.service.restart.state import PersistedState, RestartState
@@ -93,10 +100,8 @@ def _report(source: Source, session: str | None) -> SessionReport:
     procedure = settings.get("procedure", {})
     blueprint = _blueprint(final, settings)
     known = None if blueprint is None else _Known(source.rows, chosen[-1].last, blueprint)
-    reading = _Reading(rows, procedure, blueprint)
-    calibrations = {
-        kind: given for kind in ("tool", "pointer") if (given := procedure.get("calibration", {}).get(f"{kind}_file"))
-    }
+    journal = SessionJournal(rows)
+    reading = _ReportView(journal, procedure, blueprint)
     return SessionReport(
         patient=str(procedure.get("patient", "")),
         operator=str(procedure.get("operator", "")),
@@ -113,7 +118,7 @@ def _report(source: Source, session: str | None) -> SessionReport:
         earlier=first,
         later=len(runs) - 1 - last,
         journal=source.journal,
-        asked_for=sum(1 for _ in reading.verdicts()),
+        asked_for=len(journal.outcomes),
         counts=reading.counts(),
         registrations=tuple(reading.registrations()),
         plans=tuple(reading.plans()),
@@ -129,7 +134,7 @@ def _report(source: Source, session: str | None) -> SessionReport:
         versions={str(name): str(value) for name, value in config.get("versions", {}).items()},
         reported_by=version("pcmrs"),
         changed=_changed(settings),
-        files=files_of(source, [run.session for run in chosen], calibrations),
+        files=files_of(source, [run.session for run in chosen], configured_calibrations(settings)),
     )
 
 
@@ -147,157 +152,153 @@ class _Known:
         self.unsettled = {f"{each.branch}.{each.operation}" for each in (*kept.unknown, *kept.begun, *kept.moving)}
 
 
-class _Reading:
-    """The rows of one session, asked for one thing after the other.
+class _ReportView:
+    """The parts of a report, from the rows of one session.
 
     Args:
-        rows: In order.
-        procedure: Its settings, as plain data.
-        blueprint: The workflow; None where it is not known here.
+        journal: Rows of the session.
+        procedure: Procedure settings of the session, as plain data.
+        blueprint: Workflow; None if it is not installed here.
     """
 
-    def __init__(self, rows: Sequence[StoredRow], procedure: Mapping[str, Any], blueprint: Blueprint | None) -> None:
-        self._rows = rows
+    def __init__(self, journal: SessionJournal, procedure: Mapping[str, Any], blueprint: Blueprint | None) -> None:
+        self._journal = journal
         self._procedure = procedure
         self._blueprint = blueprint
 
-    def verdicts(self) -> Iterator[StoredRow]:
-        """The rows that say how something ended."""
-        return (stored for stored in self._rows if stored.row.kind == "outcome" and stored.row.verdict is not None)
-
     def counts(self) -> dict[str, int]:
-        """How many operations ended in which way."""
-        return dict(Counter(_decision(stored.row) for stored in self.verdicts()))
+        """Return the number of operations by decision."""
+        return dict(Counter(outcome.verdict.decision for outcome in self._journal.outcomes))
 
     def asked(self) -> tuple[str, ...]:
-        """Who has asked for operations, in the order in which they did first."""
-        rows = [stored.row for stored in self.verdicts() if stored.row.user and stored.row.role != "daemon"]
+        """Return the users who asked for operations, with their roles, in the order of their first."""
+        rows = [each.row for each in self._journal.outcomes if each.row.user and each.row.role != "daemon"]
         return tuple(dict.fromkeys(f"{row.user} ({row.role or 'role unknown'})" for row in rows))
 
     def named(self) -> tuple[str, ...]:
-        """Who is named in accepted commands."""
-        given = [stored.row.arguments or {} for stored in self._accepted()]
+        """Return the persons whom accepted commands name, with their roles."""
+        given = [outcome.row.arguments or {} for outcome in self._journal.accepted()]
         names = [f"{arguments[role]} ({role})" for arguments in given for role in NAMED if arguments.get(role)]
         return tuple(dict.fromkeys(names))
 
-    def registrations(self) -> Iterator[Registration]:
-        """All that were put in force."""
+    def registrations(self) -> Iterator[ReportedRegistration]:
+        """Yield the registrations that were put in force."""
         limits = self._procedure.get("registration", {})
-        for stored in self._accepted():
-            kept = (stored.row.result or {}).get("registered")
-            if not kept:
+        for outcome in self._journal.accepted():
+            stored, result = outcome.data.get("registered"), outcome.result
+            if not stored:
                 continue
-            told = _told(stored.row)
-            judged = told.get("landmarks") if isinstance(told.get("landmarks"), dict) else told
-            gates = tuple(msgspec.convert(gate, Gate) for gate in (judged or {}).get("gates", ()))
+            judged = result.get("landmarks") if isinstance(result.get("landmarks"), dict) else result
+            gates = tuple(msgspec.convert(gate, ReportedGate) for gate in (judged or {}).get("gates", ()))
             by_name = {gate.name: gate.limit for gate in gates}
-            registered = _registered(kept)
-            yield Registration(
-                sequence=stored.sequence,
-                wall=stored.row.wall,
-                operation=_name(stored.row),
-                residual_mm=_mm(kept.get("residual")),
-                rms_mm=_mm(kept.get("rms")),
+            registered = _registered(stored)
+            yield ReportedRegistration(
+                sequence=outcome.sequence,
+                wall=outcome.row.wall,
+                operation=outcome.name,
+                residual_mm=_mm(stored.get("residual")),
+                rms_mm=_mm(stored.get("rms")),
                 residual_limit_mm=_mm(by_name.get("residual_too_large")) or limits.get("residual_limit_mm"),
-                tre_mm=_mm(told.get("tre")),
+                tre_mm=_mm(result.get("tre")),
                 tre_limit_mm=_mm(by_name.get("tre_too_large")) or limits.get("tre_limit_mm"),
-                target=str((told.get("target") or {}).get("at", "")),
+                target=str((result.get("target") or {}).get("at", "")),
                 landmarks=() if registered is None else tuple(_landmarks(registered)),
                 gates=gates,
-                id=str(kept.get("id", "")),
+                id=str(stored.get("id", "")),
             )
 
-    def plans(self) -> Iterator[Plan]:
-        """All that were put in force."""
-        for stored in self._accepted():
-            if (stored.row.result or {}).get("plan"):
-                tre = _mm(_told(stored.row).get("tre"))
-                yield Plan(sequence=stored.sequence, wall=stored.row.wall, operation=_name(stored.row), tre_mm=tre)
+    def plans(self) -> Iterator[ReportedPlan]:
+        """Yield the planned poses that were put in force."""
+        for outcome in self._journal.accepted():
+            if outcome.data.get("plan"):
+                tre = _mm(outcome.result.get("tre"))
+                yield ReportedPlan(sequence=outcome.sequence, wall=outcome.row.wall, operation=outcome.name, tre_mm=tre)
 
-    def placements(self) -> Iterator[Placement]:
-        """Every time that the tool was measured against its planned pose."""
-        for stored in self._accepted():
-            told = _told(stored.row)
-            if "planned" not in told or "translation_error" not in told or "rotation_error" not in told:
+    def placements(self) -> Iterator[ReportedPlacement]:
+        """Yield the measurements of the tool against its planned pose."""
+        for outcome in self._journal.accepted():
+            result = outcome.result
+            if "planned" not in result or "translation_error" not in result or "rotation_error" not in result:
                 continue
-            standoff = float(told.get("confirm_offset", 0.0))
-            planned, measured = _pose(told, "planned"), _pose(told, "measured")
+            standoff = float(result.get("confirm_offset", 0.0))
+            planned, measured = _message(outcome.pose("planned")), _message(outcome.pose("measured"))
             axes = None
             if planned is not None and measured is not None:
+                # From the poses as they are reported, so that a reader can compute the same numbers from them.
                 error = placement_error(as_transform(planned), as_transform(measured), standoff)
                 x, y, z = (1e3 * error.vector).tolist()
                 axes = (x, y, z)
-            yield Placement(
-                sequence=stored.sequence,
-                wall=stored.row.wall,
-                operation=_name(stored.row),
-                error_mm=1e3 * told["translation_error"],
-                error_deg=math.degrees(told["rotation_error"]),
+            yield ReportedPlacement(
+                sequence=outcome.sequence,
+                wall=outcome.row.wall,
+                operation=outcome.name,
+                error_mm=1e3 * result["translation_error"],
+                error_deg=math.degrees(result["rotation_error"]),
                 axes_mm=axes,
                 planned=planned,
                 measured=measured,
                 standoff=standoff,
             )
 
-    def done(self) -> tuple[Done, ...]:
-        """What was accepted, in the order of the first time."""
-        times = Counter(_name(stored.row) for stored in self._accepted())
+    def done(self) -> tuple[AcceptedOperation, ...]:
+        """Return the accepted operations, in the order of their first time."""
+        times = Counter(outcome.name for outcome in self._journal.accepted())
         return tuple(
-            Done(operation=name, title=self._title(name), times=count, acts=self._acts(name))
+            AcceptedOperation(operation=name, title=self._title(name), times=count, acts=self._acts(name))
             for name, count in times.items()
         )
 
-    def refusals(self) -> tuple[Refusal, ...]:
-        """What was not accepted, the same for the same reason in one line."""
-        found: dict[tuple[str, ...], Refusal] = {}
-        for stored in self.verdicts():
-            row = stored.row
-            verdict = row.verdict
-            if verdict is None or verdict.decision == "accepted":
-                continue
-            code, text = ("", "") if verdict.reason is None else (verdict.reason.code, verdict.reason.text)
-            key = (_name(row), verdict.decision, code, text)
+    def refusals(self) -> tuple[ReportedRefusal, ...]:
+        """Return what was not accepted; an operation with the same reason is one entry."""
+        found: dict[tuple[str, ...], ReportedRefusal] = {}
+        for outcome in self._journal.not_accepted():
+            key = (outcome.name, outcome.verdict.decision, outcome.code, outcome.text)
             if key in found:
                 found[key] = msgspec.structs.replace(found[key], times=found[key].times + 1)
                 continue
-            found[key] = Refusal(
-                sequence=stored.sequence,
-                wall=row.wall,
-                operation=_name(row),
-                who=_who(row),
-                decision=verdict.decision,
-                code=code,
-                text=text,
-                advice=advise(verdict, self._blueprint),
-                checked=code not in WRONG_TIME and code != "bad_arguments",
+            found[key] = ReportedRefusal(
+                sequence=outcome.sequence,
+                wall=outcome.row.wall,
+                operation=outcome.name,
+                who=_who(outcome.row),
+                decision=outcome.verdict.decision,
+                code=outcome.code,
+                text=outcome.text,
+                advice=advise(outcome.verdict, self._blueprint),
+                checked=outcome.code not in WRONG_TIME and outcome.code != "bad_arguments",
                 times=1,
             )
         return tuple(found.values())
 
-    def unknown(self, known: _Known | None) -> Iterator[Unknown]:
-        """What ended in a way that nobody knows, and what had begun when the session broke off."""
-        ended = {(stored.row.source, stored.row.command_id) for stored in self.verdicts()}
-        for stored in self._rows:
-            row = stored.row
-            begun = row.kind == "intent" and (row.source, row.command_id) not in ended
-            if begun:
-                text = "It had begun when the session broke off."
-            elif row.kind == "outcome" and _decision(row) == "unknown":
-                text = row.verdict.reason.text if row.verdict is not None and row.verdict.reason is not None else ""
-            else:
-                continue
-            name = _name(row)
-            settled = None if known is None else name not in known.unsettled
-            yield Unknown(sequence=stored.sequence, wall=row.wall, operation=name, text=text, settled=settled)
+    def unknown(self, known: _Known | None) -> list[UnknownOutcome]:
+        """Return the operations whose end is unknown, among them those without an outcome, in order of their rows.
 
-    def events(self) -> Iterator[Event]:
+        Args:
+            known: State that a daemon would restore at the end of the session; None if the workflow is not installed.
+        """
+        texts = [(stored, "It had begun when the session broke off.") for stored in self._journal.unfinished()]
+        ended = [outcome for outcome in self._journal.not_accepted() if outcome.verdict.decision == "unknown"]
+        rows = [(stored.sequence, stored.row, text) for stored, text in texts]
+        rows += [(outcome.sequence, outcome.row, outcome.text) for outcome in ended]
+        return [
+            UnknownOutcome(
+                sequence=sequence,
+                wall=row.wall,
+                operation=operation_name(row),
+                text=text,
+                settled=None if known is None else operation_name(row) not in known.unsettled,
+            )
+            for sequence, row, text in sorted(rows, key=lambda each: each[0])
+        ]
+
+    def events(self) -> Iterator[ReportedEvent]:
         """What devices and the daemon reported, but for what is routine; the same in a row is one."""
-        found: list[Event] = []
-        for stored in self._rows:
+        found: list[ReportedEvent] = []
+        for stored in self._journal.rows:
             kind = _event_kind(stored.row)
             if kind is None:
                 continue
-            event = Event(
+            event = ReportedEvent(
                 sequence=stored.sequence,
                 wall=stored.row.wall,
                 kind=kind,
@@ -312,31 +313,31 @@ class _Reading:
                 found.append(event)
         yield from found
 
-    def branches(self) -> Iterator[Branch]:
+    def branches(self) -> Iterator[ReportedBranch]:
         """Every branch with its states over time."""
-        moments = [(stored.row.wall, stored.row.states) for stored in self._rows if _is_committed(stored.row)]
-        end = self._rows[-1].row.wall
+        moments = [(stored.row.wall, stored.row.states) for stored in self._journal.rows if _is_committed(stored.row)]
+        end = self._journal.rows[-1].row.wall
         names = dict.fromkeys(name for _, states in moments for name in states or {})
         for name in names:
             walls = [(wall, states[name]) for wall, states in moments if states and name in states]
             changes = [next(group) for _, group in itertools.groupby(walls, key=lambda each: each[1])]
             ends = [*(wall for wall, _ in changes[1:]), end]
             spec = None if self._blueprint is None else self._blueprint.branches.get(name)
-            yield Branch(
+            yield ReportedBranch(
                 name=name,
                 title=name if spec is None else spec.title or name,
                 states={} if spec is None else dict(spec.states),
                 spans=tuple(
-                    Span(state=state, begun=wall, ended=until)
+                    StateSpan(state=state, begun=wall, ended=until)
                     for (wall, state), until in zip(changes, ends, strict=True)
                 ),
                 final=changes[-1][1],
             )
 
-    def timeline(self, runs: Sequence[Run]) -> Iterator[Entry]:
+    def timeline(self, runs: Sequence[ReportedRun]) -> Iterator[TimelineEntry]:
         """What was done, what went wrong and what was reported, in order; what was only rejected is not in it."""
         starts = {run.first: run for run in runs}
-        for stored in self._rows:
+        for stored in self._journal.rows:
             row = stored.row
             if stored.sequence in starts:
                 run = f"session {starts[stored.sequence].session}"
@@ -348,12 +349,11 @@ class _Reading:
             elif row.kind == "outcome" and row.verdict is not None and row.verdict.decision != "rejected":
                 reason = row.verdict.reason
                 text = "" if reason is None else reason.text
-                yield _entry(stored, what=_name(row), outcome=row.verdict.decision, text=text, state=row.verdict.state)
+                yield _entry(
+                    stored, what=operation_name(row), outcome=row.verdict.decision, text=text, state=row.verdict.state
+                )
             elif row.source == SHUTDOWN:
                 yield _entry(stored, what="The daemon ends in order", outcome="run", text="")
-
-    def _accepted(self) -> Iterator[StoredRow]:
-        return (stored for stored in self.verdicts() if _decision(stored.row) == "accepted")
 
     def _title(self, name: str) -> str:
         branch, _, operation = name.partition(".")
@@ -368,13 +368,13 @@ class _Reading:
         return spec is not None and spec.affects_patient
 
 
-def _runs(rows: Sequence[StoredRow]) -> list[Run]:
+def _runs(rows: Sequence[StoredRow]) -> list[ReportedRun]:
     """The runs of the daemon, by the sessions that the rows name."""
     found = []
     for session, group in itertools.groupby(rows, key=lambda stored: stored.row.session_id):
         own = list(group)
         found.append(
-            Run(
+            ReportedRun(
                 session=session,
                 begun=own[0].row.wall,
                 ended=own[-1].row.wall,
@@ -387,20 +387,15 @@ def _runs(rows: Sequence[StoredRow]) -> list[Run]:
     return found
 
 
-def _chosen(runs: Sequence[Run], session: str | None, path: Path) -> tuple[int, int]:
+def _chosen(runs: Sequence[ReportedRun], session: str | None, path: Path) -> tuple[int, int]:
     """First and last run of a session: it goes on in the next run where a daemon did not end in order."""
-    wanted = [index for index, run in enumerate(runs) if session is None or run.session.startswith(session)]
-    if not wanted or (session is not None and len(wanted) > 1):
-        last = ", ".join(run.session for run in runs[-5:])
-        text = f"{path} has {len(wanted) or 'no'} sessions that begin with {session or 'anything'}; the last: {last}."
-        raise JournalError(text, path=str(path), session=session)
-    first = last_run = wanted[-1]
+    first = last_run = find_session([run.session for run in runs], session, path)
     while first > 0 and _goes_on(runs[first - 1], runs[first]):
         first -= 1
     return first, last_run
 
 
-def _goes_on(one: Run, other: Run) -> bool:
+def _goes_on(one: ReportedRun, other: ReportedRun) -> bool:
     return not one.in_order and other.patient == one.patient and other.begun - one.ended < CONTINUES
 
 
@@ -453,20 +448,16 @@ def _registered(kept: Mapping[str, Any]) -> Registered | None:
     return None
 
 
-def _landmarks(registered: Registered) -> Iterator[Landmark]:
+def _landmarks(registered: Registered) -> Iterator[ReportedLandmark]:
     """Each with its distance after the fit."""
     fit = as_transform(registered.body_ref_from_image)
     for landmark, point in zip(registered.landmarks, registered.digitized, strict=True):
         left = fit @ landmark.position - np.array(point)
-        yield Landmark(name=landmark.name, distance_mm=1e3 * float(np.linalg.norm(left)))
+        yield ReportedLandmark(name=landmark.name, distance_mm=1e3 * float(np.linalg.norm(left)))
 
 
-def _pose(told: Mapping[str, Any], key: str) -> PoseMessage | None:
-    """None where the result has no such pose."""
-    try:
-        return as_message(Transform.from_quat_xyzw(told[key]["position"], told[key]["quat_xyzw"]))
-    except (KeyError, TypeError, GeometryError):
-        return None
+def _message(pose: Transform | None) -> PoseMessage | None:
+    return None if pose is None else as_message(pose)
 
 
 def _event_kind(row: JournalRow) -> EventKind | None:
@@ -480,19 +471,19 @@ def _event_kind(row: JournalRow) -> EventKind | None:
     return "fault" if (row.result or {}).get("danger") else "notice"
 
 
-def _is_same(one: Event, other: Event) -> bool:
+def _is_same(one: ReportedEvent, other: ReportedEvent) -> bool:
     told = (one.kind, one.source, one.code, one.text) == (other.kind, other.source, other.code, other.text)
     return told and other.wall - one.wall < AT_ONCE
 
 
 def _is_committed(row: JournalRow) -> bool:
-    """Whether the row says in which states the branches are; an intent says in which they may end."""
+    """Return whether the row says in which states the branches are; an intent says in which they may end."""
     return row.states is not None and row.kind != "intent"
 
 
-def _merged(entries: Iterable[Entry]) -> Iterator[Entry]:
+def _merged(entries: Iterable[TimelineEntry]) -> Iterator[TimelineEntry]:
     """The same in a row as one."""
-    last: Entry | None = None
+    last: TimelineEntry | None = None
     for entry in entries:
         if last is not None and (last.what, last.who, last.outcome, last.state, last.text) == (
             entry.what,
@@ -510,8 +501,8 @@ def _merged(entries: Iterable[Entry]) -> Iterator[Entry]:
         yield last
 
 
-def _entry(stored: StoredRow, *, what: str, outcome: str, text: str, state: str = "") -> Entry:
-    return Entry(
+def _entry(stored: StoredRow, *, what: str, outcome: str, text: str, state: str = "") -> TimelineEntry:
+    return TimelineEntry(
         sequence=stored.sequence,
         wall=stored.row.wall,
         what=what,
@@ -523,22 +514,10 @@ def _entry(stored: StoredRow, *, what: str, outcome: str, text: str, state: str 
     )
 
 
-def _told(row: JournalRow) -> dict[str, Any]:
-    return (row.verdict.result if row.verdict is not None else None) or {}
-
-
-def _decision(row: JournalRow) -> str:
-    return "" if row.verdict is None else row.verdict.decision
-
-
-def _name(row: JournalRow) -> str:
-    return f"{row.branch}.{row.operation}"
-
-
 def _who(row: JournalRow) -> str:
-    """Who asked or reported, without the port, which says nothing."""
-    way = ":".join((row.source or "").split(":")[:2])
-    return f"{row.user}, {way}" if row.user and row.user not in way else way
+    """Return who asked or reported: the user, if known, and the source."""
+    source = source_without_port(row.source)
+    return f"{row.user}, {source}" if row.user and row.user not in source else source
 
 
 def _mm(value: float | None) -> float | None:

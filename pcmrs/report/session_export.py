@@ -13,13 +13,14 @@ from typing import Any
 import msgspec
 
 from pcmrs.config import as_table
-from pcmrs.errors import ConfigurationError, JournalError
+from pcmrs.errors import ConfigurationError
 from pcmrs.journal import JournalReader, JournalRow, copy_journal, journal_files, verify
 from pcmrs.journal.head import head_path
 from pcmrs.messages import Message
-from pcmrs.recording.series import all_files
+from pcmrs.recording.series import session_files
 from pcmrs.recording.settings import FOLDER
 from pcmrs.report.session_folder import JOURNAL, make_folder, write_configuration, write_sums
+from pcmrs.report.session_journal import configured_calibrations, find_session
 from pcmrs.settings import Settings
 
 Progress = Callable[[str, int, int], None]
@@ -28,7 +29,7 @@ VERIFICATION, VERSIONS, README = "verification.json", "versions.json", "README.t
 CALIBRATION = "calibration"
 
 
-class Exported(Message, frozen=True, kw_only=True, omit_defaults=False):
+class ExportReport(Message, frozen=True, kw_only=True, omit_defaults=False):
     """What was exported.
 
     Attributes:
@@ -70,8 +71,8 @@ class _Session:
 
 def export_session(
     settings: Settings, journal: Path, session: str | None, folder: Path, progress: Progress
-) -> Exported:
-    """Copies journal, recordings, calibrations and configuration of a session, and verifies the journal's copy.
+) -> ExportReport:
+    """Copy journal, recordings, calibrations and configuration of a session, and verifies the journal's copy.
 
     Args:
         settings: Of the cell, as it is configured now.
@@ -87,7 +88,7 @@ def export_session(
     """
     found = _find(journal, session)
     configuration = found.settings if found.settings is not None else as_table(settings)
-    recordings = _recordings(settings.cell.path() / FOLDER, found.row.session_id)
+    recordings = session_files(settings.cell.path() / FOLDER, [found.row.session_id])
     calibrations, missing = _calibrations(configuration)
     if not recordings:
         missing.append(f"recordings of the session in {settings.cell.path() / FOLDER}")
@@ -102,7 +103,7 @@ def export_session(
     _write_json(folder / VERSIONS, {"session": found.versions, "export": _versions()})
     _copy_all({path.name: path for path in recordings}, folder / FOLDER, progress)
     _copy_all(calibrations, folder / CALIBRATION, progress)
-    exported = Exported(
+    exported = ExportReport(
         folder=str(folder),
         session=found.row.session_id,
         begun=found.row.wall,
@@ -124,32 +125,20 @@ def _find(journal: Path, session: str | None) -> _Session:
         if not starts:  # an older program has written it
             for stored in reader.read():
                 starts.setdefault(stored.row.session_id, stored.row)
-    wanted = [identity for identity in starts if session is None or identity.startswith(session)]
-    if not wanted or (session is not None and len(wanted) > 1):
-        known = ", ".join(list(starts)[-5:]) or "none"
-        text = (
-            f"{journal} has {len(wanted) or 'no'} sessions that begin with {session or 'anything'}; the last: {known}."
-        )
-        raise JournalError(text, path=str(journal), session=session)
-    row = starts[wanted[-1]]
+    rows = list(starts.values())
+    row = rows[find_session(list(starts), session, journal)]
     result = (row.result or {}) if row.kind == "config" else {}
     return _Session(row, result.get("settings"), result.get("versions", {}), result.get("calibration", ""))
-
-
-def _recordings(folder: Path, session: str) -> list[Path]:
-    return [path for path in all_files(folder) if path.name.partition(".")[0].endswith(f"-{session[:8]}")]
 
 
 def _calibrations(configuration: Mapping[str, Any]) -> tuple[dict[str, Path], list[str]]:
     """Name in the export to the calibration file of each kind, and those that are not there any more."""
     paths, missing = {}, []
-    given = configuration.get("procedure", {}).get("calibration", {})
-    for kind in ("tool", "pointer"):
-        if file := given.get(f"{kind}_file"):
-            if Path(file).is_file():
-                paths[f"{kind}.toml"] = Path(file)
-            else:
-                missing.append(f"the calibration file {file}")
+    for kind, file in configured_calibrations(configuration).items():
+        if Path(file).is_file():
+            paths[f"{kind}.toml"] = Path(file)
+        else:
+            missing.append(f"the calibration file {file}")
     return paths, missing
 
 
@@ -177,7 +166,7 @@ def _versions() -> dict[str, str]:
     return {"pcmrs": version("pcmrs"), "python": platform.python_version()}
 
 
-def _readme(exported: Exported, calibration: str) -> str:
+def _readme(exported: ExportReport, calibration: str) -> str:
     lost = "\n".join(f"- {line}" for line in exported.missing) or "- nothing"
     sound = "sound" if not exported.problems else f"NOT SOUND: {'; '.join(exported.problems)}"
     return f"""Session {exported.session} of a cell of PCMRS: research software, not a medical device.

@@ -12,12 +12,13 @@ import tomli_w
 
 from pcmrs.analysis.mep_table import write_meps
 from pcmrs.analysis.nibs_tables import write_nibs
-from pcmrs.analysis.report import draw_figures, render_report
 from pcmrs.analysis.session import SessionRecord
 from pcmrs.errors import ConfigurationError
 from pcmrs.formats.mesh import Mesh
 from pcmrs.journal import JournalReader, copy_journal
 from pcmrs.journal.export import json_lines
+from pcmrs.report.stimulation.figures import draw_figures
+from pcmrs.report.stimulation.page import render_report
 from pcmrs.settings import Settings
 
 JOURNAL, ROWS, CONFIGURATION, REPORT, SUMS = (
@@ -36,7 +37,7 @@ beside this folder.
 
 
 def make_folder(folder: Path) -> None:
-    """Makes the folder, or takes one that is empty.
+    """Make the folder, or takes one that is empty.
 
     Raises:
         ConfigurationError: There is something in it, or it is no folder.
@@ -49,7 +50,7 @@ def make_folder(folder: Path) -> None:
 
 
 def write_journal(source: Path, folder: Path) -> None:
-    """Copies a journal, also one that is being written, with its head, and writes it as one row of JSON per line.
+    """Copy a journal, also one that is being written, with its head, and writes it as one row of JSON per line.
 
     Raises:
         JournalError: It cannot be read or copied.

@@ -15,9 +15,9 @@ from pcmrs.errors import JournalError
 from pcmrs.journal import JournalReader, StoredRow, journal_files, verify
 from pcmrs.journal.head import head_path
 from pcmrs.journal.keys import PUBLIC
-from pcmrs.recording.series import SUFFIX, all_files
+from pcmrs.recording.series import SUFFIX, session_files
 from pcmrs.recording.settings import FOLDER
-from pcmrs.report.record import File, Journal
+from pcmrs.report.contents import ReportedFile, ReportedJournal
 from pcmrs.report.session_export import README
 from pcmrs.report.session_folder import JOURNAL, SUMS
 
@@ -38,12 +38,12 @@ class Source:
 
     path: Path
     rows: tuple[StoredRow, ...]
-    journal: Journal
+    journal: ReportedJournal
     exported: str | None
 
 
 def open_source(path: Path) -> Source:
-    """Reads and verifies a journal; one that is damaged is read up to its first bad row.
+    """Read and verifies a journal; one that is damaged is read up to its first bad row.
 
     Args:
         path: Folder of an exported session, folder of a cell with one journal, or a journal.
@@ -67,7 +67,7 @@ def open_source(path: Path) -> Source:
         told = " ".join(problems) or "It is empty."
         raise JournalError(f"No row of {found} can be read, so there is nothing to report. {told}", path=str(found))
     key = found.parent / PUBLIC
-    journal = Journal(
+    journal = ReportedJournal(
         name=found.name,
         rows=len(rows),
         # The report of a copy elsewhere is to be the same.
@@ -80,7 +80,7 @@ def open_source(path: Path) -> Source:
     return Source(found, tuple(rows), journal, _exported(path) if path.is_dir() else None)
 
 
-def files_of(source: Source, sessions: Sequence[str], calibrations: Mapping[str, str]) -> tuple[File, ...]:
+def files_of(source: Source, sessions: Sequence[str], calibrations: Mapping[str, str]) -> tuple[ReportedFile, ...]:
     """Journal, recordings and calibration files with their hashes.
 
     Args:
@@ -92,17 +92,15 @@ def files_of(source: Source, sessions: Sequence[str], calibrations: Mapping[str,
     if source.exported is not None:
         return tuple(_listed(folder))
     beside = [*journal_files(source.path), head_path(source.path), folder / PUBLIC]
-    recordings = [
-        path
-        for path in all_files(folder / FOLDER)
-        if path.name.partition(".")[0].endswith(tuple(f"-{session[:8]}" for session in sessions))
-    ]
+    recordings = session_files(folder / FOLDER, sessions)
     found = [_file(path.relative_to(folder).as_posix(), path) for path in (*beside, *recordings) if path.is_file()]
     for kind, path in calibrations.items():
         name = f"calibration of the {kind}: {Path(path).name}"
         here = Path(path).is_file()
         found.append(
-            _file(name, Path(path)) if here else File(name=name, size=0, sha256="", note="is not there any more")
+            _file(name, Path(path))
+            if here
+            else ReportedFile(name=name, size=0, sha256="", note="is not there any more")
         )
     return tuple(found)
 
@@ -136,7 +134,7 @@ def _exported(folder: Path) -> str | None:
     return None
 
 
-def _listed(folder: Path) -> Iterator[File]:
+def _listed(folder: Path) -> Iterator[ReportedFile]:
     """All files of an export, each against the hash in its list."""
     said = {}
     with suppress(OSError, UnicodeDecodeError):
@@ -146,7 +144,7 @@ def _listed(folder: Path) -> Iterator[File]:
     for name in dict.fromkeys((*needed, *said)):
         path = folder / name
         if not path.is_file():
-            yield File(name=name, size=0, sha256="", note="is not there", wrong=True)
+            yield ReportedFile(name=name, size=0, sha256="", note="is not there", wrong=True)
             continue
         file = _file(name, path)
         if name not in said:
@@ -156,10 +154,10 @@ def _listed(folder: Path) -> Iterator[File]:
         yield file
 
 
-def _file(name: str, path: Path) -> File:
+def _file(name: str, path: Path) -> ReportedFile:
     cut = path.suffix == SUFFIX and not _is_ended(path)
     note = "was not ended: its last second may be missing" if cut else ""
-    return File(name=name, size=path.stat().st_size, sha256=_sha256(path), note=note)
+    return ReportedFile(name=name, size=path.stat().st_size, sha256=_sha256(path), note=note)
 
 
 def _is_ended(path: Path) -> bool:

@@ -13,7 +13,7 @@ from pcmrs.clock import SystemClock
 from pcmrs.errors import GeometryError
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.messages import BodyPose, JointState, Snapshot, Target
-from pcmrs.recording.chain import Chain, Mounting
+from pcmrs.recording.frame_tree import FrameTree, Mounting
 from pcmrs.ros2.topics import TOPICS, Topic
 from pcmrs.ros2.views import RosMessage, Views
 
@@ -43,7 +43,7 @@ async def copy_for_ros2(
         BusError: No daemon answers at the endpoint.
     """
     clock = SystemClock(rate)
-    views = Views([joint.name for joint in arm.joints], Chain(arm, mounting), mounting, clock, rate)
+    views = Views([joint.name for joint in arm.joints], FrameTree(arm, mounting), mounting, clock, rate)
     bus = await Bus.open(settings)
     try:
         bus.alive(COMPONENT)

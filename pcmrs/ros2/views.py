@@ -9,7 +9,7 @@ from pycdr2 import IdlStruct
 
 from pcmrs.clock import Clock
 from pcmrs.messages import BodyPose, JointState, PoseMessage, Snapshot, Target
-from pcmrs.recording.chain import Chain, Link, Mounting
+from pcmrs.recording.frame_tree import FrameTree, Link, Mounting
 from pcmrs.ros2 import cdr
 from pcmrs.ros2.poses import Stamps
 from pcmrs.ros2.topics import JOINT_STATES, STATE, TF, TF_STATIC, Topic, pose_topic
@@ -21,8 +21,8 @@ RosMessage = tuple[Topic, IdlStruct]
 class Views:
     """Translates received messages.
 
-    The tracker is the root of all frames: the bodies that it sees, and the arm by its base, computed whenever the
-    arm stands and the coil is seen; see `pcmrs.recording.chain`. The arm's frames are sent with its joints, the image
+    The tracker is the root of all frames: the bodies that it sees, and the arm by its base, computed whenever the arm
+    stands and the coil is seen; see `pcmrs.recording.frame_tree`. The arm's frames are sent with its joints, the image
     with the reference, while there is a registration: an unknown pose is not sent, so that it grows old in ROS.
 
     Args:
@@ -33,7 +33,7 @@ class Views:
         rate: Seconds of that clock per second of the machine.
     """
 
-    def __init__(self, names: Sequence[str], chain: Chain, mounting: Mounting, clock: Clock, rate: float) -> None:
+    def __init__(self, names: Sequence[str], chain: FrameTree, mounting: Mounting, clock: Clock, rate: float) -> None:
         self._names = [*names]
         self._chain = chain
         self._mounting = mounting

@@ -35,7 +35,7 @@ from pcmrs.service.processes.console import is_served, open_console
 from pcmrs.service.processes.heart import HeartProcess
 from pcmrs.service.processes.nodes import NodeProcesses
 from pcmrs.service.processes.planner import PlanningProcess
-from pcmrs.service.processes.recorder import open_recorder
+from pcmrs.service.processes.recording import start_recording
 from pcmrs.service.publishing import answer_queries, tell_health
 from pcmrs.service.restart.audit import audit
 from pcmrs.service.restart.recorder import JournalRecorder
@@ -205,7 +205,7 @@ async def _child_processes(
     report = procedure.dispatcher.report_later
     nodes = NodeProcesses(settings, device_key, procedure.lose, report, machine)
     recording = ChildProcess(
-        "recording", partial(open_recorder, settings, session, machine, device_key), report, machine
+        "recording", partial(start_recording, settings, session, machine, device_key), report, machine
     )
     console = ChildProcess("console", partial(open_console, settings), report, machine)
     async with AsyncExitStack() as stack:

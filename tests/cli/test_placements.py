@@ -14,7 +14,7 @@ from click.testing import CliRunner, Result
 
 from pcmrs.cli import main
 from pcmrs.clock import SystemClock
-from pcmrs.gateway.records import placement_text, sample_rows
+from pcmrs.gateway.pose_files import placement_text, sample_rows
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Command, Verdict
 from pcmrs.service.restart.recorder import JournalRecorder

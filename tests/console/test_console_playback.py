@@ -12,12 +12,12 @@ from health_facts import WELL
 from hypothesis import HealthCheck, given
 from hypothesis import settings as checking
 from hypothesis import strategies as st
-from recorded import recording
+from recording_bench import recording
 from test_console_geometry import body, setup, some_pose
 
 from pcmrs.bus.codec import pack
 from pcmrs.console.cell_view_model import EPOCHS, NOTHING
-from pcmrs.console.playback import RATE_HZ, Playback, Recorded, read_recorded
+from pcmrs.console.playback import RATE_HZ, LoadedRecording, Playback, load_recording
 from pcmrs.errors import FileFormatError
 from pcmrs.fsm import Blueprint
 from pcmrs.messages import BlueprintTag, DeviceEvent, Epoch, JointState, Snapshot, Target, Verdict
@@ -99,15 +99,15 @@ def write(path: Path, messages: list[tuple[float, str, Any]]) -> Path:
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> LoadedRecording:
     shares: list[float] = []
-    found = read_recorded([write(tmp_path_factory.mktemp("r") / "run.mcap", said())], shares.append)
+    found = load_recording([write(tmp_path_factory.mktemp("r") / "run.mcap", said())], shares.append)
     assert shares == sorted(shares)
     return found
 
 
 @pytest.fixture
-def played(recorded: Recorded) -> Callable[[], Playback]:
+def played(recorded: LoadedRecording) -> Callable[[], Playback]:
     return lambda: Playback(recorded, setup(), BLUEPRINT)
 
 
@@ -145,7 +145,7 @@ def test_it_is_what_had_come_until_then(played: Callable[[], Playback], moment: 
     assert age is None if moment < 3.0 else age == pytest.approx(moment - (9.0 if moment >= 9.0 else 3.0))
 
 
-def test_times_are_those_of_the_session(recorded: Recorded, played: Callable[[], Playback]) -> None:
+def test_times_are_those_of_the_session(recorded: LoadedRecording, played: Callable[[], Playback]) -> None:
     assert (recorded.begun, recorded.duration, recorded.damage) == (1_700_000_000.0, LENGTH, "")
     assert len(recorded.tracks["state/joints"].times) <= LENGTH * RATE_HZ + 1
     playback = played()
@@ -156,7 +156,7 @@ def test_times_are_those_of_the_session(recorded: Recorded, played: Callable[[],
 def test_an_older_recording_shows_plan_and_registration_by_its_targets(tmp_path: Path) -> None:
     newer = ("state/data", "state/epoch", "state/health")
     path = write(tmp_path / "older.mcap", [each for each in said() if each[1] not in newer])
-    playback = Playback(read_recorded([path], lambda _: None), setup(), BLUEPRINT)
+    playback = Playback(load_recording([path], lambda _: None), setup(), BLUEPRINT)
     playback.seek(LENGTH)
     assert playback.data == ProcedureDataView(landmarks=[], plan=as_message(some_pose(3)))
     assert (list(playback.epochs), playback.health, playback.trouble) == ([], None, "")
@@ -175,7 +175,7 @@ async def test_what_a_cell_says_to_its_recorder_is_what_is_shown(tmp_path: Path)
         for count, (key, message) in enumerate(told, before + 1):
             work.bus.publish(key, message)
             await work.written(count)
-    playback = Playback(read_recorded([file], lambda _: None), setup(), BLUEPRINT)
+    playback = Playback(load_recording([file], lambda _: None), setup(), BLUEPRINT)
     playback.seek(0.0)
     assert (playback.data, list(playback.epochs), playback.health) == (NOTHING, [], None)
     playback.seek(playback.recorded.duration)
@@ -188,7 +188,7 @@ def test_what_this_cell_cannot_show_truly_is_refused(tmp_path: Path) -> None:
     arm = write(tmp_path / "arm.mcap", [(0.0, "state/joints", msgspec.structs.replace(joints(0.0), positions=[0.0]))])
     for path, what in ((other, "workflow x 1"), (older, "workflow ratms 1"), (arm, "1 joints")):
         with pytest.raises(FileFormatError, match=what):
-            Playback(read_recorded([path], lambda _: None), setup(), BLUEPRINT)
+            Playback(load_recording([path], lambda _: None), setup(), BLUEPRINT)
 
 
 def test_no_recording_an_empty_one_and_a_cut_one(tmp_path: Path) -> None:
@@ -196,10 +196,10 @@ def test_no_recording_an_empty_one_and_a_cut_one(tmp_path: Path) -> None:
     none.write_bytes(b"solid")
     for path in (none, empty):
         with pytest.raises(FileFormatError):
-            read_recorded([path], lambda _: None)
+            load_recording([path], lambda _: None)
     cut = write(tmp_path / "cut.mcap", said())
     cut.write_bytes(cut.read_bytes()[:-20_000])
-    found = read_recorded([cut], lambda _: None)
+    found = load_recording([cut], lambda _: None)
     assert "cut.mcap" in found.damage
     assert 0.0 < found.duration < LENGTH
     assert found.damage in Playback(found, setup(), BLUEPRINT).trouble
@@ -212,5 +212,5 @@ def test_numbered_files_are_one_recording(tmp_path: Path) -> None:
     )
     alone = write(tmp_path / "alone.mcap", messages)
     assert recordings_in(tmp_path) == {"alone": [alone], "run": [first, second]}
-    joined, whole = (read_recorded(files, lambda _: None) for files in ([first, second], [alone]))
+    joined, whole = (load_recording(files, lambda _: None) for files in ([first, second], [alone]))
     assert (joined.begun, joined.duration, joined.tracks) == (whole.begun, whole.duration, whole.tracks)

@@ -14,7 +14,7 @@ from ratms_oracle import BLUEPRINT, INITIAL, Joint, all_operations, expected
 
 from pcmrs.dispatcher import Activity, Dispatcher, DispatcherListener, ProcedureData, Registry, Run, Workflow
 from pcmrs.dispatcher.execution import Planner
-from pcmrs.dispatcher.recorder import Recorded
+from pcmrs.dispatcher.recorder import EarlierDecision
 from pcmrs.errors import JournalError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm import Blueprint, Effect, load_blueprint
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
@@ -174,7 +174,7 @@ class MemoryRecorder:
         self.with_intent: dict[str, bool] = {}
         self.failing: set[str] = set()
         self.gates: dict[str, asyncio.Event] = {}
-        self.earlier: dict[tuple[str, str], Recorded] = {}
+        self.earlier: dict[tuple[str, str], EarlierDecision] = {}
         self._turn = asyncio.Lock()
 
     async def intent(self, command: Command, states: Mapping[str, str]) -> None:
@@ -196,7 +196,7 @@ class MemoryRecorder:
     async def event(self, event: DeviceEvent, states: Mapping[str, str]) -> None:
         await self._write("event", event.code, states, None)
 
-    def recall(self, source: str, command_id: str) -> Recorded | None:
+    def recall(self, source: str, command_id: str) -> EarlierDecision | None:
         if "recall" in self.failing:
             raise JournalError("The disk is gone.")
         return self.earlier.get((source, command_id))

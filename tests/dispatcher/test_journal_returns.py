@@ -7,7 +7,7 @@ import asyncio
 import pytest
 from dispatcher_fakes import HELD, PLACED, RETRACTED, STANDOFF, Bench
 
-from pcmrs.dispatcher.recorder import Recorded
+from pcmrs.dispatcher.recorder import EarlierDecision
 from pcmrs.errors import JournalError, PcmrsError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, UnknownOutcome, Verdict
 from pcmrs.testing.clock import settle
@@ -53,7 +53,7 @@ async def test_a_decision_that_the_disk_has_after_all_is_committed(bench: Bench)
     assert bench.joint == RETRACTED
     bench.recorder.failing.clear()
     durable = Verdict(id="clear-1", branch="toolplan", operation="clear", decision="accepted", state="0", sequence=99)
-    bench.recorder.earlier["test:user", "clear-1"] = Recorded(durable, {})
+    bench.recorder.earlier["test:user", "clear-1"] = EarlierDecision(durable, {})
     await bench.dispatcher.resume(begun=())
     assert bench.joint[2] == "0"
     (reopened,) = [states for _, name, states, _ in bench.recorder.rows if name == "journal_reopened"]
@@ -137,7 +137,7 @@ async def test_an_acknowledgement_from_before_does_not_answer_the_failure(bench:
     await bench.do("robot.acknowledge", id="ack", arguments=asked)
     bench.recorder.failing.clear()
     durable = Verdict(id="ack", branch="robot", operation="acknowledge", decision="accepted", state="1", sequence=99)
-    bench.recorder.earlier["test:user", "ack"] = Recorded(durable, asked)
+    bench.recorder.earlier["test:user", "ack"] = EarlierDecision(durable, asked)
     await bench.dispatcher.resume(begun=())
     assert bench.dispatcher.snapshot().latched
 
@@ -197,7 +197,7 @@ async def test_what_a_device_said_and_the_disk_has_after_all_is_not_taken_in_twi
     await bench.do("robot.link_lost", id="l1", source="device:robot")
     bench.recorder.failing.clear()
     durable = Verdict(id="l1", branch="robot", operation="link_lost", decision="accepted", state="0", sequence=99)
-    bench.recorder.earlier["device:robot", "l1"] = Recorded(durable, {})
+    bench.recorder.earlier["device:robot", "l1"] = EarlierDecision(durable, {})
     await bench.dispatcher.resume(begun=())
     assert (bench.joint[3], bench.joint[4]) == ("0", "unknown")
     assert [each.id for each in bench.verdicts() if each.operation == "link_lost"] == ["l1", "l1"]

@@ -12,7 +12,7 @@ from dispatcher_fakes import HELD, PLACED, RATMS, RETRACTED, STANDOFF, Bench, No
 from ratms_oracle import INITIAL
 
 from pcmrs.dispatcher import Run
-from pcmrs.dispatcher.recorder import Recorded
+from pcmrs.dispatcher.recorder import EarlierDecision
 from pcmrs.errors import BlueprintError, DeviceError, ReentrancyError, RefusalError
 from pcmrs.fsm import Blueprint, close
 from pcmrs.fsm.closure import MAX_EFFECTS, Denial
@@ -422,7 +422,7 @@ async def test_14_the_key_is_source_and_id(bench: Bench) -> None:
 
 async def test_14_verdicts_of_an_earlier_run_are_recalled(bench: Bench) -> None:
     earlier = Verdict(id="9", branch="toolplan", operation="plan", decision="unknown", state="0", sequence=4)
-    bench.recorder.earlier["test:user", "9"] = Recorded(earlier, {})
+    bench.recorder.earlier["test:user", "9"] = EarlierDecision(earlier, {})
     assert await bench.do("toolplan.plan", id="9") == earlier
     assert bench.joint == INITIAL
 
@@ -437,7 +437,7 @@ async def test_14_an_id_stands_for_one_command(
     """Whoever uses it for something else is not told that this was done."""
     if earlier_run:
         done = Verdict(id="9", branch="toolplan", operation="plan", decision="accepted", state="1", sequence=4)
-        bench.recorder.earlier["test:user", "9"] = Recorded(done, {"values": [2.0]})
+        bench.recorder.earlier["test:user", "9"] = EarlierDecision(done, {"values": [2.0]})
     else:
         await bench.do("toolplan.plan", id="9", arguments={"values": [2.0]})
     rows, joint = len(bench.recorder.rows), bench.joint

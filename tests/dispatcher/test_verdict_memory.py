@@ -6,7 +6,7 @@ import pytest
 from dispatcher_fakes import MemoryRecorder
 
 from pcmrs.dispatcher import verdict_cache
-from pcmrs.dispatcher.recorder import Recorded
+from pcmrs.dispatcher.recorder import EarlierDecision
 from pcmrs.dispatcher.verdict_cache import VerdictCache
 from pcmrs.messages import Command, Verdict
 
@@ -32,7 +32,7 @@ async def test_older_verdicts_are_those_of_the_journal(monkeypatch: pytest.Monke
     for number, name in enumerate(("c1", "c2", "c3")):
         asked, _ = remembered.verdict_of(command(name))
         remembered.settle(asked, verdict(name, number))
-    recorder.earlier = {("test:user", name): Recorded(verdict(name, 100), {}) for name in ("c1", "c3")}
+    recorder.earlier = {("test:user", name): EarlierDecision(verdict(name, 100), {}) for name in ("c1", "c3")}
     found = {name: remembered.verdict_of(command(name)) for name in ("c3", "c1")}
     assert [is_new for _, is_new in found.values()] == [False, False]
     assert {name: asked.result().sequence for name, (asked, _) in found.items()} == {"c3": 2, "c1": 100}

@@ -21,7 +21,7 @@ from pcmrs.fsm import Blueprint, Closure, load_blueprint
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
 from pcmrs_lab.experiment.tours import live
 from pcmrs_lab.experiment.tours.arguments import Arguments, read_arguments
-from pcmrs_lab.experiment.tours.record import DECIDED_AT_ONCE
+from pcmrs_lab.experiment.tours.progress import DECIDED_AT_ONCE
 from pcmrs_lab.experiment.tours.rehearsal import Forgetful, Script, scripted
 from pcmrs_lab.experiment.tours.report import TourReport
 from pcmrs_lab.experiment.tours.run import tour_live

@@ -21,15 +21,16 @@ from pcmrs.cli import main
 from pcmrs.client import Client
 from pcmrs.errors import CommandRefusedError, ConfigurationError, JournalError
 from pcmrs.formats.mesh import Mesh
-from pcmrs.journal import JournalReader, JournalRow
+from pcmrs.journal import JournalReader, JournalRow, StoredRow
 from pcmrs.journal.writer import JournalWriter
 from pcmrs.messages import BlueprintTag, PoseMessage, Reason, SceneTruth, Snapshot, Verdict
 from pcmrs.report.session_folder import JOURNAL, ROWS, SUMS, make_folder, write_configuration, write_journal
+from pcmrs.report.session_journal import SessionJournal
+from pcmrs.report.stimulation.reading import StimulationSession
 from pcmrs.settings import read_settings
 from pcmrs.testing.plan import example_plan, read_plan
 from pcmrs_lab.experiment.session import operator as operating
 from pcmrs_lab.experiment.session.operator import Operator
-from pcmrs_lab.experiment.session.reading import Journalled
 from pcmrs_lab.experiment.session.setup import SessionSetup
 from pcmrs_lab.experiment.threshold_session import INTERRUPTED, read_record, run_threshold_session, true_of
 
@@ -245,17 +246,20 @@ def row(operation: str, decision: str = "accepted", code: str = "", at: float = 
     )
 
 
+def session_of(*rows: JournalRow) -> StimulationSession:
+    stored = [StoredRow(sequence=number, row=each, previous_hash=b"", hash=b"") for number, each in enumerate(rows, 1)]
+    return StimulationSession(SessionJournal(stored))
+
+
 def test_refusals_of_one_kind_in_a_row_are_one() -> None:
-    journalled = Journalled(
-        (
-            row("robot.connect"),
-            row("hotspot.pulse", "rejected", "not_aligned", 1.0),
-            row("hotspot.pulse", "rejected", "not_aligned", 2.0),
-            row("hotspot.pulse", "failed", "pose_stale", 3.0),
-            row("hotspot.pulse", "rejected", "not_aligned", 4.0),
-        )
+    session = session_of(
+        row("robot.connect"),
+        row("hotspot.pulse", "rejected", "not_aligned", 1.0),
+        row("hotspot.pulse", "rejected", "not_aligned", 2.0),
+        row("hotspot.pulse", "failed", "pose_stale", 3.0),
+        row("hotspot.pulse", "rejected", "not_aligned", 4.0),
     )
-    found = journalled.refusals()
+    found = session.refusals()
     assert [(each.code, each.decision, each.times) for each in found] == [
         ("not_aligned", "rejected", 2),
         ("pose_stale", "failed", 1),
@@ -267,7 +271,7 @@ def test_refusals_of_one_kind_in_a_row_are_one() -> None:
 def test_what_had_begun_when_the_record_ended_is_told() -> None:
     begun = msgspec.structs.replace(row("threshold.pulse", at=7.0), kind="intent", verdict=None)
     finished = msgspec.structs.replace(row("robot.connect"), kind="intent", verdict=None)
-    (found,) = Journalled((finished, row("robot.connect"), begun)).refusals()
+    (found,) = session_of(finished, row("robot.connect"), begun).refusals()
     assert (found.operation, found.decision, found.onset) == ("threshold.pulse", "unknown", 7.0)
 
 
@@ -275,22 +279,20 @@ def test_only_accepted_pulses_were_given_as_far_as_is_known() -> None:
     response = {"pulse": 3, "intensity": 60.0, "coil": msgspec.to_builtins(HERE), "error_mm": 0.1, "error_deg": 0.2}
     problem = {"problem": "no_marker", "problem_text": "No marker."}
     kept = {"response": response | problem, "last_pulse": 104.5, "epoch": None, "hunt": None}
-    journalled = Journalled(
-        (
-            row("robot.connect"),
-            row("threshold.pulse", "unknown", "silent", 2.0),
-            row("threshold.pulse", at=5.0, kept=kept),
-        )
+    session = session_of(
+        row("robot.connect"),
+        row("threshold.pulse", "unknown", "silent", 2.0),
+        row("threshold.pulse", at=5.0, kept=kept),
     )
-    (pulse,) = journalled.pulses()
+    (pulse,) = session.pulses()
     assert (pulse.pulse, pulse.phase, pulse.onset, pulse.problem, pulse.mep) == (3, "threshold", 4.5, "no_marker", None)
-    assert journalled.hunt() is None
-    assert journalled.refusals()[0].decision == "unknown"
+    assert session.hunt() is None
+    assert session.refusals()[0].decision == "unknown"
 
 
 def test_an_empty_journal_is_no_session() -> None:
     with pytest.raises(JournalError, match="empty"):
-        Journalled(())
+        session_of()
 
 
 def test_the_truth_where_the_threshold_was_hunted_is_higher_beside_the_hotspot() -> None:

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from pcmrs.errors import FileFormatError
 from pcmrs.formats.pose_file import read_placements
 from pcmrs.formats.pose_log import read_pose_log
-from pcmrs.gateway.records import placement_text, sample_rows
+from pcmrs.gateway.pose_files import placement_text, sample_rows
 from pcmrs.spatial import Transform, distance, rotation_angle
 
 # As the lab's software writes it: flow style inside a block, comments, numbers in fixed and scientific notation.

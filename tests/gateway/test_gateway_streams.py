@@ -22,7 +22,7 @@ from structlog.testing import capture_logs
 from pcmrs.background import BackgroundTasks
 from pcmrs.errors import RefusalError
 from pcmrs.gateway.periodic_timer import PeriodicTask, beats_of, kernel_beats
-from pcmrs.gateway.records import Records, placement_text
+from pcmrs.gateway.pose_files import PoseFileWriter, placement_text
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
 from pcmrs.gateway.streams import Streams, point_message, pose_message, unity_message
 from pcmrs.spatial import Transform
@@ -144,11 +144,11 @@ def test_a_saved_placement_reads_back(position: tuple[float, ...], rotvec: tuple
 
 async def test_a_pose_log_holds_five_seconds_at_twenty_hertz(tmp_path: Path) -> None:
     clock, tasks = ManualClock(), BackgroundTasks()
-    records = Records(FakeCore(), clock, tmp_path / "session", tasks)
+    pose_files = PoseFileWriter(FakeCore(), clock, tmp_path / "session", tasks)
     began = clock.now
-    log = records.log_poses()
+    log = pose_files.log_poses()
     with pytest.raises(RefusalError, match="being taken"):
-        records.log_poses()
+        pose_files.log_poses()
     path = await log
     assert clock.now - began == pytest.approx(5.0)
     rows = list(csv.reader(path.read_text().splitlines()))
@@ -160,11 +160,11 @@ async def test_a_pose_log_holds_five_seconds_at_twenty_hertz(tmp_path: Path) -> 
 
 async def test_a_placement_without_a_measured_pose_is_not_saved(tmp_path: Path) -> None:
     core = FakeCore()
-    records = Records(core, ManualClock(), tmp_path, BackgroundTasks())
-    assert (await records.save_placement()).suffix == ".yaml"
+    pose_files = PoseFileWriter(core, ManualClock(), tmp_path, BackgroundTasks())
+    assert (await pose_files.save_placement()).suffix == ".yaml"
     core.pose = None
     with pytest.raises(RefusalError, match="no fresh measured pose"):
-        await records.save_placement()
+        await pose_files.save_placement()
 
 
 async def test_a_record_gets_its_name_when_the_disk_has_all_of_it(
@@ -177,7 +177,7 @@ async def test_a_record_gets_its_name_when_the_disk_has_all_of_it(
         synced.append((os.fstat(descriptor).st_size, [path.suffix for path in tmp_path.iterdir()]))
 
     monkeypatch.setattr(os, "fsync", look)
-    path = await Records(FakeCore(), ManualClock(), tmp_path, BackgroundTasks()).save_placement()
+    path = await PoseFileWriter(FakeCore(), ManualClock(), tmp_path, BackgroundTasks()).save_placement()
     assert synced == [(path.stat().st_size, [".part"])]
     assert path.suffix == ".yaml"
 

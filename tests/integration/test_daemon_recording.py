@@ -35,10 +35,10 @@ from pcmrs.journal import JournalReader
 from pcmrs.messages import DeviceEvent, JointState, Snapshot
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import ProcedureDataView
-from pcmrs.recording.playing import Played
-from pcmrs.recording.reading import Reading
-from pcmrs.recording.recorder import Report
+from pcmrs.recording.playback import PlaybackReport
+from pcmrs.recording.reader import RecordingReader
 from pcmrs.recording.settings import FOLDER
+from pcmrs.recording.writer import RecordingReport
 from pcmrs.settings import read_settings
 from pcmrs.testing.driving import accept, landmarks
 
@@ -63,15 +63,15 @@ def heard(file: Path, key: str) -> bool:
 
 
 def keys(file: Path) -> set[str]:
-    return {message.key for _, message in Reading(file).bus_messages()}
+    return {message.key for _, message in RecordingReader(file).bus_messages()}
 
 
-def ended(process: subprocess.Popen[bytes]) -> Report:
+def ended(process: subprocess.Popen[bytes]) -> RecordingReport:
     """Ends it as Ctrl-C does."""
     process.send_signal(signal.SIGINT)
     output, errors = process.communicate(timeout=START_TIME)
     assert process.returncode == 0, errors.decode()
-    return msgspec.json.decode(output, type=Report)
+    return msgspec.json.decode(output, type=RecordingReport)
 
 
 async def test_what_was_recorded_is_heard_again_byte_for_byte_and_never_at_a_live_cell(
@@ -85,7 +85,7 @@ async def test_what_was_recorded_is_heard_again_byte_for_byte_and_never_at_a_liv
             await accept(client, "registration.reinit")
         report = ended(process)
     assert report.dropped == 0
-    reading = Reading(file)
+    reading = RecordingReader(file)
     recorded = [message for _, message in reading.bus_messages()]
     assert reading.complete
     assert len(recorded) == report.messages
@@ -107,7 +107,7 @@ async def test_what_was_recorded_is_heard_again_byte_for_byte_and_never_at_a_liv
         assert await asyncio.to_thread(wait_until, lambda: bool(heard_again) and snapshots[-1:] == [last])
     finally:
         await bus.close()
-    told = msgspec.json.decode(played.stdout, type=Played)
+    told = msgspec.json.decode(played.stdout, type=PlaybackReport)
     assert (told.prefix, told.messages, told.damage) == ("pcmrs/replay/again", len(recorded), [])
     original = [msgspec.msgpack.decode(m.payload, type=JointState) for m in recorded if m.key == "state/joints"]
     assert set(map(id_of, heard_again)) <= set(map(id_of, original))
@@ -143,7 +143,7 @@ def test_a_killed_recorder_leaves_a_file_of_which_almost_all_is_saved(daemon: Se
     assert not told["complete"]
     assert told["messages"] > 0
     assert told["lost_bytes"] < 32_768  # the chunk that was being written
-    reading = Reading(mended)
+    reading = RecordingReader(mended)
     assert len(list(reading.records())) > told["messages"]
     assert reading.complete
     assert pcmrs("repair", str(file), "-o", str(mended)).exit_code == 4
@@ -214,7 +214,7 @@ async def test_a_session_is_recorded_whatever_becomes_of_its_recorder_and_export
         assert second
         assert daemon.end() == 0
     assert "state/joints" in keys(files()[0])
-    whole = Reading(files()[1])
+    whole = RecordingReader(files()[1])
     assert {heard.key for _, heard in whole.bus_messages()} >= {"state/fsm", "state/joints"}
     assert whole.complete
     assert whole.origin["site"] == "test"

@@ -13,7 +13,7 @@ from pcmrs.files import settle_on_disk, write_durably
 from pcmrs.journal import JournalReader
 from pcmrs.journal.head import Head, begin_head, head_path, read_head
 from pcmrs.journal.keys import signing_key
-from pcmrs.journal.rows import Place, encode_row
+from pcmrs.journal.rows import RowPosition, encode_row
 from pcmrs.journal.writer import JournalWriter
 
 ROW = (row(), encode_row(row()))
@@ -102,7 +102,7 @@ def test_the_head_names_only_what_is_committed(path: Path, monkeypatch: pytest.M
     writer = JournalWriter(path, durable=True)
     write, seen = writer._head.write, []
 
-    def look(place: Place) -> None:
+    def look(place: RowPosition) -> None:
         with JournalReader(path) as reader:
             seen.append((place.sequence, reader.last_sequence()))
         write(place)
@@ -164,13 +164,13 @@ def test_of_two_whole_slots_the_newer_counts(path: Path) -> None:
     for older, newer in ((0, 1), (1, 0)):
         begin_head(head_path(path), key)
         slots = {
-            older: Head(7, Place(7, bytes(32))).pack(key),
-            newer: Head(8, Place(9, bytes(32))).pack(key),
+            older: Head(7, RowPosition(7, bytes(32))).pack(key),
+            newer: Head(8, RowPosition(9, bytes(32))).pack(key),
         }
         head_path(path).write_bytes(slots[0].ljust(4096, b"\0") + slots[1].ljust(4096, b"\0"))
         state = read_head(head_path(path), key.public_key())
         assert state is not None
-        assert state.head == Head(8, Place(9, bytes(32)))
+        assert state.head == Head(8, RowPosition(9, bytes(32)))
 
 
 def test_only_its_owner_may_read_the_key(path: Path) -> None:

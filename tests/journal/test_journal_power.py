@@ -6,7 +6,7 @@ import pytest
 
 from pcmrs.clock import SystemClock
 from pcmrs_lab.campaign.cuts import CutReport, cut_power
-from pcmrs_lab.campaign.recorded import NEEDS
+from pcmrs_lab.campaign.syscall_trace import NEEDS
 
 pytestmark = pytest.mark.skipif(not all(need.is_met() for need in NEEDS), reason="strace records what is written")
 

@@ -17,7 +17,7 @@ from health_facts import WELL
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from recorded import ARM, MOUNTING, decoded, joints, pose, recording, until
+from recording_bench import ARM, MOUNTING, decoded, joints, pose, recording, until
 
 from pcmrs.bus.codec import pack
 from pcmrs.errors import ConfigurationError, FileFormatError
@@ -41,7 +41,7 @@ from pcmrs.recording.file import CountingFile
 from pcmrs.recording.series import Limits, check_new, files_of, path_of
 from pcmrs.recording.shapes import json_schema
 from pcmrs.recording.topics import TOPICS, check_topics
-from pcmrs.recording.views import Views
+from pcmrs.recording.views import RecordingViews
 from pcmrs.service.health.report import report
 from pcmrs.spatial import Transform
 
@@ -180,11 +180,11 @@ async def test_times_are_those_of_the_measurement_and_lead_back_to_the_monotonic
 
 def test_the_tree_of_frames_joins_what_the_tracker_sees_with_what_the_joints_say() -> None:
     """The coil by the joints must lie where the tracker saw it, when the arm stood: that is what joins the two."""
-    from pcmrs.recording.chain import Chain
+    from pcmrs.recording.frame_tree import FrameTree
 
     home = np.array(ARM.home)
     seen = Transform.from_quat_wxyz((0.1, 0.2, 1.5), (0.5, 0.5, -0.5, 0.5))
-    chain = Chain(ARM, MOUNTING)
+    chain = FrameTree(ARM, MOUNTING)
     assert chain.coil(seen) is None  # the joints are not known yet
     chain.joints(joints(moving=True))
     assert chain.coil(seen) is None
@@ -207,7 +207,7 @@ def test_the_tree_of_frames_joins_what_the_tracker_sees_with_what_the_joints_say
 def test_what_cannot_be_read_is_said_in_the_log_and_kept_as_it_was(payload: bytes) -> None:
     from pcmrs.recording.subscriber import RawSample
 
-    views = Views(ARM, MOUNTING, 1.0)
+    views = RecordingViews(ARM, MOUNTING, 1.0)
     read = ("joints", "pose/coil", "fsm", "target", "data", "epoch", "health", "event")
     for key in (*(f"state/{each}" for each in read), "dev/robot/state"):
         shown = views.of(RawSample(key, payload, 1.0), 10**18)

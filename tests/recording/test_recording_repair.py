@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
 from mcap.records import Chunk
 from mcap.writer import Writer
-from recorded import ARM, MOUNTING, decoded, joints, pose
+from recording_bench import ARM, MOUNTING, decoded, joints, pose
 from trials import examples
 
 from pcmrs.bus import Bus, BusSettings
@@ -25,12 +25,12 @@ from pcmrs.bus.codec import pack
 from pcmrs.clock import SystemClock
 from pcmrs.errors import ConfigurationError, FileFormatError
 from pcmrs.recording.file import RecordingFile, Topics
-from pcmrs.recording.playing import Excerpt, Player, recorded_cell
+from pcmrs.recording.playback import Excerpt, PlaybackPublisher, read_cell_name
 from pcmrs.recording.raw import encode
-from pcmrs.recording.reading import Reading
+from pcmrs.recording.reader import RecordingReader
 from pcmrs.recording.repair import repair
 from pcmrs.recording.subscriber import RawSample
-from pcmrs.recording.views import Views
+from pcmrs.recording.views import RecordingViews
 from pcmrs.testing.daemon import free_port
 
 MAGIC = 8
@@ -43,7 +43,7 @@ SPACING = 10**6
 
 def written(path: Path) -> list[bytes]:
     """Writes a recording of a few chunks; returns the payloads in order."""
-    topics, views, noise = Topics(), Views(ARM, MOUNTING, 1.0), random.Random(1)
+    topics, views, noise = Topics(), RecordingViews(ARM, MOUNTING, 1.0), random.Random(1)
     file = RecordingFile(path, topics, {"cell": "x"})
     payloads = []
     for number in range(MESSAGES):
@@ -65,11 +65,11 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[bytes, list[bytes]]
     return path.read_bytes(), payloads
 
 
-def saved(content: bytes, folder: Path) -> tuple[list[bytes], Reading]:
+def saved(content: bytes, folder: Path) -> tuple[list[bytes], RecordingReader]:
     """The messages of the bus that can be read from a file with this content."""
     path = folder / "damaged.mcap"
     path.write_bytes(content)
-    reading = Reading(path)
+    reading = RecordingReader(path)
     return [heard.payload for _, heard in reading.bus_messages()], reading
 
 
@@ -122,7 +122,7 @@ def test_a_repaired_file_is_whole_for_another_reader(whole: tuple[bytes, list[by
     assert on_bus == payloads[: len(on_bus)]
     assert len(on_bus) > MESSAGES // 10
     assert report.until == max(log_time for _, _, log_time, _ in messages) / 1e9
-    assert Reading(mended).size == mended.stat().st_size
+    assert RecordingReader(mended).size == mended.stat().st_size
     with pytest.raises(ConfigurationError, match="there already"):
         repair(damaged, mended)
     with pytest.raises(FileFormatError, match="no MCAP file"):
@@ -146,8 +146,8 @@ def test_what_nothing_declares_is_damage(tmp_path: Path, schema: int, chunked: b
     report = repair(damaged, tmp_path / "mended.mcap")
     assert (report.complete, report.messages) == (False, 1)
     assert "declared" in report.damage
-    assert [heard.payload for _, heard in Reading(damaged).bus_messages()] == [b"known"]
-    assert Reading(tmp_path / "mended.mcap").size
+    assert [heard.payload for _, heard in RecordingReader(damaged).bus_messages()] == [b"known"]
+    assert RecordingReader(tmp_path / "mended.mcap").size
 
 
 def write_chunk(path: Path, compression: str, data: bytes, size: int) -> None:
@@ -175,7 +175,7 @@ def test_a_chunk_that_would_fill_the_memory_is_damage(tmp_path: Path, frame_says
     packing = packer.compressobj(size=BOMB if frame_says_its_size else -1)
     packed = b"".join(packing.compress(bytes(mebibyte)) for _ in range(BOMB // mebibyte)) + packing.flush()
     write_chunk(path, "zstd", packed, size=16 if frame_says_its_size else BOMB)
-    reading = Reading(path)
+    reading = RecordingReader(path)
     assert [type(record).__name__ for record in reading.records()] == ["Header"]
     assert not reading.complete
     assert f"{BOMB} bytes when decompressed" in reading.damage
@@ -183,7 +183,7 @@ def test_a_chunk_that_would_fill_the_memory_is_damage(tmp_path: Path, frame_says
 
 def test_a_chunk_in_a_compression_that_pcmrs_does_not_write_is_damage(tmp_path: Path) -> None:
     write_chunk(tmp_path / "run.mcap", "lz4", b"", size=0)
-    reading = Reading(tmp_path / "run.mcap")
+    reading = RecordingReader(tmp_path / "run.mcap")
     assert [type(record).__name__ for record in reading.records()] == ["Header"]
     assert "'lz4'" in reading.damage
 
@@ -204,7 +204,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 """
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=60, check=False)
     assert ended.returncode == -signal.SIGKILL, ended.stderr
-    reading = Reading(tmp_path / "run.mcap")
+    reading = RecordingReader(tmp_path / "run.mcap")
     numbers = [int(heard.payload[:4]) for _, heard in reading.bus_messages()]
     assert numbers == list(range(len(numbers)))
     assert len(numbers) >= 900
@@ -219,7 +219,7 @@ async def test_of_a_recording_only_what_is_asked_for_is_played(
     cut.write_bytes(whole[0][: len(whole[0]) // 2])
     router = BusSettings(mode="router", endpoint=f"tcp/127.0.0.1:{free_port()}")
     bus = await Bus.open(router)
-    player = await Player.open(router.endpoint, "x", SystemClock())
+    player = await PlaybackPublisher.open(router.endpoint, "x", SystemClock())
     try:
         for excerpt, count in (
             (Excerpt(rate=10.0), MESSAGES),
@@ -239,4 +239,4 @@ async def test_of_a_recording_only_what_is_asked_for_is_played(
     finally:
         await player.close()
         await bus.close()
-    assert recorded_cell(cut) == "x"
+    assert read_cell_name(cut) == "x"

@@ -14,7 +14,7 @@ from pcmrs.errors import ConfigurationError, JournalError
 from pcmrs.journal import Journal, JournalRow
 from pcmrs.messages import BlueprintTag
 from pcmrs.recording.settings import FOLDER
-from pcmrs.report.session_export import Exported, export_session
+from pcmrs.report.session_export import ExportReport, export_session
 from pcmrs.settings import Settings, read_settings
 
 TAG = BlueprintTag(id="w", version="1", hash="0")
@@ -44,7 +44,7 @@ async def written(folder: Path) -> tuple[Settings, Path]:
     return settings, path
 
 
-def exported(settings: Settings, journal: Path, folder: Path, session: str | None = None) -> Exported:
+def exported(settings: Settings, journal: Path, folder: Path, session: str | None = None) -> ExportReport:
     return export_session(settings, journal, session, folder, lambda *_: None)
 
 

@@ -19,7 +19,7 @@ from pcmrs.dispatcher.locks import LockManager
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.fsm import load_blueprint
 from pcmrs.fsm.files.load import read_blueprint
-from pcmrs.replay import Replayed, replay
+from pcmrs.replay import ReplayReport, replay
 from pcmrs.replay.history import read_runs
 from pcmrs.replay.replay import replay_runs
 from pcmrs.workflows.opening import open_workflow
@@ -45,7 +45,7 @@ BROKEN_RULES = {
 }
 
 
-def broken(old: str, new: str) -> Replayed:
+def broken(old: str, new: str) -> ReplayReport:
     """The golden journal of RATMS, decided by a blueprint with another text, sound or not."""
     assert old in TEXT, "the mutation has no place any more"
     mutant, _ = read_blueprint(TEXT.replace(old, new).encode(), "mutant")

@@ -13,7 +13,7 @@ from trials import examples
 
 from pcmrs.clock import SystemClock
 from pcmrs.dispatcher.locks import LockManager
-from pcmrs.replay.replay import Replayed, replay_runs
+from pcmrs.replay.replay import ReplayReport, replay_runs
 from pcmrs.simulated_time.loop import SimulatedLoop
 
 Action = tuple[str, tuple[Any, ...]]
@@ -100,7 +100,7 @@ async def record(far: int, todo: list[Action]) -> Course:
     return course
 
 
-def decide_anew(course: Course) -> Replayed:
+def decide_anew(course: Course) -> ReplayReport:
     return replay_runs("memory", course.runs(), lambda _: course.workflow, SystemClock())
 
 

@@ -18,7 +18,7 @@ from pcmrs.bus import Bus, BusSettings
 from pcmrs.clock import SystemClock
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import BodyPose, JointState, PoseMessage, Target
-from pcmrs.recording.chain import Chain, Mounting
+from pcmrs.recording.frame_tree import FrameTree, Mounting
 from pcmrs.ros2 import cdr
 from pcmrs.ros2.copying import copy_for_ros2
 from pcmrs.ros2.poses import Stamps
@@ -137,7 +137,7 @@ async def test_joints_are_a_joint_state_and_the_flange_a_frame() -> None:
         assert wall - TIMEOUT < stamp <= wall - 0.01
         parent, base_from_flange = ear.links()["flange"]
         assert parent == message.header.frame_id == "robot_base"
-        assert distance(base_from_flange, Chain(ARM, MOUNTING).joints(joints())[2]) < 1e-9
+        assert distance(base_from_flange, FrameTree(ARM, MOUNTING).joints(joints())[2]) < 1e-9
         assert ear.encodings == {"application/cdr"}
 
 

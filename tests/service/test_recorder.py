@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from pcmrs.dispatcher.recorder import Recorded
+from pcmrs.dispatcher.recorder import EarlierDecision
 from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalRow
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, PoseMessage, Verdict
@@ -79,7 +79,7 @@ async def test_device_events_are_journalled_with_their_values(journal: Journal) 
 async def test_a_verdict_is_recalled_by_source_and_id_also_from_an_earlier_run(journal: Journal) -> None:
     await _recorder(journal, "s1").decision(COMMAND, _verdict(), STATES, {}, with_intent=True)
     later = _recorder(journal, "s2")
-    assert later.recall("udp:planner", "c1") == Recorded(_verdict(), COMMAND.arguments)
+    assert later.recall("udp:planner", "c1") == EarlierDecision(_verdict(), COMMAND.arguments)
     assert later.recall("bus:local", "c1") is None
     assert later.recall("udp:planner", "c2") is None
 
@@ -114,7 +114,7 @@ async def test_what_an_earlier_run_had_begun_is_closed_as_unknown_once(journal: 
     assert (unknown.id, unknown.decision, unknown.state) == ("c1", "unknown", "retracted")
     assert unknown.reason is not None
     assert unknown.reason.code == "daemon_ended"
-    assert later.recall("udp:planner", "c1") == Recorded(unknown, COMMAND.arguments)
+    assert later.recall("udp:planner", "c1") == EarlierDecision(unknown, COMMAND.arguments)
     assert _recorder(journal, "s3").read_back(RATMS).begun == ()
 
 

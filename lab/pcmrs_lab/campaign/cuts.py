@@ -18,8 +18,8 @@ from pcmrs.testing.journal import NAME, contents, place
 from pcmrs_lab.campaign.damage import damages
 from pcmrs_lab.campaign.journal_recovery_check import check_sound, missing_rows, taken_up
 from pcmrs_lab.campaign.power_loss import power_cuts
-from pcmrs_lab.campaign.recorded import record
 from pcmrs_lab.campaign.sham import is_sham
+from pcmrs_lab.campaign.syscall_trace import trace_journal
 from pcmrs_lab.campaign.writing import row
 
 ROWS = 60
@@ -143,7 +143,7 @@ def cut_power(
     tally = _Tally("power cut", seed, 0)
     with tempfile.TemporaryDirectory(prefix="pcmrs-cuts-") as name:
         written = Path(name) / "written"
-        calls = record(written, commits, seed, durable=durable)
+        calls = trace_journal(written, commits, seed, durable=durable)
         with JournalReader(written / NAME) as reader:
             rows = {stored.sequence: stored for stored in reader.read()}
         for number, cut in enumerate(power_cuts(written, calls, times, generator)):

@@ -43,7 +43,7 @@ def power_cuts(folder: Path, calls: Sequence[str], times: int, chance: random.Ra
 
     Args:
         folder: That was empty, and in which everything was written.
-        calls: As `recorded.record` has them.
+        calls: As `syscall_trace.trace_journal` has them.
         times: So many cuts.
         chance: Of the instants, and of what has reached the disk.
     """

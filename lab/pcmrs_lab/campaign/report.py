@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from pcmrs.pages import render
+from pcmrs.report.pages import render
 from pcmrs_lab.campaign.catalogue import CLASSES, RESPONSES, Row
 
 Outcome = Literal["passed", "failed", "not_proved", "not_run"]

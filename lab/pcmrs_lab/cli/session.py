@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     # For annotations only: asking for help must not load the experiments.
     from rich.table import Table
 
-    from pcmrs_lab.experiment.threshold_session import SessionReport
+    from pcmrs_lab.experiment.threshold_session import SessionSummary
 
 EXIT_INTERRUPTED = 130
 
@@ -112,7 +112,7 @@ def ratms_threshold(
         raise SystemExit(EXIT_INTERRUPTED if report.ended == INTERRUPTED else EXIT_REJECTED)
 
 
-def session_table(report: SessionReport) -> Table:
+def session_table(report: SessionSummary) -> Table:
     """What a session came to, as people read it."""
     from rich.table import Table
 
@@ -124,7 +124,7 @@ def session_table(report: SessionReport) -> Table:
     return table
 
 
-def _lines(report: SessionReport) -> list[tuple[str, str]]:
+def _lines(report: SessionSummary) -> list[tuple[str, str]]:
     pulses = f"{report.pulses}: {report.hotspot_pulses} for the hot-spot, {report.threshold_pulses} for the threshold"
     lines = [
         ("folder", report.folder),
@@ -137,7 +137,7 @@ def _lines(report: SessionReport) -> list[tuple[str, str]]:
     return [*lines, ("ended early", report.ended)] if report.ended else lines
 
 
-def _hotspot(report: SessionReport) -> str:
+def _hotspot(report: SessionSummary) -> str:
     if report.hotspot_mm is None:
         return "not found"
     place = ", ".join(f"{value:.1f}" for value in report.hotspot_mm)
@@ -145,7 +145,7 @@ def _hotspot(report: SessionReport) -> str:
     return f"({place}) mm, known within {known}; {_number(report.hotspot_error_mm, '.1f', ' mm')} from the true one"
 
 
-def _threshold(report: SessionReport) -> str:
+def _threshold(report: SessionSummary) -> str:
     if report.threshold is None:
         return "not found"
     low, high = report.threshold_low, report.threshold_high

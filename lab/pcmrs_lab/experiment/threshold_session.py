@@ -10,10 +10,8 @@ from pathlib import Path
 
 import msgspec
 
-from pcmrs.analysis.report.facts import facts_of
 from pcmrs.analysis.session import SessionRecord, Truth
 from pcmrs.errors import PcmrsError
-from pcmrs.journal import JournalReader
 from pcmrs.messages import PoseMessage, SceneTruth
 from pcmrs.report.session_folder import (
     JOURNAL,
@@ -23,10 +21,12 @@ from pcmrs.report.session_folder import (
     write_results,
     write_sums,
 )
+from pcmrs.report.session_journal import SessionJournal
+from pcmrs.report.stimulation.facts import facts_of
+from pcmrs.report.stimulation.reading import StimulationSession
 from pcmrs.tms.scalp import as_transform
 from pcmrs_lab.experiment.private import Bench, private_bench
-from pcmrs_lab.experiment.session.course import Course
-from pcmrs_lab.experiment.session.reading import Journalled
+from pcmrs_lab.experiment.session.runner import SessionRunner
 from pcmrs_lab.experiment.session.setup import SessionSetup
 from pcmrs_lab.experiment.setup import ShowProgress
 from pcmrs_sim.tms.recruitment import Recruitment
@@ -36,7 +36,7 @@ LIBRARIES = ("pcmrs", "numpy", "scipy", "scikit-learn", "mujoco", "eclipse-zenoh
 INTERRUPTED = "it was interrupted."
 
 
-class SessionReport(msgspec.Struct, frozen=True):
+class SessionSummary(msgspec.Struct, frozen=True):
     """What a session came to.
 
     Attributes:
@@ -73,7 +73,7 @@ class SessionReport(msgspec.Struct, frozen=True):
     threshold_error: float | None
 
 
-async def run_threshold_session(setup: SessionSetup, folder: Path, progress: ShowProgress) -> SessionReport:
+async def run_threshold_session(setup: SessionSetup, folder: Path, progress: ShowProgress) -> SessionSummary:
     """Runs a session through a daemon of its own; what was recorded is written, however it ends.
 
     Args:
@@ -104,7 +104,7 @@ async def run_threshold_session(setup: SessionSetup, folder: Path, progress: Sho
 async def _carried_out(bench: Bench, setup: SessionSetup, progress: ShowProgress) -> str:
     """Runs the course; why it ended early, or nothing. All is stopped then."""
     try:
-        await Course(bench, setup, progress).run()
+        await SessionRunner(bench, setup, progress).run()
     except asyncio.CancelledError:
         task = asyncio.current_task()
         if task is not None:
@@ -131,29 +131,28 @@ def read_record(journal: Path, setup: SessionSetup, truth: SceneTruth | None, en
     Raises:
         JournalError: The journal cannot be read, or holds nothing.
     """
-    with JournalReader(journal) as reader:
-        journalled = Journalled.read(reader)
-    procedure, hotspot = setup.configuration.procedure, journalled.hotspot()
+    session = StimulationSession(SessionJournal.read(journal))
+    procedure, hotspot = setup.configuration.procedure, session.hotspot()
     return SessionRecord(
         subject=procedure.patient,
         seed=setup.seed,
         rate=setup.rate,
-        begun=journalled.begun,
-        duration=journalled.duration,
-        workflow=journalled.workflow,
+        begun=session.started_at,
+        duration=session.duration,
+        workflow=session.workflow,
         settings=tuple(setup.settings()),
         versions={"Python": platform.python_version(), **{name: version(name) for name in LIBRARIES}},
         mep_settings=procedure.stimulation.mep,
         ended=ended,
-        ceiling=journalled.ceiling(),
-        registration=journalled.registration(),
-        placements=journalled.placements(),
-        pulses=journalled.pulses(),
-        refusals=journalled.refusals(),
-        search=journalled.search(),
+        ceiling=session.ceiling(),
+        registration=session.registration(),
+        placements=session.placements(),
+        pulses=session.pulses(),
+        refusals=session.refusals(),
+        search=session.search(),
         hotspot=hotspot,
-        hunt=journalled.hunt(),
-        threshold=journalled.threshold(),
+        hunt=session.hunt(),
+        threshold=session.threshold(),
         truth=None if truth is None else true_of(truth, None if hotspot is None else hotspot.image_from_coil),
     )
 
@@ -174,10 +173,10 @@ def true_of(scene: SceneTruth, image_from_coil: PoseMessage | None) -> Truth | N
     return Truth(hotspot=scene.image_from_hotspot, threshold=scene.threshold, threshold_here=here)
 
 
-def report_of(record: SessionRecord, folder: Path) -> SessionReport:
+def report_of(record: SessionRecord, folder: Path) -> SessionSummary:
     """The few numbers of a session."""
     facts, found, threshold = facts_of(record), record.hotspot, record.threshold
-    return SessionReport(
+    return SessionSummary(
         session="ratms-threshold",
         workflow=record.workflow.id,
         simulated=record.simulated,

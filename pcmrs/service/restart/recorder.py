@@ -16,7 +16,7 @@ import msgspec
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.events import DAEMON
 from pcmrs.dispatcher.procedure import Procedure
-from pcmrs.dispatcher.recorder import Recorded, clipped
+from pcmrs.dispatcher.recorder import EarlierDecision, clipped
 from pcmrs.errors import JournalError
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.blueprint import MigrationSpec
@@ -110,7 +110,7 @@ class JournalRecorder:
         )
         return self._append([row])
 
-    def recall(self, source: str, command_id: str) -> Recorded | None:
+    def recall(self, source: str, command_id: str) -> EarlierDecision | None:
         """See `Recorder.recall`."""
         if (source, command_id) not in self._decided:
             return None
@@ -120,7 +120,7 @@ class JournalRecorder:
             return None
         # What an earlier run left unfinished was closed by a row that repeats no arguments.
         asked = outcome if outcome.arguments is not None else reader.intent_of(source, command_id)
-        return Recorded(outcome.verdict, {} if asked is None else asked.arguments or {})
+        return EarlierDecision(outcome.verdict, {} if asked is None else asked.arguments or {})
 
     def read_back(self, blueprint: Blueprint) -> PersistedState:
         """Reads what earlier rows leave, from the last snapshot on; from now on every thousandth row is one.

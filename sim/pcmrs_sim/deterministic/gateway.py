@@ -12,7 +12,7 @@ from pcmrs.gateway.handlers import Services
 from pcmrs.gateway.intake import Intake
 from pcmrs.gateway.links import TASK_FAILED
 from pcmrs.gateway.periodic_timer import beats_of
-from pcmrs.gateway.records import Records
+from pcmrs.gateway.pose_files import PoseFileWriter
 from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.gateway.session import ReplyChannel
 from pcmrs.gateway.settings import GatewayConfig
@@ -36,9 +36,9 @@ class SimulatedGateway:
     def __init__(self, core: GatewayAdapter, config: GatewayConfig, clock: Clock, folder: Path) -> None:
         self._tasks, self._jobs = (BackgroundTasks(logged_as(TASK_FAILED)) for _ in range(2))
         streams = Streams(core, beats_of(clock), config, _to_nobody, self._tasks)
-        records = Records(core, clock, folder, self._tasks)
+        pose_files = PoseFileWriter(core, clock, folder, self._tasks)
         refusals = RejectionLog(core, clock, self._tasks)
-        self._intake = Intake(Services(uuid4().hex, core, clock, streams, records, refusals), self._jobs, (HOST,))
+        self._intake = Intake(Services(uuid4().hex, core, clock, streams, pose_files, refusals), self._jobs, (HOST,))
         core.add_listener(self._intake)
 
     def receive(

@@ -16,7 +16,7 @@ from pcmrs.messages import Snapshot
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.driving import accept, landmarks
 from pcmrs.testing.errors import Unmet
-from pcmrs_lab.campaign import loopdisk, recorded, syscalls
+from pcmrs_lab.campaign import loopdisk, syscall_trace, syscalls
 from pcmrs_lab.campaign.checks import expect
 from pcmrs_lab.campaign.cuts import CutReport, cut_and_flip, cut_power
 from pcmrs_lab.campaign.durable import Asked
@@ -150,7 +150,7 @@ async def the_power_is_cut(lab: Lab) -> Evidence:
 @fault(
     "T5",
     how="recorded system calls of a writer: only what was synchronised is kept, and a part of the rest",
-    needs=recorded.NEEDS,
+    needs=syscall_trace.NEEDS,
 )
 async def the_power_is_cut_at_any_write(lab: Lab) -> Evidence:
     """At instants between any two writes, with torn and reordered sectors."""

@@ -55,7 +55,7 @@ class Operator:
         client.listen("state/fsm", Snapshot, self._take)
 
     async def ask(self, name: str, arguments: Mapping[str, Any] | None = None) -> Verdict:
-        """Asks for an operation until it is accepted; waits as long as the reason says, where it passes by itself.
+        """Ask for an operation until it is accepted; waits as long as the reason says, where it passes by itself.
 
         Raises:
             CommandRefusedError: It is not accepted; the text says why.
@@ -70,7 +70,7 @@ class Operator:
         return (await self._client.state()).branches[branch]
 
     async def place(self) -> None:
-        """Brings the coil to the planned pose, from wherever it is. Raises `CommandRefusedError`."""
+        """Bring the coil to the planned pose, from wherever it is. Raises `CommandRefusedError`."""
         await self._go(TO_PLACED)
 
     async def withdraw(self) -> None:
@@ -108,7 +108,7 @@ class Operator:
         return verdict
 
     async def _ready(self) -> None:
-        """Arms the stimulator where it is not, and waits until the next pulse is due and the coil counts as aligned."""
+        """Arm the stimulator where it is not, and waits until the next pulse is due and the coil counts as aligned."""
         if await self.state("stimulation") != "armed":
             await self.ask("stimulation.arm")
         await asyncio.sleep(self._rested - asyncio.get_running_loop().time())
@@ -117,7 +117,7 @@ class Operator:
                 await self._shows(lambda snapshot: snapshot.branches["alignment"] == "1")
 
     async def _go(self, leads: Mapping[str, str]) -> None:
-        """Asks for what leads on, state by state, until nothing does."""
+        """Ask for what leads on, state by state, until nothing does."""
         failures = 0
         verdict: Verdict | None = None
         while (state := (snapshot := await self._client.state()).branches["placement"]) in leads:

@@ -25,7 +25,7 @@ from pcmrs.messages import Snapshot, Verdict
 from pcmrs_lab.experiment.tours.arguments import Arguments
 from pcmrs_lab.experiment.tours.faults import FAULTS, fault
 from pcmrs_lab.experiment.tours.observer import Observer
-from pcmrs_lab.experiment.tours.record import Record, Seen
+from pcmrs_lab.experiment.tours.progress import Seen, TourProgress
 
 ANSWER_TIME = 120.0
 """Any operation of a simulated cell has ended after so many seconds of the machine."""
@@ -69,13 +69,13 @@ class LiveTour:
         self._arguments = arguments
         self._moves = {joint: list(_live(there)) for joint, there in all_moves(blueprint, limit).items()}
         patience = {name: DEFAULT_PATIENCE + choices for name, choices in arguments.choices(blueprint).items()}
-        self._record = Record(blueprint, self._moves, patience)
+        self._progress = TourProgress(blueprint, self._moves, patience)
         self._judged: set[str] = set()
-        self._record.drop(lambda move: move.decision == "unknown", NEVER_SILENT)
-        self._record.drop(lambda move: move.asker == "device" and not _provoked(move), NO_FAULT)
+        self._progress.drop(lambda move: move.decision == "unknown", NEVER_SILENT)
+        self._progress.drop(lambda move: move.asker == "device" and not _provoked(move), NO_FAULT)
         for name, payload in arguments.missing(blueprint).items():
             without = f"there are no arguments for it: give {payload} with --arguments"
-            self._record.drop(partial(_needs_arguments, name), without)
+            self._progress.drop(partial(_needs_arguments, name), without)
 
     async def run(self, seconds: float, progress: ShowProgress) -> Seen:
         """Sees what there is to see.
@@ -87,7 +87,7 @@ class LiveTour:
         Raises:
             UnknownOutcomeError: The cell fell silent.
         """
-        loop, seen = asyncio.get_running_loop(), self._record.seen
+        loop, seen = asyncio.get_running_loop(), self._progress.seen
         end, why = loop.time() + seconds, OUT_OF_TIME
         state = await self._observer.settled()
         while loop.time() < end:
@@ -97,14 +97,14 @@ class LiveTour:
                 break
             state = await self._make(move, state)
             progress(len(seen.made), len(seen.wanted) - len(seen.left))
-        seen.left |= {move: reason or why for move, reason in self._record.agenda.unseen().items()}
+        seen.left |= {move: reason or why for move, reason in self._progress.agenda.unseen().items()}
         for move in seen.made & seen.left.keys():
             del seen.left[move]  # given up, and come by itself
         return seen
 
     def _next(self, state: Snapshot) -> Move | None:
         """The next move: releases the latch first, without which nothing may move."""
-        here, agenda = tuple(state.branches.values()), self._record.agenda
+        here, agenda = tuple(state.branches.values()), self._progress.agenda
         if not state.latched:
             return agenda.next(here, lambda _: True)
         releases = next(filter(self._unlatches, self._moves.get(here, ())), None)
@@ -121,10 +121,10 @@ class LiveTour:
 
     async def _make(self, move: Move, before: Snapshot) -> Snapshot:
         """Gives the command of a move and looks what has come of it."""
-        self._record.seen.tour.append(move)
+        self._progress.seen.tour.append(move)
         verdict = await (self._provoke(move) if move.asker == "device" else self._command(move, before))
         if verdict is None:
-            self._record.agenda.missed(move, NOT_REPORTED)
+            self._progress.agenda.missed(move, NOT_REPORTED)
             return await self._observer.settled()
         after = await self._observer.settled(verdict.sequence)
         await self._shown(lambda: self._observer.has(verdict))
@@ -132,9 +132,9 @@ class LiveTour:
         self._judged.add(verdict.id)
         shown = self._observer.joint_at(verdict) or self._led_to(move, verdict, tuple(after.branches.values()))
         if verdict.decision == "rejected":
-            self._record.rejected(move, verdict, sequence, shown)
+            self._progress.rejected(move, verdict, sequence, shown)
         else:
-            self._record.ended(move, verdict, shown, ran=move.name in self._observer.ran)
+            self._progress.ended(move, verdict, shown, ran=move.name in self._observer.ran)
         await self._follow(move, shown, tuple(after.branches.values()))
         return after
 
@@ -145,13 +145,13 @@ class LiveTour:
         joint = self._take(*self._unasked(move.before, earlier), earlier)
         if joint == move.before:
             return move, max([sequence, *(other.sequence for other in earlier)])
-        self._record.agenda.missed(move, "the cell goes on by itself")
+        self._progress.agenda.missed(move, "the cell goes on by itself")
         there = [other for other in self._moves[joint] if (other.name, other.asker) == (move.name, move.asker)]
         return min(there, key=lambda other: other.ending != move.ending), max(other.sequence for other in earlier)
 
     def _led_to(self, move: Move, verdict: Verdict, end: Joint) -> Joint:
         """Where a decision led whose snapshot was overtaken by the next: from there the rest must lead to the end."""
-        endings = (other.after for other in self._record.same(move) if other.decision == verdict.decision)
+        endings = (other.after for other in self._progress.same(move) if other.decision == verdict.decision)
         return next((joint for joint in endings if self._goes_on(joint) == end), end)
 
     async def _command(self, move: Move, before: Snapshot) -> Verdict:
@@ -173,7 +173,7 @@ class LiveTour:
         await asyncio.wait((call, begun), return_when=asyncio.FIRST_COMPLETED)
         begun.cancel()
         if not call.done():
-            self._record.seen.stops += 1
+            self._progress.seen.stops += 1
             await self._client.stop(timeout=ANSWER_TIME)
 
     async def _provoke(self, move: Move) -> Verdict | None:
@@ -190,9 +190,9 @@ class LiveTour:
         others = self._observer.verdicts_beside(self._judged)
         reached = self._take(*self._unasked(joint, others), others)
         if reached != end:
-            self._record.judge(move, "then something that nobody asked for", end, "")
+            self._progress.judge(move, "then something that nobody asked for", end, "")
         elif end != joint:
-            self._record.agenda.missed(move, "the cell goes on by itself")
+            self._progress.agenda.missed(move, "the cell goes on by itself")
 
     async def _shown(self, condition: Callable[[], bool]) -> None:
         """Waits until a condition on what has been shown holds, but not for long."""
@@ -203,8 +203,8 @@ class LiveTour:
     def _take(self, unasked: list[Move], joint: Joint, verdicts: list[Verdict]) -> Joint:
         """These verdicts have been looked at, and the moves seen in them led to `joint`."""
         self._judged |= {verdict.id for verdict in verdicts}
-        self._record.saw(unasked)
-        self._record.seen.events += sum(made.asker == "device" for made in unasked)
+        self._progress.saw(unasked)
+        self._progress.seen.events += sum(made.asker == "device" for made in unasked)
         return joint
 
     def _goes_on(self, joint: Joint) -> Joint:

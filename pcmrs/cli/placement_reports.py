@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -13,51 +12,10 @@ from rich.console import Group
 from rich.markup import escape
 from rich.table import Table
 
-from pcmrs.analysis.placements import Recorded, Summary, summarize
+from pcmrs.analysis.placements import PlacementTrial, Summary, summarize
 from pcmrs.analysis.pose_log import Track, analyse_track, check_loop
-from pcmrs.errors import FileFormatError, GeometryError
-from pcmrs.formats.pose_file import Placement
 from pcmrs.formats.pose_log import PoseLog
-from pcmrs.journal import JournalReader
-from pcmrs.spatial import Floats, Transform
-
-
-def read_journal_placements(path: Path, standoff_mm: float | None) -> list[Recorded]:
-    """Return the accepted `confirm` operations of a journal, in order; each is named by its row.
-
-    Args:
-        path: The journal.
-        standoff_mm: Standoff of all of them; None for the recorded offset of each, or 0.
-
-    Raises:
-        JournalError: The journal cannot be read.
-        FileFormatError: There are none, or one holds no poses.
-    """
-    with JournalReader(path) as reader:
-        outcomes = list(reader.read(kind="outcome", branch="placement"))
-    recorded = [
-        _placement_of(path, stored.sequence, verdict.result or {}, standoff_mm)
-        for stored in outcomes
-        if (verdict := stored.row.verdict) is not None
-        if (verdict.operation, verdict.decision) == ("confirm", "accepted")
-    ]
-    if not recorded:
-        raise FileFormatError(f"{path} has no accepted placement.confirm: nothing was placed.", file=str(path))
-    return recorded
-
-
-def _placement_of(path: Path, sequence: int, result: dict[str, Any], standoff_mm: float | None) -> Recorded:
-    offset = result.get("confirm_offset", 0.0) if standoff_mm is None else standoff_mm / 1000.0
-    try:
-        planned, measured = (
-            Transform.from_quat_xyzw(result[key]["position"], result[key]["quat_xyzw"])
-            for key in ("planned", "measured")
-        )
-    except (KeyError, TypeError, GeometryError):
-        text = f"{path} has no planned and measured pose in row {sequence}, an accepted placement.confirm."
-        raise FileFormatError(text, file=str(path), sequence=sequence) from None
-    return Recorded(Placement(str(sequence), planned, measured), offset)
-
+from pcmrs.spatial import Floats
 
 Axes = tuple[float, float, float]
 
@@ -105,27 +63,27 @@ class PoseLogReport(msgspec.Struct, frozen=True):
     max_deviation_deg: float | None
 
 
-def placements_report(path: Path, recorded: list[Recorded]) -> PlacementsReport:
+def placements_report(path: Path, trials: list[PlacementTrial]) -> PlacementsReport:
     """Return the errors of one or more placements.
 
     Args:
         path: Their file or folder.
-        recorded: The placements.
+        trials: The placements.
     """
-    trials = [_trial(item) for item in recorded]
+    errors = [_trial(trial) for trial in trials]
     return PlacementsReport(
         str(path),
-        trials,
-        summarize([trial.translation_error_mm for trial in trials]),
-        summarize([trial.rotation_error_deg for trial in trials]),
+        errors,
+        summarize([trial.translation_error_mm for trial in errors]),
+        summarize([trial.rotation_error_deg for trial in errors]),
     )
 
 
-def _trial(recorded: Recorded) -> TrialErrors:
-    error = recorded.error
+def _trial(trial: PlacementTrial) -> TrialErrors:
+    error = trial.error
     return TrialErrors(
-        trial=recorded.placement.name,
-        standoff_mm=recorded.standoff * 1000.0,
+        trial=trial.placement.name,
+        standoff_mm=trial.standoff * 1000.0,
         translation_error_mm=error.distance * 1000.0,
         rotation_error_deg=math.degrees(error.angle),
         error_vector_mm=_axes(error.vector * 1000.0),

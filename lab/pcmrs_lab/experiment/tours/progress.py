@@ -38,7 +38,7 @@ class Seen:
     events: int = 0
 
 
-class Record:
+class TourProgress:
     """Compares what came of each command with what must, and keeps the agenda.
 
     Args:

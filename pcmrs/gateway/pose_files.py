@@ -22,7 +22,7 @@ LOG_RATE_HZ = 20.0
 _ROWS = {"body_tool": "body_from_tool", "pol_body": "tracker_from_body", "pol_tool": "tracker_from_tool"}
 
 
-class Records:
+class PoseFileWriter:
     """Writes records into one folder, each whole or not at all.
 
     Args:

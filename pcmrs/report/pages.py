@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import base64
+import datetime
 from collections.abc import Callable
 from typing import Any, Final
 
 NONE: Final = "–"
+"""Text of a number that is missing."""
+PNG, SVG = "image/png", "image/svg+xml"
+"""Media types of pictures."""
 
 
 def render(package: str, template: str, *filters: Callable[..., Any], **values: Any) -> str:
@@ -33,3 +38,23 @@ def render(package: str, template: str, *filters: Callable[..., Any], **values: 
 def fixed(value: float | None, digits: int = 2) -> str:
     """A number with so many decimals; a dash where there is none."""
     return NONE if value is None else f"{value:.{digits}f}".replace("-", "−")
+
+
+def embedded(picture: bytes, media_type: str) -> str:
+    """Return a picture as a ``data:`` URL.
+
+    Args:
+        picture: Content of its file.
+        media_type: `PNG` or `SVG`.
+    """
+    return f"data:{media_type};base64,{base64.b64encode(picture).decode()}"
+
+
+def utc(wall: float, form: str) -> str:
+    """Return a time as text, in UTC.
+
+    Args:
+        wall: Unix seconds.
+        form: Format, as for `strftime`.
+    """
+    return datetime.datetime.fromtimestamp(wall, datetime.UTC).strftime(form)

@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 from session_records import mesh, nothing, record
 
-from pcmrs.analysis.report import draw_figures, render_report
-from pcmrs.analysis.report.facts import facts_of
-from pcmrs.analysis.report.figures import placements_figure, responses_figure, waveforms_figure
-from pcmrs.analysis.report.page import minutes, plain
 from pcmrs.analysis.session import SessionRecord
-from pcmrs.pages import fixed
+from pcmrs.report.pages import fixed
+from pcmrs.report.stimulation.facts import facts_of
+from pcmrs.report.stimulation.figures import draw_figures, placements_figure, responses_figure, waveforms_figure
+from pcmrs.report.stimulation.page import minutes, plain, render_report
 from pcmrs.tms.scalp import as_transform
 
 PICTURES = {"hotspot", "hunt", "responses", "waveforms", "placements"}

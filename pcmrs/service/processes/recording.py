@@ -11,7 +11,7 @@ from pcmrs.service.processes.child import open_child
 from pcmrs.settings import Settings
 
 
-async def open_recorder(
+async def start_recording(
     settings: Settings, session: str, clock: Clock, device_key: bytes
 ) -> asyncio.subprocess.Process:
     """Records the session into the cell's folder, in a new file.

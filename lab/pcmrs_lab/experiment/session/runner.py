@@ -23,7 +23,7 @@ WASTED = 8
 """So many pulses in a row that say nothing about the muscle end the session: nobody should be given more of them."""
 
 
-class Course:
+class SessionRunner:
     """One session on a running daemon; `run` does it all.
 
     Args:
@@ -106,7 +106,7 @@ class Course:
             raise CommandRefusedError(f"No threshold was found: {result.get('refusal', 'nobody knows why')}.")
 
     async def _pulse(self, name: str, doing: str) -> dict[str, Any]:
-        """Gives one pulse as soon as it may be given; its result. Raises `CommandRefusedError`."""
+        """Give one pulse as soon as it may be given; its result. Raises `CommandRefusedError`."""
         self._pulses += 1
         self._tell(f"{doing}, pulse {self._pulses}")
         verdict = await self._operator.fire(name)

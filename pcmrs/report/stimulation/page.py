@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import base64
-import datetime
 from collections.abc import Mapping
 from pathlib import Path
 
 from pcmrs.analysis.nibs_tables import ALGORITHMS
-from pcmrs.analysis.report.facts import facts_of
 from pcmrs.analysis.session import PulseRecord, SessionRecord
-from pcmrs.pages import NONE, fixed, render
+from pcmrs.report.pages import NONE, PNG, SVG, embedded, fixed, render, utc
+from pcmrs.report.stimulation.facts import facts_of
 
-KINDS = {".svg": "image/svg+xml", ".png": "image/png"}
+KINDS = {".svg": SVG, ".png": PNG}
 TEMPLATE = "report.html.j2"
 METHODS = {"adaptive": "adaptive, by a Gaussian process", "grid": "grid, every place in order"}
 
@@ -28,7 +26,7 @@ def render_report(record: SessionRecord, pictures: Mapping[str, Path]) -> str:
         OSError: A picture cannot be read.
     """
     return render(
-        "pcmrs.analysis.report",
+        "pcmrs.report.stimulation",
         TEMPLATE,
         fixed,
         plain,
@@ -37,16 +35,11 @@ def render_report(record: SessionRecord, pictures: Mapping[str, Path]) -> str:
         times,
         record=record,
         facts=facts_of(record),
-        pictures={name: embedded(path) for name, path in pictures.items()},
+        pictures={name: embedded(path.read_bytes(), KINDS[path.suffix]) for name, path in pictures.items()},
         algorithms=ALGORITHMS,
         methods=METHODS,
         flags=flags,
     )
-
-
-def embedded(path: Path) -> str:
-    """A picture as an address that holds it."""
-    return f"data:{KINDS[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
 def plain(value: float | None) -> str:
@@ -67,7 +60,7 @@ def minutes(seconds: float) -> str:
 
 def date(unix: float) -> str:
     """Day and time, UTC."""
-    return datetime.datetime.fromtimestamp(unix, datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
+    return utc(unix, "%Y-%m-%d %H:%M UTC")
 
 
 def flags(pulse: PulseRecord) -> str:

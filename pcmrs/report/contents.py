@@ -13,7 +13,7 @@ EventKind = Literal["stop", "fault", "notice"]
 """Somebody stopped everything; a device or the daemon reported a danger; it reported something else."""
 
 
-class Run(msgspec.Struct, frozen=True, kw_only=True):
+class ReportedRun(msgspec.Struct, frozen=True, kw_only=True):
     """One run of the daemon.
 
     Attributes:
@@ -35,7 +35,7 @@ class Run(msgspec.Struct, frozen=True, kw_only=True):
     last: int
 
 
-class Gate(msgspec.Struct, frozen=True, kw_only=True):
+class ReportedGate(msgspec.Struct, frozen=True, kw_only=True):
     """One test of a registration; its unit depends on its name, lengths are in m."""
 
     name: str
@@ -44,14 +44,14 @@ class Gate(msgspec.Struct, frozen=True, kw_only=True):
     limit: float
 
 
-class Landmark(msgspec.Struct, frozen=True, kw_only=True):
+class ReportedLandmark(msgspec.Struct, frozen=True, kw_only=True):
     """A landmark of a registration, and how far from its place it is after the fit."""
 
     name: str
     distance_mm: float
 
 
-class Registration(msgspec.Struct, frozen=True, kw_only=True):
+class ReportedRegistration(msgspec.Struct, frozen=True, kw_only=True):
     """A registration that was put in force.
 
     Attributes:
@@ -74,12 +74,12 @@ class Registration(msgspec.Struct, frozen=True, kw_only=True):
     tre_mm: float | None
     tre_limit_mm: float | None
     target: str
-    landmarks: tuple[Landmark, ...]
-    gates: tuple[Gate, ...]
+    landmarks: tuple[ReportedLandmark, ...]
+    gates: tuple[ReportedGate, ...]
     id: str
 
 
-class Plan(msgspec.Struct, frozen=True, kw_only=True):
+class ReportedPlan(msgspec.Struct, frozen=True, kw_only=True):
     """A planned pose, and the target registration error predicted there, rms."""
 
     sequence: int
@@ -88,7 +88,7 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     tre_mm: float | None
 
 
-class Placement(msgspec.Struct, frozen=True, kw_only=True):
+class ReportedPlacement(msgspec.Struct, frozen=True, kw_only=True):
     """The tool as the tracker measured it, against the pose that was planned.
 
     Attributes:
@@ -112,7 +112,7 @@ class Placement(msgspec.Struct, frozen=True, kw_only=True):
     standoff: float
 
 
-class Done(msgspec.Struct, frozen=True, kw_only=True):
+class AcceptedOperation(msgspec.Struct, frozen=True, kw_only=True):
     """An operation, and how often it was accepted.
 
     Attributes:
@@ -126,7 +126,7 @@ class Done(msgspec.Struct, frozen=True, kw_only=True):
     acts: bool | None
 
 
-class Refusal(msgspec.Struct, frozen=True, kw_only=True):
+class ReportedRefusal(msgspec.Struct, frozen=True, kw_only=True):
     """What was not accepted, for one reason.
 
     Attributes:
@@ -150,7 +150,7 @@ class Refusal(msgspec.Struct, frozen=True, kw_only=True):
     times: int
 
 
-class Unknown(msgspec.Struct, frozen=True, kw_only=True):
+class UnknownOutcome(msgspec.Struct, frozen=True, kw_only=True):
     """An operation that has begun, and nobody knows how it ended.
 
     Attributes:
@@ -165,7 +165,7 @@ class Unknown(msgspec.Struct, frozen=True, kw_only=True):
     settled: bool | None
 
 
-class Event(msgspec.Struct, frozen=True, kw_only=True):
+class ReportedEvent(msgspec.Struct, frozen=True, kw_only=True):
     """What a device or the daemon reported by itself; `times` in a row."""
 
     sequence: int
@@ -177,7 +177,7 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
     times: int
 
 
-class Entry(msgspec.Struct, frozen=True, kw_only=True):
+class TimelineEntry(msgspec.Struct, frozen=True, kw_only=True):
     """A line of the timeline.
 
     Attributes:
@@ -198,7 +198,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     times: int
 
 
-class Span(msgspec.Struct, frozen=True, kw_only=True):
+class StateSpan(msgspec.Struct, frozen=True, kw_only=True):
     """A state of a branch, from when to when, Unix seconds."""
 
     state: str
@@ -206,7 +206,7 @@ class Span(msgspec.Struct, frozen=True, kw_only=True):
     ended: float
 
 
-class Branch(msgspec.Struct, frozen=True, kw_only=True):
+class ReportedBranch(msgspec.Struct, frozen=True, kw_only=True):
     """A branch of the workflow and its states over time.
 
     Attributes:
@@ -217,11 +217,11 @@ class Branch(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     title: str
     states: dict[str, str]
-    spans: tuple[Span, ...]
+    spans: tuple[StateSpan, ...]
     final: str
 
 
-class Journal(msgspec.Struct, frozen=True, kw_only=True):
+class ReportedJournal(msgspec.Struct, frozen=True, kw_only=True):
     """How good the journal is.
 
     Attributes:
@@ -242,7 +242,7 @@ class Journal(msgspec.Struct, frozen=True, kw_only=True):
     key: str
 
 
-class File(msgspec.Struct, frozen=True, kw_only=True):
+class ReportedFile(msgspec.Struct, frozen=True, kw_only=True):
     """A file that the session has left.
 
     Attributes:
@@ -288,31 +288,31 @@ class SessionReport(msgspec.Struct, frozen=True, kw_only=True):
     rate: float | None
     begun: float
     ended: float
-    runs: tuple[Run, ...]
+    runs: tuple[ReportedRun, ...]
     earlier: int
     later: int
-    journal: Journal
+    journal: ReportedJournal
     asked_for: int
     counts: dict[str, int]
-    registrations: tuple[Registration, ...]
-    plans: tuple[Plan, ...]
-    placements: tuple[Placement, ...]
-    done: tuple[Done, ...]
-    refusals: tuple[Refusal, ...]
-    unknown: tuple[Unknown, ...]
-    events: tuple[Event, ...]
+    registrations: tuple[ReportedRegistration, ...]
+    plans: tuple[ReportedPlan, ...]
+    placements: tuple[ReportedPlacement, ...]
+    done: tuple[AcceptedOperation, ...]
+    refusals: tuple[ReportedRefusal, ...]
+    unknown: tuple[UnknownOutcome, ...]
+    events: tuple[ReportedEvent, ...]
     latched: bool | None
-    branches: tuple[Branch, ...]
-    timeline: tuple[Entry, ...]
+    branches: tuple[ReportedBranch, ...]
+    timeline: tuple[TimelineEntry, ...]
     calibration: str
     versions: dict[str, str]
     reported_by: str
     changed: tuple[str, ...]
-    files: tuple[File, ...]
+    files: tuple[ReportedFile, ...]
 
     @property
     def simulated(self) -> bool:
-        """Whether all drivers are those of the simulation."""
+        """True if all drivers are those of the simulation."""
         return bool(self.devices) and set(self.devices.values()) == {"sim"}
 
     @property
@@ -320,6 +320,6 @@ class SessionReport(msgspec.Struct, frozen=True, kw_only=True):
         """What is not as it was written: of the journal, and of the files."""
         return (*self.journal.problems, *(f"{file.name} {file.note}." for file in self.files if file.wrong))
 
-    def events_of(self, kind: EventKind) -> tuple[Event, ...]:
+    def events_of(self, kind: EventKind) -> tuple[ReportedEvent, ...]:
         """Those of one kind."""
         return tuple(event for event in self.events if event.kind == kind)

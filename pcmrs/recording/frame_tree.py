@@ -1,8 +1,8 @@
-"""The frames of a cell as one tree, from what is on the bus and what was calibrated.
+"""The frames of a cell as one tree, from messages on the bus and from calibrations.
 
-The tracker is the root: it sees the marker bodies. The arm hangs from it by `robot_base`, worked out whenever the arm
-stands and the tracker sees the coil; both are fixed in the room, so this stays true while the coil is hidden. A frame
-has one parent only, so where the joints say that the coil is has a name of its own, `COIL_BY_ROBOT`.
+The tracker is the root: it sees the marker bodies. `robot_base` links the arm to it; it is computed whenever the arm
+stands still and the tracker sees the coil. Both are fixed in the room, so it stays valid while the coil is hidden. A
+frame has one parent only, so the pose of the coil by the joints has its own frame, `COIL_BY_ROBOT`.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ Link = tuple[str, str, Transform]
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
-    """What was calibrated.
+    """Calibrated poses of the tool and the pointer.
 
     Attributes:
-        flange_from_tool: The mount on the flange.
-        flange_from_coil: The tracked body on it.
-        pointer_from_tip: The tip in the pointer's marker body.
+        flange_from_tool: Pose of the mount in the flange frame.
+        flange_from_coil: Pose of the tracked body of the coil in the flange frame.
+        pointer_from_tip: Pose of the tip in the frame of the pointer's marker body.
     """
 
     flange_from_tool: Transform
@@ -40,7 +40,7 @@ class Mounting:
 
     @classmethod
     def read(cls, calibration: CalibrationSettings) -> Mounting:
-        """From calibration files where they are configured, else from the configured poses.
+        """Read the calibration files that are configured, and take the configured poses otherwise.
 
         Raises:
             FileFormatError: A calibration file cannot be read.
@@ -55,7 +55,7 @@ class Mounting:
         return cls(flange_from_tool, flange_from_coil, pointer_from_tip)
 
     def links(self) -> list[Link]:
-        """What never moves."""
+        """Return the links that never move."""
         tool_from_coil = self.flange_from_tool.inverse() @ self.flange_from_coil
         return [
             (Frame.FLANGE, Frame.TOOL, self.flange_from_tool),
@@ -64,12 +64,12 @@ class Mounting:
         ]
 
 
-class Chain:
-    """Joins the arm to the tracker.
+class FrameTree:
+    """The moving links of arm and tracker.
 
     Args:
-        arm: The arm's facts.
-        mounting: What it carries.
+        arm: Facts of the arm.
+        mounting: Poses of what it carries.
     """
 
     def __init__(self, arm: ArmFacts, mounting: Mounting) -> None:
@@ -79,17 +79,21 @@ class Chain:
         self._moving = True
 
     def joints(self, state: JointState) -> Link:
-        """Where the flange is, by measured joints.
+        """Return the pose of the flange in the robot's base frame, from measured joints.
 
         Raises:
-            GeometryError: There are not as many joints as the arm has, or one is not finite.
+            GeometryError: The number of joints differs from the arm's, or a value is not finite.
         """
         self._base_from_flange = self._arm.forward(state.positions)
         self._moving = state.moving
         return Frame.ROBOT_BASE, Frame.FLANGE, self._base_from_flange
 
     def coil(self, tracker_from_coil: Transform) -> Link | None:
-        """Where the arm's base is, by the coil that the tracker sees; None while the arm moves or is not known."""
+        """Return the pose of the robot's base in the tracker frame; None while the arm moves or its joints are unknown.
+
+        Args:
+            tracker_from_coil: Measured pose of the coil in the tracker frame.
+        """
         if self._base_from_flange is None or self._moving:
             return None
         base_from_coil = self._base_from_flange @ self._mounting.flange_from_coil

@@ -19,12 +19,12 @@ from pcmrs.bus.seal import Seal, new_key
 from pcmrs.clock import SystemClock
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose, JointState
-from pcmrs.recording.chain import Mounting
-from pcmrs.recording.recorder import PERIOD, Plan, Recorder, Report
+from pcmrs.recording.frame_tree import Mounting
 from pcmrs.recording.series import Limits, files_of
 from pcmrs.recording.subscriber import Subscriber
 from pcmrs.recording.topics import TOPICS
-from pcmrs.recording.views import Views
+from pcmrs.recording.views import RecordingViews
+from pcmrs.recording.writer import PERIOD, RecordingPlan, RecordingReport, RecordingWriter
 from pcmrs.testing.daemon import free_port
 from pcmrs.workflows.settings import CalibrationSettings
 
@@ -42,18 +42,18 @@ class Recording:
         bus: Where to say something.
     """
 
-    def __init__(self, bus: Bus, tap: Subscriber, recorder: Recorder) -> None:
+    def __init__(self, bus: Bus, subscriber: Subscriber, recorder: RecordingWriter) -> None:
         self.bus = bus
         self._recorder = recorder
         self._ended = asyncio.Event()
-        self._task = asyncio.create_task(recorder.run(tap, self._ended))
+        self._task = asyncio.create_task(recorder.run(subscriber, self._ended))
 
-    async def end(self) -> Report:
+    async def end(self) -> RecordingReport:
         """Ends the recording as Ctrl-C does."""
         self._ended.set()
         return await self.report()
 
-    async def report(self) -> Report:
+    async def report(self) -> RecordingReport:
         """What the recording came to, when it ends."""
         async with asyncio.timeout(TIMEOUT):
             return await self._task
@@ -79,17 +79,17 @@ async def recording(
     """Records a bus of the test's own into `first`."""
     router = BusSettings(mode="router", endpoint=f"tcp/127.0.0.1:{free_port()}", site="test", cell="recorded")
     clock = SystemClock()
-    plan = Plan(first, limits or Limits(), {"cell": router.cell, "site": router.site}, lambda: files_of(first))
+    plan = RecordingPlan(first, limits or Limits(), {"cell": router.cell, "site": router.site}, lambda: files_of(first))
     key = new_key()
     bus = await Bus.open(router, Seal(key))
     try:
-        tap = await Subscriber.open(msgspec.structs.replace(router, mode="client"), topics, clock, Seal(key))
-        work = Recording(bus, tap, Recorder(plan, Views(ARM, MOUNTING, 1.0), clock))
+        subscriber = await Subscriber.open(msgspec.structs.replace(router, mode="client"), topics, clock, Seal(key))
+        work = Recording(bus, subscriber, RecordingWriter(plan, RecordingViews(ARM, MOUNTING, 1.0), clock))
         try:
             yield work
         finally:
             await work.end()
-            await tap.close()
+            await subscriber.close()
     finally:
         await bus.close()
 

@@ -24,8 +24,8 @@ from pcmrs.cli.running import EXIT_FAILED, readable_errors, run
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the robot's kinematics.
-    from pcmrs.recording.recorder import Plan, Recorder, Report
-    from pcmrs.recording.repair import Repaired
+    from pcmrs.recording.repair import RepairReport
+    from pcmrs.recording.writer import RecordingPlan, RecordingReport, RecordingWriter
     from pcmrs.settings import Settings
 
 
@@ -76,9 +76,9 @@ def record(
 
     Example: pcmrs record run.mcap --max-size 512MB --max-total 4GB
     """
-    from pcmrs.recording.recorder import Plan
     from pcmrs.recording.series import Limits, all_files, check_new, files_of
     from pcmrs.recording.topics import TOPICS, check_topics
+    from pcmrs.recording.writer import RecordingPlan
     from pcmrs.settings import read_settings
 
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(levelname)s %(message)s")
@@ -96,12 +96,12 @@ def record(
         pool = partial(files_of, recording)
     check_topics(chosen)
     check_new(recording)
-    plan = Plan(recording, limits, _origin(settings, session), pool)
+    plan = RecordingPlan(recording, limits, _origin(settings, session), pool)
     report = run(_record(settings, plan, chosen, key, lifeline=lifeline))
     if as_json:
         say_json(report)
     else:
-        click.echo(_recorded(report))
+        click.echo(_summary(report))
     if report.error is not None:
         sys.exit(EXIT_FAILED)
 
@@ -143,16 +143,16 @@ def _origin(settings: Settings, session: str) -> dict[str, str]:
 
 
 async def _record(
-    settings: Settings, plan: Plan, topics: tuple[str, ...], device_key: bytes, *, lifeline: bool
-) -> Report:
+    settings: Settings, plan: RecordingPlan, topics: tuple[str, ...], device_key: bytes, *, lifeline: bool
+) -> RecordingReport:
     from pcmrs.bus.seal import Seal
     from pcmrs.clock import SystemClock
     from pcmrs.kinematics.urdf_arms import find_arm
     from pcmrs.node import when_input_ends
-    from pcmrs.recording.chain import Mounting
-    from pcmrs.recording.recorder import Recorder
+    from pcmrs.recording.frame_tree import Mounting
     from pcmrs.recording.subscriber import Subscriber
-    from pcmrs.recording.views import Views
+    from pcmrs.recording.views import RecordingViews
+    from pcmrs.recording.writer import RecordingWriter
 
     loop, ended, clock = asyncio.get_running_loop(), asyncio.Event(), SystemClock()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -160,34 +160,34 @@ async def _record(
     if lifeline:
         when_input_ends(ended.set)
     mounting = Mounting.read(settings.procedure.calibration)
-    views = Views(find_arm(settings.robot.model), mounting, settings.cell.rate)
-    tap = await Subscriber.open(settings.bus("client"), topics, clock, Seal(device_key) if device_key else None)
+    views = RecordingViews(find_arm(settings.robot.model), mounting, settings.cell.rate)
+    subscriber = await Subscriber.open(settings.bus("client"), topics, clock, Seal(device_key) if device_key else None)
     try:
-        recorder = Recorder(plan, views, clock)
-        with _status(recorder, str(plan.first)) as shown:
+        writer = RecordingWriter(plan, views, clock)
+        with _status(writer, str(plan.first)) as shown:
             showing = asyncio.create_task(shown())
             try:
-                return await recorder.run(tap, ended)
+                return await writer.run(subscriber, ended)
             finally:
                 showing.cancel()
     finally:
-        await tap.close()
+        await subscriber.close()
 
 
 @contextmanager
-def _status(recorder: Recorder, name: str) -> Iterator[Callable[[], Coroutine[Any, Any, None]]]:
+def _status(writer: RecordingWriter, name: str) -> Iterator[Callable[[], Coroutine[Any, Any, None]]]:
     """Show a line on a terminal with the number of recorded messages; the yielded function updates it."""
     with Terminal(stderr=True).status(f"recording {name}") as status:
 
         async def show() -> None:
             while True:
                 await asyncio.sleep(1.0)
-                status.update(f"recording {name}: {recorder.messages} messages; Ctrl-C ends it")
+                status.update(f"recording {name}: {writer.messages} messages; Ctrl-C ends it")
 
         yield show
 
 
-def _recorded(report: Report) -> str:
+def _summary(report: RecordingReport) -> str:
     lost = f", {report.dropped} dropped" if report.dropped else ""
     removed = f"; {report.removed} older files were removed" if report.removed else ""
     files = ", ".join(report.files)
@@ -195,7 +195,7 @@ def _recorded(report: Report) -> str:
     return said if report.error is None else f"{said}\nended early: {report.error}"
 
 
-def _saved(saved: Repaired) -> str:
+def _saved(saved: RepairReport) -> str:
     if saved.complete:
         return f"the file was whole: {saved.messages} messages copied"
     share = 100.0 * saved.lost_bytes / max(1, saved.kept_bytes + saved.lost_bytes)

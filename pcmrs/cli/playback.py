@@ -14,7 +14,7 @@ from pcmrs.cli.running import readable_errors, run
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the bus.
-    from pcmrs.recording.playing import Excerpt, Played, Progress
+    from pcmrs.recording.playback import Excerpt, PlaybackReport, Progress
 
 
 @click.command()
@@ -52,31 +52,33 @@ def play(
 
     Example: pcmrs play run.0001.mcap run.0002.mcap --rate 4 --topics 'state/**'
     """
-    from pcmrs.recording.playing import Excerpt, recorded_cell
+    from pcmrs.recording.playback import Excerpt, read_cell_name
 
     if end is not None and end <= begin:
         raise click.UsageError(f"--to {end:g} must be later than --from {begin:g}.")
     excerpt = Excerpt(begin, end, topics, rate)
     with progress_bar(transient=True) as progress:
-        played = run(_play(files, excerpt, endpoint, name or recorded_cell(files[0]), progress))
+        played = run(_play(files, excerpt, endpoint, name or read_cell_name(files[0]), progress))
     if as_json:
         say_json(played)
     else:
         click.echo(_text(played))
 
 
-async def _play(files: tuple[Path, ...], excerpt: Excerpt, endpoint: str, name: str, progress: Progress) -> Played:
+async def _play(
+    files: tuple[Path, ...], excerpt: Excerpt, endpoint: str, name: str, progress: Progress
+) -> PlaybackReport:
     from pcmrs.clock import SystemClock
-    from pcmrs.recording.playing import Player
+    from pcmrs.recording.playback import PlaybackPublisher
 
-    player = await Player.open(endpoint, name, SystemClock())
+    player = await PlaybackPublisher.open(endpoint, name, SystemClock())
     try:
         return await player.play(files, excerpt, progress)
     finally:
         await player.close()
 
 
-def _text(played: Played) -> str:
+def _text(played: PlaybackReport) -> str:
     said = f"{played.messages} messages of {played.duration:.1f} s under {played.prefix}"
     lost = [f"{line}; {played.lost_bytes} bytes in all are not readable" for line in played.damage]
     return "\n".join([said, *lost])

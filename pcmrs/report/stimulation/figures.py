@@ -31,7 +31,7 @@ SMALLEST_UV = 1.0
 
 
 def draw_figures(record: SessionRecord, mesh: Mesh, folder: Path) -> dict[str, Path]:
-    """Draws what there is into files; the map of triangles as PNG, all others as SVG.
+    """Draw what there is into files; the map of triangles as PNG, all others as SVG.
 
     Args:
         record: The session.

@@ -1,4 +1,4 @@
-"""A workflow whose operations do what the journal says that came of them, where they would need the world to know."""
+"""A workflow in which the journal answers in place of devices, frames and clock."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from pcmrs.fsm import Closure, Denial
 from pcmrs.journal import JournalRow
 from pcmrs.messages import Reason
 from pcmrs.replay.recorder import ReplayRecorder
-from pcmrs.replay.world import NotRecordedError, RecordedClock
+from pcmrs.replay.world import NotJournalledError, ReplayClock
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 
 Run = AnyRun[Cell, PlacementData]
 Activity = AnyActivity[Cell, PlacementData]
-Asked = tuple[str, str]
+CommandKey = tuple[str, str]
 """Source and id of a command."""
 
 UNKNOWN = UnknownOutcomeError.code
@@ -32,12 +32,13 @@ UNKNOWN = UnknownOutcomeError.code
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """The steps of an operation that touches the world: they wait until the journal says how they ended.
+    """Steps of an operation with side effects; they wait until they may end as journalled.
 
     Attributes:
-        index: Of the outcome on record; None where it never came.
+        run: Run of the operation.
+        index: Index of the journalled outcome; None if there was none.
         row: That outcome.
-        end: Set to let them end that way.
+        end: Set to let them end.
     """
 
     run: Run
@@ -47,104 +48,108 @@ class Steps:
 
 
 @dataclass(frozen=True, eq=False)
-class Pursued:
-    """An activity that goes on: it ends by itself, or once it was told to, when the journal says so.
+class PendingActivity:
+    """A running activity; it ends when the journal shows its end, requested or not.
 
     Attributes:
-        by_itself: Done when it is to end by itself.
-        told: Set when it has been told to end.
-        quiet: Done when it is to heed that.
+        name: Name of the activity.
+        unrequested_end: Done when it ends without a request.
+        end_requested: Set when the dispatcher has asked it to end.
+        end_allowed: Done when it may follow the request.
     """
 
     name: str
-    by_itself: asyncio.Future[None]
-    told: asyncio.Event
-    quiet: asyncio.Future[None]
+    unrequested_end: asyncio.Future[None]
+    end_requested: asyncio.Event
+    end_allowed: asyncio.Future[None]
 
 
-class RecordedWorkflow:
-    """Checks and steps of data are performed for real; what looks at the world is answered by the journal.
+class ReplayWorkflow:
+    """A workflow whose checks and steps on data really run; the journal answers those that need devices or the clock.
 
     Args:
-        workflow: The real one.
-        book: What is on record.
-        ask: `Procedure.ask` of the dispatcher that decides anew.
+        workflow: The real workflow.
+        recorder: Source of the journalled outcomes.
+        ask: `Procedure.ask` of the dispatcher that decides again.
 
     Attributes:
-        workflow: The same, with other checks, steps and activities under its names.
+        workflow: The workflow with replaced checks, steps and activities.
         waiting: Operations whose steps wait.
-        pursued: Activities that go on.
-        answered: Commands for which the journal was asked what came of the world.
+        activities: Running activities.
+        answered: Commands that the journal answered in place of devices.
     """
 
     def __init__(
-        self, workflow: Workflow[Cell, PlacementData], book: ReplayRecorder, ask: Callable[[str, str], Closure | Denial]
+        self,
+        workflow: Workflow[Cell, PlacementData],
+        recorder: ReplayRecorder,
+        ask: Callable[[str, str], Closure | Denial],
     ) -> None:
         real = workflow.registry
         registry: Registry[Cell, PlacementData] = Registry(payloads=real.payloads, side_effecting=real.side_effecting)
         registry.checks = {name: partial(self._check, name, check) for name, check in real.checks.items()}
         registry.steps = {name: partial(self._step, step) for name, step in real.steps.items()}
-        registry.activities = dict.fromkeys(real.activities, self._go_on)
+        registry.activities = dict.fromkeys(real.activities, self._run_activity)
         self.workflow = replace(workflow, registry=registry)
         self.waiting: list[Steps] = []
-        self.pursued: list[Pursued] = []
-        self.answered: set[Asked] = set()
-        self._worldly = real.side_effecting
-        self._taken: set[Asked] = set()
-        self._book = book
+        self.activities: list[PendingActivity] = []
+        self.answered: set[CommandKey] = set()
+        self._side_effecting = real.side_effecting
+        self._committed: set[CommandKey] = set()
+        self._recorder = recorder
         self._ask = ask
 
     # -- checks and steps -----------------------------------------------------------------------------
 
     def _check(self, name: str, check: Callable[[Run], None], run: Run) -> None:
-        run.clock = RecordedClock()
+        run.clock = ReplayClock()
         try:
             check(run)
-        except NotRecordedError:
-            self.answered.add(_asked(run))
-            self._refuse_as_recorded(name, run)
+        except NotJournalledError:
+            self.answered.add(_command_key(run))
+            self._refuse_as_journalled(name, run)
         except PcmrsError:
             raise
         except Exception:
-            if _asked(run) not in self.answered:
+            if _command_key(run) not in self.answered:
                 raise
-            self._refuse_as_recorded(name, run)  # it misses what a check before it has not worked out
+            self._refuse_as_journalled(name, run)  # it lacks a result that an earlier check could not compute
 
-    def _refuse_as_recorded(self, name: str, run: Run) -> None:
-        _, row = self._recorded(run)
+    def _refuse_as_journalled(self, name: str, run: Run) -> None:
+        _, row = self._journalled(run)
         reason = row.verdict.reason if row is not None and row.verdict is not None else None
         if reason is not None and reason.fields.get("check") == name:
             raise _refusal(reason)
 
     def _step(self, step: Callable[[Run], Awaitable[None] | None], run: Run) -> Awaitable[None] | None:
-        run.clock = RecordedClock()
+        run.clock = ReplayClock()
         spec = self.workflow.blueprint.branches[run.command.branch].operations[run.command.operation]
-        if not self._worldly.isdisjoint(spec.steps):
+        if not self._side_effecting.isdisjoint(spec.steps):
             return self._wait(run)
-        if _asked(run) not in self.answered:
+        if _command_key(run) not in self.answered:
             try:
                 return step(run)
-            except NotRecordedError:
-                self.answered.add(_asked(run))
-        self._end_as_recorded(run, self._recorded(run)[1])
+            except NotJournalledError:
+                self.answered.add(_command_key(run))
+        self._end_as_journalled(run, self._journalled(run)[1])
         return None
 
     async def _wait(self, run: Run) -> None:
-        """All steps of an operation end together, by what is on record of them."""
-        if _asked(run) in self._taken:
+        """Wait for the end of all steps of an operation, and end them as journalled."""
+        if _command_key(run) in self._committed:
             return
-        self.answered.add(_asked(run))
-        index, row = self._recorded(run)
+        self.answered.add(_command_key(run))
+        index, row = self._journalled(run)
         steps = Steps(run, index, row, asyncio.Event())
         self.waiting.append(steps)
         try:
             await steps.end.wait()
         finally:
             self.waiting.remove(steps)
-        self._end_as_recorded(run, row)
-        self._taken.add(_asked(run))
+        self._end_as_journalled(run, row)
+        self._committed.add(_command_key(run))
 
-    def _end_as_recorded(self, run: Run, row: JournalRow | None) -> None:
+    def _end_as_journalled(self, run: Run, row: JournalRow | None) -> None:
         verdict = row.verdict if row is not None else None
         if row is None or verdict is None:
             return
@@ -155,31 +160,31 @@ class RecordedWorkflow:
         run.outcome = self._outcome(run, row)
 
     def _outcome(self, run: Run, row: JournalRow) -> str | None:
-        """The declared outcome that leads to the states on record."""
+        """Return the declared outcome that leads to the journalled states; None if there is none."""
         closure, after = self._ask(run.command.branch, run.command.operation), row.states or {}
         if isinstance(closure, Denial):
             return None
         fitting = (name for name, change in closure.outcomes.items() if change.targets.items() <= after.items())
         return next(fitting, None)
 
-    def _recorded(self, run: Run) -> tuple[int | None, JournalRow | None]:
-        found = self._book.outcome_of(run.command)
+    def _journalled(self, run: Run) -> tuple[int | None, JournalRow | None]:
+        found = self._recorder.outcome_of(run.command)
         return (None, None) if found is None else (found[0], found[1].row)
 
     # -- activities -----------------------------------------------------------------------------------
 
-    async def _go_on(self, act: Activity) -> None:
+    async def _run_activity(self, act: Activity) -> None:
         loop = asyncio.get_running_loop()
-        pursued = Pursued(act.name, loop.create_future(), asyncio.Event(), loop.create_future())
-        self.pursued.append(pursued)
+        pending = PendingActivity(act.name, loop.create_future(), asyncio.Event(), loop.create_future())
+        self.activities.append(pending)
         try:
-            await pursued.by_itself
+            await pending.unrequested_end
         except asyncio.CancelledError:
-            pursued.told.set()
-            await pursued.quiet
+            pending.end_requested.set()
+            await pending.end_allowed
             raise
         finally:
-            self.pursued.remove(pursued)
+            self.activities.remove(pending)
 
 
 def _ending(decision: str, reason: Reason) -> PcmrsError:
@@ -196,7 +201,7 @@ def _refusal(reason: Reason) -> RefusalError:
 
 
 def _typed(data: PlacementData, plain: dict[str, Any]) -> dict[str, Any]:
-    """Changes of the data as its own types."""
+    """Return the changes of the data, converted to its types."""
     kinds = {each.name: each.type for each in msgspec.structs.fields(type(data))}
     try:
         return {name: msgspec.convert(value, kinds[name]) for name, value in plain.items()}
@@ -204,5 +209,5 @@ def _typed(data: PlacementData, plain: dict[str, Any]) -> dict[str, Any]:
         raise RefusalError("data_unreadable", f"The recorded data are not those of this program: {error}.") from None
 
 
-def _asked(run: Run) -> Asked:
+def _command_key(run: Run) -> CommandKey:
     return run.command.source, run.command.id

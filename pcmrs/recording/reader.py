@@ -1,4 +1,4 @@
-"""Reading MCAP files, also those that were cut or damaged: everything up to the first record that is not whole."""
+"""Reader of MCAP files; of one that was cut or damaged, everything up to the first incomplete record."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from pcmrs.recording.file import METADATA
 from pcmrs.recording.subscriber import RawSample
 
 LARGEST_CHUNK: Final = 2 * MAX_BYTES
-"""Bytes of a chunk when decompressed: more than the largest message of the bus and its view, after `CHUNK`."""
+"""Largest size of a decompressed chunk, bytes: the largest message of the bus and its view, after `CHUNK`, fit in."""
 
 _MAGIC = b"\x89MCAP0\r\n"
 
 
-class Reading:
+class RecordingReader:
     """One pass over a file.
 
     Args:
-        path: Of the file.
+        path: MCAP file.
 
     Attributes:
-        whole: Bytes, from the start, that could be read.
-        size: Bytes of the file.
-        complete: Whether the end of the file was reached without damage.
-        damage: What was wrong at `whole`; empty while nothing was.
-        origin: What the file says of itself, as far as that has been read.
+        whole: Number of bytes, from the start, that could be read.
+        size: Size of the file, bytes.
+        complete: True after the end of the file was reached without damage.
+        damage: Damage at `whole`; empty if there is none.
+        origin: Metadata of the file, after it has been read.
 
     Raises:
-        FileFormatError: It does not begin as an MCAP file.
-        OSError: It cannot be read.
+        FileFormatError: The file does not start as an MCAP file.
+        OSError: The file cannot be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -52,13 +52,13 @@ class Reading:
                 raise FileFormatError(f"{path} is no MCAP file, or was cut before its first record.", file=str(path))
 
     def records(self) -> Iterator[McapRecord]:
-        """All records in order, those of a chunk in its place; ends where the file is damaged."""
+        """Yield all records in order, those of a chunk in its place, up to the first damage."""
         with self.path.open("rb") as file:
             records = self._whole_records(file)
             while True:
                 try:
                     batch = next(records, None)
-                except Exception as error:  # of a damaged file the parsers raise whatever they stumble over
+                except Exception as error:  # on a damaged file the parsers may raise any error
                     self.damage = f"a record is not whole ({str(error) or type(error).__name__})"
                     return
                 if batch is None:
@@ -67,7 +67,7 @@ class Reading:
                 yield from batch
 
     def bus_messages(self) -> Iterator[tuple[int, RawSample]]:
-        """What came over the bus, and when, ns since 1970; other topics are passed over.
+        """Yield time of arrival, ns since 1970, and message of the bus; other topics are skipped.
 
         Raises:
             FileFormatError: A message is not of PCMRS.
@@ -81,7 +81,7 @@ class Reading:
                 yield record.log_time, RawSample(keys[record.channel_id], payload, monotonic)
 
     def _whole_records(self, file: BinaryIO) -> Iterator[list[McapRecord]]:
-        """Record by record; a chunk is taken apart first, and counts only as a whole."""
+        """Yield each record, or the records of a chunk, which counts only as a whole."""
         declared = _Declared()
         # No record is longer than the file: a damaged length must not take all memory.
         for record in StreamReader(file, emit_chunks=True, record_size_limit=self.size).records:
@@ -95,10 +95,10 @@ class Reading:
 
 
 def _parts(chunk: Chunk) -> list[McapRecord]:
-    """Records of a chunk. Raises `ValueError` before a small one is decompressed to more than `LARGEST_CHUNK`."""
+    """Return the records of a chunk. Raises `ValueError` before it is decompressed to more than `LARGEST_CHUNK`."""
     size = len(chunk.data)
     if chunk.compression == "zstd":
-        # The decompressor believes the frame, and the chunk's record only where the frame does not say.
+        # The decompressor uses the size in the frame, and that of the chunk's record only if the frame has none.
         size = max(chunk.uncompressed_size, zstandard.frame_content_size(chunk.data))
     elif chunk.compression:
         raise ValueError(f"a chunk is compressed by {chunk.compression!r}: only zstd is known")
@@ -108,14 +108,14 @@ def _parts(chunk: Chunk) -> list[McapRecord]:
 
 
 class _Declared:
-    """What was declared so far: no message is without its channel, and no channel without its schema."""
+    """Channels and schemas declared so far: a message needs its channel, and a channel its schema."""
 
     def __init__(self) -> None:
-        self._schemas = {0}  # says that there is none
+        self._schemas = {0}  # 0 stands for no schema
         self._channels: set[int] = set()
 
     def check(self, record: McapRecord) -> None:
-        """Raise `ValueError` when the record needs what was not declared before it."""
+        """Raise `ValueError` if the record needs a channel or schema that was not declared before it."""
         if isinstance(record, Message):
             if record.channel_id not in self._channels:
                 raise ValueError(f"channel {record.channel_id} was not declared")

@@ -1,4 +1,4 @@
-"""Recording a cell, until it is told to end or the disk has no room left."""
+"""Writer of the recording of a cell, until it is stopped or the disk is full."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ from pcmrs.recording.file import RecordingFile, Topics
 from pcmrs.recording.series import Limits, path_of, remove_oldest
 from pcmrs.recording.shapes import line
 from pcmrs.recording.subscriber import RawSample, Subscriber
-from pcmrs.recording.views import LOG, Views
+from pcmrs.recording.views import LOG, RecordingViews
 
 PERIOD: Final = 0.05
-"""Between two looks at what has come, s: the fewer, the less it costs."""
+"""Period at which new messages are written, s; a longer one costs less."""
 
 SETTLED: Final = 1.0
-"""So often what was written is made to survive the end of this process, and the limits are looked at, s."""
+"""Period at which data is flushed, so that it survives the end of this process, and the limits are checked, s."""
 
 _SECOND = 1_000_000_000
 _log = logging.getLogger(__name__)
 
 
 class RecordingError(PcmrsError):
-    """A recording cannot go on: the disk is full, or a file cannot be written."""
+    """A recording cannot continue: the disk is full, or a file cannot be written."""
 
     code = "recording_ended"
 
 
-class Report(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """What a recording came to.
+class RecordingReport(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """Result of a recording.
 
     Attributes:
-        files: That are left of it, oldest first.
-        removed: So many were removed to keep within the limit.
-        messages: Heard on the bus and written.
-        dropped: Heard, but too many at a time to be written.
-        duration: s of the machine.
-        error: Why it ended before it was told to; None where it did not.
+        files: Remaining files, oldest first.
+        removed: Number of files removed to keep within the limit.
+        messages: Number of received and written messages.
+        dropped: Number of received messages that came too fast to be written.
+        duration: Duration, s of the machine.
+        error: Reason why it ended early; None if it was stopped.
     """
 
     files: list[str]
@@ -58,14 +58,14 @@ class Report(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
-    """What to write where.
+class RecordingPlan:
+    """Files of a recording to be made.
 
     Attributes:
         first: Name of the recording.
-        limits: Of its files.
-        origin: What every file says of itself: cell, session, versions.
-        pool: The files, oldest first, that `limits.total_bytes` is about.
+        limits: Limits of its files.
+        origin: Metadata of each file: cell, session, versions.
+        pool: Returns the files, oldest first, to which `limits.total_bytes` applies.
     """
 
     first: Path
@@ -74,78 +74,80 @@ class Plan:
     pool: Callable[[], list[Path]]
 
 
-class Recorder:
-    """Writes what a tap hears.
+class RecordingWriter:
+    """Writer of the messages of a subscriber.
 
-    Times of messages are those of the monotonic clock, counted from the wall's time at the start: they never jump. What
-    the wall's clock said is in each file's metadata.
+    Times of messages are those of the monotonic clock, counted from the wall time at the start, so that they never
+    jump. The wall time is in each file's metadata.
 
     Args:
-        plan: What to write where.
-        views: Translates for people.
-        clock: Of the machine.
+        plan: Files to be written.
+        views: Translator of messages into views for people.
+        clock: Clock of the machine.
 
     Attributes:
-        messages: So many have been written until now.
+        messages: Number of messages written until now.
 
     Raises:
-        OSError: The first file cannot be made.
+        OSError: The first file cannot be created.
     """
 
-    def __init__(self, plan: Plan, views: Views, clock: Clock) -> None:
+    def __init__(self, plan: RecordingPlan, views: RecordingViews, clock: Clock) -> None:
         self._plan, self._views, self._clock = plan, views, clock
-        self._begun = self._settled = clock.monotonic()
-        self._begun_ns = int(clock.wall() * _SECOND)
+        self._started_at = self._settled = clock.monotonic()
+        self._started_at_ns = int(clock.wall() * _SECOND)
         self._topics = Topics()
         self.messages = self._number = self._removed = self._dropped = 0
         self._file = self._next_file()
 
-    async def run(self, tap: Subscriber, ended: asyncio.Event) -> Report:
-        """Records until `ended` is set, or nothing more can be written: then the daemon is told why.
+    async def run(self, subscriber: Subscriber, ended: asyncio.Event) -> RecordingReport:
+        """Record until `ended` is set; if nothing more can be written, report the reason to the daemon and stop.
 
         Args:
-            tap: What to record; its rest is written, too.
-            ended: Ends the recording.
+            subscriber: Source of the messages; those that wait at the end are written, too.
+            ended: Event that ends the recording.
         """
-        error, told = None, False
-        while error is None and not told:
+        error, ending = None, False
+        while error is None and not ending:
             await self._clock.sleep(PERIOD)
-            told = ended.is_set()  # before the last look: what came until then is written
-            error = self._work(tap)
+            ending = ended.is_set()  # read before the last pass, which writes all messages until then
+            error = self._work(subscriber)
         if error is not None:
             _log.error("recording_ended %s", error.text)
-            await tap.report(DeviceEvent(device="recorder", code=error.code, text=error.text, fields=error.fields))
+            event = DeviceEvent(device="recorder", code=error.code, text=error.text, fields=error.fields)
+            await subscriber.report(event)
         error = self._close() or error
-        return Report(
+        return RecordingReport(
             files=[str(path) for path in self._plan.pool() if path.exists()],
             removed=self._removed,
             messages=self.messages,
             dropped=self._dropped,
-            duration=self._clock.monotonic() - self._begun,
+            duration=self._clock.monotonic() - self._started_at,
             error=None if error is None else error.text,
         )
 
-    def _work(self, tap: Subscriber) -> RecordingError | None:
-        """Writes what has come; returns why it cannot go on."""
-        for heard in tap.heard():
-            self._write(heard)
-        if tap.dropped > self._dropped:
-            self._say(f"{tap.dropped - self._dropped} messages were dropped: they came faster than they were written.")
-            self._dropped = tap.dropped
+    def _work(self, subscriber: Subscriber) -> RecordingError | None:
+        """Write the new messages; return the reason if the recording cannot continue."""
+        for sample in subscriber.take():
+            self._write(sample)
+        if subscriber.dropped > self._dropped:
+            new = subscriber.dropped - self._dropped
+            self._warn(f"{new} messages were dropped: they came faster than they were written.")
+            self._dropped = subscriber.dropped
         try:
             return self._trouble() or self._rotate() or self._settle()
         except OSError as error:
             return self._failed(error)
 
-    def _write(self, heard: RawSample) -> None:
-        at_ns = self._ns(heard.at)
-        self._topics.write_raw(heard.key, heard.at, heard.payload, at_ns)
-        for topic, view in self._views.of(heard, at_ns):
+    def _write(self, sample: RawSample) -> None:
+        at_ns = self._ns(sample.at)
+        self._topics.write_raw(sample.key, sample.at, sample.payload, at_ns)
+        for topic, view in self._views.of(sample, at_ns):
             self._topics.write(topic, view, at_ns)
         self.messages += 1
 
     def _rotate(self) -> RecordingError | None:
-        """Begins the next file where it is due. Raises `OSError`."""
+        """Start the next file if it is due. Raises `OSError`."""
         limits = self._plan.limits
         age = self._clock.monotonic() - self._opened
         too_long = limits.file_s is not None and age >= limits.file_s
@@ -158,7 +160,7 @@ class Recorder:
         return None
 
     def _settle(self) -> RecordingError | None:
-        """Now and then: makes what was written survive, and looks at what the disk holds. Raises `OSError`."""
+        """Flush and check the limits, once per `SETTLED`. Raises `OSError`."""
         now = self._clock.monotonic()
         if now - self._settled < SETTLED:
             return None
@@ -166,7 +168,7 @@ class Recorder:
         self._file.flush()
         limits = self._plan.limits
         if limits.total_bytes is not None:
-            remove_oldest(self._plan.pool(), limits.total_bytes, self._tell_removed)
+            remove_oldest(self._plan.pool(), limits.total_bytes, self._log_removed)
         free = shutil.disk_usage(self._file.path.parent).free
         if free < limits.keep_free_bytes:
             text = f"Only {free / 1e6:.0f} MB are free, {limits.keep_free_bytes / 1e6:.0f} MB are kept for the journal"
@@ -174,7 +176,7 @@ class Recorder:
         return None
 
     def _next_file(self) -> RecordingFile:
-        """Raises `OSError`."""
+        """Open the next file. Raises `OSError`."""
         self._number += 1
         self._opened = self._clock.monotonic()
         plan = self._plan
@@ -187,7 +189,7 @@ class Recorder:
         return opened
 
     def _times(self) -> dict[str, str]:
-        """The clocks when a file begins, s."""
+        """Return the clocks at the start of a file, s."""
         now = self._clock.monotonic()
         return {
             "monotonic": repr(now),
@@ -196,17 +198,17 @@ class Recorder:
             "file": str(self._number),
         }
 
-    def _tell_removed(self, path: Path, size: int) -> None:
+    def _log_removed(self, path: Path, size: int) -> None:
         self._removed += 1
-        self._say(f"{path.name} ({size / 1e6:.1f} MB) was removed: together the files were larger than allowed.")
+        self._warn(f"{path.name} ({size / 1e6:.1f} MB) was removed: together the files were larger than allowed.")
 
-    def _say(self, text: str) -> None:
+    def _warn(self, text: str) -> None:
         _log.warning("recorder %s", text)
         at_ns = self._ns(self._clock.monotonic())
         self._topics.write(LOG, line(LogLevel.Warning, "recorder", text, at_ns), at_ns)
 
     def _ns(self, monotonic: float) -> int:
-        return self._begun_ns + int((monotonic - self._begun) * _SECOND)
+        return self._started_at_ns + int((monotonic - self._started_at) * _SECOND)
 
     def _trouble(self) -> RecordingError | None:
         return None if self._file.error is None else self._failed(self._file.error)

@@ -16,7 +16,7 @@ PERIOD = 0.1
 SPEEDS = {1: "1×", 4: "4×", 16: "16×"}
 
 
-class ReplayBar:
+class PlaybackBar:
     """Goes through a recording.
 
     Args:

@@ -17,7 +17,7 @@ LONGEST = 100_000
 """Most bytes of one write; more at once would be recorded in part."""
 
 
-def record(folder: Path, commits: int, seed: int, *, durable: bool = True) -> list[str]:
+def trace_journal(folder: Path, commits: int, seed: int, *, durable: bool = True) -> list[str]:
     """Has a process write a journal in a folder, and records what it does there.
 
     Args:
