@@ -42,7 +42,7 @@ def test_the_jitter_of_short_logs_is_unbiased() -> None:
     assert variances == pytest.approx(JITTER**2, rel=0.2)  # dividing by n would halve it
 
 
-def test_gaps_identities_and_frozen_frames_are_counted_and_say_nothing_about_jitter() -> None:
+def test_missing_identity_and_frozen_frames_do_not_change_jitter() -> None:
     poses = _poses(300)
     clean = analyse_track("pol_body", [*poses[:10], *poses[20:]])
     poses[10] = poses[11] = None

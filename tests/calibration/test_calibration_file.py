@@ -46,7 +46,7 @@ def _written(file: Path, calibration: Calibration) -> Path:
     return file
 
 
-def test_the_hash_is_of_the_values_and_not_of_how_they_are_written(tmp_path: Path) -> None:
+def test_hash_covers_the_values_and_not_how_they_are_written(tmp_path: Path) -> None:
     file = _written(tmp_path / "coil.toml", a_tool())
     lines = file.read_text().splitlines()
     file.write_text("# moved to another folder\n" + "\n".join(line for line in lines if not line.startswith("#")))

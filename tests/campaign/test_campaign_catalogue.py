@@ -36,7 +36,7 @@ def test_every_row_is_there_once_and_in_its_class() -> None:
         assert row.required
 
 
-def test_what_the_reference_implementation_gets_wrong_is_said_and_nothing_else() -> None:
+def test_only_faults_that_the_reference_gets_wrong_are_marked_so() -> None:
     assert {row.id for row in catalogue().values() if row.reference} == WRONG_IN_THE_REFERENCE
 
 
@@ -94,7 +94,7 @@ def test_the_list_names_everything_that_a_row_needs() -> None:
     assert {row["id"]: set(row["needs"]) for row in listed() if row["needs"]} == NEEDS
 
 
-def test_the_list_says_which_rows_cannot_run_here_for_want_of_what(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_list_names_what_each_row_that_cannot_run_here_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.geteuid", lambda: 1000)
     monkeypatch.setattr("shutil.which", lambda name: None if name == "strace" else f"/bin/{name}")
     found = {row["id"]: (set(row["missing"]) & {"root", "strace"}, row["runs"]) for row in listed("--class", "storage")}

@@ -88,7 +88,7 @@ async def test_every_command_of_a_soak_has_its_own_id() -> None:
     assert len(set(ids)) == len(ids)
 
 
-def test_a_soak_in_which_hardly_anything_is_accepted_shows_nothing() -> None:
+def test_soak_in_which_hardly_anything_is_accepted_fails() -> None:
     report = SoakReport(1.0, 1, 100, 0, {"accepted": 49, "rejected": 51}, 1, "", [])
     assert report.violated
     assert not replace(report, decisions={"accepted": 50, "rejected": 50}).violated

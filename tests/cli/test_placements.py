@@ -64,7 +64,7 @@ def _check_errors(report: dict[str, Any]) -> None:
     assert report["rotation_error_deg"]["mean"] == pytest.approx(0.3)
 
 
-def test_a_folder_of_saved_placements_is_evaluated_at_the_labs_standoff(tmp_path: Path) -> None:
+def test_saved_placements_are_evaluated_at_the_lab_standoff(tmp_path: Path) -> None:
     _check_errors(_report(_folder(tmp_path)))
 
 

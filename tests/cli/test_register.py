@@ -105,7 +105,7 @@ def test_a_refused_registration_is_not_written(tmp_path: Path) -> None:
     assert f"{output} is not written" in ended.stderr
 
 
-def test_landmarks_on_a_line_are_refused_with_their_singular_values(tmp_path: Path) -> None:
+def test_collinear_landmarks_are_refused_with_singular_values(tmp_path: Path) -> None:
     line = np.outer(np.arange(4.0), (0.01, 0.02, 0.03))
     ended = register(tmp_path, TRUTH @ line, "--json", planned=line)
     assert ended.exit_code == 1

@@ -53,7 +53,7 @@ def test_landmarks_in_mm_are_what_the_daemon_reads_in_metres(points: list[tuple[
 
 
 @given(ROTATION, POINT)
-def test_a_transform_of_the_scene_is_the_pose_that_the_daemon_plans(
+def test_scene_transform_is_the_pose_that_the_daemon_plans(
     turn: tuple[float, ...], position: tuple[float, ...]
 ) -> None:
     meant = Transform.from_rotvec(np.array(position) * 1e-3, turn)

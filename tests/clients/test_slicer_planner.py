@@ -109,7 +109,7 @@ def cell(shared: Cell) -> Cell:
     return shared
 
 
-def test_the_workflow_from_planned_landmarks_to_the_placement_and_home(cell: Cell) -> None:
+def test_workflow_from_planned_landmarks_to_placement_and_home(cell: Cell) -> None:
     after = cell.cell.last_row()
     with desk(cell) as slicer:
         assert slicer.program.verdict(slicer.planner.hello).reason == "no_data"  # heard: there are no joints yet
@@ -168,7 +168,7 @@ def test_a_refused_operation_says_why_and_the_next_one_is_heard(cell: Cell) -> N
         slicer.act("Connect robot")
 
 
-def test_what_waits_after_a_pause_is_taken_in_one_tick_and_the_newest_is_shown(cell: Cell) -> None:
+def test_backlog_is_taken_in_one_tick_and_the_newest_is_shown(cell: Cell) -> None:
     with desk(cell) as slicer:
         slicer.register()
         slicer.act("Show tool")

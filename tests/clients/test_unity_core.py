@@ -111,7 +111,7 @@ def test_anatomical_axes_become_those_of_somebody_who_stands(probe: Probe) -> No
     ("axis", "turned", "becomes"),
     [(RIGHT, ANTERIOR, SUPERIOR), (ANTERIOR, SUPERIOR, RIGHT), (SUPERIOR, RIGHT, ANTERIOR)],
 )
-def test_a_quarter_turn_about_each_axis_takes_the_same_side_to_the_same_side(
+def test_quarter_turn_about_each_axis_keeps_the_sides(
     probe: Probe, axis: np.ndarray[Any, Any], turned: np.ndarray[Any, Any], becomes: np.ndarray[Any, Any]
 ) -> None:
     turn = Transform.from_rotvec((0.0, 0.0, 0.0), tuple(axis * np.pi / 2.0))

@@ -71,7 +71,7 @@ async def test_the_lease_of_others_closes_everything_but_to_a_planner(start: tup
     assert not offered(choices, shown, msgspec.structs.replace(setup(), lease_required=True))[0]
 
 
-async def test_the_latch_is_shown_as_begun_until_standstill_is_confirmed() -> None:
+async def test_latch_is_shown_unconfirmed_until_standstill_is_known() -> None:
     async with open_bench() as bench:
         dispatcher = bench.dispatcher
         assert latch_of(None) is latch_of(dispatcher.snapshot()) is None

@@ -43,7 +43,8 @@ def small_pages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(history, "PAGE", 4)
 
 
-async def test_first_the_session_then_what_is_new_and_what_was_before_when_asked(tmp_path: Path) -> None:
+async def test_session_is_read_first_then_new_rows_then_older_ones(tmp_path: Path) -> None:
+    """Older rows are read when they are requested."""
     journal = Journal.open(tmp_path / "journal.sqlite", durable=False)
     await journal.append([row("old")] * 20)
     await journal.append([row("new")] * 9)

@@ -136,7 +136,7 @@ print(*out)
 
 
 @pytest.mark.parametrize("how", ["free", "confined"])
-def test_a_reader_has_neither_network_nor_programs_nor_much_memory(how: str, tmp_path: Path) -> None:
+def test_reader_has_no_network_no_programs_and_little_memory(how: str, tmp_path: Path) -> None:
     words = [sys.executable, "-c", CONFINED, how, str(tmp_path / "file")]
     said = subprocess.run(words, capture_output=True, text=True, check=True, timeout=120).stdout.split()
     ended = ["PermissionError", "PermissionError", "MemoryError", "OSError", "PermissionError"]

@@ -153,7 +153,7 @@ def test_times_are_those_of_the_session(recorded: Recorded, played: Callable[[],
     assert [at for at, _ in playback.events] == [1_700_000_000.6]
 
 
-def test_an_older_recording_shows_plan_and_registration_by_its_targets(tmp_path: Path) -> None:
+def test_older_recording_shows_plan_and_registration_by_targets(tmp_path: Path) -> None:
     newer = ("state/data", "state/epoch", "state/health")
     path = write(tmp_path / "older.mcap", [each for each in said() if each[1] not in newer])
     playback = Playback(read_recorded([path], lambda _: None), setup(), BLUEPRINT)

@@ -16,7 +16,7 @@ from trying import Candidate, Found, Run, run_importable, try_mutants
 
 SHOWN = ("a_series_is_planned_twice", "a_rotation_of_any_age")
 """Mutants whose tests are quick: the way of trying them works."""
-BEATS = "tests/bus/test_heart.py::test_each_beat_carries_the_loops_sign_of_life_and_a_hanging_loop_is_silent"
+BEATS = "tests/bus/test_heart.py::test_beat_carries_the_loops_sign_and_stops_if_the_loop_hangs"
 FEW = Limits(tests=10, seconds=30.0)
 
 
