@@ -29,7 +29,7 @@ def uploads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "uploads"
 
 
-def test_what_a_killed_process_has_left_is_removed_and_what_a_living_one_has_is_not(uploads: Path) -> None:
+def test_files_of_a_killed_process_are_removed_and_others_kept(uploads: Path) -> None:
     command, pipe = [sys.executable, "-c", HOLDER, str(uploads)], subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as holder:
         assert holder.stdout is not None

@@ -99,7 +99,7 @@ def test_every_unit_is_closed_alike(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_secret_comes_as_a_credential_and_nothing_slows_the_deadman(name: str) -> None:
+def test_secret_is_a_credential_and_nothing_slows_the_deadman(name: str) -> None:
     unit = (UNITS / name).read_text()
 
     assert re.search(r"^LoadCredential=\S+\.key:/etc/pcmrs/", unit, flags=re.MULTILINE)

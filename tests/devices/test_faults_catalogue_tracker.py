@@ -75,7 +75,7 @@ async def test_no_pose_is_believed_until_the_fault_ends(driver: str) -> None:
         await asyncio.gather(reading, return_exceptions=True)
 
 
-async def test_nothing_is_tracked_while_a_tool_is_another_than_its_definition() -> None:
+async def test_nothing_is_tracked_while_a_tool_is_not_as_defined() -> None:
     async with (
         asyncio.timeout(DEADLINE),
         running_cell({}, SystemClock()) as cell,

@@ -382,7 +382,7 @@ async def test_what_does_not_say_done_is_no_acknowledgement(what: str, answer: b
     assert heard == request, "nothing follows"
 
 
-async def test_a_reply_that_came_while_this_process_was_held_up_is_taken() -> None:
+async def test_reply_that_arrived_while_this_process_hung_is_taken() -> None:
     """The time for it is over by then, but the cabinet has answered in time."""
     answered = threading.Event()
 

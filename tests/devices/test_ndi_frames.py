@@ -92,7 +92,7 @@ def test_a_reversed_frame_is_refused_and_counted() -> None:
     assert reader.poses(_frame(6, 0.3), now=1.0)[0].valid
 
 
-def test_numbers_go_on_where_a_tracker_that_was_set_up_again_begins_to_count() -> None:
+def test_numbers_continue_after_a_tracker_was_set_up_again() -> None:
     reader = _reader()
     assert reader.poses(_frame(500, 0.1), now=1.0)[0].frame_number == 500
     reader.begin_anew()
@@ -102,7 +102,7 @@ def test_numbers_go_on_where_a_tracker_that_was_set_up_again_begins_to_count() -
     assert reader.refused.total() == 0
 
 
-def test_a_tracker_that_counts_anew_by_itself_is_believed_after_a_few_frames() -> None:
+def test_frame_count_that_restarts_is_accepted_after_few_frames() -> None:
     reader = _reader()
     reader.poses(_frame(500, 0.1), now=1.0)
     found = [reader.poses(_frame(n, 0.1 + 0.01 * n), now=9.0)[0] for n in range(1, RESTARTED + 3)]

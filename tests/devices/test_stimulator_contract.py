@@ -105,7 +105,7 @@ async def test_disarming_as_asked_is_no_event(bench: Bench) -> None:
 
 
 @given(st.lists(st.sampled_from(["arm", "disarm", "take", "wait"]) | st.integers(0, 6), max_size=40))
-def test_whatever_happens_numbers_only_grow_and_need_an_armed_one(steps: list[str | int]) -> None:
+def test_pulse_numbers_only_grow_and_need_an_armed_stimulator(steps: list[str | int]) -> None:
     arming, now, given_ = Arming(10.0), 0.0, [0]
     for step in steps:
         now += 1.0

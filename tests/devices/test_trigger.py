@@ -165,7 +165,7 @@ async def test_a_pulse_is_a_pulse_on_the_line(signal: Any) -> None:
     assert port.seen == [(signal, True), (signal, False)]
 
 
-async def test_a_port_that_fails_leaves_the_outcome_unknown_and_disarms() -> None:
+async def test_failed_port_leaves_the_outcome_unknown_and_disarms() -> None:
     clock = ManualClock()
     async with stimulator(clock, port="/dev/no-such-port") as device:
         port = Port()
