@@ -122,7 +122,7 @@ async def test_a_danger_that_cannot_be_taken(bench: Bench, monkeypatch: pytest.M
     expect_fail_stop(bench)
 
 
-async def test_the_stop_of_a_failure_is_confirmed_when_the_robot_stands(
+async def test_stop_after_a_failure_is_confirmed_if_the_robot_stands(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await bench.go(RETRACTED)
@@ -132,7 +132,7 @@ async def test_the_stop_of_a_failure_is_confirmed_when_the_robot_stands(
     assert bench.dispatcher.snapshot().stop.confirmed
 
 
-async def test_the_stop_of_a_failure_is_not_confirmed_by_a_robot_that_does_not_say_so(
+async def test_stop_after_a_failure_is_unconfirmed_by_a_silent_robot(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await bench.go(RETRACTED)

@@ -76,7 +76,7 @@ async def test_a_failing_recall_runs_nothing(bench: Bench) -> None:
     await check_fail_stop(bench, RETRACTED)
 
 
-async def test_an_arm_that_has_not_confirmed_to_stand_after_a_failure_is_told_of(bench: Bench) -> None:
+async def test_unconfirmed_standstill_after_a_failure_is_published(bench: Bench) -> None:
     """While that is in doubt the daemon does not beat either, so that the node holds by itself."""
     await bench.go(RETRACTED)
     bench.hold_error = UnknownOutcomeError("The robot is silent.")
@@ -158,7 +158,7 @@ async def test_a_bug_in_the_data_of_a_commit_is_fail_stop(bench: Bench) -> None:
     assert bench.snapshots()[-1].latched
 
 
-async def test_a_motion_that_has_become_forbidden_under_way_is_fail_stop(bench: Bench) -> None:
+async def test_running_motion_that_has_become_forbidden_is_fail_stop(bench: Bench) -> None:
     """Locks rule it out, so that memory is not to be trusted any more."""
     await bench.go(RETRACTED)
     gate = bench.script.hang("placement.approach")
@@ -190,7 +190,7 @@ async def test_a_bug_stays_a_bug_when_the_journal_fails_after_it(bench: Bench) -
         await bench.dispatcher.resume(begun=())
 
 
-async def test_a_bug_that_shows_after_the_journal_has_failed_is_not_resumed_either(
+async def test_bug_that_shows_after_the_journal_failed_is_not_resumed(
     worldly_bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def decision(*_: object, **__: object) -> asyncio.Future[None]:
@@ -212,7 +212,7 @@ async def test_a_bug_that_shows_after_the_journal_has_failed_is_not_resumed_eith
 
 @pytest.mark.parametrize("name", ["toolplan.plan", "placement.locate"])
 @pytest.mark.parametrize("cancelled", [True, False])
-async def test_a_recorder_that_breaks_is_fail_stop_and_everybody_is_answered(
+async def test_broken_recorder_is_fail_stop_and_everybody_is_answered(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, name: str, cancelled: bool
 ) -> None:
     def decision(*_: object, **__: object) -> asyncio.Future[None]:

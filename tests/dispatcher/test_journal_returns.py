@@ -17,7 +17,7 @@ def reasons(verdict: Verdict) -> tuple[str, str]:
     return verdict.decision, "" if verdict.reason is None else verdict.reason.code
 
 
-async def test_it_goes_on_latched_and_moves_only_after_an_acknowledgement(bench: Bench) -> None:
+async def test_it_resumes_latched_and_moves_only_after_acknowledgement(bench: Bench) -> None:
     await bench.go(RETRACTED)
     bench.recorder.failing.add("decision")
     await bench.do("placement.home")
@@ -33,7 +33,7 @@ async def test_it_goes_on_latched_and_moves_only_after_an_acknowledgement(bench:
     assert (await bench.do("placement.home")).decision == "accepted"
 
 
-async def test_a_robot_that_has_not_confirmed_to_stand_is_told_of_when_it_goes_on(bench: Bench) -> None:
+async def test_unconfirmed_standstill_is_journalled_when_it_resumes(bench: Bench) -> None:
     await bench.go(RETRACTED)
     bench.recorder.failing.add("decision")
     await bench.do("placement.home")
@@ -84,7 +84,7 @@ async def test_a_rejection_that_was_not_written_is_decided_anew(bench: Bench) ->
     assert (await bench.do("toolplan.plan", id="p1")).decision == "accepted"
 
 
-async def test_a_motion_whose_outcome_was_not_written_leaves_the_placement_unknown(bench: Bench) -> None:
+async def test_unwritten_outcome_of_a_motion_makes_placement_unknown(bench: Bench) -> None:
     """Never its source: the arm has moved. `locate` settles it."""
     await bench.go(RETRACTED)
     bench.recorder.failing.add("decision")
@@ -102,7 +102,8 @@ async def test_a_motion_whose_outcome_was_not_written_leaves_the_placement_unkno
     assert bench.dispatcher.snapshot().unknown == []
 
 
-async def test_a_journal_that_fails_again_leaves_everything_refused_and_doubtful(bench: Bench) -> None:
+async def test_journal_that_fails_again_leaves_commands_refused(bench: Bench) -> None:
+    """The placement is unknown after it."""
     await bench.go(RETRACTED)
     bench.recorder.failing.add("decision")
     await bench.do("placement.approach", id="a1")
@@ -129,7 +130,7 @@ async def test_what_could_not_even_be_looked_up_stays_doubtful(bench: Bench) -> 
     assert bench.joint[4] == "unknown"
 
 
-async def test_an_acknowledgement_from_before_does_not_answer_the_failure(bench: Bench) -> None:
+async def test_earlier_acknowledgement_does_not_answer_the_failure(bench: Bench) -> None:
     await bench.go(HELD)
     await bench.dispatcher.stop("test:operator")
     bench.recorder.failing.add("decision")
@@ -191,7 +192,7 @@ async def test_what_a_device_said_when_the_journal_failed_is_taken_in(bench: Ben
     assert (bench.joint[3], bench.joint[4]) == ("0", "unknown")
 
 
-async def test_what_a_device_said_and_the_disk_has_after_all_is_not_taken_in_twice(bench: Bench) -> None:
+async def test_device_report_that_reached_the_disk_is_taken_in_once(bench: Bench) -> None:
     await bench.go(STANDOFF)
     bench.recorder.failing.add("decision")
     await bench.do("robot.link_lost", id="l1", source="device:robot")
@@ -203,7 +204,7 @@ async def test_what_a_device_said_and_the_disk_has_after_all_is_not_taken_in_twi
     assert [each.id for each in bench.verdicts() if each.operation == "link_lost"] == ["l1", "l1"]
 
 
-async def test_what_a_device_said_waits_out_a_failure_of_the_journal_in_the_queue_too(bench: Bench) -> None:
+async def test_queued_device_report_waits_until_the_journal_returns(bench: Bench) -> None:
     await bench.go(STANDOFF)
     bench.script.hang("placement.confirm")
     running = await bench.begin("placement.confirm")
@@ -216,7 +217,7 @@ async def test_what_a_device_said_waits_out_a_failure_of_the_journal_in_the_queu
     assert (bench.joint[3], bench.joint[4]) == ("0", "unknown")
 
 
-async def test_what_still_runs_is_waited_for_and_the_resume_gives_up_in_time(bench: Bench) -> None:
+async def test_running_step_is_waited_for_and_the_resume_times_out(bench: Bench) -> None:
     await bench.go(RETRACTED)
     release = asyncio.Event()
 
@@ -269,7 +270,7 @@ async def test_an_ending_daemon_is_not_brought_back(bench: Bench) -> None:
     assert reasons(await bench.do("toolplan.clear")) == ("rejected", "ending")
 
 
-async def test_a_daemon_that_ends_while_it_resumes_is_not_brought_back_either(bench: Bench) -> None:
+async def test_daemon_that_ends_while_it_resumes_is_not_resumed(bench: Bench) -> None:
     bench.recorder.failing.add("decision")
     await bench.do("toolplan.clear")
     bench.recorder.failing.clear()
@@ -283,7 +284,7 @@ async def test_a_daemon_that_ends_while_it_resumes_is_not_brought_back_either(be
     assert reasons(await bench.do("toolplan.plan")) == ("rejected", "ending")
 
 
-async def test_what_is_journalled_when_a_resume_is_cancelled_is_published(bench: Bench) -> None:
+async def test_rows_journalled_as_a_resume_is_cancelled_are_published(bench: Bench) -> None:
     """A daemon that ends cancels its resume: nobody waits for the verdict any more; what follows from it happens."""
     await bench.go(RETRACTED)
     bench.recorder.failing.add("decision")

@@ -49,7 +49,7 @@ async def test_one_holds_the_cell_and_the_others_are_refused() -> None:
     assert code(await do(bench, "bob", "lease.acquire")) == "accepted"
 
 
-async def test_while_nobody_holds_it_commands_are_taken_unless_somebody_has_to() -> None:
+async def test_unheld_lease_allows_commands_unless_a_lease_is_required() -> None:
     bench = Bench()
     assert code(await do(bench, "bob", "registration.plan_landmarks")) == "accepted"
     bench.dispatcher.lease = Lease(bench.clock, required=True)
@@ -67,7 +67,7 @@ async def test_who_cannot_hold_it_does_not_get_it(who: str, operation: str) -> N
     assert bench.dispatcher.lease.holder is None
 
 
-async def test_it_is_taken_over_when_its_holder_confirms_and_at_once_by_who_is_on_site() -> None:
+async def test_holder_confirms_a_takeover_and_a_local_one_is_immediate() -> None:
     bench = Bench()
     await do(bench, "anna", "lease.acquire")
     assert code(await do(bench, "bob", "lease.take_over")) == "accepted"
@@ -152,7 +152,7 @@ async def test_an_unknown_operation_of_the_lease_is_refused() -> None:
         )
     )
 )
-def test_nobody_loses_it_without_having_agreed_but_to_who_is_on_site(asked: list[tuple[str, str]]) -> None:
+def test_holder_loses_it_only_by_consent_or_to_a_user_on_site(asked: list[tuple[str, str]]) -> None:
     lease = Lease(SystemClock())
     for who, operation in asked:
         before = lease.state

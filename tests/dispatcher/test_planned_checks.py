@@ -162,7 +162,7 @@ async def test_what_would_be_said_comes_from_the_planner(bench: Bench, planner: 
 
 
 @pytest.mark.parametrize("refuses", [True, False])
-async def test_a_step_that_has_its_motion_planned_again_does_not_go_on_where_that_is_refused(
+async def test_step_that_replans_its_motion_fails_if_that_is_refused(
     bench: Bench, planner: GatedPlanner, refuses: bool
 ) -> None:
     moved: list[str] = []

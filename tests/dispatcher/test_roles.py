@@ -34,7 +34,7 @@ def test_every_operation_asks_for_the_roles_of_its_blueprint(workflow: str, role
 
 
 @pytest.mark.parametrize("workflow", WORKFLOWS)
-def test_a_planner_moves_nothing_and_only_an_operator_releases_the_latch(workflow: str) -> None:
+def test_planner_moves_nothing_and_only_an_operator_unlatches(workflow: str) -> None:
     for branch in read_workflow(workflow).branches.values():
         for name, spec in branch.operations.items():
             if spec.blocked_when_latched and not (spec.event or spec.iio):

@@ -333,7 +333,7 @@ async def test_closing_stops_what_runs(bench: Bench) -> None:
     assert (await task).state == "held"
 
 
-async def test_every_stop_is_told_to_listeners_before_anything_else_can_run(bench: Bench) -> None:
+async def test_listeners_learn_of_every_stop_before_anything_else_runs(bench: Bench) -> None:
     told: list[bool] = []
     bench.dispatcher.on_stop(lambda: told.append(bench.dispatcher.snapshot().latched))
     await bench.dispatcher.stop("test:operator")
@@ -341,7 +341,7 @@ async def test_every_stop_is_told_to_listeners_before_anything_else_can_run(benc
     assert told == [True, True]
 
 
-async def test_a_stop_whose_hold_is_not_confirmed_says_so_until_it_is_acknowledged(bench: Bench) -> None:
+async def test_unconfirmed_stop_is_in_doubt_until_it_is_acknowledged(bench: Bench) -> None:
     await bench.go(STANDOFF)
     bench.hold_error = UnknownOutcomeError("The robot is silent.")
     assert not await bench.dispatcher.stop("test:operator")
@@ -418,7 +418,7 @@ async def test_stops_of_a_later_run_have_greater_numbers(bench: Bench) -> None:
     await other.dispatcher.close()
 
 
-async def test_an_acknowledgement_that_names_an_older_stop_releases_nothing(bench: Bench) -> None:
+async def test_acknowledgement_of_an_older_stop_releases_nothing(bench: Bench) -> None:
     await bench.go(HELD)
     await bench.dispatcher.stop("test:operator")
     older = bench.dispatcher.stop_number
@@ -438,7 +438,8 @@ async def test_an_acknowledgement_that_names_no_number_is_malformed(bench: Bench
     assert bench.dispatcher.snapshot().latched
 
 
-async def test_without_a_name_only_who_is_on_site_acknowledges_and_no_young_stop(bench: Bench) -> None:
+async def test_unnamed_stop_is_acknowledged_only_on_site_and_not_young(bench: Bench) -> None:
+    """Only a user on site acknowledges without naming the Stop, and only one that is not young."""
     await bench.go(HELD)
     await bench.dispatcher.stop("test:operator")
     assert code(await bench.do("robot.acknowledge", arguments={}, user="local")) == "stop_not_named"

@@ -48,9 +48,7 @@ def root(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_machine_that_forbids_the_real_time_policy_is_told_how_to_permit_it(
-    root: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_forbidden_real_time_policy_is_reported_with_its_remedy(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise PermissionError(1, "Operation not permitted")
 
@@ -170,7 +168,7 @@ def test_a_missing_extra_is_named_with_its_packages(tmp_path: Path, monkeypatch:
     assert "docs/supply.md" in found["sim"].remedy
 
 
-def test_a_device_that_is_not_there_is_bad_and_a_cabinet_is_not_dialled(tmp_path: Path) -> None:
+def test_absent_device_is_bad_and_a_cabinet_is_not_connected_to(tmp_path: Path) -> None:
     real = settings(
         tmp_path,
         "robot.driver=kst",

@@ -293,7 +293,7 @@ def test_an_empty_journal_is_no_session() -> None:
         Journalled(())
 
 
-def test_the_truth_where_the_threshold_was_hunted_is_higher_beside_the_hotspot() -> None:
+def test_true_threshold_is_higher_beside_the_hotspot() -> None:
     scene = SceneTruth(
         tracker_from_coil=HERE,
         tracker_from_body_ref=HERE,

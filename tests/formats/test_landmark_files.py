@@ -151,7 +151,7 @@ def _without(content: dict[str, Any], key: str) -> str:
         ("a.json", "{}", "is no plan"),
     ],
 )
-def test_what_is_no_landmark_file_is_refused_with_file_and_reason(
+def test_invalid_landmark_file_is_refused_with_file_and_reason(
     name: str, text: str, reason: str, tmp_path: Path
 ) -> None:
     path = tmp_path / name

@@ -81,7 +81,7 @@ def test_what_the_gateway_saves_is_read_back(
         assert rotation_angle(read, written) < 1e-14
 
 
-def test_trials_are_in_the_order_of_their_numbers_and_other_kinds_of_files_are_passed_over(tmp_path: Path) -> None:
+def test_trials_are_in_numeric_order_and_other_files_are_skipped(tmp_path: Path) -> None:
     for number in (10, 2, 1):
         _save(tmp_path, AS_SAVED, f"trial_{number}.yaml")
     _save(tmp_path, "not a placement", "notes.txt")

@@ -184,7 +184,7 @@ def test_a_fault_is_named(fault: str) -> None:
     assert all(finding.line > 1 for finding in findings)
 
 
-def test_a_motion_elsewhere_is_sound_where_it_requires_that_nothing_moves() -> None:
+def test_motion_elsewhere_is_sound_if_it_requires_standstill() -> None:
     old, new, *_ = FAULTS["beside the motion of another branch"]
     allowed = new.replace('motion = "retreat"', 'requires = { arm = ["away"] }\nmotion = "retreat"')
     assert examine(SOUND.replace(old, allowed).encode()).sound

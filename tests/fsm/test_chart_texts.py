@@ -40,7 +40,8 @@ def in_order(blueprint: Blueprint) -> list[tuple[str, str]]:
 
 @texts
 @given(blueprints())
-def test_graphviz_has_every_state_in_the_nested_cluster_of_its_branch(blueprint: Blueprint) -> None:
+def test_graphviz_has_every_state_in_the_cluster_of_its_branch(blueprint: Blueprint) -> None:
+    """Clusters are nested as the branches are."""
     open_clusters: list[str] = []
     found: dict[tuple[str, str], list[str]] = {}
     for line in dot(blueprint).splitlines():

@@ -136,7 +136,7 @@ def test_every_mutant_is_found_and_named(name: str) -> None:
     assert any(d.subject.partition(":")[0] == operation for d in differences), differences
 
 
-def test_newly_rejected_joint_states_are_those_of_the_specification() -> None:
+def test_newly_rejected_joint_states_match_the_specification() -> None:
     fewer = with_operation(RATMS, "placement", "home", from_=["standoff", "placed", "following", "guided"])
     (difference,) = (d for d in compare(RATMS, fewer) if d.kind == "rejected")
     lost = [joint for joint in reachable() if joint[4] == "retracted" and expected(joint, "placement", "home")]

@@ -73,7 +73,7 @@ def test_import_of_an_unsound_chart_writes_it_and_says_so(tmp_path: Path) -> Non
     assert "unreachable_state" in result.stderr
 
 
-def test_a_dead_end_is_found_although_a_branch_inside_can_be_reinitiated() -> None:
+def test_dead_end_is_found_although_an_inner_branch_can_reinit() -> None:
     chart = "stateDiagram-v2\n[*] --> a\na --> b : go\nstate a {\nc --> d : go\n}\n"
     result = run("import", "-", given=chart)
     assert result.exit_code == 1

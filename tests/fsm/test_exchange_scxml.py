@@ -200,7 +200,7 @@ def test_nested_states_are_a_branch_of_the_next_level() -> None:
     assert (cut.from_, cut.to, cut.requires) == (["on"], "off", {"on": ["cold"]})
 
 
-def test_parallel_regions_without_common_events_are_branches_of_level_1() -> None:
+def test_parallel_regions_with_own_events_are_level_1_branches() -> None:
     blueprint = importable(
         """<parallel id="all">
           <state id="door"><state id="shut"><transition event="door.open" target="ajar"/></state>

@@ -129,7 +129,8 @@ def test_tables_merge_and_anything_else_replaces(folder: Path) -> None:
     assert (door.operations["close"].from_, door.operations["close"].unlatches) == (["open", "ajar"], True)
 
 
-def test_properties_are_appended_or_replaced_by_id_and_revocations_added(folder: Path) -> None:
+def test_properties_are_added_or_replaced_and_revocations_added(folder: Path) -> None:
+    """A property of the same id is replaced."""
     own = load(folder)
     assert [promise.id for promise in own.properties] == ["can_open", "powered", "can_light"]
     assert own.properties[0].text == "It can be opened with the lamp lit."

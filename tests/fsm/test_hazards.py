@@ -35,7 +35,7 @@ def found(text: str) -> list[tuple[str, tuple[str, ...] | None]]:
     return [(finding.code, finding.commands) for finding in examine(text.encode()).findings]
 
 
-def test_an_irreversible_operation_needs_one_that_allows_it_again() -> None:
+def test_irreversible_operation_needs_one_that_allows_it_again() -> None:
     unmarked = PLAIN.replace('allows_again = ["sample"]', "title = 'again'")
     around = ("needle.insert", "needle.sample", "needle.withdraw", "needle.again", "needle.insert")
     assert found(unmarked) == [("repeatable", around)]
@@ -90,7 +90,7 @@ def test_each_confirmation_counts_once() -> None:
 
 
 @pytest.mark.parametrize(("branch", "operation"), [("safety", "acknowledge"), ("insert_confirmation", "take_back")])
-def test_a_confirmation_can_be_taken_back_and_does_not_outlive_a_stop(branch: str, operation: str) -> None:
+def test_confirmation_can_be_taken_back_and_ends_with_a_stop(branch: str, operation: str) -> None:
     cell = engine()
     cell.perform("insert_confirmation", "confirm_insert")
     assert isinstance(cell.ask("needle", "insert"), Closure)
@@ -98,7 +98,7 @@ def test_a_confirmation_can_be_taken_back_and_does_not_outlive_a_stop(branch: st
     assert refused(cell, "needle", "insert") == "not_confirmed"
 
 
-def test_only_what_is_possible_now_is_confirmed_and_never_while_stop_is_latched() -> None:
+def test_only_possible_operations_are_confirmed_if_not_latched() -> None:
     cell = engine()
     cell.place({"needle": "inside"})
     assert refused(cell, "insert_confirmation", "confirm_insert") == "requirement_not_met"

@@ -38,7 +38,7 @@ def test_the_content_of_an_old_file_is_that_of_the_renamed_one() -> None:
     assert parse_blueprint(new.encode()).hash.startswith(HASH)
 
 
-def test_an_old_name_is_accepted_with_a_warning_that_names_the_new_one() -> None:
+def test_old_name_is_accepted_with_a_warning_naming_the_new_one() -> None:
     found = examine(PUMP.replace("%s", "acts = true").encode(), origin="pump.toml")
     assert found.sound
     assert [str(each) for each in found.warnings] == [
@@ -71,7 +71,7 @@ def test_each_layer_of_an_extended_file_may_have_its_own_names(tmp_path: Path) -
     assert warned == [str(tmp_path / "pump.toml")]
 
 
-def test_moves_alone_is_an_approach_and_bars_it_while_stop_is_latched() -> None:
+def test_moves_alone_is_an_approach_and_is_barred_if_latched() -> None:
     blueprint = parse_blueprint((PUMP % 'moves = true, on_failure = "on", on_unknown = "on"').encode())
     start = blueprint.branches["pump"].operations["start"]
     assert (start.moves, start.motion, start.blocked_when_latched) == (True, "approach", True)
