@@ -156,7 +156,7 @@ def test_what_it_leads_to_and_by_the_shortest_way(blueprint: Blueprint, data: st
     assert [len(each.commands or ()) for each in found if against] == ([min(against)] if against else [])
 
 
-def test_an_operation_that_is_watched_costs_no_commands_where_it_does_not_matter_that_it_runs() -> None:
+def test_watched_operation_adds_no_commands_if_it_is_irrelevant() -> None:
     jump = OperationSpec(from_=["a", "b"], to={"a": "b", "b": "c"})
     walk = OperationSpec(from_=["a", "x", "y"], to={"a": "x", "x": "y", "y": "c"})
     branch = BranchSpec(states=dict.fromkeys("abcxy", "a state"), operations={"jump": jump, "walk": walk})

@@ -147,7 +147,7 @@ async def test_an_announced_plan_holds_motion_back_too(cell: Any) -> None:
     assert cell.core.commands == []
 
 
-async def test_an_incomplete_landmark_series_is_refused_and_holds_motion_back(cell: Any) -> None:
+async def test_incomplete_landmark_series_is_refused_and_bars_motion(cell: Any) -> None:
     await cell.ask("img_fid_numxxxxx_02_#1;")
     await cell.ask("img_fid_pntxxxxx_00_0_0_0_#2;")
     assert await cell.ask("img_fid_lastrecv_#3;") == "3_rejected_registration_000_incomplete_series;"
@@ -164,7 +164,7 @@ async def test_rotation_and_translation_of_two_clients_are_no_plan(cell: Any) ->
     other.transport.close()
 
 
-async def test_the_same_id_returns_the_recorded_verdict_and_runs_nothing(cell: Any) -> None:
+async def test_repeated_id_returns_recorded_verdict_and_runs_nothing(cell: Any) -> None:
     cell.core.refusals["connect"] = "no_answer"
     first = await cell.ask("rob_conn_onxxxxx_#007;")
     cell.core.refusals.clear()
@@ -289,7 +289,7 @@ async def test_surface_commands_drive_their_operations(
     assert (asked.branch, asked.operation, asked.arguments) == (branch, name, arguments)
 
 
-async def test_a_refinement_is_acknowledged_and_returns_no_second_datagram(cell: Any) -> None:
+async def test_refinement_is_acknowledged_without_a_second_datagram(cell: Any) -> None:
     assert await cell.tell("icp_registerxxxx_/m/a_b.stl;") == "ack"
     await settle(cell)
     assert cell.replies.received.empty()

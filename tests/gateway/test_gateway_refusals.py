@@ -43,7 +43,7 @@ async def test_the_first_is_told_at_once_with_who_and_why(bench: Bench) -> None:
     assert event.fields == {"count": 1, "source": SOURCE, "reason": "malformed"}
 
 
-async def test_of_a_flood_every_period_has_one_report_and_none_is_forgotten(bench: Bench) -> None:
+async def test_flood_has_one_report_each_period_and_counts_everything(bench: Bench) -> None:
     for _ in range(3):
         await bench.refuse(1000)
         await bench.clock.advance(PERIOD)

@@ -67,7 +67,7 @@ async def test_a_stop_that_was_held_back_stops(room: Room) -> None:
     assert room.core.stops == ["peer:planner"]
 
 
-async def test_a_clock_that_is_ahead_is_told_by_name_and_locks_nobody_out(room: Room, tmp_path: Path) -> None:
+async def test_clock_that_is_ahead_is_named_and_locks_nobody_out(room: Room, tmp_path: Path) -> None:
     """The times that a wrong clock has used must not keep out what the right one sends."""
     room.signers["planner"] = timed(room, ahead=3600.0)
     room.client.send(room.sign("execute_motionxx_#1;"), room.planner)

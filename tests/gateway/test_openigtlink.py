@@ -130,7 +130,7 @@ async def test_poses_may_go_together(tmp_path: Path) -> None:
         np.testing.assert_allclose(message.matrices["CoilToTracker"], matrix_mm(SEEN["coil"]), atol=1e-3)
 
 
-async def test_the_state_is_told_when_a_client_comes_and_at_each_change(room: Room) -> None:
+async def test_state_is_sent_to_a_new_client_and_at_each_change(room: Room) -> None:
     first = json.loads((await room.slicer.next("PcmrsState")).string)
     assert first["branches"] == room.core.branches
     assert (first["latched"], first["running"]) == (False, [])
@@ -148,7 +148,7 @@ async def test_the_state_is_told_when_a_client_comes_and_at_each_change(room: Ro
     await room.slicer.status(1)
 
 
-async def test_a_change_before_another_client_comes_is_told_to_the_first_too(tmp_path: Path) -> None:
+async def test_change_before_another_client_comes_reaches_the_first(tmp_path: Path) -> None:
     async with opened(tmp_path, rate_hz=20.0) as room:
         await room.slicer.next("TargetToImage")  # the first tick is over
         first = await room.slicer.next("PcmrsLine")
@@ -258,7 +258,7 @@ async def test_what_are_no_landmarks_is_refused(room: Room, positions: Any, code
     assert [event.fields["reason"] for event in room.core.events] == [code]
 
 
-async def test_a_plan_that_the_daemon_rejects_is_shown_until_one_is_accepted(room: Room) -> None:
+async def test_rejected_plan_is_shown_until_one_is_accepted(room: Room) -> None:
     room.core.refusals["plan"] = "busy"
     room.slicer.send(wire.transform(TARGET, planned_mm()))
     assert (await room.slicer.verdict()).startswith("rejected toolplan.plan busy")
@@ -316,7 +316,7 @@ async def test_a_daemon_that_breaks_is_answered_for(room: Room, monkeypatch: pyt
     assert (await room.slicer.verdict()).startswith("failed toolplan.plan internal_error")
 
 
-async def test_a_plan_that_is_not_accepted_without_a_reason_is_answered_for(
+async def test_plan_that_is_not_accepted_without_a_reason_is_answered(
     room: Room, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def undecided(command: Command) -> Verdict:
@@ -364,7 +364,7 @@ async def test_what_is_no_openigtlink_ends_that_connection_only(room: Room) -> N
     assert await room.slicer.verdict() == "accepted toolplan.plan"
 
 
-async def test_a_client_may_leave_in_the_middle_of_a_message_and_come_back(room: Room) -> None:
+async def test_client_may_leave_in_mid_message_and_come_back(room: Room) -> None:
     room.slicer.send(wire.transform(TARGET, planned_mm())[:70])
     room.slicer.close()
     again = await Slicer.connect(room.address)
@@ -384,7 +384,7 @@ async def test_no_more_clients_than_so_many(room: Room, monkeypatch: pytest.Monk
     assert room.gateway.counters.refused == 1
 
 
-async def test_a_link_that_is_not_on_loopback_shows_but_takes_no_commands(tmp_path: Path) -> None:
+async def test_link_off_loopback_shows_but_takes_no_commands(tmp_path: Path) -> None:
     core = SlicerCore()
     exposed = slicer_only(OpenIgtLinkConfig(enabled=True, port=0), host="0.0.0.0")
     async with open_gateway(core, exposed, SystemClock(), tmp_path) as gateway:

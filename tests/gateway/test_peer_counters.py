@@ -149,7 +149,7 @@ def test_a_torn_write_leaves_what_was_kept_before(tmp_path: Path, cut: int) -> N
     assert torn.kept == {"planner": 5} or cut == 8191
 
 
-def test_a_write_of_a_part_is_an_error_and_the_next_whole_one_counts(tmp_path: Path) -> None:
+def test_partial_write_is_an_error_and_the_next_whole_one_counts(tmp_path: Path) -> None:
     """As on a full disk; here the limit of a file's size cuts what is written into the second slot."""
     path = tmp_path / COUNTERS
     file = CounterFile(path)

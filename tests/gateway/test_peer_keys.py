@@ -106,7 +106,7 @@ def test_whatever_drives_the_robot_is_in_no_group_of_the_default() -> None:
     )
 
 
-def test_commands_may_be_listed_one_by_one_and_stop_is_always_there() -> None:
+def test_commands_may_be_listed_and_stop_is_always_allowed() -> None:
     assert allowed(["execute_homexxxx"]) == {"execute_homexxxx", STOP}
     assert allowed([]) == {STOP}
 

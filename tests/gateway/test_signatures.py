@@ -118,7 +118,7 @@ def test_what_only_looks_like_a_signature_is_none(signature: bytes) -> None:
 
 
 @pytest.mark.parametrize(("size", "fits"), [(MAX_BYTES, True), (MAX_BYTES + 1, False)])
-def test_the_limit_holds_for_the_command_and_the_signature_comes_on_top(size: int, fits: bool) -> None:
+def test_size_limit_is_of_the_command_without_its_signature(size: int, fits: bool) -> None:
     command = b"icp_registerxxxx_".ljust(size - 1, b"a") + b";"
     datagram = Signer("p" * 32, bytes(32), lambda: 10**19 - 1).sign(command)
     assert (split(datagram) is not None) is fits
@@ -171,7 +171,7 @@ def test_all_python_signers_make_the_bytes_of_the_vectors(vector: dict[str, Any]
 
 
 @pytest.mark.parametrize("vector", VECTORS)
-def test_all_python_signers_take_the_answers_of_the_vectors_and_no_others(vector: dict[str, Any]) -> None:
+def test_python_signers_accept_the_answers_of_the_vectors_only(vector: dict[str, Any]) -> None:
     key, answer = bytes.fromhex(vector["key"]), vector["signed_answer"].encode()
     assert sign_answer(vector["answer"], vector["peer"], vector["counter"], key).encode() == answer
     for maker in (Signer, reference().Signer):
@@ -277,7 +277,7 @@ public static class Vectors
 @pytest.mark.skipif(
     not (shutil.which("mcs") and shutil.which("mono")), reason="mcs and mono are not installed: C# is not compiled here"
 )
-def test_the_csharp_signer_makes_the_bytes_of_the_vectors_and_takes_their_answers(tmp_path: Path) -> None:
+def test_csharp_signer_matches_the_vectors_and_accepts_answers(tmp_path: Path) -> None:
     main, program, key = tmp_path / "Vectors.cs", tmp_path / "vectors.exe", tmp_path / "peer.key"
     main.write_text(_MAIN, encoding="ascii")
     source = CLIENTS / "unity" / "Runtime" / "Core" / "Signer.cs"

@@ -49,7 +49,7 @@ async def test_a_client_without_verdicts_is_acknowledged_as_ever(room: Room) -> 
 
 
 @pytest.mark.parametrize("command", ["stop_now_xxxxxxx;", "get_jnt_angsxxxx_#1;", "__msg_toolpose_1_2_3_4_5_6"])
-async def test_unsigned_on_an_exposed_link_is_refused_without_an_answer(room: Room, command: str) -> None:
+async def test_unsigned_on_an_exposed_link_is_refused_without_answer(room: Room, command: str) -> None:
     await room.hear(command.encode())
     assert (await room.ask("get_jnt_angsxxxx_#9;")).startswith("9_accepted")
     assert room.unanswered
@@ -384,7 +384,7 @@ async def test_a_signed_frame_may_come_byte_by_byte(room: Room) -> None:
     writer.close()
 
 
-async def test_over_tcp_a_forged_frame_is_not_answered_and_the_next_one_is(room: Room) -> None:
+async def test_forged_tcp_frame_is_not_answered_and_the_next_one_is(room: Room) -> None:
     forged = room.sign("stop_now_xxxxxxx;")[:-32] + b"0" * 32
     reader, writer = await asyncio.open_connection(*room.tcp)
     writer.write(b"|;" + forged + b";" + room.sign("rob_conn_onxxxxx_#1;") + b";")
@@ -394,7 +394,7 @@ async def test_over_tcp_a_forged_frame_is_not_answered_and_the_next_one_is(room:
     writer.close()
 
 
-async def test_a_command_without_signature_ends_a_connection_that_signs(room: Room) -> None:
+async def test_unsigned_command_ends_a_connection_that_signs(room: Room) -> None:
     reader, writer = await asyncio.open_connection(*room.tcp)
     writer.write(b"|;" + b"stop_now_xxxxxxx;" * 2)
     assert await rest_of(reader) == b""
@@ -414,7 +414,7 @@ async def test_a_signature_that_is_cut_off_is_refused(room: Room, cut: int) -> N
     writer.close()
 
 
-async def test_over_tcp_signatures_without_the_opening_end_the_connection(tmp_path: Path) -> None:
+async def test_tcp_signatures_without_the_opening_end_the_connection(tmp_path: Path) -> None:
     """On loopback the command has begun at its ';', unsigned, before its signature is seen."""
     async with open_room(tmp_path, {"planner": peer(tmp_path, "planner")}, host="127.0.0.1") as room:
         reader, writer = await asyncio.open_connection(*room.tcp)

@@ -165,7 +165,7 @@ async def test_reading_can_be_narrowed(journal: Journal) -> None:
     assert sequences(read(branch="registration", last=2)) == [2, 4]
 
 
-async def test_the_first_rows_cost_the_same_in_a_long_journal_as_in_a_short_one(path: Path) -> None:
+async def test_first_rows_cost_the_same_in_a_long_and_a_short_journal(path: Path) -> None:
     journal = Journal.open(path, durable=False)
 
     def cost() -> int:

@@ -26,7 +26,7 @@ def path(tmp_path: Path) -> Path:
     return place(sample(tmp_path / "whole", killed=False).files, tmp_path / "cell")
 
 
-def test_a_journal_whose_head_is_gone_is_not_copied_as_if_it_were_whole(path: Path, tmp_path: Path) -> None:
+def test_journal_without_its_head_is_not_copied_as_whole(path: Path, tmp_path: Path) -> None:
     path.with_name(HEAD).unlink()
     with pytest.raises(JournalError, match="head is missing"):
         copy_journal(path, tmp_path / "copy" / NAME)

@@ -39,7 +39,7 @@ def synced(path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, set[s
 
 
 @pytest.mark.parametrize("name", ["journal.key", "journal.pub", "journal.sqlite", "journal.sqlite.head"])
-def test_a_file_gets_its_name_when_the_disk_has_it_and_the_disk_gets_the_name(
+def test_file_is_synchronised_before_and_after_it_gets_its_name(
     path: Path, synced: list[tuple[str, set[str]]], name: str
 ) -> None:
     JournalWriter(path, durable=True).close()
@@ -123,7 +123,7 @@ def test_half_a_head_is_no_head(path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     writer.close()
 
 
-def test_a_row_that_was_never_acknowledged_may_be_gone_at_the_second_reopening(path: Path) -> None:
+def test_unacknowledged_row_may_be_gone_at_the_second_reopening(path: Path) -> None:
     """It was on the disk when the first one failed, and the disk has lost it since."""
     writer = JournalWriter(path, durable=True)
     writer.write([ROW])

@@ -128,7 +128,7 @@ def test_a_disk_that_cannot_be_waited_for_is_refused(
 
 
 @pytest.mark.parametrize("durable", [True, False])
-async def test_a_log_that_cannot_be_carried_over_is_told_though_nothing_more_is_written(
+async def test_failed_checkpoint_is_reported_even_without_more_writes(
     path: Path, monkeypatch: pytest.MonkeyPatch, durable: bool
 ) -> None:
     class Failing(sqlite3.Connection):
@@ -157,7 +157,7 @@ def test_only_the_writer_carries_the_log_over(path: Path, durable: bool) -> None
     writer.close()
 
 
-async def test_what_goes_wrong_while_it_is_reopened_does_not_end_the_thread_that_writes(
+async def test_error_while_reopening_does_not_end_the_writer_thread(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(_: JournalWriter) -> int:
