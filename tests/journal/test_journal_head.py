@@ -78,7 +78,7 @@ async def test_a_journal_set_back_is_told(path: Path, killed: Sample) -> None:
         Journal.open(later)
 
 
-async def test_a_head_kept_elsewhere_shows_that_all_was_set_back_together(path: Path, killed: Sample) -> None:
+async def test_head_stored_elsewhere_shows_that_all_was_set_back(path: Path, killed: Sample) -> None:
     journal = Journal.open(path)
     await journal.append([row()])
     await journal.close()
@@ -125,7 +125,7 @@ def test_more_rows_than_a_crash_leaves_are_told(path: Path) -> None:
     assert not verify(path).sound
 
 
-async def test_rows_that_a_crash_left_unnamed_are_taken_up_and_that_is_journalled(
+async def test_unnamed_rows_left_by_a_crash_are_adopted_and_journalled(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     journal = Journal.open(path, durable=False)
@@ -206,7 +206,8 @@ async def test_a_key_that_does_not_belong_to_the_other_is_told(path: Path, tmp_p
         Journal.open(path)
 
 
-def test_a_journal_without_head_and_keys_is_not_taken_for_one_that_never_had_them(tmp_path: Path) -> None:
+def test_journal_that_lost_head_and_keys_is_not_sound(tmp_path: Path) -> None:
+    """It is not taken for one that never had them."""
     path = tmp_path / NAME
     JournalWriter(path, durable=False).close()
     for name in (HEAD, "journal.key", "journal.pub"):
@@ -223,7 +224,7 @@ async def test_a_second_writer_is_refused_and_the_first_goes_on(path: Path) -> N
     await journal.close()
 
 
-async def test_a_journal_of_version_1_is_taken_up_and_that_is_journalled(old: Path) -> None:
+async def test_journal_of_version_1_is_upgraded_and_that_is_journalled(old: Path) -> None:
     found = verify(old)
     assert found.sound
     assert found.signature == "none"

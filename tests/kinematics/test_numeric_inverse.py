@@ -48,7 +48,7 @@ def test_a_comfortable_posture_near_the_seed_is_taken(arm: ArmModel) -> None:
         assert np.linalg.norm(found - home) < 0.6
 
 
-def test_the_first_comfortable_posture_ends_the_search_and_else_a_few_are_compared(
+def test_search_ends_at_a_comfortable_posture_or_a_few_solutions(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Each descent takes time, and a plan waits for all of them."""

@@ -42,7 +42,7 @@ class Gate:
 '''
 
 
-def test_every_guard_comparison_and_junction_in_a_function_has_its_mutants(tmp_path: Path) -> None:
+def test_every_guard_comparison_and_junction_has_its_mutants(tmp_path: Path) -> None:
     file = tmp_path / "pcmrs" / "gateway" / "gate.py"
     file.parent.mkdir(parents=True)
     file.write_text(SOURCE)

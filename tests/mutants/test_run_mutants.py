@@ -44,7 +44,7 @@ def test_a_removed_guard_is_caught_by_a_named_test(coverage: CoverageMap) -> Non
 
 @pytest.mark.nightly
 @pytest.mark.timeout(300)
-def test_a_removed_guard_is_caught_and_what_takes_none_out_is_not(coverage: CoverageMap) -> None:
+def test_removed_guard_is_caught_and_harmless_change_is_not(coverage: CoverageMap) -> None:
     mutants = [
         *candidates(SHOWN),
         harmless("another way to say it", "PAIR_WINDOW = 2.0 - 1.0"),
@@ -66,7 +66,7 @@ ERROR: found no collectors for /tmp/copy/tests/{0}.py::one
 
 
 @pytest.mark.parametrize("failing", [True, False])
-def test_a_file_that_cannot_be_imported_hides_no_failure_of_another(failing: bool) -> None:
+def test_file_that_cannot_be_imported_hides_no_other_failure(failing: bool) -> None:
     asked: list[list[str]] = []
 
     def run(tests: Sequence[str]) -> Run:
@@ -117,7 +117,7 @@ def measured(tests: dict[str, set[int]], digest: str = "as it is") -> CoverageMa
     return CoverageMap([MappedTest(name, 1.0) for name in tests], [], {"f.py": file}, 0)
 
 
-def test_tests_that_are_measured_again_replace_themselves_in_the_map() -> None:
+def test_remeasured_tests_replace_themselves_in_the_map() -> None:
     before = measured({"a": {1, 2}, "b": {1, 3}, "c": {3}, "d": {2, 3, 4}})
     after = before.updated(measured({"c": {2, 5}, "e": {1}, "a": {5}}), ["a", "c", "e"])
 

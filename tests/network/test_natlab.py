@@ -89,7 +89,7 @@ def datagrams(lab: NatLab, place: Place, address: str, count: int) -> int:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_each_side_reaches_the_router_under_the_address_of_its_nat(lab: NatLab, side: Side) -> None:
+def test_each_side_reaches_the_router_from_its_nat_address(lab: NatLab, side: Side) -> None:
     assert ask(lab, side, ROUTER[side]) == OUTSIDE[side]
     assert datagrams(lab, side, ROUTER[side], 10) == 10
 

@@ -86,9 +86,7 @@ def test_every_role_meets_the_router_under_its_name(
     assert not met(server, client, host="other.lab")[1], "the router is not what the client has dialled"
 
 
-def test_nobody_is_let_in_by_a_certificate_that_is_foreign_or_over(
-    authority: Authority, tmp_path: Path, now: float
-) -> None:
+def test_foreign_or_expired_certificate_is_not_accepted(authority: Authority, tmp_path: Path, now: float) -> None:
     authority.issue("router", "gate", now, hosts=("127.0.0.1",), into=tmp_path)
     server = context_of(tmp_path / "gate", "gate", server=True)
     foreign = Authority.init(tmp_path / "foreign", "lab", now)
@@ -231,7 +229,7 @@ def test_the_register_says_which_routers_carry_a_person(authority: Authority, tm
         authority.issue("device", "arm", now, via=("gate",), into=tmp_path)
 
 
-def test_an_old_register_marks_nobody_and_none_has_the_name_of_who_is_on_site(authority: Authority) -> None:
+def test_old_register_marks_nobody_and_the_name_local_is_refused(authority: Authority) -> None:
     row = {"name": "anna", "role": "operator", "serial": "1", "begins": 0.0, "ends": 1.0}
     register = authority.folder / "register.json"
     register.write_text(json.dumps([row]))

@@ -74,7 +74,7 @@ def saved(content: bytes, folder: Path) -> tuple[list[bytes], Reading]:
 
 
 @pytest.mark.parametrize("step", [1009, pytest.param(1, marks=[pytest.mark.nightly, pytest.mark.timeout(1800)])])
-def test_a_file_cut_anywhere_gives_its_first_messages_and_says_what_is_lost(
+def test_file_cut_anywhere_gives_its_first_messages_and_the_loss(
     whole: tuple[bytes, list[bytes]], tmp_path: Path, step: int
 ) -> None:
     """More bytes never give fewer messages."""
@@ -181,14 +181,14 @@ def test_a_chunk_that_would_fill_the_memory_is_damage(tmp_path: Path, frame_says
     assert f"{BOMB} bytes when decompressed" in reading.damage
 
 
-def test_a_chunk_in_a_compression_that_pcmrs_does_not_write_is_damage(tmp_path: Path) -> None:
+def test_chunk_in_an_unknown_compression_is_damage(tmp_path: Path) -> None:
     write_chunk(tmp_path / "run.mcap", "lz4", b"", size=0)
     reading = Reading(tmp_path / "run.mcap")
     assert [type(record).__name__ for record in reading.records()] == ["Header"]
     assert "'lz4'" in reading.damage
 
 
-def test_a_killed_writer_loses_only_what_came_after_its_last_flush(tmp_path: Path) -> None:
+def test_killed_writer_loses_only_data_after_its_last_flush(tmp_path: Path) -> None:
     program = f"""
 import os, signal, sys
 sys.path[:0] = {sys.path!r}

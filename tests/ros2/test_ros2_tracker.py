@@ -143,9 +143,7 @@ async def test_what_is_no_pose_is_a_body_that_is_not_seen(quat_xyzw: tuple[float
     ],
     ids=["old", "ahead", "frame", "bytes", "type"],
 )
-async def test_what_cannot_be_used_is_told_and_good_poses_end_the_trouble(
-    put: Callable[[Room], None], says: str
-) -> None:
+async def test_unusable_poses_are_reported_until_good_ones_come(put: Callable[[Room], None], says: str) -> None:
     async with room() as ros:
         await ros.until_troubled(says, lambda: put(ros))
         assert all(not seen(ros.frames.get_nowait()) for _ in range(ros.frames.qsize()))

@@ -28,9 +28,10 @@ ELSEWHERE = Settings(robot=RobotSettings(driver="none"), tracker=DeviceSettings(
         (Settings(scene=NOWHERE, emg=NOWHERE), ["lamp"], {"robot", "tracker", "pointer", "stimulator"}),
     ],
 )
-def test_what_is_started_here_or_needed_by_the_workflow_is_waited_for(
+def test_devices_started_here_or_required_are_waited_for(
     settings: Settings, branches: list[str], devices: set[str]
 ) -> None:
+    """The workflow requires some of them."""
     assert awaited(settings, branches) == devices
 
 

@@ -74,7 +74,7 @@ async def cell() -> AsyncIterator[Cell]:
 
 
 @pytest.mark.parametrize("before", [True, False])
-async def test_it_is_tried_again_once_in_a_while_until_the_disk_lets_it(cell: Cell, before: bool) -> None:
+async def test_reopening_is_retried_at_intervals_until_it_succeeds(cell: Cell, before: bool) -> None:
     cell.broken = FAILED if before else None
     cell.keep()
     await settle()

@@ -108,7 +108,7 @@ async def test_a_loop_that_is_blocked_is_told_of_in_place_of_its_facts() -> None
     assert [name for name, _ in blocked if name.startswith("pcmrs_")] == ["pcmrs_loop_answers"]
 
 
-async def test_facts_are_read_in_the_loop_and_not_for_somebody_who_has_gone() -> None:
+async def test_facts_are_read_in_the_loop_and_not_for_absent_askers() -> None:
     loop, readers = asyncio.get_running_loop(), list[int]()
 
     def read() -> Health:

@@ -167,9 +167,7 @@ async def test_it_beats_and_knows_when_each_node_was_heard() -> None:
         ("daemon/event", "robot", False),
     ],
 )
-async def test_an_event_that_speaks_for_another_device_is_dropped_and_counted(
-    key: str, device: str, taken: bool
-) -> None:
+async def test_event_in_name_of_another_device_is_dropped_and_counted(key: str, device: str, taken: bool) -> None:
     bench = Bench()
     async with bench.supervisor:
         bench.procedure.start()
@@ -180,7 +178,8 @@ async def test_an_event_that_speaks_for_another_device_is_dropped_and_counted(
         assert bench.procedure.counters()["events.misnamed"] == (not taken)
 
 
-async def test_a_watch_that_cannot_go_on_holds_the_robot_latches_and_ends_the_daemon() -> None:
+async def test_watch_that_cannot_continue_latches_and_ends_the_daemon() -> None:
+    """The robot is held."""
     bench = Bench()
 
     async def run() -> None:
@@ -212,7 +211,7 @@ async def test_the_loss_of_the_robots_node_is_the_loss_of_the_robot() -> None:
         await bench.procedure.dispatcher.close()
 
 
-async def test_the_loss_of_the_stimulators_node_is_told_as_its_disarming() -> None:
+async def test_loss_of_the_stimulator_node_is_reported_as_disarmed() -> None:
     bench = Bench()
     async with bench.supervisor:
         bench.procedure.start()
