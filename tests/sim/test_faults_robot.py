@@ -49,9 +49,7 @@ async def begin_motion(cell: Cell, client: KstClient, way: float = 0.4) -> float
 
 
 @pytest.mark.parametrize("fault", ["e_stop", "change_mode", "close_brakes"])
-async def test_without_drives_the_motion_ends_and_none_begins_until_they_are_back(
-    cell: Cell, client: KstClient, fault: str
-) -> None:
+async def test_motion_ends_without_drives_and_starts_only_with_them(cell: Cell, client: KstClient, fault: str) -> None:
     goal = await begin_motion(cell, client)
     inject(cell, fault, {})
     assert await client.reply() == NAK
@@ -139,7 +137,7 @@ async def test_the_application_fails_and_the_next_client_is_served(cell: Cell) -
             assert len(await client.joints()) == 7
 
 
-async def test_a_command_that_comes_twice_is_answered_twice_but_moves_once(cell: Cell, client: KstClient) -> None:
+async def test_repeated_command_is_answered_twice_but_moves_once(cell: Cell, client: KstClient) -> None:
     goal = np.array(await client.joints())
     goal[0] -= 0.05
     inject(cell, "double_commands", {})
@@ -181,9 +179,7 @@ class TestBuiltInRobot:
         await robot.connect()
         return robot
 
-    async def test_an_emergency_stop_in_motion_is_a_danger_and_forbids_the_next(
-        self, cell: Cell, robot: SimRobot
-    ) -> None:
+    async def test_emergency_stop_in_motion_is_danger_and_bars_the_next(self, cell: Cell, robot: SimRobot) -> None:
         events = robot.events()
         heard = asyncio.ensure_future(anext(events))
         start = np.array((await robot.joints()).positions)

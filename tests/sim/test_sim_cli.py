@@ -90,7 +90,7 @@ def test_a_cabinet_is_served_and_takes_faults_as_they_are_typed() -> None:
         end(process, signal.SIGTERM)
 
 
-def test_a_cell_serves_cabinet_and_tracker_of_one_world_and_follows_a_schedule(tmp_path: Path) -> None:
+def test_cell_serves_cabinet_and_tracker_and_follows_a_schedule(tmp_path: Path) -> None:
     schedule = tmp_path / "faults.txt"
     schedule.write_text("# at once\n0.0 e_stop on\n\n0.0 touch 0\n", encoding="utf-8")
     arguments = ("--kst-port", "0", "--ndi-port", "0", "--schedule", str(schedule), "--json")

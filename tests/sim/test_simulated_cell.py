@@ -174,7 +174,7 @@ async def test_occluded_bodies_are_invalid_until_shown(cell: Devices) -> None:
         await cell["scene"].occlude("nose", True)
 
 
-async def test_touches_share_a_planning_bias_and_a_displacement_acts_once(cell: Devices) -> None:
+async def test_touches_share_a_bias_and_a_displacement_acts_once(cell: Devices) -> None:
     tips = []
     for offset in (0.0, 0.025, 0.0):
         if offset:

@@ -187,7 +187,7 @@ def test_what_cannot_be_done_now_has_its_error(prepare: list[str], command: str,
     assert talk.ask(command) == error
 
 
-def test_an_unplugged_sensor_ends_tracking_and_cannot_be_initialized() -> None:
+def test_unplugged_sensor_ends_tracking_and_cannot_initialize() -> None:
     talk = Talk()
     talk.track("coil")
     talk.plugged = False

@@ -13,9 +13,7 @@ A = Transform.from_rotvec((1, 2, 3), (0.1, 0.2, 0.3))
 
 
 @given(st.permutations(FRAMES), st.data())
-def test_every_pair_of_a_random_tree_agrees_with_the_poses_it_was_made_from(
-    frames: list[Frame], data: st.DataObject
-) -> None:
+def test_every_pair_of_a_random_tree_agrees_with_its_poses(frames: list[Frame], data: st.DataObject) -> None:
     seed = data.draw(st.integers(0, 2**32 - 1))
     rng = np.random.default_rng(seed)
     world_from = {frame: Transform.from_rotvec(rng.normal(size=3), rng.normal(size=3)) for frame in frames}

@@ -24,7 +24,7 @@ STATUS = TeleopStatus(
 )
 
 
-def test_a_teleoperator_sees_delay_speed_place_and_limit_on_one_line() -> None:
+def test_teleoperator_sees_delay_speed_place_and_limit_in_a_line() -> None:
     delay, place = "52 ms ± 3, speed 80 %", "71.2 mm and 1.0° from the plan, 70.0 mm above, as far as allowed"
     assert line_of(STATUS, keys=False).plain == f"engaged by anna, {delay}, {place}, 3 refused"
     assert line_of(TeleopStatus(stamp=1.0), keys=False).plain == "clutch open"

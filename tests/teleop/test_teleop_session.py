@@ -136,7 +136,8 @@ async def at_work(game: Played, course: Callable[[], Awaitable[None]]) -> str:
     return ended
 
 
-async def test_set_points_are_sent_only_while_engaged_and_guiding_ends_with_the_program() -> None:
+async def test_set_points_are_sent_only_while_engaged() -> None:
+    """Guiding ends with the program."""
     game = played()
 
     async def course() -> None:
