@@ -343,7 +343,7 @@ async def test_a_pose_out_of_reach_is_refused(bench: WorkflowBench) -> None:
     await bench.accept("placement.approach")
 
 
-async def test_a_set_point_that_comes_after_the_reconnection_is_dropped(following: WorkflowBench) -> None:
+async def test_set_point_after_the_reconnection_is_dropped(following: WorkflowBench) -> None:
     robot = following.robot
     assert isinstance(robot, SimRobot)
     await following.scene.inject("late_set_point", {"on": True})

@@ -83,7 +83,7 @@ async def test_without_devices_it_is_said_what_to_configure(bench: StimulationBe
     assert "stimulator.driver" in verdict.reason.text
 
 
-async def test_a_pulse_without_an_electromyograph_is_given_and_counts_for_nothing(armed: StimulationBench) -> None:
+async def test_pulse_without_an_electromyograph_is_given_uncounted(armed: StimulationBench) -> None:
     armed.bench.cell.emg = None
     verdict = await armed.accept("stimulation.fire")
     assert verdict.result is not None
@@ -192,7 +192,7 @@ async def test_not_aligned_no_pulse(armed: StimulationBench) -> None:
     await armed.refuse("stimulation.fire", "not_aligned")
 
 
-async def test_a_coil_beside_its_place_gives_no_pulse_even_while_it_still_counts_as_aligned() -> None:
+async def test_misplaced_coil_gives_no_pulse_even_if_still_aligned() -> None:
     """The gate tolerates an error for a while; a pulse does not."""
     async with stimulation({"alignment": {"off_time": 30.0}}) as bench:
         await bench.to_armed()
@@ -246,7 +246,7 @@ async def test_a_head_that_moves_fast_gets_no_pulse() -> None:
         await bench.accept("stimulation.fire")
 
 
-async def test_what_happens_while_the_stimulator_charges_is_looked_at_again() -> None:
+async def test_changes_while_the_stimulator_charges_are_checked_again() -> None:
     async with stimulation({"alignment": {"off_time": 30.0}}) as bench:
         await bench.to_armed()
         bench.stimulator.ready_at = bench.clock.monotonic() + 1.0
@@ -344,7 +344,7 @@ async def test_stop_reaches_a_pulse_that_waits_for_the_stimulator(armed: Stimula
     assert not armed.stimulator.fired
 
 
-async def test_a_pulse_that_was_given_before_stop_counts_once_it_is_armed_again(armed: StimulationBench) -> None:
+async def test_pulse_given_before_a_stop_counts_after_rearming(armed: StimulationBench) -> None:
     task = asyncio.create_task(armed.do("stimulation.fire"))
     await armed.until(lambda: bool(armed.stimulator.fired))
     await armed.bench.dispatcher.stop("test:operator")
@@ -463,7 +463,7 @@ async def test_no_pulse_without_a_registration_and_a_plan(armed: StimulationBenc
     assert refused.value.refusal_code == "no_plan"
 
 
-async def test_a_stimulator_that_is_not_armed_after_it_was_told_to_is_not_believed_to_be(
+async def test_stimulator_that_did_not_arm_does_not_count_as_armed(
     bench: StimulationBench,
 ) -> None:
     await bench.bench.to_placed()
