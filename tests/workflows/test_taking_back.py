@@ -27,7 +27,8 @@ async def test_the_last_plan_is_taken_back_under_an_id_of_its_own(bench: Workflo
     assert bench.data.plan_id not in (None, plan_id), "what was approached by the other id is not at this plan"
 
 
-async def test_nothing_is_taken_back_for_another_patient_calibration_or_reference() -> None:
+async def test_nothing_of_another_patient_is_taken_back() -> None:
+    """Nor anything of another calibration or reference."""
     async with open_bench() as bench:
         await bench.register()
         await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
