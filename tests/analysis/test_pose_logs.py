@@ -25,7 +25,7 @@ def _poses(samples: int, seed: int = 1) -> list[Transform | None]:
     ]
 
 
-def test_jitter_and_drift_are_told_apart() -> None:
+def test_jitter_and_drift_are_separated() -> None:
     track = analyse_track("pol_tool", _poses(4000))
     assert track.spread is not None
     # The standard deviation of a standard deviation is sigma / sqrt(2 n): 1.1 % here.

@@ -427,7 +427,7 @@ async def test_flooding_link_gets_few_stops_through_and_another_all(names: int) 
 
 
 @pytest.mark.usefixtures("many_links")
-async def test_stops_under_very_many_names_are_told_as_those_of_a_few() -> None:
+async def test_stops_under_too_many_names_are_counted_together() -> None:
     async with running_daemon() as (daemon, session):
         await get(daemon, session, "stop/anna")
         for number in range(FLOOD):

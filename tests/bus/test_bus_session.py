@@ -59,7 +59,7 @@ async def test_a_late_joiner_gets_the_last_snapshot() -> None:
         assert (await asyncio.wait_for(received.get(), TIMEOUT)).sequence == 4
 
 
-async def test_what_is_listened_to_is_taken_though_the_loop_is_busy() -> None:
+async def test_listener_receives_although_the_loop_is_busy() -> None:
     async with open_pair() as (router, client):
         came = threading.Event()
         router.listen("daemon/beat", BodyPose, lambda _, message: came.set() if message.frame_number == 3 else None)
@@ -137,7 +137,7 @@ async def test_ended_subscription_is_silent_and_disturbs_no_other() -> None:
     await ended.end()  # the closed bus has ended it too
 
 
-async def test_a_malformed_message_is_ignored_and_the_next_one_heard() -> None:
+async def test_malformed_message_is_ignored_and_the_next_received() -> None:
     async with open_pair() as (router, _):
         received: asyncio.Queue[int] = asyncio.Queue()
         refused: asyncio.Queue[str] = asyncio.Queue()
@@ -323,7 +323,7 @@ async def test_a_second_daemon_is_refused() -> None:
         pass
 
 
-async def test_without_a_daemon_a_client_is_told_so() -> None:
+async def test_client_without_a_daemon_is_told_to_start_one() -> None:
     with pytest.raises(BusError, match="start pcmrs-serve"):
         await Bus.open(msgspec.structs.replace(new_cell(), mode="client"))
 

@@ -89,7 +89,7 @@ def test_within_the_window_messages_come_in_any_order_each_once(order: list[int]
         ("stop/local", False),
     ],
 )
-def test_what_daemon_and_nodes_send_each_other_is_sealed(key: str, sealed: bool) -> None:
+def test_messages_between_daemon_and_nodes_are_sealed(key: str, sealed: bool) -> None:
     assert is_sealed(key) is sealed
 
 
@@ -183,7 +183,7 @@ async def test_unsealed_or_repeated_event_is_counted_and_dropped() -> None:
         assert (await bench.event()).code == "last"
 
 
-async def test_who_has_no_key_reads_as_before() -> None:
+async def test_subscriber_without_a_key_reads_sealed_messages() -> None:
     read: asyncio.Queue[bytes] = asyncio.Queue()
     loop = asyncio.get_running_loop()
     async with opened() as bench:
@@ -245,7 +245,7 @@ async def test_foreign_error_reply_is_counted_and_ends_no_request() -> None:
         await bench.not_sealed(bench.daemon, 1)
 
 
-async def test_what_is_listened_to_is_taken_with_its_seal_only() -> None:
+async def test_listener_receives_only_sealed_messages() -> None:
     """Nobody else on the machine can speak for the daemon whose silence holds the robot."""
     beats: list[int] = []
     async with opened() as bench:
@@ -286,7 +286,7 @@ async def test_failure_returns_sealed_and_other_key_is_unknown_outcome() -> None
         assert bench.asked == asked
 
 
-async def test_what_is_kept_for_late_subscribers_keeps_its_seal() -> None:
+async def test_message_cached_for_late_subscribers_keeps_its_seal() -> None:
     heard: asyncio.Queue[DeviceHealth] = asyncio.Queue()
     async with opened() as bench:
         bench.node.publish("dev/robot/state", DeviceHealth(device="robot", connected=True))

@@ -131,7 +131,7 @@ def test_signed_message_is_taken_once_and_never_if_a_bit_differs(bench: Bench) -
         assert bench.why(signature) == ("repeated" if known else "")
 
 
-def test_what_was_signed_is_taken_for_nothing_else(bench: Bench) -> None:
+def test_signature_holds_only_for_the_signed_message(bench: Bench) -> None:
     signature = bench.sign()
     assert bench.why(signature, payload=PAYLOAD + b" ") == "forged"
     assert bench.why(signature, key=KEY.replace("connect", "disconnect")) == "forged"
@@ -180,7 +180,7 @@ def test_fresh_message_is_taken_and_clock_difference_is_named(bench: Bench) -> N
     assert "Set both clocks" in error.text
 
 
-def test_what_was_sent_before_the_daemon_began_is_not_taken(bench: Bench) -> None:
+def test_message_sent_before_the_daemon_started_is_refused(bench: Bench) -> None:
     signature = bench.sign()
     bench.clock.now += 0.01
     bench.signatures = Signatures(bench.lab.daemon(), bench.clock)

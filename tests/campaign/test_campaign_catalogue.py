@@ -61,7 +61,7 @@ def test_rows_are_chosen_by_class_and_id() -> None:
 
 
 @pytest.mark.parametrize(("classes", "ids", "word"), [(["weather"], [], "weather"), ([], ["Z9", "S3"], "Z9")])
-def test_what_the_catalogue_does_not_have_is_named(classes: list[str], ids: list[str], word: str) -> None:
+def test_unknown_class_or_fault_is_named(classes: list[str], ids: list[str], word: str) -> None:
     with pytest.raises(ConfigurationError, match=word):
         choose(classes, ids)
 
@@ -108,7 +108,7 @@ def test_nothing_is_registered_for_a_fault_that_does_not_exist() -> None:
         fault("Z9", how="by magic")
 
 
-def test_what_was_tried_names_known_ways_attackers_and_proofs() -> None:
+def test_attacks_name_known_ways_attackers_and_proofs() -> None:
     """That the tests are there is looked for in the document that names them."""
     known = attacks()
     for attack in known.attacks:

@@ -128,7 +128,7 @@ async def test_each_fault_has_its_outcome_in_catalogue_order(jobs: int) -> None:
     assert [result.id for result in report.failed] == ["S2", "S5", "S6", "S7"]
 
 
-async def test_what_was_seen_is_said() -> None:
+async def test_observed_response_is_reported() -> None:
     report = await campaign(IDS, [1])
     said = {result.id: result.response for result in report.faults}
     assert said["S2"] == f"It moved. {NASTY}"
@@ -148,7 +148,7 @@ async def test_all_ways_of_a_fault_are_tried_and_one_failure_fails_it() -> None:
     assert (of(report, "S7").response, of(report, "S7").how) == ("not seen", "first way; second way")
 
 
-async def test_what_nothing_injects_is_not_run_and_never_passed() -> None:
+async def test_fault_without_an_injection_is_not_run() -> None:
     report = await campaign(["S14"], [1])
     assert [(result.outcome, result.response) for result in report.faults] == [("not_run", NO_INJECTION)]
 

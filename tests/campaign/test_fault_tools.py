@@ -121,7 +121,7 @@ async def test_a_tool_that_fails_is_not_run() -> None:
         await tool(["false"])
 
 
-def test_what_is_missing_is_named() -> None:
+def test_missing_item_is_named() -> None:
     require([program("sh")])
     with pytest.raises(NotRun, match="missing here: no-such-program, moon;"):
         require([program("sh"), program("no-such-program"), Need("moon", lambda: False)])

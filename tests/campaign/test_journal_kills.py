@@ -64,7 +64,7 @@ async def test_a_row_that_is_not_there_is_a_loss(tmp_path: Path) -> None:
     assert lost_rows(tmp_path / "nowhere.sqlite", "run0", [1], Checked()) == 1
 
 
-async def test_a_chain_that_does_not_go_on_is_seen(tmp_path: Path) -> None:
+async def test_broken_chain_is_detected(tmp_path: Path) -> None:
     await _journal(tmp_path / "journal.sqlite", 3)
     with pytest.raises(JournalError, match="does not continue"):
         lost_rows(tmp_path / "journal.sqlite", "run0", [2], Checked(1, bytes(32)))

@@ -48,7 +48,7 @@ def test_descriptors_and_threads_are_counted() -> None:
 
 @pytest.mark.parametrize("measure", ALLOWED)
 @given(seed=st.integers(0, 100))
-def test_what_wavers_is_flat_and_what_grows_is_not(measure: str, seed: int) -> None:
+def test_wavering_course_is_flat_and_growing_one_is_not(measure: str, seed: int) -> None:
     generator = random.Random(seed)
     allowed = ALLOWED[measure]
     times = [float(number) for number in range(200)]
@@ -58,7 +58,7 @@ def test_what_wavers_is_flat_and_what_grows_is_not(measure: str, seed: int) -> N
     assert not course("daemon", measure, times, growing).flat
 
 
-def test_what_grows_only_while_it_warms_up_is_flat() -> None:
+def test_course_that_grows_only_during_warm_up_is_flat() -> None:
     times = [float(number) for number in range(100)]
     values = [1e8 + min(time, 15.0) * 4e6 for time in times]
     assert course("daemon", "memory", times, values).flat

@@ -118,7 +118,7 @@ def test_insufficient_calibration_is_refused_and_not_written(tmp_path: Path, wor
         assert "rms residual" in run("pivot", file, *words).stdout
 
 
-def test_what_cannot_be_read_ends_with_2(tmp_path: Path) -> None:
+def test_unreadable_file_ends_with_2(tmp_path: Path) -> None:
     (tmp_path / "other.csv").write_text("a,b\n1,2\n")
     for words in (["pivot", str(tmp_path / "none.csv")], ["hand-eye", str(tmp_path / "other.csv")]):
         ended = run(*words)

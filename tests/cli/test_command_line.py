@@ -36,7 +36,7 @@ def _run(*words: str) -> Result:
 @pytest.mark.parametrize(
     "words", [["call", "robot.connect"], ["state"], ["state", "--json"], ["keys"], ["watch"], ["stop"]]
 )
-def test_without_a_daemon_the_status_is_3_and_one_line_says_so(words: list[str], nobody: str) -> None:
+def test_without_a_daemon_the_status_is_3_with_one_error_line(words: list[str], nobody: str) -> None:
     ended = _run(*words, "--endpoint", nobody)
     assert ended.exit_code == 3
     assert ended.stdout == ""

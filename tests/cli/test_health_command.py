@@ -26,7 +26,7 @@ def line(text: str, start: str) -> list[str]:
     return found
 
 
-def test_what_is_well_is_shown_with_its_numbers() -> None:
+def test_healthy_daemon_is_shown_with_its_numbers() -> None:
     text = shown(WELL)
     assert text.startswith("ok: ratms 1.0.0 (0123456789ab), pcmrs 0.1.0, up 1:02:05\n")
     assert "→" not in text

@@ -31,7 +31,7 @@ def offered(choices: Choices, shown: Snapshot, who: Setup) -> tuple[list[Choice]
 
 
 @pytest.mark.parametrize("stage", range(len(STAGES)))
-async def test_what_it_does_not_offer_is_rejected_and_changes_nothing(stage: int) -> None:
+async def test_choice_not_offered_is_rejected_and_changes_nothing(stage: int) -> None:
     async with open_bench() as bench:
         await STAGES[stage](bench)
         choices = Choices(bench.dispatcher.procedure.blueprint)
@@ -54,7 +54,7 @@ async def start() -> tuple[Choices, Snapshot]:
 
 
 @pytest.mark.parametrize("role", ROLES)
-async def test_who_may_command_nothing_is_offered_nothing(start: tuple[Choices, Snapshot], role: Role) -> None:
+async def test_role_that_may_not_command_is_offered_nothing(start: tuple[Choices, Snapshot], role: Role) -> None:
     able, _ = offered(*start, msgspec.structs.replace(setup(), role=role))
     assert bool(able) == (role in COMMANDING)
     if role == "planner":

@@ -97,7 +97,7 @@ async def test_rows_say_who_what_and_why(tmp_path: Path) -> None:
     await journal.close()
 
 
-def test_who_may_not_read_the_journal_sees_what_was_heard() -> None:
+def test_role_without_the_journal_sees_received_messages() -> None:
     verdict = Verdict(id="1", branch="robot", operation="connect", decision="accepted", state="1", sequence=1)
     event = DeviceEvent(device="robot", code="link_lost", text="Gone.")
     decided, lost = heard_only([(1.0, verdict), (2.0, event)])

@@ -133,7 +133,7 @@ def test_without_a_surface_nothing_is_placed() -> None:
 
 
 @pytest.mark.parametrize("text", ["", None, "1 2", "1 2 x", "1 2 3 4", "1 2 nan"])
-def test_what_is_no_point_is_refused(text: str | None) -> None:
+def test_text_that_is_no_point_is_refused(text: str | None) -> None:
     with pytest.raises(GeometryError, match="three numbers"):
         typed_point(text)
 

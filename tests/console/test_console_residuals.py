@@ -42,7 +42,7 @@ def test_each_landmark_shows_its_residual_and_if_it_is_too_large() -> None:
     assert each_in_words(REGISTERED, LIMIT, Texts("de"))[1] == ("left 4.56 mm, über 3.0 mm", False)
 
 
-def test_before_a_registration_nothing_is_said() -> None:
+def test_no_residual_is_shown_before_a_registration() -> None:
     planned = msgspec.structs.replace(REGISTERED, body_ref_from_image=None, residual=None)
     assert mean_in_words(planned, LIMIT, Texts("en")) == ""
     assert each_in_words(planned, LIMIT, Texts("en")) == []

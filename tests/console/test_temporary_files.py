@@ -53,7 +53,7 @@ def test_all_temporary_files_are_its_own_and_its_owners_alone(uploads: Path) -> 
         assert [path.stat().st_mode & 0o777 for path in (uploads, folder)] == [0o700, 0o700]
 
 
-def test_a_folder_that_cannot_be_made_is_told(uploads: Path) -> None:
+def test_folder_that_cannot_be_made_is_an_error(uploads: Path) -> None:
     uploads.touch()
     with pytest.raises(ConfigurationError, match="cannot be made"):
         keep_temporary_files(uploads)

@@ -44,7 +44,7 @@ def test_only_the_router_has_ports_and_devices_have_own_network() -> None:
     assert SERVICES["sim"]["networks"] == ["devices"]
 
 
-def test_who_serves_is_asked_for_its_health() -> None:
+def test_serving_containers_have_health_checks() -> None:
     assert SERVICES["cell"]["healthcheck"]["test"] == ["CMD", "pcmrs", "health"]
     assert SERVICES["router"]["healthcheck"]["test"]
 

@@ -54,7 +54,7 @@ def test_extra_installs_what_it_needs_and_no_developer_tools() -> None:
         assert all(entry in lock and "--hash=sha256:" in entry for entry in entries)
 
 
-def test_what_is_not_locked_ends_with_an_error() -> None:
+def test_extra_that_is_not_locked_is_an_error() -> None:
     with pytest.raises(SystemExit, match="no extra"):
         locked(["everything"])
     with pytest.raises(SystemExit, match="evdev"):

@@ -63,7 +63,7 @@ def test_systemd_has_nothing_to_say_of_a_unit(units: Path, name: str) -> None:
 
 
 @needs_systemd
-def test_a_misspelt_line_would_be_told_in_a_drop_in_too(units: Path) -> None:
+def test_misspelt_line_in_a_drop_in_is_reported(units: Path) -> None:
     (units / "pcmrs.service.d" / "wrong.conf").write_text("[Service]\nIPAdressDeny=any\n")
 
     assert "IPAdressDeny" in analyze("verify", units / "pcmrs.service").stderr

@@ -10,7 +10,7 @@ from pcmrs.bus.settings import BusSettings, Credentials
 FILE = Path(__file__).parents[2] / "deploy" / "router" / "zenohd.json5"
 
 
-def test_zenohd_is_told_what_our_router_tells_zenoh() -> None:
+def test_zenohd_is_configured_as_our_router_configures_zenoh() -> None:
     ours = BusSettings(
         mode="router",
         endpoint="",

@@ -457,7 +457,7 @@ async def test_heartbeats_of_the_previous_daemon_no_longer_count(bench: Bench) -
     assert event.code == "daemon_silent"
 
 
-async def test_no_motion_begins_while_the_daemon_is_not_heard(bench: Bench) -> None:
+async def test_no_motion_starts_while_the_daemon_is_silent(bench: Bench) -> None:
     await bench.clock.advance(10.0)
     asking = asyncio.create_task(bench.robot.follow(TRAJECTORY))
     await settle()

@@ -45,7 +45,7 @@ UNBELIEVED: list[tuple[str, dict[str, Any]]] = [
     "driver",
     [pytest.param(each, marks=pytest.mark.nightly if each == "ndi-serial" else ()) for each in TRACKERS],
 )
-async def test_no_pose_is_believed_until_the_fault_ends(driver: str) -> None:
+async def test_no_pose_is_accepted_until_the_fault_ends(driver: str) -> None:
     clock = SystemClock()
     feed = PoseFeed(clock, MAX_AGE, LIMITS)
 

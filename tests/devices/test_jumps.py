@@ -55,7 +55,7 @@ def test_a_frame_that_is_not_newer_does_not_make_it_steady() -> None:
     assert guard.doubt("coil", 2 * PERIOD, _at(0.5)) == "jump"
 
 
-def test_bodies_taken_for_each_other_are_never_believed_there() -> None:
+def test_swapped_bodies_are_rejected_at_each_others_place() -> None:
     guard, places = JumpGuard(LIMITS), {"coil": _at(0.0), "body_ref": _at(0.4)}
     for body, place in places.items():
         assert set(_doubts(guard, [place] * 3, body)) == {""}
@@ -90,7 +90,7 @@ def test_nothing_is_known_of_a_body_that_was_forgotten() -> None:
 
 
 @given(st.lists(st.floats(-10.0, 10.0), max_size=60))
-def test_no_two_believed_frames_in_succession_are_a_jump_apart(places: list[float]) -> None:
+def test_no_two_accepted_frames_in_succession_are_a_jump_apart(places: list[float]) -> None:
     doubts = _doubts(JumpGuard(LIMITS), [_at(x) for x in places])
     for i in range(1, len(places)):
         if doubts[i] == doubts[i - 1] == "":

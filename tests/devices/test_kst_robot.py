@@ -325,7 +325,7 @@ async def test_a_question_of_the_stream_may_be_refused_too(lab: Lab) -> None:
     assert (await lab.robot.follow(smooth(here, here + 0.05))).outcome == "done"
 
 
-async def test_an_arm_that_is_not_where_it_was_told_to_be_is_held(lab: Lab) -> None:
+async def test_arm_that_is_not_where_it_was_sent_is_held(lab: Lab) -> None:
     following = asyncio.create_task(lab.robot.follow(smooth(START, START + 0.5, 2.0)))
     await lab.moving()
     assert lab.events == []
@@ -505,7 +505,7 @@ class SwingingPeer(Peer):
         return super()._answer(command)
 
 
-async def test_an_arm_that_does_not_come_to_rest_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_arm_that_does_not_come_to_rest_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(drive, "UNSETTLED", 0.5)
     async with laboratory(SwingingPeer()) as lab:
         await lab.robot.connect()

@@ -33,7 +33,7 @@ def test_clocks_that_drift_apart_do_not_make_everything_late() -> None:
     assert worst < 2.2 * WINDOW * 2e-4
 
 
-def test_a_sender_that_begins_anew_is_compared_anew() -> None:
+def test_restarted_sender_is_compared_from_its_first_message() -> None:
     lateness = Lateness()
     lateness.hear(1000.0, 50.0)
     assert lateness.of(10.0, 51.0) > 900.0

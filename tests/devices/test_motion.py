@@ -154,7 +154,7 @@ def test_held_arm_in_contact_moves_only_to_relieve_excess_force(step: float, rel
 
 
 @STEPS
-def test_too_great_a_force_is_relieved_and_told(step: float) -> None:
+def test_excessive_force_is_relieved_and_reported(step: float) -> None:
     sensor = Spring(gap=-0.03)  # 30 N at once
     sensor.look(HOME)
     arm = follower(step, sensor, force_limit=20.0, relief_mm=2.0)

@@ -171,7 +171,7 @@ async def test_absent_server_is_waited_for_and_found_when_it_returns(
     assert f"127.0.0.1:{port}" in logs[0]["server"]
 
 
-async def test_a_server_that_says_nothing_is_connected_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_silent_server_is_reconnected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tracker, "SILENCE", 0.01)
     plus = FakePlus()
     with capture_logs() as logs:
@@ -239,7 +239,7 @@ async def test_the_library_s_own_server_is_understood(library_server: Callable[[
         np.testing.assert_allclose(poses[0].position, POSE.translation, atol=1e-6)
 
 
-async def test_poses_go_on_when_the_clock_of_both_sides_is_set(library_server: Callable[[], Any]) -> None:
+async def test_poses_continue_if_the_clock_of_both_sides_is_set(library_server: Callable[[], Any]) -> None:
     server, clock = library_server(), SetClock()
     feed = PoseFeed(clock, max_age=60.0)
     async with opened(server.server_address[1], clock) as frames:

@@ -167,7 +167,7 @@ def test_older_stamp_after_the_wall_clock_was_set_has_no_effect() -> None:
     assert after[0].captured == pytest.approx(NOW + 0.032 - 0.03, abs=1e-6)
 
 
-def test_frame_numbers_go_on_over_another_connection() -> None:
+def test_frame_numbers_continue_over_another_connection() -> None:
     collected = frames()
     collected.take(BOTH, wire.STAMP, NOW, WALL)
     collected.take(COIL, wire.STAMP + 0.1, NOW, WALL)

@@ -164,7 +164,7 @@ def test_body_that_does_not_match_its_type_is_refused(body: tuple[str, bytes]) -
     assert message.device_name == "B"
 
 
-def test_what_is_no_openigtlink_ends_the_connection() -> None:
+def test_data_that_is_no_openigtlink_ends_the_connection() -> None:
     assert isinstance(read_all(b"GET / HTTP/1.1\r\n" + b"x" * 100)[0], ConnectionError)
     assert isinstance(read_all(b"\0\1" + b"\xff" * 100)[0], ConnectionError)
 

@@ -91,7 +91,7 @@ async def test_a_refusal_says_age_limit_and_why() -> None:
         (_pose(11, quat_wxyz=(math.nan, 0.0, 0.0, 0.0)), "no_pose"),
     ],
 )
-async def test_a_pose_that_cannot_be_believed_is_dropped_and_counted(pose: BodyPose, reason: str) -> None:
+async def test_implausible_pose_is_dropped_and_counted(pose: BodyPose, reason: str) -> None:
     clock, feed = _feed()
     feed.update(_pose(10, position=(1.0, 0.0, 0.0)))
     feed.update(pose)
@@ -115,7 +115,7 @@ async def test_a_frozen_tracker_that_keeps_sending_is_stale() -> None:
 @given(
     st.lists(st.tuples(st.integers(0, 50), st.floats(), st.floats(), st.booleans(), st.floats(-1.5, 1.5)), max_size=40)
 )
-def test_what_is_believed_advances_whatever_arrives(arrivals: list[tuple[int, float, float, bool, float]]) -> None:
+def test_accepted_poses_advance_whatever_arrives(arrivals: list[tuple[int, float, float, bool, float]]) -> None:
     _, feed = _feed()
     believed: list[tuple[int, float]] = []
     for number, captured, sent, valid, w in arrivals:
@@ -150,7 +150,7 @@ async def test_collected_frames_are_new_and_show_all_bodies() -> None:
     assert [frame["coil"].translation[0] for frame in frames] == [4.0, 6.0, 8.0]
 
 
-async def test_frames_that_do_not_come_are_told_with_their_reason() -> None:
+async def test_missing_frames_are_refused_with_their_reason() -> None:
     clock, feed = _feed()
     collecting = asyncio.create_task(feed.collect(["coil", "pointer"], 2, timeout=0.5))
     await settle()
@@ -186,7 +186,7 @@ def test_only_the_newest_frames_are_kept() -> None:
     assert oldest == pytest.approx(np.mean(np.arange(11, HISTORY + 11)))
 
 
-async def test_restarted_tracker_is_trusted_at_once_and_numbers_go_on() -> None:
+async def test_restarted_tracker_is_trusted_and_its_numbers_continue() -> None:
     clock, feed = _feed()
     feed.update(_pose(1000, session="first"))
     await clock.advance(0.1)

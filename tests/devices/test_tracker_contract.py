@@ -119,7 +119,7 @@ async def test_hidden_body_is_invalid_with_a_reason_and_others_are_not(seen: tup
 
 
 @pytest.mark.parametrize("reason", ["out_of_volume", "partially_out", "temperature", "interference"])
-async def test_what_the_tracker_says_of_a_body_is_the_reason(seen: tuple[Frames, Cell], reason: str) -> None:
+async def test_tracker_status_of_a_body_is_the_reason(seen: tuple[Frames, Cell], reason: str) -> None:
     frames, cell = seen
     inject(cell, "not_measured", {"body": "coil", "reason": reason})
     assert (await frames.until(lambda frame: not frame["coil"].valid))["coil"].reason == reason

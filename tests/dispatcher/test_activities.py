@@ -92,7 +92,7 @@ async def test_leaving_the_state_ends_it_and_holds_the_robot(bench: Bench) -> No
     assert not bench.dispatcher.snapshot().latched
 
 
-async def test_what_moves_nothing_is_followed_by_no_hold(bench: Bench) -> None:
+async def test_motionless_activity_is_followed_by_no_hold(bench: Bench) -> None:
     await go(bench, *STAND, "let_go")
     assert (bench.script.log[-1], bench.holds) == ("watch_alignment ends", 0)
 
@@ -176,7 +176,7 @@ async def test_a_motion_that_is_refused_leaves_it_running(bench: Bench) -> None:
     assert (going_on(bench), bench.script.log[-1]) == (["follow_head"], "follow_head begins")
 
 
-async def test_what_moves_nothing_goes_on_during_a_motion(bench: Bench) -> None:
+async def test_motionless_activity_continues_during_a_motion(bench: Bench) -> None:
     await go(bench, *STAND)
     gate = bench.script.hang("placement.withdraw")
     withdraw = await bench.begin("placement.withdraw")
@@ -376,7 +376,7 @@ async def test_its_events_work_while_stop_is_latched(bench: Bench) -> None:
     )
 
 
-async def test_what_it_shows_is_published_when_it_changes(bench: Bench) -> None:
+async def test_values_shown_are_published_when_they_change(bench: Bench) -> None:
     await go(bench, *STAND)
     act, count = bench.script.acting[-1], len(bench.snapshots())
     act.show(error_mm=0.2)

@@ -34,7 +34,7 @@ def asked_by_activities(bench: Bench) -> list[str]:
 
 
 @pytest.mark.parametrize("way", [("stand", "withdraw"), ("let_go",), ("withdraw",)])
-async def test_one_that_was_told_to_end_asks_for_nothing(bench: Bench, way: tuple[str, ...]) -> None:
+async def test_activity_that_was_asked_to_end_sends_no_command(bench: Bench, way: tuple[str, ...]) -> None:
     await go(bench, "approach", "follow", *way)
     assert asked_by_activities(bench) == []
 
@@ -88,7 +88,7 @@ async def test_state_that_outlives_its_activity_is_fail_stop() -> None:
     await bench.dispatcher.close()
 
 
-async def test_a_hold_that_is_not_confirmed_after_stop_is_told_once(bench: Bench) -> None:
+async def test_unconfirmed_hold_after_stop_is_reported_once(bench: Bench) -> None:
     async def hold() -> None:
         bench.holds += 1
         if bench.holds > 1:
@@ -115,7 +115,7 @@ async def test_activity_prevented_by_the_latch_is_not_reported_started(bench: Be
 
 
 @pytest.mark.parametrize("kind", ["step", "activity"])
-def test_what_waits_and_what_does_not_are_registered_as_such(kind: str) -> None:
+def test_step_must_be_plain_and_activity_a_coroutine(kind: str) -> None:
     async def waiting(_run: object) -> None: ...
 
     def at_once(_run: object) -> None: ...

@@ -36,7 +36,7 @@ async def test_a_moved_reference_counts_before_the_arm_stands(bench: Bench) -> N
     assert bench.joint[:2] == ("100", "0")
 
 
-async def test_what_is_not_decided_yet_is_named(bench: Bench) -> None:
+async def test_pending_decisions_are_named(bench: Bench) -> None:
     await bench.go(STANDOFF)
     stands = asyncio.Event()
     bench.hold = stands.wait
@@ -132,7 +132,7 @@ async def test_reports_with_other_arguments_or_devices_wait_separately() -> None
 
 
 @pytest.mark.parametrize("fails", ["listener", "publisher"])
-async def test_stop_stops_although_somebody_who_is_told_fails(bench: Bench, fails: str) -> None:
+async def test_stop_works_although_a_listener_fails(bench: Bench, fails: str) -> None:
     def fail(*_: object) -> None:
         raise RuntimeError("The test wants it to fail.")
 

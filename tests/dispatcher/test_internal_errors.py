@@ -55,7 +55,7 @@ async def test_an_event_that_cannot_be_admitted_ends_no_stop(bench: Bench, monke
     expect_fail_stop(bench)
 
 
-async def test_what_waits_behind_one_that_cannot_be_asked_again(
+async def test_commands_behind_one_that_cannot_be_redecided(
     worldly_bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = worldly_bench
@@ -72,7 +72,7 @@ async def test_what_waits_behind_one_that_cannot_be_asked_again(
     expect_fail_stop(bench)
 
 
-async def test_what_stop_turns_away_and_cannot_be_concluded(
+async def test_commands_rejected_by_stop_that_cannot_be_recorded(
     worldly_bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = worldly_bench

@@ -109,7 +109,7 @@ async def test_stop_holds_although_nothing_can_be_written(bench: Bench) -> None:
     await check_fail_stop(bench, STANDOFF)
 
 
-async def test_what_else_runs_is_stopped_and_what_waits_is_rejected(bench: Bench) -> None:
+async def test_running_commands_are_stopped_and_waiting_ones_rejected(bench: Bench) -> None:
     await bench.go(STANDOFF)
     bench.script.hang("placement.confirm")
     bench.recorder.gates["intent"] = asyncio.Event()
@@ -126,7 +126,7 @@ async def test_what_else_runs_is_stopped_and_what_waits_is_rejected(bench: Bench
     await check_fail_stop(bench, STANDOFF)
 
 
-async def test_what_waits_does_not_begin_after_a_failure(worldly_bench: Bench) -> None:
+async def test_waiting_command_does_not_start_after_a_failure(worldly_bench: Bench) -> None:
     """Although the state would allow it, and its decision could be written."""
     worldly_bench.script.hang("toolplan.plan")
     running = await worldly_bench.begin("toolplan.plan")
@@ -212,7 +212,7 @@ async def test_bug_that_shows_after_the_journal_failed_is_not_resumed(
 
 @pytest.mark.parametrize("name", ["toolplan.plan", "placement.locate"])
 @pytest.mark.parametrize("cancelled", [True, False])
-async def test_broken_recorder_is_fail_stop_and_everybody_is_answered(
+async def test_broken_recorder_is_fail_stop_and_commands_are_answered(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, name: str, cancelled: bool
 ) -> None:
     def decision(*_: object, **__: object) -> asyncio.Future[None]:

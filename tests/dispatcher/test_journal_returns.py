@@ -75,7 +75,7 @@ async def test_a_decision_that_the_disk_has_not_is_as_if_never_asked(bench: Benc
     assert (await bench.do("toolplan.clear", id="clear-1")).decision == "accepted", "a repeat is decided anew"
 
 
-async def test_a_rejection_that_was_not_written_is_decided_anew(bench: Bench) -> None:
+async def test_rejection_that_was_not_written_is_decided_again(bench: Bench) -> None:
     bench.recorder.failing.add("decision")
     assert (await bench.do("robot.connect", id="c1")).decision == "unknown"
     assert reasons(await bench.do("toolplan.plan", id="p1")) == ("rejected", "journal_unavailable")
@@ -118,7 +118,7 @@ async def test_journal_that_fails_again_leaves_commands_refused(bench: Bench) ->
     assert (await bench.do("toolplan.clear")).decision == "accepted"
 
 
-async def test_what_could_not_even_be_looked_up_stays_doubtful(bench: Bench) -> None:
+async def test_outcome_that_could_not_be_looked_up_stays_unknown(bench: Bench) -> None:
     await bench.go(RETRACTED)
     bench.recorder.failing.add("decision")
     await bench.do("placement.approach", id="a1")
@@ -143,7 +143,7 @@ async def test_earlier_acknowledgement_does_not_answer_the_failure(bench: Bench)
     assert bench.dispatcher.snapshot().latched
 
 
-async def test_the_journal_goes_on_with_the_states_that_are(bench: Bench) -> None:
+async def test_journal_continues_with_the_present_states(bench: Bench) -> None:
     """Not with those of the decision that was never written."""
     await bench.go(RETRACTED)
     bench.recorder.failing.add("decision")

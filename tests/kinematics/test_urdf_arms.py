@@ -130,7 +130,7 @@ def test_a_file_is_read_by_its_path(tmp_path: Path) -> None:
         ("</robot>", "", "no XML"),
     ],
 )
-def test_what_is_missing_is_named(old: str, new: str, text: str) -> None:
+def test_missing_item_is_named(old: str, new: str, text: str) -> None:
     assert old in ARM
     with pytest.raises(ConfigurationError, match=text):
         read_urdf(ARM.replace(old, new), "odd")

@@ -82,7 +82,7 @@ def test_mean_of_nothing_is_refused() -> None:
         np.eye(4),
     ],
 )
-def test_what_is_no_rotation_is_refused(matrix: np.ndarray) -> None:
+def test_invalid_rotation_is_refused(matrix: np.ndarray) -> None:
     with pytest.raises(GeometryError):
         Transform(matrix, np.zeros(3))
 

@@ -153,7 +153,7 @@ async def test_the_terminal_is_as_before_after_the_keyboard(monkeypatch: pytest.
         assert termios.tcgetattr(terminal.fileno()) == before
 
 
-async def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_missing_item_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "evdev", None)
     with pytest.raises(ConfigurationError, match="install the extra teleop"), open_device("gamepad", MAPPING):
         pass
