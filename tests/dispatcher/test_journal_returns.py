@@ -168,7 +168,7 @@ async def test_a_state_whose_activity_has_ended_is_left(bench: Bench) -> None:
     assert "watch_alignment ends" in bench.script.log
 
 
-async def test_what_a_device_said_meanwhile_is_taken_in(bench: Bench) -> None:
+async def test_device_event_during_the_failure_is_taken_in(bench: Bench) -> None:
     await bench.go(STANDOFF)
     bench.recorder.failing.add("decision")
     await bench.do("robot.no_such_operation")
@@ -180,7 +180,7 @@ async def test_what_a_device_said_meanwhile_is_taken_in(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("failing", ["decision", "recall"])
-async def test_what_a_device_said_when_the_journal_failed_is_taken_in(bench: Bench, failing: str) -> None:
+async def test_device_event_that_met_the_failure_is_taken_in(bench: Bench, failing: str) -> None:
     """Its report is durable, and the operation on it is the first thing that is not."""
     await bench.go(STANDOFF)
     bench.recorder.failing.add(failing)
@@ -304,7 +304,7 @@ async def test_rows_journalled_as_a_resume_is_cancelled_are_published(bench: Ben
     assert await bench.do("placement.approach", id="a1") == bench.verdicts()[0], "and who asks again hears it"
 
 
-async def test_what_a_user_asked_for_meanwhile_is_not_done_later(bench: Bench) -> None:
+async def test_user_command_during_the_failure_is_not_done_later(bench: Bench) -> None:
     await bench.go(RETRACTED)
     bench.recorder.failing.add("decision")
     await bench.do("robot.no_such_operation")
@@ -316,7 +316,7 @@ async def test_what_a_user_asked_for_meanwhile_is_not_done_later(bench: Bench) -
     assert (bench.script.entered, bench.joint) == ([], RETRACTED)
 
 
-async def test_what_an_earlier_run_left_is_shown_and_keeps_the_latch(bench: Bench) -> None:
+async def test_unknown_outcomes_of_an_earlier_run_keep_the_latch(bench: Bench) -> None:
     lost = UnknownOutcome(command="c", source="bus:local", branch="robot", operation="connect", since=5.0)
     moved = UnknownOutcome(command="d", source="bus:local", branch="placement", operation="home", since=6.0)
     bench.dispatcher.take_up(latched=True, unknown=[lost, moved])

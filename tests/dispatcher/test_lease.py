@@ -61,7 +61,7 @@ async def test_unheld_lease_allows_commands_unless_a_lease_is_required() -> None
 
 @pytest.mark.parametrize("who", ["slicer", "eve"])
 @pytest.mark.parametrize("operation", ["acquire", "take_over"])
-async def test_who_cannot_hold_it_does_not_get_it(who: str, operation: str) -> None:
+async def test_role_that_may_not_hold_it_does_not_get_it(who: str, operation: str) -> None:
     bench = Bench()
     assert code(await do(bench, who, f"lease.{operation}")) == "role_not_allowed"
     assert bench.dispatcher.lease.holder is None
@@ -99,7 +99,7 @@ async def test_its_decisions_are_on_record_and_renewing_is_not_one() -> None:
     ]
 
 
-async def test_who_is_not_heard_loses_it_unless_on_site() -> None:
+async def test_silent_holder_loses_it_unless_on_site() -> None:
     bench = Bench()
     lease = bench.dispatcher.lease
     await do(bench, "anna", "lease.acquire")
@@ -127,7 +127,7 @@ async def test_a_holder_who_is_lost_in_motion_leaves_a_held_robot() -> None:
     assert events, "everybody is told"
 
 
-async def test_what_moves_is_held_when_the_cell_changes_hands() -> None:
+async def test_motion_is_held_when_the_cell_changes_hands() -> None:
     bench = Bench()
     await bench.go(("111", "1", "1", "1", "retracted", "0", "off"))
     bench.script.hang("placement.approach")
@@ -166,7 +166,7 @@ def test_holder_loses_it_only_by_consent_or_to_a_user_on_site(asked: list[tuple[
             assert before.holder == who or (who, operation) == ("local", "take_over")
 
 
-def test_only_roles_that_hold_it_are_heard() -> None:
+def test_only_roles_that_may_hold_it_acquire_it() -> None:
     for role in ROLES:
         lease = Lease(SystemClock())
         command = Command(id="1", branch=LEASE, operation="acquire", source="bus:x", user="x", role=role)

@@ -233,7 +233,7 @@ async def test_waiting_command_takes_the_locks_of_its_later_turn(bench: Bench) -
     assert (await connecting).decision == "accepted"
 
 
-async def test_what_its_parent_forbids_waits_for_the_parent(bench: Bench) -> None:
+async def test_command_barred_by_its_parent_waits_for_the_parent(bench: Bench) -> None:
     gate = bench.script.hang("robot.connect")
     connecting = await bench.begin("robot.connect")
     locating = await bench.begin("placement.locate")
@@ -243,7 +243,7 @@ async def test_what_its_parent_forbids_waits_for_the_parent(bench: Bench) -> Non
     assert (await locating).decision == "accepted"
 
 
-async def test_what_its_parent_would_refuse_waits_for_the_parent() -> None:
+async def test_command_its_parent_would_refuse_waits_for_the_parent() -> None:
     """The parent's operation leaves the branch that waits as it is, so that only the parent's lock keeps it waiting."""
     bench = Bench(TURNING, ["table"])
     assert (await bench.do("table.turn")).decision == "accepted"
@@ -258,7 +258,7 @@ async def test_what_its_parent_would_refuse_waits_for_the_parent() -> None:
     await bench.dispatcher.close()
 
 
-async def test_what_waits_longer_than_its_sender_wanted_is_not_done(worldly_bench: Bench) -> None:
+async def test_waiting_command_expires_after_its_time_to_live(worldly_bench: Bench) -> None:
     gate = worldly_bench.script.hang("toolplan.plan")
     running = await worldly_bench.begin("toolplan.plan")
     waiting = await worldly_bench.begin("toolplan.plan", sent=worldly_bench.clock.wall(), ttl=2.0)
@@ -302,7 +302,7 @@ HARMLESS = [f"{branch}.{name}" for branch in MOTIONLESS for name in USER_OPERATI
 
 
 @given(st.lists(st.sampled_from([*HARMLESS, "robot.connect", "robot.disconnect", "placement.locate"]), max_size=15))
-def test_whatever_is_asked_at_once_everybody_gets_an_answer(names: list[str]) -> None:
+def test_commands_sent_at_once_are_all_answered(names: list[str]) -> None:
     async def ask_all() -> None:
         bench = Bench()
         tasks = [asyncio.create_task(bench.do(name)) for name in names]

@@ -148,7 +148,7 @@ async def test_stop_rejects_a_motion_that_waits(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("name", ["placement.confirm", "teleoperation.engage"])
-async def test_what_moves_or_acts_is_looked_at_in_time_or_refused(bench: Bench, name: str) -> None:
+async def test_command_that_moves_or_acts_is_checked_soon_or_refused(bench: Bench, name: str) -> None:
     joint = STANDOFF if name == "placement.confirm" else ("111", "1", "1", "1", "guided", "0", "off")
     await bench.go(joint)
     bench.script.entered.clear()
@@ -160,7 +160,7 @@ async def test_what_moves_or_acts_is_looked_at_in_time_or_refused(bench: Bench, 
     assert bench.script.entered == []
 
 
-async def test_what_neither_moves_nor_acts_may_begin_late(bench: Bench) -> None:
+async def test_command_that_neither_moves_nor_acts_may_start_late(bench: Bench) -> None:
     arrived = asyncio.get_running_loop().time() - 60.0
     assert (await bench.dispatcher.submit(bench.command("toolplan.plan"), arrived=arrived)).decision == "accepted"
 

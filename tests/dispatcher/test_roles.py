@@ -43,7 +43,7 @@ def test_planner_moves_nothing_and_only_an_operator_unlatches(workflow: str) -> 
                 assert [role for role in ROLES if not refused(spec, role)] == ["operator"], name
 
 
-async def test_what_a_role_may_not_do_changes_nothing_and_is_on_record() -> None:
+async def test_command_of_a_wrong_role_changes_nothing_but_is_recorded() -> None:
     bench = Bench()
     before = bench.dispatcher.snapshot()
     for role in ROLES:

@@ -360,7 +360,7 @@ async def test_fault_08_connected_is_set_on_success_and_reset_on_loss(bench: Ben
     assert not bench.dispatcher.snapshot().flags["robot_connected"]
 
 
-async def test_13_a_restart_begins_anew(bench: Bench) -> None:
+async def test_13_restart_starts_in_the_initial_states(bench: Bench) -> None:
     assert bench.joint == INITIAL
     assert (bench.dispatcher.snapshot().plan, bench.dispatcher.snapshot().registration) == (None, None)
 
@@ -385,7 +385,7 @@ async def test_13_one_commit_where_no_step_touches_the_world(bench: Bench) -> No
     assert bench.recorder.with_intent[verdict.id]
 
 
-async def test_13_nobody_hears_of_a_decision_before_it_is_durable(bench: Bench) -> None:
+async def test_13_decision_is_published_only_when_it_is_durable(bench: Bench) -> None:
     gate = bench.recorder.gates["decision"] = asyncio.Event()
     task = await bench.begin("toolplan.plan")
     assert (task.done(), bench.published, bench.joint) == (False, [], INITIAL)

@@ -25,7 +25,7 @@ def code(verdict: Verdict) -> str:
     return verdict.reason.code
 
 
-async def test_stop_before_the_task_has_begun(bench: Bench) -> None:
+async def test_stop_before_the_task_has_started(bench: Bench) -> None:
     await bench.go(RETRACTED)
     bench.script.entered.clear()
     task = asyncio.create_task(bench.dispatcher.submit(bench.command("placement.approach")))
@@ -211,7 +211,7 @@ async def test_nothing_moves_until_acknowledged(bench: Bench) -> None:
     assert (await bench.do("placement.back_off")).decision == "accepted"
 
 
-async def test_what_is_latched_is_not_told_as_allowed(bench: Bench) -> None:
+async def test_latched_operation_is_not_listed_as_allowed(bench: Bench) -> None:
     await bench.go(HELD)
     await bench.dispatcher.stop("test:operator")
     refused = await bench.do("placement.back_off")
@@ -224,7 +224,7 @@ async def _wait_for(hold: asyncio.Task[bool]) -> bool:
     return await asyncio.shield(hold)
 
 
-async def test_who_gives_up_ends_the_hold_of_nobody_else() -> None:
+async def test_cancelled_caller_does_not_end_the_hold_of_others() -> None:
     stands = asyncio.Event()
 
     async def standing(_latch: bool) -> None:
@@ -310,7 +310,7 @@ async def test_an_event_without_danger_is_journalled_and_stops_nothing(bench: Be
     assert not bench.dispatcher.snapshot().latched
 
 
-async def test_what_a_device_says_starts_no_operation_of_users(bench: Bench) -> None:
+async def test_device_event_starts_no_operation_of_users(bench: Bench) -> None:
     """Whatever its code is: only operations that are declared as events follow from it."""
     await bench.go(STANDOFF)
     bench.script.entered.clear()

@@ -28,7 +28,7 @@ async def test_commands_are_rejected_without_a_row_and_later_redecided(bench: Be
     assert bench.joint == STANDOFF
 
 
-async def test_stop_events_and_what_runs_go_on(bench: Bench) -> None:
+async def test_stop_events_and_running_commands_continue(bench: Bench) -> None:
     await bench.go(RETRACTED)
     rows = len(bench.recorder.rows)
     bench.dispatcher.suspend(FULL)

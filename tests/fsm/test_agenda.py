@@ -64,7 +64,7 @@ def test_a_tour_ends_and_says_what_is_left(blueprint: Blueprint, rng: Random, ne
     assert not seen & world.never
 
 
-def test_what_is_never_wanted_again_is_walked_over_no_more() -> None:
+def test_dropped_move_is_never_walked_again() -> None:
     here, there = ("a",), ("b",)
     way = Move(branch="x", operation="go", ending="done", before=here, after=there)
     goal = Move(branch="x", operation="stay", ending="done", before=there, after=there)

@@ -216,7 +216,7 @@ def test_a_revocation_takes_children_of_every_level_along() -> None:
     assert change.states == {"top": "a", "mid": "m0", "leaf": "l0", "watch": "loud"}
 
 
-def test_what_has_no_steps_cannot_fail() -> None:
+def test_operation_without_steps_cannot_fail() -> None:
     engine = Engine(parse_blueprint(THREE_LEVELS))
     for ending in ("failed", "unknown", "elsewhere"):
         with pytest.raises(KeyError):

@@ -146,7 +146,7 @@ def test_newly_rejected_joint_states_match_the_specification() -> None:
     assert difference.text == f"placement.home: no longer accepted in 8 joint states: {where}"
 
 
-def test_a_new_state_that_is_reached_is_said() -> None:
+def test_new_reachable_state_is_reported() -> None:
     branch = RATMS.branches["toolplan"]
     states = {**branch.states, "2": "planned twice"}
     operations = {**branch.operations, "again": OperationSpec(from_=["1"], to="2")}

@@ -44,7 +44,7 @@ def test_stop_bars_patient_contact_and_one_operation_unlatches(cell: Engine) -> 
     assert cell.blueprint.unlatching == ["safety.acknowledge"]
 
 
-def test_after_the_sample_nothing_is_begun_again_by_itself(cell: Engine) -> None:
+def test_after_the_sample_nothing_starts_again_by_itself(cell: Engine) -> None:
     perform(cell, *WAY_IN, *INSERTION, "procedure.take_sample")
     for refused in ("register", "plan_path", "align", "insert", "take_sample", "reinit", "withdraw_guide"):
         assert not is_accepted(cell, f"procedure.{refused}"), refused

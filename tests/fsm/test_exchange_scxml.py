@@ -161,7 +161,7 @@ UNSUPPORTED = """<?xml version="1.0"?>
 """
 
 
-def test_what_is_not_supported_is_named_with_its_line_and_column() -> None:
+def test_unsupported_scxml_is_named_with_line_and_column() -> None:
     blueprint, findings = from_scxml(UNSUPPORTED.encode(), "chart.scxml")
     assert blueprint is None
     assert {f.code for f in findings} == {"not_supported"}

@@ -103,7 +103,7 @@ def test_activity_exposes_if_it_moves_the_robot_or_treats() -> None:
         ({"affects_patient": True, "requires": {"registration": ["111"]}}, {"1"}),
     ],
 )
-def test_what_an_operation_declares_decides(declared: dict[str, Any], exposed: set[str]) -> None:
+def test_declarations_of_an_operation_decide_its_exposure(declared: dict[str, Any], exposed: set[str]) -> None:
     ratms = load_blueprint(SHIPPED / "ratms.toml")
     assert exposing(with_operation(ratms, "toolplan", "plan", **declared), "toolplan") == exposed
 

@@ -52,13 +52,13 @@ FAULTS: dict[str, tuple[str, str]] = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_what_cannot_be_meant_is_refused(fault: str) -> None:
+def test_contradictory_hazard_marks_are_refused(fault: str) -> None:
     old, new = FAULTS[fault]
     codes = {code for code, _ in found(PLAIN.replace(old, new))}
     assert codes == {"bad_operation"}
 
 
-def test_what_is_allowed_again_must_be_there() -> None:
+def test_operation_to_allow_again_must_exist() -> None:
     assert found(PLAIN.replace('["sample"]', '["stitch"]')) == [("unknown_operation", None)]
 
 

@@ -47,7 +47,7 @@ def test_old_name_is_accepted_with_a_warning_naming_the_new_one() -> None:
     assert not examine((PUMP % "affects_patient = true").encode()).warnings
 
 
-def test_verify_shows_the_warning_and_says_sound(tmp_path: Path) -> None:
+def test_verify_shows_the_warning_and_reports_sound(tmp_path: Path) -> None:
     file = tmp_path / "pump.toml"
     file.write_text(PUMP % "acts = true")
     result = CliRunner().invoke(main, ["fsm", "verify", str(file)])
@@ -77,7 +77,7 @@ def test_moves_alone_is_an_approach_and_is_barred_if_latched() -> None:
     assert (start.moves, start.motion, start.blocked_when_latched) == (True, "approach", True)
 
 
-def test_what_is_implied_is_not_written_and_what_is_not_is() -> None:
+def test_implied_keys_are_not_written_and_others_are() -> None:
     implied = parse_blueprint((PUMP % "affects_patient = true").encode())
     barred = parse_blueprint((PUMP % "blocked_when_latched = true").encode())
     assert "blocked_when_latched" not in blueprint_toml(implied)

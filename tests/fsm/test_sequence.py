@@ -155,7 +155,7 @@ def test_expanding_twice_changes_nothing() -> None:
         ({"items": ["a"], "repeat": {"steps": "x"}}, "repeat", "array"),
     ],
 )
-def test_what_cannot_be_written_out_is_named(sequence: dict[str, Any], path: str, word: str) -> None:
+def test_invalid_sequence_is_refused_with_its_place(sequence: dict[str, Any], path: str, word: str) -> None:
     with pytest.raises(SequenceError) as raised:
         expand(with_sequence(sequence))
     assert raised.value.path == ("branches", "mapping", "sequence", *filter(None, path.split(".")))

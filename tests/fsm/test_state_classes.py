@@ -175,7 +175,7 @@ def test_classes_that_contradict_the_blueprint_are_refused(monkeypatch: pytest.M
         StateSet(msgspec.structs.replace(later, branches={"robot": changed}))
 
 
-def test_what_the_classes_say_decides_also_in_a_cascade(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_state_classes_decide_also_in_a_cascade(monkeypatch: pytest.MonkeyPatch) -> None:
     """One path: were a class changed, the engine would do as the class says, not as the blueprint says."""
     monkeypatch.setattr(StateSet, "_check_answers", lambda *_: None)
     source = source_of(RATMS).replace(

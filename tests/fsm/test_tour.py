@@ -86,7 +86,7 @@ def test_random_workflows_are_toured_completely(blueprint: Blueprint) -> None:
     assert {move for move, _ in done} == set(tour.wanted)
 
 
-def test_what_cannot_be_gone_back_from_costs_a_restart() -> None:
+def test_state_without_a_way_back_costs_a_restart() -> None:
     step = {"from_": ["start"], "steps": ["work"]}
     operations = {way: OperationSpec(to=way, **step) for way in ("left", "right")}  # type: ignore[arg-type]
     states = dict.fromkeys(("start", "left", "right"), "")

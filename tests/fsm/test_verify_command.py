@@ -59,7 +59,7 @@ def test_the_limit_can_be_set_and_standard_input_read() -> None:
 
 
 @pytest.mark.parametrize("given", [b"", b"\xff", b"id = 1", b"[" * 10_000])
-def test_what_is_no_workflow_is_unreadable(given: bytes) -> None:
+def test_file_that_is_no_workflow_is_unreadable(given: bytes) -> None:
     result = run("-", given=given)
     assert result.exit_code == 2
     assert "<stdin>: unreadable: 1 finding" in result.stdout

@@ -166,7 +166,7 @@ def test_denials_that_have_no_reason_are_found(blueprint: Blueprint) -> None:
 
 @examples(40)
 @given(blueprints())
-def test_what_is_never_used_is_found(blueprint: Blueprint) -> None:
+def test_unused_states_and_operations_are_found(blueprint: Blueprint) -> None:
     if cut_short(blueprint):
         return
     everywhere = [states for found in joint_states(blueprint).values() for states in found]

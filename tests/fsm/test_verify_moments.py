@@ -105,7 +105,7 @@ def check_moments(blueprint: Blueprint, observed: frozenset[str]) -> None:
 
 @examples(40)
 @given(blueprints(), st.data())
-def test_what_its_locks_protect_need_not_be_searched(blueprint: Blueprint, data: st.DataObject) -> None:
+def test_operations_protected_by_locks_need_no_search(blueprint: Blueprint, data: st.DataObject) -> None:
     """Only operations that are called strandable can be found where they are denied."""
     runs = Runs(Space(blueprint, 10_000))
     for branch, spec in blueprint.branches.items():
@@ -136,7 +136,7 @@ def test_conditions_hold_at_the_same_moments(blueprint: Blueprint, data: st.Data
 
 @examples(60)
 @given(blueprints(), st.data())
-def test_what_it_leads_to_and_by_the_shortest_way(blueprint: Blueprint, data: st.DataObject) -> None:
+def test_leads_to_is_violated_by_the_shortest_way(blueprint: Blueprint, data: st.DataObject) -> None:
     observed = some_operations(blueprint, data)
     branch = data.draw(st.sampled_from(list(blueprint.branches)))
     state = data.draw(st.sampled_from(list(blueprint.branches[branch].states)))

@@ -97,7 +97,7 @@ def test_without_a_way_off_the_body_a_held_tool_stays_there() -> None:
     assert set(violated(changed(keep))) == {"held_leads_to_retracted"}
 
 
-def test_what_nothing_leads_to_is_not_reachable() -> None:
+def test_state_that_nothing_leads_to_is_unreachable() -> None:
     blueprint = changed(lambda b: b["placement"]["operations"]["confirm"].update(to="standoff"))
     assert set(violated(blueprint)) == {"placed_reachable"}
 

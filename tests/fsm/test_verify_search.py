@@ -112,7 +112,7 @@ def test_a_code_means_the_combination_it_was_made_of(sizes: list[int], data: st.
 
 
 @pytest.mark.parametrize("limit", [1, 2, 3])
-def test_beyond_the_limit_it_says_so_and_nothing_else(limit: int) -> None:
+def test_search_beyond_the_limit_reports_only_that(limit: int) -> None:
     blueprint = free(4, 2)
     found = verify(blueprint, limit=limit).findings
     assert [finding.code for finding in found] == ["too_many_states"]

@@ -19,7 +19,7 @@ from pcmrs.hosts import is_loopback
 from pcmrs.testing.clock import settle
 
 
-async def test_what_is_refused_to_a_client_without_verdicts_is_logged(cell: Any) -> None:
+async def test_refusal_to_a_client_without_verdicts_is_logged(cell: Any) -> None:
     cell.core.refusals["approach"] = "not_registered"
     with capture_logs() as logged:
         await cell.tell("execute_motionxx;")

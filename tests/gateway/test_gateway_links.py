@@ -295,7 +295,7 @@ async def test_refinement_is_acknowledged_without_a_second_datagram(cell: Any) -
     assert cell.replies.received.empty()
 
 
-async def test_a_refused_refinement_is_told_with_its_reason(cell: Any) -> None:
+async def test_refused_refinement_is_answered_with_its_reason(cell: Any) -> None:
     cell.core.refusals["refine"] = "unknown_surface"
     assert await cell.ask("icp_registerxxxx_/m/no.stl_#1;") == "1_rejected_registration_000_unknown_surface;"
 
@@ -326,7 +326,7 @@ async def test_bad_datagrams_are_counted_and_change_nothing(cell: Any) -> None:
     assert cell.replies.received.empty()
 
 
-async def test_what_the_gateway_itself_refuses_is_told_with_its_reason(cell: Any) -> None:
+async def test_refusal_by_the_gateway_is_reported_with_its_reason(cell: Any) -> None:
     assert (await cell.ask("target_tslxxxxxx_0_0_0.1_#5;")).endswith("_no_rotation;")
     (event,) = cell.core.events
     assert event.fields == {"count": 1, "source": f"udp:planner:127.0.0.1:{cell.client.port}", "reason": "no_rotation"}
@@ -416,7 +416,7 @@ def test_only_loopback_peers_may_be_listed() -> None:
         GatewayConfig(unsigned_peers=("192.0.2.1",))
 
 
-async def test_a_port_in_use_is_told(cell: Any, tmp_path: Path) -> None:
+async def test_port_in_use_is_an_error(cell: Any, tmp_path: Path) -> None:
     config = GatewayConfig(planner=LinkConfig(port=cell.planner[1]))
     with pytest.raises(ConfigurationError, match="cannot be bound"):
         async with open_gateway(FakeCore(), config, ManualClock(), tmp_path):

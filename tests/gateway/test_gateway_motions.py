@@ -39,7 +39,7 @@ async def test_motion_during_another_is_acknowledged_but_refused(cell: Any, seco
     assert len(cell.core.operations) > 1
 
 
-async def test_what_does_not_move_runs_beside_a_motion(cell: Any) -> None:
+async def test_motionless_command_runs_beside_a_motion(cell: Any) -> None:
     """The daemon decides whether it may: behind a motion in the gateway a plan would change what the tool goes to."""
     cell.core.gates["approach"].clear()
     await cell.tell("execute_motionxx;")

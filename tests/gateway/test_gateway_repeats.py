@@ -64,7 +64,7 @@ async def test_forgotten_command_that_would_now_differ_runs_nothing(cell: Any, b
     assert cell.core.operations == ran
 
 
-async def test_ids_start_anew_with_each_opening(cell: Any, tmp_path: Any) -> None:
+async def test_ids_are_forgotten_at_each_opening(cell: Any, tmp_path: Any) -> None:
     async with open_gateway(cell.core, cell.config, cell.clock, tmp_path) as gateway:
         await cell.ask("rob_conn_onxxxxx_#1;", gateway.addresses["planner"])
     await cell.ask("rob_conn_onxxxxx_#1;")

@@ -85,7 +85,7 @@ async def test_poses_are_sent_in_mm_by_the_names_of_plus(room: Room) -> None:
     np.testing.assert_allclose(tip.matrix[:3, 3], [100.0, 200.0, 300.0])
 
 
-async def test_what_is_sent_is_openigtlink_byte_by_byte(room: Room) -> None:
+async def test_sent_messages_are_openigtlink_byte_by_byte(room: Room) -> None:
     assert room.core.target is not None
     expected, found = matrix_mm(room.core.target), dict[str, bytes]()
     while {"TargetToImage", "PcmrsLine", "PcmrsStatus"} - set(found):
@@ -107,14 +107,14 @@ async def test_what_is_sent_is_openigtlink_byte_by_byte(room: Room) -> None:
         assert found[name][42:] == oracle[42:]
 
 
-async def test_what_is_not_seen_is_not_sent(room: Room) -> None:
+async def test_unseen_body_is_not_sent(room: Room) -> None:
     room.core.bodies, room.core.target, room.core.pose = {"coil": SEEN["coil"]}, None, None
     await room.slicer.status(1)  # from before or after the change
     await room.slicer.names(60)
     assert await room.slicer.names(60) <= {"CoilToTracker", "PcmrsStatus"}
 
 
-async def test_without_a_registration_nothing_is_told_in_the_image(room: Room) -> None:
+async def test_without_a_registration_nothing_is_sent_in_the_image(room: Room) -> None:
     room.core.registered = room.core.target = None
     await room.slicer.names(60)
     names = await room.slicer.names(60)
@@ -186,7 +186,7 @@ async def test_landmarks_are_planned_in_metres(room: Room) -> None:
     np.testing.assert_allclose([landmark["position"] for landmark in found], np.array(LANDMARKS_MM) * 1e-3)
 
 
-async def test_what_slicer_sends_again_is_submitted_once(room: Room) -> None:
+async def test_plan_that_slicer_resends_is_submitted_once(room: Room) -> None:
     data = wire.transform(TARGET, planned_mm()) + wire.points("Landmarks", LANDMARKS_MM, FACES)
     for sent in range(1, 6):
         room.slicer.send(data)
@@ -231,7 +231,7 @@ BAD_TARGETS = {
 
 
 @pytest.mark.parametrize("bad", BAD_TARGETS)
-async def test_what_is_no_target_is_refused_with_the_reason(room: Room, bad: str) -> None:
+async def test_invalid_target_is_refused_with_the_reason(room: Room, bad: str) -> None:
     matrix, code = BAD_TARGETS[bad]
     room.slicer.send(wire.transform(TARGET, matrix))
     assert (await room.slicer.verdict()).startswith(f"rejected toolplan.plan {code}: ")
@@ -251,7 +251,7 @@ async def test_what_is_no_target_is_refused_with_the_reason(room: Room, bad: str
         ([*LANDMARKS_MM, (0.0, math.inf, 0.0)], "not_finite"),
     ],
 )
-async def test_what_are_no_landmarks_is_refused(room: Room, positions: Any, code: str) -> None:
+async def test_invalid_landmarks_are_refused(room: Room, positions: Any, code: str) -> None:
     room.slicer.send(wire.points("Landmarks", positions, [""] * len(positions)))
     assert (await room.slicer.verdict()).startswith(f"rejected registration.plan_landmarks {code}: ")
     assert room.core.commands == []
@@ -353,7 +353,7 @@ async def test_a_damaged_message_is_counted_and_changes_nothing(room: Room) -> N
     assert len(room.core.commands) == 1
 
 
-async def test_what_is_no_openigtlink_ends_that_connection_only(room: Room) -> None:
+async def test_data_that_is_no_openigtlink_ends_only_its_connection(room: Room) -> None:
     stranger = await Slicer.connect(room.address)
     stranger.send(b"GET / HTTP/1.1\r\n" + b"x" * 100)
     with pytest.raises((asyncio.IncompleteReadError, ConnectionError)):
@@ -398,7 +398,7 @@ async def test_link_off_loopback_shows_but_takes_no_commands(tmp_path: Path) -> 
     assert (core.commands, core.stops) == ([], [])
 
 
-async def test_a_port_in_use_is_told(room: Room, tmp_path: Path) -> None:
+async def test_port_in_use_is_an_error(room: Room, tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"OpenIGTLink port .* cannot be bound"):
         async with opened(tmp_path, port=room.address[1]):
             pass

@@ -87,7 +87,7 @@ def test_only_what_has_grown_is_taken(key_file: Path, counters: list[int]) -> No
 
 
 @given(st.integers(0, 200))
-def test_what_is_cut_off_is_refused(key_file: Path, length: int) -> None:
+def test_truncated_signature_is_refused(key_file: Path, length: int) -> None:
     datagram = Signer("planner", read_key(key_file), lambda: 41).sign(b"icp_registerxxxx_a.stl_#1;")
     kept = datagram[: length % len(datagram)]
     assert split(kept) is None
@@ -111,7 +111,7 @@ def test_what_is_cut_off_is_refused(key_file: Path, length: int) -> None:
         b"|planner|1|" + b"0" * 32 + b";",
     ],
 )
-def test_what_only_looks_like_a_signature_is_none(signature: bytes) -> None:
+def test_text_that_resembles_a_signature_is_none(signature: bytes) -> None:
     assert split(b"stop_now_xxxxxxx;" + signature) is None
     with pytest.raises(PayloadError):
         parse(b"stop_now_xxxxxxx;" + signature)
@@ -141,7 +141,7 @@ def test_counters_grow_across_restarts_of_a_client() -> None:
 @pytest.mark.parametrize(
     ("name", "key"), [("a;b", bytes(32)), ("", bytes(32)), ("a" * 33, bytes(32)), ("a", bytes(31))]
 )
-def test_what_cannot_be_a_peer_does_not_sign(name: str, key: bytes) -> None:
+def test_invalid_peer_cannot_sign(name: str, key: bytes) -> None:
     with pytest.raises(PayloadError):
         Signer(name, key)
     with pytest.raises(ValueError, match="has"):
@@ -196,7 +196,7 @@ def test_every_flipped_bit_of_an_answer_is_refused(place: int) -> None:
 
 
 @pytest.mark.parametrize("maker", ["ours", "reference"])
-def test_what_is_no_answer_to_this_run_is_refused(maker: str) -> None:
+def test_answer_to_another_run_is_refused(maker: str) -> None:
     made = (Signer if maker == "ours" else reference().Signer)("planner", bytes(32), count(5).__next__)
     made.sign(b"stop_now_xxxxxxx;")
     made.sign(b"stop_now_xxxxxxx;")

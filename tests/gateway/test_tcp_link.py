@@ -181,7 +181,7 @@ def test_connection_reset_before_it_is_taken_disturbs_nobody(tmp_path: Path) -> 
         runner.run(serve())
 
 
-async def test_who_has_to_sign_and_is_silent_loses_its_place(tmp_path: Path) -> None:
+async def test_silent_peer_that_must_sign_loses_its_connection(tmp_path: Path) -> None:
     async with open_room(tmp_path, {"planner": peer(tmp_path, "planner")}, host="0.0.0.0") as room:
         reader, writer = await asyncio.open_connection(*room.tcp)
         signed, signed_writer = await asyncio.open_connection(*room.tcp)

@@ -220,7 +220,7 @@ async def test_nobody_acknowledges_while_a_hold_does_not_answer(
             signal_node(node, signal.SIGCONT)
 
 
-async def test_a_request_of_somebody_who_is_no_daemon_moves_nothing(tmp_path: Path) -> None:
+async def test_device_request_not_from_the_daemon_moves_nothing(tmp_path: Path) -> None:
     with running_daemon(own_settings(tmp_path), tmp_path) as daemon:
         async with daemon.client() as client:
             await register(client)

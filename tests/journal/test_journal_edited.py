@@ -105,7 +105,7 @@ def test_a_journal_that_calls_itself_older_still_needs_its_head(path: Path, kind
 
 @pytest.mark.parametrize("change", ["branch = 'placement'", "wall = 0.0", "source = 'else'"])
 @pytest.mark.parametrize("sequence", [9, 10])
-def test_a_row_entered_under_other_keys_is_told(path: Path, change: str, sequence: int) -> None:
+def test_row_entered_under_other_keys_is_detected(path: Path, change: str, sequence: int) -> None:
     edit(path, f"UPDATE journal SET {change} WHERE sequence = {sequence}")
     check_told(path, sequence, "is entered under other keys")
 
@@ -122,7 +122,7 @@ def make_index(path: Path, name: str, condition: str) -> None:
 
 
 @pytest.mark.parametrize(("kind", "sequence"), [("intent", 7), ("outcome", 8)])
-def test_a_row_that_its_index_has_lost_is_told(path: Path, kind: str, sequence: int) -> None:
+def test_row_missing_in_its_index_is_detected(path: Path, kind: str, sequence: int) -> None:
     """A repeat of its command would run a second time."""
     make_index(path, f"one_{kind}", f"AND sequence <> {sequence}")
     check_told(path, sequence, "is not found by its command")

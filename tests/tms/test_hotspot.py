@@ -214,7 +214,7 @@ def test_what_is_no_amplitude_is_refused(method: HotspotMethod, amplitude: float
     assert refused.value.refusal_code == "bad_amplitude"
 
 
-def test_what_is_no_pose_is_refused() -> None:
+def test_invalid_pose_is_refused() -> None:
     for pose in (
         PoseMessage(position=(0.0, math.nan, 0.0), quat_wxyz=(1.0, 0.0, 0.0, 0.0)),
         PoseMessage(position=(0.0, 0.0, 0.0), quat_wxyz=(0.0, 0.0, 0.0, 0.0)),
