@@ -202,7 +202,7 @@ def test_the_folder_is_the_users_unless_it_is_given(monkeypatch: pytest.MonkeyPa
     assert read_settings().cell.path() == tmp_path / "home" / ".local" / "state" / "pcmrs" / "lab-cell1"
 
 
-def test_the_daemon_is_the_router_and_everybody_else_a_client() -> None:
+def test_daemon_is_the_router_and_all_others_are_clients() -> None:
     settings = read_settings(None, ["cell.site=clinic", "cell.name=two"])
     router, client = settings.bus("router"), settings.bus("client")
     assert (router.mode, client.mode) == ("router", "client")

@@ -101,7 +101,7 @@ def test_a_command_says_what_to_install(words: tuple[str, ...], extra: str) -> N
     assert "Traceback" not in done.stderr
 
 
-def test_a_command_that_needs_posix_says_so() -> None:
+def test_command_that_needs_posix_is_refused_with_the_reason() -> None:
     done = run_pcmrs(WINDOWS, "serve")
     assert done.returncode == 4
     assert "run it on Linux" in done.stderr

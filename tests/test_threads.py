@@ -57,7 +57,7 @@ def test_processes_sharing_a_processor_wait_and_add_to_the_load() -> None:
             child.communicate(b"\n")
 
 
-def test_a_full_collection_looks_at_little_of_what_was_loaded() -> None:
+def test_full_collection_scans_few_of_the_loaded_objects() -> None:
     """In a process of its own: it changes the interpreter."""
     program = "import gc, scipy.optimize\nfrom pcmrs.threads import keep_pauses_short\nprint(len(gc.get_objects()))\n"
     program += "keep_pauses_short()\nprint(len(gc.get_objects()))"

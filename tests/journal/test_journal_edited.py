@@ -128,7 +128,7 @@ def test_row_missing_in_its_index_is_detected(path: Path, kind: str, sequence: i
     check_told(path, sequence, "is not found by its command")
 
 
-def test_an_index_with_more_than_the_rows_is_told_by_verify(path: Path) -> None:
+def test_index_with_too_many_rows_is_detected_by_verify(path: Path) -> None:
     make_index(path, "one_intent", "OR kind = 'event'")
     found = verify(path)
     assert (found.first_bad, found.rows) == (None, 18)
@@ -150,7 +150,7 @@ def test_missing_guard_is_reported_although_all_rows_are_sound(path: Path, guard
 @pytest.mark.parametrize(
     "record", [(0, b"", b"", b""), ("1", b"", b"", b""), (1, None, b"", b""), (1, b"", "text", b""), (1, b"", b"", 5)]
 )
-def test_what_no_row_holds_is_told(record: tuple[Any, ...]) -> None:
+def test_record_with_wrong_types_is_an_error(record: tuple[Any, ...]) -> None:
     """As a damaged page may have it, whatever the table allows."""
     with pytest.raises(JournalError, match="does not hold what a row holds"):
         stored_row(Path("journal.sqlite"), record)

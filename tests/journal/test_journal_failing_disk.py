@@ -126,7 +126,7 @@ def test_after_an_error_of_the_disk_what_it_has_is_found_out(tmp_path: Path, suf
 
 
 @needs_strace
-def test_while_the_disk_goes_on_failing_nothing_is_acknowledged(tmp_path: Path) -> None:
+def test_nothing_is_acknowledged_while_the_disk_fails(tmp_path: Path) -> None:
     path = tmp_path / "journal.sqlite"
     found = run(path, ".head", "fdatasync:error=EIO:when=3+")
     assert "cannot be written" in found["reopened"]
@@ -237,7 +237,7 @@ async def test_acknowledged_rows_missing_on_disk_are_reported_as_lost(tmp_path: 
     await journal.close()
 
 
-async def test_what_would_wait_too_long_is_refused_and_harms_nothing(tmp_path: Path) -> None:
+async def test_rows_beyond_the_queue_are_refused_and_harm_nothing(tmp_path: Path) -> None:
     path = tmp_path / "journal.sqlite"
     journal = Journal.open(path)
     locker = sqlite3.connect(path, isolation_level=None)

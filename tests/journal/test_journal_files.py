@@ -49,7 +49,7 @@ def test_file_is_synchronised_before_and_after_it_gets_its_name(
     assert as_part[0] + 1 in named
 
 
-def test_what_could_not_be_written_leaves_nothing(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_write_leaves_no_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(_descriptor: int) -> None:
         raise OSError(28, "No space left on device")
 
@@ -59,7 +59,7 @@ def test_what_could_not_be_written_leaves_nothing(path: Path, monkeypatch: pytes
     assert list(path.parent.iterdir()) == []
 
 
-def test_what_is_read_after_a_failure_comes_from_the_disk(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reads_after_a_failure_come_from_the_disk(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The kernel forgets that it could not write, and shows what it would have written."""
     asked: list[tuple[str, str]] = []
     monkeypatch.setattr(os, "fsync", lambda descriptor: asked.append(("take", _name(descriptor))))

@@ -141,7 +141,7 @@ def test_start_reads_the_newest_file_and_compares_its_first_row(path: Path) -> N
         JournalWriter(path, durable=False)
 
 
-def test_a_tail_cut_from_an_earlier_file_is_told(path: Path) -> None:
+def test_tail_cut_from_an_earlier_file_is_detected(path: Path) -> None:
     write(path, 8)
     edit(path, "DELETE FROM journal WHERE sequence = 3")
     found = verify(path)
@@ -167,7 +167,7 @@ def test_missing_last_file_is_a_loss_of_acknowledged_rows(path: Path) -> None:
     assert verify(path).missing > 0
 
 
-def test_a_file_that_somebody_else_has_made_is_refused(path: Path) -> None:
+def test_file_of_another_journal_is_refused(path: Path) -> None:
     write(path, 2)
     other = path.with_name("other.sqlite")
     write(other, 4)
@@ -199,7 +199,7 @@ def killed_at(path: Path, failpoint: str) -> list[int]:
 
 @pytest.mark.parametrize("name", OF_GROWTH)
 @pytest.mark.parametrize("growth", [1, 2])
-async def test_a_kill_while_a_file_is_begun_loses_no_acknowledged_row(path: Path, name: str, growth: int) -> None:
+async def test_kill_while_a_file_is_started_loses_no_acknowledged_row(path: Path, name: str, growth: int) -> None:
     acknowledged = killed_at(path, f"{name}:{growth}")
     assert acknowledged
 
@@ -215,7 +215,7 @@ async def test_a_kill_while_a_file_is_begun_loses_no_acknowledged_row(path: Path
     assert len(journal_files(path)) == growth + (name != "journal.before_next_file")
 
 
-def test_a_power_cut_that_also_tears_the_head_is_taken_up(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_journal_is_resumed_after_a_power_cut_tears_its_head(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Then the head names a row of the earlier file, and not its last one."""
     writer = JournalWriter(path, durable=False, largest=SMALL)
     for _ in range(EVERY):

@@ -66,7 +66,7 @@ def test_rows_added_without_the_key_are_refused_from_the_first(path: Path, numbe
     check_refused(path, 19, "Somebody without the key")
 
 
-async def test_the_same_rows_are_taken_up_where_a_crash_has_left_them(path: Path) -> None:
+async def test_unnamed_rows_with_macs_are_adopted_after_a_crash(path: Path) -> None:
     rows: list[JournalRow] = [row(), outcome("late")]
     leave_unnamed(path, rows)
     assert verify(path).unnamed == 2

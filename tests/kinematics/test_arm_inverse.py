@@ -63,7 +63,7 @@ def test_a_posture_at_a_limit_is_left_for_a_better_one(arm: ArmModel) -> None:
     assert np.linalg.norm(found - q) < 1.0
 
 
-def test_the_elbow_keeps_away_from_where_it_is_told(arm: ArmModel) -> None:
+def test_elbow_keeps_away_from_a_sphere(arm: ArmModel) -> None:
     target = arm.forward(READY)
     elbow, wrist = arm.origins(READY)[[3, 5]]
     sphere = (*(0.7 * elbow + 0.3 * wrist), 0.05)
@@ -121,7 +121,7 @@ def test_the_margin_is_kept(arm: ArmModel) -> None:
         assert np.all(found <= arm.upper - margin)
 
 
-def test_what_is_out_of_reach_says_how_far(arm: ArmModel) -> None:
+def test_unreachable_pose_is_refused_with_its_distance(arm: ArmModel) -> None:
     far = Transform(np.eye(3), np.array((0.0, 0.0, arm.heights[7] + 0.05)))
     with pytest.raises(UnreachableError, match=r"too far.*50\.0 mm closer"):
         inverse(arm, far, READY)
@@ -130,7 +130,7 @@ def test_what_is_out_of_reach_says_how_far(arm: ArmModel) -> None:
         inverse(arm, near, READY)
 
 
-def test_what_only_the_limits_forbid_names_the_joint(arm: ArmModel) -> None:
+def test_pose_beyond_a_joint_limit_names_the_joint(arm: ArmModel) -> None:
     stretched_by_limits = arm.forward((0, 0, 0, -1.5, 0, arm.upper[5] + 0.3, 0))
     with pytest.raises(UnreachableError, match="joint limit") as caught:
         inverse(arm, stretched_by_limits, READY, joint_margin=0.5)

@@ -121,7 +121,7 @@ def test_each_pair_belongs_to_its_zone_only() -> None:
         assert bool(chosen) == (zone != "nothing")
 
 
-def test_what_overlaps_has_a_negative_distance() -> None:
+def test_overlapping_bodies_have_a_negative_distance() -> None:
     model, q = zone_model(), np.zeros(7)
     model.place("body", Transform(np.eye(3), np.array((0.15, 0.0, 0.46))))
     distances = dict(zip(model.pairs, model.distances(q), strict=True))
@@ -146,7 +146,7 @@ def test_the_lines_of_sight_end_at_tool_and_reference(seed: int) -> None:
     assert ("tool", SIGHT_OF_BODY) in found
 
 
-def test_what_is_nowhere_is_far_away() -> None:
+def test_unplaced_zone_is_far_away() -> None:
     model = zone_model()
     unplaced = [zone in ("body", "table", SIGHT_OF_BODY, SIGHT_OF_TOOL) for _, zone in model.pairs]
     assert model.distances(np.zeros(7))[unplaced].min() > 100.0

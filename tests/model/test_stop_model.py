@@ -62,7 +62,7 @@ def test_every_interleaving_keeps_the_promises_of_stop(macros: tuple[str, ...], 
     assert int(states[1]) > 100_000
 
 
-def test_motions_go_on_after_an_acknowledged_stop(tmp_path: Path) -> None:
+def test_motions_are_possible_after_an_acknowledged_stop(tmp_path: Path) -> None:
     assert "assertion violated (confirmed==0)" in search(tmp_path, "REACHES")
 
 

@@ -93,7 +93,7 @@ def test_tests_that_reach_the_body_of_a_guard_come_first(coverage: CoverageMap) 
     assert set(tests[: len(body)]) == body
 
 
-def test_what_a_process_runs_belongs_to_the_test_that_started_it(coverage: CoverageMap) -> None:
+def test_lines_run_by_a_process_belong_to_its_test(coverage: CoverageMap) -> None:
     place = find(TREE, "bus.heart", "main", "open_session(settings.bus)")
 
     assert [test.id for test in coverage.reaching(place.file, changed(TREE, place).lines)] == [BEATS]
@@ -128,7 +128,7 @@ def test_remeasured_tests_replace_themselves_in_the_map() -> None:
 
 
 @pytest.mark.parametrize("again", ["t/a.py", "t/a.py/", "t/a.py::renamed", "t", "t/"])
-def test_what_is_not_found_any_more_is_not_kept_in_the_map(again: str) -> None:
+def test_test_that_is_gone_is_removed_from_the_map(again: str) -> None:
     before = measured({"t/a.py::renamed[1]": {1}, "t/a.py::same": {1}, "t/ab.py::other": {1}, "other/c.py::own": {1}})
     after = before.updated(measured({"t/a.py::same": {2}, "t/a.py::new": {1}}), [again])
 
@@ -138,6 +138,6 @@ def test_what_is_not_found_any_more_is_not_kept_in_the_map(again: str) -> None:
     assert {test.id for test in after.reaching(Path("f.py"), [1])} == {"t/a.py::new", "other/c.py::own"} | kept
 
 
-def test_what_need_not_be_caught_is_listed_and_has_a_reason() -> None:
+def test_every_allowed_mutant_is_listed_and_has_a_reason() -> None:
     assert allowed().keys() <= {mutant.name for mutant in listed()}
     assert [name for name, entry in allowed().items() if not entry.reason] == []

@@ -115,7 +115,7 @@ def test_so_many_packets_are_lost_on_one_side_only(lab: NatLab) -> None:
     assert datagrams(lab, "remote", ROUTER["remote"], 100) == 100
 
 
-def test_what_is_cut_stalls_and_goes_on_when_it_is_mended(lab: NatLab) -> None:
+def test_cut_link_stalls_and_continues_when_it_is_mended(lab: NatLab) -> None:
     talk = python(lab, "cell", TALK, ROUTER["cell"], PORT)
     assert said(talk) == OUTSIDE["cell"]
     assert talk.stdin is not None

@@ -98,7 +98,7 @@ def test_foreign_or_expired_certificate_is_not_accepted(authority: Authority, tm
     assert met(server, context_of(tmp_path / "bob", "bob", server=False)) == ("CERTIFICATE_VERIFY_FAILED", False)
 
 
-def test_who_only_dials_cannot_be_taken_for_a_router(authority: Authority, tmp_path: Path, now: float) -> None:
+def test_client_certificate_does_not_serve_as_a_router(authority: Authority, tmp_path: Path, now: float) -> None:
     authority.issue("operator", "anna", now, into=tmp_path)
     authority.issue("viewer", "eve", now, into=tmp_path)
     server = context_of(tmp_path / "eve", "eve", server=True)
@@ -182,7 +182,7 @@ def test_only_who_is_dialled_has_hosts(authority: Authority, tmp_path: Path, now
 
 
 @pytest.mark.parametrize("cells", [(), ("",), ("lab",), ("lab/c1/x",), ("lab/C1",), ("lab/**",), ("lab/c1", "a b/c")])
-def test_what_is_no_cell_is_given_to_nobody(
+def test_certificate_for_an_invalid_cell_is_not_issued(
     authority: Authority, tmp_path: Path, now: float, cells: tuple[str, ...]
 ) -> None:
     with pytest.raises(ConfigurationError, match="is no cell"):

@@ -132,7 +132,7 @@ def test_a_repaired_file_is_whole_for_another_reader(whole: tuple[bytes, list[by
 
 @pytest.mark.parametrize("chunked", [True, False])
 @pytest.mark.parametrize("schema", [0, 9])
-def test_what_nothing_declares_is_damage(tmp_path: Path, schema: int, chunked: bool) -> None:
+def test_undeclared_channel_or_schema_is_damage(tmp_path: Path, schema: int, chunked: bool) -> None:
     """Found by `fuzz.recordings`: a repair ended with a `KeyError`, and left half a file."""
     damaged = tmp_path / "damaged.mcap"
     with damaged.open("wb") as file:

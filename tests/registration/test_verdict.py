@@ -264,7 +264,7 @@ def test_covariances_decide_what_is_an_outlier() -> None:
     assert refused(verdicts[1]).name == "landmark_outlier"
 
 
-def test_false_alarms_with_covariances_are_as_many_as_told() -> None:
+def test_false_alarms_with_covariances_are_as_rare_as_stated() -> None:
     case, rng = CASES["femur"], np.random.default_rng(13)
     root = np.diag((0.0005, 0.0005, 0.0015)) @ any_motion(rng).rotation
     covariances = np.tile(root @ root.T, (4, 1, 1))
@@ -289,7 +289,7 @@ def test_the_verdict_does_not_depend_on_the_frames(seed: int) -> None:
     assert [gate.value for gate in here.gates] == pytest.approx([gate.value for gate in there.gates], rel=1e-6)
 
 
-def test_what_cannot_be_judged_raises() -> None:
+def test_invalid_landmark_sets_raise() -> None:
     case = CASES["head"]
     with pytest.raises(GeometryError, match="5 moving"):
         judge(HEAD[:5], HEAD, case.limits, names=HEAD_NAMES, target=None)

@@ -255,6 +255,6 @@ def test_delayed_messages_keep_their_times_of_measurement() -> None:
 
 
 @pytest.mark.parametrize("captured", [math.nan, math.inf, -math.inf, 94.0])
-def test_a_sender_without_sense_is_stamped_when_it_is_heard(captured: float) -> None:
+def test_implausible_sender_time_is_replaced_by_the_arrival(captured: float) -> None:
     clock = FrozenClock()
     assert Stamps(clock, 1.0).of(captured, 93.0) == pytest.approx(1e9, abs=1e-6)

@@ -104,7 +104,7 @@ def test_failed_journal_is_reported_once_despite_the_fail_stop() -> None:
     assert [reason.code for reason in reasons(facts)] == ["journal_failed"]
 
 
-def test_devices_of_a_node_that_was_given_up_are_not_told_again() -> None:
+def test_devices_of_a_node_given_up_are_not_reported_again() -> None:
     facts = ill(nodes=[GIVEN_UP], devices=[GONE])
     assert [reason.code for reason in reasons(facts)] == ["node_given_up"]
 

@@ -35,7 +35,7 @@ def test_devices_started_here_or_required_are_waited_for(
     assert awaited(settings, branches) == devices
 
 
-async def test_all_awaited_devices_must_be_heard() -> None:
+async def test_all_awaited_devices_must_be_ready() -> None:
     hearing = DeviceReadiness({"robot", "tracker"}, ManualClock())
     hearing.hear("tracker")
     assert not hearing.complete
@@ -59,7 +59,7 @@ async def test_a_device_that_ends_ends_the_wait() -> None:
         await hearing.wait()
 
 
-async def test_a_device_that_is_not_heard_in_time_is_named() -> None:
+async def test_device_that_is_not_ready_in_time_is_named() -> None:
     clock = ManualClock()
     hearing = DeviceReadiness({"robot", "tracker"}, clock)
     with capture_logs() as log:

@@ -95,7 +95,7 @@ async def test_reopening_is_retried_at_intervals_until_it_succeeds(cell: Cell, b
 
 
 @pytest.mark.parametrize("code", ["internal_error", "ending"])
-async def test_what_was_not_the_journal_is_left_to_a_restart(cell: Cell, code: str) -> None:
+async def test_failure_outside_the_journal_is_left_to_a_restart(cell: Cell, code: str) -> None:
     cell.broken = Reason(code=code, text="Not the disk.")
     cell.keep()
     await settle()

@@ -85,7 +85,7 @@ async def test_node_that_ends_during_the_start_is_not_restarted(
     assert bench.events == []
 
 
-async def test_nodes_that_are_stopped_are_not_begun_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_stopped_nodes_are_not_restarted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(tmp_path, monkeypatch, "exec sleep 60")
     async with bench.supervisor:
         bench.nodes.start(bench.supervisor)

@@ -139,7 +139,7 @@ async def test_without_a_watchdog_for_this_process_only_status_is_sent(
     await daemon.end()
 
 
-def test_without_a_service_manager_nothing_is_told() -> None:
+def test_without_a_service_manager_nothing_is_sent() -> None:
     manager = ServiceManager(WATCHED)
     assert not manager
     assert not manager.watched
@@ -148,7 +148,7 @@ def test_without_a_service_manager_nothing_is_told() -> None:
     assert told == []
 
 
-def test_a_service_manager_that_cannot_be_told_is_logged(heard: Heard) -> None:
+def test_unreachable_service_manager_is_logged(heard: Heard) -> None:
     manager = heard.manager()
     heard.close()
     with capture_logs() as told:

@@ -136,7 +136,7 @@ class Bench:
         assert verdict.decision == "accepted", verdict.reason
 
 
-async def test_it_beats_and_knows_when_each_node_was_heard() -> None:
+async def test_it_beats_and_records_when_each_node_was_heard() -> None:
     bench = Bench()
     async with bench.supervisor:
         bench.procedure.start()
@@ -231,7 +231,7 @@ async def test_a_node_that_ends_while_the_daemon_starts_ends_the_start() -> None
             await bench.procedure.hearing.wait()
 
 
-async def test_what_was_gathered_is_told_whenever_it_has_changed() -> None:
+async def test_procedure_data_is_published_whenever_it_changes() -> None:
     bench = Bench()
     told = bench.link.published["state/data"]
     async with bench.supervisor:
@@ -246,7 +246,7 @@ async def test_what_was_gathered_is_told_whenever_it_has_changed() -> None:
         await bench.procedure.dispatcher.close()
 
 
-async def test_each_signal_of_a_muscle_is_told_once() -> None:
+async def test_each_muscle_signal_is_published_once() -> None:
     bench = Bench()
     publishing = Publishing(bench.link)
     signals = [Epoch(pulse=n, muscle="fdi", rate_hz=5000.0, start=-0.1, samples=[n * 1e-6]) for n in (1, 2)]

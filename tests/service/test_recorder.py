@@ -102,7 +102,7 @@ async def test_new_command_is_known_as_new_without_reading_the_disk(
             recorder.recall(source, known)
 
 
-async def test_what_an_earlier_run_had_begun_is_closed_as_unknown_once(journal: Journal) -> None:
+async def test_unfinished_command_of_a_run_is_closed_as_unknown_once(journal: Journal) -> None:
     earlier = _recorder(journal, "s1")
     await earlier.intent(COMMAND, STATES)
     finished = Command(id="c9", branch="robot", operation="connect", source="bus:local")

@@ -178,7 +178,7 @@ def test_reading_on_from_any_snapshot_equals_reading_everything(rows: list[Any],
         ([("activity", "started", 1, "guided"), STARTED, ("outcome", "robot.acknowledge", 1, "accepted")], False),
     ],
 )
-def test_the_latch_outlives_a_run_until_somebody_acknowledges(rows: list[Any], latched: bool) -> None:
+def test_latch_outlives_a_run_until_it_is_acknowledged(rows: list[Any], latched: bool) -> None:
     ledger = RestartState(RATMS, PersistedState())
     for row in rows:
         ledger.take(as_row(*row))
@@ -348,7 +348,7 @@ def test_only_what_explicit_operations_use_is_taken_back() -> None:
     assert ledger.kept.taken_back == row.result
 
 
-async def test_a_snapshot_of_an_unknown_kind_is_told_with_the_file(journal: Journal) -> None:
+async def test_snapshot_of_an_unknown_kind_is_reported_with_the_file(journal: Journal) -> None:
     row = as_row("intent", "robot.connect", 1, None)
     await journal.append([msgspec.structs.replace(row, kind="snapshot", result={"latched": "perhaps"})])
     with pytest.raises(JournalError, match=r"ratms\.sqlite.*cell\.folder"):

@@ -30,7 +30,7 @@ class Bench:
         return self._decision
 
 
-async def test_the_time_until_the_verdict_is_told_for_each_decision() -> None:
+async def test_latency_is_reported_for_each_decision() -> None:
     bench = Bench()
     for number in range(1, 101):
         assert (await bench.submit(number / 100)).decision == "accepted"

@@ -49,7 +49,7 @@ async def _hear_for(bench: Bench, seconds: float, *, beats: bool = True, joints:
         await bench.clock.advance(BEAT_PERIOD)
 
 
-async def test_it_beats_while_the_robot_is_heard(bench: Bench) -> None:
+async def test_it_beats_while_the_robot_reports(bench: Bench) -> None:
     await _hear_for(bench, 5.0)
     assert bench.beats == pytest.approx([bench.beats[0] + BEAT_PERIOD * number for number in range(len(bench.beats))])
     assert len(bench.beats) == pytest.approx(5.0 / BEAT_PERIOD, abs=2)

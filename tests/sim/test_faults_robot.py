@@ -68,7 +68,7 @@ async def test_an_emergency_stop_ends_a_servo(cell: Cell, client: KstClient) -> 
     inject(cell, "e_stop", {"on": False})
 
 
-async def test_an_interrupted_motion_says_so(cell: Cell, client: KstClient) -> None:
+async def test_interrupted_motion_is_answered_as_interrupted(cell: Cell, client: KstClient) -> None:
     goal = await begin_motion(cell, client)
     inject(cell, "interrupt", {})
     assert await client.reply() == b"interrupted\n"
@@ -86,7 +86,7 @@ async def test_a_cut_link_makes_the_arm_brake_and_ends_the_connection(cell: Cell
     assert await client.until_closed() == b""
 
 
-async def test_a_silent_robot_does_what_it_is_told(cell: Cell, client: KstClient) -> None:
+async def test_silent_robot_still_obeys_commands(cell: Cell, client: KstClient) -> None:
     goal = np.array(await client.joints()) * [0.5, 1, 1, 1, 1, 1, 1]
     inject(cell, "silence_robot", {})
     client.send("jRelVel_0.3_", line("jp", goal), "doPTPinJS")

@@ -65,7 +65,7 @@ def test_hold_at_rest_stays() -> None:
     assert np.array_equal(arm.reference.position, HOME)
 
 
-def test_a_start_within_tolerance_is_taken_up_without_a_jump() -> None:
+def test_start_within_tolerance_is_followed_without_a_jump() -> None:
     arm = make_arm()
     arm.follow(smooth(HOME + 0.01, HOME + 0.2))
     previous = arm.reference.position

@@ -230,7 +230,7 @@ async def test_hold_ends_a_session(cell: Devices, clock: Clock, events: list[Dev
         await robot.end_servo(session)
 
 
-async def test_whoever_comes_late_does_not_end_the_session_of_another(cell: Devices, clock: Clock) -> None:
+async def test_late_end_of_a_session_does_not_end_another(cell: Devices, clock: Clock) -> None:
     robot = cell["robot"]
     await robot.connect()
     first = (await robot.begin_servo()).session

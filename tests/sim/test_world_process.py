@@ -260,7 +260,7 @@ async def test_a_hold_that_has_arrived_acts_before_more_physics() -> None:
         assert (await following).reason == "held"
 
 
-async def test_what_acts_and_comes_late_is_refused_and_a_hold_is_not() -> None:
+async def test_late_action_is_refused_and_a_late_hold_is_not() -> None:
     async with asyncio.timeout(PATIENCE), linked(LateClock()) as (_, devices):
         await devices["robot"].connect()
         for call in (devices["robot"].follow(motion(5.0)), devices["stimulator"].arm()):

@@ -36,7 +36,7 @@ def heard_by(endpoint: Endpoint, key: str) -> list[int]:
 
 
 @pytest.mark.parametrize("coded", [False, True])
-def test_others_hear_in_order_and_nobody_hears_himself(coded: bool) -> None:
+def test_others_receive_in_order_and_senders_not_their_own(coded: bool) -> None:
     async def play(network: Network) -> None:
         one, other = network.endpoint("one"), network.endpoint("other")
         own, heard = heard_by(one, "state/*"), heard_by(other, "state/*")

@@ -44,7 +44,7 @@ def test_a_transform_is_replaced_from_either_side() -> None:
     np.testing.assert_allclose(graph.get(Frame.TOOL, Frame.COIL).matrix, A.inverse().matrix, atol=1e-15)
 
 
-def test_what_is_not_joined_is_named() -> None:
+def test_frames_without_a_connection_are_named() -> None:
     graph = FrameGraph()
     graph.set(Frame.TRACKER, Frame.BODY_REF, A)
     graph.set(Frame.BODY_REF, Frame.IMAGE, A)

@@ -159,7 +159,7 @@ def test_one_outlier_is_passed_over(elsewhere: Transform) -> None:
 
 
 @pytest.mark.parametrize("elsewhere", [STEPPED, TURNED])
-def test_a_jump_latches_until_the_predictor_begins_anew(elsewhere: Transform) -> None:
+def test_jump_latches_until_the_predictor_is_reset(elsewhere: Transform) -> None:
     predictor = at_rest(60)
     for frame in range(60, 60 + OUTLIERS - 1):
         assert not predictor.update(frame / RATE, elsewhere)

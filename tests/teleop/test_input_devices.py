@@ -99,7 +99,7 @@ def test_spacemouse_moves_only_with_its_clutch_held() -> None:
     assert mouse.demand(0.3) == Demand(leave=True)
 
 
-def test_a_gamepad_has_ranges_of_its_own() -> None:
+def test_gamepad_axes_have_their_own_ranges() -> None:
     pad = Controller(GAMEPAD, MAPPING, {X: (0, 255), Y: (0, 255), RX: (-32768, 32767), RY: (-32768, 32767)})
     pad.take(EV_KEY, SHOULDER_LEFT, 1, 0.0)
     for code in (X, Y):

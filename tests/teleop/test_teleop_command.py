@@ -33,7 +33,7 @@ def test_teleoperator_sees_delay_speed_place_and_limit_in_a_line() -> None:
     assert "let go once" in line_of(held, keys=False).plain
 
 
-def test_refusals_and_dangers_are_told_with_their_reason() -> None:
+def test_refusals_and_dangers_are_shown_with_their_reason() -> None:
     reason = Reason(code="not_guided", text="teleoperation.engage needs placement in guided; it is in held.")
     verdict = Verdict(
         id="1", branch="teleoperation", operation="engage", decision="rejected", state="off", sequence=1, reason=reason

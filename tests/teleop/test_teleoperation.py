@@ -69,7 +69,7 @@ async def test_tool_moves_as_requested_while_the_clutch_is_engaged(alice: Teleop
     assert not bench.dispatcher.snapshot().latched
 
 
-async def test_silence_holds_and_latches_and_nothing_goes_on_by_itself(alice: Teleoperator) -> None:
+async def test_silence_holds_and_latches_and_nothing_resumes_by_itself(alice: Teleoperator) -> None:
     bench = alice.bench
     await alice.engage()
     async with alice.sending():
@@ -219,7 +219,7 @@ def body_distance(bench: WorkflowBench, posture: Floats) -> float:
     return float(model.distances(posture)[model.pairs.index((TOOL, BODY))])
 
 
-async def test_whoever_engages_has_to_be_heard_at_all(alice: Teleoperator) -> None:
+async def test_engaging_needs_a_teleoperator_who_sends(alice: Teleoperator) -> None:
     bench = alice.bench
     await bench.refuse("teleoperation.engage", "no_teleoperator")
     before = await tool(bench)
@@ -258,7 +258,7 @@ async def test_guiding_ends_with_the_registration_it_rests_on(alice: Teleoperato
 
 
 @pytest.mark.parametrize("workflow", ["ratms", "grid_mapping", "ratms_threshold", "femoroplasty"])
-def test_who_only_plans_moves_nothing(workflow: str) -> None:
+def test_planner_role_moves_nothing(workflow: str) -> None:
     branches = read_workflow(workflow).branches
     for name, branch in branches.items():
         for key, operation in branch.operations.items():
@@ -292,7 +292,7 @@ async def test_tool_led_along_the_edge_of_its_range_does_not_leave_it() -> None:
         assert distance(before, guide.plan_from_tool) > 0.01, "where it leads inwards, it goes"
 
 
-async def test_nothing_moves_while_the_clutch_is_open_whoever_asks(alice: Teleoperator) -> None:
+async def test_nothing_moves_while_the_clutch_is_open(alice: Teleoperator) -> None:
     bench = alice.bench
     guiding = Guiding(activity(bench, bench.data))
     for _ in range(2):

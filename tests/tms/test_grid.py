@@ -85,7 +85,7 @@ def test_the_heading_is_the_turn_about_the_normal(angle: float, tilt_x: float, t
 
 
 @pytest.mark.parametrize(("spacing", "rings"), [(0.0, 2), (-0.01, 2), (float("nan"), 2), (0.01, -1), (0.01, 21)])
-def test_what_is_no_grid_is_refused(spacing: float, rings: int) -> None:
+def test_invalid_grid_is_refused(spacing: float, rings: int) -> None:
     with pytest.raises(GeometryError, match="positive spacing"):
         grid_on_scalp(sphere, TOP, spacing, rings)
 

@@ -71,7 +71,7 @@ def test_a_steady_muscle_leads_to_the_hotspot(method: HotspotMethod, hotspot: tu
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_what_counts_is_where_the_coil_was_measured(method: HotspotMethod) -> None:
+def test_measured_pose_of_the_coil_counts(method: HotspotMethod) -> None:
     """A robot that is off by 3 mm and 3 degrees throughout does not shift what is found."""
     subject = subject_at(0.006, 0.003, 0.2)
     shift = Transform.from_rotvec((0.003, 0.0, 0.0), (0.0, 0.0, 0.05))
@@ -79,7 +79,7 @@ def test_what_counts_is_where_the_coil_was_measured(method: HotspotMethod) -> No
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_journalled_search_goes_on_as_it_would_have(method: HotspotMethod) -> None:
+def test_journalled_search_continues_unchanged(method: HotspotMethod) -> None:
     subject = subject_at(0.005, 0.005, 0.2)
     search = begun(method)
     for _ in range(25):
@@ -207,7 +207,7 @@ def test_the_expected_map_is_highest_near_the_hotspot() -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("amplitude", [math.nan, math.inf, -math.inf, -1e-9, 1.0])
-def test_what_is_no_amplitude_is_refused(method: HotspotMethod, amplitude: float) -> None:
+def test_invalid_amplitude_is_refused(method: HotspotMethod, amplitude: float) -> None:
     search = begun(method)
     with pytest.raises(RefusalError) as refused:
         search.after(search.next(), amplitude)

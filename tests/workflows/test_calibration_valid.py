@@ -62,7 +62,7 @@ def calibrated(folder: Path, kind: str, **given: Any) -> dict[str, Any]:
         ("femoroplasty", RESTING_ON_IT),
     ],
 )
-def test_what_rests_on_a_calibration_asks_whether_it_is_valid(name: str, expected: set[str]) -> None:
+def test_operations_that_need_a_calibration_check_it(name: str, expected: set[str]) -> None:
     blueprint: Blueprint = read_workflow(name)
     asking = {
         f"{branch}.{operation}"

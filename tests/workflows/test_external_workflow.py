@@ -112,7 +112,7 @@ def test_an_unknown_name_is_refused_with_what_there_is(name: str) -> None:
         assert known in refused.value.text
 
 
-def test_an_entry_point_without_its_module_is_told_with_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_entry_point_without_its_module_is_refused_with_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _install(tmp_path, monkeypatch, "gone", "no_such_package.lamp")
     with pytest.raises(ConfigurationError, match=r"'gone' is installed by lamps, but its module no_such_package\.lamp"):
         find_workflow("gone")
@@ -157,7 +157,7 @@ def test_a_path_is_relative_to_where_it_is_written(tmp_path: Path, monkeypatch: 
         ("async def strike(run): ...\ndef register(registry):\n    registry.step(strike)\n", ("line 3", "world_step")),
     ],
 )
-def test_a_faulty_python_file_is_told_with_its_line(tmp_path: Path, code: str | None, words: Sequence[str]) -> None:
+def test_faulty_python_file_is_reported_with_its_line(tmp_path: Path, code: str | None, words: Sequence[str]) -> None:
     file = _write(tmp_path, code=code)
     with pytest.raises((ConfigurationError, BlueprintError)) as refused:
         open_workflow(str(file))

@@ -200,7 +200,7 @@ async def test_drill_and_needle_go_in_only_where_the_guide_is_now(femur: Workflo
     assert failed.state == "drilled", "the check is taken back"
 
 
-async def test_work_in_the_bone_is_not_begun_unseen(femur: WorkflowBench) -> None:
+async def test_work_in_the_bone_does_not_start_unseen(femur: WorkflowBench) -> None:
     await femur.scene.occlude("coil", True)
     await femur.clock.sleep(1.0)
     failed = await femur.refuse("treatment.start_drilling", "pose_missing", decision="failed", **SURGEON)
@@ -340,7 +340,7 @@ async def test_abandoning_is_recorded_and_a_next_trajectory_restarts(femur: Work
     assert (await femur.accept("treatment.reinit", **SURGEON)).state == "ready"
 
 
-async def test_what_is_no_trajectory_is_refused(femur: WorkflowBench) -> None:
+async def test_invalid_trajectory_is_refused(femur: WorkflowBench) -> None:
     refused: list[tuple[dict[str, Any], str]] = [
         ({"entry": ENTRY, "target": ENTRY}, "bad_trajectory"),
         ({"entry": [0.1, 0.0, 0.0], "target": [-0.1001, 0.0, 0.0]}, "bad_trajectory"),

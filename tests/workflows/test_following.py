@@ -181,7 +181,7 @@ async def test_stop_ends_it(following: WorkflowBench) -> None:
 
 
 @pytest.mark.parametrize("body", ["coil", "body_ref"])
-async def test_what_is_not_seen_is_not_followed(following: WorkflowBench, body: str) -> None:
+async def test_unseen_body_is_not_followed(following: WorkflowBench, body: str) -> None:
     await following.scene.set_motion(BREATHING)
     await following.scene.occlude(body, True)
     where = await tool(following)
@@ -252,7 +252,7 @@ async def test_the_tool_retreats_from_a_head_that_moves(
     assert not following.dispatcher.snapshot().latched
 
 
-async def test_it_is_ended_where_the_tool_is_and_taken_up_again(following: WorkflowBench) -> None:
+async def test_following_ends_where_the_tool_is_and_can_be_resumed(following: WorkflowBench) -> None:
     assert (await following.accept("placement.stop_following")).state == "placed"
     assert not aligned(following)
     await following.until(lambda: aligned(following))

@@ -254,7 +254,7 @@ async def test_a_new_plan_at_the_point_takes_the_tool_from_it(three_points: Work
 
 
 @pytest.mark.nightly
-async def test_after_a_restart_a_grid_must_be_planned_anew(
+async def test_after_a_restart_a_grid_must_be_planned_again(
     three_points: Workflow[Cell, PlacementData], tmp_path: Path
 ) -> None:
     journal = Journal.open(tmp_path / "my_grid.sqlite", durable=False)

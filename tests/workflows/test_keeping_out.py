@@ -313,7 +313,7 @@ def settings_with(**body: Any) -> ProcedureSettings:
     return msgspec.convert({"body": body}, ProcedureSettings)
 
 
-def test_no_surface_is_told_at_the_start() -> None:
+def test_missing_surface_is_logged_at_the_start() -> None:
     with capture_logs() as logs:
         assert read_surface(settings_with()) is None
     assert [log["event"] for log in logs] == ["no_body_surface"]

@@ -82,7 +82,7 @@ async def test_unplanned_landmark_is_refused_with_the_valid_range(bench: Workflo
 
 
 @pytest.mark.parametrize("body", ["pointer", "body_ref"])
-async def test_what_the_tracker_does_not_see_is_not_digitized(bench: WorkflowBench, body: str) -> None:
+async def test_unseen_body_is_not_digitized(bench: WorkflowBench, body: str) -> None:
     await _plan(bench)
     await bench.scene.occlude(body, True)
     verdict = await bench.refuse("digitization.digitize_all", "pose_missing", decision="failed")

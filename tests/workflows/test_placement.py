@@ -206,7 +206,7 @@ async def test_tool_lost_by_the_tracker_in_the_correction_is_held(bench: Workflo
     assert (await bench.accept("placement.back_off")).state == "standoff"
 
 
-async def test_a_correction_that_is_none_is_not_followed(bench: WorkflowBench) -> None:
+async def test_too_large_a_correction_is_not_followed(bench: WorkflowBench) -> None:
     """The head moves while the tool comes down: what the tracker asks for is no small correction any more."""
     await bench.to_standoff()
     async with bench.moving("placement.confirm") as confirm:
@@ -265,7 +265,7 @@ async def test_the_speed_limits_are_kept() -> None:
         assert fastest.max() > 0.02
 
 
-async def test_what_was_nudged_at_the_standoff_is_kept_by_confirm(bench: WorkflowBench) -> None:
+async def test_confirm_keeps_the_nudge_at_the_standoff(bench: WorkflowBench) -> None:
     await bench.to_standoff()
     await bench.accept("placement.nudge", translation=[0.005, 0.0, 0.0])
     verdict = await bench.accept("placement.confirm")

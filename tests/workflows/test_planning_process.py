@@ -118,7 +118,7 @@ async def test_it_keeps_away_from_the_body_that_the_daemon_has_read(tmp_path: Pa
         on_the_machine(ask(bench))
 
 
-async def test_an_arm_that_has_moved_meanwhile_is_planned_for_anew() -> None:
+async def test_arm_that_moved_during_planning_is_planned_for_again() -> None:
     async def ask(bench: WorkflowBench) -> None:
         async with planning(bench) as (planner, _):
             asked = asyncio.ensure_future(planner.check(run_of(bench, "placement.approach")))

@@ -305,7 +305,7 @@ async def test_threshold_is_not_hunted_before_a_ceiling_is_set() -> None:
         assert bench.data.hunt.settings.ceiling == 70.0
 
 
-async def test_no_intensity_is_set_for_a_hunt_that_was_not_begun(armed: StimulationBench) -> None:
+async def test_no_intensity_is_set_for_a_hunt_never_started(armed: StimulationBench) -> None:
     """A blueprint may let a pulse of a hunt be asked for at any time: check and step do not."""
     calls = len(armed.stimulator.calls)
     run = armed.bench.run("threshold.pulse")
@@ -336,7 +336,7 @@ async def test_elsewhere_is_another_threshold(armed: StimulationBench) -> None:
     await armed.refuse("threshold.begin", "no_plan")
 
 
-async def test_search_and_hunt_do_not_go_on_together(armed: StimulationBench) -> None:
+async def test_search_and_hunt_exclude_each_other(armed: StimulationBench) -> None:
     await armed.accept("threshold.begin")
     await armed.refuse("hotspot.begin", "hunt_under_way")
     await armed.accept("threshold.abandon")

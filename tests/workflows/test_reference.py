@@ -93,7 +93,7 @@ async def test_a_head_that_moves_with_its_reference_is_no_bump(bench: WorkflowBe
 
 
 @pytest.mark.parametrize("offset", [(0.0005, 0.0, 0.0), (0.0, -0.0008, 0.0)])
-async def test_what_the_tracker_itself_makes_is_no_bump(bench: WorkflowBench, offset: Any) -> None:
+async def test_displacement_within_tracker_noise_is_no_bump(bench: WorkflowBench, offset: Any) -> None:
     await bench.register()
     async with watched(bench):
         await bench.scene.bump_reference(offset, NOTHING)
@@ -166,7 +166,7 @@ async def test_nothing_before_a_moved_reference_can_be_taken_back(bench: Workflo
     await bench.refuse("toolplan.use_previous", "reference_moved")
 
 
-async def test_a_previous_registration_goes_on_being_watched(bench: WorkflowBench) -> None:
+async def test_previous_registration_is_watched(bench: WorkflowBench) -> None:
     await bench.register()
     await bench.accept("registration.clear_landmarks")
     await bench.accept("registration.use_previous")

@@ -182,7 +182,7 @@ async def test_nobody_touches_the_skin_while_the_tool_is_at_the_head(bench: Work
     await bench.accept("digitization.digitize_surface")
 
 
-async def test_the_tool_does_not_move_while_somebody_touches_the_skin(bench: WorkflowBench) -> None:
+async def test_tool_does_not_move_while_the_skin_is_touched(bench: WorkflowBench) -> None:
     await bench.register()
     touching = asyncio.create_task(bench.do("digitization.digitize_surface", points=20))
     await bench.until(lambda: any(item.operation == "digitize_surface" for item in bench.dispatcher.snapshot().running))

@@ -171,7 +171,7 @@ async def test_bad_sets_do_not_teach_the_workflow_to_accept_them() -> None:
         assert verdict.decision == "rejected"
 
 
-async def test_the_femur_has_limits_of_its_own() -> None:
+async def test_femur_has_its_own_limits() -> None:
     async with open_bench(workflow="femoroplasty") as bench:
         settings = bench.cell.settings.registration
         assert (settings.residual_limit_mm, settings.sigma_mm, settings.tre_limit_mm) == (2.7, 1.03, 3.0)

@@ -14,7 +14,7 @@ def change(bench: WorkflowBench, **changes: Any) -> None:
     bench.cell.settings = msgspec.structs.replace(bench.cell.settings, **changes)
 
 
-async def test_the_last_plan_is_taken_back_under_an_id_of_its_own(bench: WorkflowBench) -> None:
+async def test_last_plan_is_taken_back_under_its_own_id(bench: WorkflowBench) -> None:
     await bench.refuse("toolplan.use_previous", "no_previous_plan")
     await bench.accept("toolplan.plan", **POSES[0])
     await bench.accept("toolplan.plan", **POSES[1])
