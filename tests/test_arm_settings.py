@@ -10,15 +10,13 @@ from pcmrs.kinematics.urdf import urdf
 from pcmrs.settings import read_settings
 
 
-def test_the_path_of_an_arm_is_relative_to_the_file_that_names_it(tmp_path: Path) -> None:
+def test_arm_path_in_a_file_is_relative_to_that_file(tmp_path: Path) -> None:
     (tmp_path / "mine.urdf").write_text(urdf(ARMS["iiwa7"]))
     (tmp_path / "cell.toml").write_text('[robot]\nmodel = "mine.urdf"\n')
     assert read_settings(tmp_path / "cell.toml").robot.model == str(tmp_path / "mine.urdf")
 
 
-def test_the_path_of_an_arm_on_the_command_line_is_relative_to_where_one_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_arm_path_on_the_command_line_is_relative_to_the_cwd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "mine.urdf").write_text(urdf(ARMS["iiwa7"]))
     monkeypatch.chdir(tmp_path)
     assert read_settings(None, ["robot.model=mine.urdf"]).robot.model == str(tmp_path / "mine.urdf")

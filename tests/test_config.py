@@ -64,7 +64,7 @@ def test_without_anything_the_defaults_hold() -> None:
     assert read_settings() == as_config(Settings, read_workflow("ratms").defaults)
 
 
-def test_single_values_are_over_the_file_and_the_file_over_the_defaults(tmp_path: Path) -> None:
+def test_single_values_override_the_file_and_it_the_defaults(tmp_path: Path) -> None:
     file = tmp_path / "cell.toml"
     file.write_text('flag = true\n[inner]\nnumber = 2.5\ntext = "from the file"\n')
     read = read_config(Outer, file, ["inner.number=3.5", "inner.triple=[1, 2, 3.5]"])
@@ -129,7 +129,7 @@ def test_the_configuration_as_a_table_reads_back(tmp_path: Path) -> None:
     assert msgspec.json.decode(msgspec.json.encode(settings), type=Settings) == settings
 
 
-def test_ages_of_poses_are_of_the_machines_time_however_fast_the_cell_is() -> None:
+def test_pose_ages_are_in_machine_time_at_any_rate_of_the_cell() -> None:
     given = read_settings(None, ["cell.rate=8", "procedure.max_pose_age=0.5"])
     assert (given.procedure.max_pose_age, given.procedure.tracking.unseen) == (0.5, 0.5)
     for_cell = given.procedure.in_cell_time(given.cell.rate)
@@ -202,7 +202,7 @@ def test_the_folder_is_the_users_unless_it_is_given(monkeypatch: pytest.MonkeyPa
     assert read_settings().cell.path() == tmp_path / "home" / ".local" / "state" / "pcmrs" / "lab-cell1"
 
 
-def test_the_daemon_is_the_router_and_everybody_else_a_client() -> None:
+def test_daemon_is_the_router_and_all_others_are_clients() -> None:
     settings = read_settings(None, ["cell.site=clinic", "cell.name=two"])
     router, client = settings.bus("router"), settings.bus("client")
     assert (router.mode, client.mode) == ("router", "client")

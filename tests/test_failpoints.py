@@ -31,7 +31,7 @@ def disarmed() -> Iterator[None]:
     arm("")
 
 
-def test_nothing_happens_to_a_process_that_is_not_armed_or_is_for_another_place() -> None:
+def test_nothing_happens_if_unarmed_or_armed_for_another_place() -> None:
     for name in FAILPOINTS:
         failpoint(name)
     arm("journal.before_begin:2")

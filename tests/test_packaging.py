@@ -101,13 +101,13 @@ def test_a_command_says_what_to_install(words: tuple[str, ...], extra: str) -> N
     assert "Traceback" not in done.stderr
 
 
-def test_a_command_that_needs_posix_says_so() -> None:
+def test_command_that_needs_posix_is_refused_with_the_reason() -> None:
     done = run_pcmrs(WINDOWS, "serve")
     assert done.returncode == 4
     assert "run it on Linux" in done.stderr
 
 
-def test_commands_of_the_laboratory_are_listed_only_where_it_is_installed() -> None:
+def test_laboratory_commands_are_listed_only_where_installed() -> None:
     with_laboratory, without = (run_pcmrs(hiding, "--help").stdout for hiding in ("", HIDE.format(hidden=set(OURS))))
     names = {"faults", "experiment", "demo", "session"}
     listed, left = (set(re.findall(r"^  ([a-z0-9-]+)  ", text, re.MULTILINE)) for text in (with_laboratory, without))
@@ -120,7 +120,7 @@ def test_product_is_imported_without_the_simulation(module: str) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_settings_of_real_devices_are_read_without_the_simulation() -> None:
+def test_real_device_settings_are_read_without_the_simulation() -> None:
     drivers = [f"{device}.driver=none" for device in ("robot", "tracker", "pointer", "scene", "stimulator", "emg")]
     read = f"from pcmrs.settings import read_settings\nprint(read_settings(None, {drivers}).drivers())"
     done = run_python(f"{BASE}\n{read}")

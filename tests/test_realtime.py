@@ -57,7 +57,8 @@ asyncio.run(run())
 
 
 @needs_permission
-def test_loop_and_bus_have_the_policy_and_neither_workers_nor_children() -> None:
+def test_loop_and_bus_have_the_policy_and_workers_do_not() -> None:
+    """Nor do children."""
     said = subprocess.run([sys.executable, "-c", GIVEN], capture_output=True, text=True, check=True)
     expected = [REALTIME, REALTIME, os.SCHED_OTHER, os.SCHED_OTHER]
     assert [int(word) for word in said.stdout.split()] == expected, "loop, bus, worker, child"
@@ -71,7 +72,7 @@ if os.getuid() == 0:
 """
 
 
-def test_without_the_permission_it_says_so_and_the_process_works_on() -> None:
+def test_missing_permission_is_reported_and_the_process_works() -> None:
     code = """
 import asyncio
 from pcmrs.threads import Priority, RealTime
@@ -97,7 +98,7 @@ RESTS = "input()"
 
 
 @needs_permission
-def test_a_thread_that_runs_away_loses_the_policy_and_one_that_rests_keeps_it() -> None:
+def test_runaway_thread_loses_the_policy_and_a_resting_keeps_it() -> None:
     begin = f"import os; os.sched_setscheduler(0, {REALTIME}, os.sched_param(10))\nprint('here', flush=True)\n"
     with (
         subprocess.Popen([sys.executable, "-c", begin + RUNS_AWAY], stdin=-1, stdout=-1) as runaway,

@@ -39,7 +39,8 @@ def test_the_default_of_a_safety_setting_is_the_one_in_the_table(name: str) -> N
     assert PRESENT[name] == EXPECTED[name]
 
 
-def test_every_setting_is_in_the_table_or_is_no_safety_setting_for_a_stated_reason() -> None:
+def test_every_setting_is_in_the_table_or_excluded_with_a_reason() -> None:
+    """The reason says why it is no safety setting."""
     unknown = [name for name in PRESENT if name not in EXPECTED and not any(fnmatchcase(name, each) for each in OTHERS)]
     assert unknown == []
 
@@ -50,6 +51,6 @@ def test_the_table_names_no_setting_that_there_is_not() -> None:
 
 
 @pytest.mark.parametrize("group", TABLE["defaults"], ids=lambda group: group["requirement"])
-def test_a_group_of_the_table_stands_for_a_requirement_and_a_page(group: dict[str, Any]) -> None:
+def test_group_of_the_table_has_a_requirement_and_a_page(group: dict[str, Any]) -> None:
     assert f"| {group['requirement']} |" in (TREE / "docs" / "safety.md").read_text()
     assert (TREE / group["source"]).exists()

@@ -74,7 +74,7 @@ def test_every_skip_of_the_budget_has_a_reason() -> None:
         assert re.compile(each["reason"])
 
 
-def test_the_suite_ends_its_children_in_a_shell_that_ignores_ctrl_c() -> None:
+def test_suite_ends_its_children_in_a_shell_that_ignores_ctrl_c() -> None:
     """As in a script that starts it with `&`."""
     test = "tests/cli/test_journal_command.py::test_a_journal_can_be_followed_while_it_is_written"
     command = f"trap '' INT; exec {sys.executable} -m pytest -q -p no:cacheprovider {test}"

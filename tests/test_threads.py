@@ -13,7 +13,7 @@ WORK = "n = 0\nwhile n < 2_000_000: n += 1\nprint('done', flush=True)\ninput()"
 UNTIL_TOLD = "import threading\nt = threading.Thread(target=input)\nt.start()\nwhile t.is_alive(): pass"
 
 
-def test_a_thread_that_works_is_pending_and_one_that_sleeps_is_not() -> None:
+def test_working_thread_is_pending_and_a_sleeping_one_is_not() -> None:
     resting = threading.Event()
     thread = threading.Thread(target=resting.wait)
     thread.start()
@@ -30,7 +30,7 @@ def test_a_thread_that_works_is_pending_and_one_that_sleeps_is_not() -> None:
     thread.join()
 
 
-def test_processes_that_share_a_processor_wait_for_it_and_the_machine_has_more_to_do() -> None:
+def test_processes_sharing_a_processor_wait_and_add_to_the_load() -> None:
     """Both want the same processor: whoever is measured has waited when it has done its work."""
     (processor, *_) = os.sched_getaffinity(0)
     pinned = f"import os; os.sched_setaffinity(0, [{processor}]); print('here', flush=True); input()\n{WORK}"
@@ -57,7 +57,7 @@ def test_processes_that_share_a_processor_wait_for_it_and_the_machine_has_more_t
             child.communicate(b"\n")
 
 
-def test_a_full_collection_looks_at_little_of_what_was_loaded() -> None:
+def test_full_collection_scans_few_of_the_loaded_objects() -> None:
     """In a process of its own: it changes the interpreter."""
     program = "import gc, scipy.optimize\nfrom pcmrs.threads import keep_pauses_short\nprint(len(gc.get_objects()))\n"
     program += "keep_pauses_short()\nprint(len(gc.get_objects()))"

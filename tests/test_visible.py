@@ -42,7 +42,7 @@ def test_printable_text_stays_as_it_is() -> None:
     assert visible("Größe 3 µm, 90°, 東京") == "Größe 3 µm, 90°, 東京"
 
 
-def test_what_is_printed_acts_on_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+def test_printed_text_controls_no_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     say(event_line(DeviceEvent(device="tracker\x1b]0;", code="lost", text=FORGED)))
     written = capsys.readouterr().out
     assert written.endswith("\n")
@@ -56,7 +56,7 @@ def _fail() -> None:
     raise ValueError(FORGED)
 
 
-def test_what_is_logged_begins_no_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_logged_text_starts_no_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "log"
     descriptor = os.open(file, os.O_WRONLY | os.O_CREAT)
     monkeypatch.setattr("pcmrs.cli.log.STANDARD_ERROR", descriptor)

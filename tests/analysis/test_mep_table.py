@@ -81,7 +81,7 @@ def test_responses_read_back(emg: Path) -> None:
             assert row["latency"] == MISSING or float(row["latency"]) == pytest.approx(1e3 * (pulse.mep.latency or 0.0))
 
 
-def test_what_is_missing_is_said_to_be(emg: Path) -> None:
+def test_missing_values_are_marked_with_their_reason(emg: Path) -> None:
     second, third = rows(emg / f"{STEM}_mep.tsv")[1:3]
     assert (second["status"], second["status_description"]) == ("bad", "The muscle was active before the pulse.")
     assert third["status_description"] == "No marker of pulse 3 was seen."

@@ -25,7 +25,7 @@ def _poses(samples: int, seed: int = 1) -> list[Transform | None]:
     ]
 
 
-def test_jitter_and_drift_are_told_apart() -> None:
+def test_jitter_and_drift_are_separated() -> None:
     track = analyse_track("pol_tool", _poses(4000))
     assert track.spread is not None
     # The standard deviation of a standard deviation is sigma / sqrt(2 n): 1.1 % here.
@@ -42,7 +42,7 @@ def test_the_jitter_of_short_logs_is_unbiased() -> None:
     assert variances == pytest.approx(JITTER**2, rel=0.2)  # dividing by n would halve it
 
 
-def test_gaps_identities_and_frozen_frames_are_counted_and_say_nothing_about_jitter() -> None:
+def test_missing_identity_and_frozen_frames_do_not_change_jitter() -> None:
     poses = _poses(300)
     clean = analyse_track("pol_body", [*poses[:10], *poses[20:]])
     poses[10] = poses[11] = None

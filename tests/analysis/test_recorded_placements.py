@@ -17,7 +17,7 @@ poses = st.builds(Transform.from_rotvec, vector, vector)
 
 
 @given(poses, poses, st.floats(0.0, 0.1))
-def test_the_error_is_where_the_tool_is_from_where_it_was_to_stand(
+def test_error_is_between_tool_pose_and_planned_standoff_pose(
     planned: Transform, measured: Transform, standoff: float
 ) -> None:
     error = placement_error(planned, measured, standoff)

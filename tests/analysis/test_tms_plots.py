@@ -57,7 +57,7 @@ def test_hunts_are_drawn_at_any_time(tmp_path: Path, method: ThresholdMethod, pu
     assert (tmp_path / "hunt.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_hunt_that_found_nothing_says_so() -> None:
+def test_hunt_without_a_threshold_shows_why() -> None:
     made = MotorThresholdEstimator.begin(ThresholdSettings(ceiling=50.0))
     while made.refusal is None:
         made = made.after(made.next_intensity(), responded=False)

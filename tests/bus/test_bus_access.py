@@ -134,7 +134,7 @@ def check(tried: str, found: Tried) -> None:
     assert gather(found, lambda: expected) == expected
 
 
-def test_who_may_send(lab: Lab) -> None:
+def test_put_rights_match_the_table(lab: Lab) -> None:
     found: Tried = set()
     heard: Any = lab.router.declare_subscriber(
         "pcmrs/**", lambda sample: found.add((sample.payload.to_string(), "put", str(sample.key_expr)))
@@ -146,7 +146,7 @@ def test_who_may_send(lab: Lab) -> None:
     heard.undeclare()
 
 
-def test_who_may_ask(lab: Lab) -> None:
+def test_query_rights_match_the_table(lab: Lab) -> None:
     found: Tried = set()
 
     def answer(query: zenoh.Query) -> None:
@@ -201,7 +201,7 @@ def test_at_a_router_are_only_people_who_are_marked_with_it(tmp_path: Path) -> N
     assert names == ["router1", "daemon1", "anna"]
 
 
-def test_who_may_hear(lab: Lab) -> None:
+def test_subscribe_rights_match_the_table(lab: Lab) -> None:
     found: Tried = set()
     hearing: list[Any] = []
     for name, session in lab.sessions.items():
@@ -222,7 +222,7 @@ def test_who_may_hear(lab: Lab) -> None:
         each.undeclare()
 
 
-def test_who_may_serve(lab: Lab) -> None:
+def test_queryable_rights_match_the_table(lab: Lab) -> None:
     found: Tried = set()
     serving: list[Any] = []
     for name, session in lab.sessions.items():
@@ -245,7 +245,7 @@ def test_who_may_serve(lab: Lab) -> None:
         each.undeclare()
 
 
-def test_who_may_say_that_it_is_there(lab: Lab) -> None:
+def test_liveliness_rights_match_the_table(lab: Lab) -> None:
     tokens: list[Any] = [
         session.liveliness().declare_token(f"{cell}/alive/x")
         for cell in (HERE, ELSEWHERE)
@@ -261,7 +261,7 @@ def test_who_may_say_that_it_is_there(lab: Lab) -> None:
         token.undeclare()
 
 
-def test_who_may_send_is_told_that_all_users_are_heard(lab: Lab) -> None:
+def test_allowed_senders_learn_of_the_daemons_declaration(lab: Lab) -> None:
     """The daemon hears or serves all users by one declaration; a session that is not told of it sends nothing more."""
     daemon = lab.sessions["dae1"]
     senders: list[tuple[str, str, Any]] = []
@@ -302,7 +302,7 @@ def test_a_viewer_who_comes_late_is_given_the_last_snapshot(lab: Lab) -> None:
     publisher.undeclare()
 
 
-def test_what_the_table_must_never_give() -> None:
+def test_table_never_gives_dangerous_rights() -> None:
     """The table itself could be wrong: a viewer only looks, and nobody but the daemon speaks to devices."""
     given = {(NAMES[name], action, key.removeprefix(f"{HERE}/")) for name, action, key in allowed()}
     viewer = {key.partition("/")[0] for role, action, key in given if role == "viewer" and action in ("put", "query")}

@@ -36,7 +36,7 @@ async def test_a_full_queue_rejects_and_recovers() -> None:
     assert ran == [0, 1, 2, 9]
 
 
-async def test_events_are_heard_before_commands_and_not_turned_away_because_of_them() -> None:
+async def test_events_run_before_commands_and_have_their_own_capacity() -> None:
     bridge, ran = Bridge(asyncio.get_running_loop(), capacity=2), list[str]()
     assert [bridge.post(partial(ran.append, f"command {number}")) for number in range(3)] == [True, True, False]
     posted = [bridge.post(partial(ran.append, f"event {number}"), urgent=True) for number in range(3)]

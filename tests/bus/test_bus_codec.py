@@ -91,7 +91,7 @@ def test_no_payload_is_no_arguments(payload: bytes) -> None:
     assert unpack(payload, Empty) == Empty()
 
 
-def test_text_is_told_from_messagepack_by_its_first_byte() -> None:
+def test_first_byte_distinguishes_text_from_messagepack() -> None:
     assert is_text(b' \t{"id": "a"}')
     assert is_text(b"")
     assert not is_text(pack(Envelope(id="a")))
@@ -159,7 +159,7 @@ def test_the_limit_of_commands_does_not_bind_other_messages() -> None:
 
 
 @pytest.mark.parametrize("value", [object(), {1, 2}.__class__, 2**70, [b"raw", object()]])
-def test_what_is_no_plain_data_cannot_be_packed(value: object) -> None:
+def test_value_that_is_not_plain_data_cannot_be_packed(value: object) -> None:
     with pytest.raises(PayloadError, match="cannot be sent"):
         pack(Envelope(arguments={"value": value}))
 
@@ -172,5 +172,5 @@ def test_a_refusal_crosses_with_its_code_and_values() -> None:
 
 
 @pytest.mark.parametrize("payload", [pack(reason_from(UnknownOutcomeError("Silent."))), b"Timeout", b"\xff"])
-def test_what_the_other_side_does_not_know_stays_unknown(payload: bytes) -> None:
+def test_unknown_outcome_of_the_other_side_stays_unknown(payload: bytes) -> None:
     assert isinstance(error_from(payload), UnknownOutcomeError)

@@ -118,7 +118,9 @@ async def test_messagepack_is_answered_in_messagepack() -> None:
         assert (verdict.id, verdict.decision, verdict.sequence) == ("b", "accepted", 7)
 
 
-async def test_who_asks_has_the_role_of_the_register_and_without_one_everybody_is_on_site() -> None:
+async def test_user_has_the_registered_role_or_operator_if_no_register() -> None:
+    """Without a register everybody counts as on site and has the role operator."""
+
     async def roles(names: tuple[str, ...], *members: Identity) -> list[tuple[str, str]]:
         async with running_daemon(*members) as (daemon, session):
             for name in names:
@@ -136,7 +138,8 @@ async def test_who_asks_has_the_role_of_the_register_and_without_one_everybody_i
     ]
 
 
-async def test_a_command_of_who_may_not_take_part_is_refused_before_the_dispatcher() -> None:
+async def test_command_of_expired_or_unknown_user_is_refused_at_once() -> None:
+    """It is refused before it reaches the dispatcher."""
     expired = [Identity(name=name, role=role, serial="1", begins=0.0, ends=1.0) for name, role in REGISTER.items()]
     async with running_daemon(*expired) as (daemon, session):
         for name in ("anna", "nobody"):
@@ -242,7 +245,7 @@ async def test_of_very_many_refused_puts_most_are_only_counted() -> None:
         assert 0 < len(events) < 2 * REPORTED_AT_ONCE
 
 
-async def test_an_envelope_nested_too_deeply_is_refused_as_query_and_as_put() -> None:
+async def test_deeply_nested_envelope_is_refused_as_query_and_as_put() -> None:
     deep = b'{"id": "d", "arguments": {"a": ' + b"[" * 500 + b"]" * 500 + b"}}"
     async with running_daemon() as (daemon, session):
         events = session.declare_subscriber(f"{daemon.bus.prefix}/state/event")
@@ -284,7 +287,8 @@ async def test_a_closed_edge_takes_no_more_commands() -> None:
         assert daemon.submitted.empty()
 
 
-async def test_a_command_has_arrived_when_zenoh_had_it_not_when_the_loop_got_round_to_it() -> None:
+async def test_command_age_counts_from_its_arrival_at_zenoh() -> None:
+    """The age includes the time until the loop gets round to the command."""
     async with running_daemon() as (daemon, session):
         await get(daemon, session, PLAN)
         session.put(f"{daemon.bus.prefix}/{PLAN}", b"")
@@ -377,7 +381,8 @@ async def test_stop_by_put_and_by_query() -> None:
 
 
 @pytest.mark.usefixtures("many_links")
-async def test_the_loop_is_told_once_of_all_presses_of_a_source_and_others_do_not_wait_behind_them() -> None:
+async def test_presses_of_a_source_are_bundled_and_do_not_delay_others() -> None:
+    """The loop is notified once of all presses of a source that are waiting."""
     async with running_daemon() as (daemon, session):
         await get(daemon, session, "stop/anna")
         for _ in range(FLOOD):
@@ -398,7 +403,7 @@ APART = 4 / STOPS["query"]
 
 
 @pytest.mark.parametrize("names", [1, FLOOD])
-async def test_a_link_that_floods_gets_few_stops_through_and_another_one_all(names: int) -> None:
+async def test_flooding_link_gets_few_stops_through_and_another_all(names: int) -> None:
     async with running_daemon() as (daemon, session):
         prefix, pressed = daemon.bus.prefix, 0
 
@@ -421,7 +426,7 @@ async def test_a_link_that_floods_gets_few_stops_through_and_another_one_all(nam
 
 
 @pytest.mark.usefixtures("many_links")
-async def test_stops_under_very_many_names_are_told_as_those_of_a_few() -> None:
+async def test_stops_under_too_many_names_are_counted_together() -> None:
     async with running_daemon() as (daemon, session):
         await get(daemon, session, "stop/anna")
         for number in range(FLOOD):
@@ -433,7 +438,7 @@ async def test_stops_under_very_many_names_are_told_as_those_of_a_few() -> None:
         assert daemon.presses[OTHERS] > FLOOD / 2
 
 
-async def test_an_answer_that_waits_behind_too_many_of_its_source_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_reply_behind_too_many_of_its_source_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     """The thread that sends them is slower than the loop: its link is full."""
     begun, gate, send = threading.Event(), threading.Event(), stop._reply
 
@@ -468,7 +473,7 @@ async def test_an_answer_that_waits_behind_too_many_of_its_source_is_dropped(mon
 
 
 @pytest.mark.usefixtures("many_links")
-async def test_of_one_source_so_many_answers_wait_and_others_are_answered() -> None:
+async def test_replies_to_one_source_are_limited_and_others_get_theirs() -> None:
     async with running_daemon() as (daemon, session):
         await get(daemon, session, "stop/anna")
         flood = [session.get(f"{daemon.bus.prefix}/stop/eve") for _ in range(4 * WAITING_ANSWERS)]

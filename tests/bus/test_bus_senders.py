@@ -39,7 +39,7 @@ def quiet_handler(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("quiet_handler")
-async def test_a_sender_that_blocks_keeps_its_order_and_holds_up_no_other() -> None:
+async def test_blocked_sender_keeps_its_order_and_delays_no_other() -> None:
     session = SlowSession()
     acting, holding = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
 
@@ -57,7 +57,7 @@ async def test_a_sender_that_blocks_keeps_its_order_and_holds_up_no_other() -> N
 
 
 @pytest.mark.usefixtures("quiet_handler")
-async def test_a_request_that_was_not_sent_yet_is_recalled_with_its_caller() -> None:
+async def test_unsent_request_is_recalled_when_its_caller_is_cancelled() -> None:
     session = SlowSession()
     acting = ThreadPoolExecutor(1)
     first, second = (

@@ -38,7 +38,7 @@ async def test_messages_arrive_in_the_loop_with_their_relative_key() -> None:
         assert await asyncio.wait_for(received.get(), TIMEOUT) == ("state/pose/coil", pose(3))
 
 
-async def test_a_flood_of_what_is_no_message_is_counted_and_hardly_logged(caplog: pytest.LogCaptureFixture) -> None:
+async def test_flood_of_invalid_messages_is_counted_and_hardly_logged(caplog: pytest.LogCaptureFixture) -> None:
     async with open_pair() as (router, client):
         received: asyncio.Queue[BodyPose] = asyncio.Queue()
         router.subscribe("dev/robot/event", BodyPose, lambda _, message: received.put_nowait(message))
@@ -59,7 +59,7 @@ async def test_a_late_joiner_gets_the_last_snapshot() -> None:
         assert (await asyncio.wait_for(received.get(), TIMEOUT)).sequence == 4
 
 
-async def test_what_is_listened_to_is_taken_though_the_loop_is_busy() -> None:
+async def test_listener_receives_although_the_loop_is_busy() -> None:
     async with open_pair() as (router, client):
         came = threading.Event()
         router.listen("daemon/beat", BodyPose, lambda _, message: came.set() if message.frame_number == 3 else None)
@@ -82,7 +82,7 @@ async def test_a_process_does_not_hear_itself() -> None:
         assert await asyncio.wait_for(received.get(), TIMEOUT) == 2
 
 
-async def test_of_a_stream_a_busy_loop_gets_the_newest_and_of_events_all() -> None:
+async def test_busy_loop_gets_the_newest_of_a_stream_and_all_events() -> None:
     async with open_pair() as (router, _):
         frames: list[int] = []
         events: list[int] = []
@@ -112,7 +112,7 @@ async def test_of_a_stream_a_busy_loop_gets_the_newest_and_of_events_all() -> No
         assert frames == sorted(set(frames))
 
 
-async def test_two_subscribers_of_one_process_do_not_take_each_others_messages() -> None:
+async def test_subscribers_of_one_process_each_receive_every_message() -> None:
     async with open_pair() as (router, client):
         heard = [Heard(client, key) for key in ("state/pose/coil", "state/pose/coil", "state/pose/*")]
         await sync(router, client)
@@ -122,7 +122,7 @@ async def test_two_subscribers_of_one_process_do_not_take_each_others_messages()
         assert [each.waiting for each in heard] == [0] * 3
 
 
-async def test_an_ended_subscription_hears_nothing_and_disturbs_no_other() -> None:
+async def test_ended_subscription_is_silent_and_disturbs_no_other() -> None:
     async with open_pair() as (router, client):
         ended, kept = Heard(client, "state/pose/coil"), Heard(client, "state/pose/coil")
         await sync(router, client)
@@ -137,7 +137,7 @@ async def test_an_ended_subscription_hears_nothing_and_disturbs_no_other() -> No
     await ended.end()  # the closed bus has ended it too
 
 
-async def test_a_malformed_message_is_ignored_and_the_next_one_heard() -> None:
+async def test_malformed_message_is_ignored_and_the_next_received() -> None:
     async with open_pair() as (router, _):
         received: asyncio.Queue[int] = asyncio.Queue()
         refused: asyncio.Queue[str] = asyncio.Queue()
@@ -222,7 +222,7 @@ async def test_an_error_in_the_handler_is_raised_at_the_asker(raised: Exception,
         assert error.value.fields["reason"] == code
 
 
-async def test_a_reply_that_cannot_be_sent_and_a_malformed_request_are_errors() -> None:
+async def test_unsendable_reply_and_malformed_request_are_errors() -> None:
     async def answer_object(_: str, __: DeviceRequest) -> DeviceReply:
         return DeviceReply(result=object())
 
@@ -290,7 +290,7 @@ asyncio.run(main())
 """
 
 
-async def test_another_process_answers_and_its_death_is_noticed_at_once() -> None:
+async def test_other_process_answers_and_its_death_is_noticed_at_once() -> None:
     settings = new_cell()
     arguments = ("-c", SERVER, msgspec.json.encode(settings).decode())
     server = await asyncio.create_subprocess_exec(sys.executable, *arguments, stdout=asyncio.subprocess.PIPE)
@@ -323,12 +323,12 @@ async def test_a_second_daemon_is_refused() -> None:
         pass
 
 
-async def test_without_a_daemon_a_client_is_told_so() -> None:
+async def test_client_without_a_daemon_is_told_to_start_one() -> None:
     with pytest.raises(BusError, match="start pcmrs-serve"):
         await Bus.open(msgspec.structs.replace(new_cell(), mode="client"))
 
 
-async def test_who_has_a_certificate_and_is_not_let_in_is_told_what_may_be_wrong(tmp_path: Path) -> None:
+async def test_refused_certificate_holder_gets_the_possible_causes(tmp_path: Path) -> None:
     now = time.time()
     Authority.init(tmp_path / "pki", "lab", now).issue("operator", "anna", now, into=tmp_path)
     endpoint = f"tls/127.0.0.1:{free_port()}"
@@ -342,7 +342,7 @@ async def test_names_that_are_no_part_of_a_key_are_refused() -> None:
         await Bus.open(msgspec.structs.replace(new_cell(), site="Lab/1"))
 
 
-async def test_a_hand_query_without_payload_reads_json_also_by_wildcard() -> None:
+async def test_query_without_payload_reads_json_also_by_wildcard() -> None:
     async def present(_: str, __: Empty) -> Snapshot:
         return snapshot(12)
 
@@ -376,7 +376,7 @@ async def test_a_liveliness_token_lasts_as_long_as_the_session() -> None:
             assert await asyncio.wait_for(events.get(), TIMEOUT) == ("robot", zenoh.SampleKind.DELETE)
 
 
-async def test_one_more_request_than_is_answered_at_a_time_is_refused_and_says_the_limit() -> None:
+async def test_requests_above_the_limit_are_refused_with_the_limit() -> None:
     async with open_pair() as (router, client):
         let = asyncio.Event()
 

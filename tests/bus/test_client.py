@@ -82,7 +82,7 @@ async def test_state_is_the_present_snapshot() -> None:
         assert (await client.state()).sequence == 1
 
 
-async def test_stop_is_confirmed_by_the_daemon_and_heard_by_device_nodes() -> None:
+async def test_daemon_confirms_stop_and_device_nodes_receive_it() -> None:
     async with connected() as (daemon, client):
         heard = asyncio.Event()
         settings = msgspec.structs.replace(daemon.bus.settings, mode="client")
@@ -94,7 +94,7 @@ async def test_stop_is_confirmed_by_the_daemon_and_heard_by_device_nodes() -> No
             await asyncio.wait_for(heard.wait(), TIMEOUT)
 
 
-async def test_one_press_of_stop_is_one_stop_whichever_of_its_messages_comes_first() -> None:
+async def test_one_press_is_one_stop_whichever_message_comes_first() -> None:
     """It is put and asked for: the second message must not stop again what has been acknowledged meanwhile."""
     async with connected() as (daemon, client):
         assert [(await client.stop()).number for _ in range(3)] == [1, 2, 3]
@@ -119,7 +119,7 @@ async def test_watch_yields_the_last_snapshot_then_what_happens() -> None:
         await events.aclose()
 
 
-async def test_who_watches_too_slowly_has_the_newest_and_is_told_how_many_are_gone() -> None:
+async def test_slow_watcher_gets_the_newest_and_the_number_missed() -> None:
     def event(number: int) -> DeviceEvent:
         return DeviceEvent(device="robot", code="told", text=str(number))
 
@@ -219,7 +219,7 @@ async def test_without_asyncio_a_client_does_the_same() -> None:
         assert {*daemon.stops} == {"bus:ben"}
 
 
-async def test_a_state_that_does_not_come_is_not_waited_for_without_end() -> None:
+async def test_wait_for_a_state_that_does_not_come_times_out() -> None:
     async with connected() as (daemon, client):
         daemon.bus.publish("state/fsm", snapshot(1))
         assert await client.until(lambda shown: shown.sequence == 1, TIMEOUT) == snapshot(1)

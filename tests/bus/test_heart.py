@@ -54,7 +54,8 @@ async def opened() -> AsyncIterator[Bench]:
         await bench.heart.stop()
 
 
-async def test_each_beat_carries_the_loops_sign_of_life_and_a_hanging_loop_is_silent() -> None:
+async def test_beat_carries_the_loops_sign_and_stops_if_the_loop_hangs() -> None:
+    """A loop that hangs gives no signs, and the heart then sends no beats."""
     async with opened() as bench:
         first = await bench.sign_until_heard()
         assert first.session == bench.heart.session
@@ -70,7 +71,8 @@ async def test_each_beat_carries_the_loops_sign_of_life_and_a_hanging_loop_is_si
         assert bench.beats.empty(), "the loop gives no more signs, so there are no more beats"
 
 
-async def test_a_heart_that_is_killed_is_restarted_in_the_same_session_and_given_up_in_the_end() -> None:
+async def test_killed_heart_is_restarted_in_its_session_then_given_up() -> None:
+    """It is given up after as many restarts as are allowed."""
     async with opened() as bench:
         for _ in range(RESTARTS + 1):
             before = await bench.sign_until_heard()
@@ -89,7 +91,7 @@ async def test_a_heart_that_is_killed_is_restarted_in_the_same_session_and_given
         assert children() == []
 
 
-async def test_a_heart_that_hangs_is_killed_and_restarted_but_not_because_the_loop_was_silent() -> None:
+async def test_hung_heart_is_restarted_but_not_after_a_silent_loop() -> None:
     async with opened() as bench:
         first = await bench.sign_until_heard()
         bench.heart.hear()
@@ -110,7 +112,7 @@ async def test_it_imports_neither_numpy_nor_the_simulation() -> None:
     assert (await process.communicate())[0] == b"\n"
 
 
-def test_of_signs_that_have_piled_up_the_newest_is_sent_however_they_are_cut() -> None:
+def test_newest_of_queued_signs_is_sent_however_they_are_cut() -> None:
     reading, writing = os.pipe()
     packed = b"".join(SIGN.pack(number, number / 10) for number in range(1, 4))
     os.write(writing, packed[:40])

@@ -32,7 +32,7 @@ def fault(seal: Seal, mark: bytes, *args: Any) -> str:
 
 
 @given(payload=st.binary(max_size=64), flip=st.integers(0, LENGTH * 8 - 1))
-def test_a_sealed_message_is_taken_once_and_with_any_bit_changed_never(payload: bytes, flip: int) -> None:
+def test_sealed_message_is_taken_once_and_never_if_a_bit_differs(payload: bytes, flip: int) -> None:
     key = new_key()
     sender, receiver, taken = Seal(key), Seal(key), ReplayWindow()
     mark = sender.put("put", KEY, payload)
@@ -89,7 +89,7 @@ def test_within_the_window_messages_come_in_any_order_each_once(order: list[int]
         ("stop/local", False),
     ],
 )
-def test_what_daemon_and_nodes_send_each_other_is_sealed(key: str, sealed: bool) -> None:
+def test_messages_between_daemon_and_nodes_are_sealed(key: str, sealed: bool) -> None:
     assert is_sealed(key) is sealed
 
 
@@ -163,7 +163,8 @@ async def opened() -> AsyncIterator[Bench]:
             yield bench
 
 
-async def test_an_event_without_the_seal_or_repeated_is_dropped_and_counted_and_a_sealed_one_comes() -> None:
+async def test_unsealed_or_repeated_event_is_counted_and_dropped() -> None:
+    """A sealed one that comes after it is delivered."""
     sealed: list[zenoh.Sample] = []
     async with opened() as bench:
         key = bench.absolute("dev/robot/event")
@@ -182,7 +183,7 @@ async def test_an_event_without_the_seal_or_repeated_is_dropped_and_counted_and_
         assert (await bench.event()).code == "last"
 
 
-async def test_who_has_no_key_reads_as_before() -> None:
+async def test_subscriber_without_a_key_reads_sealed_messages() -> None:
     read: asyncio.Queue[bytes] = asyncio.Queue()
     loop = asyncio.get_running_loop()
     async with opened() as bench:
@@ -196,7 +197,7 @@ async def test_who_has_no_key_reads_as_before() -> None:
         assert b"seen" in await read.get()
 
 
-async def test_a_request_without_the_seal_is_refused_before_the_device_sees_it() -> None:
+async def test_unsealed_request_is_refused_before_the_device_sees_it() -> None:
     async with opened() as bench:
         asked, key = list(bench.asked), bench.absolute("dev/robot/cmd")
         request = pack(DeviceRequest(method="hold"))
@@ -206,7 +207,7 @@ async def test_a_request_without_the_seal_is_refused_before_the_device_sees_it()
         assert bench.asked == asked
 
 
-async def test_nobody_else_can_answer_for_the_device_or_keep_a_request_from_it() -> None:
+async def test_nobody_else_answers_for_a_device_or_takes_its_requests() -> None:
     async with opened() as bench:
         key = bench.absolute("dev/robot/cmd")
         intercepted: list[str] = []
@@ -225,7 +226,7 @@ async def test_nobody_else_can_answer_for_the_device_or_keep_a_request_from_it()
         await bench.not_sealed(bench.daemon, 1)
 
 
-async def test_an_error_reply_of_somebody_else_is_counted_and_ends_no_request() -> None:
+async def test_foreign_error_reply_is_counted_and_ends_no_request() -> None:
     """Zenoh's error replies can carry no seal."""
     async with opened() as bench:
         key = bench.absolute("dev/robot/cmd")
@@ -244,7 +245,7 @@ async def test_an_error_reply_of_somebody_else_is_counted_and_ends_no_request() 
         await bench.not_sealed(bench.daemon, 1)
 
 
-async def test_what_is_listened_to_is_taken_with_its_seal_only() -> None:
+async def test_listener_receives_only_sealed_messages() -> None:
     """Nobody else on the machine can speak for the daemon whose silence holds the robot."""
     beats: list[int] = []
     async with opened() as bench:
@@ -273,7 +274,7 @@ async def test_what_is_listened_to_is_taken_with_its_seal_only() -> None:
         assert set(beats) == {1, 3}
 
 
-async def test_a_failure_comes_back_sealed_and_another_key_leaves_the_outcome_unknown() -> None:
+async def test_failure_returns_sealed_and_other_key_is_unknown_outcome() -> None:
     async with opened() as bench:
         with pytest.raises(DeviceError, match="It does not"):
             await bench.request("fail")
@@ -285,7 +286,7 @@ async def test_a_failure_comes_back_sealed_and_another_key_leaves_the_outcome_un
         assert bench.asked == asked
 
 
-async def test_what_is_kept_for_late_subscribers_keeps_its_seal() -> None:
+async def test_message_cached_for_late_subscribers_keeps_its_seal() -> None:
     heard: asyncio.Queue[DeviceHealth] = asyncio.Queue()
     async with opened() as bench:
         bench.node.publish("dev/robot/state", DeviceHealth(device="robot", connected=True))

@@ -121,7 +121,7 @@ def bench(lab: Lab) -> Bench:
 
 
 @pytest.mark.filterwarnings("ignore:Parsed a serial number")
-def test_a_signed_message_is_taken_once_and_with_any_bit_changed_never(bench: Bench) -> None:
+def test_signed_message_is_taken_once_and_never_if_a_bit_differs(bench: Bench) -> None:
     signature = bench.sign()
     for known in (False, True):  # the certificate is verified once
         for bit in range(len(signature) * 8):
@@ -131,7 +131,7 @@ def test_a_signed_message_is_taken_once_and_with_any_bit_changed_never(bench: Be
         assert bench.why(signature) == ("repeated" if known else "")
 
 
-def test_what_was_signed_is_taken_for_nothing_else(bench: Bench) -> None:
+def test_signature_holds_only_for_the_signed_message(bench: Bench) -> None:
     signature = bench.sign()
     assert bench.why(signature, payload=PAYLOAD + b" ") == "forged"
     assert bench.why(signature, key=KEY.replace("connect", "disconnect")) == "forged"
@@ -156,7 +156,8 @@ def test_only_the_newest_certificate_in_the_register_counts(bench: Bench, tmp_pa
 
 
 @pytest.mark.parametrize("days", [31.0, -1.0])
-def test_a_certificate_counts_in_its_own_time_whatever_the_register_says(bench: Bench, days: float) -> None:
+def test_certificate_outside_its_validity_is_refused(bench: Bench, days: float) -> None:
+    """The register may name a longer time."""
     settings = bench.lab.daemon()
     always = tuple(replace(each, begins=0.0, ends=2.0 * time.time()) for each in settings.members)
     bench.clock.now += days * 86400.0
@@ -165,7 +166,7 @@ def test_a_certificate_counts_in_its_own_time_whatever_the_register_says(bench: 
     assert bench.why(bench.sign()) == "certificate"
 
 
-def test_a_message_is_taken_while_it_is_fresh_and_clocks_that_differ_are_named(bench: Bench) -> None:
+def test_fresh_message_is_taken_and_clock_difference_is_named(bench: Bench) -> None:
     assert bench.why(bench.sign(ahead=FRESH_FOR - 0.01)) == ""
     assert bench.why(bench.sign(ahead=FRESH_FOR + 0.01)) == "ahead"
     in_time, late = bench.sign(), bench.sign()
@@ -179,7 +180,7 @@ def test_a_message_is_taken_while_it_is_fresh_and_clocks_that_differ_are_named(b
     assert "Set both clocks" in error.text
 
 
-def test_what_was_sent_before_the_daemon_began_is_not_taken(bench: Bench) -> None:
+def test_message_sent_before_the_daemon_started_is_refused(bench: Bench) -> None:
     signature = bench.sign()
     bench.clock.now += 0.01
     bench.signatures = SignatureVerifier(bench.lab.daemon(), bench.clock)
@@ -189,9 +190,7 @@ def test_what_was_sent_before_the_daemon_began_is_not_taken(bench: Bench) -> Non
     assert bench.why(bench.sign()) == ""
 
 
-def test_what_is_remembered_is_bounded_and_what_is_forgotten_is_not_taken(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_memory_is_bounded_and_forgotten_messages_are_refused(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pcmrs.bus.signature.REMEMBERED", 16)
     sent = [bench.sign() for _ in range(40)]
     for signature in sent[20:]:
@@ -212,7 +211,8 @@ def test_nobody_else_needs_a_signature(bench: Bench) -> None:
     assert bench.why(b"", user="nobody") == "unknown"
 
 
-def test_who_comes_by_a_certificate_signs_and_a_daemon_with_a_register_checks(lab: Lab) -> None:
+def test_certificate_holder_signs_and_daemon_with_members_checks(lab: Lab) -> None:
+    """A daemon checks signatures only with a register of members."""
     far, near, register = "tls/127.0.0.1:1", "tcp/127.0.0.1:1", tuple(read_register(lab.register))
     for name, endpoint, members, signs, checks in (
         ("tom", far, (), True, False),
@@ -332,7 +332,7 @@ def setpoint(sequence: int) -> TeleopSetpoint:
     return TeleopSetpoint(sequence=sequence, sent=0.0, seen=0.0, ttl=1.0, twist=(0.0,) * 6)
 
 
-async def test_a_router_that_was_taken_over_commands_nothing_and_who_signs_does(lab: Lab) -> None:
+async def test_hijacked_router_commands_nothing_and_a_signer_does(lab: Lab) -> None:
     async with opened(lab) as cell, cell.client("tom") as tom:
         forged = await asyncio.to_thread(cell.query, cell.thief, "cmd/tom/robot/connect", PAYLOAD)
         verdict = msgspec.json.decode(forged, type=Verdict)
@@ -344,7 +344,7 @@ async def test_a_router_that_was_taken_over_commands_nothing_and_who_signs_does(
         assert [(each.id, each.user, each.role) for each in cell.submitted] == [("own", "tom", "operator")]
 
 
-async def test_what_a_router_has_overheard_is_not_taken_again_nor_for_another_command(lab: Lab) -> None:
+async def test_overheard_command_is_not_taken_again_or_for_another_one(lab: Lab) -> None:
     overheard: list[zenoh.Sample] = []
     async with opened(lab) as cell, open_bus(lab.joined("tom", cell.endpoint)) as tom:
         cell.router.declare_subscriber(cell.absolute("cmd/**"), overheard.append)
@@ -413,7 +413,7 @@ class Received:
     attachment: zenoh.ZBytes | None
 
 
-async def test_a_busy_loop_gets_the_newest_signed_set_point_however_many_forged_ones_come(
+async def test_busy_loop_gets_newest_signed_set_point_among_forged(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     receivers: list[Callable[[Received], None]] = []
@@ -450,9 +450,7 @@ async def test_stop_needs_no_signature(lab: Lab) -> None:
         assert (await tom.stop()).source == "bus:tom"
 
 
-async def test_a_renewal_of_the_lease_that_was_long_on_its_way_is_not_the_end_of_it(
-    lab: Lab, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_late_renewal_does_not_end_the_lease(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pcmrs.client.aio._RENEWED", 0.02)
     async with opened(lab) as cell, cell.client("tom") as tom, asyncio.timeout(TIMEOUT), tom.holding():
         cell.hold_back(monkeypatch)
@@ -477,9 +475,10 @@ async def test_a_command_that_was_long_on_its_way_is_asked_again(lab: Lab, monke
         assert len(cell.submitted) == 1
 
 
-async def test_a_refusal_that_comes_after_a_broken_link_does_not_say_that_nothing_has_happened(
+async def test_refusal_after_a_broken_link_leaves_the_outcome_unknown(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The refusal does not say that nothing has happened."""
     monkeypatch.setattr("pcmrs.client.aio._ASKED_AGAIN", 0.02)
     monkeypatch.setattr("pcmrs.client.aio._TTL", 0.2)
     async with opened(lab) as cell, cell.client("tom") as tom, asyncio.timeout(TIMEOUT), asyncio.TaskGroup() as group:

@@ -70,7 +70,7 @@ async def test_a_few_are_served_at_a_time_and_who_asks_little_is_next() -> None:
         assert reading.most <= AT_ONCE
 
 
-async def test_one_more_than_may_wait_is_refused_at_once_and_says_the_limit() -> None:
+async def test_request_beyond_the_queue_is_refused_with_the_limit() -> None:
     async with served() as (reading, server, client):
         flood = ask(client, "eve", AT_ONCE + WAITING + 5)
         async with asyncio.timeout(TIMEOUT):

@@ -18,7 +18,7 @@ from pcmrs.errors import FileFormatError
 number = st.floats(-1.0, 1.0)
 
 
-def test_what_is_written_is_read(tmp_path: Path) -> None:
+def test_written_file_is_read_back(tmp_path: Path) -> None:
     file = tmp_path / "coil.toml"
     written = write_calibration(file, a_tool(sha256=""))
     assert read_calibration(file) == written
@@ -46,7 +46,7 @@ def _written(file: Path, calibration: Calibration) -> Path:
     return file
 
 
-def test_the_hash_is_of_the_values_and_not_of_how_they_are_written(tmp_path: Path) -> None:
+def test_hash_covers_the_values_and_not_how_they_are_written(tmp_path: Path) -> None:
     file = _written(tmp_path / "coil.toml", a_tool())
     lines = file.read_text().splitlines()
     file.write_text("# moved to another folder\n" + "\n".join(line for line in lines if not line.startswith("#")))
@@ -81,7 +81,7 @@ def test_a_changed_value_does_not_give_the_hash(tmp_path: Path, before: str, aft
         (("schema = 1", "schema = "), "not TOML"),
     ],
 )
-def test_what_is_no_calibration_is_refused_and_says_why(tmp_path: Path, change: tuple[str, str], words: str) -> None:
+def test_invalid_calibration_is_refused_with_the_reason(tmp_path: Path, change: tuple[str, str], words: str) -> None:
     file = _written(tmp_path / "coil.toml", a_tool())
     assert change[0] in file.read_text()
     file.write_text(file.read_text().replace(*change))

@@ -15,7 +15,7 @@ from pcmrs.spatial import Transform
 POSES = [Transform.from_rotvec((0.1 * index, -0.2, 1.5), (0.0, 0.1 * index, 1.0)) for index in range(4)]
 
 
-def test_what_is_written_is_read(tmp_path: Path) -> None:
+def test_written_file_is_read_back(tmp_path: Path) -> None:
     file = tmp_path / "poses.csv"
     write_poses(file, HAND_EYE, [POSES, POSES[::-1]])
     flange, coil = read_poses(file, HAND_EYE)
@@ -47,7 +47,7 @@ def test_json_and_millimetres_and_other_columns(tmp_path: Path) -> None:
         (header(PIVOT) + "\n0,0,1500,0,0,0,1", "in mm"),
     ],
 )
-def test_what_holds_no_poses_is_refused_and_says_where(tmp_path: Path, text: str, words: str) -> None:
+def test_file_without_poses_is_refused_with_the_place(tmp_path: Path, text: str, words: str) -> None:
     file = tmp_path / "poses.csv"
     file.write_text(text)
     with pytest.raises(FileFormatError, match=words):

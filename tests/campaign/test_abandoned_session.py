@@ -85,7 +85,7 @@ class Session:
     "branches",
     [{"placement": state} for state in ("standoff", "placed", "following")] + [{"stimulation": "armed"}],
 )
-async def test_a_tool_at_the_body_or_an_armed_stimulator_is_not_left_alone(branches: dict[str, str]) -> None:
+async def test_tool_at_the_body_or_armed_stimulator_is_not_left_alone(branches: dict[str, str]) -> None:
     session = Session(**branches)
     await session.let(AFTER - 1.0)
     assert session.reported == []
@@ -106,7 +106,7 @@ async def test_a_tool_that_is_away_or_held_may_be_left(state: str) -> None:
 
 
 @pytest.mark.parametrize("role", HOLDING)
-async def test_who_may_hold_the_lease_and_has_a_command_accepted_attends(role: Role) -> None:
+async def test_accepted_command_of_a_lease_holding_role_is_attendance(role: Role) -> None:
     session = Session(placement="placed")
     for _ in range(5):
         await session.let(AFTER - 1.0)
@@ -118,7 +118,7 @@ async def test_who_may_hold_the_lease_and_has_a_command_accepted_attends(role: R
 
 
 @pytest.mark.parametrize("role", sorted(set(ROLES) - set(HOLDING)))
-async def test_a_program_that_may_not_hold_the_lease_attends_to_nothing(role: Role) -> None:
+async def test_program_that_may_not_hold_the_lease_is_no_attendance(role: Role) -> None:
     session = Session(placement="placed")
     for _ in range(3):
         await session.let(AFTER / 3.0)
@@ -161,7 +161,8 @@ async def test_it_watches_on_after_an_operator_has_confirmed() -> None:
     await session.close()
 
 
-async def test_hands_that_guide_the_tool_are_there_and_a_tool_that_nobody_guides_yet_is_not_theirs() -> None:
+async def test_guiding_hands_attend_and_waiting_ones_do_not() -> None:
+    """A tool in the state guided that nobody guides yet is abandoned."""
     session = Session(placement="guided")
     status = TeleopStatus(stamp=0.0, distance=0.0, height=0.0, turn=0.0, user="alice", sequence=7)
     for _ in range(5):

@@ -36,7 +36,7 @@ def test_every_row_is_there_once_and_in_its_class() -> None:
         assert row.required
 
 
-def test_what_the_reference_implementation_gets_wrong_is_said_and_nothing_else() -> None:
+def test_only_faults_that_the_reference_gets_wrong_are_marked_so() -> None:
     assert {row.id for row in catalogue().values() if row.reference} == WRONG_IN_THE_REFERENCE
 
 
@@ -61,7 +61,7 @@ def test_rows_are_chosen_by_class_and_id() -> None:
 
 
 @pytest.mark.parametrize(("classes", "ids", "word"), [(["weather"], [], "weather"), ([], ["Z9", "S3"], "Z9")])
-def test_what_the_catalogue_does_not_have_is_named(classes: list[str], ids: list[str], word: str) -> None:
+def test_unknown_class_or_fault_is_named(classes: list[str], ids: list[str], word: str) -> None:
     with pytest.raises(ConfigurationError, match=word):
         choose(classes, ids)
 
@@ -94,7 +94,7 @@ def test_the_list_names_everything_that_a_row_needs() -> None:
     assert {row["id"]: set(row["needs"]) for row in listed() if row["needs"]} == NEEDS
 
 
-def test_the_list_says_which_rows_cannot_run_here_for_want_of_what(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_list_names_what_each_row_that_cannot_run_here_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("os.geteuid", lambda: 1000)
     monkeypatch.setattr("shutil.which", lambda name: None if name == "strace" else f"/bin/{name}")
     found = {row["id"]: (set(row["missing"]) & {"root", "strace"}, row["runs"]) for row in listed("--class", "storage")}
@@ -108,7 +108,7 @@ def test_nothing_is_registered_for_a_fault_that_does_not_exist() -> None:
         fault("Z9", how="by magic")
 
 
-def test_what_was_tried_names_known_ways_attackers_and_proofs() -> None:
+def test_attacks_name_known_ways_attackers_and_proofs() -> None:
     """That the tests are there is looked for in the document that names them."""
     known = attacks()
     for attack in known.attacks:

@@ -40,7 +40,7 @@ async def inject(fault_id: str, name: str, folder: Path, pool: Pool) -> Part:
     return await run_injection(way, 1, folder, pool, SystemClock())
 
 
-async def test_faults_of_a_cell_are_found_and_its_checks_fail_without_them(tmp_path: Path, pool: Pool) -> None:
+async def test_faults_of_a_cell_are_found_and_checks_fail_without_them(tmp_path: Path, pool: Pool) -> None:
     for fault_id, name in (("O10", "repeated"), ("O5", "collinear"), ("O2", "index_out_of_range")):
         part = await inject(fault_id, name, tmp_path, pool)
         assert part.outcome == "passed", part
@@ -61,7 +61,7 @@ async def test_faults_of_a_cell_are_found_and_its_checks_fail_without_them(tmp_p
     assert cell.process.returncode is not None, "a daemon that an error has left in doubt is not used again"
 
 
-async def test_a_consumer_that_has_no_time_counts_what_it_does_not_hear(tmp_path: Path, pool: Pool) -> None:
+async def test_busy_consumer_counts_the_messages_it_misses(tmp_path: Path, pool: Pool) -> None:
     async with Lab(1, tmp_path, pool).cell() as cell, consumer(cell, "busy") as go_on:
         await asyncio.sleep(1.0)
         found = await go_on()
@@ -79,12 +79,12 @@ async def test_a_daemon_that_refuses_to_start_says_why(tmp_path: Path) -> None:
             pytest.fail("must not start")
 
 
-async def test_a_daemon_counts_as_killed_at_a_failpoint_when_the_failpoint_has_killed_it() -> None:
+async def test_daemon_killed_by_its_failpoint_counts_as_killed_there() -> None:
     found = await daemonkills.kill_daemons(1, 1, SystemClock())
     assert (found.at, found.not_reached, found.violated) == ({FAILPOINTS[0]: 1}, {}, False)
 
 
-async def test_a_daemon_that_does_not_come_to_its_failpoint_is_not_counted_there(
+async def test_daemon_that_misses_its_failpoint_is_not_counted_there(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(daemonkills, "LATEST", 1 << 40)

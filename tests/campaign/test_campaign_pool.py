@@ -75,7 +75,7 @@ async def test_a_daemon_in_which_a_fault_failed_is_ended(tmp_path: Path, daemons
     await pool.close()
 
 
-async def test_what_an_earlier_fault_has_left_does_not_fail_the_next(tmp_path: Path, daemons: Daemons) -> None:
+async def test_daemon_spoilt_by_a_fault_is_not_used_again(tmp_path: Path, daemons: Daemons) -> None:
     pool = Pool(tmp_path)
     lab = Lab(1, tmp_path, pool)
     async with lab.cell():

@@ -120,7 +120,7 @@ def of(report: CampaignReport, fault_id: str) -> FaultResult:
 
 
 @pytest.mark.parametrize("jobs", [1, 3, 20])
-async def test_each_fault_has_its_own_outcome_in_the_order_of_the_catalogue(jobs: int) -> None:
+async def test_each_fault_has_its_outcome_in_catalogue_order(jobs: int) -> None:
     report = await campaign(IDS, [1], jobs)
     assert [result.id for result in report.faults] == IDS
     assert [result.outcome for result in report.faults] == OUTCOMES
@@ -128,7 +128,7 @@ async def test_each_fault_has_its_own_outcome_in_the_order_of_the_catalogue(jobs
     assert [result.id for result in report.failed] == ["S2", "S5", "S6", "S7"]
 
 
-async def test_what_was_seen_is_said() -> None:
+async def test_observed_response_is_reported() -> None:
     report = await campaign(IDS, [1])
     said = {result.id: result.response for result in report.faults}
     assert said["S2"] == f"It moved. {NASTY}"
@@ -148,12 +148,12 @@ async def test_all_ways_of_a_fault_are_tried_and_one_failure_fails_it() -> None:
     assert (of(report, "S7").response, of(report, "S7").how) == ("not seen", "first way; second way")
 
 
-async def test_what_nothing_injects_is_not_run_and_never_passed() -> None:
+async def test_fault_without_an_injection_is_not_run() -> None:
     report = await campaign(["S14"], [1])
     assert [(result.outcome, result.response) for result in report.faults] == [("not_run", NO_INJECTION)]
 
 
-async def test_a_response_without_measurement_or_control_is_not_proved_and_never_passed() -> None:
+async def test_response_without_measurement_or_control_is_not_proved() -> None:
     report = await campaign(["S9", "S10", "S12"], [1])
     assert [(result.outcome, result.response) for result in report.faults] == [
         ("not_proved", "There is no measurement that the fault took place."),
@@ -165,7 +165,7 @@ async def test_a_response_without_measurement_or_control_is_not_proved_and_never
         check_answered(report.faults[:1])
 
 
-async def test_a_sham_campaign_fails_what_passes_or_breaks_without_its_fault() -> None:
+async def test_sham_campaign_fails_what_passes_or_breaks_without_fault() -> None:
     report = await run_campaign(choose(ids=["S1", "S10", "S11", "S13", "S3"]), [1], is_sham=True)
     found = {result.id: (result.outcome, result.response) for result in report.faults}
     assert found == {
@@ -186,7 +186,7 @@ def test_a_part_of_the_chosen_faults_is_run(part: str, ids: list[str]) -> None:
     assert [entry["id"] for entry in json.loads(ended.stdout)["faults"]] == ids
 
 
-async def test_every_fault_gets_every_seed_and_the_same_one_draws_the_same() -> None:
+async def test_every_fault_gets_every_seed_and_it_fixes_the_draws() -> None:
     report = await campaign(["S1"], [4, 2])
     again = await campaign(["S1"], [2])
     assert [result.seed for result in report.faults] == [4, 2]
@@ -200,7 +200,7 @@ async def test_a_test_passes_for_no_fault_that_failed_or_was_not_run(fault_id: s
         check_answered((await campaign([fault_id], [1])).faults)
 
 
-async def test_a_test_is_skipped_for_a_need_that_is_missing_and_for_nothing_else() -> None:
+async def test_test_is_skipped_only_for_a_missing_need() -> None:
     check_answered((await campaign(["S1"], [1])).faults)
     with pytest.raises(pytest.skip.Exception, match="S4 missing: no no-such-tool-anywhere"):
         check_answered((await campaign(["S1", "S4"], [1])).faults)
@@ -212,7 +212,7 @@ def run_faults(*words: str) -> Result:
     return CliRunner().invoke(main, ["faults", "run", *words])
 
 
-def test_the_report_is_written_as_json_and_as_a_page_that_loads_nothing(tmp_path: Path) -> None:
+def test_report_is_written_as_json_and_as_self_contained_page(tmp_path: Path) -> None:
     folder = tmp_path / "new" / "report"
     ended = run_faults("--id", "S1", "--id", "S2", "--json", "-o", str(folder))
     assert ended.exit_code == 1

@@ -56,7 +56,7 @@ async def _write(process: asyncio.subprocess.Process, answers: int) -> list[str]
     return [(await process.stdout.readline()).decode().strip() for _ in range(answers)]
 
 
-async def test_only_the_calls_on_the_file_named_fail_and_only_meanwhile(tmp_path: Path) -> None:
+async def test_only_calls_on_the_named_file_fail_while_injected(tmp_path: Path) -> None:
     with _runs_here(syscalls.NEEDS):
         async with _writer(tmp_path / "meant", tmp_path / "other") as process:
             async with injected(process.pid, ("write",), "error=EIO", files=[tmp_path / "meant"]) as tampered:
@@ -65,7 +65,7 @@ async def test_only_the_calls_on_the_file_named_fail_and_only_meanwhile(tmp_path
             assert await _write(process, 2) == ["written", "written"]
 
 
-async def test_a_disk_keeps_through_a_power_cut_what_was_synchronised_and_no_more(tmp_path: Path) -> None:
+async def test_disk_keeps_only_synchronised_data_after_a_power_cut(tmp_path: Path) -> None:
     with _runs_here(loopdisk.NEEDS):
         async with loop_disk(tmp_path) as disk:
             await asyncio.to_thread(_half_synchronised, disk.path / "file")
@@ -84,7 +84,7 @@ def _half_synchronised(path: Path) -> None:
         file.write(b"lost")
 
 
-async def test_a_disk_is_full_until_it_is_released_and_read_only_until_mounted(tmp_path: Path) -> None:
+async def test_disk_is_full_until_released_and_read_only_until_mounted(tmp_path: Path) -> None:
     with _runs_here(loopdisk.NEEDS):
         async with loop_disk(tmp_path) as disk:
             disk.fill()
@@ -121,7 +121,7 @@ async def test_a_tool_that_fails_is_not_run() -> None:
         await tool(["false"])
 
 
-def test_what_is_missing_is_named() -> None:
+def test_missing_item_is_named() -> None:
     require([program("sh")])
     with pytest.raises(NotRun, match="missing here: no-such-program, moon;"):
         require([program("sh"), program("no-such-program"), Need("moon", lambda: False)])

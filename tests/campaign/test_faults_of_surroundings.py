@@ -20,5 +20,5 @@ def test_every_row_can_be_injected() -> None:
 
 
 @pytest.mark.nightly
-async def test_what_arrives_at_the_socket_does_no_harm() -> None:
+async def test_datagrams_at_the_socket_do_no_harm() -> None:
     check_answered((await run_campaign(choose((), QUICK), [0])).faults)

@@ -14,7 +14,7 @@ from pcmrs_lab.campaign.fuzz import HARMLESS, datagram
 
 
 @given(seed=st.integers(0, 1 << 32))
-def test_what_is_understood_is_harmless(seed: int) -> None:
+def test_fuzzed_datagram_that_parses_is_harmless(seed: int) -> None:
     generator = random.Random(seed)
     for _ in range(50):
         sent = datagram(generator)

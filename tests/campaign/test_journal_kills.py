@@ -15,7 +15,7 @@ from pcmrs_lab.campaign.kills import OF_JOURNAL, RANDOM, Checked, kill_writers, 
 from pcmrs_lab.campaign.writing import row
 
 
-def test_nothing_acknowledged_is_lost_at_any_failpoint_or_instant() -> None:
+def test_no_acknowledged_row_is_lost_at_any_failpoint_or_instant() -> None:
     found = kill_writers(14, 3, SystemClock())
     assert (found.kills, found.lost, found.refused) == (14, 0, [])
     assert found.acknowledged > 14
@@ -24,7 +24,7 @@ def test_nothing_acknowledged_is_lost_at_any_failpoint_or_instant() -> None:
     assert not found.violated
 
 
-def test_a_failpoint_that_is_not_reached_counts_as_such_and_not_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failpoint_that_is_not_reached_is_counted_as_not_reached(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kills, "LATEST", 1 << 40)
     monkeypatch.setattr(kills, "DIES_WITHIN", 3.0)
     found = kill_writers(3, 3, SystemClock())
@@ -64,7 +64,7 @@ async def test_a_row_that_is_not_there_is_a_loss(tmp_path: Path) -> None:
     assert lost_rows(tmp_path / "nowhere.sqlite", "run0", [1], Checked()) == 1
 
 
-async def test_a_chain_that_does_not_go_on_is_seen(tmp_path: Path) -> None:
+async def test_broken_chain_is_detected(tmp_path: Path) -> None:
     await _journal(tmp_path / "journal.sqlite", 3)
     with pytest.raises(JournalError, match="does not continue"):
         lost_rows(tmp_path / "journal.sqlite", "run0", [2], Checked(1, bytes(32)))

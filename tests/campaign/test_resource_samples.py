@@ -48,7 +48,7 @@ def test_descriptors_and_threads_are_counted() -> None:
 
 @pytest.mark.parametrize("measure", ALLOWED)
 @given(seed=st.integers(0, 100))
-def test_what_wavers_is_flat_and_what_grows_is_not(measure: str, seed: int) -> None:
+def test_wavering_course_is_flat_and_growing_one_is_not(measure: str, seed: int) -> None:
     generator = random.Random(seed)
     allowed = ALLOWED[measure]
     times = [float(number) for number in range(200)]
@@ -58,7 +58,7 @@ def test_what_wavers_is_flat_and_what_grows_is_not(measure: str, seed: int) -> N
     assert not course("daemon", measure, times, growing).flat
 
 
-def test_what_grows_only_while_it_warms_up_is_flat() -> None:
+def test_course_that_grows_only_during_warm_up_is_flat() -> None:
     times = [float(number) for number in range(100)]
     values = [1e8 + min(time, 15.0) * 4e6 for time in times]
     assert course("daemon", "memory", times, values).flat
@@ -88,7 +88,7 @@ async def test_every_command_of_a_soak_has_its_own_id() -> None:
     assert len(set(ids)) == len(ids)
 
 
-def test_a_soak_in_which_hardly_anything_is_accepted_shows_nothing() -> None:
+def test_soak_in_which_hardly_anything_is_accepted_fails() -> None:
     report = SoakReport(1.0, 1, 100, 0, {"accepted": 49, "rejected": 51}, 1, "", [])
     assert report.violated
     assert not replace(report, decisions={"accepted": 50, "rejected": 50}).violated

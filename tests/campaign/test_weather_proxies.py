@@ -14,7 +14,7 @@ from pcmrs_lab.campaign.proxy import tcp_proxy, udp_proxy
 
 
 @given(seed=st.integers(0, 1000), loss=st.floats(0.0, 1.0), doubled=st.floats(0.0, 1.0))
-def test_what_is_counted_is_what_happens(seed: int, loss: float, doubled: float) -> None:
+def test_counted_losses_and_doublings_are_those_that_happen(seed: int, loss: float, doubled: float) -> None:
     weather = NetworkImpairment(seed=seed, loss=loss, doubled=doubled)
     arrived = sum(len(weather.delays(0.0)) for _ in range(200))
     assert arrived == 200 - weather.counted["lost"] + weather.counted["doubled"]
@@ -62,7 +62,7 @@ async def test_in_fair_weather_everything_comes_back_in_order() -> None:
     assert await _echoes(NetworkImpairment(), 50, 50) == [b"%d" % number for number in range(50)]
 
 
-async def test_what_is_doubled_both_ways_comes_four_times() -> None:
+async def test_message_doubled_both_ways_arrives_four_times() -> None:
     received = await _echoes(NetworkImpairment(doubled=1.0), 5, 20)
     assert sorted(received) == sorted([b"%d" % number for number in range(5)] * 4)
 

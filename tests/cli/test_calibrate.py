@@ -106,9 +106,7 @@ def test_hand_eye_writes_a_tool(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "code"), [(("--limit-mm", "0.001"), "error_too_large"), ((), "degenerate_motion")], ids=["limit", "still"]
 )
-def test_what_is_not_good_enough_is_refused_and_nothing_is_written(
-    tmp_path: Path, words: tuple[str, ...], code: str
-) -> None:
+def test_insufficient_calibration_is_refused_and_not_written(tmp_path: Path, words: tuple[str, ...], code: str) -> None:
     file, output = pivot_file(tmp_path, tilt=0.6 if words else 0.01), tmp_path / "stylus.toml"
     ended = run("pivot", file, "-o", str(output), "--json", *words)
     assert ended.exit_code == 1
@@ -120,7 +118,7 @@ def test_what_is_not_good_enough_is_refused_and_nothing_is_written(
         assert "rms residual" in run("pivot", file, *words).stdout
 
 
-def test_what_cannot_be_read_ends_with_2(tmp_path: Path) -> None:
+def test_unreadable_file_ends_with_2(tmp_path: Path) -> None:
     (tmp_path / "other.csv").write_text("a,b\n1,2\n")
     for words in (["pivot", str(tmp_path / "none.csv")], ["hand-eye", str(tmp_path / "other.csv")]):
         ended = run(*words)
@@ -145,7 +143,8 @@ def test_either_a_file_or_live(words: list[str]) -> None:
         (("pivot", "poses.csv", "-o", "no_such_folder/tip.toml"), "no folder no_such_folder"),
     ],
 )
-def test_what_would_be_passed_over_or_make_no_sense_is_a_usage_error(words: tuple[str, ...], said: str) -> None:
+def test_option_that_would_be_ignored_or_is_senseless_is_refused(words: tuple[str, ...], said: str) -> None:
+    """It is a usage error."""
     ended = run(*words)
     assert ended.exit_code == 2
     assert said in ended.stderr

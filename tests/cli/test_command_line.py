@@ -36,7 +36,7 @@ def _run(*words: str) -> Result:
 @pytest.mark.parametrize(
     "words", [["call", "robot.connect"], ["state"], ["state", "--json"], ["keys"], ["watch"], ["stop"]]
 )
-def test_without_a_daemon_the_status_is_3_and_one_line_says_so(words: list[str], nobody: str) -> None:
+def test_without_a_daemon_the_status_is_3_with_one_error_line(words: list[str], nobody: str) -> None:
     ended = _run(*words, "--endpoint", nobody)
     assert ended.exit_code == 3
     assert ended.stdout == ""
@@ -55,7 +55,7 @@ def test_without_a_daemon_the_status_is_3_and_one_line_says_so(words: list[str],
         (["robot.connect", '{"a": ' + "1" * 5000 + "}"], "not JSON"),
     ],
 )
-def test_arguments_that_are_no_json_object_are_refused_before_anybody_is_asked(words: list[str], text: str) -> None:
+def test_arguments_that_are_no_json_object_are_refused_unsent(words: list[str], text: str) -> None:
     ended = _run("call", *words)
     assert ended.exit_code == 2
     (line,) = ended.stderr.splitlines()
@@ -136,7 +136,7 @@ def _write_journal(folder: Path) -> Path:
     return folder / "ratms.sqlite"
 
 
-def test_the_journal_is_shown_oldest_first_and_the_last_rows_only(tmp_path: Path) -> None:
+def test_journal_is_shown_oldest_first_and_only_its_last_rows(tmp_path: Path) -> None:
     path = _write_journal(tmp_path)
     shown = _run("journal", "show", str(path))
     assert shown.exit_code == 0
@@ -163,9 +163,7 @@ def test_options_for_a_cell_are_refused_where_no_cell_is_tested() -> None:
         assert f"{option[0]} is for --live only" in ended.stderr
 
 
-def test_a_name_means_the_installed_workflow_whatever_lies_in_the_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_name_means_the_installed_workflow_not_a_local_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is verified is what a daemon would run."""
     (tmp_path / "ratms").write_text("not a blueprint")
     monkeypatch.chdir(tmp_path)
@@ -173,7 +171,7 @@ def test_a_name_means_the_installed_workflow_whatever_lies_in_the_folder(
     assert _run("fsm", "verify", "./ratms").exit_code == 2
 
 
-def test_an_error_of_several_lines_is_printed_as_lines_that_cannot_pass_for_a_message() -> None:
+def test_lines_of_an_error_cannot_pass_for_a_message() -> None:
     """A table in an error can be copied; a line break in a value from outside begins no line of PCMRS."""
 
     @click.command()

@@ -60,7 +60,7 @@ def test_a_full_disk_raises_nothing_and_what_is_lost_is_counted() -> None:
     assert stream.lost == 10
 
 
-def test_a_reader_that_does_not_read_holds_up_nobody_and_is_told_what_was_lost(pipe: tuple[int, int]) -> None:
+def test_blocked_log_reader_delays_nobody_and_sees_lines_lost(pipe: tuple[int, int]) -> None:
     reader, writer = pipe
     stream, line = LogStream(writer), "x" * 199 + "\n"
     for _ in range(2 * MAX_WAITING):

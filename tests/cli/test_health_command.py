@@ -26,7 +26,7 @@ def line(text: str, start: str) -> list[str]:
     return found
 
 
-def test_what_is_well_is_shown_with_its_numbers() -> None:
+def test_healthy_daemon_is_shown_with_its_numbers() -> None:
     text = shown(WELL)
     assert text.startswith("ok: ratms 1.0.0 (0123456789ab), pcmrs 0.1.0, up 1:02:05\n")
     assert "→" not in text
@@ -38,7 +38,7 @@ def test_what_is_well_is_shown_with_its_numbers() -> None:
     assert "bus 5, bus.replaced 8" in text
 
 
-def test_each_reason_is_shown_with_its_remedy_and_markup_in_it_is_text() -> None:
+def test_each_reason_has_its_remedy_and_markup_is_shown_as_text() -> None:
     tasks = [TaskStanding(name="[red]", answers=False, restarts=0)]
     text = shown(replace(WELL, tasks=tasks, metrics="Port [1] is taken.", latched=True))
     first, task, restart, metrics, port, *_ = text.splitlines()

@@ -144,7 +144,7 @@ def test_rows_that_are_missing_are_counted(path: Path) -> None:
     assert "5 rows that the head names" in shown.stdout
 
 
-def test_what_is_no_journal_or_no_format_is_told_apart_from_damage(path: Path, tmp_path: Path) -> None:
+def test_missing_journal_or_unknown_format_is_not_damage(path: Path, tmp_path: Path) -> None:
     assert _run("verify", tmp_path / "none.sqlite").exit_code == 2
     wrong = _run("export", path, "-o", tmp_path / "rows.txt")
     assert wrong.exit_code == 2

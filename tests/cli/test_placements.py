@@ -64,7 +64,7 @@ def _check_errors(report: dict[str, Any]) -> None:
     assert report["rotation_error_deg"]["mean"] == pytest.approx(0.3)
 
 
-def test_a_folder_of_saved_placements_is_evaluated_at_the_labs_standoff(tmp_path: Path) -> None:
+def test_saved_placements_are_evaluated_at_the_lab_standoff(tmp_path: Path) -> None:
     _check_errors(_report(_folder(tmp_path)))
 
 
@@ -154,7 +154,7 @@ def _pose_log(folder: Path, samples: int = 20) -> Path:
     return path
 
 
-def test_a_pose_log_is_told_by_its_content(tmp_path: Path) -> None:
+def test_pose_log_is_recognised_by_its_content(tmp_path: Path) -> None:
     path = _pose_log(tmp_path).rename(tmp_path / "log.txt")
     plot = tmp_path / "log.png"
     report = _report(str(path), "--plot", str(plot))
@@ -185,7 +185,7 @@ def _refused(*words: str) -> str:
     return ended.stderr
 
 
-def test_what_cannot_be_read_is_named(tmp_path: Path) -> None:
+def test_unreadable_file_is_named(tmp_path: Path) -> None:
     folder = Path(_folder(tmp_path))
     (folder / "placement_2.yaml").write_text("MEASURED_POSE: 5")
     said = _refused(str(folder))
@@ -230,7 +230,7 @@ def test_a_byte_order_mark_before_a_pose_log_is_passed_over(tmp_path: Path) -> N
     assert _report(str(log)) == plain
 
 
-def test_a_file_of_another_kind_is_told_what_is_read(tmp_path: Path) -> None:
+def test_file_of_another_kind_is_refused_with_the_known_kinds(tmp_path: Path) -> None:
     (tmp_path / "points.csv").write_text("name,x_mm,y_mm,z_mm\n")
     assert "points.csv is neither a saved placement (.yaml, .yml) nor a journal nor a pose log" in _refused(
         str(tmp_path / "points.csv")

@@ -30,7 +30,7 @@ def test_a_bar_that_is_wiped_off_leaves_nothing_in_a_file(capsys: pytest.Capture
     assert capsys.readouterr().err == ""
 
 
-def test_a_file_is_told_the_first_and_the_last_of_quick_steps(capsys: pytest.CaptureFixture[str]) -> None:
+def test_log_file_gets_the_first_and_the_last_of_quick_steps(capsys: pytest.CaptureFixture[str]) -> None:
     with progress_bar() as show:
         for done in range(1, 6):
             show(f"row {done}", done, 5)

@@ -33,7 +33,7 @@ def register(folder: Path, digitized: Floats, *options: str, planned: Floats = P
     return CliRunner().invoke(main, ["register", *files, *options])
 
 
-def test_a_good_registration_is_accepted_and_told_in_full(tmp_path: Path) -> None:
+def test_good_registration_is_accepted_and_reported_in_full(tmp_path: Path) -> None:
     output = tmp_path / "reg.yaml"
     ended = register(tmp_path, TRUTH @ PLANNED + WOBBLE, "--target", "-0.03,0,0.11", "-o", str(output))
     assert (ended.exit_code, ended.stderr) == (0, "")
@@ -105,7 +105,7 @@ def test_a_refused_registration_is_not_written(tmp_path: Path) -> None:
     assert f"{output} is not written" in ended.stderr
 
 
-def test_landmarks_on_a_line_are_refused_with_their_singular_values(tmp_path: Path) -> None:
+def test_collinear_landmarks_are_refused_with_singular_values(tmp_path: Path) -> None:
     line = np.outer(np.arange(4.0), (0.01, 0.02, 0.03))
     ended = register(tmp_path, TRUTH @ line, "--json", planned=line)
     assert ended.exit_code == 1
@@ -115,7 +115,7 @@ def test_landmarks_on_a_line_are_refused_with_their_singular_values(tmp_path: Pa
     assert re.match(rf"{re.escape(str(tmp_path))}.*: The fixed points lie on a line", said["refusal"]["text"])
 
 
-def test_pairing_by_order_is_said(tmp_path: Path) -> None:
+def test_pairing_by_order_is_reported(tmp_path: Path) -> None:
     plan = write(tmp_path / "a.csv", PLANNED)
     digitized = write(tmp_path / "b.csv", TRUTH @ PLANNED, tuple(f"d{index}" for index in range(6)))
     ended = CliRunner().invoke(main, ["register", plan, digitized])
@@ -164,7 +164,7 @@ def test_senseless_options_are_usage_errors(options: tuple[str, ...], text: str,
     assert text in ended.stderr
 
 
-def test_what_is_read_is_not_overwritten(tmp_path: Path) -> None:
+def test_input_file_is_not_overwritten(tmp_path: Path) -> None:
     plan = write(tmp_path / "plan.csv", PLANNED)
     before = Path(plan).read_text()
     ended = CliRunner().invoke(main, ["register", plan, plan, "-o", plan])

@@ -31,7 +31,7 @@ def test_a_mesh_is_written_that_can_be_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(mesh.vertices.mean(axis=0), 0.039, atol=0.001)
 
 
-def test_what_cannot_be_read_ends_in_one_line_and_writes_nothing(tmp_path: Path) -> None:
+def test_unreadable_file_gives_one_error_line_and_no_output(tmp_path: Path) -> None:
     (tmp_path / "head.nii").write_bytes(b"nonsense")
     ended = CliRunner().invoke(main, ["skin", str(tmp_path / "head.nii"), "-o", str(tmp_path / "head.ply")])
     assert ended.exit_code == 2

@@ -53,7 +53,7 @@ def test_landmarks_in_mm_are_what_the_daemon_reads_in_metres(points: list[tuple[
 
 
 @given(ROTATION, POINT)
-def test_a_transform_of_the_scene_is_the_pose_that_the_daemon_plans(
+def test_scene_transform_is_the_pose_that_the_daemon_plans(
     turn: tuple[float, ...], position: tuple[float, ...]
 ) -> None:
     meant = Transform.from_rotvec(np.array(position) * 1e-3, turn)
@@ -103,7 +103,7 @@ def test_at_the_vertex_the_tools_y_is_anterior() -> None:
 @pytest.mark.parametrize(
     "rotation", [np.diag([1.0, 1.0, -1.0]), np.diag([1.0, 1.0, 1.01]), np.full((3, 3), math.nan)], ids=str
 )
-def test_what_is_no_rigid_pose_is_refused(rotation: Any) -> None:
+def test_matrix_that_is_not_rigid_is_refused(rotation: Any) -> None:
     matrix = np.eye(4)
     matrix[:3, :3] = rotation
     with pytest.raises(link.PoseError):
@@ -111,7 +111,7 @@ def test_what_is_no_rigid_pose_is_refused(rotation: Any) -> None:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_what_is_not_finite_is_not_sent(value: float) -> None:
+def test_number_that_is_not_finite_is_not_sent(value: float) -> None:
     sent = link.Link(port=free_port(), pose_port=None, point_port=None)
     planner = link.Planner(sent)
     try:

@@ -109,7 +109,7 @@ def cell(shared: Cell) -> Cell:
     return shared
 
 
-def test_the_workflow_from_planned_landmarks_to_the_placement_and_home(cell: Cell) -> None:
+def test_workflow_from_planned_landmarks_to_placement_and_home(cell: Cell) -> None:
     after = cell.cell.last_row()
     with desk(cell) as slicer:
         assert slicer.program.verdict(slicer.planner.hello).reason == "no_data"  # heard: there are no joints yet
@@ -154,7 +154,7 @@ def test_the_workflow_from_planned_landmarks_to_the_placement_and_home(cell: Cel
     ]
 
 
-def test_a_refused_operation_says_why_and_the_next_one_is_heard(cell: Cell) -> None:
+def test_refused_operation_gives_its_reason_and_the_next_one_too(cell: Cell) -> None:
     with desk(cell) as slicer:
         verdict = slicer.program.verdict(slicer.planner.act, "Approach")
         assert (verdict.decision, verdict.branch) == ("rejected", "placement")
@@ -168,7 +168,7 @@ def test_a_refused_operation_says_why_and_the_next_one_is_heard(cell: Cell) -> N
         slicer.act("Connect robot")
 
 
-def test_what_waits_after_a_pause_is_taken_in_one_tick_and_the_newest_is_shown(cell: Cell) -> None:
+def test_backlog_is_taken_in_one_tick_and_the_newest_is_shown(cell: Cell) -> None:
     with desk(cell) as slicer:
         slicer.register()
         slicer.act("Show tool")
@@ -216,7 +216,7 @@ def test_a_lost_reply_is_asked_for_again_and_nothing_runs_twice(cell: Cell) -> N
     assert set(outcomes.values()) == {1}, outcomes
 
 
-def test_what_was_lost_before_a_stop_is_not_sent_after_it(cell: Cell) -> None:
+def test_command_lost_before_a_stop_is_not_resent_after_it(cell: Cell) -> None:
     def lost(way: str, data: bytes) -> bool:
         return way == "to" and data.startswith(b"execute_motionxx")
 
@@ -245,7 +245,7 @@ def test_points_from_mixed_reality_are_a_tool_pose(cell: Cell) -> None:
         assert np.allclose(np.array(pose.matrix)[:3, :3], np.eye(3))
 
 
-def test_where_nobody_listens_it_says_so(cell: Cell) -> None:
+def test_command_without_a_listener_is_unknown_with_the_reason(cell: Cell) -> None:
     with desk(cell, free_port(), clock=_quick(10.0)) as slicer:
         verdict = slicer.program.verdict(slicer.planner.hello)
         assert (verdict.decision, verdict.reason) == ("unknown", "nobody_listens")
@@ -262,7 +262,7 @@ def test_one_job_at_a_time(cell: Cell) -> None:
         assert answers[0].accepted
 
 
-def test_a_client_that_does_not_sign_is_not_heard(cell: Cell) -> None:
+def test_client_that_does_not_sign_gets_no_answer(cell: Cell) -> None:
     after = cell.cell.last_row()
     for signer in (None, link.Signer("slicer", bytes(32))):
         with desk(cell, signer=signer, clock=_quick(20.0)) as slicer:

@@ -102,7 +102,7 @@ RIGHT, ANTERIOR, SUPERIOR = np.eye(3)
 UNITY_RIGHT, UNITY_UP, UNITY_FORWARD = np.eye(3)
 
 
-def test_anatomical_axes_become_those_of_somebody_who_stands(probe: Probe) -> None:
+def test_anatomical_axes_become_those_of_a_standing_person(probe: Probe) -> None:
     for axis, seen in ((RIGHT, UNITY_RIGHT), (ANTERIOR, UNITY_FORWARD), (SUPERIOR, UNITY_UP)):
         np.testing.assert_array_equal(probe.numbers("mirror_point", *axis), seen)
 
@@ -111,7 +111,7 @@ def test_anatomical_axes_become_those_of_somebody_who_stands(probe: Probe) -> No
     ("axis", "turned", "becomes"),
     [(RIGHT, ANTERIOR, SUPERIOR), (ANTERIOR, SUPERIOR, RIGHT), (SUPERIOR, RIGHT, ANTERIOR)],
 )
-def test_a_quarter_turn_about_each_axis_takes_the_same_side_to_the_same_side(
+def test_quarter_turn_about_each_axis_keeps_the_sides(
     probe: Probe, axis: np.ndarray[Any, Any], turned: np.ndarray[Any, Any], becomes: np.ndarray[Any, Any]
 ) -> None:
     turn = Transform.from_rotvec((0.0, 0.0, 0.0), tuple(axis * np.pi / 2.0))
@@ -139,7 +139,7 @@ def test_matrices_and_quaternions_say_the_same(probe: Probe, pose: Transform) ->
 
 
 @pytest.mark.parametrize("spoilt", [np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([1.1, 1.1, 1.1, 1.0]), np.zeros((4, 4))])
-def test_what_is_no_rotation_is_refused(probe: Probe, spoilt: np.ndarray[Any, Any]) -> None:
+def test_invalid_rotation_is_refused(probe: Probe, spoilt: np.ndarray[Any, Any]) -> None:
     assert probe.ask("from_matrix", *spoilt.ravel())["error"] == "FormatException"
 
 
@@ -191,7 +191,7 @@ def test_streams_of_points_are_mirrored_and_in_metres(
         "ack",
     ],
 )
-def test_what_is_not_whole_is_refused(probe: Probe, text: str) -> None:
+def test_incomplete_message_is_refused(probe: Probe, text: str) -> None:
     assert probe.ask(f"message {text}")["error"] == "FormatException"
 
 
@@ -211,7 +211,7 @@ def test_verdict_replies_are_read(probe: Probe, number: int, decision: Any, word
 
 
 @pytest.mark.parametrize("reply", ["ack", "1_accepted_a", "1_maybe_a_b;", "1_accepted_a_b_x;"])
-def test_what_is_no_verdict_is_refused(probe: Probe, reply: str) -> None:
+def test_invalid_verdict_is_refused(probe: Probe, reply: str) -> None:
     assert probe.ask(f"verdict {reply}")["error"] == "FormatException"
 
 
@@ -233,7 +233,7 @@ def test_any_state_is_read(probe: Probe, branches: dict[str, str], plan: str, la
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[1]", '{"sequence": "1"}', "{" * 100, '{"a": tru}', '{"a": "\\u00zz"}'])
-def test_what_is_no_state_is_refused(probe: Probe, text: str) -> None:
+def test_invalid_state_is_refused(probe: Probe, text: str) -> None:
     assert probe.ask(f"state_of {text}")["error"] == "FormatException"
 
 
@@ -265,7 +265,7 @@ def test_of_a_burst_the_newest_is_kept_and_strangers_are_refused(programs: Path)
         assert probe.ask("newest Registration")["numbers"] is None
 
 
-def test_what_is_old_is_not_shown(programs: Path) -> None:
+def test_old_pose_is_not_shown(programs: Path) -> None:
     with running_probe(programs) as probe, _sender("127.0.0.1") as daemon:
         port = int(probe.numbers("receive 0")[0])
         daemon.sendto(b"crnt_1_0_0_0_0_0_1", ("127.0.0.1", port))
@@ -286,7 +286,7 @@ def _sender(host: str) -> socket.socket:
 # The package ----------------------------------------------------------------------------------------------------------
 
 
-def test_every_asset_has_an_identity_of_its_own() -> None:
+def test_every_asset_has_its_own_identity() -> None:
     """Without it, Unity ignores the files of a package that is not in the project itself."""
     assets = [file for file in PACKAGE.rglob("*") if "Tests~" not in file.parts and file.suffix != ".meta"]
     assert len(assets) > 15

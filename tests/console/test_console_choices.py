@@ -31,7 +31,7 @@ def offered(choices: Choices, shown: Snapshot, who: Setup) -> tuple[list[Choice]
 
 
 @pytest.mark.parametrize("stage", range(len(STAGES)))
-async def test_what_it_does_not_offer_is_rejected_and_changes_nothing(stage: int) -> None:
+async def test_choice_not_offered_is_rejected_and_changes_nothing(stage: int) -> None:
     async with open_bench() as bench:
         await STAGES[stage](bench)
         choices = Choices(bench.dispatcher.procedure.blueprint)
@@ -54,7 +54,7 @@ async def start() -> tuple[Choices, Snapshot]:
 
 
 @pytest.mark.parametrize("role", ROLES)
-async def test_who_may_command_nothing_is_offered_nothing(start: tuple[Choices, Snapshot], role: Role) -> None:
+async def test_role_that_may_not_command_is_offered_nothing(start: tuple[Choices, Snapshot], role: Role) -> None:
     able, _ = offered(*start, msgspec.structs.replace(setup(), role=role))
     assert bool(able) == (role in COMMANDING)
     if role == "planner":
@@ -71,7 +71,7 @@ async def test_the_lease_of_others_closes_everything_but_to_a_planner(start: tup
     assert not offered(choices, shown, msgspec.structs.replace(setup(), lease_required=True))[0]
 
 
-async def test_the_latch_is_shown_as_begun_until_standstill_is_confirmed() -> None:
+async def test_latch_is_shown_unconfirmed_until_standstill_is_known() -> None:
     async with open_bench() as bench:
         dispatcher = bench.dispatcher
         assert latch_of(None) is latch_of(dispatcher.snapshot()) is None

@@ -84,7 +84,7 @@ def test_tool_and_body_are_shown_by_one_tracker(seed: int) -> None:
     assert sight.in_base(body("body_ref", base_from_body, valid=False)) is None
 
 
-def test_the_trackers_noise_is_smoothed_and_its_moving_is_followed_at_once() -> None:
+def test_tracker_noise_is_smoothed_and_motion_followed_at_once() -> None:
     sight, q, random = Sight(setup()), np.zeros(7), np.random.default_rng(1)
     base_from_coil = sight.arm.frames(q)[-1] @ FLANGE_FROM_COIL
     for base_from_tracker in (some_pose(1), some_pose(2)):

@@ -43,7 +43,8 @@ def small_pages(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(history, "PAGE", 4)
 
 
-async def test_first_the_session_then_what_is_new_and_what_was_before_when_asked(tmp_path: Path) -> None:
+async def test_session_is_read_first_then_new_rows_then_older_ones(tmp_path: Path) -> None:
+    """Older rows are read when they are requested."""
     journal = Journal.open(tmp_path / "journal.sqlite", durable=False)
     await journal.append([row("old")] * 20)
     await journal.append([row("new")] * 9)
@@ -96,7 +97,7 @@ async def test_rows_say_who_what_and_why(tmp_path: Path) -> None:
     await journal.close()
 
 
-def test_who_may_not_read_the_journal_sees_what_was_heard() -> None:
+def test_role_without_the_journal_sees_received_messages() -> None:
     verdict = Verdict(id="1", branch="robot", operation="connect", decision="accepted", state="1", sequence=1)
     event = DeviceEvent(device="robot", code="link_lost", text="Gone.")
     decided, lost = heard_only([(1.0, verdict), (2.0, event)])

@@ -70,7 +70,7 @@ def test_keys_move_it_along_the_surface_and_turn_it_in_place(seed: int, keys: li
 
 
 @given(st.integers(0, 10_000), st.floats(0.03, 0.08))
-def test_a_target_is_projected_to_the_nearest_point_or_along_a_direction(seed: int, away: float) -> None:
+def test_target_is_projected_to_nearest_point_or_along_direction(seed: int, away: float) -> None:
     plan, target = draft(), away * direction(seed)
     plan.aim(target)
     assert plan.pose is not None
@@ -115,7 +115,7 @@ def test_points_of_another_space_are_refused_and_change_nothing() -> None:
     assert (plan.pose, plan.target) == (None, None)
 
 
-def test_the_phantoms_own_landmarks_are_taken_and_turned_ones_are_not() -> None:
+def test_phantom_landmarks_are_taken_and_turned_ones_are_refused() -> None:
     for name, body in (("ratms", "head"), ("femoroplasty", "femur")):
         mesh = read_mesh(EXAMPLES / f"{body}_phantom.ply", "m", "RAS")
         planned = read_landmarks(EXAMPLES / f"{name}_plan.json")
@@ -133,7 +133,7 @@ def test_without_a_surface_nothing_is_placed() -> None:
 
 
 @pytest.mark.parametrize("text", ["", None, "1 2", "1 2 x", "1 2 3 4", "1 2 nan"])
-def test_what_is_no_point_is_refused(text: str | None) -> None:
+def test_text_that_is_no_point_is_refused(text: str | None) -> None:
     with pytest.raises(GeometryError, match="three numbers"):
         typed_point(text)
 

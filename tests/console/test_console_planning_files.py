@@ -46,7 +46,7 @@ def test_points_come_in_ras_and_metres(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.points, [[0.0, 0.09, 0.0]])
 
 
-def test_what_is_no_plan_is_refused_with_its_reason(tmp_path: Path) -> None:
+def test_invalid_plan_file_is_refused_with_the_reason(tmp_path: Path) -> None:
     BALL.export(tmp_path / "head.ply")
     with pytest.raises(FileFormatError, match="Give its other unit"):
         importer.read_surface(tmp_path / "head.ply", "m", "RAS", None)
@@ -100,7 +100,7 @@ async def test_whatever_the_reader_says_is_only_data(
         ([[0.0, 0.0, 0.0]], [[0, 0, 0]] * (importer.MOST_FACES + 1)),
     ],
 )
-def test_a_surface_that_is_none_is_not_taken(vertices: list[list[float]], faces: list[list[int]]) -> None:
+def test_invalid_surface_is_refused(vertices: list[list[float]], faces: list[list[int]]) -> None:
     answer = importer.SurfaceAnswer(np.array(vertices).tobytes(), np.array(faces, dtype=np.int64).tobytes())
     with pytest.raises(FileFormatError, match="no surface"):
         files.surface_in(Path("a.stl"), answer)
@@ -136,21 +136,21 @@ print(*out)
 
 
 @pytest.mark.parametrize("how", ["free", "confined"])
-def test_a_reader_has_neither_network_nor_programs_nor_much_memory(how: str, tmp_path: Path) -> None:
+def test_reader_has_no_network_no_programs_and_little_memory(how: str, tmp_path: Path) -> None:
     words = [sys.executable, "-c", CONFINED, how, str(tmp_path / "file")]
     said = subprocess.run(words, capture_output=True, text=True, check=True, timeout=120).stdout.split()
     ended = ["PermissionError", "PermissionError", "MemoryError", "OSError", "PermissionError"]
     assert said == (ended if how == "confined" else ["done"] * 5)
 
 
-async def test_a_reader_without_memory_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_reader_without_memory_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     BALL.export(tmp_path / "head.stl")
     monkeypatch.setattr(files, "MEMORY", 2**20)
     with pytest.raises(FileFormatError, match="for want of memory"):
         await read_surface(tmp_path / "head.stl", "mm", "RAS", None)
 
 
-async def test_what_takes_too_long_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_reader_that_takes_too_long_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(files, "PATIENCE", 0.0)
     with pytest.raises(FileFormatError, match="took more than"):
         await read_points(markups(tmp_path / "F.mrk.json"))

@@ -153,7 +153,7 @@ def test_times_are_those_of_the_session(recorded: LoadedRecording, played: Calla
     assert [at for at, _ in playback.events] == [1_700_000_000.6]
 
 
-def test_an_older_recording_shows_plan_and_registration_by_its_targets(tmp_path: Path) -> None:
+def test_older_recording_shows_plan_and_registration_by_targets(tmp_path: Path) -> None:
     newer = ("state/data", "state/epoch", "state/health")
     path = write(tmp_path / "older.mcap", [each for each in said() if each[1] not in newer])
     playback = Playback(load_recording([path], lambda _: None), setup(), BLUEPRINT)
@@ -162,7 +162,7 @@ def test_an_older_recording_shows_plan_and_registration_by_its_targets(tmp_path:
     assert (list(playback.epochs), playback.health, playback.trouble) == ([], None, "")
 
 
-async def test_what_a_cell_says_to_its_recorder_is_what_is_shown(tmp_path: Path) -> None:
+async def test_recorded_messages_are_what_is_shown(tmp_path: Path) -> None:
     file = tmp_path / "run.mcap"
     told = [
         ("state/data", landmarks(3)),
@@ -182,7 +182,7 @@ async def test_what_a_cell_says_to_its_recorder_is_what_is_shown(tmp_path: Path)
     assert (playback.data, list(playback.epochs), playback.health) == (landmarks(3), [epoch(1), epoch(2)], health(5.0))
 
 
-def test_what_this_cell_cannot_show_truly_is_refused(tmp_path: Path) -> None:
+def test_recording_that_this_cell_cannot_show_is_refused(tmp_path: Path) -> None:
     other = write(tmp_path / "other.mcap", [(0.0, "state/fsm", snapshot(1, msgspec.structs.replace(TAG, id="x")))])
     older = write(tmp_path / "older.mcap", [(0.0, "state/fsm", snapshot(1, robot="broken"))])
     arm = write(tmp_path / "arm.mcap", [(0.0, "state/joints", msgspec.structs.replace(joints(0.0), positions=[0.0]))])

@@ -32,7 +32,7 @@ REGISTERED = ProcedureDataView(
 )
 
 
-def test_each_landmark_is_named_with_its_residual_and_one_beyond_the_limit_says_so() -> None:
+def test_each_landmark_shows_its_residual_and_if_it_is_too_large() -> None:
     assert mean_in_words(REGISTERED, LIMIT, Texts("en")) == "Residual: 2.90 mm (limit 3.0 mm)"
     assert each_in_words(REGISTERED, LIMIT, Texts("en")) == [
         ("nasion 1.23 mm", True),
@@ -42,7 +42,7 @@ def test_each_landmark_is_named_with_its_residual_and_one_beyond_the_limit_says_
     assert each_in_words(REGISTERED, LIMIT, Texts("de"))[1] == ("left 4.56 mm, über 3.0 mm", False)
 
 
-def test_before_a_registration_nothing_is_said() -> None:
+def test_no_residual_is_shown_before_a_registration() -> None:
     planned = msgspec.structs.replace(REGISTERED, body_ref_from_image=None, residual=None)
     assert mean_in_words(planned, LIMIT, Texts("en")) == ""
     assert each_in_words(planned, LIMIT, Texts("en")) == []

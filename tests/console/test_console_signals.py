@@ -25,7 +25,7 @@ class At(CellViewModel):
     now = 0.0
 
 
-def test_the_bodys_motion_is_from_where_it_was_first_and_a_gap_while_it_is_not_seen() -> None:
+def test_body_motion_is_from_first_pose_with_gaps_while_hidden() -> None:
     told, traces = At(), Traces()
     poses: Iterator[Any] = iter(
         [
@@ -45,7 +45,7 @@ def test_the_bodys_motion_is_from_where_it_was_first_and_a_gap_while_it_is_not_s
     assert all(moment.tool is None for moment in traces.moments), "nothing is planned"
 
 
-def test_only_the_last_minute_is_kept_and_a_replay_that_goes_back_begins_anew() -> None:
+def test_last_minute_is_kept_and_a_replay_going_back_restarts() -> None:
     told, traces = At(), Traces()
     for told.now in range(200):
         traces.look(told)
@@ -74,7 +74,7 @@ def test_a_hunt_is_drawn_as_it_went() -> None:
     assert hunted(None) is None
 
 
-def test_a_hunt_without_an_interval_has_gaps_and_one_without_pulses_has_nothing() -> None:
+def test_hunt_without_interval_has_gaps_and_without_pulses_none() -> None:
     hunt = MotorThresholdEstimator.begin(ThresholdSettings(method="relative_frequency"))
     assert hunted(msgspec.to_builtins(hunt)).estimates == []  # type: ignore[union-attr]
     shown = hunted(msgspec.to_builtins(hunt.after(35.0, responded=False)))
@@ -82,7 +82,8 @@ def test_a_hunt_without_an_interval_has_gaps_and_one_without_pulses_has_nothing(
     assert (shown.low, shown.width) == ([[1, None]], [[1, None]])
 
 
-def test_a_response_that_does_not_count_says_why_and_one_without_a_measurement_has_no_amplitude() -> None:
+def test_response_that_does_not_count_says_why() -> None:
+    """A response without a measurement has no amplitude."""
     mep = {"peak_to_peak": 2e-4, "latency": 0.022}
     results: list[dict[str, Any] | None] = [
         {"pulse": 1, "intensity": 50.0, "mep": mep, "problem_text": ""},

@@ -37,14 +37,14 @@ def test_a_refined_registration_has_its_own_covariance() -> None:
     assert predicted(refined, np.array(HEAD.vertices)) == pytest.approx(np.full(len(HEAD.vertices), np.sqrt(3e-6)))
 
 
-def test_nothing_is_predicted_without_a_registration_or_its_landmarks() -> None:
+def test_nothing_is_predicted_without_registration_or_landmarks() -> None:
     points = np.zeros((1, 3))
     assert predicted(msgspec.structs.replace(DATA, body_ref_from_image=None), points) is None
     assert predicted(msgspec.structs.replace(DATA, landmarks=DATA.landmarks[:2]), points) is None
     assert predicted(msgspec.structs.replace(DATA, landmarks=[]), points) is None
 
 
-def test_the_browser_gets_a_brighter_colour_where_the_error_is_larger() -> None:
+def test_browser_gets_brighter_colours_where_the_error_is_larger() -> None:
     surface = SurfaceShown(
         vertices=HEAD.vertices.astype("<f4").tobytes(), faces=HEAD.faces.astype("<u4").tobytes()
     )  # fmt: skip
@@ -67,7 +67,7 @@ def attribute(glb: bytes, name: str, kind: str, columns: int) -> np.ndarray:
     return np.frombuffer(glb[28 + length :], kind, accessor["count"] * columns, start).reshape(-1, columns)
 
 
-def test_the_colours_differ_in_brightness_alone_enough_to_be_told_apart() -> None:
+def test_colours_differ_in_brightness_enough_to_be_distinguished() -> None:
     shades = colours(np.linspace(-1.0, 2.0, 31)) @ (0.2126, 0.7152, 0.0722)
     assert np.all(np.diff(shades[10:21]) > 0.03)
     assert np.ptp(shades[:11]) == np.ptp(shades[20:]) == 0.0, "beyond the limit there is one colour"

@@ -29,7 +29,7 @@ def uploads(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "uploads"
 
 
-def test_what_a_killed_process_has_left_is_removed_and_what_a_living_one_has_is_not(uploads: Path) -> None:
+def test_files_of_a_killed_process_are_removed_and_others_kept(uploads: Path) -> None:
     command, pipe = [sys.executable, "-c", HOLDER, str(uploads)], subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as holder:
         assert holder.stdout is not None
@@ -53,7 +53,7 @@ def test_all_temporary_files_are_its_own_and_its_owners_alone(uploads: Path) -> 
         assert [path.stat().st_mode & 0o777 for path in (uploads, folder)] == [0o700, 0o700]
 
 
-def test_a_folder_that_cannot_be_made_is_told(uploads: Path) -> None:
+def test_folder_that_cannot_be_made_is_an_error(uploads: Path) -> None:
     uploads.touch()
     with pytest.raises(ConfigurationError, match="cannot be made"):
         keep_temporary_files(uploads)

@@ -48,21 +48,21 @@ async def serving(application: Any) -> AsyncIterator[int]:
         await server.shutdown()
 
 
-async def test_what_fits_is_taken() -> None:
+async def test_upload_within_the_limit_is_taken() -> None:
     status, given = await post(f"Content-Length: {LIMIT}", body=bytes(LIMIT))
     assert (status, b"".join(given)) == (200, bytes(LIMIT))
 
 
-async def test_what_says_that_it_is_too_long_is_refused_unread() -> None:
+async def test_upload_declared_too_long_is_refused_unread() -> None:
     assert await post(f"Content-Length: {LIMIT + 1}", body=bytes(LIMIT + 1)) == (413, [])
 
 
-async def test_what_does_not_say_how_long_it_is_is_refused_unread() -> None:
+async def test_upload_without_a_length_is_refused_unread() -> None:
     pieces = b"".join(b"%x\r\n%b\r\n" % (length, bytes(length)) for length in (600, 500)) + b"0\r\n\r\n"
     assert await post("Transfer-Encoding: chunked", body=pieces) == (411, [])
     assert await post("Content-Length: 10", "Transfer-Encoding: chunked", body=pieces) in ((411, []), (400, []))
 
 
-async def test_of_what_is_longer_than_it_says_only_that_is_taken() -> None:
+async def test_upload_is_cut_at_its_declared_length() -> None:
     _, given = await post("Content-Length: 10", body=bytes(2 * LIMIT))
     assert b"".join(given) == bytes(10)

@@ -129,7 +129,7 @@ def robot_of(daemon: ServeProcess) -> str:
     return found[1]
 
 
-def test_a_page_of_somebody_else_commands_nothing(daemon: ServeProcess) -> None:
+def test_foreign_page_commands_nothing(daemon: ServeProcess) -> None:
     from playwright.sync_api import sync_playwright
 
     ports = listening_ports([daemon.process.pid, *daemon.children()])

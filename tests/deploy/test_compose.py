@@ -39,12 +39,12 @@ def test_only_the_cell_may_take_the_real_time_policy() -> None:
     assert SERVICES["cell"]["ulimits"].items() > SERVICES["sim"]["ulimits"].items()
 
 
-def test_only_the_router_is_dialled_and_the_devices_are_nobody_else_s() -> None:
+def test_only_the_router_has_ports_and_devices_have_own_network() -> None:
     assert [name for name, service in SERVICES.items() if "ports" in service] == ["router"]
     assert SERVICES["sim"]["networks"] == ["devices"]
 
 
-def test_who_serves_is_asked_for_its_health() -> None:
+def test_serving_containers_have_health_checks() -> None:
     assert SERVICES["cell"]["healthcheck"]["test"] == ["CMD", "pcmrs", "health"]
     assert SERVICES["router"]["healthcheck"]["test"]
 
@@ -65,7 +65,7 @@ def test_the_cell_s_settings_are_read(tmp_path: Path) -> None:
     assert settings.access.routers == ("tls/router:7449",)
 
 
-def test_each_tool_that_the_cell_names_is_mounted_and_known_to_the_virtual_tracker() -> None:
+def test_cell_tools_are_mounted_and_known_to_the_virtual_tracker() -> None:
     tools = tomllib.loads((FOLDER / "cell.toml").read_text())["ndi"]["tools"]
 
     assert "./tools:/etc/pcmrs/tools:ro" in SERVICES["cell"]["volumes"]

@@ -50,7 +50,7 @@ def test_every_file_that_is_linked_exists(page: Path) -> None:
         assert (page.parent / target).exists(), target
 
 
-def test_the_page_is_where_it_is_said_to_be(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_page_is_where_the_readme_says(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", "/var/lib")  # what the unit sets: %S
     settings, said = Settings(), (DEPLOY / "README.md").read_text()
 

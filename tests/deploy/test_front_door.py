@@ -70,7 +70,7 @@ def release(tmp_path: Path) -> Path:
         ("1.2.0", "changes that are not committed"),
     ],
 )
-def test_a_release_needs_the_version_of_the_changelog_and_a_clean_tree(release: Path, heading: str, said: str) -> None:
+def test_release_needs_the_changelog_version_and_a_clean_tree(release: Path, heading: str, said: str) -> None:
     (release / "CHANGELOG.md").write_text(f"# Changelog\n\n## {heading}\n\n## 1.2.0, 2025-12-31\n")
     subprocess.run(["git", "init", "--quiet", str(release)], check=True)
     ended = subprocess.run([release / ".ci" / "release"], capture_output=True, text=True, check=False)

@@ -25,7 +25,7 @@ def names(text: str) -> set[str]:
     return set(re.findall(r"^([a-z0-9-]+)==", text, re.MULTILINE))
 
 
-def test_whatever_installs_names_hashes_or_takes_files_that_are_there() -> None:
+def test_every_install_names_hashes_or_takes_files_that_exist() -> None:
     files = [ROOT / "README.md", ROOT / "Makefile", ROOT / "CONTRIBUTING.md"]
     files += [path for folder in SOURCES for path in sorted((ROOT / folder).rglob("*")) if path.is_file()]
     wrong = []
@@ -39,7 +39,7 @@ def test_whatever_installs_names_hashes_or_takes_files_that_are_there() -> None:
     assert wrong == []
 
 
-def test_an_extra_brings_what_it_needs_and_no_tools_of_developers() -> None:
+def test_extra_installs_what_it_needs_and_no_developer_tools() -> None:
     base, sim = locked([]), locked(["sim"])
     assert {"eclipse-zenoh", "msgspec", "click"} <= names(base)
     assert not names(base) & {"matplotlib", "mujoco", "pin", "plutoprint", "resvg-py", "scipy", "uvloop"}
@@ -54,7 +54,7 @@ def test_an_extra_brings_what_it_needs_and_no_tools_of_developers() -> None:
         assert all(entry in lock and "--hash=sha256:" in entry for entry in entries)
 
 
-def test_what_is_not_locked_ends_with_an_error() -> None:
+def test_extra_that_is_not_locked_is_an_error() -> None:
     with pytest.raises(SystemExit, match="no extra"):
         locked(["everything"])
     with pytest.raises(SystemExit, match="evdev"):

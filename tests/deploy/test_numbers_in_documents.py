@@ -144,7 +144,7 @@ def test_a_number_is_what_the_code_says(page: str, pattern: str, decided: Callab
 
 
 @pytest.mark.parametrize("page", ["docs/devices.md", "docs/supervision.md", "docs/architecture.md"])
-def test_the_time_after_which_a_node_holds_the_robot_is_its_default(page: str) -> None:
+def test_documented_robot_deadman_time_is_its_default(page: str) -> None:
     for (seconds,) in stated(page, r"`robot\.deadman` \(([\d.]+) s"):
         assert float(seconds) == Settings().robot.deadman
 

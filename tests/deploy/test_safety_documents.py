@@ -54,9 +54,7 @@ def mutants() -> set[str]:
     ],
     ids=lambda value: getattr(value, "stem", None),
 )
-def test_every_promise_names_the_test_the_invariant_and_the_mutant_that_prove_it(
-    document: Path, heading: str, promises: int
-) -> None:
+def test_every_promise_names_a_test_an_invariant_and_a_mutant(document: Path, heading: str, promises: int) -> None:
     rows = rows_of(document.read_text(), heading)
 
     assert len(rows) == promises
@@ -93,7 +91,7 @@ def test_every_row_against_an_adversary_is_answered() -> None:
     assert wanted <= set(ROW.findall(THREATS.read_text()))
 
 
-def test_every_hazard_has_controls_and_every_requirement_a_hazard() -> None:
+def test_hazards_have_controls_and_requirements_have_hazards() -> None:
     text = SAFETY.read_text()
     hazards, requirements = rows_of(text, "Hazards"), rows_of(text, "Requirements and their tests")
     known = {row[0] for row in requirements}

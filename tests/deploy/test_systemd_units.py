@@ -63,7 +63,7 @@ def test_systemd_has_nothing_to_say_of_a_unit(units: Path, name: str) -> None:
 
 
 @needs_systemd
-def test_a_misspelt_line_would_be_told_in_a_drop_in_too(units: Path) -> None:
+def test_misspelt_line_in_a_drop_in_is_reported(units: Path) -> None:
     (units / "pcmrs.service.d" / "wrong.conf").write_text("[Service]\nIPAdressDeny=any\n")
 
     assert "IPAdressDeny" in analyze("verify", units / "pcmrs.service").stderr
@@ -99,7 +99,7 @@ def test_every_unit_is_closed_alike(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_secret_comes_as_a_credential_and_nothing_slows_the_deadman(name: str) -> None:
+def test_secret_is_a_credential_and_nothing_slows_the_deadman(name: str) -> None:
     unit = (UNITS / name).read_text()
 
     assert re.search(r"^LoadCredential=\S+\.key:/etc/pcmrs/", unit, flags=re.MULTILINE)

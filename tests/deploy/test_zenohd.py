@@ -10,7 +10,7 @@ from pcmrs.bus.settings import BusSettings, Credentials
 FILE = Path(__file__).parents[2] / "deploy" / "router" / "zenohd.json5"
 
 
-def test_zenohd_is_told_what_our_router_tells_zenoh() -> None:
+def test_zenohd_is_configured_as_our_router_configures_zenoh() -> None:
     ours = BusSettings(
         mode="router",
         endpoint="",
@@ -26,7 +26,7 @@ def test_zenohd_is_told_what_our_router_tells_zenoh() -> None:
         assert json.loads(shipped.get_json(key)) == json.loads(wanted.get_json(key)), key
 
 
-def test_nobody_may_do_anything_until_the_rules_are_printed_into_it() -> None:
+def test_everything_is_denied_until_rules_are_printed_into_it() -> None:
     access = json.loads(zenoh.Config.from_file(str(FILE)).get_json("access_control"))
 
     assert (access["enabled"], access["default_permission"], access["rules"]) == (True, "deny", [])

@@ -13,7 +13,7 @@ class HalfATracker:
     trouble = ""
 
 
-def test_what_is_missing_is_named() -> None:
+def test_missing_item_is_named() -> None:
     with pytest.raises(ConfigurationError, match="'lab' has a tracker without frames: implement") as raised:
         check_conformity("lab", {"tracker": HalfATracker()})
     assert raised.value.fields == {"driver": "lab", "device": "tracker", "lacking": ["frames"]}
@@ -27,6 +27,6 @@ def test_a_robot_must_have_what_its_node_asks_beside_its_methods() -> None:
 
 
 @pytest.mark.parametrize("name", PROTOCOLS)
-def test_who_implements_the_protocol_is_taken(name: str) -> None:
+def test_device_that_implements_the_protocol_is_accepted(name: str) -> None:
     protocol = PROTOCOLS[name]
     check_conformity("lab", {name: type("Whole", (protocol,), {})()})

@@ -134,7 +134,8 @@ async def test_an_arm_that_moves_is_not_released(bench: Bench) -> None:
     assert bench.robot_device.followed == [TRAJECTORY]
 
 
-async def test_a_device_whose_node_was_never_heard_is_asked_for_nothing_and_released_by_nobody(bench: Bench) -> None:
+async def test_device_that_was_never_heard_gets_no_request_or_release(bench: Bench) -> None:
+    """No request is sent to it and nobody releases its latch."""
     unheard = RemoteRobot(bench.link, bench.clock, "a")
     await bench.robot.stop()
     for ask in (lambda: unheard.follow(TRAJECTORY), unheard.begin_servo, unheard.release_latch):
@@ -147,7 +148,7 @@ async def test_a_device_whose_node_was_never_heard_is_asked_for_nothing_and_rele
 
 
 @pytest.mark.parametrize("method", ["stop", "joints"])
-async def test_a_late_reply_of_a_node_that_has_ended_does_not_hide_its_successor(method: str) -> None:
+async def test_late_reply_of_an_ended_node_does_not_hide_its_successor(method: str) -> None:
     link = SlowLink()
     robot = RemoteRobot(link, ManualClock())
     asked = asyncio.create_task(getattr(robot, method)())
@@ -169,7 +170,8 @@ def gate_of(robot: RemoteRobot, *nodes: str) -> str:
     return robot.gate.node
 
 
-async def test_a_late_word_of_a_node_that_was_never_heard_hides_its_successor_for_three_words_only() -> None:
+async def test_late_word_of_unknown_node_hides_its_successor_briefly() -> None:
+    """It hides it for three messages only."""
     robot = RemoteRobot(SlowLink(), ManualClock())
     assert gate_of(robot, "second", "first", "second", "second") == "first"
     assert gate_of(robot, "second") == "second"
@@ -210,7 +212,7 @@ async def test_set_points_are_published_numbered_and_stamped(bench: Bench) -> No
     assert end is END, "leaving ends the session"
 
 
-async def test_a_session_that_the_robot_ended_is_an_error_to_who_leaves_it(bench: Bench) -> None:
+async def test_session_that_the_robot_ended_is_an_error_on_leaving_it(bench: Bench) -> None:
     bench.robot_device.servo_end = MotionResult(outcome="stopped", positions=[0.1] * 7, reason="no_set_point")
     with pytest.raises(DeviceError, match="no_set_point") as failed:
         async with bench.robot.servo():
@@ -271,7 +273,7 @@ async def test_a_device_that_does_not_know_is_unknown(bench: Bench) -> None:
         ("follow", {"trajectory": {"period": "soon", "positions": []}}, "Expected `float`"),
     ],
 )
-async def test_a_call_that_the_protocol_does_not_have_is_answered_with_what_it_has(
+async def test_unknown_call_is_answered_with_the_known_ones(
     bench: Bench, method: str, arguments: dict[str, Any], text: str
 ) -> None:
     reply = await bench.raw("robot", method, **arguments)
@@ -366,7 +368,7 @@ async def beat_for(bench: Bench, seconds: float, first: int = 1, delay: float = 
     return numbers.stop
 
 
-async def test_a_moving_robot_is_held_at_the_deadmans_time_after_the_last_heartbeat(bench: Bench) -> None:
+async def test_moving_robot_is_held_one_deadman_after_last_heartbeat(bench: Bench) -> None:
     bench.robot_device.stream.put_nowait(MOVING)
     await beat_for(bench, 2.0)
     await bench.clock.advance(DEADMAN - BEAT_PERIOD - 0.001)
@@ -378,7 +380,7 @@ async def test_a_moving_robot_is_held_at_the_deadmans_time_after_the_last_heartb
     assert event.fields["silence"] == pytest.approx(DEADMAN, abs=0.002)
 
 
-async def test_a_robot_that_begins_to_move_while_the_daemon_is_silent_is_held(bench: Bench) -> None:
+async def test_robot_that_starts_moving_while_daemon_is_silent_is_held(bench: Bench) -> None:
     await bench.clock.advance(10.0)
     bench.robot_device.stream.put_nowait(MOVING)
     await bench.clock.advance(DEADMAN / 2)
@@ -415,9 +417,7 @@ async def test_a_request_that_is_stamped_ahead_is_refused(bench: Bench) -> None:
 @pytest.mark.parametrize(
     ("delay", "age"), [(0.9 * DEADMAN, 0.0), (0.0, 0.9 * DEADMAN), (0.45 * DEADMAN, 0.45 * DEADMAN)]
 )
-async def test_silence_counts_from_the_last_sign_of_life_however_late_that_was_known(
-    bench: Bench, delay: float, age: float
-) -> None:
+async def test_silence_counts_from_last_sign_of_life_however_delayed(bench: Bench, delay: float, age: float) -> None:
     """It waited in the daemon, on the way or here: the arm is not led by anyone for longer than the deadman's time."""
     bench.robot_device.stream.put_nowait(MOVING)
     number = await beat_for(bench, 1.0)
@@ -440,7 +440,7 @@ async def test_a_beat_that_carries_no_newer_sign_of_life_does_not_help(bench: Be
     assert bench.robot_device.holds == 1
 
 
-async def test_the_heartbeats_of_a_daemon_that_began_anew_count_whatever_its_clock_shows(bench: Bench) -> None:
+async def test_heartbeats_of_a_restarted_daemon_count_with_any_clock(bench: Bench) -> None:
     bench.robot_device.stream.put_nowait(MOVING)
     await beat_for(bench, 1.0)
     await beat_for(bench, 1.0, first=1, delay=1000.0, session="b")
@@ -448,7 +448,7 @@ async def test_the_heartbeats_of_a_daemon_that_began_anew_count_whatever_its_clo
     assert bench.link.published["dev/robot/event"] == [], "and nothing is silent"
 
 
-async def test_the_heartbeats_of_the_daemon_before_do_not_count_any_more(bench: Bench) -> None:
+async def test_heartbeats_of_the_previous_daemon_no_longer_count(bench: Bench) -> None:
     bench.robot_device.stream.put_nowait(MOVING)
     number = await beat_for(bench, 1.0, session="a")
     await beat_for(bench, 1.0, session="b")
@@ -457,7 +457,7 @@ async def test_the_heartbeats_of_the_daemon_before_do_not_count_any_more(bench: 
     assert event.code == "daemon_silent"
 
 
-async def test_no_motion_begins_while_the_daemon_is_not_heard(bench: Bench) -> None:
+async def test_no_motion_starts_while_the_daemon_is_silent(bench: Bench) -> None:
     await bench.clock.advance(10.0)
     asking = asyncio.create_task(bench.robot.follow(TRAJECTORY))
     await settle()
@@ -472,7 +472,7 @@ async def test_no_motion_begins_while_the_daemon_is_not_heard(bench: Bench) -> N
     assert bench.robot_device.followed == [TRAJECTORY]
 
 
-async def test_a_motion_that_waits_for_the_daemon_does_not_begin_after_a_stop(bench: Bench) -> None:
+async def test_motion_waiting_for_the_daemon_does_not_start_after_stop(bench: Bench) -> None:
     """A hold of an arm that still rests is over before the heartbeat that the motion waits for has come."""
     stops: tuple[Callable[[], Awaitable[object]], ...] = (bench.robot.hold, lambda: bench.node.make_safe("stop"))
     for number, stop in enumerate(stops, start=1):
@@ -487,7 +487,7 @@ async def test_a_motion_that_waits_for_the_daemon_does_not_begin_after_a_stop(be
     assert bench.robot_device.followed == []
 
 
-async def test_a_request_that_was_held_up_on_its_way_is_dropped_unless_it_makes_safe(bench: Bench) -> None:
+async def test_delayed_request_is_dropped_unless_it_makes_safe(bench: Bench) -> None:
     await beat_for(bench, 1.0)
     sent = bench.clock.monotonic() - REQUEST_DELAY - 0.1
     arguments = {"trajectory": msgspec.to_builtins(TRAJECTORY)}
@@ -512,7 +512,7 @@ async def test_a_set_point_that_comes_late_is_dropped(bench: Bench) -> None:
     assert bench.node.late == {"setpoints": 1}
 
 
-async def test_set_points_that_the_driver_drops_are_in_the_node_s_health(bench: Bench) -> None:
+async def test_set_points_dropped_by_the_driver_are_in_the_node_health(bench: Bench) -> None:
     bench.robot_device.stream.put_nowait(STATE)
     await bench.clock.advance(2.0)
     assert "stale_setpoints" not in bench.link.published["dev/robot/state"][-1].dropped
@@ -521,7 +521,7 @@ async def test_set_points_that_the_driver_drops_are_in_the_node_s_health(bench: 
     assert bench.link.published["dev/robot/state"][-1].dropped["stale_setpoints"] == 3
 
 
-async def test_a_node_that_was_not_served_takes_what_has_arrived_and_reports_that(bench: Bench) -> None:
+async def test_delayed_node_reads_what_arrived_and_reports_the_delay(bench: Bench) -> None:
     """Its timer was in time: the threads that receive were not served."""
     bench.robot_device.stream.put_nowait(MOVING)
     beat(bench, 1)
@@ -545,7 +545,7 @@ async def test_a_node_that_was_not_served_takes_what_has_arrived_and_reports_tha
     assert bench.link.published["dev/robot/event"] == [event], "it is not told each time"
 
 
-async def test_a_node_that_was_not_served_holds_at_once_when_nothing_has_arrived(bench: Bench) -> None:
+async def test_delayed_node_holds_at_once_if_nothing_has_arrived(bench: Bench) -> None:
     """Whatever it waits for, the arm is held within 25 ms after the deadman's time."""
     bench.robot_device.stream.put_nowait(MOVING)
     beat(bench, 1)
@@ -577,7 +577,7 @@ FAILURES = [DeviceError("The brakes are worn."), OSError("The socket is closed."
 
 
 @pytest.mark.parametrize("error", FAILURES)
-async def test_stop_is_heard_by_the_node_itself_even_when_the_hold_fails(bench: Bench, error: Exception) -> None:
+async def test_node_receives_stop_itself_even_if_the_hold_fails(bench: Bench, error: Exception) -> None:
     bench.robot_device.error = error
     bench.node.stop("bus:nurse")
     await settle()
@@ -587,7 +587,7 @@ async def test_stop_is_heard_by_the_node_itself_even_when_the_hold_fails(bench: 
 
 
 @pytest.mark.parametrize("error", FAILURES)
-async def test_a_hold_that_fails_does_not_end_the_watch_over_a_moving_robot(bench: Bench, error: Exception) -> None:
+async def test_failed_hold_does_not_end_the_watch_over_a_moving_robot(bench: Bench, error: Exception) -> None:
     bench.robot_device.error = error
     bench.robot_device.stream.put_nowait(msgspec.structs.replace(STATE, moving=True))
     for holds in (1, 2):

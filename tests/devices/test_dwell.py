@@ -145,7 +145,7 @@ async def test_the_same_place_is_touched_again_after_lifting_the_tip(hand: Hand)
     assert hand.done
 
 
-async def test_a_hidden_pointer_that_reappears_where_it_lay_is_no_touch(hand: Hand) -> None:
+async def test_hidden_pointer_that_reappears_where_it_lay_is_no_touch(hand: Hand) -> None:
     await hand.rest(TABLE, 1.0)
     await hand.ask()
     for _ in range(30):
@@ -169,7 +169,7 @@ async def test_a_tip_that_slides_is_no_touch(hand: Hand) -> None:
     assert not hand.done
 
 
-async def test_a_pointer_that_is_seen_seldom_is_a_touch_once_it_was_seen_often_enough(hand: Hand) -> None:
+async def test_rarely_seen_pointer_is_a_touch_after_enough_sightings(hand: Hand) -> None:
     await hand.ask()
     for _ in range(5):  # what is captured before the prompt does not count
         await hand.frame(np.array(NASION), seen=False)
@@ -180,7 +180,7 @@ async def test_a_pointer_that_is_seen_seldom_is_a_touch_once_it_was_seen_often_e
     assert hand.done
 
 
-async def test_a_surface_is_touched_the_same_way_and_a_wait_can_be_cancelled(hand: Hand) -> None:
+async def test_surface_touch_works_alike_and_a_wait_can_be_cancelled(hand: Hand) -> None:
     hand.asked = asyncio.create_task(hand.pointer.touch_surface())
     await settle()
     await hand.rest(NASION, 1.0)

@@ -65,7 +65,7 @@ async def test_a_link_that_ends_in_motion(lab: Bench, fault: str) -> None:
     await goes_on(lab)
 
 
-async def test_a_failed_application_is_told_and_nobody_stays_connected(lab: Bench) -> None:
+async def test_failed_application_is_reported_and_disconnects(lab: Bench) -> None:
     await inject(lab, "drop_client")
     event = await lab.told("link_lost")
     assert event.danger
@@ -118,7 +118,7 @@ async def test_without_drives_the_motion_ends_and_none_begins(lab: Bench, fault:
         ("push_tool", {"force": 40.0}, {"force": 0.0}, "force_limit"),
     ],
 )
-async def test_what_goes_beside_or_too_hard_is_braked_with_an_alarm(
+async def test_deviation_or_excess_force_is_braked_with_an_alarm(
     lab: Bench, fault: str, begin: dict[str, Any], end: dict[str, Any], reason: str
 ) -> None:
     result = await ended(lab, fault, **begin)
@@ -159,7 +159,7 @@ async def test_a_set_point_of_an_earlier_connection_moves_nothing(lab: Bench) ->
     assert lab.cell.world.arm.positions[0] > HOME[0] + 0.19, "it stays where it was brought by hand"
 
 
-async def test_what_arrives_twice_moves_the_arm_once(lab: Bench) -> None:
+async def test_command_that_arrives_twice_moves_the_arm_once(lab: Bench) -> None:
     """A cabinet that answers twice is not trusted any more; set points that repeat themselves are dropped."""
     await inject(lab, "double_commands", on=True)
     with suppress(UnknownOutcomeError):

@@ -45,7 +45,7 @@ UNBELIEVED: list[tuple[str, dict[str, Any]]] = [
     "driver",
     [pytest.param(each, marks=pytest.mark.nightly if each == "ndi-serial" else ()) for each in TRACKERS],
 )
-async def test_no_pose_is_believed_until_the_fault_ends(driver: str) -> None:
+async def test_no_pose_is_accepted_until_the_fault_ends(driver: str) -> None:
     clock = SystemClock()
     feed = PoseFeed(clock, MAX_AGE, LIMITS)
 
@@ -75,7 +75,7 @@ async def test_no_pose_is_believed_until_the_fault_ends(driver: str) -> None:
         await asyncio.gather(reading, return_exceptions=True)
 
 
-async def test_nothing_is_tracked_while_a_tool_is_another_than_its_definition() -> None:
+async def test_nothing_is_tracked_while_a_tool_is_not_as_defined() -> None:
     async with (
         asyncio.timeout(DEADLINE),
         running_cell({}, SystemClock()) as cell,

@@ -24,7 +24,7 @@ def test_each_start_of_the_node_is_a_session() -> None:
     assert _sessions([1]) != _sessions([1])
 
 
-def test_a_tracker_that_counts_anew_begins_a_session_after_a_few_frames() -> None:
+def test_restarted_frame_count_starts_a_session_after_few_frames() -> None:
     named = _sessions([500, 501, *range(1, 20)])
     assert named.index(named[-1]) == 1 + FRAMES_TO_RESTART
     assert len(set(named)) == 2
@@ -42,7 +42,7 @@ def test_one_frame_with_a_wrong_stamp_begins_no_session() -> None:
         assert len(set(_sessions(range(20), [0.0, 1.0, wrong, *(float(i) for i in range(3, 20))]))) == 1
 
 
-def test_a_first_frame_with_a_wrong_stamp_costs_a_few_frames_only() -> None:
+def test_first_frame_with_a_wrong_stamp_costs_only_a_few_frames() -> None:
     named = _sessions(range(20), [3601.0, *(float(i) for i in range(1, 20))])
     assert named[0] != named[-1]
     assert len(set(named[FRAMES_TO_RESTART:])) == 1

@@ -35,7 +35,7 @@ def refused(gate: Gate, asked: ActToken | None) -> str:
 
 
 @pytest.mark.parametrize("device", ACTS)
-def test_arm_and_stimulator_start_latched_and_a_hand_has_an_epoch_only(device: str) -> None:
+def test_arm_and_stimulator_start_latched_and_pointer_does_not(device: str) -> None:
     made = Gate(device)
     assert made.state.latched == (device in LATCHING) == (device != "pointer")
     if made.state.latched:
@@ -96,7 +96,7 @@ def test_a_request_without_a_token_never_acts(gate: Gate) -> None:
 
 
 @pytest.mark.parametrize("other", [{"node": "earlier"}, {"epoch": 0}])
-def test_a_release_that_is_older_than_a_hold_or_a_restart_releases_nothing(gate: Gate, other: dict[str, Any]) -> None:
+def test_release_older_than_a_hold_or_restart_releases_nothing(gate: Gate, other: dict[str, Any]) -> None:
     gate.hold(latch=True)
     with pytest.raises(DeviceError) as failed:
         gate.release(token(gate, **other))
@@ -136,7 +136,7 @@ def test_every_hold_and_release_is_a_newer_report(gate: Gate) -> None:
     ),
     st.randoms(use_true_random=False),
 )
-def test_in_any_order_of_arrival_nothing_acts_that_was_asked_before_a_hold(what: list[str], draw: object) -> None:
+def test_nothing_requested_before_a_hold_acts_in_any_order(what: list[str], draw: object) -> None:
     """The oracle keeps, for every request on its way, whether a hold, restart or later request has come since."""
     made, daemon = Gate("robot", "n"), 1
     waiting: list[tuple[ActToken, list[bool]]] = []

@@ -55,7 +55,7 @@ def test_a_frame_that_is_not_newer_does_not_make_it_steady() -> None:
     assert guard.doubt("coil", 2 * PERIOD, _at(0.5)) == "jump"
 
 
-def test_bodies_taken_for_each_other_are_never_believed_there() -> None:
+def test_swapped_bodies_are_rejected_at_each_others_place() -> None:
     guard, places = JumpGuard(LIMITS), {"coil": _at(0.0), "body_ref": _at(0.4)}
     for body, place in places.items():
         assert set(_doubts(guard, [place] * 3, body)) == {""}
@@ -66,7 +66,7 @@ def test_bodies_taken_for_each_other_are_never_believed_there() -> None:
 
 
 @pytest.mark.parametrize("missing", [0, 1, 3, 30])
-def test_bodies_taken_for_each_other_are_not_believed_after_missing_frames_either(missing: int) -> None:
+def test_swapped_bodies_are_rejected_also_after_missing_frames(missing: int) -> None:
     guard, places = JumpGuard(LIMITS), {"coil": _at(0.0), "body_ref": _at(0.1)}
     for body, place in places.items():
         assert set(_doubts(guard, [place] * 3, body)) == {""}
@@ -75,7 +75,7 @@ def test_bodies_taken_for_each_other_are_not_believed_after_missing_frames_eithe
             assert _doubts(guard, [places[other]], body, start=number) == ["swapped"]
 
 
-def test_a_body_that_comes_near_another_without_a_jump_is_believed() -> None:
+def test_body_that_nears_another_without_a_jump_is_accepted() -> None:
     guard = JumpGuard(LIMITS)
     _doubts(guard, [_at(0.0)], "body_ref")
     assert set(_doubts(guard, [_at(0.3 - 0.01 * i) for i in range(30)])) == {""}
@@ -90,7 +90,7 @@ def test_nothing_is_known_of_a_body_that_was_forgotten() -> None:
 
 
 @given(st.lists(st.floats(-10.0, 10.0), max_size=60))
-def test_no_two_believed_frames_in_succession_are_a_jump_apart(places: list[float]) -> None:
+def test_no_two_accepted_frames_in_succession_are_a_jump_apart(places: list[float]) -> None:
     doubts = _doubts(JumpGuard(LIMITS), [_at(x) for x in places])
     for i in range(1, len(places)):
         if doubts[i] == doubts[i - 1] == "":
@@ -103,7 +103,7 @@ def test_without_limits_nothing_is_doubted(places: list[tuple[float, float]]) ->
     assert np.isinf(PoseLimits().speed)
 
 
-def test_a_body_taken_for_one_that_moves_is_not_believed_until_it_is_itself_again() -> None:
+def test_swap_with_a_moving_body_is_rejected_until_it_is_undone() -> None:
     """The head moves by more than two bodies may be apart, while the tracker takes the tool for it."""
     guard, coil, head = JumpGuard(LIMITS), _at(0.0), 0.4
     for body, place in (("coil", coil), ("body_ref", _at(head))):
@@ -116,7 +116,7 @@ def test_a_body_taken_for_one_that_moves_is_not_believed_until_it_is_itself_agai
         assert _doubts(guard, [place] * (LIMITS.steady + 1), body, start=103) == ["jump"] * LIMITS.steady + [""]
 
 
-def test_a_body_that_was_never_seen_is_not_believed_at_the_place_of_another() -> None:
+def test_unseen_body_is_rejected_at_the_place_of_another() -> None:
     """The hidden pointer would keep the reference from being believed for ever, at the place that it took."""
     guard = JumpGuard(LIMITS)
     _doubts(guard, [_at(0.0)] * 3, "body_ref")

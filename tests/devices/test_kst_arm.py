@@ -41,7 +41,7 @@ def test_an_arm_that_lags_more_than_it_may_deviates() -> None:
     assert arm.deviation == pytest.approx(0.3, abs=2 * STEP)
 
 
-def test_a_stream_that_was_held_up_does_not_put_an_arm_farther_behind() -> None:
+def test_delayed_stream_does_not_put_an_arm_farther_behind() -> None:
     arm = streamed(speed=1.0, until=0.6)
     arm.add_set_point(told_at(1.0, 0.6 + STEP), 1.6)
     arm.take_joints(told_at(1.0, 0.5), captured=1.7)

@@ -108,7 +108,7 @@ async def test_a_cabinet_that_is_absent_at_the_start_is_no_obstacle() -> None:
         await robot.disconnect()
 
 
-async def test_a_cabinet_that_accepts_and_does_not_answer_may_have_another_client() -> None:
+async def test_silent_cabinet_may_have_another_client() -> None:
     peer = Peer()
     peer.answers["getJointsPositions"] = None
     async with laboratory(peer) as lab:
@@ -217,7 +217,7 @@ def point(number: int, positions: Floats, session: int) -> JointSetpoint:
     )
 
 
-async def test_a_session_follows_its_set_points_and_brakes_without_them(lab: Lab) -> None:
+async def test_session_follows_its_set_points_and_brakes_without_them(lab: Lab) -> None:
     session = (await lab.robot.begin_servo()).session
     lab.robot.set_point(point(1, START + 0.02, session))
     lab.robot.set_point(point(1, START + 0.1, session))
@@ -232,7 +232,7 @@ async def test_a_session_follows_its_set_points_and_brakes_without_them(lab: Lab
         await lab.robot.end_servo(session)
 
 
-async def test_at_most_one_reply_is_outstanding_and_one_that_is_overdue_ends_the_link(lab: Lab) -> None:
+async def test_one_reply_is_outstanding_and_an_overdue_one_ends_link(lab: Lab) -> None:
     lab.peer.answers["jpJP"] = None
     with pytest.raises(UnknownOutcomeError, match="did not answer in time"):
         await lab.robot.follow(smooth(START, START + 0.1, 2.0))
@@ -327,7 +327,7 @@ async def test_a_question_of_the_stream_may_be_refused_too(lab: Lab) -> None:
     assert (await lab.robot.follow(smooth(here, here + 0.05))).outcome == "done"
 
 
-async def test_an_arm_that_is_not_where_it_was_told_to_be_is_held(lab: Lab) -> None:
+async def test_arm_that_is_not_where_it_was_sent_is_held(lab: Lab) -> None:
     following = asyncio.create_task(lab.robot.follow(smooth(START, START + 0.5, 2.0)))
     await lab.moving()
     assert lab.events == []
@@ -356,7 +356,7 @@ def test_the_force_is_that_which_the_joints_feel(offsets: list[float], force: li
     assert sensor.magnitude == pytest.approx(float(np.linalg.norm(sensor.flange_force)))
 
 
-async def test_a_force_that_is_too_great_stops_the_motion_and_is_relieved() -> None:
+async def test_excessive_force_stops_the_motion_and_is_relieved() -> None:
     async with laboratory(robot={"force_limit": 20.0, "relief_mm": 2.0}) as lab:
         await lab.robot.connect()
         following = asyncio.create_task(lab.robot.follow(smooth(START, START + 0.2, 1.0)))
@@ -397,7 +397,7 @@ async def test_disconnection_brakes_and_ends_the_application(lab: Lab) -> None:
     assert lab.events == []
 
 
-async def test_a_connection_that_is_asked_for_while_the_arm_brakes_waits_for_its_rest(lab: Lab) -> None:
+async def test_connection_requested_while_braking_waits_for_standstill(lab: Lab) -> None:
     following = asyncio.create_task(lab.robot.follow(smooth(START, START + 0.5, 2.0)))
     await lab.moving()
     disconnecting = asyncio.create_task(lab.robot.disconnect())
@@ -420,7 +420,7 @@ async def test_a_disconnection_during_a_connection_is_the_last_word() -> None:
             await lab.robot.joints()
 
 
-async def test_a_defect_of_the_driver_frees_the_cabinet_for_the_next_connection(
+async def test_driver_defect_frees_the_cabinet_for_the_next_connection(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: Any) -> None:
@@ -469,7 +469,7 @@ async def test_a_session_does_not_outlive_its_connection(lab: Lab) -> None:
         await lab.robot.end_servo(session)
 
 
-async def test_a_stream_that_was_held_up_ends_where_the_arm_has_stopped_meanwhile(
+async def test_delayed_stream_ends_where_the_arm_has_stopped_meanwhile(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(drive, "STALLED", STALLED)
@@ -487,7 +487,7 @@ async def test_a_stream_that_was_held_up_ends_where_the_arm_has_stopped_meanwhil
         assert np.abs(points - START).max() == pytest.approx(np.abs(sent - START).max(), abs=1e-5)
 
 
-async def test_a_cabinet_that_comes_to_rest_later_than_its_arm_is_waited_for(lab: Lab) -> None:
+async def test_cabinet_that_rests_later_than_its_arm_is_waited_for(lab: Lab) -> None:
     following = asyncio.create_task(lab.robot.follow(smooth(START, START + 0.1)))
     await lab.moving()
     lab.peer.answers["Torques_ext_J"] = None  # its thread is busy with the stream
@@ -507,7 +507,7 @@ class SwingingPeer(Peer):
         return super()._answer(command)
 
 
-async def test_an_arm_that_does_not_come_to_rest_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_arm_that_does_not_come_to_rest_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(drive, "UNSETTLED", 0.5)
     async with laboratory(SwingingPeer()) as lab:
         await lab.robot.connect()

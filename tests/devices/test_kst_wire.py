@@ -165,7 +165,7 @@ async def test_a_refused_or_interrupted_motion_is_a_typed_failure(
 
 
 @pytest.mark.parametrize("answer", [b"nak\n", b"interrupted\n"])
-async def test_what_breaks_off_a_stream_is_told_apart_from_its_replies(answer: bytes) -> None:
+async def test_interruption_of_a_stream_is_not_taken_for_its_reply(answer: bytes) -> None:
     async def step(cabinet: Cabinet) -> Any:
         reply = cabinet.stream_for_joints(Q)
         await asyncio.wait_for(reply, 0.5)
@@ -220,7 +220,7 @@ async def test_a_peer_that_goes_away_fails_what_is_awaited() -> None:
             await asking
 
 
-async def test_nobody_listening_is_said_with_what_to_do() -> None:
+async def test_missing_application_is_reported_with_the_remedy() -> None:
     server = await asyncio.start_server(lambda *_: None, "127.0.0.1", 0)
     host, port = server.sockets[0].getsockname()[:2]
     server.close()
@@ -238,7 +238,7 @@ async def test_nobody_listening_is_said_with_what_to_do() -> None:
         (lambda c: c.ptp_cartesian([0.0, 0.0, float("inf")], [0.0, 0.0, 0.0], 0.1), "not finite"),
     ],
 )
-async def test_what_is_malformed_on_our_side_is_never_sent(call: Step, text: str) -> None:
+async def test_malformed_command_is_never_sent(call: Step, text: str) -> None:
     async def step(cabinet: Cabinet) -> None:
         with pytest.raises(DeviceError, match=text):
             await call(cabinet)
@@ -285,7 +285,7 @@ def test_a_wrong_count_is_refused(count: int) -> None:
 
 
 @given(st.lists(st.floats(-1e4, 1e4), min_size=1, max_size=7))
-def test_what_we_write_is_within_half_of_the_last_decimal(values: list[float]) -> None:
+def test_written_values_are_within_half_of_the_last_decimal(values: list[float]) -> None:
     assert np.allclose(parse_values(words(values), len(values)), values, rtol=0.0, atol=5.001e-6)
 
 
@@ -355,7 +355,7 @@ def test_whatever_answers_a_question_ends_it(data: bytes, chunk: int) -> None:
 
 
 @pytest.mark.parametrize("answer", [b"done\n", b"1.0_2.0_\n", b"NaN_" * 7 + b"\n", b"\xff\xfe\n", b"0.0_" * 200])
-async def test_an_answer_that_is_none_loses_the_link(answer: bytes) -> None:
+async def test_invalid_answer_loses_the_link(answer: bytes) -> None:
     async def step(cabinet: Cabinet) -> None:
         with pytest.raises(UnknownOutcomeError, match="link to the cabinet"):
             await cabinet.joints()
@@ -368,7 +368,7 @@ async def test_an_answer_that_is_none_loses_the_link(answer: bytes) -> None:
 
 @pytest.mark.parametrize("answer", [b"Done\n", b"ok\n", SEVEN])
 @pytest.mark.parametrize("what", ["servo starts", "servo stops", "impedance stops", "joint motion"])
-async def test_what_does_not_say_done_is_no_acknowledgement(what: str, answer: bytes) -> None:
+async def test_answer_other_than_done_is_no_acknowledgement(what: str, answer: bytes) -> None:
     ask, script, _ = TRANSCRIPTS[what]
     request = script[0][0]
 
@@ -382,7 +382,7 @@ async def test_what_does_not_say_done_is_no_acknowledgement(what: str, answer: b
     assert heard == request, "nothing follows"
 
 
-async def test_a_reply_that_came_while_this_process_was_held_up_is_taken() -> None:
+async def test_reply_that_arrived_while_this_process_hung_is_taken() -> None:
     """The time for it is over by then, but the cabinet has answered in time."""
     answered = threading.Event()
 

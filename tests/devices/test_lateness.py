@@ -12,9 +12,8 @@ delays = st.lists(st.floats(0.0, 5.0), min_size=1, max_size=50)
 
 
 @given(delays, st.floats(-1e6, 1e6))
-def test_each_is_late_by_its_delay_beyond_the_least_whatever_the_offset_of_the_clocks(
-    taken: list[float], offset: float
-) -> None:
+def test_lateness_is_the_delay_beyond_the_least_at_any_offset(taken: list[float], offset: float) -> None:
+    """The offset is that of the clocks of sender and receiver."""
     lateness, now = Lateness(), 100.0
     for number, delay in enumerate(taken):
         sent = now - delay + offset
@@ -34,7 +33,7 @@ def test_clocks_that_drift_apart_do_not_make_everything_late() -> None:
     assert worst < 2.2 * WINDOW * 2e-4
 
 
-def test_a_sender_that_begins_anew_is_compared_anew() -> None:
+def test_restarted_sender_is_compared_from_its_first_message() -> None:
     lateness = Lateness()
     lateness.update(1000.0, 50.0)
     assert lateness.delay(10.0, 51.0) > 900.0
@@ -43,9 +42,7 @@ def test_a_sender_that_begins_anew_is_compared_anew() -> None:
 
 
 @given(delays, st.floats(-1e6, 1e6))
-def test_a_moment_of_the_sender_is_placed_too_late_by_the_least_delay_and_no_more(
-    taken: list[float], offset: float
-) -> None:
+def test_sender_time_is_placed_too_late_by_the_least_delay_only(taken: list[float], offset: float) -> None:
     lateness, now = Lateness(), 100.0
     for number, delay in enumerate(taken):
         lateness.update(now - delay + offset, now)

@@ -71,7 +71,7 @@ async def test_an_epoch_lies_around_its_pulse(emg: LslEmg, settings: LslSettings
     assert -0.05 <= epoch.start < -0.05 + 2 / RATE
 
 
-async def test_what_was_never_marked_has_no_epoch(emg: LslEmg, settings: LslSettings) -> None:
+async def test_pulse_without_a_marker_has_no_epoch(emg: LslEmg, settings: LslSettings) -> None:
     async with running(Amplifier(settings.stream, ramp)):
         with pytest.raises(DeviceError, match=f"stream '{settings.markers}' has not been found"):
             await emg.epoch(1, 0.05, 0.05)

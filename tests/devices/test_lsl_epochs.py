@@ -59,7 +59,7 @@ def test_missing_samples_are_refused(at: int, lost: int) -> None:
         recorded(kept, 50).cut(100.5, 101.0)
 
 
-def test_what_is_older_than_what_is_kept_is_missing() -> None:
+def test_epoch_older_than_the_buffer_is_missing() -> None:
     recording = recorded(100.0 + np.arange(2000) / RATE, 100, seconds=1.0)
     with pytest.raises(DeviceError, match="missing"):
         recording.cut(100.5, 100.7)
@@ -117,7 +117,7 @@ def library(monkeypatch: pytest.MonkeyPatch) -> Library:
     return library
 
 
-def test_times_are_told_on_our_clock(library: Library) -> None:
+def test_times_are_on_our_clock(library: Library) -> None:
     inlet = Inlet("emg")
     library.pending = [1.0, 2.0]
     assert inlet.pull()[1].tolist() == [8.25, 9.25]
@@ -126,7 +126,7 @@ def test_times_are_told_on_our_clock(library: Library) -> None:
     assert not inlet.problem
 
 
-def test_nothing_is_told_before_the_clocks_were_compared(library: Library) -> None:
+def test_nothing_is_pulled_before_the_clocks_were_compared(library: Library) -> None:
     inlet = Inlet("emg")
     library.offset, library.pending = None, [1.0]
     assert inlet.pull()[1].size == 0

@@ -94,7 +94,7 @@ def test_a_held_motion_brakes_as_fast_as_the_limits_allow(step: float, again: bo
 
 @examples(25)
 @given(st.lists(st.tuples(st.floats(-0.19, 0.19), st.floats(-3.0, 3.0), st.integers(1, 20)), min_size=1, max_size=15))
-def test_whatever_is_sent_to_a_streamed_arm_stays_within_all_limits(course: list[tuple[float, float, int]]) -> None:
+def test_streamed_arm_stays_within_all_limits_whatever_is_sent(course: list[tuple[float, float, int]]) -> None:
     step = 1 / 200
     near_end = HOME.copy()
     near_end[5] = MODEL.upper[5] - 0.15
@@ -130,9 +130,7 @@ def test_a_press_reaches_its_force(step: float) -> None:
 
 @STEPS
 @pytest.mark.parametrize("relief_mm", [0.0, 2.0])
-def test_after_a_hold_in_contact_the_only_motion_is_away_from_a_force_that_is_too_great(
-    step: float, relief_mm: float
-) -> None:
+def test_held_arm_in_contact_moves_only_to_relieve_excess_force(step: float, relief_mm: float) -> None:
     sensor = Spring(gap=0.002)
     arm = follower(step, sensor, force_limit=10.0, relief_mm=relief_mm)
     arm.press(PressRequest(force=3.0, direction_in_flange=(0.0, 0.0, 1.0), travel=0.010, speed=0.02, timeout=8.0))
@@ -156,7 +154,7 @@ def test_after_a_hold_in_contact_the_only_motion_is_away_from_a_force_that_is_to
 
 
 @STEPS
-def test_too_great_a_force_is_relieved_and_told(step: float) -> None:
+def test_excessive_force_is_relieved_and_reported(step: float) -> None:
     sensor = Spring(gap=-0.03)  # 30 N at once
     sensor.look(HOME)
     arm = follower(step, sensor, force_limit=20.0, relief_mm=2.0)
@@ -169,7 +167,8 @@ def test_too_great_a_force_is_relieved_and_told(step: float) -> None:
 
 @STEPS
 @pytest.mark.parametrize("end", [-1.0, 1.0])
-def test_a_target_that_leads_too_fast_to_a_joints_end_is_left_while_the_arm_can_brake(step: float, end: float) -> None:
+def test_target_too_fast_for_a_joint_end_is_left_early_enough(step: float, end: float) -> None:
+    """The arm can still brake before the end."""
     arm = follower(step)
     servo, joint = arm.servo(), 5
     bound = (MODEL.upper if end > 0.0 else MODEL.lower)[joint]
@@ -195,7 +194,7 @@ def test_a_target_that_leads_too_fast_to_a_joints_end_is_left_while_the_arm_can_
 
 
 @STEPS
-def test_of_two_set_points_that_must_not_be_followed_the_first_is_told(step: float) -> None:
+def test_first_of_two_unacceptable_set_points_is_reported(step: float) -> None:
     """Both may come before the next sample."""
     arm = follower(step)
     servo = arm.servo()
@@ -232,7 +231,7 @@ def test_a_press_that_leads_out_of_a_joints_range_is_held(step: float) -> None:
 
 
 @STEPS
-def test_forces_that_come_one_after_another_are_relieved_by_no_more_than_the_way_for_one(step: float) -> None:
+def test_successive_forces_are_relieved_by_one_relief_distance(step: float) -> None:
     sensor = Spring(gap=1.0)
     arm = follower(step, sensor, force_limit=10.0, relief_mm=2.0)
     arm.press(PressRequest(force=3.0, direction_in_flange=(0.0, 0.0, 1.0), travel=0.010, speed=0.02, timeout=8.0))

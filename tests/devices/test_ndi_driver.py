@@ -82,7 +82,7 @@ async def test_a_tracker_without_bx_is_asked_in_text(monkeypatch: pytest.MonkeyP
     assert all(round(1e5 * value, 6).is_integer() for value in coil.position), "text has hundredths of a millimetre"
 
 
-async def test_a_corrupted_answer_is_no_pose_and_tracking_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_corrupted_answer_is_no_pose_and_tracking_continues(monkeypatch: pytest.MonkeyPatch) -> None:
     perform, asked = NdiSystem.answer, itertools.count()
 
     def corrupted(self: NdiSystem, line: bytes) -> bytes:
@@ -108,7 +108,7 @@ async def test_tools_come_from_files_in_any_order(tmp_path: Path) -> None:
     assert [(pose.body, pose.valid) for pose in frame] == [("pointer", False), ("coil", True)]
 
 
-async def test_an_absent_tracker_is_tried_again_with_growing_pauses_and_said_so() -> None:
+async def test_absent_tracker_is_logged_and_retried_at_growing_pauses() -> None:
     async with _served() as (_, device):
         pass  # nobody listens there any more
     with structlog.testing.capture_logs() as logs:
@@ -124,7 +124,7 @@ async def test_an_absent_tracker_is_tried_again_with_growing_pauses_and_said_so(
     assert _readers() == []
 
 
-async def test_a_serial_port_that_is_not_there_is_said_so() -> None:
+async def test_missing_serial_port_is_reported() -> None:
     async with _tracker(device="/dev/pts/none") as tracker:
         reading = asyncio.create_task(_frames(tracker, 1))
         await _until(lambda: "not been reached yet" not in tracker.trouble)
@@ -146,7 +146,7 @@ async def test_a_tracker_that_comes_later_is_found() -> None:
             assert tracker.trouble == ""
 
 
-async def test_a_reader_that_is_killed_or_stopped_is_begun_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_reader_that_is_killed_or_suspended_is_restarted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pcmrs.devices.ndi.process.FRAME_TIME", 0.5)
     reasons = {
         signal.SIGKILL: "the reader ended with exit status -9",
@@ -180,7 +180,7 @@ async def test_the_reader_ends_with_its_parent() -> None:
         assert await reader.wait() == 0
 
 
-async def test_the_reader_of_a_serial_port_finds_its_tracker_and_ends_with_its_input() -> None:
+async def test_serial_reader_finds_its_tracker_and_ends_with_its_input() -> None:
     async with asyncio.timeout(DEADLINE), running_cell({}, SystemClock()) as cell, serve_ndi_pty(cell) as device:
         reader = await asyncio.create_subprocess_exec(sys.executable, "-m", MODULE, stdin=PIPE, stdout=PIPE)
         reported, _ = await reader.communicate(pack(Job(device, 115200, {"coil": placeholder("coil")})))
@@ -188,7 +188,7 @@ async def test_the_reader_of_a_serial_port_finds_its_tracker_and_ends_with_its_i
     assert reader.returncode == 0
 
 
-async def test_a_reader_that_cannot_open_a_serial_port_says_so_and_ends() -> None:
+async def test_reader_reports_a_serial_port_that_cannot_be_opened() -> None:
     async with asyncio.timeout(DEADLINE):
         reader = await asyncio.create_subprocess_exec(sys.executable, "-m", MODULE, stdin=PIPE, stdout=PIPE)
         reported, _ = await reader.communicate(pack(Job("/dev/pts/none", 115200, {"coil": placeholder("coil")})))

@@ -75,7 +75,7 @@ def test_a_frame_is_taken_once_however_often_it_is_answered() -> None:
     assert reader.refused.total() == 0
 
 
-def test_a_frozen_tracker_is_told_once_in_a_while() -> None:
+def test_frozen_tracker_is_reported_at_intervals() -> None:
     reader = _reader()
     told = [pose for i in range(400) for pose in reader.poses(_frame(1, 0.005 * i), now=2.0)]
     assert told[0].valid
@@ -92,7 +92,7 @@ def test_a_reversed_frame_is_refused_and_counted() -> None:
     assert reader.poses(_frame(6, 0.3), now=1.0)[0].valid
 
 
-def test_numbers_go_on_where_a_tracker_that_was_set_up_again_begins_to_count() -> None:
+def test_numbers_continue_after_a_tracker_was_set_up_again() -> None:
     reader = _reader()
     assert reader.poses(_frame(500, 0.1), now=1.0)[0].frame_number == 500
     reader.restart()
@@ -102,7 +102,7 @@ def test_numbers_go_on_where_a_tracker_that_was_set_up_again_begins_to_count() -
     assert reader.refused.total() == 0
 
 
-def test_a_tracker_that_counts_anew_by_itself_is_believed_after_a_few_frames() -> None:
+def test_frame_count_that_restarts_is_accepted_after_few_frames() -> None:
     reader = _reader()
     reader.poses(_frame(500, 0.1), now=1.0)
     found = [reader.poses(_frame(n, 0.1 + 0.01 * n), now=9.0)[0] for n in range(1, FRAMES_TO_RESTART + 3)]
@@ -110,7 +110,7 @@ def test_a_tracker_that_counts_anew_by_itself_is_believed_after_a_few_frames() -
     assert [pose.frame_number for pose in found[-3:]] == [501, 502, 503]
 
 
-def test_a_tracker_that_runs_backwards_is_never_believed() -> None:
+def test_tracker_that_runs_backwards_is_never_accepted() -> None:
     reader = _reader()
     reader.poses(_frame(500, 0.1), now=1.0)
     assert not any(reader.poses(_frame(500 - n, 0.1 + 0.01 * n), now=9.0)[0].valid for n in range(1, 400))
@@ -135,7 +135,7 @@ def test_reports_survive_any_cutting_of_the_stream(sent: list[Any], sizes: list[
 
 
 @given(st.lists(st.binary(max_size=60), max_size=10))
-def test_what_is_no_report_is_refused_as_such(pieces: list[bytes]) -> None:
+def test_invalid_report_raises_only_payload_errors(pieces: list[bytes]) -> None:
     unpacker = Unpacker()
     for piece in pieces:
         try:
@@ -161,7 +161,7 @@ def test_a_tool_definition_is_read_whole_and_its_hash_checked(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("content", [b"", b"something else", b"NDI".ljust(LARGEST + 1, b"x")])
-def test_what_is_no_tool_definition_is_refused(tmp_path: Path, content: bytes) -> None:
+def test_invalid_tool_definition_is_refused(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "coil.rom"
     file.write_bytes(content)
     with pytest.raises(ConfigurationError, match="is not a tool definition"):

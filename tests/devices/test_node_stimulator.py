@@ -69,7 +69,7 @@ def hear_daemon(bench: Bench, number: int) -> None:
     bench.link.hear(DAEMON_BEAT, Beat(number=number, session="a", alive=now, sent=now))
 
 
-async def test_an_armed_stimulator_is_disarmed_when_the_daemon_falls_silent(bench: Bench) -> None:
+async def test_armed_stimulator_is_disarmed_when_daemon_falls_silent(bench: Bench) -> None:
     await bench.stimulator.arm()
     for number in range(1, 20):
         hear_daemon(bench, number)
@@ -92,7 +92,7 @@ async def test_the_beats_of_another_node_are_not_those_of_the_daemon(bench: Benc
     assert bench.device.disarms == 1
 
 
-async def test_a_pulse_that_waited_while_the_node_was_held_up_is_not_given_late(bench: Bench) -> None:
+async def test_pulse_that_waited_for_a_delayed_node_is_not_given_late(bench: Bench) -> None:
     await bench.stimulator.arm()
     bench.clock.stall(PULSE_DELAY + 0.1)
     for number in (1, 2):  # whether the beats of the node come first or the request
@@ -108,7 +108,7 @@ async def test_a_pulse_that_waited_while_the_node_was_held_up_is_not_given_late(
     assert bench.device.pulse == 1
 
 
-async def test_a_stimulator_that_does_not_say_whether_it_is_armed_is_disarmed(bench: Bench) -> None:
+async def test_stimulator_that_does_not_report_its_state_is_disarmed(bench: Bench) -> None:
     bench.device.error = OSError("The cable is out.")
     for disarms in (1, 2):
         await bench.clock.advance(DEADMAN + BEAT_PERIOD / 2)

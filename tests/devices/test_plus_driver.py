@@ -99,7 +99,7 @@ async def test_a_frame_comes_as_poses_that_the_feed_takes() -> None:
         client.close()
 
 
-async def test_tracking_data_is_asked_for_with_a_header_that_brings_metadata() -> None:
+async def test_tracking_data_request_has_a_header_that_brings_metadata() -> None:
     plus = FakePlus()
     async with plus.serving() as port, opened(port) as frames:
         first = await beginning(frames)
@@ -140,7 +140,7 @@ async def test_damaged_and_foreign_messages_are_passed_over() -> None:
         client.close()
 
 
-async def test_an_absent_server_is_waited_for_and_found_again_when_it_comes_back(
+async def test_absent_server_is_waited_for_and_found_when_it_returns(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     plus, tried, complain = FakePlus(), asyncio.Semaphore(0), tracker.PlusTracker._complain
@@ -171,7 +171,7 @@ async def test_an_absent_server_is_waited_for_and_found_again_when_it_comes_back
     assert f"127.0.0.1:{port}" in logs[0]["server"]
 
 
-async def test_a_server_that_says_nothing_is_connected_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_silent_server_is_reconnected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tracker, "SILENCE", 0.01)
     plus = FakePlus()
     with capture_logs() as logs:
@@ -187,9 +187,10 @@ async def test_a_server_that_says_nothing_is_connected_anew(monkeypatch: pytest.
 
 
 @pytest.mark.parametrize(("name", "advance"), [("ProbeToTracker", 0.001), ("CoilToTracker", 0.0)])
-async def test_a_server_of_other_tools_or_with_a_frozen_clock_is_told_and_connected_anew(
+async def test_server_with_other_tools_or_frozen_clock_is_reconnected(
     monkeypatch: pytest.MonkeyPatch, name: str, advance: float
 ) -> None:
+    """The reason is logged."""
     monkeypatch.setattr(tracker, "SILENCE", 0.2)
     plus, stamp = FakePlus(), time.time()
     with capture_logs() as logs:
@@ -238,7 +239,7 @@ async def test_the_library_s_own_server_is_understood(library_server: Callable[[
         np.testing.assert_allclose(poses[0].position, POSE.translation, atol=1e-6)
 
 
-async def test_poses_go_on_when_the_clock_of_both_sides_is_set(library_server: Callable[[], Any]) -> None:
+async def test_poses_continue_if_the_clock_of_both_sides_is_set(library_server: Callable[[], Any]) -> None:
     server, clock = library_server(), SetClock()
     feed = PoseFeed(clock, max_age=60.0)
     async with opened(server.server_address[1], clock) as frames:

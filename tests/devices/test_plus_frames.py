@@ -69,7 +69,7 @@ def reading_of(matrix: Any, metadata: dict[str, str] | None = None) -> Any:
     return readings(message)["CoilToTracker"]
 
 
-def test_a_tool_that_plus_calls_missing_or_that_is_no_pose_is_not_seen() -> None:
+def test_tool_reported_missing_or_without_a_pose_is_not_seen() -> None:
     good = matrix_mm(POSE)
     assert isinstance(reading_of(good), Transform)
     assert isinstance(reading_of(good, {"TransformStatus": "OK"}), Transform)
@@ -126,7 +126,7 @@ def test_a_name_of_no_body_makes_no_frame() -> None:
 
 
 @pytest.mark.parametrize("disagreement", [-3600.0, -0.1, 0.6, 3600.0, math.inf])
-def test_where_the_clocks_disagree_a_frame_is_as_old_as_the_latency(disagreement: float) -> None:
+def test_frame_is_as_old_as_the_latency_if_the_clocks_disagree(disagreement: float) -> None:
     (frame,) = frames().take(BOTH, wire.STAMP, NOW, wire.STAMP + disagreement)
     assert frame[0].captured == NOW - LATENCY
 
@@ -158,7 +158,7 @@ def test_stamps_that_are_set_with_the_wall_clock_stay_in_time(step: float) -> No
     assert late[0].captured == pytest.approx(NOW + 0.048 - 0.03, abs=1e-6)
 
 
-def test_a_stamp_of_before_that_comes_after_the_wall_clock_was_set_decides_nothing() -> None:
+def test_older_stamp_after_the_wall_clock_was_set_has_no_effect() -> None:
     collected = frames()
     collected.take(BOTH, wire.STAMP, NOW, WALL)
     (before,) = collected.take(BOTH, wire.STAMP + 0.016, NOW + 0.02, WALL + 3600.02)
@@ -167,7 +167,7 @@ def test_a_stamp_of_before_that_comes_after_the_wall_clock_was_set_decides_nothi
     assert after[0].captured == pytest.approx(NOW + 0.032 - 0.03, abs=1e-6)
 
 
-def test_frame_numbers_go_on_over_another_connection() -> None:
+def test_frame_numbers_continue_over_another_connection() -> None:
     collected = frames()
     collected.take(BOTH, wire.STAMP, NOW, WALL)
     collected.take(COIL, wire.STAMP + 0.1, NOW, WALL)

@@ -120,7 +120,7 @@ async def test_a_read_that_is_cancelled_loses_nothing() -> None:
     np.testing.assert_array_equal(message.matrix, MATRIX)
 
 
-async def test_a_read_that_is_cancelled_in_a_message_that_is_skipped_finds_the_next_one() -> None:
+async def test_read_cancelled_in_a_skipped_message_finds_the_next_one() -> None:
     """Its body looks like a header that nobody can read."""
     stream, skipped = asyncio.StreamReader(), wire.message("IMAGE", "I", bytes(200))
     reader = MessageReader(stream, KINDS)
@@ -158,13 +158,13 @@ def test_a_damaged_message_is_refused_and_the_next_one_read() -> None:
         ("TDATA", b"\0" * 71),
     ],
 )
-def test_a_body_that_does_not_hold_what_its_type_promises_is_refused(body: tuple[str, bytes]) -> None:
+def test_body_that_does_not_match_its_type_is_refused(body: tuple[str, bytes]) -> None:
     error, message, _ = read_all(wire.message(body[0], "A", body[1]) + wire.transform("B", MATRIX))
     assert isinstance(error, PayloadError)
     assert message.device_name == "B"
 
 
-def test_what_is_no_openigtlink_ends_the_connection() -> None:
+def test_data_that_is_no_openigtlink_ends_the_connection() -> None:
     assert isinstance(read_all(b"GET / HTTP/1.1\r\n" + b"x" * 100)[0], ConnectionError)
     assert isinstance(read_all(b"\0\1" + b"\xff" * 100)[0], ConnectionError)
 

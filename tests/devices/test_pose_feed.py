@@ -49,7 +49,7 @@ def test_a_body_that_was_never_seen_is_missing() -> None:
     assert not feed.seen("coil")
 
 
-async def test_a_pose_is_fresh_until_it_is_too_old_counting_the_trackers_latency() -> None:
+async def test_pose_age_includes_the_latency_of_the_tracker() -> None:
     clock, feed = _feed()
     feed.update(_pose(1, position=(0.1, 0.2, 0.3)))
     assert feed.newest("coil").translation.tolist() == [0.1, 0.2, 0.3]
@@ -91,7 +91,7 @@ async def test_a_refusal_says_age_limit_and_why() -> None:
         (_pose(11, quat_wxyz=(math.nan, 0.0, 0.0, 0.0)), "no_pose"),
     ],
 )
-async def test_a_pose_that_cannot_be_believed_is_dropped_and_counted(pose: BodyPose, reason: str) -> None:
+async def test_implausible_pose_is_dropped_and_counted(pose: BodyPose, reason: str) -> None:
     clock, feed = _feed()
     feed.update(_pose(10, position=(1.0, 0.0, 0.0)))
     feed.update(pose)
@@ -115,7 +115,7 @@ async def test_a_frozen_tracker_that_keeps_sending_is_stale() -> None:
 @given(
     st.lists(st.tuples(st.integers(0, 50), st.floats(), st.floats(), st.booleans(), st.floats(-1.5, 1.5)), max_size=40)
 )
-def test_what_is_believed_advances_whatever_arrives(arrivals: list[tuple[int, float, float, bool, float]]) -> None:
+def test_accepted_poses_advance_whatever_arrives(arrivals: list[tuple[int, float, float, bool, float]]) -> None:
     _, feed = _feed()
     believed: list[tuple[int, float]] = []
     for number, captured, sent, valid, w in arrivals:
@@ -150,7 +150,7 @@ async def test_collected_frames_are_new_and_show_all_bodies() -> None:
     assert [frame["coil"].translation[0] for frame in frames] == [4.0, 6.0, 8.0]
 
 
-async def test_frames_that_do_not_come_are_told_with_their_reason() -> None:
+async def test_missing_frames_are_refused_with_their_reason() -> None:
     clock, feed = _feed()
     collecting = asyncio.create_task(feed.collect(["coil", "pointer"], 2, timeout=0.5))
     await settle()
@@ -186,7 +186,7 @@ def test_only_the_newest_frames_are_kept() -> None:
     assert oldest == pytest.approx(np.mean(np.arange(11, HISTORY + 11)))
 
 
-async def test_a_tracker_that_counts_anew_is_believed_at_once_and_its_numbers_go_on() -> None:
+async def test_restarted_tracker_is_trusted_and_its_numbers_continue() -> None:
     clock, feed = _feed()
     feed.update(_pose(1000, session="first"))
     await clock.advance(0.1)
@@ -209,7 +209,7 @@ async def test_late_frames_of_an_earlier_session_never_count() -> None:
     assert feed.newest("coil").translation[0] == 2.0
 
 
-async def test_frames_of_before_a_restart_are_never_paired_with_those_after_it() -> None:
+async def test_frames_before_a_restart_are_not_paired_with_later_ones() -> None:
     clock, feed = _feed()
     for body in ("coil", "body_ref"):
         feed.update(_pose(5, body, session="first"))
@@ -222,7 +222,7 @@ async def test_frames_of_before_a_restart_are_never_paired_with_those_after_it()
     assert feed.seen("body_ref")
 
 
-async def test_a_body_that_was_never_believed_is_believed_after_a_restart_of_the_tracker() -> None:
+async def test_rejected_body_is_accepted_after_a_tracker_restart() -> None:
     """The daemon has started while pointer and reference were taken for each other, and the pointer is hidden now."""
     clock = ManualClock()
     feed = PoseFeed(clock, MAX_AGE, PoseLimits(speed=2.0, turn=20.0))
@@ -237,7 +237,7 @@ async def test_a_body_that_was_never_believed_is_believed_after_a_restart_of_the
     assert feed.seen("body_ref")
 
 
-async def test_one_frame_stamped_an_hour_ahead_changes_nothing_for_those_after_it() -> None:
+async def test_one_frame_stamped_an_hour_ahead_affects_no_later_one() -> None:
     clock, feed = _feed()
     feed.update(_pose(1))
     await clock.advance(PERIOD)
@@ -277,7 +277,7 @@ async def test_one_frame_stamped_an_hour_back_is_dropped() -> None:
     assert feed.seen("coil")
 
 
-async def test_where_the_first_frames_were_late_the_quicker_ones_are_believed_after_a_few() -> None:
+async def test_after_late_first_frames_quicker_ones_are_soon_accepted() -> None:
     clock, feed = _feed()
     await clock.advance(5.0)  # so long the first frame was on its way
     feed.update(_pose(1))

@@ -212,7 +212,7 @@ async def test_a_press_reaches_its_force_and_keeps_it(driver: str) -> None:
 
 @DRIVERS
 @pytest.mark.parametrize("motion", ["press", "follow"])
-async def test_in_contact_hold_keeps_the_position_whatever_the_body_does(driver: str, motion: str) -> None:
+async def test_hold_in_contact_keeps_position_whatever_the_body_does(driver: str, motion: str) -> None:
     """No admittance motion and no drift after Stop: neither further in, nor after a body that moves away."""
     async with bench(driver, gap=0.002) as lab:
         await lab.robot.connect()

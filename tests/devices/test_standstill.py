@@ -25,9 +25,10 @@ def standstill() -> Standstill:
     return made
 
 
-def test_a_displacement_beyond_the_threshold_is_a_danger_that_names_joint_value_and_limit(
+def test_too_large_a_displacement_is_danger_and_names_the_joint(
     standstill: Standstill,
 ) -> None:
+    """The event has the displacement and its limit, too."""
     assert standstill.take(at(THRESHOLD, 0.1)) is None
     event = standstill.take(at(-THRESHOLD - 0.001, 0.2))
     assert event is not None
@@ -45,7 +46,8 @@ def test_a_slow_drift_is_seen_too(standstill: Standstill) -> None:
     assert sum(event is not None for event in events) == 1
 
 
-def test_what_moves_or_brakes_the_arm_is_no_danger_and_its_end_sets_the_posture_anew(standstill: Standstill) -> None:
+def test_commanded_motion_is_safe_and_its_end_resets_the_posture(standstill: Standstill) -> None:
+    """A hold that brakes the arm counts as such a motion."""
     with standstill.moving():
         assert standstill.take(at(1.0, 0.1)) is None
         with standstill.moving():
@@ -55,7 +57,7 @@ def test_what_moves_or_brakes_the_arm_is_no_danger_and_its_end_sets_the_posture_
     assert standstill.take(at(3.05, 0.5)) is not None
 
 
-def test_a_stream_of_set_points_moves_the_arm_until_something_else_brakes_it(standstill: Standstill) -> None:
+def test_set_point_stream_moves_the_arm_until_it_is_braked(standstill: Standstill) -> None:
     with standstill.moving(streamed=True):
         pass
     assert standstill.take(at(1.0, 0.1)) is None
@@ -65,7 +67,7 @@ def test_a_stream_of_set_points_moves_the_arm_until_something_else_brakes_it(sta
     assert standstill.take(at(2.0, 0.3)) is not None
 
 
-def test_a_relief_may_give_way_farther_and_sets_the_posture_when_it_has_ended(standstill: Standstill) -> None:
+def test_relief_may_move_farther_and_sets_the_posture_at_its_end(standstill: Standstill) -> None:
     assert standstill.take(at(0.05, 0.1, moving=True, relieving=True)) is None
     assert standstill.take(at(0.08, 0.2, moving=True)) is None, "it brakes"
     assert standstill.take(at(0.09, 0.3)) is None

@@ -36,7 +36,7 @@ async def armed(bench: Bench) -> StimulatorState:
     return await finished(bench, bench.stimulator.arm())
 
 
-async def test_it_begins_disarmed_and_says_so(bench: Bench) -> None:
+async def test_it_starts_disarmed(bench: Bench) -> None:
     state = await bench.stimulator.state()
     assert (state.armed, state.ready, state.pulse) == (False, False, 0)
 
@@ -80,7 +80,7 @@ async def test_an_impossible_intensity_is_refused(bench: Bench, percent: float) 
     assert (await bench.stimulator.state()).intensity == 40.0
 
 
-async def test_it_disarms_by_itself_and_says_so(bench: Bench) -> None:
+async def test_it_disarms_by_itself_and_reports_it(bench: Bench) -> None:
     event = asyncio.create_task(next_event(bench.stimulator))
     await armed(bench)
     await bench.wait(LONG / 2)
@@ -105,7 +105,7 @@ async def test_disarming_as_asked_is_no_event(bench: Bench) -> None:
 
 
 @given(st.lists(st.sampled_from(["arm", "disarm", "take", "wait"]) | st.integers(0, 6), max_size=40))
-def test_whatever_happens_numbers_only_grow_and_need_an_armed_one(steps: list[str | int]) -> None:
+def test_pulse_numbers_only_grow_and_need_an_armed_stimulator(steps: list[str | int]) -> None:
     arming, now, given_ = Arming(10.0), 0.0, [0]
     for step in steps:
         now += 1.0

@@ -96,7 +96,7 @@ async def test_frames_advance_and_hold_all_bodies(seen: tuple[Frames, Cell]) -> 
     assert all(len({pose.frame_number for pose in frame.values()}) == 1 for frame in taken)
 
 
-async def test_poses_agree_with_the_truth_within_the_errors_of_the_tracker(seen: tuple[Frames, Cell]) -> None:
+async def test_poses_agree_with_the_truth_within_the_tracker_errors(seen: tuple[Frames, Cell]) -> None:
     frames, cell = seen
     truth = cell.world.tracker_from_coil()
     errors = [_transform(frame["coil"]) for frame in await frames.take(60)]
@@ -108,7 +108,7 @@ async def test_poses_agree_with_the_truth_within_the_errors_of_the_tracker(seen:
     assert np.all(spread < 0.06e-3)
 
 
-async def test_a_hidden_body_is_invalid_with_its_reason_and_the_others_are_not(seen: tuple[Frames, Cell]) -> None:
+async def test_hidden_body_is_invalid_with_a_reason_and_others_are_not(seen: tuple[Frames, Cell]) -> None:
     frames, cell = seen
     inject(cell, "occlude", {"body": "coil"})
     frame = await frames.until(lambda frame: not frame["coil"].valid)
@@ -119,7 +119,7 @@ async def test_a_hidden_body_is_invalid_with_its_reason_and_the_others_are_not(s
 
 
 @pytest.mark.parametrize("reason", ["out_of_volume", "partially_out", "temperature", "interference"])
-async def test_what_the_tracker_says_of_a_body_is_the_reason(seen: tuple[Frames, Cell], reason: str) -> None:
+async def test_tracker_status_of_a_body_is_the_reason(seen: tuple[Frames, Cell], reason: str) -> None:
     frames, cell = seen
     inject(cell, "not_measured", {"body": "coil", "reason": reason})
     assert (await frames.until(lambda frame: not frame["coil"].valid))["coil"].reason == reason

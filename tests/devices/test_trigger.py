@@ -85,7 +85,7 @@ def test_a_marker_reads_back(number: int, intensity: float | None) -> None:
     assert read_pulse(PulseMarker(number, intensity).text.encode()) == PulseMarker(number, intensity)
 
 
-async def test_an_intensity_is_believed_only_where_somebody_dials_it() -> None:
+async def test_intensity_is_accepted_only_if_it_is_dialled() -> None:
     async with stimulator(ManualClock(), dialled=False) as device:
         with pytest.raises(DeviceError, match=r"trigger\.dialled = true"):
             await device.set_intensity(40.0)
@@ -122,7 +122,7 @@ async def test_a_pulse_is_one_byte_on_the_port(line: tuple[int, str]) -> None:
             os.read(controller, 16)
 
 
-async def test_an_absent_port_is_told_when_it_is_armed() -> None:
+async def test_absent_port_is_an_error_on_arming() -> None:
     async with stimulator(ManualClock(), port="/dev/no-such-port") as device:
         with pytest.raises(DeviceError, match="/dev/no-such-port cannot be opened"):
             await device.arm()
@@ -165,7 +165,7 @@ async def test_a_pulse_is_a_pulse_on_the_line(signal: Any) -> None:
     assert port.seen == [(signal, True), (signal, False)]
 
 
-async def test_a_port_that_fails_leaves_the_outcome_unknown_and_disarms() -> None:
+async def test_failed_port_leaves_the_outcome_unknown_and_disarms() -> None:
     clock = ManualClock()
     async with stimulator(clock, port="/dev/no-such-port") as device:
         port = Port()

@@ -92,12 +92,12 @@ async def test_leaving_the_state_ends_it_and_holds_the_robot(bench: Bench) -> No
     assert not bench.dispatcher.snapshot().latched
 
 
-async def test_what_moves_nothing_is_followed_by_no_hold(bench: Bench) -> None:
+async def test_motionless_activity_is_followed_by_no_hold(bench: Bench) -> None:
     await go(bench, *STAND, "let_go")
     assert (bench.script.log[-1], bench.holds) == ("watch_alignment ends", 0)
 
 
-async def test_a_change_in_another_branch_that_takes_the_state_away_ends_it(bench: Bench) -> None:
+async def test_change_of_another_branch_that_takes_the_state_ends_it(bench: Bench) -> None:
     await go(bench, "approach", "follow")
     assert (await bench.do("plan.change")).decision == "accepted"
     await settle()
@@ -133,9 +133,7 @@ async def test_a_motion_begins_after_it_has_ended(bench: Bench, gate: asyncio.Ev
     assert bench.holds == 0
 
 
-async def test_a_motion_does_not_break_off_its_end_when_it_has_been_told_to_end_before(
-    bench: Bench, gate: asyncio.Event
-) -> None:
+async def test_motion_does_not_interrupt_the_end_of_an_ending_activity(bench: Bench, gate: asyncio.Event) -> None:
     await go(bench, "approach")
 
     async def slow(act: Activity[Any, Notes]) -> None:
@@ -178,7 +176,7 @@ async def test_a_motion_that_is_refused_leaves_it_running(bench: Bench) -> None:
     assert (going_on(bench), bench.script.log[-1]) == (["follow_head"], "follow_head begins")
 
 
-async def test_what_moves_nothing_goes_on_during_a_motion(bench: Bench) -> None:
+async def test_motionless_activity_continues_during_a_motion(bench: Bench) -> None:
     await go(bench, *STAND)
     gate = bench.script.hang("placement.withdraw")
     withdraw = await bench.begin("placement.withdraw")
@@ -246,7 +244,7 @@ async def test_one_that_fails_because_of_the_hold_needs_no_other_stop(bench: Ben
     assert (events(bench).count("stopped"), events(bench).count("device_failed"), state(bench)) == (1, 0, "held")
 
 
-async def test_one_that_does_not_end_well_is_danger_also_when_it_was_told_to(bench: Bench) -> None:
+async def test_failed_end_is_danger_even_if_the_end_was_requested(bench: Bench) -> None:
     async def failing(act: Activity[Any, Notes]) -> None:
         try:
             await asyncio.Event().wait()
@@ -262,7 +260,7 @@ async def test_one_that_does_not_end_well_is_danger_also_when_it_was_told_to(ben
     assert "placement.stand" not in bench.script.log
 
 
-async def test_a_robot_that_does_not_confirm_to_stand_after_it_is_danger(bench: Bench) -> None:
+async def test_unconfirmed_standstill_after_it_is_danger(bench: Bench) -> None:
     await go(bench, "approach", "follow")
     bench.hold_error = UnknownOutcomeError("The robot is silent.")
     await go(bench, "let_go")
@@ -378,7 +376,7 @@ async def test_its_events_work_while_stop_is_latched(bench: Bench) -> None:
     )
 
 
-async def test_what_it_shows_is_published_when_it_changes(bench: Bench) -> None:
+async def test_values_shown_are_published_when_they_change(bench: Bench) -> None:
     await go(bench, *STAND)
     act, count = bench.script.acting[-1], len(bench.snapshots())
     act.show(error_mm=0.2)
@@ -426,7 +424,7 @@ ACTIONS = st.lists(st.sampled_from([*COMMANDS, *COMMANDS, "stop", "end", "raise"
 
 @examples(150)
 @given(ACTIONS)
-async def test_whatever_happens_only_the_activity_of_the_present_state_goes_on(actions: list[str]) -> None:
+async def test_only_the_activity_of_the_present_state_ever_runs(actions: list[str]) -> None:
     """And never beside a motion that has begun, nor while Stop is latched where it moves the robot."""
     bench = Bench(FOLLOWING, ["placement"])
     over: list[asyncio.Future[None]] = []

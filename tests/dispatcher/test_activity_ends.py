@@ -34,7 +34,7 @@ def asked_by_activities(bench: Bench) -> list[str]:
 
 
 @pytest.mark.parametrize("way", [("stand", "withdraw"), ("let_go",), ("withdraw",)])
-async def test_one_that_was_told_to_end_asks_for_nothing(bench: Bench, way: tuple[str, ...]) -> None:
+async def test_activity_that_was_asked_to_end_sends_no_command(bench: Bench, way: tuple[str, ...]) -> None:
     await go(bench, "approach", "follow", *way)
     assert asked_by_activities(bench) == []
 
@@ -64,13 +64,14 @@ async def test_none_begins_after_a_fail_stop(bench: Bench) -> None:
     assert bench.script.acting == []
 
 
-async def test_what_moves_nothing_does_not_begin_after_a_fail_stop_either(bench: Bench) -> None:
+async def test_motionless_activity_does_not_start_after_a_fail_stop(bench: Bench) -> None:
     await go(bench, "approach", "follow")
     await enter_in_a_fail_stop(bench, "placement.stand")
     assert [act.name for act in bench.script.acting] == ["follow_head"]
 
 
-async def test_a_state_that_cannot_be_left_without_its_activity_is_fail_stop() -> None:
+async def test_state_that_outlives_its_activity_is_fail_stop() -> None:
+    """It is a fail-stop if the operation that follows the end does not lead out of the state."""
     bench = Bench(with_operation(FOLLOWING, "placement", "following_lost", checks=("leaving_possible",)), ["placement"])
     ended = asyncio.Event()
 
@@ -87,7 +88,7 @@ async def test_a_state_that_cannot_be_left_without_its_activity_is_fail_stop() -
     await bench.dispatcher.close()
 
 
-async def test_a_hold_that_is_not_confirmed_after_stop_is_told_once(bench: Bench) -> None:
+async def test_unconfirmed_hold_after_stop_is_reported_once(bench: Bench) -> None:
     async def hold() -> None:
         bench.holds += 1
         if bench.holds > 1:
@@ -101,7 +102,7 @@ async def test_a_hold_that_is_not_confirmed_after_stop_is_told_once(bench: Bench
     assert [events.count(name) for name in ("stopped", "hold_not_confirmed")] == [1, 1]
 
 
-async def test_one_that_the_latch_keeps_from_beginning_is_not_told_to_have_begun(bench: Bench) -> None:
+async def test_activity_prevented_by_the_latch_is_not_reported_started(bench: Bench) -> None:
     await go(bench, "approach")
     gate = bench.recorder.gates["decision"] = asyncio.Event()
     following = await bench.begin("placement.follow")
@@ -114,7 +115,7 @@ async def test_one_that_the_latch_keeps_from_beginning_is_not_told_to_have_begun
 
 
 @pytest.mark.parametrize("kind", ["step", "activity"])
-def test_what_waits_and_what_does_not_are_registered_as_such(kind: str) -> None:
+def test_step_must_be_plain_and_activity_a_coroutine(kind: str) -> None:
     async def waiting(_run: object) -> None: ...
 
     def at_once(_run: object) -> None: ...

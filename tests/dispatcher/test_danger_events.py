@@ -37,7 +37,7 @@ async def test_a_moved_reference_counts_before_the_arm_stands(bench: Bench) -> N
     assert bench.joint[:2] == ("100", "0")
 
 
-async def test_what_is_not_decided_yet_is_named(bench: Bench) -> None:
+async def test_pending_decisions_are_named(bench: Bench) -> None:
     await bench.go(STANDOFF)
     stands = asyncio.Event()
     bench.hold = stands.wait
@@ -102,7 +102,7 @@ async def test_events_go_ahead_of_a_full_queue(worldly_bench: Bench) -> None:
     assert {(await task).decision for task in tasks[1:]} == {"rejected"}, "it was asked first"
 
 
-async def test_a_newer_report_replaces_the_one_that_waits_and_takes_the_last_place(bench: Bench) -> None:
+async def test_newer_report_replaces_the_waiting_one_and_waits_last(bench: Bench) -> None:
     await bench.go(PLACED)
     gate = bench.script.hang("placement.nudge")
     motion = await bench.begin("placement.nudge")
@@ -116,7 +116,7 @@ async def test_a_newer_report_replaces_the_one_that_waits_and_takes_the_last_pla
     assert [row[1] for row in bench.recorder.rows].count((await first).id) == 0, "nothing has changed by it"
 
 
-async def test_reports_with_other_arguments_or_of_other_devices_wait_beside() -> None:
+async def test_reports_with_other_arguments_or_devices_wait_separately() -> None:
     bench = Bench(with_operation(RATMS, "alignment", "within", payload="landmark_index"))
     await bench.go(PLACED)
     gate = bench.script.hang("placement.nudge")
@@ -133,7 +133,7 @@ async def test_reports_with_other_arguments_or_of_other_devices_wait_beside() ->
 
 
 @pytest.mark.parametrize("fails", ["listener", "publisher"])
-async def test_stop_stops_although_somebody_who_is_told_fails(bench: Bench, fails: str) -> None:
+async def test_stop_works_although_a_listener_fails(bench: Bench, fails: str) -> None:
     class Failing(DispatcherListener):
         def on_stop(self) -> None:
             if fails == "listener":

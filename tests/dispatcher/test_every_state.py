@@ -20,7 +20,7 @@ def source_of(branch: str, operation: str) -> str:
 
 
 @EVERY_STATE
-async def test_what_the_oracle_rejects_is_rejected_and_changes_nothing(bench: Bench, joint: Joint) -> None:
+async def test_rejections_of_the_oracle_change_nothing(bench: Bench, joint: Joint) -> None:
     await bench.go(joint)
     before, data, snapshots = bench.dispatcher.snapshot(), bench.data, len(bench.snapshots())
     bench.script.entered.clear()
@@ -43,7 +43,7 @@ async def test_what_the_oracle_rejects_is_rejected_and_changes_nothing(bench: Be
 
 
 @EVERY_STATE
-async def test_what_the_oracle_accepts_ends_where_it_says(joint: Joint) -> None:
+async def test_accepted_operations_end_where_the_oracle_says(joint: Joint) -> None:
     for branch, operation in all_operations():
         for ending, after in (expected(joint, branch, operation) or {}).items():
             if ending in ("failed", "unknown") and not has_steps(branch, operation):

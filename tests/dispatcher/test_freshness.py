@@ -28,7 +28,7 @@ from pcmrs.messages import Command
         (0.0, float("nan"), "bad_arguments"),
     ],
 )
-async def test_a_command_whose_age_cannot_be_told_is_rejected_and_changes_nothing(
+async def test_command_of_unknown_age_is_rejected_and_changes_nothing(
     bench: Bench, ahead: float | None, ttl: float | None, expected_code: str
 ) -> None:
     sent = None if ahead is None else bench.clock.wall() + ahead
@@ -39,9 +39,7 @@ async def test_a_command_whose_age_cannot_be_told_is_rejected_and_changes_nothin
 
 
 @pytest.mark.parametrize("stamp", [{}, {"ahead": 4.0}, {"ahead": 4.0, "ttl": 0.0}, {"ahead": -1e9}])
-async def test_a_sender_s_clock_may_be_a_little_ahead_and_no_ttl_is_no_limit(
-    bench: Bench, stamp: dict[str, Any]
-) -> None:
+async def test_sender_clock_may_be_a_bit_ahead_and_no_ttl_is_no_limit(bench: Bench, stamp: dict[str, Any]) -> None:
     sent = bench.clock.wall() + stamp["ahead"] if stamp else None
     assert (await bench.do("toolplan.plan", sent=sent, ttl=stamp.get("ttl"))).decision == "accepted"
 
@@ -54,7 +52,7 @@ class FixedClock:
 
 
 @given(age=st.floats(-100.0, 100.0), ttl=st.floats(0.0, 100.0))
-def test_a_command_is_fresh_from_the_tolerance_to_its_time_to_live(age: float, ttl: float) -> None:
+def test_command_is_fresh_from_the_tolerance_to_its_time_to_live(age: float, ttl: float) -> None:
     sent = 1.7e9 - age
     command = Command(id="a", branch="robot", operation="connect", source="bus:local", sent=sent, ttl=ttl)
     fresh = -CLOCK_TOLERANCE <= 1.7e9 - sent <= ttl

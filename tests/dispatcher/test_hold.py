@@ -9,7 +9,7 @@ from pcmrs.background import BackgroundTasks
 from pcmrs.dispatcher.stops import Hold
 
 
-async def test_a_hold_goes_on_when_who_has_asked_is_cancelled() -> None:
+async def test_hold_continues_when_its_caller_is_cancelled() -> None:
     tasks, stands, held = BackgroundTasks(print), asyncio.Event(), asyncio.Event()
 
     async def hold(_latch: bool) -> None:

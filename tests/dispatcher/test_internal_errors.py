@@ -55,7 +55,7 @@ async def test_an_event_that_cannot_be_admitted_ends_no_stop(bench: Bench, monke
     expect_fail_stop(bench)
 
 
-async def test_what_waits_behind_one_that_cannot_be_asked_again(
+async def test_commands_behind_one_that_cannot_be_redecided(
     worldly_bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = worldly_bench
@@ -72,7 +72,7 @@ async def test_what_waits_behind_one_that_cannot_be_asked_again(
     expect_fail_stop(bench)
 
 
-async def test_what_stop_turns_away_and_cannot_be_concluded(
+async def test_commands_rejected_by_stop_that_cannot_be_recorded(
     worldly_bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = worldly_bench
@@ -122,7 +122,7 @@ async def test_a_danger_that_cannot_be_taken(bench: Bench, monkeypatch: pytest.M
     expect_fail_stop(bench)
 
 
-async def test_the_stop_of_a_failure_is_confirmed_when_the_robot_stands(
+async def test_stop_after_a_failure_is_confirmed_if_the_robot_stands(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await bench.go(RETRACTED)
@@ -132,7 +132,7 @@ async def test_the_stop_of_a_failure_is_confirmed_when_the_robot_stands(
     assert bench.dispatcher.snapshot().stop.confirmed
 
 
-async def test_the_stop_of_a_failure_is_not_confirmed_by_a_robot_that_does_not_say_so(
+async def test_stop_after_a_failure_is_unconfirmed_by_a_silent_robot(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await bench.go(RETRACTED)

@@ -76,7 +76,7 @@ async def test_a_failing_recall_runs_nothing(bench: Bench) -> None:
     await check_fail_stop(bench, RETRACTED)
 
 
-async def test_an_arm_that_has_not_confirmed_to_stand_after_a_failure_is_told_of(bench: Bench) -> None:
+async def test_unconfirmed_standstill_after_a_failure_is_published(bench: Bench) -> None:
     """While that is in doubt the daemon does not beat either, so that the node holds by itself."""
     await bench.go(RETRACTED)
     bench.hold_error = UnknownOutcomeError("The robot is silent.")
@@ -109,7 +109,7 @@ async def test_stop_holds_although_nothing_can_be_written(bench: Bench) -> None:
     await check_fail_stop(bench, STANDOFF)
 
 
-async def test_what_else_runs_is_stopped_and_what_waits_is_rejected(bench: Bench) -> None:
+async def test_running_commands_are_stopped_and_waiting_ones_rejected(bench: Bench) -> None:
     await bench.go(STANDOFF)
     bench.script.hang("placement.confirm")
     bench.recorder.gates["intent"] = asyncio.Event()
@@ -126,7 +126,7 @@ async def test_what_else_runs_is_stopped_and_what_waits_is_rejected(bench: Bench
     await check_fail_stop(bench, STANDOFF)
 
 
-async def test_what_waits_does_not_begin_after_a_failure(worldly_bench: Bench) -> None:
+async def test_waiting_command_does_not_start_after_a_failure(worldly_bench: Bench) -> None:
     """Although the state would allow it, and its decision could be written."""
     worldly_bench.script.hang("toolplan.plan")
     running = await worldly_bench.begin("toolplan.plan")
@@ -158,7 +158,7 @@ async def test_a_bug_in_the_data_of_a_commit_is_fail_stop(bench: Bench) -> None:
     assert bench.snapshots()[-1].latched
 
 
-async def test_a_motion_that_has_become_forbidden_under_way_is_fail_stop(bench: Bench) -> None:
+async def test_running_motion_that_has_become_forbidden_is_fail_stop(bench: Bench) -> None:
     """Locks rule it out, so that memory is not to be trusted any more."""
     await bench.go(RETRACTED)
     gate = bench.script.hang("placement.approach")
@@ -190,7 +190,7 @@ async def test_a_bug_stays_a_bug_when_the_journal_fails_after_it(bench: Bench) -
         await bench.dispatcher.resume(begun=())
 
 
-async def test_a_bug_that_shows_after_the_journal_has_failed_is_not_resumed_either(
+async def test_bug_that_shows_after_the_journal_failed_is_not_resumed(
     worldly_bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def decision(*_: object, **__: object) -> asyncio.Future[None]:
@@ -212,7 +212,7 @@ async def test_a_bug_that_shows_after_the_journal_has_failed_is_not_resumed_eith
 
 @pytest.mark.parametrize("name", ["toolplan.plan", "placement.locate"])
 @pytest.mark.parametrize("cancelled", [True, False])
-async def test_a_recorder_that_breaks_is_fail_stop_and_everybody_is_answered(
+async def test_broken_recorder_is_fail_stop_and_commands_are_answered(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, name: str, cancelled: bool
 ) -> None:
     def decision(*_: object, **__: object) -> asyncio.Future[None]:

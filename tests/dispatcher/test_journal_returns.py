@@ -17,7 +17,7 @@ def reasons(verdict: Verdict) -> tuple[str, str]:
     return verdict.decision, "" if verdict.reason is None else verdict.reason.code
 
 
-async def test_it_goes_on_latched_and_moves_only_after_an_acknowledgement(bench: Bench) -> None:
+async def test_it_resumes_latched_and_moves_only_after_acknowledgement(bench: Bench) -> None:
     await bench.go(RETRACTED)
     bench.recorder.failing.add("decision")
     await bench.do("placement.home")
@@ -33,7 +33,7 @@ async def test_it_goes_on_latched_and_moves_only_after_an_acknowledgement(bench:
     assert (await bench.do("placement.home")).decision == "accepted"
 
 
-async def test_a_robot_that_has_not_confirmed_to_stand_is_told_of_when_it_goes_on(bench: Bench) -> None:
+async def test_unconfirmed_standstill_is_journalled_when_it_resumes(bench: Bench) -> None:
     await bench.go(RETRACTED)
     bench.recorder.failing.add("decision")
     await bench.do("placement.home")
@@ -75,7 +75,7 @@ async def test_a_decision_that_the_disk_has_not_is_as_if_never_asked(bench: Benc
     assert (await bench.do("toolplan.clear", id="clear-1")).decision == "accepted", "a repeat is decided anew"
 
 
-async def test_a_rejection_that_was_not_written_is_decided_anew(bench: Bench) -> None:
+async def test_rejection_that_was_not_written_is_decided_again(bench: Bench) -> None:
     bench.recorder.failing.add("decision")
     assert (await bench.do("robot.connect", id="c1")).decision == "unknown"
     assert reasons(await bench.do("toolplan.plan", id="p1")) == ("rejected", "journal_unavailable")
@@ -84,7 +84,7 @@ async def test_a_rejection_that_was_not_written_is_decided_anew(bench: Bench) ->
     assert (await bench.do("toolplan.plan", id="p1")).decision == "accepted"
 
 
-async def test_a_motion_whose_outcome_was_not_written_leaves_the_placement_unknown(bench: Bench) -> None:
+async def test_unwritten_outcome_of_a_motion_makes_placement_unknown(bench: Bench) -> None:
     """Never its source: the arm has moved. `locate` settles it."""
     await bench.go(RETRACTED)
     bench.recorder.failing.add("decision")
@@ -102,7 +102,8 @@ async def test_a_motion_whose_outcome_was_not_written_leaves_the_placement_unkno
     assert bench.dispatcher.snapshot().unknown == []
 
 
-async def test_a_journal_that_fails_again_leaves_everything_refused_and_doubtful(bench: Bench) -> None:
+async def test_journal_that_fails_again_leaves_commands_refused(bench: Bench) -> None:
+    """The placement is unknown after it."""
     await bench.go(RETRACTED)
     bench.recorder.failing.add("decision")
     await bench.do("placement.approach", id="a1")
@@ -117,7 +118,7 @@ async def test_a_journal_that_fails_again_leaves_everything_refused_and_doubtful
     assert (await bench.do("toolplan.clear")).decision == "accepted"
 
 
-async def test_what_could_not_even_be_looked_up_stays_doubtful(bench: Bench) -> None:
+async def test_outcome_that_could_not_be_looked_up_stays_unknown(bench: Bench) -> None:
     await bench.go(RETRACTED)
     bench.recorder.failing.add("decision")
     await bench.do("placement.approach", id="a1")
@@ -129,7 +130,7 @@ async def test_what_could_not_even_be_looked_up_stays_doubtful(bench: Bench) -> 
     assert bench.joint[4] == "unknown"
 
 
-async def test_an_acknowledgement_from_before_does_not_answer_the_failure(bench: Bench) -> None:
+async def test_earlier_acknowledgement_does_not_answer_the_failure(bench: Bench) -> None:
     await bench.go(HELD)
     await bench.dispatcher.stop("test:operator")
     bench.recorder.failing.add("decision")
@@ -142,7 +143,7 @@ async def test_an_acknowledgement_from_before_does_not_answer_the_failure(bench:
     assert bench.dispatcher.snapshot().latched
 
 
-async def test_the_journal_goes_on_with_the_states_that_are(bench: Bench) -> None:
+async def test_journal_continues_with_the_present_states(bench: Bench) -> None:
     """Not with those of the decision that was never written."""
     await bench.go(RETRACTED)
     bench.recorder.failing.add("decision")
@@ -167,7 +168,7 @@ async def test_a_state_whose_activity_has_ended_is_left(bench: Bench) -> None:
     assert "watch_alignment ends" in bench.script.log
 
 
-async def test_what_a_device_said_meanwhile_is_taken_in(bench: Bench) -> None:
+async def test_device_event_during_the_failure_is_taken_in(bench: Bench) -> None:
     await bench.go(STANDOFF)
     bench.recorder.failing.add("decision")
     await bench.do("robot.no_such_operation")
@@ -179,7 +180,7 @@ async def test_what_a_device_said_meanwhile_is_taken_in(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("failing", ["decision", "recall"])
-async def test_what_a_device_said_when_the_journal_failed_is_taken_in(bench: Bench, failing: str) -> None:
+async def test_device_event_that_met_the_failure_is_taken_in(bench: Bench, failing: str) -> None:
     """Its report is durable, and the operation on it is the first thing that is not."""
     await bench.go(STANDOFF)
     bench.recorder.failing.add(failing)
@@ -191,7 +192,7 @@ async def test_what_a_device_said_when_the_journal_failed_is_taken_in(bench: Ben
     assert (bench.joint[3], bench.joint[4]) == ("0", "unknown")
 
 
-async def test_what_a_device_said_and_the_disk_has_after_all_is_not_taken_in_twice(bench: Bench) -> None:
+async def test_device_report_that_reached_the_disk_is_taken_in_once(bench: Bench) -> None:
     await bench.go(STANDOFF)
     bench.recorder.failing.add("decision")
     await bench.do("robot.link_lost", id="l1", source="device:robot")
@@ -203,7 +204,7 @@ async def test_what_a_device_said_and_the_disk_has_after_all_is_not_taken_in_twi
     assert [each.id for each in bench.verdicts() if each.operation == "link_lost"] == ["l1", "l1"]
 
 
-async def test_what_a_device_said_waits_out_a_failure_of_the_journal_in_the_queue_too(bench: Bench) -> None:
+async def test_queued_device_report_waits_until_the_journal_returns(bench: Bench) -> None:
     await bench.go(STANDOFF)
     bench.script.hang("placement.confirm")
     running = await bench.begin("placement.confirm")
@@ -216,7 +217,7 @@ async def test_what_a_device_said_waits_out_a_failure_of_the_journal_in_the_queu
     assert (bench.joint[3], bench.joint[4]) == ("0", "unknown")
 
 
-async def test_what_still_runs_is_waited_for_and_the_resume_gives_up_in_time(bench: Bench) -> None:
+async def test_running_step_is_waited_for_and_the_resume_times_out(bench: Bench) -> None:
     await bench.go(RETRACTED)
     release = asyncio.Event()
 
@@ -269,7 +270,7 @@ async def test_an_ending_daemon_is_not_brought_back(bench: Bench) -> None:
     assert reasons(await bench.do("toolplan.clear")) == ("rejected", "ending")
 
 
-async def test_a_daemon_that_ends_while_it_resumes_is_not_brought_back_either(bench: Bench) -> None:
+async def test_daemon_that_ends_while_it_resumes_is_not_resumed(bench: Bench) -> None:
     bench.recorder.failing.add("decision")
     await bench.do("toolplan.clear")
     bench.recorder.failing.clear()
@@ -283,7 +284,7 @@ async def test_a_daemon_that_ends_while_it_resumes_is_not_brought_back_either(be
     assert reasons(await bench.do("toolplan.plan")) == ("rejected", "ending")
 
 
-async def test_what_is_journalled_when_a_resume_is_cancelled_is_published(bench: Bench) -> None:
+async def test_rows_journalled_as_a_resume_is_cancelled_are_published(bench: Bench) -> None:
     """A daemon that ends cancels its resume: nobody waits for the verdict any more; what follows from it happens."""
     await bench.go(RETRACTED)
     bench.recorder.failing.add("decision")
@@ -303,7 +304,7 @@ async def test_what_is_journalled_when_a_resume_is_cancelled_is_published(bench:
     assert await bench.do("placement.approach", id="a1") == bench.verdicts()[0], "and who asks again hears it"
 
 
-async def test_what_a_user_asked_for_meanwhile_is_not_done_later(bench: Bench) -> None:
+async def test_user_command_during_the_failure_is_not_done_later(bench: Bench) -> None:
     await bench.go(RETRACTED)
     bench.recorder.failing.add("decision")
     await bench.do("robot.no_such_operation")
@@ -315,7 +316,7 @@ async def test_what_a_user_asked_for_meanwhile_is_not_done_later(bench: Bench) -
     assert (bench.script.entered, bench.joint) == ([], RETRACTED)
 
 
-async def test_what_an_earlier_run_left_is_shown_and_keeps_the_latch(bench: Bench) -> None:
+async def test_unknown_outcomes_of_an_earlier_run_keep_the_latch(bench: Bench) -> None:
     lost = UnknownOutcome(command="c", source="bus:local", branch="robot", operation="connect", since=5.0)
     moved = UnknownOutcome(command="d", source="bus:local", branch="placement", operation="home", since=6.0)
     bench.dispatcher.take_up(latched=True, unknown=[lost, moved])

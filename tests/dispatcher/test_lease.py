@@ -49,7 +49,7 @@ async def test_one_holds_the_cell_and_the_others_are_refused() -> None:
     assert code(await do(bench, "bob", "lease.acquire")) == "accepted"
 
 
-async def test_while_nobody_holds_it_commands_are_taken_unless_somebody_has_to() -> None:
+async def test_unheld_lease_allows_commands_unless_a_lease_is_required() -> None:
     bench = Bench()
     assert code(await do(bench, "bob", "registration.plan_landmarks")) == "accepted"
     bench.dispatcher._admission.lease = Lease(bench.clock, required=True)
@@ -61,13 +61,13 @@ async def test_while_nobody_holds_it_commands_are_taken_unless_somebody_has_to()
 
 @pytest.mark.parametrize("who", ["slicer", "eve"])
 @pytest.mark.parametrize("operation", ["acquire", "take_over"])
-async def test_who_cannot_hold_it_does_not_get_it(who: str, operation: str) -> None:
+async def test_role_that_may_not_hold_it_does_not_get_it(who: str, operation: str) -> None:
     bench = Bench()
     assert code(await do(bench, who, f"lease.{operation}")) == "role_not_allowed"
     assert bench.dispatcher.lease.holder is None
 
 
-async def test_it_is_taken_over_when_its_holder_confirms_and_at_once_by_who_is_on_site() -> None:
+async def test_holder_confirms_a_takeover_and_a_local_one_is_immediate() -> None:
     bench = Bench()
     await do(bench, "anna", "lease.acquire")
     assert code(await do(bench, "bob", "lease.take_over")) == "accepted"
@@ -99,7 +99,7 @@ async def test_its_decisions_are_on_record_and_renewing_is_not_one() -> None:
     ]
 
 
-async def test_who_is_not_heard_loses_it_unless_on_site() -> None:
+async def test_silent_holder_loses_it_unless_on_site() -> None:
     bench = Bench()
     lease = bench.dispatcher.lease
     await do(bench, "anna", "lease.acquire")
@@ -127,7 +127,7 @@ async def test_a_holder_who_is_lost_in_motion_leaves_a_held_robot() -> None:
     assert events, "everybody is told"
 
 
-async def test_what_moves_is_held_when_the_cell_changes_hands() -> None:
+async def test_motion_is_held_when_the_cell_changes_hands() -> None:
     bench = Bench()
     await bench.go(("111", "1", "1", "1", "retracted", "0", "off"))
     bench.script.hang("placement.approach")
@@ -152,7 +152,7 @@ async def test_an_unknown_operation_of_the_lease_is_refused() -> None:
         )
     )
 )
-def test_nobody_loses_it_without_having_agreed_but_to_who_is_on_site(asked: list[tuple[str, str]]) -> None:
+def test_holder_loses_it_only_by_consent_or_to_a_user_on_site(asked: list[tuple[str, str]]) -> None:
     lease = Lease(SystemClock())
     for who, operation in asked:
         before = lease.state
@@ -166,7 +166,7 @@ def test_nobody_loses_it_without_having_agreed_but_to_who_is_on_site(asked: list
             assert before.holder == who or (who, operation) == ("local", "take_over")
 
 
-def test_only_roles_that_hold_it_are_heard() -> None:
+def test_only_roles_that_may_hold_it_acquire_it() -> None:
     for role in ROLES:
         lease = Lease(SystemClock())
         command = Command(id="1", branch=LEASE, operation="acquire", source="bus:x", user="x", role=role)

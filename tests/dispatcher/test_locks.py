@@ -128,7 +128,7 @@ async def test_disjoint_operations_are_in_their_steps_at_once(worldly_bench: Ben
     assert worldly_bench.joint == ("110", "1", "1", "1", "unknown", "0", "off")
 
 
-async def test_the_journal_has_the_states_after_each_of_two_parallel_commits(bench: Bench) -> None:
+async def test_journal_has_the_states_after_each_parallel_commit(bench: Bench) -> None:
     await bench.go(PLANNED)
     gate = bench.recorder.gates["decision"] = asyncio.Event()
     tasks = [await bench.begin(name) for name in ("toolplan.plan", "registration.clear_landmarks")]
@@ -139,7 +139,7 @@ async def test_the_journal_has_the_states_after_each_of_two_parallel_commits(ben
     assert [(s["registration"], s["toolplan"]) for s in states] == [("100", "1"), ("000", "1")]
 
 
-async def test_conflicting_operations_do_not_overlap_and_keep_their_order(bench: Bench) -> None:
+async def test_conflicting_operations_run_one_by_one_in_their_order(bench: Bench) -> None:
     await bench.go(PLANNED)
     gate = bench.script.hang("digitization.digitize_all")
     first = await bench.begin("digitization.digitize_all")
@@ -206,7 +206,7 @@ async def test_motions_never_wait(bench: Bench) -> None:
     assert (await task).decision == "accepted"
 
 
-async def test_a_disconnection_waits_for_the_motion_and_is_then_asked_again(bench: Bench) -> None:
+async def test_disconnection_waits_for_the_motion_and_is_redecided(bench: Bench) -> None:
     await bench.go(STANDOFF)
     gate = bench.script.hang("placement.confirm")
     motion = await bench.begin("placement.confirm")
@@ -217,7 +217,7 @@ async def test_a_disconnection_waits_for_the_motion_and_is_then_asked_again(benc
     assert code(await disconnect) == "tool_near_patient"
 
 
-async def test_what_waits_takes_the_locks_of_what_it_would_do_in_its_turn(bench: Bench) -> None:
+async def test_waiting_command_takes_the_locks_of_its_later_turn(bench: Bench) -> None:
     """The connection is denied when it is asked for, and would be made while a landmark is checked."""
     await bench.go(("111", "1", "0", "1", "unknown", "0", "off"))
     bench.script.entered.clear()
@@ -233,7 +233,7 @@ async def test_what_waits_takes_the_locks_of_what_it_would_do_in_its_turn(bench:
     assert (await connecting).decision == "accepted"
 
 
-async def test_what_its_parent_forbids_waits_for_the_parent(bench: Bench) -> None:
+async def test_command_barred_by_its_parent_waits_for_the_parent(bench: Bench) -> None:
     gate = bench.script.hang("robot.connect")
     connecting = await bench.begin("robot.connect")
     locating = await bench.begin("placement.locate")
@@ -243,7 +243,7 @@ async def test_what_its_parent_forbids_waits_for_the_parent(bench: Bench) -> Non
     assert (await locating).decision == "accepted"
 
 
-async def test_what_its_parent_would_refuse_waits_for_the_parent() -> None:
+async def test_command_its_parent_would_refuse_waits_for_the_parent() -> None:
     """The parent's operation leaves the branch that waits as it is, so that only the parent's lock keeps it waiting."""
     bench = Bench(TURNING, ["table"])
     assert (await bench.do("table.turn")).decision == "accepted"
@@ -258,7 +258,7 @@ async def test_what_its_parent_would_refuse_waits_for_the_parent() -> None:
     await bench.dispatcher.close()
 
 
-async def test_what_waits_longer_than_its_sender_wanted_is_not_done(worldly_bench: Bench) -> None:
+async def test_waiting_command_expires_after_its_time_to_live(worldly_bench: Bench) -> None:
     gate = worldly_bench.script.hang("toolplan.plan")
     running = await worldly_bench.begin("toolplan.plan")
     waiting = await worldly_bench.begin("toolplan.plan", sent=worldly_bench.clock.wall(), ttl=2.0)
@@ -272,7 +272,7 @@ branches = st.frozensets(st.sampled_from("abcd"))
 
 
 @given(branches, branches, branches, branches)
-def test_two_are_in_each_other_s_way_where_one_writes_what_the_other_touches(
+def test_two_conflict_where_one_writes_what_the_other_touches(
     writes: frozenset[str], reads: frozenset[str], other_writes: frozenset[str], other_reads: frozenset[str]
 ) -> None:
     touched, touched_by_other = writes | reads, other_writes | other_reads
@@ -302,7 +302,7 @@ HARMLESS = [f"{branch}.{name}" for branch in MOTIONLESS for name in USER_OPERATI
 
 
 @given(st.lists(st.sampled_from([*HARMLESS, "robot.connect", "robot.disconnect", "placement.locate"]), max_size=15))
-def test_whatever_is_asked_at_once_everybody_gets_an_answer(names: list[str]) -> None:
+def test_commands_sent_at_once_are_all_answered(names: list[str]) -> None:
     async def ask_all() -> None:
         bench = Bench()
         tasks = [asyncio.create_task(bench.do(name)) for name in names]
@@ -326,7 +326,7 @@ async def test_locks_are_free_after_every_ending(bench: Bench, ending: str) -> N
     assert (await bench.do("robot.connect")).decision == "accepted"
 
 
-async def test_a_commit_waits_for_the_motion_that_it_would_revoke_under_way(bench: Bench) -> None:
+async def test_commit_waits_for_the_motion_that_it_would_revoke(bench: Bench) -> None:
     """Found by the verifier: a digitization begun while held, a retreat to the standoff, then a way home.
 
     When the digitization ends, the registration that the standoff rests on ends with it: placement would go to held
@@ -362,7 +362,7 @@ async def test_stop_ends_both_when_a_commit_waits_for_a_motion(bench: Bench) -> 
     assert bench.joint == ("110", "1", "1", "1", "held", "0", "off")
 
 
-async def test_two_commits_that_would_revoke_each_other_s_branches_do_not_wait_for_each_other() -> None:
+async def test_commits_that_would_revoke_each_other_do_not_deadlock() -> None:
     bench = Bench(CROSSED, ["left_motor", "right_motor"])
     for side in ("left", "right"):
         assert (await bench.do(f"{side}_clamp.close")).decision == "accepted"

@@ -93,7 +93,7 @@ async def test_one_motion_waits_and_nothing_that_acts_otherwise(bench: Bench) ->
     assert [(await task).decision for task in (event, motion)] == ["accepted", "accepted"]
 
 
-async def test_one_motion_waits_also_where_another_one_would_not_be_in_its_way() -> None:
+async def test_one_motion_waits_also_where_another_would_not_conflict() -> None:
     bench = Bench(ARMS, ["left", "right"])
     gate = bench.recorder.gates["decision"] = asyncio.Event()
     event = await bench.begin("door.shut", source="device:door")
@@ -148,7 +148,7 @@ async def test_stop_rejects_a_motion_that_waits(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("name", ["placement.confirm", "teleoperation.engage"])
-async def test_what_moves_or_acts_is_looked_at_in_time_or_refused(bench: Bench, name: str) -> None:
+async def test_command_that_moves_or_acts_is_checked_soon_or_refused(bench: Bench, name: str) -> None:
     joint = STANDOFF if name == "placement.confirm" else ("111", "1", "1", "1", "guided", "0", "off")
     await bench.go(joint)
     bench.script.entered.clear()
@@ -160,13 +160,14 @@ async def test_what_moves_or_acts_is_looked_at_in_time_or_refused(bench: Bench, 
     assert bench.script.entered == []
 
 
-async def test_what_neither_moves_nor_acts_may_begin_late(bench: Bench) -> None:
+async def test_command_that_neither_moves_nor_acts_may_start_late(bench: Bench) -> None:
     arrived = asyncio.get_running_loop().time() - 60.0
     assert (await bench.dispatcher.submit(bench.command("toolplan.plan"), arrived=arrived)).decision == "accepted"
 
 
 @pytest.mark.parametrize("name", ["toolplan.clear", "toolplan.plan", "registration.clear_registration"])
-async def test_nothing_takes_away_what_a_standoff_rests_on_while_that_is_journalled(bench: Bench, name: str) -> None:
+async def test_plan_and_registration_stay_until_standoff_is_journalled(bench: Bench, name: str) -> None:
+    """A command that would take them away is rejected as busy."""
     await bench.go(HELD)
     gate = bench.recorder.gates["decision"] = asyncio.Event()
     retreat = await bench.begin("placement.back_off")
@@ -180,7 +181,7 @@ async def test_nothing_takes_away_what_a_standoff_rests_on_while_that_is_journal
 
 
 @pytest.mark.parametrize("name", ["toolplan.clear", "toolplan.plan", "registration.clear_registration"])
-async def test_a_retreat_ends_at_no_standoff_of_what_has_changed_meanwhile(bench: Bench, name: str) -> None:
+async def test_retreat_does_not_end_at_a_standoff_that_has_changed(bench: Bench, name: str) -> None:
     await bench.go(HELD)
     at_the_end = bench.script.hang("placement.back_off")
     retreat = await bench.begin("placement.back_off")
@@ -193,7 +194,7 @@ async def test_a_retreat_ends_at_no_standoff_of_what_has_changed_meanwhile(bench
     assert (code(await retreat), bench.joint[4]) == ("outcome_outdated", "held")
 
 
-async def test_a_plan_that_was_being_journalled_when_a_retreat_began_is_not_what_it_ends_at(bench: Bench) -> None:
+async def test_retreat_does_not_end_at_a_plan_journalled_as_it_began(bench: Bench) -> None:
     await bench.go(HELD)
     gate = bench.recorder.gates["decision"] = asyncio.Event()
     plan = await bench.begin("toolplan.plan")
@@ -203,7 +204,7 @@ async def test_a_plan_that_was_being_journalled_when_a_retreat_began_is_not_what
     assert (code(await retreat), bench.joint[4]) == ("outcome_outdated", "held")
 
 
-async def test_what_fails_after_a_verdict_is_fail_stop_and_keeps_no_locks(
+async def test_failure_after_a_verdict_is_fail_stop_and_frees_locks(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:

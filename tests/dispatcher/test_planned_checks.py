@@ -57,7 +57,7 @@ def told(verdict: Verdict) -> tuple[str, str]:
     return verdict.decision, verdict.reason.code
 
 
-async def test_the_loop_goes_on_while_a_motion_is_planned(bench: Bench, planner: GatedPlanner) -> None:
+async def test_loop_continues_while_a_motion_is_planned(bench: Bench, planner: GatedPlanner) -> None:
     await bench.go(RETRACTED)
     planner.gate.clear()
     approach = await bench.begin("placement.approach")
@@ -89,7 +89,7 @@ async def test_stop_ends_the_planning_and_does_not_wait_for_it(bench: Bench, pla
     assert "placement.approach" not in bench.script.entered
 
 
-async def test_what_stop_forbids_meanwhile_does_not_begin(bench: Bench, planner: GatedPlanner) -> None:
+async def test_motion_latched_while_it_is_planned_does_not_start(bench: Bench, planner: GatedPlanner) -> None:
     """The latch is asked again, whoever has set it."""
     await bench.go(RETRACTED)
     bench.script.entered.clear()
@@ -147,7 +147,7 @@ async def test_a_plan_is_put_in_force_when_it_has_been_checked(bench: Bench, pla
     assert bench.recorder.with_intent[(await plan).id]  # one row for both: it touches nothing outside
 
 
-async def test_what_would_be_said_comes_from_the_planner(bench: Bench, planner: GatedPlanner) -> None:
+async def test_dry_run_asks_the_planner(bench: Bench, planner: GatedPlanner) -> None:
     await bench.go(RETRACTED)
     planner.refused = Reason(code="unreachable", text="Too far.")
     before = len(bench.recorder.rows)
@@ -162,7 +162,7 @@ async def test_what_would_be_said_comes_from_the_planner(bench: Bench, planner: 
 
 
 @pytest.mark.parametrize("refuses", [True, False])
-async def test_a_step_that_has_its_motion_planned_again_does_not_go_on_where_that_is_refused(
+async def test_step_that_replans_its_motion_fails_if_that_is_refused(
     bench: Bench, planner: GatedPlanner, refuses: bool
 ) -> None:
     moved: list[str] = []

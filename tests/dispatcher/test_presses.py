@@ -40,7 +40,7 @@ def events(bench: Bench) -> list[DeviceEvent]:
     return [message for message in bench.published if isinstance(message, DeviceEvent)]
 
 
-async def test_thousands_of_presses_are_one_stop_and_one_row_with_their_number(
+async def test_thousands_of_presses_are_one_stop_and_one_counted_row(
     held: tuple[Bench, GatewayAdapter, asyncio.Event],
 ) -> None:
     bench, core, answered = held
@@ -57,7 +57,7 @@ async def test_thousands_of_presses_are_one_stop_and_one_row_with_their_number(
     assert counted.fields == {"stop": before + 1, "presses": PRESSES - 1, "by": {"bus:eve": PRESSES - 1}}
 
 
-async def test_when_the_robot_stands_the_next_press_is_a_stop_of_its_own(
+async def test_next_press_after_standstill_is_a_separate_stop(
     held: tuple[Bench, GatewayAdapter, asyncio.Event],
 ) -> None:
     bench, core, answered = held
@@ -68,7 +68,7 @@ async def test_when_the_robot_stands_the_next_press_is_a_stop_of_its_own(
     assert bench.dispatcher.stop_number == before + 3
 
 
-async def test_a_press_ends_what_has_begun_since_the_stop(held: tuple[Bench, GatewayAdapter, asyncio.Event]) -> None:
+async def test_press_ends_commands_started_since_the_stop(held: tuple[Bench, GatewayAdapter, asyncio.Event]) -> None:
     bench, core, answered = held
     first = asyncio.create_task(core.stop("bus:eve"))
     await settle()
@@ -83,7 +83,7 @@ async def test_a_press_ends_what_has_begun_since_the_stop(held: tuple[Bench, Gat
     await asyncio.gather(first, second)
 
 
-async def test_everybody_has_a_stop_of_their_own_up_to_a_number(
+async def test_sources_have_separate_stops_up_to_a_limit(
     held: tuple[Bench, GatewayAdapter, asyncio.Event],
 ) -> None:
     bench, core, answered = held

@@ -45,7 +45,7 @@ def bench(monkeypatch: pytest.MonkeyPatch) -> Limited:
     return Limited()
 
 
-async def test_a_rejection_beyond_the_limit_says_so_and_leaves_no_row(bench: Limited) -> None:
+async def test_rejection_beyond_the_limit_leaves_no_row(bench: Limited) -> None:
     assert await bench.codes(BURST + 3, user="eve") == ["unknown_operation"] * BURST + [TOO_MANY] * 3
     assert len(bench.recorder.rows) == BURST
     refused = await bench.do("registration.no_such_operation", user="eve")
@@ -81,7 +81,7 @@ async def test_one_row_says_how_many_rejections_have_none(bench: Limited) -> Non
     assert [name for _, name, _, _ in bench.recorder.rows].count(DROPPED) == 1
 
 
-async def test_a_limited_command_is_decided_anew_when_it_is_repeated(bench: Limited) -> None:
+async def test_limited_command_is_decided_again_when_it_is_repeated(bench: Limited) -> None:
     await bench.codes(BURST, user="eve")
     assert await bench.codes(1, user="eve", id="again") == [TOO_MANY]
     await bench.machine.advance(2.0 / RATE_HZ)

@@ -34,7 +34,7 @@ def test_every_operation_asks_for_the_roles_of_its_blueprint(workflow: str, role
 
 
 @pytest.mark.parametrize("workflow", WORKFLOWS)
-def test_a_planner_moves_nothing_and_only_an_operator_releases_the_latch(workflow: str) -> None:
+def test_planner_moves_nothing_and_only_an_operator_unlatches(workflow: str) -> None:
     for branch in read_workflow(workflow).branches.values():
         for name, spec in branch.operations.items():
             if spec.blocked_when_latched and not (spec.event or spec.iio):
@@ -43,7 +43,7 @@ def test_a_planner_moves_nothing_and_only_an_operator_releases_the_latch(workflo
                 assert [role for role in ROLES if not refused(spec, role)] == ["operator"], name
 
 
-async def test_what_a_role_may_not_do_changes_nothing_and_is_on_record() -> None:
+async def test_command_of_a_wrong_role_changes_nothing_but_is_recorded() -> None:
     bench = Bench()
     before = bench.dispatcher.snapshot()
     for role in ROLES:

@@ -33,7 +33,8 @@ async def test_01_everything_is_checked_before_the_first_step(bench: Bench) -> N
     assert bench.recorder.kinds(verdict.id) == ["decision"]
 
 
-async def test_02_all_branches_commit_together_and_observers_see_the_old_state_until_then(bench: Bench) -> None:
+async def test_02_branches_commit_together_and_show_old_state_before(bench: Bench) -> None:
+    """Observers see the old state until the commit."""
     await bench.do("registration.plan_landmarks")
     gate = bench.script.hang("digitization.digitize_all")
     task = await bench.begin("digitization.digitize_all")
@@ -120,7 +121,7 @@ async def test_03_a_passed_deadline_is_failed(bench: Bench) -> None:
     assert (verdict.decision, code(verdict), bench.joint) == ("failed", "deadline_passed", INITIAL)
 
 
-async def test_03_declared_outcomes_have_their_own_targets_and_others_fail(bench: Bench) -> None:
+async def test_03_declared_outcomes_have_their_targets_and_others_fail(bench: Bench) -> None:
     await bench.do("registration.plan_landmarks")
     for ending, state in (("partial", "0"), ("nonsense", "0"), ("complete", "1")):
         verdict = await bench.take("digitization", "digitize_one", ending)
@@ -172,7 +173,8 @@ async def test_04_an_unknown_outcome_holds_and_only_locate_ends_it(bench: Bench)
     assert (await bench.take("placement", "locate", "held")).state == "held"
 
 
-async def test_05_a_rejection_is_a_value_with_branch_state_reason_and_what_is_allowed(bench: Bench) -> None:
+async def test_05_rejection_names_branch_state_reason_and_allowed(bench: Bench) -> None:
+    """A rejection is a value. It lists the operations that are allowed in the state."""
     verdict = await bench.do("registration.register")
     assert (verdict.decision, verdict.branch, verdict.state) == ("rejected", "registration", "000")
     assert code(verdict) == "invalid_in_state"
@@ -223,7 +225,7 @@ async def test_08_cancelling_the_caller_does_not_cancel_the_operation(bench: Ben
     assert bench.script.entered.count("robot.connect") == len(RATMS.branches["robot"].operations["connect"].steps)
 
 
-async def test_09_an_operation_that_awaits_its_dispatcher_raises_at_once(bench: Bench) -> None:
+async def test_09_operation_that_awaits_its_dispatcher_raises_at_once(bench: Bench) -> None:
     raised: list[ReentrancyError] = []
 
     async def awaits(run: Run[Any, Notes]) -> None:
@@ -347,7 +349,7 @@ async def test_fault_02_what_a_registration_rests_on_ends_it(bench: Bench) -> No
         await fresh.dispatcher.close()
 
 
-async def test_fault_08_connected_is_set_on_confirmed_success_and_cleared_on_loss(bench: Bench) -> None:
+async def test_fault_08_connected_is_set_on_success_and_reset_on_loss(bench: Bench) -> None:
     gate = bench.script.hang("robot.connect")
     task = await bench.begin("robot.connect")
     assert not bench.dispatcher.snapshot().flags["robot_connected"]
@@ -358,12 +360,13 @@ async def test_fault_08_connected_is_set_on_confirmed_success_and_cleared_on_los
     assert not bench.dispatcher.snapshot().flags["robot_connected"]
 
 
-async def test_13_a_restart_begins_anew(bench: Bench) -> None:
+async def test_13_restart_starts_in_the_initial_states(bench: Bench) -> None:
     assert bench.joint == INITIAL
     assert (bench.dispatcher.snapshot().plan, bench.dispatcher.snapshot().registration) == (None, None)
 
 
-async def test_13_intent_before_the_first_step_outcome_before_the_reply(bench: Bench) -> None:
+async def test_13_intent_precedes_the_first_step_and_outcome_the_reply(bench: Bench) -> None:
+    """Both are in the journal by then."""
     seen: list[str] = []
 
     async def look(run: Run[Any, Notes]) -> None:
@@ -382,7 +385,7 @@ async def test_13_one_commit_where_no_step_touches_the_world(bench: Bench) -> No
     assert bench.recorder.with_intent[verdict.id]
 
 
-async def test_13_nobody_hears_of_a_decision_before_it_is_durable(bench: Bench) -> None:
+async def test_13_decision_is_published_only_when_it_is_durable(bench: Bench) -> None:
     gate = bench.recorder.gates["decision"] = asyncio.Event()
     task = await bench.begin("toolplan.plan")
     assert (task.done(), bench.published, bench.joint) == (False, [], INITIAL)

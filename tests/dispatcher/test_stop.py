@@ -25,7 +25,7 @@ def code(verdict: Verdict) -> str:
     return verdict.reason.code
 
 
-async def test_stop_before_the_task_has_begun(bench: Bench) -> None:
+async def test_stop_before_the_task_has_started(bench: Bench) -> None:
     await bench.go(RETRACTED)
     bench.script.entered.clear()
     task = asyncio.create_task(bench.dispatcher.submit(bench.command("placement.approach")))
@@ -211,7 +211,7 @@ async def test_nothing_moves_until_acknowledged(bench: Bench) -> None:
     assert (await bench.do("placement.back_off")).decision == "accepted"
 
 
-async def test_what_is_latched_is_not_told_as_allowed(bench: Bench) -> None:
+async def test_latched_operation_is_not_listed_as_allowed(bench: Bench) -> None:
     await bench.go(HELD)
     await bench.dispatcher.stop("test:operator")
     refused = await bench.do("placement.back_off")
@@ -224,7 +224,7 @@ async def _wait_for(hold: asyncio.Task[bool]) -> bool:
     return await asyncio.shield(hold)
 
 
-async def test_who_gives_up_ends_the_hold_of_nobody_else() -> None:
+async def test_cancelled_caller_does_not_end_the_hold_of_others() -> None:
     stands = asyncio.Event()
 
     async def standing(_latch: bool) -> None:
@@ -310,7 +310,7 @@ async def test_an_event_without_danger_is_journalled_and_stops_nothing(bench: Be
     assert not bench.dispatcher.snapshot().latched
 
 
-async def test_what_a_device_says_starts_no_operation_of_users(bench: Bench) -> None:
+async def test_device_event_starts_no_operation_of_users(bench: Bench) -> None:
     """Whatever its code is: only operations that are declared as events follow from it."""
     await bench.go(STANDOFF)
     bench.script.entered.clear()
@@ -333,7 +333,7 @@ async def test_closing_stops_what_runs(bench: Bench) -> None:
     assert (await task).state == "held"
 
 
-async def test_every_stop_is_told_to_listeners_before_anything_else_can_run(bench: Bench) -> None:
+async def test_listeners_learn_of_every_stop_before_anything_else_runs(bench: Bench) -> None:
     told: list[bool] = []
 
     class Listener(DispatcherListener):
@@ -346,7 +346,7 @@ async def test_every_stop_is_told_to_listeners_before_anything_else_can_run(benc
     assert told == [True, True]
 
 
-async def test_a_stop_whose_hold_is_not_confirmed_says_so_until_it_is_acknowledged(bench: Bench) -> None:
+async def test_unconfirmed_stop_is_in_doubt_until_it_is_acknowledged(bench: Bench) -> None:
     await bench.go(STANDOFF)
     bench.hold_error = UnknownOutcomeError("The robot is silent.")
     assert not await bench.dispatcher.stop("test:operator")
@@ -423,7 +423,7 @@ async def test_stops_of_a_later_run_have_greater_numbers(bench: Bench) -> None:
     await other.dispatcher.close()
 
 
-async def test_an_acknowledgement_that_names_an_older_stop_releases_nothing(bench: Bench) -> None:
+async def test_acknowledgement_of_an_older_stop_releases_nothing(bench: Bench) -> None:
     await bench.go(HELD)
     await bench.dispatcher.stop("test:operator")
     older = bench.dispatcher.stop_number
@@ -443,7 +443,8 @@ async def test_an_acknowledgement_that_names_no_number_is_malformed(bench: Bench
     assert bench.dispatcher.snapshot().latched
 
 
-async def test_without_a_name_only_who_is_on_site_acknowledges_and_no_young_stop(bench: Bench) -> None:
+async def test_unnamed_stop_is_acknowledged_only_on_site_and_not_young(bench: Bench) -> None:
+    """Only a user on site acknowledges without naming the Stop, and only one that is not young."""
     await bench.go(HELD)
     await bench.dispatcher.stop("test:operator")
     assert code(await bench.do("robot.acknowledge", arguments={}, user="local")) == "stop_not_named"

@@ -11,7 +11,7 @@ from pcmrs.messages import DeviceEvent, Reason
 FULL = Reason(code="disk_full", text="50 MB are free.")
 
 
-async def test_commands_are_rejected_without_a_row_and_decided_anew_afterwards(bench: Bench) -> None:
+async def test_commands_are_rejected_without_a_row_and_later_redecided(bench: Bench) -> None:
     await bench.go(RETRACTED)
     rows = len(bench.recorder.rows)
     bench.dispatcher.suspend(FULL)
@@ -28,7 +28,7 @@ async def test_commands_are_rejected_without_a_row_and_decided_anew_afterwards(b
     assert bench.joint == STANDOFF
 
 
-async def test_stop_events_and_what_runs_go_on(bench: Bench) -> None:
+async def test_stop_events_and_running_commands_continue(bench: Bench) -> None:
     await bench.go(RETRACTED)
     rows = len(bench.recorder.rows)
     bench.dispatcher.suspend(FULL)

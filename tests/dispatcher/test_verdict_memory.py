@@ -46,7 +46,7 @@ async def test_the_first_answer_stands(remembered: VerdictCache) -> None:
     assert asked.result().sequence == 1
 
 
-async def test_what_is_under_way_is_never_forgotten(remembered: VerdictCache) -> None:
+async def test_running_command_is_never_forgotten(remembered: VerdictCache) -> None:
     """Its verdict is not in the journal yet: a repeat would be taken for a new command, and perform it again."""
     running, _ = remembered.verdict_of(command("motion"))
     for number in range(10):

@@ -48,9 +48,7 @@ def root(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_machine_that_forbids_the_real_time_policy_is_told_how_to_permit_it(
-    root: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_forbidden_real_time_policy_is_reported_with_its_remedy(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise PermissionError(1, "Operation not permitted")
 
@@ -70,22 +68,22 @@ def test_looking_at_the_policy_leaves_this_process_as_it_was(root: Path) -> None
     assert os.sched_getscheduler(0) == before
 
 
-def test_a_kernel_that_leaves_nothing_to_others_is_told(root: Path) -> None:
+def test_unlimited_real_time_share_is_a_warning(root: Path) -> None:
     (root / "proc/sys/kernel/sched_rt_runtime_us").write_text("-1")
     assert only(scheduling(root), "real-time share").verdict == "warning"
 
 
 @pytest.mark.parametrize(("version", "verdict"), [("#1 SMP PREEMPT_DYNAMIC", "good"), ("#1 SMP", "warning")])
-def test_a_kernel_that_cannot_be_preempted_is_told(root: Path, version: str, verdict: str) -> None:
+def test_kernel_without_preemption_is_a_warning(root: Path, version: str, verdict: str) -> None:
     assert only(kernel(root, version), "kernel").verdict == verdict
 
 
-def test_a_kernel_without_scheduling_figures_is_told(root: Path) -> None:
+def test_kernel_without_scheduling_figures_is_a_warning(root: Path) -> None:
     (root / "proc/self/schedstat").unlink()
     assert only(kernel(root), "scheduling figures").verdict == "warning"
 
 
-def test_a_quota_of_processor_time_is_told(root: Path) -> None:
+def test_processor_quota_is_reported(root: Path) -> None:
     assert only(limits(root), "control group").verdict == "good"
     (root / "sys/fs/cgroup/cell/cpu.max").write_text("50000 100000")
     assert "0.5 processors" in only(limits(root), "control group").found
@@ -106,14 +104,14 @@ def test_too_few_open_files_are_bad(root: Path, monkeypatch: pytest.MonkeyPatch)
     assert only(limits(root), "open files").verdict == "bad"
 
 
-def test_a_slow_clock_source_is_told(root: Path) -> None:
+def test_slow_clock_source_is_reported(root: Path) -> None:
     assert only(clock_source(root), "clock source").verdict == "good"
     (root / "sys/devices/system/clocksource/clocksource0/current_clocksource").write_text("hpet")
     assert "hpet of tsc hpet" in only(clock_source(root), "clock source").found
 
 
 @pytest.mark.parametrize(("kind", "verdict"), [("ext4", "good"), ("tmpfs", "warning"), ("nfs4", "bad")])
-def test_what_disk_the_journal_is_on(tmp_path: Path, kind: str, verdict: str) -> None:
+def test_journal_disk_is_judged_by_its_file_system(tmp_path: Path, kind: str, verdict: str) -> None:
     mounts = tmp_path / "mounts"
     mounts.write_text(f"/dev/root / ext4 rw 0 0\nthere {tmp_path.resolve()} {kind} rw 0 0\n")
     folder = tmp_path / "not" / "yet" / "made"
@@ -170,7 +168,7 @@ def test_a_missing_extra_is_named_with_its_packages(tmp_path: Path, monkeypatch:
     assert "docs/supply.md" in found["sim"].remedy
 
 
-def test_a_device_that_is_not_there_is_bad_and_a_cabinet_is_not_dialled(tmp_path: Path) -> None:
+def test_absent_device_is_bad_and_a_cabinet_is_not_connected_to(tmp_path: Path) -> None:
     real = settings(
         tmp_path,
         "robot.driver=kst",
@@ -186,7 +184,7 @@ def test_a_device_that_is_not_there_is_bad_and_a_cabinet_is_not_dialled(tmp_path
     assert found["kst"].verdict == "good"  # nothing listens there: it was not dialled
 
 
-def test_streams_that_other_machines_may_reach_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_streams_that_other_machines_may_reach_are_a_warning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("LSLAPICFG", raising=False)
     assert "not used" in only(streams(settings(tmp_path)), "streams").found
     used = settings(tmp_path, "emg.driver=lsl")
@@ -195,7 +193,7 @@ def test_streams_that_other_machines_may_reach_are_told(tmp_path: Path, monkeypa
     assert only(streams(used), "streams").verdict == "warning"
 
 
-def test_peers_whose_old_commands_would_be_taken_are_told(tmp_path: Path) -> None:
+def test_peers_whose_old_commands_would_be_taken_are_a_warning(tmp_path: Path) -> None:
     timed = ["gateway.peers.planner.key_file=/planner.key", "gateway.peers.planner.counter=unix_ns"]
     assert only(peers(settings(tmp_path, *timed)), "peers").verdict == "good"
     found = only(peers(settings(tmp_path, *timed, "gateway.peers.panel.key_file=/panel.key")), "peers")

@@ -47,7 +47,7 @@ def test_the_means_are_those_of_the_twelve_rows() -> None:
         assert shown == pytest.approx(expected, abs=1.5e-4), words
 
 
-def test_they_are_as_good_as_promised_and_beside_those_of_the_paper() -> None:
+def test_errors_are_as_promised_and_shown_beside_the_paper() -> None:
     millimetres, _, degrees, _ = numbers("measured by")
     assert millimetres <= TRANSLATION_MM
     assert degrees <= ROTATION_DEG

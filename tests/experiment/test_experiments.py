@@ -46,7 +46,7 @@ def test_placements_are_as_accurate_as_promised(trials: int, seed: int) -> None:
 
 
 @pytest.mark.nightly
-def test_femoroplasty_goes_on_to_the_injection_at_the_last_pose() -> None:
+def test_femoroplasty_ends_with_the_injection_at_the_last_pose() -> None:
     report = run_experiment("placements", "--workflow", "femoroplasty", "--trials", "2", "--seed", "2")
     assert (report["workflow"], report["tool"]) == ("femoroplasty", "guide")
     assert report["residual_mm"] < 2.7

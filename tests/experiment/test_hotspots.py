@@ -45,7 +45,7 @@ def test_near_means_near_and_staying_there(ran: tuple[HotspotReport, dict[str, l
             assert each.near_after == 1 or each.errors[each.near_after - 2] > NEAR
 
 
-def test_all_methods_get_the_same_subjects_and_one_seed_gives_one_result() -> None:
+def test_methods_share_subjects_and_a_seed_fixes_the_result() -> None:
     first, searched, _ = run_hotspots(2, 4, 120.0, lambda *_: None)
     again, _, _ = run_hotspots(2, 4, 120.0, lambda *_: None)
     other, _, _ = run_hotspots(2, 5, 120.0, lambda *_: None)
@@ -55,7 +55,7 @@ def test_all_methods_get_the_same_subjects_and_one_seed_gives_one_result() -> No
         assert (adaptive.subject.image_from_hotspot.matrix == grid.subject.image_from_hotspot.matrix).all()
 
 
-def test_far_below_the_threshold_nothing_is_found_and_that_is_said() -> None:
+def test_far_below_the_threshold_nothing_is_found_and_reported() -> None:
     report, _, _ = run_hotspots(1, 1, 50.0, lambda *_: None)
     for result in report.methods:
         assert (result.near, result.unanswered) == (0.0, 1)

@@ -224,7 +224,7 @@ async def test_joint_states_that_do_not_come_by_themselves_are_named(monkeypatch
 
 
 @pytest.mark.nightly
-async def test_what_is_decided_at_once_is_not_stopped() -> None:
+async def test_command_decided_at_once_is_not_stopped() -> None:
     report = await toured(DiceCell(RATMS, outside=False, refusing=0.0))
     assert report.passed
     failing = {left.reason for left in report.left if left.command.endswith(":failed")}

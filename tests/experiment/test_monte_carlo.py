@@ -63,7 +63,8 @@ def test_rates_of_each_gate(report: MonteCarloReport, workflow: str) -> None:
         assert rate(report, workflow, gate) == (0.0, 1.0)  # not what these are for, and no false alarm
 
 
-def test_missing_landmarks_are_refused_by_construction_and_not_counted_as_found(report: MonteCarloReport) -> None:
+def test_missing_landmarks_are_refused_but_not_counted_as_found(report: MonteCarloReport) -> None:
+    """They are refused by construction."""
     missing = [row for row in report.rows if row.by_construction]
     assert [row.run for row in missing] == [7, 8, 9, 10, 11, 12, 13, 14]
     assert all((row.refused_by, row.residual_mm, row.named) == ({}, None, None) for row in missing)

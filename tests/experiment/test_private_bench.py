@@ -18,7 +18,7 @@ REFUSED = CommandRefusedError(
 )
 
 
-async def test_the_last_danger_and_a_load_that_is_too_much_are_the_reasons_of_a_refusal(tmp_path: Path) -> None:
+async def test_refusal_is_explained_by_last_danger_and_excessive_load(tmp_path: Path) -> None:
     journal = Journal.open(tmp_path / "journal.sqlite", durable=False)
     recorder = JournalRecorder(journal, ManualClock(), "s1", TAG)
     for code, text, danger in (

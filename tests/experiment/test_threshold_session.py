@@ -119,7 +119,7 @@ def operator(client: FakeClient) -> Operator:
     return Operator(cast(Client, client), rate=1000.0)
 
 
-async def test_what_passes_is_waited_for(client: FakeClient) -> None:
+async def test_temporary_rejection_is_waited_out(client: FakeClient) -> None:
     client.answers["hotspot.pulse"] = [
         rejected("not_aligned"),
         rejected("pulse_too_soon", wait=4.0),
@@ -129,7 +129,7 @@ async def test_what_passes_is_waited_for(client: FakeClient) -> None:
     assert client.asked == ["hotspot.pulse"] * 3
 
 
-async def test_what_does_not_pass_is_refused(client: FakeClient) -> None:
+async def test_permanent_rejection_raises(client: FakeClient) -> None:
     client.answers["hotspot.pulse"] = [rejected("too_many_pulses")]
     with pytest.raises(CommandRefusedError, match=r"hotspot\.pulse was rejected .*It is too_many_pulses"):
         await operator(client).ask("hotspot.pulse")
@@ -148,7 +148,7 @@ async def test_the_coil_is_brought_to_its_place_from_anywhere(client: FakeClient
     assert client.asked == ["placement.locate", "placement.approach", "placement.confirm"]
 
 
-async def test_a_motion_that_fails_is_begun_anew(client: FakeClient) -> None:
+async def test_failed_motion_is_repeated_up_to_a_limit(client: FakeClient) -> None:
     client.branches["placement"] = "standoff"
     client.answers["placement.confirm"] = [("failed", Reason(code="pose_missing_frames", text="Too few."))]
     await operator(client).place()
@@ -166,7 +166,7 @@ async def test_a_latch_is_acknowledged(client: FakeClient) -> None:
     assert client.asked == ["robot.acknowledge", "placement.back_off"]
 
 
-async def test_a_latch_that_stays_is_told_with_what_latched(client: FakeClient) -> None:
+async def test_lasting_latch_is_reported_with_its_cause(client: FakeClient) -> None:
     client.branches["placement"], client.latched = "held", True
     client.answers["placement.back_off"] = [("failed", Reason(code="link_lost", text="The link is lost."))]
     client.answers["robot.acknowledge"] = [("accepted", None), rejected("invalid_in_state")]
@@ -174,7 +174,7 @@ async def test_a_latch_that_stays_is_told_with_what_latched(client: FakeClient) 
         await operator(client).place()
 
 
-async def test_a_stimulator_that_disarmed_by_itself_is_armed_anew(client: FakeClient) -> None:
+async def test_stimulator_that_disarmed_by_itself_is_rearmed(client: FakeClient) -> None:
     client.answers["threshold.pulse"] = [rejected("not_armed"), ("accepted", None)]
     client.leads["stimulation.arm"] = {}  # it does not stay so
     await operator(client).fire("threshold.pulse")
@@ -268,7 +268,7 @@ def test_refusals_of_one_kind_in_a_row_are_one() -> None:
     assert (found[0].onset, found[0].source, found[0].text) == (1.0, "bus:local", "not_aligned at 1.0")
 
 
-def test_what_had_begun_when_the_record_ended_is_told() -> None:
+def test_unfinished_command_at_the_end_of_the_record_is_unknown() -> None:
     begun = msgspec.structs.replace(row("threshold.pulse", at=7.0), kind="intent", verdict=None)
     finished = msgspec.structs.replace(row("robot.connect"), kind="intent", verdict=None)
     (found,) = session_of(finished, row("robot.connect"), begun).refusals()
@@ -295,7 +295,7 @@ def test_an_empty_journal_is_no_session() -> None:
         session_of()
 
 
-def test_the_truth_where_the_threshold_was_hunted_is_higher_beside_the_hotspot() -> None:
+def test_true_threshold_is_higher_beside_the_hotspot() -> None:
     scene = SceneTruth(
         tracker_from_coil=HERE,
         tracker_from_body_ref=HERE,

@@ -22,7 +22,7 @@ QUICK = (  # motion in real time, but not more of it than the test needs
 
 
 @pytest.mark.nightly
-def test_placements_through_real_drivers_are_as_accurate_as_promised() -> None:
+def test_placements_by_real_drivers_are_as_accurate_as_promised() -> None:
     pytest.importorskip("ndicapy")
     settings = [word for setting in QUICK for word in ("--set", setting)]
     command = ["experiment", "placements", "--drivers", "virtual", "--trials", "2", "--seed", "4", "--json", *settings]

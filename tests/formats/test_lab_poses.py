@@ -55,7 +55,7 @@ def test_braces_comments_and_short_numbers_are_read(file: Path) -> None:
         ("TRANSLATION: {x: 0, y: 0, z: 0, w: 1}\nROTATION: {x: 0, y: 0, z: 0, w: 1}\n", "x, y, z under TRANSLATION"),
     ],
 )
-def test_what_is_no_pose_is_refused(text: str, reason: str, file: Path) -> None:
+def test_invalid_pose_is_refused(text: str, reason: str, file: Path) -> None:
     file.write_text(text)
     with pytest.raises(FileFormatError, match=reason) as caught:
         read_lab_pose(file)

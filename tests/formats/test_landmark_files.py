@@ -151,7 +151,7 @@ def _without(content: dict[str, Any], key: str) -> str:
         ("a.json", "{}", "is not a plan"),
     ],
 )
-def test_what_is_no_landmark_file_is_refused_with_file_and_reason(
+def test_invalid_landmark_file_is_refused_with_file_and_reason(
     name: str, text: str, reason: str, tmp_path: Path
 ) -> None:
     path = tmp_path / name
@@ -190,7 +190,7 @@ def test_pairs_go_by_order_where_names_differ(names: tuple[str, ...]) -> None:
     np.testing.assert_array_equal(pairs.digitized, 2 * POINTS)
 
 
-def test_what_cannot_be_paired_is_refused() -> None:
+def test_landmarks_that_cannot_be_paired_are_refused() -> None:
     planned = Landmarks(NAMES, POINTS)
     with pytest.raises(GeometryError, match="3 planned landmarks but 2"):
         pair_landmarks(planned, Landmarks(NAMES[:2], POINTS[:2]))

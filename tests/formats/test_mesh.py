@@ -50,7 +50,7 @@ def test_the_surface_comes_back_in_ras_and_metres(kind: str, unit: Unit, space: 
         ("a.obj", (TRIANGLE.replace("1 0 0", "nan 0 0") + "f 1 2 3\n").encode(), "not finite"),
     ],
 )
-def test_what_is_no_mesh_is_refused_with_file_and_reason(name: str, raw: bytes, reason: str, tmp_path: Path) -> None:
+def test_invalid_mesh_is_refused_with_file_and_reason(name: str, raw: bytes, reason: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.write_bytes(raw)
     with pytest.raises(FileFormatError, match=reason) as caught:

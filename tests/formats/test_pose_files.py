@@ -70,7 +70,7 @@ finite = st.floats(-1.0, 1.0)
 
 
 @given(arrays(float, 3, elements=finite), arrays(float, 3, elements=finite), arrays(float, 3, elements=finite))
-def test_what_the_gateway_saves_is_read_back(
+def test_placement_saved_by_the_gateway_is_read_back(
     tmp_path_factory: pytest.TempPathFactory, position: np.ndarray, turn: np.ndarray, other: np.ndarray
 ) -> None:
     planned, measured = Transform.from_rotvec(position, turn), Transform.from_rotvec(other, -turn)
@@ -81,7 +81,7 @@ def test_what_the_gateway_saves_is_read_back(
         assert rotation_angle(read, written) < 1e-14
 
 
-def test_trials_are_in_the_order_of_their_numbers_and_other_kinds_of_files_are_passed_over(tmp_path: Path) -> None:
+def test_trials_are_in_numeric_order_and_other_files_are_skipped(tmp_path: Path) -> None:
     for number in (10, 2, 1):
         _save(tmp_path, AS_SAVED, f"trial_{number}.yaml")
     _save(tmp_path, "not a placement", "notes.txt")
@@ -111,7 +111,7 @@ def test_all_unreadable_files_of_a_folder_are_named(tmp_path: Path) -> None:
         (AS_SAVED, "[" * 500, "YAML"),
     ],
 )
-def test_what_is_no_placement_is_refused_with_its_key(tmp_path: Path, old: str, new: str, said: str) -> None:
+def test_invalid_placement_is_refused_with_its_key(tmp_path: Path, old: str, new: str, said: str) -> None:
     assert old in AS_SAVED
     assert said in _refusal(_save(tmp_path, AS_SAVED.replace(old, new)))
 
@@ -155,7 +155,7 @@ def test_the_gateways_pose_log_is_read_back(tmp_path: Path) -> None:
         ("b b b", {"pol_body": [0, 1, 2], "pol_tool": [0, 1, 2]}),
     ],
 )
-def test_a_missing_row_is_a_gap_of_its_own_sample(tmp_path: Path, rows: str, gaps: dict[str, list[int]]) -> None:
+def test_missing_row_is_a_gap_in_its_sample_only(tmp_path: Path, rows: str, gaps: dict[str, list[int]]) -> None:
     names = {"b": "body_tool", "o": "pol_body", "t": "pol_tool"}
     log = read_pose_log(_save(tmp_path, "\n".join(f"{names[row]},{ROW}" for row in rows.split()), "poses_1.csv"))
     found = {name: [index for index, pose in enumerate(poses) if pose is None] for name, poses in log.poses.items()}
@@ -173,7 +173,7 @@ def test_a_missing_row_is_a_gap_of_its_own_sample(tmp_path: Path, rows: str, gap
         (f"body_tool,nan{ROW[8:]}\n", "line 1, body_tool"),
     ],
 )
-def test_what_is_no_pose_log_is_refused_with_its_line(tmp_path: Path, text: str, said: str) -> None:
+def test_invalid_pose_log_is_refused_with_its_line(tmp_path: Path, text: str, said: str) -> None:
     assert said in _refusal(_save(tmp_path, text, "poses_1.csv"))
 
 

@@ -120,7 +120,7 @@ def test_a_fine_volume_is_averaged_and_stays_in_place() -> None:
     np.testing.assert_allclose(lengths, radius, atol=0.0003)
 
 
-def test_what_leaves_the_volume_is_cut_off_closed() -> None:
+def test_skin_that_leaves_the_volume_is_closed_at_its_border() -> None:
     values = np.zeros((40, 40, 40), np.float32)
     values[10:30, 10:30, :25] = 1.0
     import trimesh
@@ -185,7 +185,7 @@ def test_a_volume_is_judged_by_its_header(name: str, dim: Any, more: Any, reason
         ("a.nii.gz", gzip.compress(bytes(2000), mtime=0)[:20], "not a whole NIfTI|does not begin"),
     ],
 )
-def test_what_is_no_volume_is_refused(name: str, raw: bytes, reason: str, tmp_path: Path) -> None:
+def test_invalid_volume_is_refused(name: str, raw: bytes, reason: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(raw)
     with pytest.raises(FileFormatError, match=reason):
         read_volume(tmp_path / name)
@@ -228,7 +228,7 @@ def compress_one(folder: Path) -> None:
         (lambda folder: [path.unlink() for path in folder.iterdir()], "holds no DICOM files"),
     ],
 )
-def test_what_is_no_whole_series_is_refused(spoil: Any, reason: str, tmp_path: Path) -> None:
+def test_incomplete_series_is_refused(spoil: Any, reason: str, tmp_path: Path) -> None:
     folder = write_dicom(tmp_path / "series", phantom(oblique())[:, :, :6], oblique())
     spoil(folder)
     with pytest.raises(FileFormatError, match=reason):

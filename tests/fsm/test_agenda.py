@@ -64,7 +64,7 @@ def test_a_tour_ends_and_says_what_is_left(blueprint: Blueprint, rng: Random, ne
     assert not seen & world.never
 
 
-def test_what_is_never_wanted_again_is_walked_over_no_more() -> None:
+def test_dropped_move_is_never_walked_again() -> None:
     here, there = ("a",), ("b",)
     way = Move(branch="x", operation="go", ending="done", before=here, after=there)
     goal = Move(branch="x", operation="stay", ending="done", before=there, after=there)
@@ -76,7 +76,7 @@ def test_what_is_never_wanted_again_is_walked_over_no_more() -> None:
     assert agenda.unseen() == {goal: ""}
 
 
-def test_what_was_put_aside_is_tried_again_once_something_else_was_gained() -> None:
+def test_missed_move_is_tried_again_after_another_was_made() -> None:
     here = ("a",)
     shy, bold = (Move(branch="x", operation=name, ending="done", before=here, after=here) for name in ("shy", "bold"))
     agenda = CoveragePlan({here: [shy, bold]}, {"x.shy": 1})
@@ -90,7 +90,7 @@ def test_what_was_put_aside_is_tried_again_once_something_else_was_gained() -> N
     assert agenda.unseen() == {shy: "not now"}
 
 
-def test_what_cannot_be_done_at_present_is_neither_wanted_nor_walked() -> None:
+def test_impossible_move_is_neither_wanted_nor_walked() -> None:
     here, there = ("a",), ("b",)
     motion = Move(branch="x", operation="move", ending="done", before=here, after=there)
     agenda = CoveragePlan({here: [motion], there: []}, {})

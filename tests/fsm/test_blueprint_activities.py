@@ -184,7 +184,7 @@ def test_a_fault_is_named(fault: str) -> None:
     assert all(finding.line > 1 for finding in findings)
 
 
-def test_a_motion_elsewhere_is_sound_where_it_requires_that_nothing_moves() -> None:
+def test_motion_elsewhere_is_sound_if_it_requires_standstill() -> None:
     old, new, *_ = FAULTS["beside the motion of another branch"]
     allowed = new.replace('motion = "retreat"', 'requires = { arm = ["away"] }\nmotion = "retreat"')
     assert examine(SOUND.replace(old, allowed).encode()).sound
@@ -223,13 +223,13 @@ def test_the_hash_is_of_activities_too() -> None:
     assert parse_blueprint(changed.encode()).hash != blueprint().hash
 
 
-def test_what_is_written_reads_back() -> None:
+def test_activities_are_read_back_as_written() -> None:
     written = blueprint_toml(blueprint())
     assert "[branches.arm.activities]\nnear = {" in written
     assert parse_blueprint(written.encode()) == blueprint()
 
 
-def test_the_generated_class_says_what_goes_on() -> None:
+def test_generated_class_names_the_activities() -> None:
     source = source_of(blueprint())
     assert "# do / follow_head, which moves the robot; when that ends by itself, lost" in source
     assert "# do / watch_head; when that ends by itself, lost_sight" in source

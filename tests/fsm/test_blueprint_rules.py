@@ -282,7 +282,7 @@ def test_states_written_with_zeros_stay_text() -> None:
     assert list(load_blueprint(BLUEPRINT).branches["registration"].states) == ["000", "100", "110", "111"]
 
 
-def test_the_hash_is_of_what_a_blueprint_says_not_of_how_it_is_written() -> None:
+def test_hash_covers_the_meaning_of_a_blueprint_not_its_layout() -> None:
     rewritten = "# reviewed\n" + SOUND.replace("\n\n", "\n\n\n").replace('"idle"', "'idle'")
     changed = SOUND.replace('"idle"', '"idling"')
     original = parse_blueprint(SOUND.encode()).hash

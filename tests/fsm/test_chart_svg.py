@@ -33,7 +33,7 @@ def in_every_state(operation: OperationSpec, branch: BranchSpec) -> list[str]:
 
 @charts
 @given(blueprints())
-def test_every_state_and_branch_is_drawn_once_and_boxes_keep_apart(blueprint: Blueprint) -> None:
+def test_states_and_branches_are_drawn_once_and_boxes_keep_apart(blueprint: Blueprint) -> None:
     root = reading.parse(svg(blueprint))
     boxes = reading.states(root)
     assert set(boxes) == {(name, state) for name, branch in blueprint.branches.items() for state in branch.states}
@@ -80,7 +80,7 @@ def test_lines_cross_but_never_run_on_each_other(blueprint: Blueprint) -> None:
 
 @charts
 @given(blueprints())
-def test_every_ending_of_an_operation_is_at_an_arrow_from_where_it_may_begin(blueprint: Blueprint) -> None:
+def test_every_ending_is_at_an_arrow_from_where_it_may_start(blueprint: Blueprint) -> None:
     root = reading.parse(svg(blueprint))
     arrows = [(group.attrib, reading.texts(group)) for group in reading.groups(root, "arrow")]
     loops = {(g.attrib["data-branch"], g.attrib["data-state"]): reading.texts(g) for g in reading.groups(root, "state")}
@@ -136,7 +136,7 @@ def test_any_text_gives_well_formed_xml(title: str, branch_title: str, meaning: 
     written.encode()
 
 
-def test_a_long_meaning_is_cut_with_an_ellipsis_and_whole_in_the_tooltip() -> None:
+def test_long_meaning_is_cut_with_ellipsis_and_whole_in_tooltip() -> None:
     meaning = "landmarks " * 60
     root = reading.parse(svg(Blueprint(id="x", version="1", branches={"b": BranchSpec(states={"a": meaning})})))
     (state,) = reading.groups(root, "state")

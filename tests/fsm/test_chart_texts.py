@@ -40,7 +40,8 @@ def in_order(blueprint: Blueprint) -> list[tuple[str, str]]:
 
 @texts
 @given(blueprints())
-def test_graphviz_has_every_state_in_the_nested_cluster_of_its_branch(blueprint: Blueprint) -> None:
+def test_graphviz_has_every_state_in_the_cluster_of_its_branch(blueprint: Blueprint) -> None:
+    """Clusters are nested as the branches are."""
     open_clusters: list[str] = []
     found: dict[tuple[str, str], list[str]] = {}
     for line in dot(blueprint).splitlines():
@@ -101,7 +102,7 @@ def test_texts_highlight_just_the_given_states(blueprint: Blueprint, data: st.Da
 
 
 @pytest.mark.parametrize("draw", [svg, dot, mermaid])
-def test_what_is_nested_too_deep_is_refused(draw: Callable[[Blueprint], str]) -> None:
+def test_too_deep_nesting_is_refused(draw: Callable[[Blueprint], str]) -> None:
     levels = {f"b{level}": nested(level) for level in range(1, MAX_LEVEL + 2)}
     with pytest.raises(ConfigurationError, match="65 levels"):
         draw(Blueprint(id="x", version="1", branches=levels))

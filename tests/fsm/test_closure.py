@@ -75,7 +75,7 @@ def test_a_closure_locks_everything_it_moves(walk: list[tuple[dict[str, str], Cl
 
 
 @given(walks())
-def test_a_change_of_a_child_signals_its_parent_unless_the_parent_called_it(
+def test_child_change_signals_its_parent_unless_called_by_it(
     walk: list[tuple[dict[str, str], Closure, Change]],
 ) -> None:
     """Rule 2, and a re-initiation called by the parent emits nothing."""
@@ -216,7 +216,7 @@ def test_a_revocation_takes_children_of_every_level_along() -> None:
     assert change.states == {"top": "a", "mid": "m0", "leaf": "l0", "watch": "loud"}
 
 
-def test_what_has_no_steps_cannot_fail() -> None:
+def test_operation_without_steps_cannot_fail() -> None:
     engine = Engine(parse_blueprint(THREE_LEVELS))
     for ending in ("failed", "unknown", "elsewhere"):
         with pytest.raises(KeyError):

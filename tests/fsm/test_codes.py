@@ -15,7 +15,7 @@ def test_every_kind_is_documented_as_it_is() -> None:
     assert {code: documented.get(code) for code in CODES} == CODES
 
 
-def test_every_kind_that_the_source_names_is_listed_and_the_other_way_round() -> None:
+def test_listed_codes_are_exactly_those_that_the_source_names() -> None:
     packages = [ROOT / "pcmrs" / name for name in ("fsm", "authoring")]
     files = [file for package in packages for file in package.rglob("*.py")]
     source = "".join(file.read_text() for file in files if file.name != "codes.py")

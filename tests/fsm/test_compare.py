@@ -136,7 +136,7 @@ def test_every_mutant_is_found_and_named(name: str) -> None:
     assert any(d.subject.partition(":")[0] == operation for d in differences), differences
 
 
-def test_newly_rejected_joint_states_are_those_of_the_specification() -> None:
+def test_newly_rejected_joint_states_match_the_specification() -> None:
     fewer = with_operation(RATMS, "placement", "home", from_=["standoff", "placed", "following", "guided"])
     (difference,) = (d for d in compare(RATMS, fewer) if d.kind == "rejected")
     lost = [joint for joint in reachable() if joint[4] == "retracted" and expected(joint, "placement", "home")]
@@ -146,7 +146,7 @@ def test_newly_rejected_joint_states_are_those_of_the_specification() -> None:
     assert difference.text == f"placement.home: no longer accepted in 8 joint states: {where}"
 
 
-def test_a_new_state_that_is_reached_is_said() -> None:
+def test_new_reachable_state_is_reported() -> None:
     branch = RATMS.branches["toolplan"]
     states = {**branch.states, "2": "planned twice"}
     operations = {**branch.operations, "again": OperationSpec(from_=["1"], to="2")}

@@ -101,7 +101,7 @@ def test_the_papers_table_becomes_what_was_written_by_hand() -> None:
         assert designed[joint] == ends, joint
 
 
-def test_a_step_needs_all_it_depends_on_and_a_grid_is_gone_through_in_order() -> None:
+def test_step_needs_its_dependencies_and_a_grid_goes_in_order() -> None:
     engine = Engine(blueprint_of(GRID_STEPS))
     assert engine.allowed("grid") == ["reinit"]
     for branch, operation in [
@@ -351,7 +351,8 @@ def test_any_bytes_end_in_a_sound_blueprint_or_findings(mutations: list[tuple[in
     check_answer(design(raw))
 
 
-def test_the_command_writes_the_blueprint_and_says_what_is_possible(tmp_path: Path) -> None:
+def test_command_writes_the_blueprint_and_counts_combinations(tmp_path: Path) -> None:
+    """It reports how many combinations of steps are possible."""
     output = tmp_path / "blueprint.toml"
     result = CliRunner().invoke(command, [str(EXAMPLES / "ratms_steps.toml"), "-o", str(output)])
     assert result.exit_code == 0
@@ -359,7 +360,7 @@ def test_the_command_writes_the_blueprint_and_says_what_is_possible(tmp_path: Pa
     assert load_blueprint(output).id == "ratms_steps"
 
 
-def test_the_command_writes_nothing_but_the_blueprint_to_standard_output() -> None:
+def test_command_writes_only_the_blueprint_to_standard_output() -> None:
     result = CliRunner().invoke(command, ["-"], input=RATMS_STEPS)
     assert result.exit_code == 0
     assert parse_blueprint(result.stdout.encode()).id == "ratms_steps"
@@ -411,7 +412,7 @@ def refined(number: int, points: int) -> list[dict[str, Any]]:
         ),
     ],
 )
-def test_a_blueprint_too_large_is_said_of_the_step_that_makes_it_so(raw: bytes, said: str, where: bytes) -> None:
+def test_too_large_a_blueprint_is_reported_at_the_causing_step(raw: bytes, said: str, where: bytes) -> None:
     result = design(raw)
     assert [finding.code for finding in result.findings] == ["step_count"]
     assert raw.splitlines()[result.findings[0].line - 1] == where
@@ -419,7 +420,7 @@ def test_a_blueprint_too_large_is_said_of_the_step_that_makes_it_so(raw: bytes, 
     assert result.combinations is not None
 
 
-def test_too_many_joint_states_are_said_of_the_points_that_make_them() -> None:
+def test_too_many_joint_states_are_reported_at_the_excess_points() -> None:
     path = ("steps", "0")
     branches = [
         DesignedBranch("b", BranchSpec(sequence=SequenceSpec(count=9)), path),

@@ -37,14 +37,14 @@ def is_accepted(cell: Engine, command: str) -> bool:
     return isinstance(cell.ask(*command.split(".")), Closure)
 
 
-def test_stop_bars_what_reaches_the_patient_and_one_operation_releases_it(cell: Engine) -> None:
+def test_stop_bars_patient_contact_and_one_operation_unlatches(cell: Engine) -> None:
     operations = cell.blueprint.branches["procedure"].operations
     barred = {name for name, operation in operations.items() if operation.blocked_when_latched}
     assert barred == {"align", "insert", "take_sample", "allow_insert_again", "allow_take_sample_again"}
     assert cell.blueprint.unlatching == ["safety.acknowledge"]
 
 
-def test_after_the_sample_nothing_is_begun_again_by_itself(cell: Engine) -> None:
+def test_after_the_sample_nothing_starts_again_by_itself(cell: Engine) -> None:
     perform(cell, *WAY_IN, *INSERTION, "procedure.take_sample")
     for refused in ("register", "plan_path", "align", "insert", "take_sample", "reinit", "withdraw_guide"):
         assert not is_accepted(cell, f"procedure.{refused}"), refused
@@ -63,7 +63,7 @@ def test_once_all_is_allowed_again_the_procedure_can_begin_again(cell: Engine) -
     assert cell.joint()["procedure"] == cell.blueprint.branches["procedure"].start
 
 
-def test_a_robot_that_is_lost_at_the_patient_leaves_nothing_but_to_make_it_safe(cell: Engine) -> None:
+def test_robot_lost_at_the_patient_must_first_be_made_safe(cell: Engine) -> None:
     perform(cell, *WAY_IN, "robot.link_lost", "robot.connect")
     assert not is_accepted(cell, "procedure.align")
     assert not is_accepted(cell, "robot.connect")
@@ -77,7 +77,8 @@ def test_the_robot_is_not_disconnected_at_the_patient(cell: Engine) -> None:
     assert answer.code == "tool_near_patient"
 
 
-def test_without_a_terminal_a_table_that_says_nothing_is_refused_and_told_what_to_add(tmp_path: Path) -> None:
+def test_undeclared_steps_are_refused_if_there_is_no_terminal(tmp_path: Path) -> None:
+    """The refusal names what to add."""
     table = tmp_path / "steps.toml"
     table.write_text(UNDECLARED)
     result = CliRunner().invoke(main, ["fsm", "design", str(table)])

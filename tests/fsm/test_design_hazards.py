@@ -77,7 +77,8 @@ class Walk:
 
 
 @pytest.mark.parametrize("chunk", range(CHUNKS))
-async def test_after_stop_nothing_reaches_the_patient_and_nothing_irreversible_is_done_twice(chunk: int) -> None:
+async def test_after_stop_no_step_reaches_the_patient(chunk: int) -> None:
+    """Nor is an irreversible step done twice."""
     for seed in range(chunk * TABLES_EACH, (chunk + 1) * TABLES_EACH):
         rng = Random(seed)
         walk = Walk(hazard_table(rng))

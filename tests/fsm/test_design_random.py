@@ -67,7 +67,7 @@ def expected(model: Model, done: set[str], spec_flags: list[str], operation: str
 @examples(40)
 @given(RANDOMS)
 @pytest.mark.nightly
-def test_the_joint_states_of_level_1_are_the_downward_closed_sets(rng: Random) -> None:
+def test_joint_states_of_level_1_are_the_downward_closed_sets(rng: Random) -> None:
     table = random_table(rng, levels=1, steps=6)
     result, blueprint = designed(table)
     subsets = possible_subsets(table)
@@ -83,7 +83,8 @@ def test_the_joint_states_of_level_1_are_the_downward_closed_sets(rng: Random) -
 
 @examples(40)
 @given(RANDOMS)
-def test_each_impossible_combination_counts_once_under_the_first_dependency_it_breaks(rng: Random) -> None:
+def test_impossible_combination_counts_at_first_missing_step(rng: Random) -> None:
+    """It counts once, under the first dependency that it breaks."""
     table = random_table(rng, levels=1, steps=7)
     result, _ = designed(table)
     assert result.combinations is not None

@@ -83,7 +83,7 @@ def read(text: str) -> Blueprint:
 
 @examples(80)
 @given(BLUEPRINT)
-def test_what_is_written_reads_back_as_itself(blueprint: Blueprint) -> None:
+def test_blueprint_is_read_back_as_written(blueprint: Blueprint) -> None:
     again = read(blueprint_toml(blueprint))
     assert again == blueprint
     # Equality of tables disregards order, but the first state is the start.

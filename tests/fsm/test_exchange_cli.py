@@ -64,7 +64,7 @@ def test_import_writes_a_sound_blueprint(tmp_path: Path) -> None:
     assert run("import", str(chart)).stdout == written.read_text()
 
 
-def test_import_of_an_unsound_chart_writes_it_and_says_so(tmp_path: Path) -> None:
+def test_import_of_an_unsound_chart_writes_it_with_its_findings(tmp_path: Path) -> None:
     written = tmp_path / "ring.toml"
     result = run("import", "-", "-o", str(written), given=RING.replace("</scxml>", '<state id="c"/></scxml>'))
     assert result.exit_code == 1
@@ -73,7 +73,7 @@ def test_import_of_an_unsound_chart_writes_it_and_says_so(tmp_path: Path) -> Non
     assert "unreachable_state" in result.stderr
 
 
-def test_a_dead_end_is_found_although_a_branch_inside_can_be_reinitiated() -> None:
+def test_dead_end_is_found_although_an_inner_branch_can_reinit() -> None:
     chart = "stateDiagram-v2\n[*] --> a\na --> b : go\nstate a {\nc --> d : go\n}\n"
     result = run("import", "-", given=chart)
     assert result.exit_code == 1
@@ -82,7 +82,7 @@ def test_a_dead_end_is_found_although_a_branch_inside_can_be_reinitiated() -> No
     assert run("import", "-", given=f"{chart}b --> [*]\n").exit_code == 0
 
 
-def test_import_of_what_is_not_supported_writes_nothing(tmp_path: Path) -> None:
+def test_import_of_an_unsupported_chart_writes_nothing(tmp_path: Path) -> None:
     written = tmp_path / "ring.toml"
     result = run("import", "-", "-o", str(written), given=RING.replace('event="go" ', 'cond="x" '))
     assert result.exit_code == 2

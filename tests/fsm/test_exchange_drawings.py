@@ -84,7 +84,7 @@ stateDiagram-v2
 """
 
 
-def test_what_does_not_matter_in_mermaid_is_ignored() -> None:
+def test_irrelevant_mermaid_lines_are_ignored() -> None:
     blueprint, findings = from_mermaid(DOOR.encode())
     assert blueprint is not None, findings
     assert {name: list(spec.states) for name, spec in blueprint.branches.items()} == {
@@ -118,7 +118,7 @@ def test_what_does_not_matter_in_mermaid_is_ignored() -> None:
         ("A --> a : go", "name_collision"),
     ],
 )
-def test_what_is_not_supported_in_mermaid_is_named_with_its_line(line: str, code: str) -> None:
+def test_unsupported_mermaid_is_named_with_its_line(line: str, code: str) -> None:
     raw = f"stateDiagram-v2\n[*] --> a\n  {line}\n"
     blueprint, findings = from_mermaid(raw.encode(), "door.mmd")
     assert blueprint is None
@@ -151,13 +151,13 @@ START = (
         ((), "no_states", 1),
     ],
 )
-def test_what_is_not_supported_in_drawio_is_named_with_its_line(cells: tuple[str, ...], code: str, line: int) -> None:
+def test_unsupported_drawio_is_named_with_its_line(cells: tuple[str, ...], code: str, line: int) -> None:
     blueprint, findings = from_drawio(page(*cells), "door.drawio")
     assert blueprint is None
     assert [(f.code, f.file, f.line) for f in findings] == [(code, "door.drawio", line)]
 
 
-def test_a_label_of_its_own_a_wrapped_cell_and_an_end_in_drawio() -> None:
+def test_separate_label_wrapped_cell_and_end_in_drawio() -> None:
     more = (
         '<mxCell id="e" edge="1" source="a" target="b" parent="1"/>'
         '<mxCell id="l" value="go" style="edgeLabel" vertex="1" parent="e"/>',

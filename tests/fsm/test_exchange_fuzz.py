@@ -138,7 +138,7 @@ REFUSED: list[tuple[Importer, bytes, str]] = [
 
 
 @pytest.mark.parametrize(("importer", "raw", "code"), REFUSED)
-def test_what_is_refused(importer: Importer, raw: bytes, code: str) -> None:
+def test_refused_import_has_its_code(importer: Importer, raw: bytes, code: str) -> None:
     _, findings = importer(raw, "file")
     assert [finding.code for finding in findings] == [code]
 

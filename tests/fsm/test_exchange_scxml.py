@@ -161,7 +161,7 @@ UNSUPPORTED = """<?xml version="1.0"?>
 """
 
 
-def test_what_is_not_supported_is_named_with_its_line_and_column() -> None:
+def test_unsupported_scxml_is_named_with_line_and_column() -> None:
     blueprint, findings = from_scxml(UNSUPPORTED.encode(), "chart.scxml")
     assert blueprint is None
     assert {f.code for f in findings} == {"not_supported"}
@@ -200,7 +200,7 @@ def test_nested_states_are_a_branch_of_the_next_level() -> None:
     assert (cut.from_, cut.to, cut.requires) == (["on"], "off", {"on": ["cold"]})
 
 
-def test_parallel_regions_without_common_events_are_branches_of_level_1() -> None:
+def test_parallel_regions_with_own_events_are_level_1_branches() -> None:
     blueprint = importable(
         """<parallel id="all">
           <state id="door"><state id="shut"><transition event="door.open" target="ajar"/></state>

@@ -105,7 +105,7 @@ def test_the_schema_explains_every_key_that_the_code_explains() -> None:
 
 
 @pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
-def test_calls_are_the_operations_that_the_workflow_calls_of_a_parent(path: Path) -> None:
+def test_calls_are_the_parent_operations_that_the_workflow_calls(path: Path) -> None:
     """Oracle: the closures of every operation in every joint state, cascades of the parent's own left out."""
     blueprint = workflow(path)
     called: dict[str, set[str]] = {}

@@ -57,7 +57,7 @@ def test_the_tool_exposes_the_patient_where_it_is_at_the_body(name: str) -> None
     assert exposing(blueprint, "placement") == blueprint.branches["placement"].states.keys() - away
 
 
-def test_an_armed_stimulator_exposes_wherever_the_tool_is_and_what_was_found_by_it_never() -> None:
+def test_armed_stimulator_exposes_anywhere_and_its_results_never() -> None:
     blueprint = load_blueprint(SHIPPED / "ratms_threshold.toml")
     assert exposing(blueprint, "stimulation", placement="retracted") == {"armed"}
     for branch in ("hotspot", "threshold"):
@@ -79,7 +79,7 @@ def test_a_designed_biopsy_exposes_until_it_is_made_safe() -> None:
     assert exposed.isdisjoint(made_safe)
 
 
-def test_an_activity_exposes_where_it_moves_the_robot_or_goes_on_after_a_treatment() -> None:
+def test_activity_exposes_if_it_moves_the_robot_or_treats() -> None:
     ratms = load_blueprint(SHIPPED / "ratms_threshold.toml")
 
     def with_activity(branch: str, state: str, *, moves: bool) -> Blueprint:
@@ -103,7 +103,7 @@ def test_an_activity_exposes_where_it_moves_the_robot_or_goes_on_after_a_treatme
         ({"affects_patient": True, "requires": {"registration": ["111"]}}, {"1"}),
     ],
 )
-def test_what_an_operation_declares_decides(declared: dict[str, Any], exposed: set[str]) -> None:
+def test_declarations_of_an_operation_decide_its_exposure(declared: dict[str, Any], exposed: set[str]) -> None:
     ratms = load_blueprint(SHIPPED / "ratms.toml")
     assert exposing(with_operation(ratms, "toolplan", "plan", **declared), "toolplan") == exposed
 

@@ -129,19 +129,20 @@ def test_tables_merge_and_anything_else_replaces(folder: Path) -> None:
     assert (door.operations["close"].from_, door.operations["close"].unlatches) == (["open", "ajar"], True)
 
 
-def test_properties_are_appended_or_replaced_by_id_and_revocations_added(folder: Path) -> None:
+def test_properties_are_added_or_replaced_and_revocations_added(folder: Path) -> None:
+    """A property of the same id is replaced."""
     own = load(folder)
     assert [promise.id for promise in own.properties] == ["can_open", "powered", "can_light"]
     assert own.properties[0].text == "It can be opened with the lamp lit."
     assert [rule.from_ for rule in own.branches["door"].revocations] == [["open"], ["ajar"]]
 
 
-def test_what_says_which_workflow_it_is_is_its_own(folder: Path) -> None:
+def test_identity_of_the_workflow_is_not_inherited(folder: Path) -> None:
     own = load(folder)
     assert (own.id, own.version, own.title, own.goal, own.migrations) == ("own", "2", "", {}, [])
 
 
-def test_the_hash_is_of_what_results(folder: Path) -> None:
+def test_hash_covers_the_resulting_blueprint(folder: Path) -> None:
     """Oracle: the same written as one file; and a change of the file below is a change."""
     before = load(folder)
     assert parse_blueprint(blueprint_toml(before).encode()) == before

@@ -35,7 +35,7 @@ def found(text: str) -> list[tuple[str, tuple[str, ...] | None]]:
     return [(finding.code, finding.commands) for finding in examine(text.encode()).findings]
 
 
-def test_an_irreversible_operation_needs_one_that_allows_it_again() -> None:
+def test_irreversible_operation_needs_one_that_allows_it_again() -> None:
     unmarked = PLAIN.replace('allows_again = ["sample"]', "title = 'again'")
     around = ("needle.insert", "needle.sample", "needle.withdraw", "needle.again", "needle.insert")
     assert found(unmarked) == [("repeatable", around)]
@@ -52,13 +52,13 @@ FAULTS: dict[str, tuple[str, str]] = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_what_cannot_be_meant_is_refused(fault: str) -> None:
+def test_contradictory_hazard_marks_are_refused(fault: str) -> None:
     old, new = FAULTS[fault]
     codes = {code for code, _ in found(PLAIN.replace(old, new))}
     assert codes == {"bad_operation"}
 
 
-def test_what_is_allowed_again_must_be_there() -> None:
+def test_operation_to_allow_again_must_exist() -> None:
     assert found(PLAIN.replace('["sample"]', '["stitch"]')) == [("unknown_operation", None)]
 
 
@@ -90,7 +90,7 @@ def test_each_confirmation_counts_once() -> None:
 
 
 @pytest.mark.parametrize(("branch", "operation"), [("safety", "acknowledge"), ("insert_confirmation", "take_back")])
-def test_a_confirmation_can_be_taken_back_and_does_not_outlive_a_stop(branch: str, operation: str) -> None:
+def test_confirmation_can_be_taken_back_and_ends_with_a_stop(branch: str, operation: str) -> None:
     cell = engine()
     cell.perform("insert_confirmation", "confirm_insert")
     assert isinstance(cell.ask("needle", "insert"), Closure)
@@ -98,7 +98,7 @@ def test_a_confirmation_can_be_taken_back_and_does_not_outlive_a_stop(branch: st
     assert refused(cell, "needle", "insert") == "not_confirmed"
 
 
-def test_only_what_is_possible_now_is_confirmed_and_never_while_stop_is_latched() -> None:
+def test_only_possible_operations_are_confirmed_if_not_latched() -> None:
     cell = engine()
     cell.place({"needle": "inside"})
     assert refused(cell, "insert_confirmation", "confirm_insert") == "requirement_not_met"

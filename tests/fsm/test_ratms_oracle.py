@@ -39,7 +39,7 @@ def decided(joint: Joint, branch: str, operation: str) -> Endings | None:
     return endings  # type: ignore[return-value]
 
 
-def test_the_blueprint_has_exactly_the_operations_of_the_specification() -> None:
+def test_blueprint_has_exactly_the_specified_operations() -> None:
     for branch in BRANCHES:
         declared = RATMS.branches[branch].operations
         known = [*USER_OPERATIONS[branch], *EVENT_OPERATIONS.get(branch, []), *INTERNAL_OPERATIONS.get(branch, [])]

@@ -38,7 +38,7 @@ def test_the_content_of_an_old_file_is_that_of_the_renamed_one() -> None:
     assert parse_blueprint(new.encode()).hash.startswith(HASH)
 
 
-def test_an_old_name_is_accepted_with_a_warning_that_names_the_new_one() -> None:
+def test_old_name_is_accepted_with_a_warning_naming_the_new_one() -> None:
     found = examine(PUMP.replace("%s", "acts = true").encode(), origin="pump.toml")
     assert found.sound
     assert [str(each) for each in found.warnings] == [
@@ -47,7 +47,7 @@ def test_an_old_name_is_accepted_with_a_warning_that_names_the_new_one() -> None
     assert not examine((PUMP % "affects_patient = true").encode()).warnings
 
 
-def test_verify_shows_the_warning_and_says_sound(tmp_path: Path) -> None:
+def test_verify_shows_the_warning_and_reports_sound(tmp_path: Path) -> None:
     file = tmp_path / "pump.toml"
     file.write_text(PUMP % "acts = true")
     result = CliRunner().invoke(main, ["fsm", "verify", str(file)])
@@ -71,13 +71,13 @@ def test_each_layer_of_an_extended_file_may_have_its_own_names(tmp_path: Path) -
     assert warned == [str(tmp_path / "pump.toml")]
 
 
-def test_moves_alone_is_an_approach_and_bars_it_while_stop_is_latched() -> None:
+def test_moves_alone_is_an_approach_and_is_barred_if_latched() -> None:
     blueprint = parse_blueprint((PUMP % 'moves = true, on_failure = "on", on_unknown = "on"').encode())
     start = blueprint.branches["pump"].operations["start"]
     assert (start.moves, start.motion, start.blocked_when_latched) == (True, "approach", True)
 
 
-def test_what_is_implied_is_not_written_and_what_is_not_is() -> None:
+def test_implied_keys_are_not_written_and_others_are() -> None:
     implied = parse_blueprint((PUMP % "affects_patient = true").encode())
     barred = parse_blueprint((PUMP % "blocked_when_latched = true").encode())
     assert "blocked_when_latched" not in blueprint_toml(implied)

@@ -124,7 +124,7 @@ REVOCATION = '{ by = ["a"], from = ["c1"], to = "c0" }'
     ("signals", "revocation", "nested"),
     [("true", REVOCATION, {"b", "c"}), ("false", REVOCATION, {"b"}), ("true", "", {"b"})],
 )
-def test_a_branch_that_may_leave_its_start_elsewhere_is_not_drawn_inside(
+def test_branch_that_may_leave_its_start_elsewhere_is_not_nested(
     signals: str, revocation: str, nested: set[str]
 ) -> None:
     """c is at home in b0, where b starts: it must not move, and not stay moved, while a is in a0."""

@@ -72,7 +72,8 @@ def test_a_sequence_does_what_a_counter_does(items: list[str], commands: list[tu
         state = after
 
 
-def test_before_is_the_first_state_in_which_nothing_can_be_done_and_to_which_reinit_leads() -> None:
+def test_before_is_the_first_state_and_reinit_leads_to_it() -> None:
+    """Nothing but the planning operation and reinit can be done in it."""
     plan = {"from": ["*"], "to": "a"}
     blueprint = expand(with_sequence({"items": ["a", "b"], "before": "unplanned"}, operations={"plan": plan}))
     branch = blueprint.branches["mapping"]
@@ -154,7 +155,7 @@ def test_expanding_twice_changes_nothing() -> None:
         ({"items": ["a"], "repeat": {"steps": "x"}}, "repeat", "array"),
     ],
 )
-def test_what_cannot_be_written_out_is_named(sequence: dict[str, Any], path: str, word: str) -> None:
+def test_invalid_sequence_is_refused_with_its_place(sequence: dict[str, Any], path: str, word: str) -> None:
     with pytest.raises(SequenceError) as raised:
         expand(with_sequence(sequence))
     assert raised.value.path == ("branches", "mapping", "sequence", *filter(None, path.split(".")))
@@ -167,13 +168,13 @@ def test_states_beside_a_sequence_are_refused() -> None:
     assert raised.value.path == ("branches", "mapping", "states")
 
 
-def test_keys_for_an_operation_that_the_branch_writes_itself_are_refused() -> None:
+def test_keys_for_an_operation_that_the_branch_has_are_refused() -> None:
     own = {"skip": {"from": ["*"], "to": "done"}}
     with pytest.raises(SequenceError, match="no effect"):
         expand(with_sequence({"items": ["a"], "skip": {"roles": ["x"]}}, operations=own))
 
 
-def test_many_long_sequences_are_refused_before_they_fill_the_memory() -> None:
+def test_many_long_sequences_are_refused_before_memory_is_full() -> None:
     branches = {f"b{i}": {"sequence": {"count": MAX_ITEMS}} for i in range(11)}
     with pytest.raises(SequenceError, match="11000 items"):
         expand(msgspec.convert({"id": "x", "version": "1", "branches": branches}, Blueprint))

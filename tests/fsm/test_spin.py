@@ -116,7 +116,7 @@ def test_spin_says_the_same(name: str, tmp_path: Path) -> None:
             assert pan.holds(f"property_{number}") == (kept if spec.reachable is None else not kept), spec.id
 
 
-def test_what_runs_is_named_as_not_modelled() -> None:
+def test_properties_of_running_operations_are_not_modelled() -> None:
     model = promela(ratms())
     assert "property 0, approach_only_when_ready: speaks of what runs" in model
     assert "never property_0" not in model

@@ -82,7 +82,7 @@ UNDER_TEST = StateSet(RATMS)
         )
     )
 )
-def test_exactly_one_state_of_each_branch_is_active_after_any_transitions(moves: list[dict[str, str]]) -> None:
+def test_one_state_per_branch_is_active_after_any_transitions(moves: list[dict[str, str]]) -> None:
     states, joint = UNDER_TEST, RATMS.initial()
     states.transition(joint)
     for targets in moves:
@@ -166,7 +166,7 @@ def test_the_source_is_typed_and_formatted(tmp_path: Path) -> None:
     assert checked.returncode == 0, checked.stdout
 
 
-def test_classes_that_do_not_say_what_the_blueprint_says_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_classes_that_contradict_the_blueprint_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     later = msgspec.structs.replace(RATMS, branches={"robot": RATMS.branches["robot"]})
     monkeypatch.setattr("pcmrs.fsm.branch.states_of", lambda _: states_of(RATMS))
     operations = later.branches["robot"].operations | {"connect": OperationSpec(from_=["0"], to="0")}
@@ -175,7 +175,7 @@ def test_classes_that_do_not_say_what_the_blueprint_says_are_refused(monkeypatch
         StateSet(msgspec.structs.replace(later, branches={"robot": changed}))
 
 
-def test_what_the_classes_say_decides_also_in_a_cascade(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_state_classes_decide_also_in_a_cascade(monkeypatch: pytest.MonkeyPatch) -> None:
     """One path: were a class changed, the engine would do as the class says, not as the blueprint says."""
     monkeypatch.setattr(StateSet, "_check_answers", lambda *_: None)
     source = source_of(RATMS).replace(

@@ -49,7 +49,7 @@ def test_the_tour_of_ratms_wants_what_the_specification_says() -> None:
             assert found[joint, branch, operation] == endings, (as_dict(joint), branch, operation)
 
 
-def test_the_tour_of_ratms_asks_in_vain_wherever_the_specification_rejects() -> None:
+def test_ratms_tour_asks_in_vain_where_the_specification_rejects() -> None:
     asked = {(m.before, m.branch, m.operation) for m in ratms_tour().wanted if m.decision == "rejected" and not m.at}
     internal = [(branch, name) for branch, names in INTERNAL_OPERATIONS.items() for name in names]
     for joint in reachable():
@@ -57,7 +57,7 @@ def test_the_tour_of_ratms_asks_in_vain_wherever_the_specification_rejects() -> 
         assert {(joint, *which) for which in (*rejected, *internal)} <= asked
 
 
-def test_the_tour_of_ratms_fails_every_step_and_refuses_every_check() -> None:
+def test_ratms_tour_fails_every_step_and_refuses_every_check() -> None:
     made = {(m.branch, m.operation, m.decision, m.at, m.how) for stretch in ratms_tour().stretches for m in stretch}
     for branch, operation in all_operations():
         spec = RATMS.branches[branch].operations[operation]
@@ -86,7 +86,7 @@ def test_random_workflows_are_toured_completely(blueprint: Blueprint) -> None:
     assert {move for move, _ in done} == set(tour.wanted)
 
 
-def test_what_cannot_be_gone_back_from_costs_a_restart() -> None:
+def test_state_without_a_way_back_costs_a_restart() -> None:
     step = {"from_": ["start"], "steps": ["work"]}
     operations = {way: OperationSpec(to=way, **step) for way in ("left", "right")}  # type: ignore[arg-type]
     states = dict.fromkeys(("start", "left", "right"), "")

@@ -42,7 +42,7 @@ def only(raw: bytes) -> Finding:
         (b"x = " + b"[" * 100_000, "too_deep", 1, 0),
     ],
 )
-def test_what_cannot_be_read_is_said_with_its_place(raw: bytes, code: str, line: int, column: int) -> None:
+def test_unreadable_file_is_a_finding_with_its_place(raw: bytes, code: str, line: int, column: int) -> None:
     finding = only(raw)
     assert (finding.code, finding.file, finding.line) == (code, "x.toml", line)
     assert not column or finding.column == column

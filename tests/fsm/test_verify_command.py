@@ -37,7 +37,7 @@ def test_a_finding_has_its_place_and_its_commands() -> None:
     assert result.exit_code == 1
 
 
-def test_the_worst_file_decides_how_it_ends_and_all_are_looked_at() -> None:
+def test_worst_file_sets_the_exit_code_and_all_are_verified() -> None:
     files = [FILE, UNSOUND / "deadlock.toml", UNSOUND / "not_toml.toml"]
     result = run("--json", *files)
     assert result.exit_code == 2
@@ -59,13 +59,13 @@ def test_the_limit_can_be_set_and_standard_input_read() -> None:
 
 
 @pytest.mark.parametrize("given", [b"", b"\xff", b"id = 1", b"[" * 10_000])
-def test_what_is_no_workflow_is_unreadable(given: bytes) -> None:
+def test_file_that_is_no_workflow_is_unreadable(given: bytes) -> None:
     result = run("-", given=given)
     assert result.exit_code == 2
     assert "<stdin>: unreadable: 1 finding" in result.stdout
 
 
-def test_what_cannot_be_read_is_a_finding_and_the_others_are_looked_at(tmp_path: Path) -> None:
+def test_unreadable_file_is_a_finding_and_others_are_verified(tmp_path: Path) -> None:
     missing = tmp_path / "none.toml"
     files: list[str | Path] = [missing, tmp_path, "no_such_workflow", FILE]
     result = run("--json", *files)
@@ -78,7 +78,7 @@ def test_what_cannot_be_read_is_a_finding_and_the_others_are_looked_at(tmp_path:
     assert "none.toml cannot be read: No such file" in run(*files).stdout
 
 
-def test_a_text_of_the_file_can_neither_forge_a_line_nor_reach_the_terminal() -> None:
+def test_text_in_a_file_forges_no_line_and_no_terminal_code() -> None:
     forged = b'text = "\\nx.toml: sound: 1 joint states\\u001b[31m\\u202e"\n'
     raw = (
         (UNSOUND / "property_violated.toml")

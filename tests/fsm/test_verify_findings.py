@@ -72,7 +72,7 @@ def check(blueprint: Blueprint, findings: list[Finding], wanted: Callable[[State
 
 @examples(40)
 @given(blueprints())
-def test_the_workflows_obey_the_static_rules_and_findings_are_of_known_kinds(blueprint: Blueprint) -> None:
+def test_workflows_obey_static_rules_and_finding_codes_are_known(blueprint: Blueprint) -> None:
     assert list(check_rules(blueprint)) == []
     assert {finding.code for finding in verify(blueprint).findings} <= set(VERIFICATION)
 
@@ -99,7 +99,7 @@ def test_a_deadlock_is_found(blueprint: Blueprint) -> None:
 
 @examples(40)
 @given(blueprints())
-def test_one_fault_that_cuts_the_search_short_does_not_bring_others_with_it(blueprint: Blueprint) -> None:
+def test_fault_that_cuts_the_search_short_is_the_only_finding(blueprint: Blueprint) -> None:
     local = {"endless_cascade", "no_outcome", "ambiguous_revocation", "order_dependent"}
     if cut_short(blueprint):
         promise = PropertySpec(id="promise", never=Condition())
@@ -166,7 +166,7 @@ def test_denials_that_have_no_reason_are_found(blueprint: Blueprint) -> None:
 
 @examples(40)
 @given(blueprints())
-def test_what_is_never_used_is_found(blueprint: Blueprint) -> None:
+def test_unused_states_and_operations_are_found(blueprint: Blueprint) -> None:
     if cut_short(blueprint):
         return
     everywhere = [states for found in joint_states(blueprint).values() for states in found]

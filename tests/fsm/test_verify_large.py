@@ -23,7 +23,8 @@ def test_a_million_joint_states_are_searched(blueprint: Blueprint) -> None:
     assert calls[-1] == (2**20, 2**20)
 
 
-def test_the_one_joint_state_that_breaks_a_promise_is_found_by_the_shortest_way() -> None:
+def test_state_that_breaks_a_promise_is_found_by_shortest_path() -> None:
+    """It is the only one of a million joint states."""
     everywhere = Condition(states={f"b{n}": ["s1"] for n in range(20)})
     blueprint = msgspec.structs.replace(free(20, 2), properties=[PropertySpec(id="never", never=everywhere)])
     found = verify(blueprint).findings
@@ -32,7 +33,7 @@ def test_the_one_joint_state_that_breaks_a_promise_is_found_by_the_shortest_way(
 
 
 @pytest.mark.nightly
-def test_while_something_runs_a_million_joint_states_are_twice_as_many_moments() -> None:
+def test_million_joint_states_are_twice_as_many_while_one_runs() -> None:
     """Each of four properties has its own, and all of them are part of the progress."""
     (alone,) = promising(20).properties
     four = [msgspec.structs.replace(alone, id=f"alone_{n}", when=Condition(running=[f"b{n}.on"])) for n in range(4)]

@@ -105,7 +105,7 @@ def check_moments(blueprint: Blueprint, observed: frozenset[str]) -> None:
 
 @examples(40)
 @given(blueprints(), st.data())
-def test_what_its_locks_protect_need_not_be_searched(blueprint: Blueprint, data: st.DataObject) -> None:
+def test_operations_protected_by_locks_need_no_search(blueprint: Blueprint, data: st.DataObject) -> None:
     """Only operations that are called strandable can be found where they are denied."""
     runs = TimedOperations(Space(blueprint, 10_000))
     for branch, spec in blueprint.branches.items():
@@ -136,7 +136,7 @@ def test_conditions_hold_at_the_same_moments(blueprint: Blueprint, data: st.Data
 
 @examples(60)
 @given(blueprints(), st.data())
-def test_what_it_leads_to_and_by_the_shortest_way(blueprint: Blueprint, data: st.DataObject) -> None:
+def test_leads_to_is_violated_by_the_shortest_way(blueprint: Blueprint, data: st.DataObject) -> None:
     observed = some_operations(blueprint, data)
     branch = data.draw(st.sampled_from(list(blueprint.branches)))
     state = data.draw(st.sampled_from(list(blueprint.branches[branch].states)))
@@ -158,7 +158,7 @@ def test_what_it_leads_to_and_by_the_shortest_way(blueprint: Blueprint, data: st
     assert [len(each.commands or ()) for each in found if against] == ([min(against)] if against else [])
 
 
-def test_an_operation_that_is_watched_costs_no_commands_where_it_does_not_matter_that_it_runs() -> None:
+def test_watched_operation_adds_no_commands_if_it_is_irrelevant() -> None:
     jump = OperationSpec(from_=["a", "b"], to={"a": "b", "b": "c"})
     walk = OperationSpec(from_=["a", "x", "y"], to={"a": "x", "x": "y", "y": "c"})
     branch = BranchSpec(states=dict.fromkeys("abcxy", "a state"), operations={"jump": jump, "walk": walk})

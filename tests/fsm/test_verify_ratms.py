@@ -89,7 +89,7 @@ def test_a_change_breaks_these_promises_and_the_commands_show_it(name: str) -> N
             assert contradicts(spec, replayed(blueprint, found[spec.id] or ()))
 
 
-def test_without_a_way_away_from_the_body_what_is_held_stays_there() -> None:
+def test_without_a_way_off_the_body_a_held_tool_stays_there() -> None:
     def keep(branches: dict[str, Any]) -> None:
         branches["placement"]["operations"][BACK_OFF].update(outcomes={"held": {"to": "held"}}, on_unknown="held")
         branches["robot"]["operations"].pop("link_lost")
@@ -97,7 +97,7 @@ def test_without_a_way_away_from_the_body_what_is_held_stays_there() -> None:
     assert set(violated(changed(keep))) == {"held_leads_to_retracted"}
 
 
-def test_what_nothing_leads_to_is_not_reachable() -> None:
+def test_state_that_nothing_leads_to_is_unreachable() -> None:
     blueprint = changed(lambda b: b["placement"]["operations"]["confirm"].update(to="standoff"))
     assert set(violated(blueprint)) == {"placed_reachable"}
 

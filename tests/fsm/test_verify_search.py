@@ -51,7 +51,8 @@ def levels(blueprint: Blueprint) -> dict[Joint, int]:
 @examples(60)
 @given(blueprints())
 @pytest.mark.nightly
-def test_finds_each_joint_state_on_its_level_and_counts_every_transition(blueprint: Blueprint) -> None:
+def test_search_finds_each_joint_state_on_its_level(blueprint: Blueprint) -> None:
+    """Every transition is counted."""
     expected = levels(blueprint)
     space = Space(blueprint, 10_000)
     found = {
@@ -111,7 +112,7 @@ def test_a_code_means_the_combination_it_was_made_of(sizes: list[int], data: st.
 
 
 @pytest.mark.parametrize("limit", [1, 2, 3])
-def test_beyond_the_limit_it_says_so_and_nothing_else(limit: int) -> None:
+def test_search_beyond_the_limit_reports_only_that(limit: int) -> None:
     blueprint = free(4, 2)
     found = verify(blueprint, limit=limit).findings
     assert [finding.code for finding in found] == ["too_many_states"]
@@ -126,7 +127,7 @@ def test_more_combinations_than_an_integer_holds_are_refused(branches: int) -> N
 
 
 @pytest.mark.nightly
-def test_branches_that_have_a_single_state_ask_nothing_however_many_there_are() -> None:
+def test_many_branches_with_a_single_state_take_no_decisions() -> None:
     """Each of them is looked at by the revocations of all others."""
     rules = [RevocationSpec(by=[f"b{n + 1}"], from_=["s0"], to="s0") for n in range(199)]
     branches = free(200, 1).branches
@@ -138,7 +139,7 @@ def test_branches_that_have_a_single_state_ask_nothing_however_many_there_are() 
     assert verify(blueprint).joint_states == 1
 
 
-def test_commands_that_depend_on_too_much_are_refused_and_not_searched_for_hours(
+def test_commands_that_depend_on_too_much_are_refused_early(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """One branch revokes all others: each of its commands depends on everything at once."""

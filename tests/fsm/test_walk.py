@@ -69,7 +69,7 @@ def test_everything_can_be_taken_back(blueprint: Blueprint, seed: int) -> None:
 
 @given(blueprints(), st.randoms(use_true_random=False))
 @examples(30)
-def test_what_is_offered_is_accepted_and_the_rest_refused(blueprint: Blueprint, rng: Random) -> None:
+def test_offered_choices_are_accepted_and_others_refused(blueprint: Blueprint, rng: Random) -> None:
     walk = SimulationSession(blueprint)
     list(walk.random_walk(5, rng.randrange(1000)))
     offered = {choice.partition(":")[0] for choice in walk.choices()}
@@ -97,7 +97,7 @@ def test_the_choices_of_ratms_are_those_of_the_specification() -> None:
         ("robot.connect:well", "unknown_outcome"),
     ],
 )
-def test_what_there_is_not_is_an_error_that_changes_nothing(command: str, code: str) -> None:
+def test_unknown_command_is_an_error_that_changes_nothing(command: str, code: str) -> None:
     walk = SimulationSession(RATMS)
     with pytest.raises(RefusalError) as refused:
         walk.ask(command)
@@ -106,7 +106,7 @@ def test_what_there_is_not_is_an_error_that_changes_nothing(command: str, code: 
     assert walk.states() == as_dict(INITIAL)
 
 
-def test_an_operation_with_several_outcomes_has_to_be_told_which() -> None:
+def test_operation_with_several_outcomes_needs_one_named() -> None:
     walk = SimulationSession(RATMS)
     walk.ask("robot.connect")
     with pytest.raises(RefusalError, match=r"placement\.locate:retracted"):
@@ -143,7 +143,7 @@ def test_a_number_is_that_line_of_the_list() -> None:
     assert run.stderr.count("is not in the list") == 2
 
 
-def test_lines_that_are_no_commands_are_told_so() -> None:
+def test_lines_that_are_no_commands_are_reported() -> None:
     run = simulate("ratms", lines="\x00\n:::\n..\n99999999999999999999\nwhy\nwhy x.y\n")
     assert run.exit_code == 0
     assert run.stderr.count("\n") == 4
@@ -164,7 +164,7 @@ def test_random_steps_as_json_are_one_object_a_line() -> None:
     assert steps == list(SimulationSession(RATMS).random_walk(30, 5))
 
 
-def test_what_cannot_be_read_is_said(tmp_path: Path) -> None:
+def test_unreadable_workflow_ends_with_2(tmp_path: Path) -> None:
     file = tmp_path / "no.toml"
     file.write_bytes(b"\xff")
     assert simulate(str(file)).exit_code == 2

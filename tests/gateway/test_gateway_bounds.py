@@ -19,7 +19,7 @@ from pcmrs.hosts import is_loopback
 from pcmrs.testing.clock import settle
 
 
-async def test_what_is_refused_to_a_client_without_verdicts_is_logged(cell: Any) -> None:
+async def test_refusal_to_a_client_without_verdicts_is_logged(cell: Any) -> None:
     cell.core.refusals["approach"] = "not_registered"
     with capture_logs() as logged:
         await cell.tell("execute_motionxx;")
@@ -31,7 +31,7 @@ async def test_what_is_refused_to_a_client_without_verdicts_is_logged(cell: Any)
     )  # fmt: skip
 
 
-async def test_a_refusal_that_comes_later_than_clients_wait_is_logged_too(cell: Any) -> None:
+async def test_refusal_later_than_clients_wait_is_logged(cell: Any) -> None:
     cell.core.refusals["register"] = "residual_too_large"
     cell.core.gates["register"].clear()
     with capture_logs() as logged:

@@ -28,7 +28,7 @@ def _commands(draw: st.DrawFn) -> tuple[Spec, tuple[Value, ...], str | None]:
 
 
 @given(_commands())
-def test_what_is_formatted_parses_to_the_same_values(command: tuple[Spec, tuple[Value, ...], str | None]) -> None:
+def test_formatted_command_parses_to_the_same_values(command: tuple[Spec, tuple[Value, ...], str | None]) -> None:
     spec, values, client_id = command
     request = parse(format_command(spec.name, *values, client_id=client_id))
     assert (request.spec, request.values, request.id) == command
@@ -128,7 +128,7 @@ def test_a_refused_registration_never_shows_numbers() -> None:
     assert Outcome("accepted", "registration", "111", numbers=(2.300912,)).second(Second.RESIDUAL) == "2.300912"
 
 
-def test_an_outcome_that_nobody_knows_is_told_as_such() -> None:
+def test_unknown_outcome_is_reported_as_unknown() -> None:
     unknown = Verdict(
         id="1", branch="placement", operation="approach", decision="unknown", state="unknown", sequence=1,
         result={"residual": 0.001},
@@ -148,7 +148,7 @@ def test_an_outcome_that_nobody_knows_is_told_as_such() -> None:
         ("rob_conn_onxxxxx", (), "a"),
     ],
 )
-def test_what_the_gateway_would_refuse_is_not_formatted(
+def test_command_the_gateway_would_refuse_is_not_formatted(
     name: str, values: tuple[Value, ...], client_id: str | None
 ) -> None:
     with pytest.raises(PayloadError):

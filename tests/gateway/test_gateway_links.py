@@ -147,7 +147,7 @@ async def test_an_announced_plan_holds_motion_back_too(cell: Any) -> None:
     assert cell.core.commands == []
 
 
-async def test_an_incomplete_landmark_series_is_refused_and_holds_motion_back(cell: Any) -> None:
+async def test_incomplete_landmark_series_is_refused_and_bars_motion(cell: Any) -> None:
     await cell.ask("img_fid_numxxxxx_02_#1;")
     await cell.ask("img_fid_pntxxxxx_00_0_0_0_#2;")
     assert await cell.ask("img_fid_lastrecv_#3;") == "3_rejected_registration_000_incomplete_series;"
@@ -164,7 +164,7 @@ async def test_rotation_and_translation_of_two_clients_are_no_plan(cell: Any) ->
     other.transport.close()
 
 
-async def test_the_same_id_returns_the_recorded_verdict_and_runs_nothing(cell: Any) -> None:
+async def test_repeated_id_returns_recorded_verdict_and_runs_nothing(cell: Any) -> None:
     cell.core.refusals["connect"] = "no_answer"
     first = await cell.ask("rob_conn_onxxxxx_#007;")
     cell.core.refusals.clear()
@@ -289,13 +289,13 @@ async def test_surface_commands_drive_their_operations(
     assert (asked.branch, asked.operation, asked.arguments) == (branch, name, arguments)
 
 
-async def test_a_refinement_is_acknowledged_and_returns_no_second_datagram(cell: Any) -> None:
+async def test_refinement_is_acknowledged_without_a_second_datagram(cell: Any) -> None:
     assert await cell.tell("icp_registerxxxx_/m/a_b.stl;") == "ack"
     await settle(cell)
     assert cell.replies.received.empty()
 
 
-async def test_a_refused_refinement_is_told_with_its_reason(cell: Any) -> None:
+async def test_refused_refinement_is_answered_with_its_reason(cell: Any) -> None:
     cell.core.refusals["refine"] = "unknown_surface"
     assert await cell.ask("icp_registerxxxx_/m/no.stl_#1;") == "1_rejected_registration_000_unknown_surface;"
 
@@ -326,7 +326,7 @@ async def test_bad_datagrams_are_counted_and_change_nothing(cell: Any) -> None:
     assert cell.replies.received.empty()
 
 
-async def test_what_the_gateway_itself_refuses_is_told_with_its_reason(cell: Any) -> None:
+async def test_refusal_by_the_gateway_is_reported_with_its_reason(cell: Any) -> None:
     assert (await cell.ask("target_tslxxxxxx_0_0_0.1_#5;")).endswith("_no_rotation;")
     (event,) = cell.core.events
     assert event.fields == {"count": 1, "source": f"udp:planner:127.0.0.1:{cell.client.port}", "reason": "no_rotation"}
@@ -416,7 +416,7 @@ def test_only_loopback_peers_may_be_listed() -> None:
         GatewayConfig(unsigned_peers=("192.0.2.1",))
 
 
-async def test_a_port_in_use_is_told(cell: Any, tmp_path: Path) -> None:
+async def test_port_in_use_is_an_error(cell: Any, tmp_path: Path) -> None:
     config = GatewayConfig(planner=LinkConfig(port=cell.planner[1]))
     with pytest.raises(ConfigurationError, match="cannot be bound"):
         async with open_gateway(FakeCore(), config, ManualClock(), tmp_path):

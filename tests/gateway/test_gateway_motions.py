@@ -21,9 +21,8 @@ def refused(cell: Any, reason: str) -> list[str]:
 
 
 @pytest.mark.parametrize("second", ["execute_confirmx", "adjust_tranxxxxx_0_0_0.001", "end_session_back"])
-async def test_a_motion_that_comes_during_another_is_acknowledged_refused_and_never_performed(
-    cell: Any, second: str
-) -> None:
+async def test_motion_during_another_is_acknowledged_but_refused(cell: Any, second: str) -> None:
+    """It is never performed."""
     cell.core.gates["approach"].clear()
     assert await cell.tell("execute_motionxx;") == "ack"
     assert await cell.tell(f"{second};") == "ack"
@@ -40,7 +39,7 @@ async def test_a_motion_that_comes_during_another_is_acknowledged_refused_and_ne
     assert len(cell.core.operations) > 1
 
 
-async def test_what_does_not_move_runs_beside_a_motion(cell: Any) -> None:
+async def test_motionless_command_runs_beside_a_motion(cell: Any) -> None:
     """The daemon decides whether it may: behind a motion in the gateway a plan would change what the tool goes to."""
     cell.core.gates["approach"].clear()
     await cell.tell("execute_motionxx;")
@@ -64,7 +63,7 @@ async def test_a_motion_waits_for_the_plan_that_came_before_it(cell: Any) -> Non
     assert cell.core.ages[1] == came  # its wait here is a part of the time within which its checks begin
 
 
-async def test_a_motion_behind_a_long_command_is_refused_when_its_time_is_up(cell: Any) -> None:
+async def test_motion_behind_a_long_command_is_refused_after_its_time(cell: Any) -> None:
     cell.core.gates["digitize_all"].clear()
     for command in ("start_autodigitz", "execute_homexxxx"):
         await cell.tell(f"{command};")
@@ -91,7 +90,7 @@ async def test_a_motion_that_the_loop_takes_up_too_late_is_refused(cell: Any) ->
     assert cell.core.operations == ["connect"]
 
 
-async def test_the_next_part_of_a_command_may_begin_when_the_one_before_has_ended(cell: Any) -> None:
+async def test_next_part_of_a_command_starts_when_the_last_has_ended(cell: Any) -> None:
     cell.core.branches["placement"] = "placed"
     cell.core.gates["back_off"].clear()
     reply = asyncio.ensure_future(cell.ask("end_session_back_#1;"))

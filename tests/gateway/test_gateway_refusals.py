@@ -36,14 +36,14 @@ async def bench() -> AsyncIterator[Bench]:
     await made.tasks.close()
 
 
-async def test_the_first_is_told_at_once_with_who_and_why(bench: Bench) -> None:
+async def test_first_refusal_is_reported_with_source_and_reason(bench: Bench) -> None:
     await bench.refuse(1)
     (event,) = bench.core.events
     assert (event.device, event.code, event.danger) == ("gateway", "refused", False)
     assert event.fields == {"count": 1, "source": SOURCE, "reason": "malformed"}
 
 
-async def test_of_a_flood_every_period_has_one_report_and_none_is_forgotten(bench: Bench) -> None:
+async def test_flood_has_one_report_each_period_and_counts_everything(bench: Bench) -> None:
     for _ in range(3):
         await bench.refuse(1000)
         await bench.clock.advance(PERIOD)
@@ -51,13 +51,13 @@ async def test_of_a_flood_every_period_has_one_report_and_none_is_forgotten(benc
     assert counts == [1, 999, 1000, 1000]
 
 
-async def test_during_a_flood_another_reason_is_told_at_once(bench: Bench) -> None:
+async def test_new_reason_during_a_flood_is_reported_at_once(bench: Bench) -> None:
     await bench.refuse(1000)
     await bench.refuse(1, "no_rotation")
     assert bench.told == [("malformed", 1, "number 0"), ("no_rotation", 1, "number 0")]
 
 
-async def test_after_a_quiet_period_the_next_is_told_at_once_again(bench: Bench) -> None:
+async def test_refusal_after_a_quiet_period_is_reported_at_once(bench: Bench) -> None:
     await bench.refuse(1)
     await bench.clock.advance(PERIOD)
     await bench.refuse(1)

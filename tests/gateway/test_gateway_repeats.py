@@ -56,9 +56,7 @@ async def test_the_daemon_recognises_what_the_gateway_forgot(cell: Any) -> None:
 
 @pytest.mark.usefixtures("sessions_are_forgotten", "outcomes_are_forgotten")
 @pytest.mark.parametrize(("before", "after"), [("retracted", "placed"), ("placed", "retracted")])
-async def test_a_forgotten_command_that_would_take_other_steps_now_takes_none(
-    cell: Any, before: str, after: str
-) -> None:
+async def test_forgotten_command_that_would_now_differ_runs_nothing(cell: Any, before: str, after: str) -> None:
     cell.core.branches["placement"] = before
     assert (await cell.ask("end_session_back_#1;")).startswith("1_accepted")
     ran = list(cell.core.operations)
@@ -68,7 +66,7 @@ async def test_a_forgotten_command_that_would_take_other_steps_now_takes_none(
     assert cell.core.operations == ran
 
 
-async def test_ids_start_anew_with_each_opening(cell: Any, tmp_path: Any) -> None:
+async def test_ids_are_forgotten_at_each_opening(cell: Any, tmp_path: Any) -> None:
     async with open_gateway(cell.core, cell.config, cell.clock, tmp_path) as gateway:
         await cell.ask("rob_conn_onxxxxx_#1;", gateway.addresses["planner"])
     await cell.ask("rob_conn_onxxxxx_#1;")

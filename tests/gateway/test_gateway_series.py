@@ -76,7 +76,8 @@ def test_a_second_rotation_replaces_the_first() -> None:
 
 
 @given(st.lists(st.tuples(st.sampled_from(list(Plan)), st.booleans())))
-def test_the_lock_holds_while_the_newest_plan_of_a_kind_is_not_accepted(plans: list[tuple[Plan, bool]]) -> None:
+def test_lock_holds_while_a_newest_plan_is_not_accepted(plans: list[tuple[Plan, bool]]) -> None:
+    """It holds if the newest plan of any kind is not accepted."""
     lock = PlanLock()
     for kind, accepted in plans:
         attempt = lock.attempt(kind)

@@ -11,7 +11,7 @@ from pcmrs.gateway import links
 from pcmrs.gateway.intake import Intake
 
 
-async def test_what_a_peer_queued_before_a_stop_from_elsewhere_never_runs(cell: Any) -> None:
+async def test_commands_queued_before_a_stop_from_elsewhere_never_run(cell: Any) -> None:
     cell.core.gates["digitize_all"].clear()
     for command in ("start_autodigitz", "execute_motionxx", "start_registrati"):
         assert await cell.tell(f"{command};") == "ack"
@@ -25,9 +25,8 @@ async def test_what_a_peer_queued_before_a_stop_from_elsewhere_never_runs(cell: 
     assert cell.core.operations == ["digitize_all", "connect"]
 
 
-async def test_what_came_in_the_turn_of_the_loop_before_a_stop_never_begins(
-    cell: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_commands_received_just_before_a_stop_never_start(cell: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They came in the same turn of the loop."""
     receive = Intake.receive
 
     def receive_and_stop(intake: Intake, *datagram: Any) -> Any:

@@ -68,7 +68,7 @@ class Sent:
         return [text.split("_")[0] if port == 8051 else text for text, to in self.messages if to == port]
 
 
-async def test_the_pose_stream_keeps_its_rate_and_sends_unity_plans_once() -> None:
+async def test_pose_stream_keeps_its_rate_and_sends_unity_plans_once() -> None:
     core, clock, sent, tasks = FakeCore(), ManualClock(), Sent(), BackgroundTasks()
     config = GatewayConfig(stream_rate_hz=100.0)
     streams = Streams(core, beats_of(clock), config, sent, tasks)
@@ -201,7 +201,7 @@ async def test_ticks_missed_in_a_stall_are_not_made_up_for() -> None:
     assert np.diff(times[2:8]) == pytest.approx(0.1)
 
 
-async def test_beats_in_real_time_come_at_their_rate_and_one_for_those_missed() -> None:
+async def test_real_time_beats_keep_their_rate_and_missed_ones_are_one() -> None:
     period, missed = 0.01, 20
     began, count = time.monotonic(), 0
     async with aclosing(kernel_beats(period)) as beats:
@@ -241,7 +241,7 @@ async def test_where_no_timer_can_be_made_the_beats_say_so() -> None:
     assert failed.value.errno == errno.EMFILE
 
 
-async def test_a_rate_beyond_what_a_timer_can_do_does_not_end_the_beats() -> None:
+async def test_rate_beyond_the_timer_does_not_end_the_beats() -> None:
     async with asyncio.timeout(30.0), aclosing(kernel_beats(1.0 / math.inf)) as beats:
         for _ in range(3):
             await anext(beats)

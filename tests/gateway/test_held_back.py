@@ -67,7 +67,7 @@ async def test_a_stop_that_was_held_back_stops(room: Room) -> None:
     assert room.core.stops == ["peer:planner"]
 
 
-async def test_a_clock_that_is_ahead_is_told_by_name_and_locks_nobody_out(room: Room, tmp_path: Path) -> None:
+async def test_clock_that_is_ahead_is_named_and_locks_nobody_out(room: Room, tmp_path: Path) -> None:
     """The times that a wrong clock has used must not keep out what the right one sends."""
     room.signers["planner"] = timed(room, ahead=3600.0)
     room.client.send(room.sign("execute_motionxx_#1;"), room.planner)
@@ -84,7 +84,7 @@ async def test_a_clock_that_is_ahead_is_told_by_name_and_locks_nobody_out(room: 
     assert room.core.operations == ["approach"]
 
 
-async def test_what_was_sent_is_refused_once_more_within_its_time(room: Room) -> None:
+async def test_command_sent_again_within_its_time_is_refused(room: Room) -> None:
     sent = room.sign("execute_motionxx_#1;")
     room.client.send(sent, room.planner)
     assert (await answer(room)).startswith("1_accepted")
@@ -93,7 +93,7 @@ async def test_what_was_sent_is_refused_once_more_within_its_time(room: Room) ->
     assert room.core.operations == ["approach"]
 
 
-async def test_a_peer_without_the_time_goes_on_as_before(room: Room) -> None:
+async def test_peer_without_timestamps_is_accepted_late(room: Room) -> None:
     held = room.sign("execute_motionxx_#1;", "panel")
     await room.clock.advance(3600.0)
     room.client.send(held, room.planner)
@@ -108,7 +108,7 @@ async def test_acknowledgement_and_second_datagram_are_signed(room: Room) -> Non
     assert [room.signers["planner"].check(each) for each in answers] == [b"ack;", b"2.100000;"]
 
 
-async def test_an_answer_of_somebody_else_is_not_taken(room: Room) -> None:
+async def test_forged_answer_is_refused(room: Room) -> None:
     signer = room.signers["planner"]
     room.client.send(room.sign("get_jnt_angsxxxx_#1;"), room.planner)
     genuine = (await room.client.received.get()).encode()
@@ -139,7 +139,7 @@ async def test_over_tcp_each_answer_is_a_frame(room: Room) -> None:
     writer.close()
 
 
-async def test_a_new_folder_is_told_at_the_start(tmp_path: Path) -> None:
+async def test_new_folder_is_reported_at_the_start(tmp_path: Path) -> None:
     """Commands that were kept would be taken once more: the counters begin at 0."""
     peers = {"planner": peer(tmp_path, "planner", counter="unix_ns"), "panel": peer(tmp_path, "panel")}
     async with open_room(tmp_path, peers) as room:

@@ -85,7 +85,7 @@ async def test_poses_are_sent_in_mm_by_the_names_of_plus(room: Room) -> None:
     np.testing.assert_allclose(tip.matrix[:3, 3], [100.0, 200.0, 300.0])
 
 
-async def test_what_is_sent_is_openigtlink_byte_by_byte(room: Room) -> None:
+async def test_sent_messages_are_openigtlink_byte_by_byte(room: Room) -> None:
     assert room.core.target is not None
     expected, found = matrix_mm(room.core.target), dict[str, bytes]()
     while {"TargetToImage", "PcmrsLine", "PcmrsStatus"} - set(found):
@@ -107,14 +107,14 @@ async def test_what_is_sent_is_openigtlink_byte_by_byte(room: Room) -> None:
         assert found[name][42:] == oracle[42:]
 
 
-async def test_what_is_not_seen_is_not_sent(room: Room) -> None:
+async def test_unseen_body_is_not_sent(room: Room) -> None:
     room.core.bodies, room.core.target, room.core.pose = {"coil": SEEN["coil"]}, None, None
     await room.slicer.status(1)  # from before or after the change
     await room.slicer.names(60)
     assert await room.slicer.names(60) <= {"CoilToTracker", "PcmrsStatus"}
 
 
-async def test_without_a_registration_nothing_is_told_in_the_image(room: Room) -> None:
+async def test_without_a_registration_nothing_is_sent_in_the_image(room: Room) -> None:
     room.core.registered = room.core.target = None
     await room.slicer.names(60)
     names = await room.slicer.names(60)
@@ -130,7 +130,7 @@ async def test_poses_may_go_together(tmp_path: Path) -> None:
         np.testing.assert_allclose(message.matrices["CoilToTracker"], matrix_mm(SEEN["coil"]), atol=1e-3)
 
 
-async def test_the_state_is_told_when_a_client_comes_and_at_each_change(room: Room) -> None:
+async def test_state_is_sent_to_a_new_client_and_at_each_change(room: Room) -> None:
     first = json.loads((await room.slicer.next("PcmrsState")).string)
     assert first["branches"] == room.core.branches
     assert (first["latched"], first["running"]) == (False, [])
@@ -148,7 +148,7 @@ async def test_the_state_is_told_when_a_client_comes_and_at_each_change(room: Ro
     await room.slicer.status(1)
 
 
-async def test_a_change_before_another_client_comes_is_told_to_the_first_too(tmp_path: Path) -> None:
+async def test_change_before_another_client_comes_reaches_the_first(tmp_path: Path) -> None:
     async with opened(tmp_path, rate_hz=20.0) as room:
         await room.slicer.next("TargetToImage")  # the first tick is over
         first = await room.slicer.next("PcmrsLine")
@@ -186,7 +186,7 @@ async def test_landmarks_are_planned_in_metres(room: Room) -> None:
     np.testing.assert_allclose([landmark["position"] for landmark in found], np.array(LANDMARKS_MM) * 1e-3)
 
 
-async def test_what_slicer_sends_again_is_submitted_once(room: Room) -> None:
+async def test_plan_that_slicer_resends_is_submitted_once(room: Room) -> None:
     data = wire.transform(TARGET, planned_mm()) + wire.points("Landmarks", LANDMARKS_MM, FACES)
     for sent in range(1, 6):
         room.slicer.send(data)
@@ -231,7 +231,7 @@ BAD_TARGETS = {
 
 
 @pytest.mark.parametrize("bad", BAD_TARGETS)
-async def test_what_is_no_target_is_refused_with_the_reason(room: Room, bad: str) -> None:
+async def test_invalid_target_is_refused_with_the_reason(room: Room, bad: str) -> None:
     matrix, code = BAD_TARGETS[bad]
     room.slicer.send(wire.transform(TARGET, matrix))
     assert (await room.slicer.verdict()).startswith(f"rejected toolplan.plan {code}: ")
@@ -251,14 +251,14 @@ async def test_what_is_no_target_is_refused_with_the_reason(room: Room, bad: str
         ([*LANDMARKS_MM, (0.0, math.inf, 0.0)], "not_finite"),
     ],
 )
-async def test_what_are_no_landmarks_is_refused(room: Room, positions: Any, code: str) -> None:
+async def test_invalid_landmarks_are_refused(room: Room, positions: Any, code: str) -> None:
     room.slicer.send(wire.points("Landmarks", positions, [""] * len(positions)))
     assert (await room.slicer.verdict()).startswith(f"rejected registration.plan_landmarks {code}: ")
     assert room.core.commands == []
     assert [event.fields["reason"] for event in room.core.events] == [code]
 
 
-async def test_a_plan_that_the_daemon_rejects_is_shown_until_one_is_accepted(room: Room) -> None:
+async def test_rejected_plan_is_shown_until_one_is_accepted(room: Room) -> None:
     room.core.refusals["plan"] = "busy"
     room.slicer.send(wire.transform(TARGET, planned_mm()))
     assert (await room.slicer.verdict()).startswith("rejected toolplan.plan busy")
@@ -316,7 +316,7 @@ async def test_a_daemon_that_breaks_is_answered_for(room: Room, monkeypatch: pyt
     assert (await room.slicer.verdict()).startswith("failed toolplan.plan internal_error")
 
 
-async def test_a_plan_that_is_not_accepted_without_a_reason_is_answered_for(
+async def test_plan_that_is_not_accepted_without_a_reason_is_answered(
     room: Room, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def undecided(command: Command) -> Verdict:
@@ -353,7 +353,7 @@ async def test_a_damaged_message_is_counted_and_changes_nothing(room: Room) -> N
     assert len(room.core.commands) == 1
 
 
-async def test_what_is_no_openigtlink_ends_that_connection_only(room: Room) -> None:
+async def test_data_that_is_no_openigtlink_ends_only_its_connection(room: Room) -> None:
     stranger = await Slicer.connect(room.address)
     stranger.send(b"GET / HTTP/1.1\r\n" + b"x" * 100)
     with pytest.raises((asyncio.IncompleteReadError, ConnectionError)):
@@ -364,7 +364,7 @@ async def test_what_is_no_openigtlink_ends_that_connection_only(room: Room) -> N
     assert await room.slicer.verdict() == "accepted toolplan.plan"
 
 
-async def test_a_client_may_leave_in_the_middle_of_a_message_and_come_back(room: Room) -> None:
+async def test_client_may_leave_in_mid_message_and_come_back(room: Room) -> None:
     room.slicer.send(wire.transform(TARGET, planned_mm())[:70])
     room.slicer.close()
     again = await Slicer.connect(room.address)
@@ -384,7 +384,7 @@ async def test_no_more_clients_than_so_many(room: Room, monkeypatch: pytest.Monk
     assert room.gateway.counters.refused == 1
 
 
-async def test_a_link_that_is_not_on_loopback_shows_but_takes_no_commands(tmp_path: Path) -> None:
+async def test_link_off_loopback_shows_but_takes_no_commands(tmp_path: Path) -> None:
     core = SlicerCore()
     exposed = slicer_only(OpenIgtLinkConfig(enabled=True, port=0), host="0.0.0.0")
     async with open_gateway(core, exposed, SystemClock(), tmp_path) as gateway:
@@ -398,7 +398,7 @@ async def test_a_link_that_is_not_on_loopback_shows_but_takes_no_commands(tmp_pa
     assert (core.commands, core.stops) == ([], [])
 
 
-async def test_a_port_in_use_is_told(room: Room, tmp_path: Path) -> None:
+async def test_port_in_use_is_an_error(room: Room, tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"OpenIGTLink port .* cannot be bound"):
         async with opened(tmp_path, port=room.address[1]):
             pass

@@ -65,7 +65,7 @@ def serve() -> Iterator[Callable[[int], Any]]:
         signal.signal(number, handler)
 
 
-async def test_the_library_s_server_is_connected_to_and_again_when_it_comes_back(
+async def test_library_server_is_connected_to_again_when_it_returns(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, serve: Callable[[int], Any]
 ) -> None:
     monkeypatch.setattr(link, "RETRY_AFTER", 0.01)

@@ -60,7 +60,7 @@ async def test_of_each_pose_the_newest_waits_and_of_all_else_so_many() -> None:
     await asyncio.gather(sending, return_exceptions=True)
 
 
-async def test_a_client_that_does_not_read_holds_up_nobody_and_is_cut_off(
+async def test_client_that_does_not_read_delays_nobody_and_is_cut_off(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(outbox, "STALLED_AFTER", 0.2)

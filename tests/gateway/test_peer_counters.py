@@ -62,7 +62,7 @@ async def daemon(folder: Path) -> AsyncIterator[tuple[str, int]]:
         await process.wait()
 
 
-async def test_what_was_answered_is_refused_after_a_kill(tmp_path: Path) -> None:
+async def test_answered_command_is_refused_after_a_kill(tmp_path: Path) -> None:
     peer(tmp_path, "planner")
     ours = signer(tmp_path, "planner")
     sent: list[bytes] = []
@@ -112,7 +112,7 @@ async def test_a_peer_that_was_away_is_not_replayed(tmp_path: Path) -> None:
 
 
 @given(st.lists(st.dictionaries(st.sampled_from(sorted(FULL)), st.integers(1, 10**19 - 1)), min_size=1, max_size=4))
-def test_what_was_written_last_is_read(tmp_path_factory: pytest.TempPathFactory, tables: list[dict[str, int]]) -> None:
+def test_last_written_counters_are_read(tmp_path_factory: pytest.TempPathFactory, tables: list[dict[str, int]]) -> None:
     path = tmp_path_factory.mktemp("counters") / COUNTERS
     for table in tables:
         file = CounterFile(path)
@@ -149,7 +149,7 @@ def test_a_torn_write_leaves_what_was_kept_before(tmp_path: Path, cut: int) -> N
     assert torn.kept == {"planner": 5} or cut == 8191
 
 
-def test_a_write_of_a_part_is_an_error_and_the_next_whole_one_counts(tmp_path: Path) -> None:
+def test_partial_write_is_an_error_and_the_next_whole_one_counts(tmp_path: Path) -> None:
     """As on a full disk; here the limit of a file's size cuts what is written into the second slot."""
     path = tmp_path / COUNTERS
     file = CounterFile(path)
@@ -191,9 +191,7 @@ async def test_a_file_that_cannot_be_made_starts_nothing(tmp_path: Path) -> None
             pass
 
 
-async def test_who_waits_for_the_disk_when_it_closes_is_cancelled(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_waiter_for_the_disk_is_cancelled_on_closing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Or else a command would begin while the daemon ends; its counter is kept nevertheless."""
     file, errors, answers = CounterFile(tmp_path / COUNTERS), list[OSError](), threading.Event()
     sync = os.fdatasync

@@ -38,7 +38,7 @@ async def test_a_key_that_others_may_use_starts_nothing(tmp_path: Path, mode: in
 
 
 @pytest.mark.parametrize("mode", [0o600, 0o400])
-def test_a_key_of_its_owner_alone_is_read(tmp_path: Path, mode: int) -> None:
+def test_key_readable_by_its_owner_only_is_read(tmp_path: Path, mode: int) -> None:
     file = tmp_path / "planner.key"
     new_key(file)
     file.chmod(mode)
@@ -106,7 +106,7 @@ def test_whatever_drives_the_robot_is_in_no_group_of_the_default() -> None:
     )
 
 
-def test_commands_may_be_listed_one_by_one_and_stop_is_always_there() -> None:
+def test_commands_may_be_listed_and_stop_is_always_allowed() -> None:
     assert allowed(["execute_homexxxx"]) == {"execute_homexxxx", STOP}
     assert allowed([]) == {STOP}
 
@@ -147,7 +147,7 @@ def test_a_key_that_is_there_stays(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a/b", "..", "a b", "a" * 33])
-def test_what_cannot_be_a_name_makes_no_file(tmp_path: Path, name: str) -> None:
+def test_invalid_name_makes_no_file(tmp_path: Path, name: str) -> None:
     ended = run(name, "--folder", str(tmp_path))
     assert ended.exit_code == 4
     assert "1 to 32 letters" in ended.stderr

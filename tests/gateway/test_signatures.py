@@ -87,7 +87,7 @@ def test_only_what_has_grown_is_taken(key_file: Path, counters: list[int]) -> No
 
 
 @given(st.integers(0, 200))
-def test_what_is_cut_off_is_refused(key_file: Path, length: int) -> None:
+def test_truncated_signature_is_refused(key_file: Path, length: int) -> None:
     datagram = Signer("planner", read_key(key_file), lambda: 41).sign(b"icp_registerxxxx_a.stl_#1;")
     kept = datagram[: length % len(datagram)]
     assert split(kept) is None
@@ -111,14 +111,14 @@ def test_what_is_cut_off_is_refused(key_file: Path, length: int) -> None:
         b"|planner|1|" + b"0" * 32 + b";",
     ],
 )
-def test_what_only_looks_like_a_signature_is_none(signature: bytes) -> None:
+def test_text_that_resembles_a_signature_is_none(signature: bytes) -> None:
     assert split(b"stop_now_xxxxxxx;" + signature) is None
     with pytest.raises(PayloadError):
         parse(b"stop_now_xxxxxxx;" + signature)
 
 
 @pytest.mark.parametrize(("size", "fits"), [(MAX_BYTES, True), (MAX_BYTES + 1, False)])
-def test_the_limit_holds_for_the_command_and_the_signature_comes_on_top(size: int, fits: bool) -> None:
+def test_size_limit_is_of_the_command_without_its_signature(size: int, fits: bool) -> None:
     command = b"icp_registerxxxx_".ljust(size - 1, b"a") + b";"
     datagram = Signer("p" * 32, bytes(32), lambda: 10**19 - 1).sign(command)
     assert (split(datagram) is not None) is fits
@@ -141,7 +141,7 @@ def test_counters_grow_across_restarts_of_a_client() -> None:
 @pytest.mark.parametrize(
     ("name", "key"), [("a;b", bytes(32)), ("", bytes(32)), ("a" * 33, bytes(32)), ("a", bytes(31))]
 )
-def test_what_cannot_be_a_peer_does_not_sign(name: str, key: bytes) -> None:
+def test_invalid_peer_cannot_sign(name: str, key: bytes) -> None:
     with pytest.raises(PayloadError):
         Signer(name, key)
     with pytest.raises(ValueError, match="has"):
@@ -171,7 +171,7 @@ def test_all_python_signers_make_the_bytes_of_the_vectors(vector: dict[str, Any]
 
 
 @pytest.mark.parametrize("vector", VECTORS)
-def test_all_python_signers_take_the_answers_of_the_vectors_and_no_others(vector: dict[str, Any]) -> None:
+def test_python_signers_accept_the_answers_of_the_vectors_only(vector: dict[str, Any]) -> None:
     key, answer = bytes.fromhex(vector["key"]), vector["signed_answer"].encode()
     assert sign_answer(vector["answer"], vector["peer"], vector["counter"], key).encode() == answer
     for maker in (Signer, reference().Signer):
@@ -196,7 +196,7 @@ def test_every_flipped_bit_of_an_answer_is_refused(place: int) -> None:
 
 
 @pytest.mark.parametrize("maker", ["ours", "reference"])
-def test_what_is_no_answer_to_this_run_is_refused(maker: str) -> None:
+def test_answer_to_another_run_is_refused(maker: str) -> None:
     made = (Signer if maker == "ours" else reference().Signer)("planner", bytes(32), count(5).__next__)
     made.sign(b"stop_now_xxxxxxx;")
     made.sign(b"stop_now_xxxxxxx;")
@@ -277,7 +277,7 @@ public static class Vectors
 @pytest.mark.skipif(
     not (shutil.which("mcs") and shutil.which("mono")), reason="mcs and mono are not installed: C# is not compiled here"
 )
-def test_the_csharp_signer_makes_the_bytes_of_the_vectors_and_takes_their_answers(tmp_path: Path) -> None:
+def test_csharp_signer_matches_the_vectors_and_accepts_answers(tmp_path: Path) -> None:
     main, program, key = tmp_path / "Vectors.cs", tmp_path / "vectors.exe", tmp_path / "peer.key"
     main.write_text(_MAIN, encoding="ascii")
     source = CLIENTS / "unity" / "Runtime" / "Core" / "Signer.cs"

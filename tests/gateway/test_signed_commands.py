@@ -49,7 +49,7 @@ async def test_a_client_without_verdicts_is_acknowledged_as_ever(room: Room) -> 
 
 
 @pytest.mark.parametrize("command", ["stop_now_xxxxxxx;", "get_jnt_angsxxxx_#1;", "__msg_toolpose_1_2_3_4_5_6"])
-async def test_unsigned_on_an_exposed_link_is_refused_without_an_answer(room: Room, command: str) -> None:
+async def test_unsigned_on_an_exposed_link_is_refused_without_answer(room: Room, command: str) -> None:
     await room.hear(command.encode())
     assert (await room.ask("get_jnt_angsxxxx_#9;")).startswith("9_accepted")
     assert room.unanswered
@@ -77,7 +77,7 @@ async def test_each_failure_has_its_reason_and_no_answer(room: Room, tmp_path: P
     assert room.gateway.counters.table()["gateway.bad_tag"] == 1
 
 
-async def test_what_is_reordered_is_refused(room: Room) -> None:
+async def test_reordered_command_is_refused(room: Room) -> None:
     first, second, third = (room.sign(f"rob_conn_onxxxxx_#{number};") for number in (1, 2, 3))
     for data in (second, first, third):
         await room.hear(data)
@@ -132,7 +132,7 @@ async def test_a_peer_may_do_what_is_listed_and_always_stop(tmp_path: Path) -> N
         assert "not_allowed" in told(room)
 
 
-async def test_the_daemon_is_told_who_asks_and_in_which_role(tmp_path: Path) -> None:
+async def test_daemon_gets_the_user_and_role_of_a_peer(tmp_path: Path) -> None:
     peers = {"planner": peer(tmp_path, "planner"), "panel": peer(tmp_path, "panel", role="operator")}
     async with open_room(tmp_path, peers) as room:
         for name in peers:
@@ -160,7 +160,7 @@ async def test_a_peer_over_its_rate_is_rejected_but_for_stop(tmp_path: Path) -> 
         assert room.gateway.counters.of_peers["over_rate"] == 4
 
 
-async def test_what_was_done_is_never_called_rejected(tmp_path: Path) -> None:
+async def test_performed_command_is_never_answered_rejected(tmp_path: Path) -> None:
     """A command that is sent again over the rate has been performed; saying anything else would have it sent anew."""
     async with open_room(tmp_path, {"planner": peer(tmp_path, "planner", rate=0.001, burst=1)}) as room:
         assert (await room.ask("rob_conn_onxxxxx_#1;")).startswith("1_accepted")
@@ -219,7 +219,7 @@ async def test_a_peer_stays_itself_when_its_port_changes(room: Room) -> None:
     other.transport.close()
 
 
-async def test_unsigned_clients_of_the_machine_go_on_beside_peers(tmp_path: Path) -> None:
+async def test_unsigned_local_clients_work_beside_peers(tmp_path: Path) -> None:
     async with open_room(tmp_path, {"planner": peer(tmp_path, "planner")}, host="127.0.0.1") as room:
         room.client.send("get_jnt_angsxxxx_#1;", room.planner)
         assert (await room.client.received.get()).startswith("1_accepted")
@@ -246,7 +246,7 @@ async def test_the_planner_signs_when_it_has_a_key(room: Room, tmp_path: Path) -
     assert room.core.stops == ["peer:planner"]
 
 
-async def test_a_planner_with_a_key_signs_each_repetition_anew(room: Room, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_planner_with_a_key_signs_each_repetition(room: Room, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pcmrs.planner.REPEAT_AFTER", 0.01)
     room.core.gates["connect"].clear()
     async with await Planner.open(*room.planner, signer=signer(room.folder, "planner")) as planner:
@@ -316,7 +316,7 @@ async def test_nothing_begins_before_the_disk_has_its_counter_but_stop(disk: Dis
     assert (await room.ask("rob_conn_onxxxxx_#3;")).startswith("3_accepted")
 
 
-async def test_what_the_disk_kept_waiting_too_long_never_begins(disk: Disk, room: Room) -> None:
+async def test_command_that_waited_too_long_for_the_disk_never_starts(disk: Disk, room: Room) -> None:
     with disk.hanging():
         await room.hear(room.sign("rob_conn_onxxxxx_#1;"))
         await settle()
@@ -347,7 +347,7 @@ async def test_so_many_of_a_peer_wait_for_the_disk(disk: Disk, room: Room) -> No
     assert len(room.core.commands) == 64
 
 
-async def test_what_waits_when_the_gateway_closes_never_begins(disk: Disk, tmp_path: Path) -> None:
+async def test_waiting_command_never_starts_when_the_gateway_closes(disk: Disk, tmp_path: Path) -> None:
     opening = open_room(tmp_path, {"planner": peer(tmp_path, "planner")})
     room = await opening.__aenter__()
     with disk.hanging():
@@ -384,7 +384,7 @@ async def test_a_signed_frame_may_come_byte_by_byte(room: Room) -> None:
     writer.close()
 
 
-async def test_over_tcp_a_forged_frame_is_not_answered_and_the_next_one_is(room: Room) -> None:
+async def test_forged_tcp_frame_is_not_answered_and_the_next_one_is(room: Room) -> None:
     forged = room.sign("stop_now_xxxxxxx;")[:-32] + b"0" * 32
     reader, writer = await asyncio.open_connection(*room.tcp)
     writer.write(b"|;" + forged + b";" + room.sign("rob_conn_onxxxxx_#1;") + b";")
@@ -394,7 +394,7 @@ async def test_over_tcp_a_forged_frame_is_not_answered_and_the_next_one_is(room:
     writer.close()
 
 
-async def test_a_command_without_signature_ends_a_connection_that_signs(room: Room) -> None:
+async def test_unsigned_command_ends_a_connection_that_signs(room: Room) -> None:
     reader, writer = await asyncio.open_connection(*room.tcp)
     writer.write(b"|;" + b"stop_now_xxxxxxx;" * 2)
     assert await rest_of(reader) == b""
@@ -414,7 +414,7 @@ async def test_a_signature_that_is_cut_off_is_refused(room: Room, cut: int) -> N
     writer.close()
 
 
-async def test_over_tcp_signatures_without_the_opening_end_the_connection(tmp_path: Path) -> None:
+async def test_tcp_signatures_without_the_opening_end_the_connection(tmp_path: Path) -> None:
     """On loopback the command has begun at its ';', unsigned, before its signature is seen."""
     async with open_room(tmp_path, {"planner": peer(tmp_path, "planner")}, host="127.0.0.1") as room:
         reader, writer = await asyncio.open_connection(*room.tcp)
@@ -434,7 +434,7 @@ async def test_one_peer_has_one_session_over_udp_and_tcp(room: Room) -> None:
     writer.close()
 
 
-async def test_secrets_are_neither_in_the_settings_nor_in_what_is_told(room: Room, tmp_path: Path) -> None:
+async def test_secrets_are_neither_in_settings_nor_in_events(room: Room, tmp_path: Path) -> None:
     secret = (tmp_path / "planner.key").read_text().strip()
     await room.hear(Signer("planner", bytes(32)).sign(b"stop_now_xxxxxxx;"))
     said: Any = (room.core.events, peer(tmp_path, "planner"))

@@ -100,7 +100,8 @@ async def test_tcp_takes_split_and_merged_segments(cell: Any) -> None:
 
 
 @pytest.mark.parametrize("sent", PAGES.values(), ids=PAGES.keys())
-async def test_what_breaks_the_grammar_ends_the_connection_before_anything_after_it(cell: Any, sent: bytes) -> None:
+async def test_broken_grammar_ends_the_connection_at_once(cell: Any, sent: bytes) -> None:
+    """Nothing after it is read."""
     reader, writer = await asyncio.open_connection(*cell.gateway.addresses["tcp"])
     writer.write(sent)
     try:
@@ -145,7 +146,7 @@ async def is_served(address: tuple[str, int], opened: list[asyncio.StreamWriter]
         return False
 
 
-async def test_a_host_has_so_many_connections_and_gets_a_place_when_one_ends(cell: Any) -> None:
+async def test_connections_per_host_are_limited_until_one_ends(cell: Any) -> None:
     address, opened = cell.gateway.addresses["tcp"], list[asyncio.StreamWriter]()
     assert [await is_served(address, opened) for _ in range(MOST_OF_A_HOST + 1)] == [*[True] * MOST_OF_A_HOST, False]
     assert cell.gateway.counters.refused == 1
@@ -157,7 +158,7 @@ async def test_a_host_has_so_many_connections_and_gets_a_place_when_one_ends(cel
         each.close()
 
 
-def test_a_connection_that_was_reset_before_it_is_taken_disturbs_nobody(tmp_path: Path) -> None:
+def test_connection_reset_before_it_is_taken_disturbs_nobody(tmp_path: Path) -> None:
     """In uvloop, in which the daemon runs, it has no address any more."""
 
     async def serve() -> None:
@@ -180,7 +181,7 @@ def test_a_connection_that_was_reset_before_it_is_taken_disturbs_nobody(tmp_path
         runner.run(serve())
 
 
-async def test_who_has_to_sign_and_is_silent_loses_its_place(tmp_path: Path) -> None:
+async def test_silent_peer_that_must_sign_loses_its_connection(tmp_path: Path) -> None:
     async with open_room(tmp_path, {"planner": peer(tmp_path, "planner")}, host="0.0.0.0") as room:
         reader, writer = await asyncio.open_connection(*room.tcp)
         signed, signed_writer = await asyncio.open_connection(*room.tcp)

@@ -51,7 +51,7 @@ print(run_cell(1, 20)[0].wrong)
 
 
 @pytest.mark.timeout(120)
-def test_the_benchmark_of_stop_sees_an_arm_that_moves_after_a_confirmed_stop() -> None:
+def test_stop_benchmark_sees_motion_after_a_confirmed_stop() -> None:
     command = [sys.executable, "-c", UNGUARDED]
 
     measured = subprocess.run(command, capture_output=True, text=True, check=False, cwd=BENCHMARKS)

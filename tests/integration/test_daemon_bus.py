@@ -83,7 +83,7 @@ async def test_a_late_joiner_gets_the_snapshot_and_then_every_decision(daemon: S
                     shown.add(Verdict)
 
 
-def test_a_put_in_json_by_hand_is_decided_and_the_verdict_is_an_event(daemon: ServeProcess) -> None:
+def test_json_put_by_hand_is_decided_and_its_verdict_is_an_event(daemon: ServeProcess) -> None:
     with _events(daemon) as events:
         events.put("cmd/operator/toolplan/clear", json.dumps({"id": "by-hand-1"}))
         verdict = events.wait_for(id="by-hand-1")
@@ -113,7 +113,7 @@ def test_a_put_in_json_by_hand_is_decided_and_the_verdict_is_an_event(daemon: Se
         ("cmd/operator/toolplan/clear", '{"sent": 1.0, "ttl": 1.0}'),
     ],
 )
-def test_what_is_no_command_is_refused_readably_and_changes_nothing(
+def test_invalid_command_is_refused_readably_and_changes_nothing(
     daemon: ServeProcess, key: str, payload: str | bytes
 ) -> None:
     before = json.loads(daemon.pcmrs("state", "--json").stdout)
@@ -134,7 +134,7 @@ def test_a_query_in_json_is_answered_in_json(daemon: ServeProcess) -> None:
         assert _answer(session, f"{daemon.ready.prefix}/svc/snapshot")["sequence"] >= verdict["sequence"]
 
 
-async def test_a_repeated_id_runs_nothing_and_gets_the_recorded_verdict(client: Client) -> None:
+async def test_repeated_id_runs_nothing_and_gets_the_recorded_verdict(client: Client) -> None:
     first = await client.call("registration.plan_landmarks", landmarks(), id="once")
     await accept(client, "registration.clear_landmarks")
     sequence = (await client.state()).sequence

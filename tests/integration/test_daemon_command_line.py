@@ -30,7 +30,7 @@ def test_call_prints_the_verdict_and_its_status_tells_it(daemon: ServeProcess) -
 
 
 @pytest.mark.parametrize("words", [["robot.connect", "{"], ["robot.connect", "[]"], ["robot"], ["Robot.connect"]])
-def test_a_call_that_is_none_is_refused_in_one_line(daemon: ServeProcess, words: list[str]) -> None:
+def test_invalid_call_is_refused_in_one_line(daemon: ServeProcess, words: list[str]) -> None:
     ended = daemon.pcmrs("call", *words)
     assert ended.returncode == 2
     assert ended.stdout == ""
@@ -84,7 +84,7 @@ def test_a_second_daemon_on_the_same_link_is_refused(daemon: ServeProcess, tmp_p
     _starts_not([*own_settings(tmp_path), f"gateway.planner={{port={port}}}"], 4, str(port))
 
 
-def test_what_a_cell_keeps_is_its_owners_alone(tmp_path: Path) -> None:
+def test_files_of_a_cell_are_readable_by_their_owner_only(tmp_path: Path) -> None:
     folder = tmp_path / "cell"
     folder.mkdir(mode=0o755)  # as an earlier version left it
     before = os.umask(0o022)  # as a shell has it

@@ -34,7 +34,7 @@ def status(url: str) -> int:
         return 0
 
 
-def test_the_page_opens_with_its_token_and_comes_back_when_it_is_killed(tmp_path: Path) -> None:
+def test_page_opens_with_its_token_and_returns_after_a_kill(tmp_path: Path) -> None:
     with running_daemon(with_page(tmp_path, free_port()), tmp_path) as daemon:
         page, token = daemon.ready.console, tmp_path / TOKEN
         assert wait_until(lambda: status(page) == 401, 60.0), "nobody comes in without the token"

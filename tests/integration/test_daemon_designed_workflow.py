@@ -29,7 +29,7 @@ affects_patient = true
 """
 
 
-async def test_what_reaches_the_patient_waits_for_the_release_that_the_hint_names(tmp_path: Path) -> None:
+async def test_steps_at_the_patient_wait_for_the_release_in_the_hint(tmp_path: Path) -> None:
     workflow = tmp_path / "biopsy_steps.toml"
     workflow.write_text(design(TABLE.read_bytes()).text)
     settings = [*own_settings(tmp_path), f"workflow={workflow}"]
@@ -52,7 +52,7 @@ async def test_what_reaches_the_patient_waits_for_the_release_that_the_hint_name
         assert daemon.end() == 0
 
 
-async def test_a_workflow_without_a_robot_is_left_alone_by_nobody_and_released_without_one(tmp_path: Path) -> None:
+async def test_workflow_without_a_robot_is_abandoned_and_released(tmp_path: Path) -> None:
     """What is in the patient is a danger when nobody attends to it; no robot is there to confirm that it stands."""
     workflow = tmp_path / "injection_steps.toml"
     workflow.write_text(design(BY_HAND).text)

@@ -43,9 +43,10 @@ async def test_a_signal_holds_the_motion_before_everything_ends(tmp_path: Path, 
     assert outcome.verdict.state == "held"
 
 
-async def test_nodes_end_by_themselves_after_the_daemon_is_killed_and_its_successor_knows_nothing(
+async def test_nodes_end_by_themselves_after_the_daemon_is_killed(
     tmp_path: Path,
 ) -> None:
+    """Their successor does not know where the arm is."""
     settings = [*own_settings(tmp_path), *SLOW]
     with running_daemon(settings, tmp_path) as daemon:
         nodes = [*daemon.children(), daemon.heart()]
@@ -90,7 +91,7 @@ asyncio.run(main(Path(sys.argv[1])))
 """
 
 
-async def test_a_daemon_that_a_program_has_started_ends_when_the_program_is_killed(tmp_path: Path) -> None:
+async def test_daemon_ends_when_the_program_that_started_it_is_killed(tmp_path: Path) -> None:
     """A campaign that somebody breaks off leaves nothing running, nor any port taken."""
     (tmp_path / "cell").mkdir()
     process = await asyncio.create_subprocess_exec(

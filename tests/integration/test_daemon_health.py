@@ -62,7 +62,7 @@ def scrape(daemon: ServeProcess) -> dict[tuple[str, tuple[str, ...]], float]:
     }
 
 
-async def test_a_daemon_is_told_of_fed_and_scraped_while_it_serves_and_not_while_it_is_blocked(
+async def test_daemon_notifies_and_is_scraped_unless_it_is_blocked(
     tmp_path: Path, manager: ServiceManager, blocked: Path
 ) -> None:
     with running_daemon([*own_settings(tmp_path), "metrics.port=0"], tmp_path) as daemon:
@@ -101,7 +101,7 @@ async def test_a_daemon_is_told_of_fed_and_scraped_while_it_serves_and_not_while
 
 
 @pytest.mark.nightly  # a task is held for stuck after ten seconds
-async def test_a_task_that_hangs_is_not_fed_for_and_the_health_says_which(
+async def test_hung_task_stops_the_watchdog_and_is_named_by_health(
     tmp_path: Path, manager: ServiceManager, blocked: Path
 ) -> None:
     with running_daemon(own_settings(tmp_path), tmp_path) as daemon:
@@ -145,7 +145,7 @@ def restarts(daemon: ServeProcess) -> int:
     return many
 
 
-def test_a_daemon_that_is_well_has_status_0_and_one_that_is_not_there_3(daemon: ServeProcess) -> None:
+def test_healthy_daemon_has_status_0_and_an_absent_one_has_3(daemon: ServeProcess) -> None:
     assert wait_until(lambda: daemon.pcmrs("health").returncode == 0)
     ended = run_pcmrs("health", "--endpoint", daemon.ready.endpoint, "--site", "test", "--cell", "elsewhere")
     assert ended.returncode == 3

@@ -157,7 +157,7 @@ async def test_after_a_refused_plan_no_motion_goes_to_the_old_target(daemon: Ser
         b"start_registrati;" * 40,
     ],
 )
-async def test_a_datagram_that_does_not_parse_changes_nothing_and_is_not_answered(
+async def test_unparsable_datagram_changes_nothing_and_is_not_answered(
     daemon: ServeProcess, client: Client, datagram: bytes
 ) -> None:
     before = await client.state()

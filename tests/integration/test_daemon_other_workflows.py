@@ -37,7 +37,7 @@ async def test_a_workflow_of_two_branches_without_a_robot(tmp_path: Path) -> Non
 
 
 @pytest.mark.nightly
-async def test_a_journal_is_taken_up_under_a_changed_workflow_only_by_a_declared_migration(tmp_path: Path) -> None:
+async def test_changed_workflow_needs_a_migration_to_reuse_a_journal(tmp_path: Path) -> None:
     workflow = tmp_path / "mine.toml"
     shipped = find_workflow("ratms").blueprint.read_text()
     workflow.write_text(shipped)

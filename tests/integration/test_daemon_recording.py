@@ -74,9 +74,7 @@ def ended(process: subprocess.Popen[bytes]) -> RecordingReport:
     return msgspec.json.decode(output, type=RecordingReport)
 
 
-async def test_what_was_recorded_is_heard_again_byte_for_byte_and_never_at_a_live_cell(
-    daemon: ServeProcess, tmp_path: Path
-) -> None:
+async def test_recording_is_replayed_unchanged_and_not_at_a_live_cell(daemon: ServeProcess, tmp_path: Path) -> None:
     file = tmp_path / "run.mcap"
     with recorder(daemon, file) as process:
         async with daemon.client() as client:
@@ -132,7 +130,7 @@ def id_of(state: JointState) -> tuple[float, ...]:
     return (state.captured, *state.positions)
 
 
-def test_a_killed_recorder_leaves_a_file_of_which_almost_all_is_saved(daemon: ServeProcess, tmp_path: Path) -> None:
+def test_killed_recorder_leaves_a_file_that_is_almost_all_saved(daemon: ServeProcess, tmp_path: Path) -> None:
     file, mended = tmp_path / "run.mcap", tmp_path / "mended.mcap"
     with recorder(daemon, file) as process:
         process.kill()
@@ -149,9 +147,7 @@ def test_a_killed_recorder_leaves_a_file_of_which_almost_all_is_saved(daemon: Se
     assert pcmrs("repair", str(file), "-o", str(mended)).exit_code == 4
 
 
-async def test_a_disk_without_room_ends_the_recording_and_the_journal_says_so(
-    daemon: ServeProcess, tmp_path: Path
-) -> None:
+async def test_full_disk_ends_the_recording_and_is_journalled(daemon: ServeProcess, tmp_path: Path) -> None:
     file = tmp_path / "run.mcap"
     command = ["record", str(file), "--keep-free", "1000000GB", *as_words(daemon.settings)]
     ended = await asyncio.to_thread(run_pcmrs, *command)
@@ -190,9 +186,10 @@ def pcmrs(*words: str) -> Result:
 
 
 @pytest.mark.nightly
-async def test_a_session_is_recorded_whatever_becomes_of_its_recorder_and_exported_as_one_folder(
+async def test_session_is_recorded_although_its_recorder_is_killed(
     tmp_path: Path,
 ) -> None:
+    """It is exported as one folder."""
     cell, out = tmp_path / "cell", tmp_path / "out"
     cell.mkdir()
     settings = [each for each in own_settings(cell) if not each.startswith("recording.")]

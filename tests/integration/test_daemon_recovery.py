@@ -26,9 +26,10 @@ def damage_told(journal: Path) -> bool:
         return any(stored.row.operation == "journal_damaged" for stored in reader.read(kind="device"))
 
 
-async def test_after_a_kill_in_a_motion_nothing_moves_until_the_operator_has_looked_and_confirmed(
+async def test_kill_in_a_motion_bars_motion_until_it_is_acknowledged(
     tmp_path: Path,
 ) -> None:
+    """The operator has the arm located before."""
     settings = [*own_settings(tmp_path), *SLOW]
     with running_daemon(settings, tmp_path) as daemon:
         async with daemon.client() as client:
@@ -76,7 +77,7 @@ async def test_after_a_kill_in_a_motion_nothing_moves_until_the_operator_has_loo
                 assert verdict.reason.code == "other_patient"
 
 
-async def test_after_a_kill_while_somebody_guided_the_tool_nothing_moves_until_somebody_has_confirmed(
+async def test_kill_while_guiding_bars_motion_until_it_is_acknowledged(
     tmp_path: Path,
 ) -> None:
     def begun() -> bool:
@@ -105,7 +106,7 @@ async def test_after_a_kill_while_somebody_guided_the_tool_nothing_moves_until_s
 
 
 @pytest.mark.nightly
-async def test_damage_of_long_ago_is_told_after_the_start_and_holds_nothing(tmp_path: Path) -> None:
+async def test_old_damage_is_reported_after_the_start_and_bars_nothing(tmp_path: Path) -> None:
     settings = own_settings(tmp_path)
     with running_daemon(settings, tmp_path) as daemon:
         journal = Path(daemon.ready.journal)

@@ -51,7 +51,8 @@ async def test_swapped_landmarks_are_named(daemon: ServeProcess, client: Client)
 
 
 @pytest.mark.nightly
-async def test_a_bumped_reference_latches_and_the_noise_learned_outlives_the_daemon(tmp_path: Path) -> None:
+async def test_bumped_reference_latches_and_learned_noise_is_kept(tmp_path: Path) -> None:
+    """The next daemon uses the same noise."""
     settings = own_settings(tmp_path)
     with running_daemon(settings, tmp_path) as daemon:
         async with daemon.client() as client:

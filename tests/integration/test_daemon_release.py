@@ -73,7 +73,7 @@ def node_of(daemon: ServeProcess, driver: bytes) -> int:
     return next(pid for pid in daemon.children() if driver in Path(f"/proc/{pid}/cmdline").read_bytes())
 
 
-async def test_nothing_acts_before_the_first_connect_but_a_hand_digitizes(tmp_path: Path) -> None:
+async def test_nothing_acts_before_first_connect_but_a_hand_digitizes(tmp_path: Path) -> None:
     with running_daemon(own_settings(tmp_path), tmp_path) as daemon:
         async with daemon.client() as client:
             await accept(client, "registration.plan_landmarks", **landmarks())
@@ -90,7 +90,7 @@ async def test_nothing_acts_before_the_first_connect_but_a_hand_digitizes(tmp_pa
         assert "Traceback" not in daemon.log
 
 
-async def test_a_motion_that_fails_is_followed_by_a_retreat_without_any_stop(tmp_path: Path) -> None:
+async def test_failed_motion_is_followed_by_a_retreat_without_any_stop(tmp_path: Path) -> None:
     with running_daemon([*own_settings(tmp_path), *SLOW], tmp_path) as daemon:
         async with daemon.client() as client:
             await register(client)
@@ -104,7 +104,7 @@ async def test_a_motion_that_fails_is_followed_by_a_retreat_without_any_stop(tmp
         assert "Traceback" not in daemon.log
 
 
-async def test_a_daemon_that_restarts_alone_holds_what_the_one_before_has_released(
+async def test_daemon_that_restarts_alone_holds_what_was_released(
     tmp_path: Path, apart: tuple[list[str], list[str]]
 ) -> None:
     of_daemon, of_node = apart
@@ -126,7 +126,7 @@ async def test_a_daemon_that_restarts_alone_holds_what_the_one_before_has_releas
             assert "Traceback" not in daemon.log
 
 
-async def test_a_node_of_the_arm_that_restarts_alone_is_latched_until_somebody_has_looked(
+async def test_arm_node_that_restarts_alone_is_latched_until_confirmed(
     tmp_path: Path, apart: tuple[list[str], list[str]]
 ) -> None:
     of_daemon, of_node = apart
@@ -161,7 +161,7 @@ def running_daemon_and_node(
         yield daemon, node
 
 
-async def test_a_stimulator_that_is_silent_stays_latched_and_keeps_nobody_from_retreating(tmp_path: Path) -> None:
+async def test_silent_stimulator_stays_latched_and_allows_a_retreat(tmp_path: Path) -> None:
     settings = [*own_settings(tmp_path), *SLOW, "stimulator.driver=trigger", "emg.driver=none", "cell.rate=1"]
     with running_daemon(settings, tmp_path) as daemon:
         async with daemon.client() as client:
@@ -185,7 +185,7 @@ async def test_a_stimulator_that_is_silent_stays_latched_and_keeps_nobody_from_r
                     await asyncio.sleep(0.2)
 
 
-async def test_a_daemon_is_ready_only_when_all_that_acts_can_be_released(
+async def test_daemon_is_ready_only_when_all_actors_can_be_released(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     delays = Delays(tmp_path / "delays")
@@ -220,7 +220,7 @@ async def test_nobody_acknowledges_while_a_hold_does_not_answer(
             signal_node(node, signal.SIGCONT)
 
 
-async def test_a_request_of_somebody_who_is_no_daemon_moves_nothing(tmp_path: Path) -> None:
+async def test_device_request_not_from_the_daemon_moves_nothing(tmp_path: Path) -> None:
     with running_daemon(own_settings(tmp_path), tmp_path) as daemon:
         async with daemon.client() as client:
             await register(client)

@@ -27,7 +27,8 @@ pytestmark = pytest.mark.nightly
 POSE = Transform.from_rotvec([0.1, -0.2, 1.3], [0.3, 0.2, -0.1])
 
 
-def test_the_command_tells_how_to_start_the_bridge_and_publishes_until_it_is_ended(daemon: ServeProcess) -> None:
+def test_command_prints_how_to_start_the_bridge_and_publishes(daemon: ServeProcess) -> None:
+    """It publishes until it is ended."""
     command = [sys.executable, "-m", "pcmrs.cli", "ros2", "--json", *as_words(daemon.settings)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     try:

@@ -61,7 +61,7 @@ async def held_until_acknowledged(client: Client) -> None:
     assert branches["placement"] in ("held", "unknown")
 
 
-async def test_an_arm_whose_daemon_is_stopped_is_held_and_stays_so_when_it_goes_on(slow_daemon: ServeProcess) -> None:
+async def test_arm_of_a_suspended_daemon_is_held_and_stays_held(slow_daemon: ServeProcess) -> None:
     daemon = slow_daemon
     async with daemon.client() as client:
         await register(client)
@@ -74,7 +74,7 @@ async def test_an_arm_whose_daemon_is_stopped_is_held_and_stays_so_when_it_goes_
         await held_until_acknowledged(client)
 
 
-async def test_a_daemon_that_is_blocked_while_the_arm_moves_says_so_and_holds_it(slow_daemon: ServeProcess) -> None:
+async def test_daemon_blocked_during_a_motion_reports_it_and_holds(slow_daemon: ServeProcess) -> None:
     daemon = slow_daemon
     async with daemon.client() as client:
         await register(client)
@@ -88,7 +88,7 @@ async def test_a_daemon_that_is_blocked_while_the_arm_moves_says_so_and_holds_it
     assert stall["fields"]["stall"] > stall["fields"]["limit"]
 
 
-async def test_a_node_that_dies_is_begun_anew_and_the_operator_begins_anew_too(tmp_path: Path) -> None:
+async def test_dead_node_is_restarted_and_the_operator_reconnects(tmp_path: Path) -> None:
     with running_daemon(own_settings(tmp_path), tmp_path) as daemon:
         async with daemon.client() as client:
             await register(client)
@@ -110,7 +110,8 @@ async def test_a_node_that_dies_is_begun_anew_and_the_operator_begins_anew_too(t
         assert "Traceback" not in daemon.log
 
 
-async def test_without_its_heart_the_daemon_moves_nothing_and_with_another_it_goes_on(tmp_path: Path) -> None:
+async def test_without_its_heart_the_daemon_moves_nothing(tmp_path: Path) -> None:
+    """With another one it continues."""
     with running_daemon([*own_settings(tmp_path), *SLOW], tmp_path) as daemon:
         async with daemon.client() as client:
             await register(client)

@@ -28,7 +28,7 @@ def check(report: TourReport) -> None:
 
 
 @pytest.mark.nightly
-def test_a_daemon_of_its_own_is_toured(tmp_path: Path) -> None:
+def test_tour_starts_its_own_daemon(tmp_path: Path) -> None:
     file = tmp_path / "tour.jsonl"
     run = run_pcmrs("fsm", "test", "ratms", "--live", "--json", "--time-limit", SECONDS, "-o", str(file))
     assert run.returncode == 1, run.stderr

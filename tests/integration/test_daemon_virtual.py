@@ -70,9 +70,7 @@ async def register_by_hand(client: Client, cell: VirtualCell) -> None:
 
 
 @pytest.mark.nightly
-async def test_a_daemon_starts_without_its_devices_and_works_once_they_are_there(
-    daemon: ServeProcess, cell: VirtualCell
-) -> None:
+async def test_daemon_starts_without_devices_and_uses_them_once_there(daemon: ServeProcess, cell: VirtualCell) -> None:
     async with daemon.client() as client:
         assert "nothing listens there" in (await until_told(client, "tracker", connected=False)).text
         assert "connect it first" in (await until_told(client, "robot", connected=False)).text
@@ -93,9 +91,7 @@ async def test_a_daemon_starts_without_its_devices_and_works_once_they_are_there
 
 
 @pytest.mark.nightly
-async def test_a_cell_that_drops_out_in_motion_latches_and_comes_back_changed(
-    daemon: ServeProcess, cell: VirtualCell
-) -> None:
+async def test_cell_lost_in_motion_latches_and_returns_changed(daemon: ServeProcess, cell: VirtualCell) -> None:
     async with daemon.client() as client:
         with cell.running():
             await until_told(client, "tracker", connected=True)

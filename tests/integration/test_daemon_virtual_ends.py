@@ -77,7 +77,7 @@ async def coil(client: Client) -> Floats:
 
 
 @pytest.mark.nightly
-async def test_a_frozen_node_is_a_lost_robot_that_does_not_go_on_when_it_thaws(daemon: ServeProcess) -> None:
+async def test_frozen_node_is_a_lost_robot_and_does_not_resume_later(daemon: ServeProcess) -> None:
     async with daemon.client() as client:
         await lose_robot(daemon, client, "kst", signal.SIGSTOP)
         frozen = await coil(client)

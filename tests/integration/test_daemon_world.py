@@ -37,7 +37,7 @@ def policies(pid: int) -> list[int]:
     return [os.sched_getscheduler(int(task.name)) for task in sorted(Path(f"/proc/{pid}/task").iterdir())]
 
 
-async def test_a_world_that_is_frozen_does_not_delay_the_deadman_of_its_node(daemon: ServeProcess) -> None:
+async def test_frozen_world_does_not_delay_the_deadman_of_its_node(daemon: ServeProcess) -> None:
     (node,) = daemon.children()
     world = daemon.world_of(node)
     async with daemon.client() as client:
@@ -57,7 +57,7 @@ async def test_a_world_that_is_frozen_does_not_delay_the_deadman_of_its_node(dae
     assert set(policies(world)) == {os.SCHED_OTHER}
 
 
-async def test_a_world_that_freezes_in_motion_is_a_lost_robot_until_it_has_begun_anew(daemon: ServeProcess) -> None:
+async def test_world_frozen_in_motion_is_a_lost_robot_until_restarted(daemon: ServeProcess) -> None:
     (node,) = daemon.children()
     world = daemon.world_of(node)
     async with daemon.client() as client:
@@ -93,7 +93,7 @@ async def test_a_world_that_dies_in_motion_leaves_an_unknown_outcome(daemon: Ser
         await until(client, lambda snapshot: snapshot.latched)
 
 
-async def test_a_node_that_freezes_in_motion_leaves_an_arm_that_its_world_has_braked(daemon: ServeProcess) -> None:
+async def test_node_frozen_in_motion_leaves_an_arm_braked_by_its_world(daemon: ServeProcess) -> None:
     (node,) = daemon.children()
     async with daemon.client() as client:
         await register(client)
@@ -107,7 +107,7 @@ async def test_a_node_that_freezes_in_motion_leaves_an_arm_that_its_world_has_br
         assert await stands_still(client)
 
 
-async def test_a_node_that_is_killed_in_motion_takes_its_world_with_it_at_rest(daemon: ServeProcess) -> None:
+async def test_node_killed_in_motion_ends_its_world_at_rest(daemon: ServeProcess) -> None:
     (node,) = daemon.children()
     world = daemon.world_of(node)
     async with daemon.client() as client:

@@ -132,7 +132,7 @@ async def test_a_tracker_that_fails_while_the_tool_follows(
         await scene.inject(fault, end)
 
 
-def test_a_daemon_with_another_tool_than_the_agreed_one_does_not_start(tmp_path: Path) -> None:
+def test_daemon_with_a_tool_that_was_not_agreed_does_not_start(tmp_path: Path) -> None:
     tool = tmp_path / "coil.rom"
     tool.write_bytes(placeholder("coil"))
     tracker = ("tracker.driver=ndi", _ndi(), f"ndi.tools.coil={tool}", "ndi.sha256.coil=00ff")

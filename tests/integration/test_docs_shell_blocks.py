@@ -48,7 +48,7 @@ def test_every_shell_block_does_what_it_shows(name: str, tmp_path: Path) -> None
             assert "Traceback" not in user.complaints(program), user.complaints(program)
 
 
-def test_what_is_shown_is_found_and_compared() -> None:
+def test_shown_commands_are_found_and_compared() -> None:
     commands = list(ShownPage(ROOT / "docs" / "tutorial.md").commands())
 
     assert {"pcmrs-serve", "pcmrs watch", "pcmrs console"} <= {shown.program for shown in commands}

@@ -53,7 +53,7 @@ async def test_waiting_appends_are_committed_in_their_order(journal: Journal) ->
     assert numbers == [sign * n for n in range(100) for sign in (1, -1)]
 
 
-async def test_what_waits_is_committed_together(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_waiting_rows_are_committed_together(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     groups: list[int] = []
     writing = threading.Event()
     write = JournalWriter.write
@@ -165,7 +165,7 @@ async def test_reading_can_be_narrowed(journal: Journal) -> None:
     assert sequences(read(branch="registration", last=2)) == [2, 4]
 
 
-async def test_the_first_rows_cost_the_same_in_a_long_journal_as_in_a_short_one(path: Path) -> None:
+async def test_first_rows_cost_the_same_in_a_long_and_a_short_journal(path: Path) -> None:
     journal = Journal.open(path, durable=False)
 
     def cost() -> int:
@@ -244,7 +244,7 @@ async def test_close_waits_for_a_commit_under_way(path: Path, monkeypatch: pytes
         assert await appended == 1
 
 
-async def test_reading_goes_on_while_a_daemon_writes(path: Path) -> None:
+async def test_reading_continues_while_a_daemon_writes(path: Path) -> None:
     journal = Journal.open(path)
     with JournalReader(path) as reader:
         for number in range(1, 6):
@@ -293,7 +293,7 @@ async def test_rows_that_a_query_makes_are_no_journal(path: Path, query: str) ->
         JournalReader(path)
 
 
-def test_a_damaged_row_is_told() -> None:
+def test_damaged_row_is_an_error() -> None:
     with pytest.raises(JournalError, match="damaged"):
         decode_row(msgspec.msgpack.encode({"kind": "intent"}))
     deep = encode_row(row(arguments={"a": "x"})).replace(b"\xa1x", b"\x91" * 100_000)

@@ -26,7 +26,7 @@ def path(tmp_path: Path) -> Path:
     return place(sample(tmp_path / "whole", killed=False).files, tmp_path / "cell")
 
 
-def test_a_journal_whose_head_is_gone_is_not_copied_as_if_it_were_whole(path: Path, tmp_path: Path) -> None:
+def test_journal_without_its_head_is_not_copied_as_whole(path: Path, tmp_path: Path) -> None:
     path.with_name(HEAD).unlink()
     with pytest.raises(JournalError, match="head is missing"):
         copy_journal(path, tmp_path / "copy" / NAME)
@@ -47,7 +47,7 @@ def test_the_head_of_a_copy_names_its_last_row(path: Path, tmp_path: Path, monke
     assert (found.sound, found.rows, found.signed) == (True, 19, 19)
 
 
-def test_what_the_key_has_signed_for_another_purpose_is_no_head(path: Path) -> None:
+def test_signature_for_another_purpose_is_no_head(path: Path) -> None:
     key, head = signing_key(path.parent, make=False), path.with_name(HEAD)
     message = struct.pack(">8sQQ32s", b"PCMRSXX1", 1000, 3, bytes(32))
     content = bytearray(head.read_bytes())

@@ -66,7 +66,7 @@ def test_damage_is_never_passed_over(whole: Sample, tmp_path: Path) -> None:
     assert [damage for damage in taken if damage.file == HEAD and damage.flip is not None]  # one slot is enough
 
 
-def test_what_is_not_damaged_is_taken_up(whole: Sample, tmp_path: Path) -> None:
+def test_undamaged_journal_is_resumed(whole: Sample, tmp_path: Path) -> None:
     assert taken_up(place(whole.files, tmp_path / "same"), whole.rows)
 
 

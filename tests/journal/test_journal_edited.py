@@ -47,7 +47,7 @@ def check_told(path: Path, sequence: int, word: str) -> None:
     assert (found.first_bad, found.rows, found.sound) == (sequence, sequence - 1, False)
 
 
-def test_a_row_replaced_with_its_own_hash_does_not_lead_to_the_next(path: Path) -> None:
+def test_row_replaced_with_its_own_hash_breaks_the_chain(path: Path) -> None:
     with JournalReader(path) as reader:
         rows = list(reader.read())
     ninth = rows[8]
@@ -71,7 +71,7 @@ def replace_from(path: Path, sequence: int, body: bytes) -> None:
         previous = own
 
 
-def test_an_end_that_was_replaced_is_not_the_one_that_the_head_names(path: Path) -> None:
+def test_replaced_last_row_is_not_the_one_named_by_the_head(path: Path) -> None:
     replace_from(path, 15, encode_row(row(result={"number": -1})))
     with pytest.raises(JournalError, match="another row 18 than the one that its signed head names"):
         Journal.open(path)
@@ -79,9 +79,7 @@ def test_an_end_that_was_replaced_is_not_the_one_that_the_head_names(path: Path)
     assert (found.sound, found.rows, found.signed) == (False, 18, 0)
 
 
-def test_a_snapshot_after_the_row_that_the_head_names_hides_nothing(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_snapshot_after_the_row_named_by_the_head_hides_nothing(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     writer = JournalWriter(path, durable=False)
     monkeypatch.setattr(writer._head, "write", lambda place: None)
     for kind in ("event", "snapshot", "event"):
@@ -107,7 +105,7 @@ def test_a_journal_that_calls_itself_older_still_needs_its_head(path: Path, kind
 
 @pytest.mark.parametrize("change", ["branch = 'placement'", "wall = 0.0", "source = 'else'"])
 @pytest.mark.parametrize("sequence", [9, 10])
-def test_a_row_entered_under_other_keys_is_told(path: Path, change: str, sequence: int) -> None:
+def test_row_entered_under_other_keys_is_detected(path: Path, change: str, sequence: int) -> None:
     edit(path, f"UPDATE journal SET {change} WHERE sequence = {sequence}")
     check_told(path, sequence, "is entered under other keys")
 
@@ -124,13 +122,13 @@ def make_index(path: Path, name: str, condition: str) -> None:
 
 
 @pytest.mark.parametrize(("kind", "sequence"), [("intent", 7), ("outcome", 8)])
-def test_a_row_that_its_index_has_lost_is_told(path: Path, kind: str, sequence: int) -> None:
+def test_row_missing_in_its_index_is_detected(path: Path, kind: str, sequence: int) -> None:
     """A repeat of its command would run a second time."""
     make_index(path, f"one_{kind}", f"AND sequence <> {sequence}")
     check_told(path, sequence, "is not found by its command")
 
 
-def test_an_index_with_more_than_the_rows_is_told_by_verify(path: Path) -> None:
+def test_index_with_too_many_rows_is_detected_by_verify(path: Path) -> None:
     make_index(path, "one_intent", "OR kind = 'event'")
     found = verify(path)
     assert (found.first_bad, found.rows) == (None, 18)
@@ -138,7 +136,7 @@ def test_an_index_with_more_than_the_rows_is_told_by_verify(path: Path) -> None:
 
 
 @pytest.mark.parametrize("guard", GUARDS)
-def test_a_journal_without_one_of_its_guards_is_told_though_all_rows_are_good(path: Path, guard: str) -> None:
+def test_missing_guard_is_reported_although_all_rows_are_sound(path: Path, guard: str) -> None:
     with closing(sqlite3.connect(path)) as connection:
         connection.execute(f"DROP TRIGGER {guard}")
     with pytest.raises(JournalError, match=f"was changed: {guard} is not as"):
@@ -152,7 +150,7 @@ def test_a_journal_without_one_of_its_guards_is_told_though_all_rows_are_good(pa
 @pytest.mark.parametrize(
     "record", [(0, b"", b"", b""), ("1", b"", b"", b""), (1, None, b"", b""), (1, b"", "text", b""), (1, b"", b"", 5)]
 )
-def test_what_no_row_holds_is_told(record: tuple[Any, ...]) -> None:
+def test_record_with_wrong_types_is_an_error(record: tuple[Any, ...]) -> None:
     """As a damaged page may have it, whatever the table allows."""
     with pytest.raises(JournalError, match="does not hold what a row holds"):
         stored_row(Path("journal.sqlite"), record)

@@ -126,7 +126,7 @@ def test_after_an_error_of_the_disk_what_it_has_is_found_out(tmp_path: Path, suf
 
 
 @needs_strace
-def test_while_the_disk_goes_on_failing_nothing_is_acknowledged(tmp_path: Path) -> None:
+def test_nothing_is_acknowledged_while_the_disk_fails(tmp_path: Path) -> None:
     path = tmp_path / "journal.sqlite"
     found = run(path, ".head", "fdatasync:error=EIO:when=3+")
     assert "cannot be written" in found["reopened"]
@@ -171,7 +171,7 @@ async def test_a_lock_of_another_process_ends_it_until_it_is_gone(
     await journal.close()
 
 
-async def test_a_journal_whose_very_first_write_failed_begins_with_the_next_one(
+async def test_journal_whose_first_write_failed_starts_with_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """There is no row yet whose session a row about the failure could belong to."""
@@ -221,7 +221,7 @@ async def test_rows_of_another_program_are_not_taken_for_own_ones(
     await journal.close()
 
 
-async def test_acknowledged_rows_that_the_disk_has_not_are_told_as_lost(tmp_path: Path) -> None:
+async def test_acknowledged_rows_missing_on_disk_are_reported_as_lost(tmp_path: Path) -> None:
     path, kept = tmp_path / "journal.sqlite", tmp_path / "kept"
     journal = Journal.open(path)
     await journal.append([row()] * 2)
@@ -237,7 +237,7 @@ async def test_acknowledged_rows_that_the_disk_has_not_are_told_as_lost(tmp_path
     await journal.close()
 
 
-async def test_what_would_wait_too_long_is_refused_and_harms_nothing(tmp_path: Path) -> None:
+async def test_rows_beyond_the_queue_are_refused_and_harm_nothing(tmp_path: Path) -> None:
     path = tmp_path / "journal.sqlite"
     journal = Journal.open(path)
     locker = sqlite3.connect(path, isolation_level=None)

@@ -39,7 +39,7 @@ def synced(path: Path, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, set[s
 
 
 @pytest.mark.parametrize("name", ["journal.key", "journal.pub", "journal.sqlite", "journal.sqlite.head"])
-def test_a_file_gets_its_name_when_the_disk_has_it_and_the_disk_gets_the_name(
+def test_file_is_synchronised_before_and_after_it_gets_its_name(
     path: Path, synced: list[tuple[str, set[str]]], name: str
 ) -> None:
     JournalWriter(path, durable=True).close()
@@ -49,7 +49,7 @@ def test_a_file_gets_its_name_when_the_disk_has_it_and_the_disk_gets_the_name(
     assert as_part[0] + 1 in named
 
 
-def test_what_could_not_be_written_leaves_nothing(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_write_leaves_no_file(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(_descriptor: int) -> None:
         raise OSError(28, "No space left on device")
 
@@ -59,7 +59,7 @@ def test_what_could_not_be_written_leaves_nothing(path: Path, monkeypatch: pytes
     assert list(path.parent.iterdir()) == []
 
 
-def test_what_is_read_after_a_failure_comes_from_the_disk(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reads_after_a_failure_come_from_the_disk(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The kernel forgets that it could not write, and shows what it would have written."""
     asked: list[tuple[str, str]] = []
     monkeypatch.setattr(os, "fsync", lambda descriptor: asked.append(("take", _name(descriptor))))
@@ -123,7 +123,7 @@ def test_half_a_head_is_no_head(path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     writer.close()
 
 
-def test_a_row_that_was_never_acknowledged_may_be_gone_at_the_second_reopening(path: Path) -> None:
+def test_unacknowledged_row_may_be_gone_at_the_second_reopening(path: Path) -> None:
     """It was on the disk when the first one failed, and the disk has lost it since."""
     writer = JournalWriter(path, durable=True)
     writer.write([ROW])

@@ -54,7 +54,7 @@ async def test_no_commit_is_larger_than_what_a_crash_may_leave_unnamed(
     await journal.close()
 
 
-async def test_who_gave_up_keeps_nobody_from_hearing(path: Path) -> None:
+async def test_cancelled_writer_keeps_no_other_from_its_answer(path: Path) -> None:
     journal = Journal.open(path)
     with locked(path):
         first, second, third = (asyncio.ensure_future(journal.append([row()])) for _ in range(3))
@@ -76,7 +76,7 @@ async def test_a_broken_journal_refuses_at_once(path: Path, monkeypatch: pytest.
     await journal.close()
 
 
-def test_what_was_queued_behind_an_error_is_not_written(path: Path) -> None:
+def test_rows_queued_behind_an_error_are_not_written(path: Path) -> None:
     """Not even where the disk takes it again: only a reopening finds out what it has."""
     writer, rows = JournalWriter(path, durable=True), [(row(), encode_row(row()))]
     with pytest.MonkeyPatch.context() as patch:
@@ -96,12 +96,12 @@ def test_what_was_queued_behind_an_error_is_not_written(path: Path) -> None:
     ["\ud800", 2**70, -(2**70), object(), {1: {2: object()}}],
     ids=["surrogate", "large", "small", "object", "nested object"],
 )
-def test_what_a_row_cannot_hold_is_refused(value: object) -> None:
+def test_value_that_a_row_cannot_hold_is_refused(value: object) -> None:
     with pytest.raises(JournalError, match="cannot be journalled"):
         encode_row(row(result={"value": value}))
 
 
-def test_what_contains_itself_is_refused() -> None:
+def test_value_that_contains_itself_is_refused() -> None:
     endless: list[object] = []
     endless.append(endless)
     with pytest.raises(JournalError, match="cannot be journalled"):
@@ -128,7 +128,7 @@ def test_a_disk_that_cannot_be_waited_for_is_refused(
 
 
 @pytest.mark.parametrize("durable", [True, False])
-async def test_a_log_that_cannot_be_carried_over_is_told_though_nothing_more_is_written(
+async def test_failed_checkpoint_is_reported_even_without_more_writes(
     path: Path, monkeypatch: pytest.MonkeyPatch, durable: bool
 ) -> None:
     class Failing(sqlite3.Connection):
@@ -157,7 +157,7 @@ def test_only_the_writer_carries_the_log_over(path: Path, durable: bool) -> None
     writer.close()
 
 
-async def test_what_goes_wrong_while_it_is_reopened_does_not_end_the_thread_that_writes(
+async def test_error_while_reopening_does_not_end_the_writer_thread(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(_: JournalWriter) -> int:

@@ -75,7 +75,7 @@ def edit(file: Path, statement: str) -> None:
         connection.execute(statement)
 
 
-def test_a_later_file_begins_with_a_row_that_continues_the_chain_and_names_the_earlier(path: Path) -> None:
+def test_later_file_continues_the_chain_and_names_the_earlier(path: Path) -> None:
     write(path, 7)
     files = journal_files(path)
     assert [file.name for file in files] == ["journal.sqlite", "journal.sqlite.0002", "journal.sqlite.0003"]
@@ -129,7 +129,7 @@ async def test_a_reader_that_is_open_follows(path: Path) -> None:
     assert len(journal_files(path)) > 2
 
 
-def test_only_the_newest_file_is_read_at_a_start_and_its_beginning_is_compared(path: Path) -> None:
+def test_start_reads_the_newest_file_and_compares_its_first_row(path: Path) -> None:
     write(path, 8)
     middle = journal_files(path)[1]
     edit(middle, "UPDATE journal SET body = x'00' WHERE sequence = 5")  # neither its first row nor its last
@@ -141,7 +141,7 @@ def test_only_the_newest_file_is_read_at_a_start_and_its_beginning_is_compared(p
         JournalWriter(path, durable=False)
 
 
-def test_a_tail_cut_from_an_earlier_file_is_told(path: Path) -> None:
+def test_tail_cut_from_an_earlier_file_is_detected(path: Path) -> None:
     write(path, 8)
     edit(path, "DELETE FROM journal WHERE sequence = 3")
     found = verify(path)
@@ -159,7 +159,7 @@ def test_a_file_that_is_missing_before_the_last_is_named(path: Path, gone: int) 
     assert any(name.name in problem for problem in verify(path).problems)
 
 
-def test_a_last_file_that_is_missing_is_a_loss_of_acknowledged_rows(path: Path) -> None:
+def test_missing_last_file_is_a_loss_of_acknowledged_rows(path: Path) -> None:
     write(path, 8)
     journal_files(path)[-1].unlink()
     with pytest.raises(JournalError, match="acknowledged rows are lost"):
@@ -167,7 +167,7 @@ def test_a_last_file_that_is_missing_is_a_loss_of_acknowledged_rows(path: Path) 
     assert verify(path).missing > 0
 
 
-def test_a_file_that_somebody_else_has_made_is_refused(path: Path) -> None:
+def test_file_of_another_journal_is_refused(path: Path) -> None:
     write(path, 2)
     other = path.with_name("other.sqlite")
     write(other, 4)
@@ -199,7 +199,7 @@ def killed_at(path: Path, failpoint: str) -> list[int]:
 
 @pytest.mark.parametrize("name", OF_GROWTH)
 @pytest.mark.parametrize("growth", [1, 2])
-async def test_a_kill_while_a_file_is_begun_loses_no_acknowledged_row(path: Path, name: str, growth: int) -> None:
+async def test_kill_while_a_file_is_started_loses_no_acknowledged_row(path: Path, name: str, growth: int) -> None:
     acknowledged = killed_at(path, f"{name}:{growth}")
     assert acknowledged
 
@@ -215,7 +215,7 @@ async def test_a_kill_while_a_file_is_begun_loses_no_acknowledged_row(path: Path
     assert len(journal_files(path)) == growth + (name != "journal.before_next_file")
 
 
-def test_a_power_cut_that_also_tears_the_head_is_taken_up(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_journal_is_resumed_after_a_power_cut_tears_its_head(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Then the head names a row of the earlier file, and not its last one."""
     writer = JournalWriter(path, durable=False, largest=SMALL)
     for _ in range(EVERY):
@@ -238,7 +238,7 @@ def _fail(*_: object, **__: object) -> None:
     raise OSError(28, "No space left on device")
 
 
-def test_what_a_crash_has_left_of_a_file_without_a_name_is_no_part_of_the_journal(path: Path) -> None:
+def test_unnamed_file_left_by_a_crash_is_no_part_of_the_journal(path: Path) -> None:
     write(path, 2)
     part = numbered(path, 2).with_name("journal.sqlite.0002.part")
     part.write_bytes(b"SQLite format 3\0 and no more")
@@ -249,9 +249,10 @@ def test_what_a_crash_has_left_of_a_file_without_a_name_is_no_part_of_the_journa
 
 
 @pytest.mark.parametrize("step", ["make_database", "publish", "open_for_writing", "head"])
-async def test_an_error_while_a_file_is_begun_is_a_failed_write_and_reopened(
+async def test_error_while_a_file_is_started_is_a_failed_write(
     path: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
+    """The journal can be reopened after it."""
     failures: list[JournalError] = []
     journal = Journal.open(path, durable=False, largest=SMALL)
     journal.on_failure(failures.append)

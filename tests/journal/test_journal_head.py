@@ -60,7 +60,7 @@ def alter(path: Path, *statements: str) -> None:
     connection.close()
 
 
-def test_a_lost_log_is_told_with_the_number_of_rows(path: Path) -> None:
+def test_lost_log_is_reported_with_the_number_of_rows(path: Path) -> None:
     path.with_name(LOG).unlink()
     with pytest.raises(JournalError, match=r"18 acknowledged rows are lost.*--good-part") as told:
         Journal.open(path)
@@ -68,7 +68,7 @@ def test_a_lost_log_is_told_with_the_number_of_rows(path: Path) -> None:
     assert verify(path).missing == 18
 
 
-async def test_a_journal_set_back_is_told(path: Path, killed: Sample) -> None:
+async def test_journal_set_back_is_detected(path: Path, killed: Sample) -> None:
     journal = Journal.open(path)
     await journal.append([row()] * 3)
     await journal.close()
@@ -78,7 +78,7 @@ async def test_a_journal_set_back_is_told(path: Path, killed: Sample) -> None:
         Journal.open(later)
 
 
-async def test_a_head_kept_elsewhere_shows_that_all_was_set_back_together(path: Path, killed: Sample) -> None:
+async def test_head_stored_elsewhere_shows_that_all_was_set_back(path: Path, killed: Sample) -> None:
     journal = Journal.open(path)
     await journal.append([row()])
     await journal.close()
@@ -101,7 +101,7 @@ async def test_a_head_kept_elsewhere_shows_that_all_was_set_back_together(path: 
         ("DELETE FROM journal WHERE sequence = 7", "row 7 is missing"),
     ],
 )
-def test_an_edited_journal_is_told_with_the_first_bad_row(path: Path, statement: str, word: str) -> None:
+def test_edited_journal_is_reported_with_the_first_bad_row(path: Path, statement: str, word: str) -> None:
     guards = [f"DROP TRIGGER {name}" for name in ("no_update", "no_delete")]
     with JournalReader(path) as reader:
         select = "SELECT sql FROM sqlite_schema WHERE name IN ('no_update', 'no_delete')"
@@ -118,14 +118,14 @@ def test_an_edited_journal_is_told_with_the_first_bad_row(path: Path, statement:
     assert found.rows == (found.first_bad or 0) - 1
 
 
-def test_more_rows_than_a_crash_leaves_are_told(path: Path) -> None:
+def test_more_rows_than_a_crash_leaves_are_an_error(path: Path) -> None:
     append_without_key(path, [row()] * 600)
     with pytest.raises(JournalError, match="600 rows after the last one"):
         Journal.open(path)
     assert not verify(path).sound
 
 
-async def test_rows_that_a_crash_left_unnamed_are_taken_up_and_that_is_journalled(
+async def test_unnamed_rows_left_by_a_crash_are_adopted_and_journalled(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     journal = Journal.open(path, durable=False)
@@ -185,7 +185,7 @@ def test_a_lost_key_is_not_replaced(path: Path, lost: tuple[str, ...]) -> None:
     assert not any(path.with_name(name).exists() for name in lost)
 
 
-async def test_a_replaced_key_pair_is_told(path: Path, tmp_path: Path) -> None:
+async def test_replaced_key_pair_is_detected(path: Path, tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     await Journal.open(tmp_path / "other" / NAME).close()
     for name in ("journal.key", "journal.pub"):
@@ -198,7 +198,7 @@ async def test_a_replaced_key_pair_is_told(path: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("replaced", ["journal.key", "journal.pub"])
-async def test_a_key_that_does_not_belong_to_the_other_is_told(path: Path, tmp_path: Path, replaced: str) -> None:
+async def test_mismatched_keys_are_detected(path: Path, tmp_path: Path, replaced: str) -> None:
     (tmp_path / "other").mkdir()
     await Journal.open(tmp_path / "other" / NAME).close()
     path.with_name(replaced).write_bytes((tmp_path / "other" / replaced).read_bytes())
@@ -206,7 +206,8 @@ async def test_a_key_that_does_not_belong_to_the_other_is_told(path: Path, tmp_p
         Journal.open(path)
 
 
-def test_a_journal_without_head_and_keys_is_not_taken_for_one_that_never_had_them(tmp_path: Path) -> None:
+def test_journal_that_lost_head_and_keys_is_not_sound(tmp_path: Path) -> None:
+    """It is not taken for one that never had them."""
     path = tmp_path / NAME
     JournalWriter(path, durable=False).close()
     for name in (HEAD, "journal.key", "journal.pub"):
@@ -215,7 +216,7 @@ def test_a_journal_without_head_and_keys_is_not_taken_for_one_that_never_had_the
     assert (found.signature, found.signed, found.sound) == ("does not hold", 0, False)
 
 
-async def test_a_second_writer_is_refused_and_the_first_goes_on(path: Path) -> None:
+async def test_second_writer_is_refused_and_the_first_continues(path: Path) -> None:
     journal = Journal.open(path)
     with pytest.raises(JournalError, match="Another process writes"):
         Journal.open(path)
@@ -223,7 +224,7 @@ async def test_a_second_writer_is_refused_and_the_first_goes_on(path: Path) -> N
     await journal.close()
 
 
-async def test_a_journal_of_version_1_is_taken_up_and_that_is_journalled(old: Path) -> None:
+async def test_journal_of_version_1_is_upgraded_and_that_is_journalled(old: Path) -> None:
     found = verify(old)
     assert found.sound
     assert found.signature == "none"

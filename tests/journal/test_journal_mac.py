@@ -59,14 +59,14 @@ def check_refused(path: Path, sequence: int, words: str) -> None:
 
 
 @pytest.mark.parametrize("number", [1, 512])
-def test_rows_added_without_the_key_are_refused_with_the_first_of_them(path: Path, number: int) -> None:
+def test_rows_added_without_the_key_are_refused_from_the_first(path: Path, number: int) -> None:
     append_without_key(path, [row()] * number)
     found = verify(path)
     assert (found.rows, found.first_bad, found.unnamed) == (18 + number, None, number), "they are well chained"
     check_refused(path, 19, "Somebody without the key")
 
 
-async def test_the_same_rows_are_taken_up_where_a_crash_has_left_them(path: Path) -> None:
+async def test_unnamed_rows_with_macs_are_adopted_after_a_crash(path: Path) -> None:
     rows: list[JournalRow] = [row(), outcome("late")]
     leave_unnamed(path, rows)
     assert verify(path).unnamed == 2
@@ -78,7 +78,7 @@ async def test_the_same_rows_are_taken_up_where_a_crash_has_left_them(path: Path
 
 
 @pytest.mark.parametrize("forged", [None, bytes(32), b""])
-def test_a_row_after_those_of_a_crash_is_refused_with_its_own_number(path: Path, forged: object) -> None:
+def test_row_forged_after_those_of_a_crash_is_refused_by_number(path: Path, forged: object) -> None:
     leave_unnamed(path, [row()])
     append_without_key(path, [row()], mac=forged)
     check_refused(path, 20, "Somebody without the key")
@@ -102,7 +102,7 @@ def test_a_journal_that_calls_itself_older_gets_no_rows_either(path: Path) -> No
     check_refused(path, 19, "Rows of version 2 have none")
 
 
-async def test_a_journal_of_version_2_goes_on_with_macs_and_its_old_rows_get_none(old: Path) -> None:
+async def test_journal_of_version_2_continues_with_macs_for_new_rows(old: Path) -> None:
     assert (verify(old).version, verify(old).sound) == (WITHOUT_MAC, True)
     for _ in range(2):
         journal = Journal.open(old)
@@ -114,13 +114,13 @@ async def test_a_journal_of_version_2_goes_on_with_macs_and_its_old_rows_get_non
     assert [mac is not None for mac in macs(old)] == [False] * 9 + [True]
 
 
-def test_rows_that_the_head_of_a_version_2_journal_does_not_name_get_no_mac(old: Path) -> None:
+def test_unnamed_rows_of_a_version_2_journal_get_no_mac(old: Path) -> None:
     append_without_key(old, [row()])
     assert verify(old).unnamed == 1
     check_refused(old, 10, "start the version of PCMRS before")
 
 
-async def test_a_crash_in_the_upgrade_leaves_a_journal_that_is_taken_up(old: Path) -> None:
+async def test_crash_in_the_upgrade_leaves_a_usable_journal(old: Path) -> None:
     before = head_path(old).read_bytes()
     await Journal.open(old).close()
     head_path(old).write_bytes(before)
@@ -128,7 +128,7 @@ async def test_a_crash_in_the_upgrade_leaves_a_journal_that_is_taken_up(old: Pat
     assert operations(old) == ["mac_begun", "head_behind"]
 
 
-async def test_a_journal_of_version_2_that_has_grown_is_read_with_its_later_file(old: Path) -> None:
+async def test_grown_journal_of_version_2_is_read_with_its_later_file(old: Path) -> None:
     journal = Journal.open(old, largest=0)
     await journal.append([row()])
     await journal.close()

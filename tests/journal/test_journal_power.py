@@ -21,7 +21,7 @@ def test_a_power_cut_loses_no_acknowledged_row() -> None:
     assert report.acknowledged > 60
 
 
-def test_the_cuts_would_show_a_journal_that_does_not_wait_for_the_disk() -> None:
+def test_power_cuts_expose_a_journal_that_does_not_wait_for_disk() -> None:
     report = found(20, 1, durable=False)
     assert report.violated
     assert report.tried - report.unaffected > 5

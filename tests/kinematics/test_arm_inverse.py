@@ -24,7 +24,7 @@ def assert_reaches(arm: ArmModel, q: np.ndarray, target: Transform) -> None:
     assert rotation_angle(arm.forward(q), target) < 1e-9
 
 
-def test_every_reachable_pose_is_reached_at_no_more_cost_than_the_known_posture(arm: ArmModel) -> None:
+def test_every_pose_is_reached_at_no_more_than_the_known_cost(arm: ArmModel) -> None:
     rng = np.random.default_rng(11)
     for known, seed in rng.uniform(arm.lower, arm.upper, (1000, 2, 7)):
         target = arm.forward(known)
@@ -33,9 +33,7 @@ def test_every_reachable_pose_is_reached_at_no_more_cost_than_the_known_posture(
         assert cost(arm, found, seed) < cost(arm, known, seed) + 0.01
 
 
-def test_a_scan_of_the_arm_angle_a_hundred_times_finer_finds_little_better(
-    arm: ArmModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_hundred_times_finer_arm_angle_scan_is_hardly_better(arm: ArmModel, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(16)
     spheres = np.array(((0.5, 0.1, 0.3, 0.15), (-0.4, 0.2, 0.8, 0.1)))
     problems = [(arm.forward(known), seed) for known, seed in rng.uniform(arm.lower, arm.upper, (30, 2, 7))]
@@ -65,7 +63,7 @@ def test_a_posture_at_a_limit_is_left_for_a_better_one(arm: ArmModel) -> None:
     assert np.linalg.norm(found - q) < 1.0
 
 
-def test_the_elbow_keeps_away_from_where_it_is_told(arm: ArmModel) -> None:
+def test_elbow_keeps_away_from_a_sphere(arm: ArmModel) -> None:
     target = arm.forward(READY)
     elbow, wrist = arm.joint_origins(READY)[[3, 5]]
     sphere = (*(0.7 * elbow + 0.3 * wrist), 0.05)
@@ -124,7 +122,7 @@ def test_the_margin_is_kept(arm: ArmModel) -> None:
         assert np.all(found <= arm.upper - margin)
 
 
-def test_what_is_out_of_reach_says_how_far(arm: ArmModel) -> None:
+def test_unreachable_pose_is_refused_with_its_distance(arm: ArmModel) -> None:
     far = Transform(np.eye(3), np.array((0.0, 0.0, arm.heights[7] + 0.05)))
     with pytest.raises(UnreachableError, match=r"too far.*50\.0 mm closer"):
         inverse(arm, far, READY)
@@ -133,7 +131,7 @@ def test_what_is_out_of_reach_says_how_far(arm: ArmModel) -> None:
         inverse(arm, near, READY)
 
 
-def test_what_only_the_limits_forbid_names_the_joint(arm: ArmModel) -> None:
+def test_pose_beyond_a_joint_limit_names_the_joint(arm: ArmModel) -> None:
     stretched_by_limits = arm.forward((0, 0, 0, -1.5, 0, arm.upper[5] + 0.3, 0))
     with pytest.raises(UnreachableError, match="joint limit") as caught:
         inverse(arm, stretched_by_limits, READY, joint_margin=0.5)

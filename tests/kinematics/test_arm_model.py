@@ -113,7 +113,7 @@ def test_malformed_joints_are_refused(name: str) -> None:
 
 
 @every_arm
-def test_mujoco_agrees_with_pinocchio_on_pose_and_inverse_dynamics(name: str) -> None:
+def test_mujoco_and_pinocchio_agree_on_pose_and_inverse_dynamics(name: str) -> None:
     mujoco = pytest.importorskip("mujoco")
     pinocchio = pytest.importorskip("pinocchio")
     arm = ArmModel(find_arm(name))

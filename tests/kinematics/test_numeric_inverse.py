@@ -48,7 +48,7 @@ def test_a_comfortable_posture_near_the_seed_is_taken(arm: ArmModel) -> None:
         assert np.linalg.norm(found - home) < 0.6
 
 
-def test_the_first_comfortable_posture_ends_the_search_and_else_a_few_are_compared(
+def test_search_ends_at_a_comfortable_posture_or_a_few_solutions(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Each descent takes time, and a plan waits for all of them."""
@@ -99,7 +99,7 @@ def test_a_joint_that_turns_twice_is_not_turned_for_nothing() -> None:
             assert np.all(np.abs(turned - seed)[allowed] > np.abs(found - seed)[allowed])
 
 
-def test_the_forearm_keeps_away_from_where_it_is_told(arm: ArmModel) -> None:
+def test_forearm_keeps_away_from_a_sphere(arm: ArmModel) -> None:
     home = np.array(arm.facts.home)
     sphere = np.array([(*arm.joint_origins(home)[-3], 0.05)])
     found = inverse(arm, arm.forward(home), home, keep_away=sphere)
@@ -107,7 +107,7 @@ def test_the_forearm_keeps_away_from_where_it_is_told(arm: ArmModel) -> None:
     assert cost(arm, found, home, sphere) <= cost(arm, home, home, sphere)
 
 
-def test_what_is_out_of_reach_says_how_far(arm: ArmModel) -> None:
+def test_unreachable_pose_is_refused_with_its_distance(arm: ArmModel) -> None:
     with pytest.raises(UnreachableError, match=f"{arm.facts.name}.*mm and .* deg away") as caught:
         inverse(arm, Transform(np.eye(3), np.array((0.0, 0.0, 2.0))), arm.facts.home)
     assert 0.5 < caught.value.fields["gap"] < 1.5

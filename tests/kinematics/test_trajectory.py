@@ -50,7 +50,7 @@ def flange_speed(trajectory: JointTrajectory) -> float:
 
 @examples(20)
 @given(seeds)
-def test_joint_motion_starts_and_ends_exactly_and_keeps_every_limit(seed: int) -> None:
+def test_joint_motion_is_exact_at_its_ends_and_keeps_every_limit(seed: int) -> None:
     rng = np.random.default_rng(seed)
     start, goal = rng.uniform(ARM.lower, ARM.upper, (2, 7))
     trajectory = joint_motion(ARM, start, goal, LIMITS)
@@ -95,7 +95,7 @@ def test_joint_motion_beyond_a_limit_is_refused() -> None:
 
 @examples(10)
 @given(seeds)
-def test_straight_motion_keeps_the_tool_on_the_line_and_every_limit(seed: int) -> None:
+def test_straight_motion_keeps_the_line_and_every_limit(seed: int) -> None:
     rng = np.random.default_rng(seed)
     tool = Transform.from_rotvec(rng.uniform(-0.1, 0.1, 3), rng.uniform(-0.5, 0.5, 3))
     start = ARM.forward(READY) @ tool
@@ -117,7 +117,7 @@ def test_straight_motion_keeps_the_tool_on_the_line_and_every_limit(seed: int) -
     assert max(turns) <= LIMITS.angular_velocity * trajectory.period * (1 + 1e-6)
 
 
-def test_straight_motion_is_stretched_where_a_joint_would_be_too_fast() -> None:
+def test_straight_motion_is_stretched_where_a_joint_is_too_fast() -> None:
     tool_in_a_hurry = dataclasses.replace(
         LIMITS, linear_velocity=2.0, linear_acceleration=20.0, angular_velocity=5.0, linear_jerk=400.0
     )
@@ -128,7 +128,7 @@ def test_straight_motion_is_stretched_where_a_joint_would_be_too_fast() -> None:
 
 
 @pytest.mark.parametrize("seed", [3, 80, 180])
-def test_a_stretched_line_keeps_the_limits_at_its_new_samples_too(seed: int) -> None:
+def test_stretched_line_keeps_the_limits_at_its_new_samples(seed: int) -> None:
     """Lines past singularities: stretched once, the joints exceed their jerk by 4 %, 11 % and 23 %."""
     rng = np.random.default_rng(seed)
     start = rng.uniform(ARM.lower, ARM.upper)

@@ -83,7 +83,7 @@ def test_an_odd_arm_is_the_one_that_pinocchio_reads() -> None:
     assert_same_arm(without(ARM, "gripper", "held"), "tool0", ["hinge"], ArmModel(facts))
 
 
-def test_the_only_link_at_an_end_carries_the_tool_where_none_is_named() -> None:
+def test_only_end_link_carries_the_tool_if_none_is_named() -> None:
     """As in documents that end with the last link of the arm, and know no ``tool0``."""
     chain = without(ARM, "gripper", "held", "tool0", "mount", "lid", "hinge", "box", "glued")
     assert read_urdf(chain, "odd") == read_urdf(chain, "odd", flange="two")
@@ -130,7 +130,7 @@ def test_a_file_is_read_by_its_path(tmp_path: Path) -> None:
         ("</robot>", "", "not XML"),
     ],
 )
-def test_what_is_missing_is_named(old: str, new: str, text: str) -> None:
+def test_missing_item_is_named(old: str, new: str, text: str) -> None:
     assert old in ARM
     with pytest.raises(ConfigurationError, match=text):
         read_urdf(ARM.replace(old, new), "odd")

@@ -80,7 +80,7 @@ def test_links_are_as_far_apart_as_their_axes_less_their_radii(seed: int) -> Non
 
 @examples(25)
 @given(seeds)
-def test_links_are_as_far_from_a_cube_as_the_points_of_their_axes(seed: int) -> None:
+def test_links_are_as_far_from_a_cube_as_points_of_their_axes(seed: int) -> None:
     rng, q, model = np.random.default_rng(seed), random_posture(seed), zone_model()
     base_from_body = Transform.from_rotvec(rng.uniform(-0.8, 0.8, 3), rng.uniform(-1.0, 1.0, 3))
     model.place("body", base_from_body)
@@ -121,7 +121,7 @@ def test_each_pair_belongs_to_its_zone_only() -> None:
         assert bool(chosen) == (zone != "nothing")
 
 
-def test_what_overlaps_has_a_negative_distance() -> None:
+def test_overlapping_bodies_have_a_negative_distance() -> None:
     model, q = zone_model(), np.zeros(7)
     model.place("body", Transform(np.eye(3), np.array((0.15, 0.0, 0.46))))
     distances = dict(zip(model.pairs, model.distances(q), strict=True))
@@ -146,7 +146,7 @@ def test_the_lines_of_sight_end_at_tool_and_reference(seed: int) -> None:
     assert ("tool", SIGHT_OF_BODY) in found
 
 
-def test_what_is_nowhere_is_far_away() -> None:
+def test_unplaced_zone_is_far_away() -> None:
     model = zone_model()
     unplaced = [zone in ("body", "table", SIGHT_OF_BODY, SIGHT_OF_TOOL) for _, zone in model.pairs]
     assert model.distances(np.zeros(7))[unplaced].min() > 100.0
@@ -189,7 +189,7 @@ def random_way(seed: int, samples: int = 40) -> Floats:
 
 @examples(20)
 @given(seeds)
-def test_no_distance_falls_between_two_looks_by_more_than_the_bound(seed: int) -> None:
+def test_distance_between_samples_falls_at_most_by_the_bound(seed: int) -> None:
     model, way = zone_model(), random_way(seed)
     rng = np.random.default_rng(seed)
     model.place("body", Transform(np.eye(3), rng.uniform((0.2, -0.4, 0.0), (0.7, 0.4, 0.6))))
@@ -206,7 +206,7 @@ def test_no_distance_falls_between_two_looks_by_more_than_the_bound(seed: int) -
 
 @examples(20)
 @given(seeds)
-def test_an_accepted_way_does_not_violate_when_looked_at_ten_times_finer(seed: int) -> None:
+def test_accepted_path_holds_at_ten_times_finer_samples(seed: int) -> None:
     model, way = zone_model(), random_way(seed)
     rng = np.random.default_rng(seed)
     model.place("body", Transform(np.eye(3), rng.uniform((0.2, -0.4, 0.0), (0.7, 0.4, 0.6))))

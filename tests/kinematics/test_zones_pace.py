@@ -72,7 +72,7 @@ def assert_keeps_everything(trajectory: JointTrajectory) -> None:
 
 @examples(15)
 @given(seeds)
-def test_joint_motion_is_slow_near_the_body_and_keeps_every_limit(seed: int) -> None:
+def test_joint_motion_is_slow_near_the_body_and_keeps_limits(seed: int) -> None:
     start, goal = np.random.default_rng(seed).uniform(0.5 * ARM.lower, 0.5 * ARM.upper, (2, 7))
     trajectory = joint_motion(ARM, start, goal, LIMITS, flange_from_tool=TOOL, speed_limit_at=slower_near_the_ball)
     assert_keeps_everything(trajectory)
@@ -85,7 +85,7 @@ def test_joint_motion_is_slow_near_the_body_and_keeps_every_limit(seed: int) -> 
 
 @examples(10)
 @given(seeds)
-def test_a_straight_line_is_slow_near_the_body_and_keeps_every_limit(seed: int) -> None:
+def test_straight_line_is_slow_near_the_body_and_keeps_limits(seed: int) -> None:
     rng = np.random.default_rng(seed)
     begin = ARM.forward(READY) @ TOOL
     goal = Transform.from_rotvec(rng.uniform(-0.1, 0.1, 3), np.zeros(3)) @ begin

@@ -67,7 +67,7 @@ def test_every_interleaving_keeps_the_promises_of_stop(macros: tuple[str, ...], 
     assert int(states[1]) > 100_000
 
 
-def test_motions_go_on_after_an_acknowledged_stop(tmp_path: Path) -> None:
+def test_motions_are_possible_after_an_acknowledged_stop(tmp_path: Path) -> None:
     assert "assertion violated (confirmed==0)" in search(tmp_path, "REACHES")
 
 
@@ -151,9 +151,8 @@ def test_the_daemon_does_what_the_model_does(traces: list[str], tmp_path: Path, 
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_without_a_rule_there_is_a_counterexample_that_the_code_does_not_follow(
-    rule: str, tmp_path: Path, cell: Cell
-) -> None:
+def test_model_without_a_rule_fails_where_the_code_does_not(rule: str, tmp_path: Path, cell: Cell) -> None:
+    """There is a counterexample that the code does not follow."""
     assert "assertion violated" in search(tmp_path, rule, "STEPS")
     trace = run(tmp_path, "spin", "-T", "-t", f"-D{rule}", "-DSTEPS", MODEL.name)
     refused = any(model and not code for _, model, code in replayed(trace))

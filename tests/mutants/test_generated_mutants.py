@@ -42,7 +42,7 @@ class Gate:
 '''
 
 
-def test_every_guard_comparison_and_junction_in_a_function_has_its_mutants(tmp_path: Path) -> None:
+def test_every_guard_comparison_and_junction_has_its_mutants(tmp_path: Path) -> None:
     file = tmp_path / "pcmrs" / "gateway" / "gate.py"
     file.parent.mkdir(parents=True)
     file.write_text(SOURCE)
@@ -91,7 +91,7 @@ def test_a_guard_is_uncovered_until_both_its_sides_are_run() -> None:
     assert [each.reason for each in side(held, excused=(excuse,))] == ["Only with a broken clock."]
 
 
-def test_what_no_test_need_run_is_a_guard_and_has_a_reason() -> None:
+def test_every_excused_guard_exists_and_has_a_reason() -> None:
     known = {(each.module, each.function, each.place.text) for each in guards()}
     assert [each for each in excuses() if (each.module, each.function, each.guard) not in known] == []
     assert [each for each in excuses() if not each.reason] == []

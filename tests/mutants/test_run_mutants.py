@@ -16,7 +16,7 @@ from trying import Candidate, Found, Run, run_importable, try_mutants
 
 SHOWN = ("a_series_is_planned_twice", "a_rotation_of_any_age")
 """Mutants whose tests are quick: the way of trying them works."""
-BEATS = "tests/bus/test_heart.py::test_each_beat_carries_the_loops_sign_of_life_and_a_hanging_loop_is_silent"
+BEATS = "tests/bus/test_heart.py::test_beat_carries_the_loops_sign_and_stops_if_the_loop_hangs"
 FEW = Limits(tests=10, seconds=30.0)
 
 
@@ -44,7 +44,7 @@ def test_a_removed_guard_is_caught_by_a_named_test(coverage: CoverageMap) -> Non
 
 @pytest.mark.nightly
 @pytest.mark.timeout(300)
-def test_a_removed_guard_is_caught_and_what_takes_none_out_is_not(coverage: CoverageMap) -> None:
+def test_removed_guard_is_caught_and_harmless_change_is_not(coverage: CoverageMap) -> None:
     mutants = [
         *candidates(SHOWN),
         harmless("another way to say it", "PAIR_WINDOW = 2.0 - 1.0"),
@@ -66,7 +66,7 @@ ERROR: found no collectors for /tmp/copy/tests/{0}.py::one
 
 
 @pytest.mark.parametrize("failing", [True, False])
-def test_a_file_that_cannot_be_imported_hides_no_failure_of_another(failing: bool) -> None:
+def test_file_that_cannot_be_imported_hides_no_other_failure(failing: bool) -> None:
     asked: list[list[str]] = []
 
     def run(tests: Sequence[str]) -> Run:
@@ -93,7 +93,7 @@ def test_tests_that_reach_the_body_of_a_guard_come_first(coverage: CoverageMap) 
     assert set(tests[: len(body)]) == body
 
 
-def test_what_a_process_runs_belongs_to_the_test_that_started_it(coverage: CoverageMap) -> None:
+def test_lines_run_by_a_process_belong_to_its_test(coverage: CoverageMap) -> None:
     place = find(TREE, "bus.heart", "main", "open_session(settings.bus)")
 
     assert [test.id for test in coverage.reaching(place.file, changed(TREE, place).lines)] == [BEATS]
@@ -117,7 +117,7 @@ def measured(tests: dict[str, set[int]], digest: str = "as it is") -> CoverageMa
     return CoverageMap([MappedTest(name, 1.0) for name in tests], [], {"f.py": file}, 0)
 
 
-def test_tests_that_are_measured_again_replace_themselves_in_the_map() -> None:
+def test_remeasured_tests_replace_themselves_in_the_map() -> None:
     before = measured({"a": {1, 2}, "b": {1, 3}, "c": {3}, "d": {2, 3, 4}})
     after = before.updated(measured({"c": {2, 5}, "e": {1}, "a": {5}}), ["a", "c", "e"])
 
@@ -128,7 +128,7 @@ def test_tests_that_are_measured_again_replace_themselves_in_the_map() -> None:
 
 
 @pytest.mark.parametrize("again", ["t/a.py", "t/a.py/", "t/a.py::renamed", "t", "t/"])
-def test_what_is_not_found_any_more_is_not_kept_in_the_map(again: str) -> None:
+def test_test_that_is_gone_is_removed_from_the_map(again: str) -> None:
     before = measured({"t/a.py::renamed[1]": {1}, "t/a.py::same": {1}, "t/ab.py::other": {1}, "other/c.py::own": {1}})
     after = before.updated(measured({"t/a.py::same": {2}, "t/a.py::new": {1}}), [again])
 
@@ -138,6 +138,6 @@ def test_what_is_not_found_any_more_is_not_kept_in_the_map(again: str) -> None:
     assert {test.id for test in after.reaching(Path("f.py"), [1])} == {"t/a.py::new", "other/c.py::own"} | kept
 
 
-def test_what_need_not_be_caught_is_listed_and_has_a_reason() -> None:
+def test_every_allowed_mutant_is_listed_and_has_a_reason() -> None:
     assert allowed().keys() <= {mutant.name for mutant in listed()}
     assert [name for name, entry in allowed().items() if not entry.reason] == []

@@ -89,7 +89,7 @@ def datagrams(lab: NatLab, place: Place, address: str, count: int) -> int:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_each_side_reaches_the_router_under_the_address_of_its_nat(lab: NatLab, side: Side) -> None:
+def test_each_side_reaches_the_router_from_its_nat_address(lab: NatLab, side: Side) -> None:
     assert ask(lab, side, ROUTER[side]) == OUTSIDE[side]
     assert datagrams(lab, side, ROUTER[side], 10) == 10
 
@@ -115,7 +115,7 @@ def test_so_many_packets_are_lost_on_one_side_only(lab: NatLab) -> None:
     assert datagrams(lab, "remote", ROUTER["remote"], 100) == 100
 
 
-def test_what_is_cut_stalls_and_goes_on_when_it_is_mended(lab: NatLab) -> None:
+def test_cut_link_stalls_and_continues_when_it_is_mended(lab: NatLab) -> None:
     talk = python(lab, "cell", TALK, ROUTER["cell"], PORT)
     assert said(talk) == OUTSIDE["cell"]
     assert talk.stdin is not None

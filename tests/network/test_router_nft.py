@@ -88,7 +88,7 @@ def test_the_router_is_reached_at_its_port_only(lab: NatLab) -> None:
     assert (ask(lab, PORT), ask(lab, "8000")) == (OUTSIDE["cell"], "")
 
 
-def test_a_flood_from_one_source_gets_few_connections_and_keeps_nobody_else_out(lab: NatLab) -> None:
+def test_flood_from_one_source_is_limited_and_bars_nobody_else(lab: NatLab) -> None:
     load(lab, RULES.read_text())
 
     assert flooded(lab) <= MOST_OPEN
@@ -99,7 +99,8 @@ def test_without_the_rules_all_of_a_flood_gets_through(lab: NatLab) -> None:
     assert flooded(lab) == 200
 
 
-def test_so_many_connections_of_a_source_stay_open_however_slowly_they_were_begun(lab: NatLab) -> None:
+def test_open_connections_of_a_source_are_limited_at_any_rate(lab: NatLab) -> None:
+    """They may have been opened slowly."""
     load(lab, RULES.read_text().replace("over 4/second burst 5 packets", "over 1000/second burst 1000 packets"))
 
     assert flooded(lab) == MOST_OPEN

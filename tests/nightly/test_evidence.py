@@ -33,7 +33,7 @@ def test_a_document_says_of_a_test_that_it_is_nightly_only(document: Path, colle
             assert each.nightly is all(instances[each.file, each.test]), each
 
 
-def test_every_promise_has_an_id_of_its_own_and_something_that_proves_it() -> None:
+def test_every_promise_has_its_own_id_and_a_proof() -> None:
     found = [promise for source in SOURCES for promise in promises(source)]
 
     assert len({promise.id for promise in found}) == len(found)

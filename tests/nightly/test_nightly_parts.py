@@ -101,7 +101,7 @@ def test_missed_mutants_have_failed_unless_enough_are_caught(wanted: float, fail
 
 @pytest.mark.parametrize("how", ["pytest", "faults", "explore", "mutants", "exit"])
 @pytest.mark.parametrize(("output", "code"), [("", 1), ("{", -9), ("[]", 2), ('{"faults": []}', 139)])
-def test_what_ended_badly_or_without_a_report_has_failed(tmp_path: Path, how: str, output: str, code: int) -> None:
+def test_part_without_a_valid_report_has_failed(tmp_path: Path, how: str, output: str, code: int) -> None:
     found = counted(how, tmp_path / "none.xml", output, code)  # type: ignore[arg-type]
 
     assert found.failed > 0
@@ -146,7 +146,7 @@ def test_publishing_replaces_only_parts_that_were_run(folder: Path) -> None:
     assert [(each.part, each.commit[0]) for each in published(path)] == [(first.name, "1"), (second.name, "2")]
 
 
-def test_what_is_published_is_readable() -> None:
+def test_published_results_are_readable() -> None:
     for result in published():
         assert isinstance(result, Result)
         assert re.fullmatch(r"[0-9a-f]{40}\+?", result.commit)

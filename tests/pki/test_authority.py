@@ -86,9 +86,7 @@ def test_every_role_meets_the_router_under_its_name(
     assert not met(server, client, host="other.lab")[1], "the router is not what the client has dialled"
 
 
-def test_nobody_is_let_in_by_a_certificate_that_is_foreign_or_over(
-    authority: Authority, tmp_path: Path, now: float
-) -> None:
+def test_foreign_or_expired_certificate_is_not_accepted(authority: Authority, tmp_path: Path, now: float) -> None:
     authority.issue("router", "gate", now, hosts=("127.0.0.1",), into=tmp_path)
     server = context_of(tmp_path / "gate", "gate", server=True)
     foreign = Authority.init(tmp_path / "foreign", "lab", now)
@@ -100,7 +98,7 @@ def test_nobody_is_let_in_by_a_certificate_that_is_foreign_or_over(
     assert met(server, context_of(tmp_path / "bob", "bob", server=False)) == ("CERTIFICATE_VERIFY_FAILED", False)
 
 
-def test_who_only_dials_cannot_be_taken_for_a_router(authority: Authority, tmp_path: Path, now: float) -> None:
+def test_client_certificate_does_not_serve_as_a_router(authority: Authority, tmp_path: Path, now: float) -> None:
     authority.issue("operator", "anna", now, into=tmp_path)
     authority.issue("viewer", "eve", now, into=tmp_path)
     server = context_of(tmp_path / "eve", "eve", server=True)
@@ -184,7 +182,7 @@ def test_only_who_is_dialled_has_hosts(authority: Authority, tmp_path: Path, now
 
 
 @pytest.mark.parametrize("cells", [(), ("",), ("lab",), ("lab/c1/x",), ("lab/C1",), ("lab/**",), ("lab/c1", "a b/c")])
-def test_what_is_no_cell_is_given_to_nobody(
+def test_certificate_for_an_invalid_cell_is_not_issued(
     authority: Authority, tmp_path: Path, now: float, cells: tuple[str, ...]
 ) -> None:
     with pytest.raises(ConfigurationError, match="is no cell"):
@@ -231,7 +229,7 @@ def test_the_register_says_which_routers_carry_a_person(authority: Authority, tm
         authority.issue("device", "arm", now, via=("gate",), into=tmp_path)
 
 
-def test_an_old_register_marks_nobody_and_none_has_the_name_of_who_is_on_site(authority: Authority) -> None:
+def test_old_register_marks_nobody_and_the_name_local_is_refused(authority: Authority) -> None:
     row = {"name": "anna", "role": "operator", "serial": "1", "begins": 0.0, "ends": 1.0}
     register = authority.folder / "register.json"
     register.write_text(json.dumps([row]))

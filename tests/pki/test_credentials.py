@@ -30,7 +30,7 @@ def folder(tmp_path: Path, now: float) -> Path:
     return tmp_path / "anna"
 
 
-def test_what_the_authority_issued_can_be_used(folder: Path, now: float) -> None:
+def test_issued_credentials_can_be_used(folder: Path, now: float) -> None:
     found = read_credentials(folder, now)
     assert (found.name, found.cells) == ("anna", ("lab/c1", "lab/c2"))
     assert {found.certificate, found.key, found.authority} == {
@@ -69,7 +69,9 @@ def exchange(file: str, source: str) -> Callable[[Path], object]:
         ),
     ],
 )
-def test_what_is_wrong_is_said(folder: Path, now: float, harm: Callable[[Path], object], why: str) -> None:
+def test_invalid_credentials_are_refused_with_the_reason(
+    folder: Path, now: float, harm: Callable[[Path], object], why: str
+) -> None:
     harm(folder)
     with pytest.raises(ConfigurationError, match=why):
         read_credentials(folder, now)

@@ -83,7 +83,7 @@ EPOCH = Epoch(pulse=7, muscle="fdi", rate_hz=5000.0, start=-0.1, samples=[1e-6, 
 HEALTH = report(WELL)
 
 
-async def test_everything_said_is_in_the_file_as_foxglove_shows_it_and_byte_for_byte(tmp_path: Path) -> None:
+async def test_messages_are_in_the_file_as_foxglove_and_as_raw_bytes(tmp_path: Path) -> None:
     file = tmp_path / "run.mcap"
     said = [
         ("state/joints", joints(velocities=[0.1] * 7)),
@@ -144,7 +144,7 @@ async def test_everything_said_is_in_the_file_as_foxglove_shows_it_and_byte_for_
 
 
 @pytest.mark.parametrize("kind", [Snapshot, ProcedureDataView, Epoch, Health, DeviceHealth])
-def test_the_schema_of_a_message_has_no_word_that_foxglove_refuses(kind: type[Message]) -> None:
+def test_message_schema_has_no_word_that_foxglove_refuses(kind: type[Message]) -> None:
     """As its reader of JSON schemas does, packages/mcap-support/src/parseJsonSchema.ts of Foxglove Studio 1."""
     schemas = [json_schema(kind)]
     assert schemas[0]["properties"].keys() == set(kind.__struct_fields__)
@@ -157,7 +157,7 @@ def test_the_schema_of_a_message_has_no_word_that_foxglove_refuses(kind: type[Me
             schemas += [shape] if shape["type"] == "object" else []
 
 
-async def test_times_are_those_of_the_measurement_and_lead_back_to_the_monotonic_clock(tmp_path: Path) -> None:
+async def test_times_are_of_the_measurement_and_map_to_monotonic_time(tmp_path: Path) -> None:
     file = tmp_path / "run.mcap"
     async with recording(file) as work:
         before = await work.hears()
@@ -178,7 +178,7 @@ async def test_times_are_those_of_the_measurement_and_lead_back_to_the_monotonic
             assert (log_time - int(origin["log_time_ns"])) / 1e9 == pytest.approx(since, abs=1e-6)
 
 
-def test_the_tree_of_frames_joins_what_the_tracker_sees_with_what_the_joints_say() -> None:
+def test_frame_tree_joins_tracked_bodies_and_the_joints() -> None:
     """The coil by the joints must lie where the tracker saw it, when the arm stood: that is what joins the two."""
     from pcmrs.recording.frame_tree import FrameTree
 
@@ -204,7 +204,7 @@ def test_the_tree_of_frames_joins_what_the_tracker_sees_with_what_the_joints_say
 @pytest.mark.parametrize(
     "payload", [b"", b"\xc1", b"{", pack(joints([0.0] * 3)), pack(joints([math.pi] * 6 + [1e300]))[:-9]]
 )
-def test_what_cannot_be_read_is_said_in_the_log_and_kept_as_it_was(payload: bytes) -> None:
+def test_unreadable_message_is_logged_and_stored_unchanged(payload: bytes) -> None:
     from pcmrs.recording.subscriber import RawSample
 
     views = RecordingViews(ARM, MOUNTING, 1.0)
@@ -215,7 +215,8 @@ def test_what_cannot_be_read_is_said_in_the_log_and_kept_as_it_was(payload: byte
     assert views.of(RawSample("state/unheard", payload, 1.0), 10**18) == []
 
 
-async def test_files_follow_each_other_the_oldest_go_and_each_can_be_understood_alone(tmp_path: Path) -> None:
+async def test_files_rotate_and_each_can_be_understood_alone(tmp_path: Path) -> None:
+    """The oldest ones are removed."""
     first = tmp_path / "run.mcap"
     limits = Limits(file_bytes=20_000, total_bytes=300_000)
     noise = random.Random(0)
@@ -242,9 +243,8 @@ async def test_files_follow_each_other_the_oldest_go_and_each_can_be_understood_
     assert any(text.startswith("run.0001.mcap") and "was removed" in text for text in log)
 
 
-async def test_a_full_disk_ends_the_recording_with_an_event_and_leaves_what_was_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_full_disk_ends_the_recording_with_an_event(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was written stays."""
     first = tmp_path / "run.mcap"
     usage = namedtuple("usage", "total used free")
     events: asyncio.Queue[DeviceEvent] = asyncio.Queue()
@@ -263,7 +263,7 @@ async def test_a_full_disk_ends_the_recording_with_an_event_and_leaves_what_was_
     assert "/state" in [topic for topic, _, _, _ in decoded(first)]
 
 
-async def test_a_failed_write_ends_the_recording_and_the_writer_never_hears_of_it(
+async def test_failed_write_ends_the_recording_without_a_writer_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     first = tmp_path / "run.mcap"
@@ -287,7 +287,7 @@ async def test_a_failed_write_ends_the_recording_and_the_writer_never_hears_of_i
     assert "error logging message" not in capfd.readouterr().err
 
 
-def test_a_name_that_is_taken_or_topics_that_overlap_are_refused_before_anything_is_written(tmp_path: Path) -> None:
+def test_taken_name_or_overlapping_topics_are_refused_at_once(tmp_path: Path) -> None:
     path_of(tmp_path / "run.mcap", 7).touch()
     for name in ("run.mcap", "run.bag", "missing/run.mcap"):
         with pytest.raises(ConfigurationError):
@@ -317,7 +317,7 @@ def test_a_message_of_the_bus_comes_back_as_it_was(monotonic: float, payload: by
             raw.decode(encoded[:cut])
 
 
-def test_the_schema_of_a_message_of_the_bus_is_what_protobuf_itself_would_write() -> None:
+def test_bus_message_schema_is_what_protobuf_would_write() -> None:
     from google.protobuf import descriptor_pb2
 
     expected = descriptor_pb2.FileDescriptorSet()

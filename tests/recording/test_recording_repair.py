@@ -74,7 +74,7 @@ def saved(content: bytes, folder: Path) -> tuple[list[bytes], RecordingReader]:
 
 
 @pytest.mark.parametrize("step", [1009, pytest.param(1, marks=[pytest.mark.nightly, pytest.mark.timeout(1800)])])
-def test_a_file_cut_anywhere_gives_its_first_messages_and_says_what_is_lost(
+def test_file_cut_anywhere_gives_its_first_messages_and_the_loss(
     whole: tuple[bytes, list[bytes]], tmp_path: Path, step: int
 ) -> None:
     """More bytes never give fewer messages."""
@@ -132,7 +132,7 @@ def test_a_repaired_file_is_whole_for_another_reader(whole: tuple[bytes, list[by
 
 @pytest.mark.parametrize("chunked", [True, False])
 @pytest.mark.parametrize("schema", [0, 9])
-def test_what_nothing_declares_is_damage(tmp_path: Path, schema: int, chunked: bool) -> None:
+def test_undeclared_channel_or_schema_is_damage(tmp_path: Path, schema: int, chunked: bool) -> None:
     """Found by `fuzz.recordings`: a repair ended with a `KeyError`, and left half a file."""
     damaged = tmp_path / "damaged.mcap"
     with damaged.open("wb") as file:
@@ -181,14 +181,14 @@ def test_a_chunk_that_would_fill_the_memory_is_damage(tmp_path: Path, frame_says
     assert f"{BOMB} bytes when decompressed" in reading.damage
 
 
-def test_a_chunk_in_a_compression_that_pcmrs_does_not_write_is_damage(tmp_path: Path) -> None:
+def test_chunk_in_an_unknown_compression_is_damage(tmp_path: Path) -> None:
     write_chunk(tmp_path / "run.mcap", "lz4", b"", size=0)
     reading = RecordingReader(tmp_path / "run.mcap")
     assert [type(record).__name__ for record in reading.records()] == ["Header"]
     assert "'lz4'" in reading.damage
 
 
-def test_a_killed_writer_loses_only_what_came_after_its_last_flush(tmp_path: Path) -> None:
+def test_killed_writer_loses_only_data_after_its_last_flush(tmp_path: Path) -> None:
     program = f"""
 import os, signal, sys
 sys.path[:0] = {sys.path!r}

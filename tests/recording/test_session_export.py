@@ -48,7 +48,7 @@ def exported(settings: Settings, journal: Path, folder: Path, session: str | Non
     return export_session(settings, journal, session, folder, lambda *_: None)
 
 
-async def test_what_is_missing_is_said_and_a_cut_journal_is_exported_as_not_sound(tmp_path: Path) -> None:
+async def test_missing_file_is_reported_and_a_cut_journal_is_not_sound(tmp_path: Path) -> None:
     settings, journal = await written(tmp_path)
     good = exported(settings, journal, tmp_path / "good")
     assert good.session == "second-session"
@@ -71,7 +71,7 @@ async def test_what_is_missing_is_said_and_a_cut_journal_is_exported_as_not_soun
     assert "NOT SOUND" in (tmp_path / "cut" / "README.txt").read_text()
 
 
-async def test_nothing_is_made_for_a_session_that_is_unknown_or_not_one_or_into_a_folder_in_use(tmp_path: Path) -> None:
+async def test_unknown_session_or_used_folder_exports_nothing(tmp_path: Path) -> None:
     settings, journal = await written(tmp_path)
     out, used = tmp_path / "out", tmp_path / FOLDER
     before = sorted(used.iterdir())

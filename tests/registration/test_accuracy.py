@@ -112,7 +112,7 @@ def test_residual_and_target_error_are_uncorrelated() -> None:
     assert abs(np.corrcoef(residuals, errors)[0, 1]) < 0.06
 
 
-def test_what_cannot_be_predicted_is_refused() -> None:
+def test_invalid_arguments_of_a_prediction_are_refused() -> None:
     with pytest.raises(GeometryError, match="targets"):
         predict_tre(HEAD, (1.0, 2.0), 0.001)
     for noise in (0.0, -0.001, np.nan):

@@ -93,7 +93,7 @@ def test_the_covariance_is_the_scatter_of_many_calibrations() -> None:
     assert sum(bool(each.bad) for each in found) <= 7, "no pose is bad"
 
 
-def test_weights_make_it_better_than_the_closed_form_where_rotations_are_noisy() -> None:
+def test_weights_beat_the_closed_form_if_rotations_are_noisy() -> None:
     rng = np.random.default_rng(3)
     refined, closed = [], []
     for _ in range(60):
@@ -126,7 +126,7 @@ def test_tool_poses_in_the_wrong_order_show_in_the_residual() -> None:
     assert np.degrees(found.rms_angle) > 5.0
 
 
-def test_where_nobody_can_say_which_poses_are_bad_there_is_no_calibration() -> None:
+def test_indistinguishable_bad_poses_give_no_calibration() -> None:
     rng = np.random.default_rng(5)
     flange, tool = measured(rng, 20)
     for bad in (1, 4, 8, 9, 15, 17):

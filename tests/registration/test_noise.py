@@ -24,7 +24,7 @@ def test_a_prior_counts_as_much_as_its_degrees() -> None:
 
 
 @pytest.mark.parametrize(("distances", "count"), [([0.001, 0.001], 2), ([0.001, math.nan, 0.001], 3)])
-def test_what_says_nothing_of_noise_is_refused(distances: list[float], count: int) -> None:
+def test_residuals_that_cannot_show_noise_are_refused(distances: list[float], count: int) -> None:
     with pytest.raises(GeometryError, match="say nothing of noise"):
         NoiseEstimate().with_residuals(distances, count)
 

@@ -86,7 +86,7 @@ def test_bad_poses_are_named_and_left_out(count: int, bad: list[int]) -> None:
     assert np.linalg.norm(found.tip_in_pointer - TIP) < 2e-4
 
 
-def test_where_nobody_can_say_which_poses_are_bad_there_is_no_calibration() -> None:
+def test_indistinguishable_bad_poses_give_no_calibration() -> None:
     rng = np.random.default_rng(4)
     poses = poses_about(rng, 30, NOISE)
     bad = list(range(0, 30, 3))

@@ -182,7 +182,7 @@ HALF = TRUTH @ on_head(above(np.random.default_rng(9), 60))
         ({"sigma_surface": 0.05}, "tre_not_lowered"),
     ],
 )
-def test_what_would_not_help_is_refused(given: dict[str, Any], code: str | None) -> None:
+def test_refinement_that_would_not_help_is_refused(given: dict[str, Any], code: str | None) -> None:
     clean = {"landmarks_body_ref": TRUTH @ LANDMARKS, "registration": TRUTH}
     if code is None:
         refine(7, **clean, **given)

@@ -79,7 +79,7 @@ def test_good_sets_are_accepted(case: Case) -> None:
 
 
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
-def test_an_accepted_set_passes_every_gate_and_its_error_is_predicted(case: Case) -> None:
+def test_accepted_set_passes_every_gate_and_predicts_its_error(case: Case) -> None:
     digitized = case.touch(np.random.default_rng(2))
     verdict = case.judge(digitized)
     assert verdict.accepted
@@ -114,7 +114,7 @@ def test_published_errors_are_refused_and_the_landmark_is_named(
     assert mentioned >= 198
 
 
-def test_one_landmark_off_by_10_mm_is_named_where_the_residual_limit_misses_it() -> None:
+def test_landmark_off_by_10_mm_is_named_where_residual_misses_it() -> None:
     case, runs = CASES["head"], 300
     digitized, index = off_by_10_mm(np.random.default_rng(4), runs)
     verdicts = [case.judge(each) for each in digitized]
@@ -147,7 +147,7 @@ def test_two_landmarks_touched_in_the_wrong_order_are_named(case: Case) -> None:
     assert told >= 95  # the rest is refused as well, for what noise adds to it
 
 
-def test_a_ring_of_three_is_named_and_nine_landmarks_are_tried_in_pairs() -> None:
+def test_ring_of_three_is_named_and_nine_are_tried_in_pairs() -> None:
     case, rng = CASES["head"], np.random.default_rng(6)
     ring = (0, 4, 2, 3, 5, 1)
     verdict = case.judge(case.touch(rng)[list(ring)])
@@ -178,7 +178,7 @@ def test_a_wrong_unit_is_named(planned_unit: float, digitized_unit: float, said:
     assert verdict.registration is None
 
 
-def test_all_landmarks_digitized_at_one_place_are_not_taken_for_a_unit_alone() -> None:
+def test_landmarks_at_one_place_are_no_mere_unit_error() -> None:
     case, place = CASES["head"], np.tile((0.1, 0.2, 0.3), (6, 1))
     with pytest.raises(DegeneratePointsError, match="coincide"):
         case.judge(place)
@@ -200,14 +200,15 @@ def test_a_flipped_image_is_named(case: Case) -> None:
         assert verdict.registration is None
 
 
-def test_all_left_and_right_landmarks_exchanged_is_a_mirror_image() -> None:
+def test_exchange_of_all_left_and_right_is_a_mirror_image() -> None:
     """A head is as good as symmetric: nothing tells a flipped image from exchanged sides, and the text says both."""
     gate = refused(CASES["head"].judge(CASES["head"].touch(np.random.default_rng(14))[[0, 1, 3, 2, 5, 4]]))
     assert gate.name == "mirrored"
     assert "left and right points are exchanged" in gate.text
 
 
-def test_a_target_far_from_the_landmarks_is_refused_and_an_unknown_one_is_told() -> None:
+def test_target_far_from_the_landmarks_is_refused() -> None:
+    """If the target is unknown, the prediction is for the centroid, and the text says so."""
     case, digitized = CASES["head"], CASES["head"].touch(np.random.default_rng(9))
     far = replace(case, target=np.array([0.0, -0.25, 0.25])).judge(digitized)
     gate = refused(far)
@@ -263,7 +264,7 @@ def test_covariances_decide_what_is_an_outlier() -> None:
     assert refused(verdicts[1]).name == "landmark_outlier"
 
 
-def test_false_alarms_with_covariances_are_as_many_as_told() -> None:
+def test_false_alarms_with_covariances_are_as_rare_as_stated() -> None:
     case, rng = CASES["femur"], np.random.default_rng(13)
     root = np.diag((0.0005, 0.0005, 0.0015)) @ any_motion(rng).rotation
     covariances = np.tile(root @ root.T, (4, 1, 1))
@@ -288,7 +289,7 @@ def test_the_verdict_does_not_depend_on_the_frames(seed: int) -> None:
     assert [gate.value for gate in here.gates] == pytest.approx([gate.value for gate in there.gates], rel=1e-6)
 
 
-def test_what_cannot_be_judged_raises() -> None:
+def test_invalid_landmark_sets_raise() -> None:
     case = CASES["head"]
     with pytest.raises(GeometryError, match="5 moving"):
         judge(HEAD[:5], HEAD, case.limits, names=HEAD_NAMES, target=None)

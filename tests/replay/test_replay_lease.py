@@ -59,7 +59,7 @@ async def handed_on(*, in_motion: str) -> Course:
 
 
 @pytest.mark.parametrize("in_motion", ["lost", "taken"])
-def test_who_held_the_cell_is_decided_again(in_motion: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lease_decisions_are_replayed(in_motion: str, monkeypatch: pytest.MonkeyPatch) -> None:
     course = on_simulated_time(handed_on(in_motion=in_motion))
     codes = [each.row.verdict.reason.code for each in course.rows if each.row.verdict and each.row.verdict.reason]
     assert {"lease_held", "role_not_allowed", "bad_arguments", "not_holder"} <= set(codes)

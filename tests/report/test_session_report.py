@@ -119,7 +119,7 @@ def test_the_page_says_what_the_journal_says(workflow: str, tmp_path: Path) -> N
     assert "Research software, not a medical device. Simulated:" in page.words
 
 
-def test_every_landmark_has_its_distance_and_every_gate_its_value(tmp_path: Path) -> None:
+def test_landmarks_have_their_distances_and_gates_their_values(tmp_path: Path) -> None:
     rows = golden_rows("ratms")
     page = page_of(write_journal(rows[:40], tmp_path / "j.sqlite"))
     ((_, row),) = [each for each in outcomes(rows[:40], "accepted") if name(each[1]) == "registration.register"]
@@ -134,7 +134,7 @@ def test_every_landmark_has_its_distance_and_every_gate_its_value(tmp_path: Path
     assert float(cells[2]) == pytest.approx(gates["landmark_outlier"]["value"], rel=1e-3)
 
 
-def test_page_and_pdf_are_the_same_every_time_wherever_the_journal_lies(tmp_path: Path) -> None:
+def test_page_and_pdf_are_reproducible_wherever_the_journal_lies(tmp_path: Path) -> None:
     journal = write_journal(golden_rows("ratms_threshold"), tmp_path / "cell" / "ratms_threshold.sqlite")
     shutil.copytree(journal.parent, tmp_path / "copy")
     written = []
@@ -148,7 +148,7 @@ def test_page_and_pdf_are_the_same_every_time_wherever_the_journal_lies(tmp_path
     assert str(tmp_path).encode() not in html + pdf
 
 
-def test_the_page_runs_nothing_and_loads_nothing_and_text_of_a_journal_is_text(tmp_path: Path) -> None:
+def test_page_runs_and_loads_nothing_and_journal_text_is_text(tmp_path: Path) -> None:
     def poison(row: Row) -> None:
         result = row.get("result") or {}
         if row["kind"] == "config":
@@ -189,7 +189,7 @@ def test_the_numbers_are_there_for_programs(tmp_path: Path) -> None:
     assert [run["in_order"] for run in found["runs"]] == [False, True]
 
 
-def test_one_session_is_reported_and_another_patient_is_never_in_it(tmp_path: Path) -> None:
+def test_one_session_is_reported_without_any_other_patient(tmp_path: Path) -> None:
     def other_patient(row: Row) -> None:
         if row["kind"] == "config" and row["session_id"] == second:
             row["result"]["settings"]["procedure"]["patient"] = "another"
@@ -211,7 +211,7 @@ def test_one_session_is_reported_and_another_patient_is_never_in_it(tmp_path: Pa
     assert second in err
 
 
-def test_what_had_begun_and_a_stop_that_nobody_acknowledged_are_on_the_first_page(tmp_path: Path) -> None:
+def test_first_page_shows_unfinished_commands_and_open_stops(tmp_path: Path) -> None:
     rows = golden_rows("ratms")
     begun = next(number for number, row in enumerate(rows) if (row["kind"], row["operation"]) == ("intent", "confirm"))
     page = page_of(write_journal(rows[: begun + 1], tmp_path / "begun" / "j.sqlite"))
@@ -289,9 +289,8 @@ def test_values_that_no_program_of_ours_writes_are_refused(settings: Any, tmp_pa
     ],
     ids=["rows cut off", "a bit", "no key"],
 )
-def test_a_damaged_journal_is_reported_as_far_as_it_is_good_and_says_so_first(
-    damage: Any, rows: int, said: str, tmp_path: Path
-) -> None:
+def test_damaged_journal_is_reported_as_far_as_it_is_good(damage: Any, rows: int, said: str, tmp_path: Path) -> None:
+    """The page says first that it is not complete."""
     journal = write_journal(golden_rows("ratms"), tmp_path / "j.sqlite")
     damage(journal)
     before = journal.read_bytes()
@@ -304,7 +303,7 @@ def test_a_damaged_journal_is_reported_as_far_as_it_is_good_and_says_so_first(
     assert journal.read_bytes() == before
 
 
-def test_where_nothing_can_be_read_an_error_says_so_and_nothing_is_written(tmp_path: Path) -> None:
+def test_unreadable_source_is_an_error_and_nothing_is_written(tmp_path: Path) -> None:
     journal = write_journal(golden_rows("ratms")[:20], tmp_path / "cell" / "j.sqlite")
     turn_bit(journal, 1)
     text, empty, two = tmp_path / "text", tmp_path / "empty", tmp_path / "two"

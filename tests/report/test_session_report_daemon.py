@@ -69,7 +69,7 @@ def run(*words: object) -> tuple[int, str]:
 
 
 @pytest.mark.nightly
-def test_an_exported_session_is_reported_with_the_hashes_of_its_files(tmp_path: Path) -> None:
+def test_exported_session_is_reported_with_its_file_hashes(tmp_path: Path) -> None:
     cell = tmp_path / "cell"
     cell.mkdir()
     own = [each for each in own_settings(cell, f"report-{os.getpid()}") if not each.startswith("recording.")]

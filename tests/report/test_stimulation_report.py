@@ -104,7 +104,7 @@ def test_every_pulse_and_every_refusal_has_a_row() -> None:
     assert sum(name == "tr" and given.get("class") == "bad" for name, given in shown.elements) == 2
 
 
-def test_what_a_record_says_is_text() -> None:
+def test_markup_in_a_record_is_shown_as_text() -> None:
     evil = '<script>alert("1")</script>'
     altered = msgspec.structs.replace(
         record(),
@@ -185,7 +185,7 @@ def test_facts_are_worked_out_from_the_truth() -> None:
     assert facts.refused == 4
 
 
-def test_without_truth_nothing_is_said_of_it() -> None:
+def test_errors_are_unknown_without_the_truth() -> None:
     facts = facts_of(msgspec.structs.replace(record(), truth=None))
     assert (facts.hotspot_error_mm, facts.threshold_error, facts.inside) == (None, None, None)
 

@@ -21,7 +21,7 @@ def test_a_missing_package_is_named_with_what_brings_it(monkeypatch: pytest.Monk
     assert "install the extra ros2" in done.stderr
 
 
-def test_without_a_daemon_it_says_so() -> None:
+def test_missing_daemon_is_reported() -> None:
     done = CliRunner().invoke(main, ["ros2", "--set", f"cell.endpoint=tcp/127.0.0.1:{free_port()}"])
     assert done.exit_code == 3
     assert "No daemon answers" in done.stderr

@@ -141,7 +141,7 @@ async def test_joints_are_a_joint_state_and_the_flange_a_frame() -> None:
         assert ear.encodings == {"application/cdr"}
 
 
-async def test_a_tracked_body_is_a_pose_and_a_frame_and_one_that_is_not_seen_is_neither() -> None:
+async def test_tracked_body_is_pose_and_frame_and_unseen_is_neither() -> None:
     async with copied() as (cell, ear):
         await say_until(
             cell,
@@ -171,7 +171,7 @@ async def test_the_arm_hangs_from_the_tracker_where_the_coil_was_seen() -> None:
         assert distance(by_joints, COIL) < 1e-9
 
 
-async def test_the_image_is_a_frame_for_as_long_as_there_is_a_registration() -> None:
+async def test_image_is_a_frame_while_there_is_a_registration() -> None:
     async with copied() as (cell, ear):
         x, y, z = IMAGE.translation.tolist()
         w, i, j, k = IMAGE.quat_wxyz.tolist()
@@ -189,7 +189,7 @@ def newest(ear: Ear) -> list[str]:
     return [each.child_frame_id for each in cdr.TFMessage.deserialize(ear.heard["tf"][-1]).transforms]
 
 
-async def test_the_state_is_the_snapshot_as_json_also_for_who_comes_late() -> None:
+async def test_state_is_the_snapshot_as_json_also_for_late_subscribers() -> None:
     async with copied() as (cell, ear):
         cell.publish("state/fsm", snapshot(7))
         await until(lambda: "state" in ear.heard)
@@ -220,7 +220,7 @@ async def test_topics_are_announced_as_bridges_announce_them() -> None:
     assert TF_STATIC.token("ccad", "cell").endswith(":1:1:0,1")
 
 
-async def test_joints_of_another_arm_are_not_copied_and_nothing_else_ends() -> None:
+async def test_joints_of_another_arm_are_not_copied_and_nothing_ends() -> None:
     async with copied() as (cell, ear):
         await say_until(
             cell,
@@ -243,7 +243,7 @@ class FrozenClock(SystemClock):
         return self.unix
 
 
-def test_messages_that_were_held_up_keep_the_times_at_which_they_were_measured() -> None:
+def test_delayed_messages_keep_their_times_of_measurement() -> None:
     """Another machine's clock, 7 s behind ours; the second message comes 0.2 s late, together with the third."""
     clock = FrozenClock()
     stamps = Stamps(clock, 1.0)
@@ -255,6 +255,6 @@ def test_messages_that_were_held_up_keep_the_times_at_which_they_were_measured()
 
 
 @pytest.mark.parametrize("captured", [math.nan, math.inf, -math.inf, 94.0])
-def test_a_sender_without_sense_is_stamped_when_it_is_heard(captured: float) -> None:
+def test_implausible_sender_time_is_replaced_by_the_arrival(captured: float) -> None:
     clock = FrozenClock()
     assert Stamps(clock, 1.0).of(captured, 93.0) == pytest.approx(1e9, abs=1e-6)

@@ -119,7 +119,7 @@ async def test_a_body_whose_pose_does_not_come_is_not_seen() -> None:
         ((0.0, math.inf, 0.0, 1.0), 0.0, "not_finite"),
     ],
 )
-async def test_what_is_no_pose_is_a_body_that_is_not_seen(quat_xyzw: tuple[float, ...], x: float, reason: str) -> None:
+async def test_invalid_pose_is_an_unseen_body(quat_xyzw: tuple[float, ...], x: float, reason: str) -> None:
     async with room() as ros:
 
         def put() -> None:
@@ -143,9 +143,7 @@ async def test_what_is_no_pose_is_a_body_that_is_not_seen(quat_xyzw: tuple[float
     ],
     ids=["old", "ahead", "frame", "bytes", "type"],
 )
-async def test_what_cannot_be_used_is_told_and_good_poses_end_the_trouble(
-    put: Callable[[Room], None], says: str
-) -> None:
+async def test_unusable_poses_are_reported_until_good_ones_come(put: Callable[[Room], None], says: str) -> None:
     async with room() as ros:
         await ros.until_troubled(says, lambda: put(ros))
         assert all(not seen(ros.frames.get_nowait()) for _ in range(ros.frames.qsize()))
@@ -153,7 +151,7 @@ async def test_what_cannot_be_used_is_told_and_good_poses_end_the_trouble(
         assert ros.tracker.trouble == ""
 
 
-async def test_stamps_that_go_back_give_no_frames_and_silence_is_told() -> None:
+async def test_stamps_that_go_back_give_no_frames() -> None:
     async with room() as ros:
         first = await ros.until(seen, ros.put)
         before = CLOCK.wall() - 0.1
@@ -172,7 +170,7 @@ async def test_ros_cannot_speak_of_bodies_that_are_not_configured() -> None:
         assert list(await ros.until(seen, lambda: ros.put("coil", "witness"))) == ["coil"]
 
 
-async def test_poses_go_on_when_the_clocks_of_both_sides_are_set(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_poses_continue_if_the_clocks_of_both_sides_are_set(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = SetClock()
     monkeypatch.setattr("test_ros2_tracker.CLOCK", clock)
     async with room() as ros:

@@ -97,7 +97,7 @@ def test_nobody_dials_another_machine_without_an_identity() -> None:
 @pytest.mark.parametrize(
     ("name", "why"), [("c2", "foreign"), ("c3", "revoked"), ("old", "expired"), ("nobody", "unknown")]
 )
-def test_who_may_not_take_part_has_no_role(lab: Path, name: str, why: str) -> None:
+def test_user_without_access_has_no_role(lab: Path, name: str, why: str) -> None:
     settings = settings_of(lab, "c1")
     with pytest.raises(AccessError) as refused:
         settings.role_of(name)

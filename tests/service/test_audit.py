@@ -47,7 +47,8 @@ async def test_a_sound_journal_is_logged_and_nothing_is_reported(path: Path) -> 
     assert [(each["event"], each["rows"]) for each in logs] == [("journal_verified", 3)]
 
 
-async def test_a_damaged_journal_is_reported_with_its_first_bad_row_and_what_to_do(path: Path) -> None:
+async def test_damaged_journal_is_reported_with_bad_row_and_remedy(path: Path) -> None:
+    """The row is the first bad one."""
     damage(path)
     found, reported = verify(path), list[DeviceEvent]()
     assert not found.sound

@@ -74,7 +74,7 @@ def latched(**other: Any) -> GateState:
     return msgspec.structs.replace(RELEASED, latched=True, **other)
 
 
-def test_a_device_that_is_latched_while_the_daemon_is_not_is_one_stop(watch: GateWatch, daemon: Daemon) -> None:
+def test_latched_device_of_an_unlatched_daemon_is_one_stop(watch: GateWatch, daemon: Daemon) -> None:
     watch.take("robot", RELEASED)
     assert daemon.events == []
     for _ in range(5):
@@ -97,7 +97,7 @@ def test_before_the_first_connect_all_devices_are_latched(watch: GateWatch, daem
     assert len(daemon.events) == 1, "afterwards it counts, connected or not"
 
 
-def test_while_the_daemon_is_latched_a_latched_device_is_as_it_must_be(watch: GateWatch, daemon: Daemon) -> None:
+def test_latched_device_is_expected_while_the_daemon_is_latched(watch: GateWatch, daemon: Daemon) -> None:
     daemon.latched = True
     watch.take("robot", latched(epoch=2))
     assert daemon.events == []
@@ -106,7 +106,7 @@ def test_while_the_daemon_is_latched_a_latched_device_is_as_it_must_be(watch: Ga
     assert len(daemon.events) == 1, "it was latched after it had been released, and nobody has seen it"
 
 
-def test_a_device_that_could_not_be_released_is_known_to_be_latched(
+def test_device_that_could_not_be_released_is_known_as_latched(
     watch: GateWatch, daemon: Daemon, device: Device
 ) -> None:
     device.unreleased = ("n", 2)
@@ -116,9 +116,7 @@ def test_a_device_that_could_not_be_released_is_known_to_be_latched(
     assert len(daemon.events) == 1
 
 
-async def test_a_device_that_acts_for_an_earlier_daemon_is_taken_over_once(
-    watch: GateWatch, daemon: Daemon, device: Device
-) -> None:
+async def test_device_of_an_earlier_daemon_is_taken_over_once(watch: GateWatch, daemon: Daemon, device: Device) -> None:
     for _ in range(3):
         watch.take("robot", msgspec.structs.replace(RELEASED, daemon="earlier"))
     await asyncio.gather(*daemon.tasks)

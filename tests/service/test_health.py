@@ -13,7 +13,7 @@ from pcmrs.service.watches.readiness import DeviceReadiness
 from pcmrs.testing.clock import ManualClock
 
 
-async def test_a_device_is_told_when_it_is_lost_for_another_reason_and_there_again() -> None:
+async def test_device_is_logged_if_lost_for_a_new_reason_and_if_back() -> None:
     hearing = DeviceReadiness({"tracker"}, ManualClock())
     watch = HealthWatch(hearing, PoseFeed(ManualClock(), 0.25))
     with capture_logs() as told:
@@ -34,7 +34,7 @@ async def test_a_device_is_told_when_it_is_lost_for_another_reason_and_there_aga
     assert hearing.complete
 
 
-async def test_a_refusal_for_want_of_poses_says_what_the_tracker_says_of_itself() -> None:
+async def test_refusal_for_lack_of_poses_has_the_tracker_trouble() -> None:
     feed = PoseFeed(ManualClock(), 0.25)
     watch = HealthWatch(DeviceReadiness(set(), ManualClock()), feed)
     watch.take("", DeviceHealth(device="tracker", connected=False, text="Nothing listens there. Check its cable."))

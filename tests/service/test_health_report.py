@@ -64,7 +64,7 @@ ILLNESSES: list[tuple[HealthFacts, str, str, str]] = [
 """Facts, the verdict, its code, and a part of what is said."""
 
 
-def test_a_daemon_that_is_well_has_no_reasons_and_keeps_its_facts() -> None:
+def test_healthy_daemon_has_no_reasons_and_keeps_its_facts() -> None:
     health = report(WELL)
     assert (health.status, health.reasons) == ("ok", [])
     assert [getattr(health, name) for name in HealthFacts.__struct_fields__] == [
@@ -73,7 +73,7 @@ def test_a_daemon_that_is_well_has_no_reasons_and_keeps_its_facts() -> None:
 
 
 @pytest.mark.parametrize(("facts", "status", "code", "said"), ILLNESSES)
-def test_each_illness_is_one_reason_with_what_was_found_and_what_to_do(
+def test_each_fault_is_one_reason_with_finding_and_remedy(
     facts: HealthFacts, status: str, code: str, said: str
 ) -> None:
     health = report(facts)
@@ -95,21 +95,22 @@ def test_each_illness_is_one_reason_with_what_was_found_and_what_to_do(
         ill(strays=5, dropped={"bus.replaced": 10_000}),
     ],
 )
-def test_what_was_once_and_what_is_within_its_limit_is_no_illness(facts: HealthFacts) -> None:
+def test_past_or_tolerated_conditions_are_no_fault(facts: HealthFacts) -> None:
     assert report(facts).status == "ok"
 
 
-def test_a_failed_journal_is_told_once_though_the_dispatcher_stopped_for_it() -> None:
+def test_failed_journal_is_reported_once_despite_the_fail_stop() -> None:
     facts = ill(journal=journal(STUCK_DISK + 1, "No space left."), fail_stop="journal_unavailable: No space left.")
     assert [reason.code for reason in reasons(facts)] == ["journal_failed"]
 
 
-def test_devices_of_a_node_that_was_given_up_are_not_told_again() -> None:
+def test_devices_of_a_node_given_up_are_not_reported_again() -> None:
     facts = ill(nodes=[GIVEN_UP], devices=[GONE])
     assert [reason.code for reason in reasons(facts)] == ["node_given_up"]
 
 
-def test_the_devices_of_a_silent_node_are_told_together_and_not_as_disconnected() -> None:
+def test_devices_of_a_silent_node_are_one_reason() -> None:
+    """They are not reported as disconnected."""
     silent = [replace(SILENT, device=name, connected=name == "robot") for name in ("robot", "emg")]
     (reason,) = reasons(ill(devices=silent))
     assert reason.code == "node_silent"

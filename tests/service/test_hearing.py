@@ -28,13 +28,14 @@ ELSEWHERE = Settings(robot=RobotSettings(driver="none"), tracker=DeviceSettings(
         (Settings(scene=NOWHERE, emg=NOWHERE), ["lamp"], {"robot", "tracker", "pointer", "stimulator"}),
     ],
 )
-def test_what_is_started_here_or_needed_by_the_workflow_is_waited_for(
+def test_devices_started_here_or_required_are_waited_for(
     settings: Settings, branches: list[str], devices: set[str]
 ) -> None:
+    """The workflow requires some of them."""
     assert awaited(settings, branches) == devices
 
 
-async def test_all_awaited_devices_must_be_heard() -> None:
+async def test_all_awaited_devices_must_be_ready() -> None:
     hearing = DeviceReadiness({"robot", "tracker"}, ManualClock())
     hearing.hear("tracker")
     assert not hearing.complete
@@ -58,7 +59,7 @@ async def test_a_device_that_ends_ends_the_wait() -> None:
         await hearing.wait()
 
 
-async def test_a_device_that_is_not_heard_in_time_is_named() -> None:
+async def test_device_that_is_not_ready_in_time_is_named() -> None:
     clock = ManualClock()
     hearing = DeviceReadiness({"robot", "tracker"}, clock)
     with capture_logs() as log:

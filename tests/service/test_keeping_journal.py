@@ -75,7 +75,7 @@ async def cell() -> AsyncIterator[Cell]:
 
 
 @pytest.mark.parametrize("before", [True, False])
-async def test_it_is_tried_again_once_in_a_while_until_the_disk_lets_it(cell: Cell, before: bool) -> None:
+async def test_reopening_is_retried_at_intervals_until_it_succeeds(cell: Cell, before: bool) -> None:
     cell.broken = FAILED if before else None
     cell.keep()
     await settle()
@@ -96,7 +96,7 @@ async def test_it_is_tried_again_once_in_a_while_until_the_disk_lets_it(cell: Ce
 
 
 @pytest.mark.parametrize("code", ["internal_error", "ending"])
-async def test_what_was_not_the_journal_is_left_to_a_restart(cell: Cell, code: str) -> None:
+async def test_failure_outside_the_journal_is_left_to_a_restart(cell: Cell, code: str) -> None:
     cell.broken = Reason(code=code, text="Not the disk.")
     cell.keep()
     await settle()

@@ -96,7 +96,7 @@ def test_the_table_in_the_documentation_is_the_one_of_the_code() -> None:
     assert len(rows) == len(made)
 
 
-async def test_a_loop_that_is_blocked_is_told_of_in_place_of_its_facts() -> None:
+async def test_blocked_loop_is_reported_in_place_of_its_facts() -> None:
     told: list[dict[tuple[str, tuple[str, ...]], float]] = []
     async with serving(MetricsServer(0)) as address:
         thread = threading.Thread(target=lambda: told.append(samples(scrape(address))))
@@ -108,7 +108,7 @@ async def test_a_loop_that_is_blocked_is_told_of_in_place_of_its_facts() -> None
     assert [name for name, _ in blocked if name.startswith("pcmrs_")] == ["pcmrs_loop_answers"]
 
 
-async def test_facts_are_read_in_the_loop_and_not_for_somebody_who_has_gone() -> None:
+async def test_facts_are_read_in_the_loop_and_not_for_absent_askers() -> None:
     loop, readers = asyncio.get_running_loop(), list[int]()
 
     def read() -> Health:
@@ -123,7 +123,7 @@ async def test_facts_are_read_in_the_loop_and_not_for_somebody_who_has_gone() ->
     assert readers == [threading.get_ident()]
 
 
-async def test_a_port_that_is_taken_is_told_and_no_reason_not_to_go_on() -> None:
+async def test_port_in_use_is_logged_and_does_not_end_the_daemon() -> None:
     with socket.socket() as other:
         other.bind((HOST, 0))
         other.listen()

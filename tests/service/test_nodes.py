@@ -55,9 +55,8 @@ async def until(condition: Callable[[], object]) -> None:
             await asyncio.sleep(0.01)
 
 
-async def test_a_node_that_keeps_ending_is_given_up_as_danger_and_the_daemon_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_node_that_keeps_ending_is_given_up_as_danger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The daemon continues."""
     bench = Bench(tmp_path, monkeypatch, "exit 7")
     async with bench.supervisor:
         bench.nodes.start(bench.supervisor)
@@ -73,7 +72,7 @@ async def test_a_node_that_keeps_ending_is_given_up_as_danger_and_the_daemon_goe
     assert bench.supervisor.died == 0
 
 
-async def test_a_node_that_ends_while_the_daemon_starts_is_not_begun_anew(
+async def test_node_that_ends_during_the_start_is_not_restarted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = Bench(tmp_path, monkeypatch, "exit 1")
@@ -86,7 +85,7 @@ async def test_a_node_that_ends_while_the_daemon_starts_is_not_begun_anew(
     assert bench.events == []
 
 
-async def test_nodes_that_are_stopped_are_not_begun_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_stopped_nodes_are_not_restarted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bench = Bench(tmp_path, monkeypatch, "exec sleep 60")
     async with bench.supervisor:
         bench.nodes.start(bench.supervisor)

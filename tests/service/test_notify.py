@@ -72,7 +72,7 @@ class Daemon:
         await asyncio.gather(self._task, return_exceptions=True)
 
 
-async def test_the_watchdog_is_fed_at_half_its_time_with_a_line_of_status(heard: Heard) -> None:
+async def test_watchdog_is_fed_at_half_its_time_with_a_status_line(heard: Heard) -> None:
     manager = heard.manager(**WATCHED, WATCHDOG_PID=str(os.getpid()))
     assert manager.period == 2.0
     daemon = Daemon(manager)
@@ -86,7 +86,7 @@ async def test_the_watchdog_is_fed_at_half_its_time_with_a_line_of_status(heard:
     await daemon.end()
 
 
-async def test_a_task_that_hangs_ends_the_feeding_and_the_status_says_which(heard: Heard) -> None:
+async def test_hung_task_ends_the_feeding_and_is_named_in_the_status(heard: Heard) -> None:
     manager, clock = heard.manager(**WATCHED), ManualClock()
 
     def health() -> Health:
@@ -129,7 +129,7 @@ async def test_a_device_that_is_lost_does_not_end_the_feeding(heard: Heard) -> N
 @pytest.mark.parametrize(
     "environment", [{}, {"WATCHDOG_USEC": "0"}, {"WATCHDOG_USEC": "x"}, {**WATCHED, "WATCHDOG_PID": "1"}]
 )
-async def test_without_a_watchdog_of_this_process_there_is_only_the_status(
+async def test_without_a_watchdog_for_this_process_only_status_is_sent(
     heard: Heard, environment: dict[str, str]
 ) -> None:
     daemon = Daemon(heard.manager(**environment))
@@ -139,7 +139,7 @@ async def test_without_a_watchdog_of_this_process_there_is_only_the_status(
     await daemon.end()
 
 
-def test_without_a_service_manager_nothing_is_told() -> None:
+def test_without_a_service_manager_nothing_is_sent() -> None:
     manager = ServiceManager(WATCHED)
     assert not manager
     assert not manager.watched
@@ -148,7 +148,7 @@ def test_without_a_service_manager_nothing_is_told() -> None:
     assert told == []
 
 
-def test_a_service_manager_that_cannot_be_told_is_logged(heard: Heard) -> None:
+def test_unreachable_service_manager_is_logged(heard: Heard) -> None:
     manager = heard.manager()
     heard.close()
     with capture_logs() as told:

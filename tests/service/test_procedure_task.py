@@ -136,7 +136,7 @@ class Bench:
         assert verdict.decision == "accepted", verdict.reason
 
 
-async def test_it_beats_and_knows_when_each_node_was_heard() -> None:
+async def test_it_beats_and_records_when_each_node_was_heard() -> None:
     bench = Bench()
     async with bench.supervisor:
         bench.procedure.start()
@@ -167,9 +167,7 @@ async def test_it_beats_and_knows_when_each_node_was_heard() -> None:
         ("daemon/event", "robot", False),
     ],
 )
-async def test_an_event_that_speaks_for_another_device_is_dropped_and_counted(
-    key: str, device: str, taken: bool
-) -> None:
+async def test_event_in_name_of_another_device_is_dropped_and_counted(key: str, device: str, taken: bool) -> None:
     bench = Bench()
     async with bench.supervisor:
         bench.procedure.start()
@@ -180,7 +178,8 @@ async def test_an_event_that_speaks_for_another_device_is_dropped_and_counted(
         assert bench.procedure.counters()["events.misnamed"] == (not taken)
 
 
-async def test_a_watch_that_cannot_go_on_holds_the_robot_latches_and_ends_the_daemon() -> None:
+async def test_watch_that_cannot_continue_latches_and_ends_the_daemon() -> None:
+    """The robot is held."""
     bench = Bench()
 
     async def run() -> None:
@@ -212,7 +211,7 @@ async def test_the_loss_of_the_robots_node_is_the_loss_of_the_robot() -> None:
         await bench.procedure.dispatcher.close()
 
 
-async def test_the_loss_of_the_stimulators_node_is_told_as_its_disarming() -> None:
+async def test_loss_of_the_stimulator_node_is_reported_as_disarmed() -> None:
     bench = Bench()
     async with bench.supervisor:
         bench.procedure.start()
@@ -232,7 +231,7 @@ async def test_a_node_that_ends_while_the_daemon_starts_ends_the_start() -> None
             await bench.procedure.hearing.wait()
 
 
-async def test_what_was_gathered_is_told_whenever_it_has_changed() -> None:
+async def test_procedure_data_is_published_whenever_it_changes() -> None:
     bench = Bench()
     told = bench.link.published["state/data"]
     async with bench.supervisor:
@@ -247,7 +246,7 @@ async def test_what_was_gathered_is_told_whenever_it_has_changed() -> None:
         await bench.procedure.dispatcher.close()
 
 
-async def test_each_signal_of_a_muscle_is_told_once() -> None:
+async def test_each_muscle_signal_is_published_once() -> None:
     bench = Bench()
     publishing = Publishing(bench.link)
     signals = [Epoch(pulse=n, muscle="fdi", rate_hz=5000.0, start=-0.1, samples=[n * 1e-6]) for n in (1, 2)]

@@ -104,7 +104,7 @@ async def test_a_page_ends_where_its_rows_are_too_long_together(tmp_path: Path) 
     await journal.close()
 
 
-async def test_health_is_told_at_once_and_again_and_again() -> None:
+async def test_health_is_published_at_once_and_periodically() -> None:
     bus, clock = Served(), ManualClock()
     told = (report(msgspec.structs.replace(WELL, uptime=float(n))) for n in range(9))
     task = asyncio.create_task(tell_health(cast(Link, bus), lambda: next(told), clock))

@@ -76,7 +76,7 @@ async def test_device_events_are_journalled_with_their_values(journal: Journal) 
     assert row.result == {"text": "Silent.", "danger": True, "fields": {"silence": 1.2}}
 
 
-async def test_a_verdict_is_recalled_by_source_and_id_also_from_an_earlier_run(journal: Journal) -> None:
+async def test_verdict_is_recalled_by_source_and_id_from_earlier_runs(journal: Journal) -> None:
     await _recorder(journal, "s1").decision(COMMAND, _verdict(), STATES, {}, with_intent=True)
     later = _recorder(journal, "s2")
     assert later.recall("udp:planner", "c1") == EarlierDecision(_verdict(), COMMAND.arguments)
@@ -84,7 +84,7 @@ async def test_a_verdict_is_recalled_by_source_and_id_also_from_an_earlier_run(j
     assert later.recall("udp:planner", "c2") is None
 
 
-async def test_a_new_command_is_known_to_be_new_without_a_look_at_the_disk(
+async def test_new_command_is_known_as_new_without_reading_the_disk(
     journal: Journal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await _recorder(journal, "s1").decision(COMMAND, _verdict(), STATES, {}, with_intent=True)
@@ -102,7 +102,7 @@ async def test_a_new_command_is_known_to_be_new_without_a_look_at_the_disk(
             recorder.recall(source, known)
 
 
-async def test_what_an_earlier_run_had_begun_is_closed_as_unknown_once(journal: Journal) -> None:
+async def test_unfinished_command_of_a_run_is_closed_as_unknown_once(journal: Journal) -> None:
     earlier = _recorder(journal, "s1")
     await earlier.intent(COMMAND, STATES)
     finished = Command(id="c9", branch="robot", operation="connect", source="bus:local")
@@ -118,7 +118,7 @@ async def test_what_an_earlier_run_had_begun_is_closed_as_unknown_once(journal: 
     assert _recorder(journal, "s3").read_back(RATMS).begun == ()
 
 
-async def test_what_was_registered_last_can_be_taken_back_after_a_restart(journal: Journal) -> None:
+async def test_last_registration_can_be_taken_back_after_a_restart(journal: Journal) -> None:
     landmarks = (Landmark("nasion", (0.0, 0.1, 0.0)),)
     registered = Registered(
         id="r1",

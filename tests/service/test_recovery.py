@@ -133,7 +133,7 @@ def as_row(kind: str, name: str, number: Any, decision: str | None) -> JournalRo
 
 @examples(60)
 @given(rows=ROWS, data=st.data())
-def test_reading_on_from_any_snapshot_says_what_reading_everything_says(rows: list[Any], data: st.DataObject) -> None:
+def test_reading_on_from_any_snapshot_equals_reading_everything(rows: list[Any], data: st.DataObject) -> None:
     made = [as_row(*row) for row in rows]
     cut = data.draw(st.integers(0, len(made)))
     whole, before = RestartState(RATMS, PersistedState()), RestartState(RATMS, PersistedState())
@@ -178,7 +178,7 @@ def test_reading_on_from_any_snapshot_says_what_reading_everything_says(rows: li
         ([("activity", "started", 1, "guided"), STARTED, ("outcome", "robot.acknowledge", 1, "accepted")], False),
     ],
 )
-def test_the_latch_outlives_a_run_until_somebody_acknowledges(rows: list[Any], latched: bool) -> None:
+def test_latch_outlives_a_run_until_it_is_acknowledged(rows: list[Any], latched: bool) -> None:
     ledger = RestartState(RATMS, PersistedState())
     for row in rows:
         ledger.take(as_row(*row))
@@ -194,11 +194,12 @@ def after_an_unsure_end(robot: str) -> PersistedState:
     return ledger.kept
 
 
-def test_a_connected_robot_that_nobody_saw_stand_at_an_orderly_end_is_latched() -> None:
+def test_robot_not_seen_at_rest_at_an_orderly_end_is_latched() -> None:
+    """It was connected."""
     assert after_an_unsure_end(robot="1").latched
 
 
-def test_a_robot_that_was_not_connected_at_an_orderly_end_is_not_latched() -> None:
+def test_robot_not_connected_at_an_orderly_end_is_not_latched() -> None:
     assert not after_an_unsure_end(robot="0").latched
 
 
@@ -216,9 +217,8 @@ async def test_a_run_begins_with_what_it_runs_under(journal: Journal, configured
     assert len(row.result["calibration"]) == 16
 
 
-async def test_the_plan_of_an_earlier_run_is_there_to_be_taken_back_and_not_in_force(
-    journal: Journal, configured: Settings
-) -> None:
+async def test_plan_of_an_earlier_run_can_be_taken_back(journal: Journal, configured: Settings) -> None:
+    """It is not in force before."""
     earlier = recorder_of(journal)
     await recover(journal, earlier, WORKFLOW, configured)
     await write(earlier, "toolplan.plan", plan=PLANNED.image_from_coil, plan_id="plan-1", previous_plan=PLANNED)
@@ -226,9 +226,8 @@ async def test_the_plan_of_an_earlier_run_is_there_to_be_taken_back_and_not_in_f
     assert recovered.workflow.initial == PlacementData(previous_plan=PLANNED)
 
 
-async def test_what_had_begun_is_unknown_until_it_is_settled_over_any_number_of_starts(
-    journal: Journal, configured: Settings
-) -> None:
+async def test_started_command_is_unknown_until_it_is_settled(journal: Journal, configured: Settings) -> None:
+    """It stays so over any number of starts."""
     earlier = recorder_of(journal)
     await recover(journal, earlier, WORKFLOW, configured)
     await earlier.intent(command("placement.approach"), {"placement": "retracted"})
@@ -248,9 +247,8 @@ async def test_what_had_begun_is_unknown_until_it_is_settled_over_any_number_of_
     assert [row.verdict.decision for row in outcomes if row.verdict] == ["unknown"], "it is closed once"
 
 
-async def test_an_activity_that_moved_the_robot_is_latched_and_shown_over_any_number_of_starts(
-    journal: Journal, configured: Settings
-) -> None:
+async def test_activity_that_moved_the_robot_latches_over_all_starts(journal: Journal, configured: Settings) -> None:
+    """It is shown, too."""
     earlier = recorder_of(journal)
     await recover(journal, earlier, WORKFLOW, configured)
     fields = {"branch": "placement", "state": "following", "command": "c7"}
@@ -271,9 +269,10 @@ async def test_an_activity_that_moved_the_robot_is_latched_and_shown_over_any_nu
     assert not last.kept.latched
 
 
-async def test_a_snapshot_shares_the_commit_of_the_thousandth_row_and_is_read_on_from(
+async def test_snapshot_is_in_the_commit_of_every_thousandth_row(
     journal: Journal, configured: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Reading continues from it."""
     monkeypatch.setattr(recorder_module, "SNAPSHOT_EVERY", 10)
     recorder = recorder_of(journal)
     await recover(journal, recorder, WORKFLOW, configured)
@@ -287,7 +286,7 @@ async def test_a_snapshot_shares_the_commit_of_the_thousandth_row_and_is_read_on
     assert list(kept.taken_back) == ["previous_plan"]
 
 
-async def test_what_counts_is_taken_over_from_an_earlier_file_of_a_journal_that_has_grown(
+async def test_state_is_carried_over_from_an_earlier_journal_file(
     tmp_path: Path, configured: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(writer_module, "_CHECKPOINT_AFTER", 4)
@@ -321,9 +320,7 @@ async def test_an_orderly_end_leaves_a_snapshot_as_the_last_row(journal: Journal
     assert {"data", "taken_back", "latched", "sequence"} <= set(last.row.result)
 
 
-async def test_a_journal_of_another_blueprint_is_refused_before_a_row_is_written(
-    journal: Journal, configured: Settings
-) -> None:
+async def test_journal_of_another_blueprint_is_refused_unchanged(journal: Journal, configured: Settings) -> None:
     other = JournalRecorder(journal, ManualClock(), "s0", BlueprintTag(id="ratms", version="0.1", hash="ab"))
     await other.event(DeviceEvent(device="x", code="y", text=""), {})
     with pytest.raises(ConfigurationError, match="migrations"):
@@ -331,9 +328,7 @@ async def test_a_journal_of_another_blueprint_is_refused_before_a_row_is_written
     assert len(list(journal.reader.read())) == 1
 
 
-async def test_a_declared_migration_is_journalled_before_anything_is_decided(
-    journal: Journal, configured: Settings
-) -> None:
+async def test_declared_migration_is_journalled_before_any_decision(journal: Journal, configured: Settings) -> None:
     other = JournalRecorder(journal, ManualClock(), "s0", BlueprintTag(id="ratms", version="0.1", hash="ab"))
     await other.event(DeviceEvent(device="x", code="y", text=""), {})
     declared = MigrationSpec(version="0.1", hash="ab", why="only a deadline changed")
@@ -353,7 +348,7 @@ def test_only_what_explicit_operations_use_is_taken_back() -> None:
     assert ledger.kept.taken_back == row.result
 
 
-async def test_a_snapshot_of_an_unknown_kind_is_told_with_the_file(journal: Journal) -> None:
+async def test_snapshot_of_an_unknown_kind_is_reported_with_the_file(journal: Journal) -> None:
     row = as_row("intent", "robot.connect", 1, None)
     await journal.append([msgspec.structs.replace(row, kind="snapshot", result={"latched": "perhaps"})])
     with pytest.raises(JournalError, match=r"ratms\.sqlite.*cell\.folder"):

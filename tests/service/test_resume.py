@@ -41,7 +41,7 @@ async def _write(journal: Journal, blueprint: Blueprint) -> None:
     await recorder.event(DeviceEvent(device="lamp", code="lit", text=""), {})
 
 
-async def test_an_empty_journal_and_one_of_the_same_blueprint_are_taken_up(journal: Journal) -> None:
+async def test_empty_journal_or_one_of_the_same_blueprint_is_resumed(journal: Journal) -> None:
     assert migration_for(journal.reader, OLD, FILE) is None
     await _write(journal, OLD)
     assert migration_for(journal.reader, OLD, FILE) is None
@@ -50,9 +50,8 @@ async def test_an_empty_journal_and_one_of_the_same_blueprint_are_taken_up(journ
 @pytest.mark.parametrize(
     "other", [NEW, msgspec.structs.replace(OLD, hash="bb"), msgspec.structs.replace(OLD, version="2")]
 )
-async def test_another_version_or_content_is_refused_until_the_table_of_the_text_is_added(
-    journal: Journal, other: Blueprint
-) -> None:
+async def test_other_version_is_refused_until_the_table_is_added(journal: Journal, other: Blueprint) -> None:
+    """The text of the refusal has the table. A version of other content is refused alike."""
     await _write(journal, OLD)
     with pytest.raises(ConfigurationError) as refused:
         migration_for(journal.reader, other, FILE)
@@ -92,7 +91,7 @@ async def test_a_migration_that_is_used_is_in_the_journal_once(journal: Journal)
     assert migration_for(journal.reader, migrated, FILE) is None, "it is written under the present blueprint now"
 
 
-async def test_a_migration_from_another_content_of_the_same_version_is_none(journal: Journal) -> None:
+async def test_migration_from_other_content_of_the_version_is_refused(journal: Journal) -> None:
     await _write(journal, OLD)
     declared = MigrationSpec(version=OLD.version, hash="cc", why="only a deadline changed")
     with pytest.raises(ConfigurationError, match="migrations"):
@@ -116,7 +115,7 @@ async def test_only_the_blueprint_that_wrote_last_counts(journal: Journal) -> No
         migration_for(journal.reader, OLD, FILE)
 
 
-async def test_what_an_older_program_left_in_other_types_is_told_with_the_file(journal: Journal) -> None:
+async def test_values_of_types_of_an_older_program_are_reported(journal: Journal) -> None:
     tag = BlueprintTag(id="lamp", version="1", hash="aa")
     row = JournalRow(
         kind="outcome", wall=0.0, monotonic=0.0, boot_id="b", session_id="s", blueprint=tag,

@@ -25,7 +25,7 @@ class Daemon:
         return [event.code for event in self.events]
 
 
-def test_it_warns_once_refuses_below_the_floor_and_takes_commands_again(tmp_path: Path) -> None:
+def test_low_disk_warns_once_then_refuses_and_recovers(tmp_path: Path) -> None:
     daemon = Daemon(tmp_path)
     for free in (5000.0, 900.0, 800.0):
         daemon.watch.take(free)

@@ -34,7 +34,7 @@ async def bench() -> AsyncIterator[Bench]:
 
 
 @pytest.mark.parametrize("moving", [False, True])
-async def test_a_blocked_loop_is_told_of_and_danger_where_something_moved(bench: Bench, moving: bool) -> None:
+async def test_blocked_loop_is_reported_and_is_danger_during_a_motion(bench: Bench, moving: bool) -> None:
     bench.moving = moving
     await asyncio.sleep(4 * PERIOD)  # it has asked before: so it knows what moved before the stall
     bench.events.clear()

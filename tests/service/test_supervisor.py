@@ -47,7 +47,7 @@ def dying(times: int, begun: list[int]) -> Callable[[], Coroutine[Any, Any, None
     return work
 
 
-async def test_a_task_that_dies_is_logged_with_its_name_counted_reported_and_begun_anew() -> None:
+async def test_dead_task_is_logged_counted_reported_and_restarted() -> None:
     bench, begun = Bench(), list[int]()
     with capture_logs() as told:
         async with bench.supervisor as supervisor:
@@ -60,7 +60,8 @@ async def test_a_task_that_dies_is_logged_with_its_name_counted_reported_and_beg
     assert [(each["event"], each["task"]) for each in told] == [("task_died", "beats")] * RESTARTS
 
 
-async def test_one_death_too_many_is_danger_and_then_ends_the_daemon_with_a_typed_error() -> None:
+async def test_one_death_too_many_is_danger_and_ends_the_daemon() -> None:
+    """It ends with a typed error."""
     bench, begun = Bench(), list[int]()
     others = asyncio.Event()
 
@@ -107,7 +108,7 @@ async def test_a_task_whose_library_panics_has_died_too() -> None:
     assert [event.danger for event in bench.events[-2:]] == [False, True]
 
 
-async def test_a_task_whose_inner_work_was_cancelled_by_somebody_else_has_died_too() -> None:
+async def test_task_whose_inner_work_was_cancelled_counts_as_dead() -> None:
     bench = Bench()
     inner: list[asyncio.Future[None]] = []
 
@@ -134,7 +135,7 @@ async def test_a_stop_that_fails_ends_the_daemon_safely() -> None:
     assert bench.events[-1].danger
 
 
-async def test_a_stop_whose_inner_work_was_cancelled_by_somebody_else_ends_the_daemon_safely() -> None:
+async def test_stop_whose_inner_work_was_cancelled_ends_daemon_safely() -> None:
     bench = Bench()
 
     async def stop() -> None:
@@ -175,7 +176,7 @@ async def test_an_error_of_the_daemon_itself_stays_what_it_is() -> None:
 
 
 @pytest.mark.parametrize("error", [Panic("the link is poisoned"), DeviceError("the link is poisoned")], ids=repr)
-async def test_a_task_that_breaks_at_the_end_is_not_begun_anew_and_its_error_is_not_lost(error: BaseException) -> None:
+async def test_task_that_fails_at_the_end_raises_and_is_not_restarted(error: BaseException) -> None:
     bench = Bench()
 
     async def work() -> None:

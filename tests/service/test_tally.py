@@ -30,7 +30,7 @@ class Bench:
         return self._decision
 
 
-async def test_the_time_until_the_verdict_is_told_for_each_decision() -> None:
+async def test_latency_is_reported_for_each_decision() -> None:
     bench = Bench()
     for number in range(1, 101):
         assert (await bench.submit(number / 100)).decision == "accepted"
@@ -43,7 +43,7 @@ async def test_the_time_until_the_verdict_is_told_for_each_decision() -> None:
     assert abs(rejected.p50 - rejected.p99) < 1e-12
 
 
-async def test_buckets_are_cumulative_and_a_time_beyond_the_last_is_counted_all_the_same() -> None:
+async def test_buckets_are_cumulative_and_longer_times_are_counted() -> None:
     bench = Bench()
     for takes in (0.0, 0.3, BOUNDS[-1] + 1.0):
         await bench.submit(takes)
@@ -64,7 +64,7 @@ async def test_percentiles_are_of_the_last_commands() -> None:
     assert told.count == RECENT + 1
 
 
-def test_published_decisions_are_counted_and_reasons_of_rejections_only() -> None:
+def test_decisions_are_counted_and_reasons_of_rejections_only() -> None:
     tally = Bench().tally
     decided: tuple[tuple[Decision, str], ...] = (("accepted", ""), ("rejected", "busy"), ("rejected", "busy"))
     for decision, code in (*decided, ("failed", "device_failed")):

@@ -49,7 +49,7 @@ async def _hear_for(bench: Bench, seconds: float, *, beats: bool = True, joints:
         await bench.clock.advance(BEAT_PERIOD)
 
 
-async def test_it_beats_while_the_robot_is_heard(bench: Bench) -> None:
+async def test_it_beats_while_the_robot_reports(bench: Bench) -> None:
     await _hear_for(bench, 5.0)
     assert bench.beats == pytest.approx([bench.beats[0] + BEAT_PERIOD * number for number in range(len(bench.beats))])
     assert len(bench.beats) == pytest.approx(5.0 / BEAT_PERIOD, abs=2)
@@ -66,7 +66,7 @@ async def test_a_silent_robot_is_lost_once(bench: Bench) -> None:
     assert len(bench.events) == 1
 
 
-async def test_a_node_that_does_not_beat_is_lost_though_joints_still_come(bench: Bench) -> None:
+async def test_node_without_a_heartbeat_is_lost_even_if_joints_come(bench: Bench) -> None:
     await _hear_for(bench, 1.0)
     await _hear_for(bench, BEATS_MISSED * DEADMAN + 2 * BEAT_PERIOD, beats=False)
     (event,) = bench.events
@@ -74,7 +74,7 @@ async def test_a_node_that_does_not_beat_is_lost_though_joints_still_come(bench:
     assert "heartbeat" in event.text
 
 
-async def test_a_watch_that_was_held_up_itself_hears_first_what_has_come_meanwhile(bench: Bench) -> None:
+async def test_delayed_watch_first_takes_what_has_arrived(bench: Bench) -> None:
     await _hear_for(bench, 1.0)
     bench.clock.stall(10 * SILENCE)
     await bench.clock.advance(HELD_UP / 10)
@@ -89,7 +89,8 @@ async def test_a_robot_that_is_not_connected_may_be_silent(bench: Bench) -> None
     assert bench.events == []
 
 
-async def test_while_a_loss_is_dealt_with_the_node_hears_no_beat_and_holds_too(bench: Bench) -> None:
+async def test_node_gets_no_beat_while_a_loss_is_handled_and_holds(bench: Bench) -> None:
+    """The node holds, too."""
     bench.reporting.clear()
     await bench.clock.advance(SILENCE + 2 * BEAT_PERIOD)
     assert len(bench.events) == 1

@@ -19,7 +19,7 @@ def test_every_fault_belongs_to_a_row_and_says_what_happens() -> None:
         assert "\n" not in fault.help
 
 
-def test_the_rows_of_the_robot_that_its_devices_can_bring_about_are_there() -> None:
+def test_fault_rows_that_the_devices_can_cause_are_there() -> None:
     rows = {fault.row for fault in FAULTS.values()}
     assert {"B1", "B2", "B3", "B4", "B5", "B7", "B8", "B9", "B11", "B13", "B14"} <= rows
     assert {"S1", "S2", "S3", "S4", "S5", "S6", "S7", "S8", "S10", "S11", "S12", "S14"} <= rows

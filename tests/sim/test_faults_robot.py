@@ -49,9 +49,7 @@ async def begin_motion(cell: Cell, client: KstClient, way: float = 0.4) -> float
 
 
 @pytest.mark.parametrize("fault", ["e_stop", "change_mode", "close_brakes"])
-async def test_without_drives_the_motion_ends_and_none_begins_until_they_are_back(
-    cell: Cell, client: KstClient, fault: str
-) -> None:
+async def test_motion_ends_without_drives_and_starts_only_with_them(cell: Cell, client: KstClient, fault: str) -> None:
     goal = await begin_motion(cell, client)
     inject(cell, fault, {})
     assert await client.reply() == NAK
@@ -70,7 +68,7 @@ async def test_an_emergency_stop_ends_a_servo(cell: Cell, client: KstClient) -> 
     inject(cell, "e_stop", {"on": False})
 
 
-async def test_an_interrupted_motion_says_so(cell: Cell, client: KstClient) -> None:
+async def test_interrupted_motion_is_answered_as_interrupted(cell: Cell, client: KstClient) -> None:
     goal = await begin_motion(cell, client)
     inject(cell, "interrupt", {})
     assert await client.reply() == b"interrupted\n"
@@ -88,7 +86,7 @@ async def test_a_cut_link_makes_the_arm_brake_and_ends_the_connection(cell: Cell
     assert await client.until_closed() == b""
 
 
-async def test_a_silent_robot_does_what_it_is_told(cell: Cell, client: KstClient) -> None:
+async def test_silent_robot_still_obeys_commands(cell: Cell, client: KstClient) -> None:
     goal = np.array(await client.joints()) * [0.5, 1, 1, 1, 1, 1, 1]
     inject(cell, "silence_robot", {})
     client.send("jRelVel_0.3_", line("jp", goal), "doPTPinJS")
@@ -139,7 +137,7 @@ async def test_the_application_fails_and_the_next_client_is_served(cell: Cell) -
             assert len(await client.joints()) == 7
 
 
-async def test_a_command_that_comes_twice_is_answered_twice_but_moves_once(cell: Cell, client: KstClient) -> None:
+async def test_repeated_command_is_answered_twice_but_moves_once(cell: Cell, client: KstClient) -> None:
     goal = np.array(await client.joints())
     goal[0] -= 0.05
     inject(cell, "double_commands", {})
@@ -181,9 +179,7 @@ class TestBuiltInRobot:
         await robot.connect()
         return robot
 
-    async def test_an_emergency_stop_in_motion_is_a_danger_and_forbids_the_next(
-        self, cell: Cell, robot: SimRobot
-    ) -> None:
+    async def test_emergency_stop_in_motion_is_danger_and_bars_the_next(self, cell: Cell, robot: SimRobot) -> None:
         events = robot.events()
         heard = asyncio.ensure_future(anext(events))
         start = np.array((await robot.joints()).positions)

@@ -34,7 +34,7 @@ def test_by_default_nothing_moves() -> None:
 
 
 @given(st.integers(0, 2**32), st.floats(0.0, 1e4))
-def test_a_motion_is_a_function_of_seed_and_time_that_begins_where_the_head_is(seed: int, time: float) -> None:
+def test_motion_depends_on_seed_and_time_and_starts_at_the_head(seed: int, time: float) -> None:
     motion = HeadMotion(drift=(3e-5, 0.0, 0.0), breathing_amplitude=0.002, seed=seed)
     assert np.array_equal(head_offset(motion, time), head_offset(motion, time))
     assert np.allclose(head_offset(motion, 0.0), 0.0, atol=1e-15)
@@ -130,7 +130,7 @@ async def test_a_bumped_reference_moves_against_body_and_witness(clock: Clock) -
     assert rotation_angle(*seen) == pytest.approx(0.05, abs=1e-6)
 
 
-async def test_a_pivoting_pointer_turns_widely_about_a_fixed_tip_and_goes_away(clock: Clock) -> None:
+async def test_pivoting_pointer_turns_about_a_fixed_tip_and_goes_away(clock: Clock) -> None:
     async with open_devices(("tracker", "pointer", "scene"), {"sim": {"tracker": ERRORLESS}}, clock) as cell:
         scene = cell["scene"]
         assert (await scene.truth()).tip_in_tracker is None

@@ -95,7 +95,7 @@ async def test_one_muscle_answers_whatever_drives_it(stimulator: str, emg: str) 
     assert response_of(epoch) == pytest.approx(felt.amplitude, abs=30e-6)
 
 
-async def test_nothing_is_streamed_for_simulated_devices_or_beside_a_real_amplifier() -> None:
+async def test_simulated_or_real_amplifier_gets_no_simulated_stream() -> None:
     before = asyncio.all_tasks()
     silent = Cell(SimSettings(muscle=MuscleSettings(streamed=False)), ARMS["iiwa14"], ForceSettings(), CLOCK)
     for cell, settings in ((make_cell(), configuration("sim", "sim")), (silent, configuration("sim", "lsl"))):
@@ -104,7 +104,7 @@ async def test_nothing_is_streamed_for_simulated_devices_or_beside_a_real_amplif
             assert not cell.world.pulse_listeners
 
 
-async def test_the_command_streams_a_subject_who_answers_and_can_be_told() -> None:
+async def test_command_streams_a_subject_that_answers_and_takes_orders() -> None:
     settings = configuration("trigger", "lsl")
     names = "--stream", settings["lsl"]["stream"], "--markers", settings["lsl"]["markers"]
     process = await asyncio.create_subprocess_exec(

@@ -39,7 +39,7 @@ def limits(joints: int) -> MotionLimits:
 
 
 @every_arm
-async def test_the_arm_stands_at_home_follows_and_comes_to_rest_where_it_should(name: str, clock: Clock) -> None:
+async def test_arm_stands_at_home_and_follows_to_rest_at_its_goal(name: str, clock: Clock) -> None:
     arm = ArmModel(find_arm(name))
     home = np.array(arm.facts.home)
     async with open_devices(("robot",), {"robot": {"model": name}}, clock) as devices:
@@ -61,9 +61,7 @@ async def test_the_arm_stands_at_home_follows_and_comes_to_rest_where_it_should(
 
 @every_arm
 @pytest.mark.parametrize(("body", "workflow"), [("head", "ratms"), ("femur", "femoroplasty")])
-def test_every_pose_of_the_examples_is_reachable_and_the_way_home_leads_away(
-    name: str, body: str, workflow: str
-) -> None:
+def test_example_poses_are_reachable_and_the_way_home_leads_away(name: str, body: str, workflow: str) -> None:
     arm, phantom = ArmModel(find_arm(name)), PHANTOMS[body]
     home = np.array(arm.facts.home)
     for plan in make_plans()[workflow]["poses"]:

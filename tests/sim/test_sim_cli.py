@@ -90,7 +90,7 @@ def test_a_cabinet_is_served_and_takes_faults_as_they_are_typed() -> None:
         end(process, signal.SIGTERM)
 
 
-def test_a_cell_serves_cabinet_and_tracker_of_one_world_and_follows_a_schedule(tmp_path: Path) -> None:
+def test_cell_serves_cabinet_and_tracker_and_follows_a_schedule(tmp_path: Path) -> None:
     schedule = tmp_path / "faults.txt"
     schedule.write_text("# at once\n0.0 e_stop on\n\n0.0 touch 0\n", encoding="utf-8")
     arguments = ("--kst-port", "0", "--ndi-port", "0", "--schedule", str(schedule), "--json")
@@ -113,7 +113,7 @@ def test_a_command_ends_by_itself_at_the_end_of_its_time() -> None:
     assert ended.stdout.startswith("serving ndi on /dev/")
 
 
-def test_in_the_background_of_a_terminal_it_goes_on() -> None:
+def test_it_runs_in_the_background_of_a_terminal() -> None:
     shell = "set -m; " + shlex.join([*COMMAND, "ndi", "--pty", "--duration", "0.5"]) + " & wait $!; echo status $?"
     child, terminal = pty.fork()
     if child == 0:
@@ -139,7 +139,7 @@ def test_in_the_background_of_a_terminal_it_goes_on() -> None:
     ],
 )
 @pytest.mark.usefixtures("quiet_log")
-def test_what_cannot_be_is_said_in_one_sentence(arguments: list[str], status: int, text: str) -> None:
+def test_impossible_arguments_are_refused_in_one_sentence(arguments: list[str], status: int, text: str) -> None:
     ended = CliRunner().invoke(main, arguments)
     assert ended.exit_code == status
     assert text in ended.stderr
@@ -147,7 +147,7 @@ def test_what_cannot_be_is_said_in_one_sentence(arguments: list[str], status: in
 
 
 @pytest.mark.usefixtures("quiet_log")
-def test_a_port_that_is_taken_is_said(taken_port: int) -> None:
+def test_taken_port_is_reported_with_the_remedy(taken_port: int) -> None:
     ended = CliRunner().invoke(main, ["kst", "--port", str(taken_port)])
     assert ended.exit_code == 2
     assert "Choose another port" in ended.stderr

@@ -65,7 +65,7 @@ def test_hold_at_rest_stays() -> None:
     assert np.array_equal(arm.reference.position, HOME)
 
 
-def test_a_start_within_tolerance_is_taken_up_without_a_jump() -> None:
+def test_start_within_tolerance_is_followed_without_a_jump() -> None:
     arm = make_arm()
     arm.follow(smooth(HOME + 0.01, HOME + 0.2))
     previous = arm.reference.position
@@ -104,7 +104,7 @@ def test_refused_trajectories_change_nothing(text: str) -> None:
     assert np.array_equal(arm.reference.position, HOME)
 
 
-def test_the_true_flange_is_where_mujoco_has_it_and_beside_the_model() -> None:
+def test_true_flange_agrees_with_mujoco_and_differs_from_model() -> None:
     arm, model = make_arm(SimSettings(seed=4)), ArmModel(FACTS)
     true = arm.base_from_flange()
     tool = true @ SimSettings().geometry.flange_from_coil.transform

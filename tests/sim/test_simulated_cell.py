@@ -174,7 +174,7 @@ async def test_occluded_bodies_are_invalid_until_shown(cell: Devices) -> None:
         await cell["scene"].occlude("nose", True)
 
 
-async def test_touches_share_a_planning_bias_and_a_displacement_acts_once(cell: Devices) -> None:
+async def test_touches_share_a_bias_and_a_displacement_acts_once(cell: Devices) -> None:
     tips = []
     for offset in (0.0, 0.025, 0.0):
         if offset:
@@ -196,7 +196,7 @@ async def test_the_tip_moves_with_the_patient(cell: Devices) -> None:
     assert np.linalg.norm(await measured_tip(cell) - before) < 5e-4
 
 
-async def test_a_hand_that_was_released_on_its_way_does_not_go_on(cell: Devices) -> None:
+async def test_hand_released_on_its_way_does_not_continue(cell: Devices) -> None:
     touching = asyncio.create_task(cell["pointer"].touch(PROMPT))
     await next_frames(cell, 1)
     await cell["pointer"].release()

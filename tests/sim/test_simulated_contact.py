@@ -133,14 +133,14 @@ def test_the_estimate_has_the_stated_noise_and_no_bias() -> None:
     assert values.std(axis=0) == pytest.approx(settings.force_noise * np.sqrt(share / (2 - share)), rel=0.1)
 
 
-def test_a_limit_counts_once_and_again_only_when_the_force_grows_on() -> None:
+def test_limit_counts_once_and_again_only_if_the_force_grows() -> None:
     guard = ForceGuard(25.0)
     course = [10.0, 25.5, 26.0, 24.0, 26.0, 25.4 + AGAIN, 25.6 + AGAIN, 25.0 - AGAIN - 0.1, 25.1]
     assert [guard.exceeded(force) for force in course] == [False, True, False, False, False, False, True, False, True]
 
 
 @pytest.mark.parametrize("limit", [1.0, 3.0, 5.0, 6.0, 25.0])
-def test_a_limit_of_any_size_counts_again_after_the_force_has_fallen(limit: float) -> None:
+def test_limit_of_any_size_counts_again_after_the_force_fell(limit: float) -> None:
     guard = ForceGuard(limit)
     fallen = max(limit - AGAIN, limit / 2)
     course = [1.01 * limit, 1.01 * fallen, 1.01 * limit, 0.99 * fallen, limit, 1.01 * limit]
@@ -233,7 +233,7 @@ def test_the_force_limit_also_guards_a_standing_arm() -> None:
 
 
 @pytest.mark.parametrize(("before", "after"), [(-0.001, 0.005), (0.005, 0.0005)])
-def test_a_body_that_is_shifted_at_once_neither_hits_nor_draws_the_tool(before: float, after: float) -> None:
+def test_suddenly_shifted_body_neither_hits_nor_draws_the_tool(before: float, after: float) -> None:
     arm = make_arm()
     arm.contact.place(body_before_tool(-before))
     arm.step(1)

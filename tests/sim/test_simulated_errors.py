@@ -65,7 +65,7 @@ def test_touches_combine_to_the_stated_deviation() -> None:
     assert np.std(touches) * 1e3 == pytest.approx(1.86, rel=0.05)
 
 
-def test_touches_of_a_landmark_share_a_bias_and_repeat_with_the_seed() -> None:
+def test_touches_of_a_landmark_share_a_bias_and_repeat_by_seed() -> None:
     errors, same = TouchErrors(DigitizationSettings(), 7), TouchErrors(DigitizationSettings(), 7)
     touches = np.array([errors.next(2) for _ in range(1000)])
     assert (touches.std(axis=0) * 1e3).mean() == pytest.approx(0.95, rel=0.1)

@@ -53,7 +53,7 @@ def test_the_force_is_reached_without_overshoot_and_kept(force: float, stiffness
     assert arm.contact.force == pytest.approx(forces[-1], abs=0.15), "it stays"
 
 
-def test_the_tool_goes_straight_along_its_axis_no_faster_than_asked() -> None:
+def test_tool_moves_straight_along_its_axis_within_the_speed() -> None:
     arm = make_arm()
     arm.contact.place(body_before_tool(0.005))
     start = arm.base_from_flange()

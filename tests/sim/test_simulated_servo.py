@@ -153,9 +153,7 @@ async def test_a_session_follows_and_ends_at_rest(cell: Devices, clock: Clock, e
 
 
 @pytest.mark.parametrize("rate", [1.0, 5.0])
-async def test_a_cell_that_is_faster_than_real_time_waits_as_long_by_the_machines_clock(
-    clock: Clock, rate: float
-) -> None:
+async def test_fast_cell_waits_as_long_by_the_clock_of_the_machine(clock: Clock, rate: float) -> None:
     async with open_devices(("robot",), {"cell": {"rate": rate}, "robot": {"deadman": 0.2}}, clock) as devices:
         robot = devices["robot"]
         await robot.connect()
@@ -185,7 +183,7 @@ async def test_without_set_points_the_arm_brakes_and_reports_danger(
     assert (result.outcome, result.reason) == ("stopped", "no_set_point")
 
 
-async def test_a_session_that_never_gets_a_set_point_ends_without_motion(
+async def test_session_without_a_set_point_ends_without_motion(
     cell: Devices, clock: Clock, events: list[DeviceEvent]
 ) -> None:
     robot = cell["robot"]
@@ -232,7 +230,7 @@ async def test_hold_ends_a_session(cell: Devices, clock: Clock, events: list[Dev
         await robot.end_servo(session)
 
 
-async def test_whoever_comes_late_does_not_end_the_session_of_another(cell: Devices, clock: Clock) -> None:
+async def test_late_end_of_a_session_does_not_end_another(cell: Devices, clock: Clock) -> None:
     robot = cell["robot"]
     await robot.connect()
     first = (await robot.begin_servo()).session
@@ -245,7 +243,7 @@ async def test_whoever_comes_late_does_not_end_the_session_of_another(cell: Devi
     assert (await robot.end_servo(second)).outcome == "done"
 
 
-async def test_a_session_that_is_left_right_after_a_refused_set_point_has_not_ended_well(
+async def test_session_left_after_a_refused_set_point_raises(
     cell: Devices, clock: Clock, events: list[DeviceEvent]
 ) -> None:
     robot = cell["robot"]
@@ -287,7 +285,7 @@ async def test_nothing_else_moves_the_arm_during_a_session(cell: Devices, clock:
     assert (await robot.follow(smooth(HOME, HOME + 0.1))).outcome == "done"
 
 
-async def test_a_session_that_ended_by_itself_does_not_bar_the_next_motion(cell: Devices, clock: Clock) -> None:
+async def test_session_that_ended_by_itself_does_not_bar_a_motion(cell: Devices, clock: Clock) -> None:
     robot = cell["robot"]
     await robot.connect()
 

@@ -12,7 +12,7 @@ COUNT = 300
 
 
 @pytest.mark.parametrize("phantom", ["head", "femur"])
-def test_points_lie_on_the_true_surface_and_one_seed_gives_the_same_ones(phantom: str) -> None:
+def test_points_lie_on_the_true_surface_and_repeat_by_seed(phantom: str) -> None:
     first, second = (np.random.default_rng(7) for _ in range(2))
     points = np.array([TOUCHES[phantom](first) for _ in range(COUNT)])
     assert np.array_equal(points, [TOUCHES[phantom](second) for _ in range(COUNT)])

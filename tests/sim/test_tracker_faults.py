@@ -73,7 +73,7 @@ async def watch(cell: Devices, clock: Clock) -> Watch:
         ("stamp_future", {}, "stamp_reversed"),
     ],
 )
-async def test_there_is_no_pose_and_the_reason_is_told_until_the_fault_ends(
+async def test_fault_hides_the_pose_and_is_its_reason_until_it_ends(
     watch: Watch, fault: str, arguments: dict[str, Any], reason: str
 ) -> None:
     await watch.scene.inject(fault, arguments | {"on": True})
@@ -89,7 +89,7 @@ async def test_there_is_no_pose_and_the_reason_is_told_until_the_fault_ends(
     assert watch.feed.seen("body_ref")
 
 
-async def test_after_a_jump_a_body_is_believed_once_it_has_been_seen_steadily(watch: Watch) -> None:
+async def test_body_that_jumped_is_accepted_after_steady_frames(watch: Watch) -> None:
     before = watch.feed.newest("coil").translation
     await watch.scene.inject("pose_jump", {"body": "coil", "millimetres": 60.0})
     await watch.frames(LIMITS.steady)

@@ -119,16 +119,17 @@ async def test_a_servo_stream_is_followed_to_its_last_set_point(cell: Cell, clie
     assert await client.ask("stopDirectServoJoints") == DONE
 
 
-async def test_a_stopped_servo_is_over_when_the_arm_has_braked_however_slowly_it_settles(
+async def test_stopped_servo_ends_when_the_arm_has_braked(
     cell: Cell, client: KstClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """It does not matter how slowly the arm settles."""
     monkeypatch.setattr(type(cell.world.arm), "at_rest", False)
     assert await client.ask("startDirectServoJoints") == DONE
     assert await client.ask("stopDirectServoJoints") == DONE
     assert len(await client.values("Torques_ext_J")) == 7
 
 
-async def test_the_servo_with_impedance_is_acknowledged_twice_at_its_end(client: KstClient) -> None:
+async def test_servo_with_impedance_is_acknowledged_twice_at_its_end(client: KstClient) -> None:
     joints = await client.joints()
     assert await client.ask(line("jp", joints)) == DONE
     assert await client.ask("startSmartImpedneceJoints_1.2_0_0_50_2000_200_100_") == DONE

@@ -58,6 +58,6 @@ def test_requests_are_read_as_java_reads_them() -> None:
 
 
 @pytest.mark.parametrize("token", ["", "x", "nan", "inf", "1e999", "1_000", "0x10", "٣", "1.2.3"])
-def test_what_is_no_number_is_refused(token: str) -> None:
+def test_text_that_is_no_number_is_refused(token: str) -> None:
     with pytest.raises(ValueError, match=r"number|great"):
         parse_double(token)

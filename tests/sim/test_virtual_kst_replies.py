@@ -48,7 +48,7 @@ async def segments(framing: Framing, texts: list[str], seed: int = 1) -> list[by
     return connection.written
 
 
-async def test_replies_lie_in_segments_as_they_are_told_to() -> None:
+async def test_replies_lie_in_segments_as_configured() -> None:
     assert await segments("whole", ["done\n", "nak\n"]) == [b"done\n", b"nak\n"]
     assert await segments("merged", ["done\n", "nak\n"]) == [b"done\nnak\n"]
     split = await segments("split", ["done\n"] * 5)

@@ -48,7 +48,8 @@ async def test_the_main_loop_answers_nothing_while_a_servo_lasts(client: KstClie
     assert await client.rest() == DONE + DONE
 
 
-async def test_a_point_to_point_motion_cannot_be_stopped_and_swallows_what_comes_meanwhile(client: KstClient) -> None:
+async def test_point_to_point_motion_cannot_be_stopped(client: KstClient) -> None:
+    """It swallows what is sent meanwhile."""
     goal = np.array(await client.joints())
     goal[0] += 0.1
     assert await client.ask("jRelVel_0.2_") == DONE
@@ -100,7 +101,7 @@ async def test_a_second_client_waits_until_the_first_has_gone(cell: Cell) -> Non
         assert len((await waiting).split(b"_")) == 8
 
 
-async def test_who_comes_too_late_is_refused_until_somebody_starts_the_application_again(cell: Cell) -> None:
+async def test_late_client_is_refused_until_the_application_restarts(cell: Cell) -> None:
     async with serve_kst(cell, port=0, accept_timeout=0.05) as (host, port):
         async with asyncio.timeout(DEADLINE):
             with suppress(ConnectionRefusedError):

@@ -180,14 +180,14 @@ def test_only_commands_with_a_colon_carry_a_crc() -> None:
         (["INIT:"] + ["PHRQ:*********1****"] * MOST_HANDLES, "PHRQ:*********1****", "ERROR2D"),
     ],
 )
-def test_what_cannot_be_done_now_has_its_error(prepare: list[str], command: str, error: str) -> None:
+def test_command_in_a_wrong_state_has_its_error(prepare: list[str], command: str, error: str) -> None:
     talk = Talk()
     for each in prepare:
         assert not talk.ask(each).startswith("ERROR")
     assert talk.ask(command) == error
 
 
-def test_an_unplugged_sensor_ends_tracking_and_cannot_be_initialized() -> None:
+def test_unplugged_sensor_ends_tracking_and_cannot_initialize() -> None:
     talk = Talk()
     talk.track("coil")
     talk.plugged = False

@@ -103,7 +103,7 @@ async def test_bad_settings_are_refused_as_in_this_process() -> None:
     assert not worlds_of(os.getpid())
 
 
-async def test_a_world_that_is_killed_leaves_its_node_with_an_unknown_outcome() -> None:
+async def test_killed_world_leaves_its_node_with_an_unknown_outcome() -> None:
     answers: list[object] = []
 
     async def serve() -> None:
@@ -195,7 +195,8 @@ def is_running(pid: int) -> bool:
         return False
 
 
-def test_a_node_that_is_killed_in_motion_leaves_an_arm_that_brakes_and_a_world_that_ends(tmp_path: Path) -> None:
+def test_node_killed_in_motion_leaves_a_braking_arm(tmp_path: Path) -> None:
+    """Its world ends."""
     with moving_node(tmp_path) as (node, world, log):
         os.kill(world, signal.SIGTERM)  # ends with its node only, which holds the arm first
         node.kill()
@@ -206,9 +207,10 @@ def test_a_node_that_is_killed_in_motion_leaves_an_arm_that_brakes_and_a_world_t
     assert "Traceback" not in said
 
 
-def test_a_node_that_is_frozen_in_motion_leaves_an_arm_that_brakes_and_a_stimulator_that_disarms(
+def test_node_frozen_in_motion_leaves_a_braking_arm(
     tmp_path: Path,
 ) -> None:
+    """The stimulator disarms."""
     with moving_node(tmp_path) as (node, _, log):
         os.kill(node.pid, signal.SIGSTOP)
         assert wait_until(lambda: "nothing was heard of its node" in log.read_text())
@@ -258,7 +260,7 @@ async def test_a_hold_that_has_arrived_acts_before_more_physics() -> None:
         assert (await following).reason == "held"
 
 
-async def test_what_acts_and_comes_late_is_refused_and_a_hold_is_not() -> None:
+async def test_late_action_is_refused_and_a_late_hold_is_not() -> None:
     async with asyncio.timeout(PATIENCE), linked(LateClock()) as (_, devices):
         await devices["robot"].connect()
         for call in (devices["robot"].follow(motion(5.0)), devices["stimulator"].arm()):

@@ -33,7 +33,7 @@ FINDING: dict[str, list[Act]] = {
 """Mutant to what shows it."""
 
 
-def test_a_session_holds_and_its_seed_fixes_every_byte_of_its_journal() -> None:
+def test_session_holds_and_its_seed_fixes_its_journal() -> None:
     """Also in another process, where sets and dictionaries of text are walked through in another order."""
     found = run_seeds("ratms", "kinematic", [3])[0]
     assert (found.invariant, found.text) == ("", "")
@@ -57,14 +57,14 @@ def test_a_registration_that_is_taken_back_is_one_of_the_journal() -> None:
     assert found.seen["accepted registration.use_previous"] == 1
 
 
-def test_a_frame_stamped_ahead_while_two_tools_are_taken_for_each_other_makes_neither_believed() -> None:
+def test_frame_stamped_ahead_during_a_swap_validates_no_tool() -> None:
     """Otherwise the reference would count as being where the witness is, and not be believed any more afterwards."""
     swap = {"first": "witness", "second": "body_ref", "on": True, "lasts": 9.7}
     found = run_session(Script(seed=1, acts=[Act(0.7, "fault:tool_swap", "", swap), Act(0.6, "fault:frame_ahead")]))
     assert (found.invariant, found.text) == ("", "")
 
 
-def test_poses_go_on_after_a_restart_where_the_head_has_moved_while_two_tools_were_taken_for_each_other() -> None:
+def test_poses_continue_after_a_restart_if_head_moved_in_a_swap() -> None:
     """Seed 8781342: the reference came to where the other tool had been; the tracker is restarted, as is advised."""
     swap = {"first": "body_ref", "second": "witness", "on": True, "lasts": 12.954}
     acts = [

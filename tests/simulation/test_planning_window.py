@@ -23,7 +23,7 @@ APPROACH = Act(1.0, "placement.approach", "anna", waits=False)
         ),
     ],
 )
-def test_what_comes_while_a_motion_is_planned(meanwhile: str, seen: str, never: str) -> None:
+def test_event_during_planning_decides_the_motion(meanwhile: str, seen: str, never: str) -> None:
     act = Act(0.05, meanwhile, "ben", window="plan:placement.approach", held=0.3)
     found = run_session(Script(seed=5, acts=[*BEFORE, APPROACH, act]))
     assert (found.invariant, found.text) == ("", "")

@@ -28,7 +28,7 @@ def simulated(work: Awaitable[T]) -> T:
 
 
 @given(st.lists(st.floats(0.0, 1e6), min_size=1, max_size=20))
-def test_everybody_wakes_at_the_very_moment_and_in_the_order_of_time(waits: list[float]) -> None:
+def test_all_sleepers_wake_at_the_exact_time_and_in_order(waits: list[float]) -> None:
     """Also where two are nearer to each other than any real timer could tell apart."""
     woken: list[tuple[float, float]] = []
 
@@ -68,7 +68,7 @@ def test_waiting_for_nothing_is_an_error() -> None:
     loop.close()
 
 
-def test_a_wall_clock_can_be_set_and_stopped_and_deadlines_do_not_care() -> None:
+def test_set_or_stopped_wall_clock_does_not_affect_deadlines() -> None:
     async def look() -> list[float]:
         clock = SimulatedClock(asyncio.get_running_loop())
         await clock.sleep(10.0)

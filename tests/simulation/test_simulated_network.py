@@ -36,7 +36,7 @@ def heard_by(endpoint: Endpoint, key: str) -> list[int]:
 
 
 @pytest.mark.parametrize("coded", [False, True])
-def test_others_hear_in_order_and_nobody_hears_himself(coded: bool) -> None:
+def test_others_receive_in_order_and_senders_not_their_own(coded: bool) -> None:
     async def play(network: Network) -> None:
         one, other = network.endpoint("one"), network.endpoint("other")
         own, heard = heard_by(one, "state/*"), heard_by(other, "state/*")
@@ -109,7 +109,9 @@ def test_requests_are_answered_refused_or_unknown() -> None:
     on_network(play)
 
 
-def test_who_asked_a_process_that_ends_learns_it_at_once_and_its_tasks_end() -> None:
+def test_end_of_a_process_is_known_at_once_and_ends_its_tasks() -> None:
+    """Who has asked it learns of its end."""
+
     async def play(network: Network) -> None:
         client, server = network.endpoint("client"), network.endpoint("server")
         ended: list[str] = []
@@ -139,7 +141,7 @@ def test_who_asked_a_process_that_ends_learns_it_at_once_and_its_tasks_end() -> 
     on_network(play)
 
 
-def test_requests_overtake_each_other_between_loop_and_thread_and_one_that_was_taken_is_sent() -> None:
+def test_requests_may_overtake_and_a_taken_one_is_still_sent() -> None:
     """As on the bus: a pool of threads sends them, and to cancel who asks does not recall what a thread has taken."""
 
     async def play(network: Network) -> None:
@@ -164,7 +166,9 @@ def test_requests_overtake_each_other_between_loop_and_thread_and_one_that_was_t
     on_network(play)
 
 
-def test_a_process_that_is_held_up_hears_late_and_in_order_and_the_others_go_on() -> None:
+def test_delayed_process_receives_late_and_in_order() -> None:
+    """The others continue."""
+
     async def play(network: Network) -> None:
         one, two, other = network.endpoint("one"), network.endpoint("two"), network.endpoint("other")
         late, now = heard_by(one, "key"), heard_by(two, "key")

@@ -13,9 +13,7 @@ A = Transform.from_rotvec((1, 2, 3), (0.1, 0.2, 0.3))
 
 
 @given(st.permutations(FRAMES), st.data())
-def test_every_pair_of_a_random_tree_agrees_with_the_poses_it_was_made_from(
-    frames: list[Frame], data: st.DataObject
-) -> None:
+def test_every_pair_of_a_random_tree_agrees_with_its_poses(frames: list[Frame], data: st.DataObject) -> None:
     seed = data.draw(st.integers(0, 2**32 - 1))
     rng = np.random.default_rng(seed)
     world_from = {frame: Transform.from_rotvec(rng.normal(size=3), rng.normal(size=3)) for frame in frames}
@@ -46,7 +44,7 @@ def test_a_transform_is_replaced_from_either_side() -> None:
     np.testing.assert_allclose(graph.get(Frame.TOOL, Frame.COIL).matrix, A.inverse().matrix, atol=1e-15)
 
 
-def test_what_is_not_joined_is_named() -> None:
+def test_frames_without_a_connection_are_named() -> None:
     graph = FrameGraph()
     graph.set(Frame.TRACKER, Frame.BODY_REF, A)
     graph.set(Frame.BODY_REF, Frame.IMAGE, A)

@@ -129,7 +129,7 @@ def test_the_prediction_is_the_same_in_every_tracker_frame(
     assert rotation_angle(moved, there.at(0.35)) < 1e-9
 
 
-def test_uniform_motion_is_predicted_exactly_and_its_rates_are_known() -> None:
+def test_uniform_motion_is_predicted_exactly_with_its_rates() -> None:
     predictor = PosePredictor()
     for frame in range(300):
         predictor.update(frame / RATE, true_pose(lambda time: 0.02 * time, frame / RATE))
@@ -159,7 +159,7 @@ def test_one_outlier_is_passed_over(elsewhere: Transform) -> None:
 
 
 @pytest.mark.parametrize("elsewhere", [STEPPED, TURNED])
-def test_a_jump_latches_until_the_predictor_begins_anew(elsewhere: Transform) -> None:
+def test_jump_latches_until_the_predictor_is_reset(elsewhere: Transform) -> None:
     predictor = at_rest(60)
     for frame in range(60, 60 + MAX_OUTLIERS - 1):
         assert not predictor.update(frame / RATE, elsewhere)
@@ -177,7 +177,7 @@ def test_a_jump_latches_until_the_predictor_begins_anew(elsewhere: Transform) ->
     assert distance(predictor.at((last + 2) / RATE), elsewhere) < 1e-12
 
 
-def test_an_occluded_body_is_predicted_for_a_while_only_and_taken_up_again() -> None:
+def test_occluded_body_is_predicted_for_a_while_and_reacquired() -> None:
     predictor = at_rest(60)
     seen = 59 / RATE
     predictor.at(seen + 0.99 * HORIZON)

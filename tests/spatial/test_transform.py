@@ -45,7 +45,7 @@ def test_points_map_one_by_one_or_as_rows() -> None:
 
 
 @given(transforms, rotvecs)
-def test_rotation_angle_is_that_of_scipy_and_distance_that_of_the_origins(a: Transform, turn: tuple[float]) -> None:
+def test_rotation_angle_is_that_of_scipy_and_distance_of_origins(a: Transform, turn: tuple[float]) -> None:
     b = a @ Transform.from_rotvec((0.3, 0.0, 0.4), turn)
     assert rotation_angle(a, b) == pytest.approx(Rotation.from_rotvec(turn).magnitude(), abs=1e-12)
     assert distance(a, b) == pytest.approx(0.5)
@@ -82,7 +82,7 @@ def test_mean_of_nothing_is_refused() -> None:
         np.eye(4),
     ],
 )
-def test_what_is_no_rotation_is_refused(matrix: np.ndarray) -> None:
+def test_invalid_rotation_is_refused(matrix: np.ndarray) -> None:
     with pytest.raises(GeometryError):
         Transform(matrix, np.zeros(3))
 
@@ -127,9 +127,8 @@ def test_angles_about_z_y_and_x_are_those_of_scipy(position: tuple[float], angle
 
 @pytest.mark.parametrize("middle", [-math.pi / 2, math.pi / 2])
 @given(first=st.floats(-3.0, 3.0), last=st.floats(-3.0, 3.0))
-def test_angles_of_a_pose_whose_first_and_last_axis_are_one_give_the_same_pose(
-    middle: float, first: float, last: float
-) -> None:
+def test_angles_at_gimbal_lock_give_the_same_pose(middle: float, first: float, last: float) -> None:
+    """The first and the last axis are one there."""
     a = Transform.from_zyx((0, 0, 0), (first, middle, last))
     assert a.zyx[2] == 0.0
     np.testing.assert_allclose(Transform.from_zyx((0, 0, 0), a.zyx).rotation, a.rotation, atol=1e-9)

@@ -47,9 +47,7 @@ deflections = st.floats(-1.5, 1.5)
 
 
 @given(st.lists(deflections, min_size=6, max_size=6), st.floats(0.0, 0.9))
-def test_a_device_that_nobody_touches_asks_for_rest_and_none_for_more_than_full_speed(
-    deflection: list[float], dead_zone: float
-) -> None:
+def test_untouched_device_asks_for_rest_and_none_for_overspeed(deflection: list[float], dead_zone: float) -> None:
     twist = Mapping(0.02, 0.2, dead_zone).twist(deflection)
     for each, given_, full in zip(twist, deflection, (0.02,) * 3 + (0.2,) * 3, strict=True):
         assert abs(each) <= full * (1 + 1e-12)
@@ -84,7 +82,8 @@ def test_space_stops_once_q_leaves_and_a_wrong_key_lets_go() -> None:
     assert keys.demand(3.0).leave
 
 
-def test_a_spacemouse_moves_only_with_its_clutch_held_and_forgets_what_it_does_not_repeat() -> None:
+def test_spacemouse_moves_only_with_its_clutch_held() -> None:
+    """It forgets what is not repeated."""
     mouse = Controller(SPACEMOUSE, MAPPING, {})
     mouse.take(EV_REL, X, 350, 0.0)
     assert mouse.demand(0.01) == Demand()
@@ -100,7 +99,7 @@ def test_a_spacemouse_moves_only_with_its_clutch_held_and_forgets_what_it_does_n
     assert mouse.demand(0.3) == Demand(leave=True)
 
 
-def test_a_gamepad_has_ranges_of_its_own() -> None:
+def test_gamepad_axes_have_their_own_ranges() -> None:
     pad = Controller(GAMEPAD, MAPPING, {X: (0, 255), Y: (0, 255), RX: (-32768, 32767), RY: (-32768, 32767)})
     pad.take(EV_KEY, SHOULDER_LEFT, 1, 0.0)
     for code in (X, Y):
@@ -154,7 +153,7 @@ async def test_the_terminal_is_as_before_after_the_keyboard(monkeypatch: pytest.
         assert termios.tcgetattr(terminal.fileno()) == before
 
 
-async def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_missing_item_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "evdev", None)
     with pytest.raises(ConfigurationError, match="install the extra teleop"), open_device("gamepad", MAPPING):
         pass
@@ -186,9 +185,10 @@ class KernelDevice:
         os.close(self.hands)
 
 
-async def test_the_device_with_all_axes_and_buttons_is_read_until_it_is_unplugged(
+async def test_matching_device_is_read_until_it_is_unplugged(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """It has all axes and buttons that are needed."""
     mouse, other = KernelDevice({EV_KEY: [0x110], EV_REL: [X, Y]}), KernelDevice({EV_KEY: [0x110]})
     axis = SimpleNamespace(min=0, max=200)
     pad = KernelDevice({EV_KEY: [EAST, SHOULDER_LEFT, START], EV_ABS: [(code, axis) for code in GAMEPAD.axes]})

@@ -58,7 +58,7 @@ def test_only_the_fresh_newer_ones_of_who_engaged_count(many: list[Sent]) -> Non
 
 
 @given(st.integers(0, 8), st.sampled_from([math.nan, math.inf, -math.inf]))
-def test_no_number_that_is_not_finite_is_admitted_nor_gets_past_the_bus(place: int, wrong: float) -> None:
+def test_number_that_is_not_finite_is_refused_also_by_the_bus(place: int, wrong: float) -> None:
     numbers = [0.0, BEGUN, 1.0, *UP]
     numbers[place] = wrong
     made = TeleopSetpoint(sequence=1, sent=numbers[0], seen=numbers[1], ttl=numbers[2], twist=tuple(numbers[3:]))  # type: ignore[arg-type]
@@ -100,7 +100,7 @@ def test_how_the_clocks_differ_matters_to_nothing(difference: float, way: list[t
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 2.0), st.booleans()), max_size=30))
-def test_speed_falls_with_the_delay_and_comes_back_only_when_let_go(course: list[tuple[float, bool]]) -> None:
+def test_speed_falls_with_the_delay_and_returns_after_release(course: list[tuple[float, bool]]) -> None:
     scale, held = SpeedScale(SETTINGS), False
     slow, longest = SETTINGS.slow_delay, SETTINGS.longest_delay
     for delay, at_rest in course:

@@ -24,7 +24,7 @@ STATUS = TeleopStatus(
 )
 
 
-def test_a_teleoperator_sees_delay_speed_place_and_limit_on_one_line() -> None:
+def test_teleoperator_sees_delay_speed_place_and_limit_in_a_line() -> None:
     delay, place = "52 ms ± 3, speed 80 %", "71.2 mm and 1.0° from the plan, 70.0 mm above, as far as allowed"
     assert status_line(STATUS, keys=False).plain == f"engaged by anna, {delay}, {place}, 3 refused"
     assert status_line(TeleopStatus(stamp=1.0), keys=False).plain == "clutch open"
@@ -33,7 +33,7 @@ def test_a_teleoperator_sees_delay_speed_place_and_limit_on_one_line() -> None:
     assert "release the clutch once" in status_line(held, keys=False).plain
 
 
-def test_refusals_and_dangers_are_told_with_their_reason() -> None:
+def test_refusals_and_dangers_are_shown_with_their_reason() -> None:
     reason = Reason(code="not_guided", text="teleoperation.engage needs placement in guided; it is in held.")
     verdict = Verdict(
         id="1", branch="teleoperation", operation="engage", decision="rejected", state="off", sequence=1, reason=reason

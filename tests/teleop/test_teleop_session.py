@@ -136,7 +136,8 @@ async def at_work(game: Played, course: Callable[[], Awaitable[None]]) -> str:
     return ended
 
 
-async def test_set_points_are_sent_only_while_engaged_and_guiding_ends_with_the_program() -> None:
+async def test_set_points_are_sent_only_while_engaged() -> None:
+    """Guiding ends with the program."""
     game = played()
 
     async def course() -> None:
@@ -174,7 +175,7 @@ async def test_it_ends_when_the_tool_stands_and_not_before(stands_after: float) 
     assert asyncio.get_running_loop().time() == game.daemon.stood
 
 
-async def test_whoever_was_refused_has_to_let_go_before_asking_again() -> None:
+async def test_refused_teleoperator_must_let_go_before_asking_again() -> None:
     game = played(refuse="teleoperation.engage", placement="guided")
 
     async def course() -> None:

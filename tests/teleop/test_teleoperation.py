@@ -39,7 +39,7 @@ async def alice() -> AsyncIterator[Teleoperator]:
         yield await guided(bench)
 
 
-async def test_the_tool_goes_as_it_is_asked_to_while_the_clutch_is_engaged(alice: Teleoperator) -> None:
+async def test_tool_moves_as_requested_while_the_clutch_is_engaged(alice: Teleoperator) -> None:
     bench, before = alice.bench, await tool(alice.bench)
     async with alice.sending():
         await alice.steer(UP, 0.3)
@@ -70,7 +70,7 @@ async def test_the_tool_goes_as_it_is_asked_to_while_the_clutch_is_engaged(alice
     assert not bench.dispatcher.snapshot().latched
 
 
-async def test_silence_holds_and_latches_and_nothing_goes_on_by_itself(alice: Teleoperator) -> None:
+async def test_silence_holds_and_latches_and_nothing_resumes_by_itself(alice: Teleoperator) -> None:
     bench = alice.bench
     await alice.engage()
     async with alice.sending():
@@ -92,7 +92,7 @@ async def test_silence_holds_and_latches_and_nothing_goes_on_by_itself(alice: Te
     assert (await bench.accept("placement.back_off")).state in ("standoff", "retracted")
 
 
-async def test_set_points_of_others_stale_and_repeated_ones_have_no_effect(alice: Teleoperator) -> None:
+async def test_foreign_stale_or_repeated_set_points_have_no_effect(alice: Teleoperator) -> None:
     bench = alice.bench
     await alice.engage()
     async with alice.sending():
@@ -120,7 +120,7 @@ async def test_set_points_of_others_stale_and_repeated_ones_have_no_effect(alice
     assert danger(bench).code == "teleoperator_lost"
 
 
-async def test_a_clutch_that_changes_hands_counts_for_the_other_hand_only(alice: Teleoperator) -> None:
+async def test_handed_over_clutch_counts_for_the_new_hand_only(alice: Teleoperator) -> None:
     bench, bob = alice.bench, Teleoperator(alice.bench, user="bob", heard=alice.heard)
     await alice.engage()
     async with alice.sending(), bob.sending():
@@ -138,7 +138,7 @@ async def test_a_clutch_that_changes_hands_counts_for_the_other_hand_only(alice:
         assert (await moved(bench, before))[2] > MOVES
 
 
-async def test_a_late_teleoperator_is_slowed_then_held_until_they_let_go(alice: Teleoperator) -> None:
+async def test_late_teleoperator_is_slowed_then_held_until_release(alice: Teleoperator) -> None:
     bench = alice.bench
     await alice.engage()
     async with alice.sending():
@@ -195,7 +195,8 @@ async def test_the_tool_stays_above_the_contact_and_near_its_place() -> None:
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", range(5))
-async def test_no_steering_brings_the_tool_nearer_to_the_body_than_planned(seed: int) -> None:
+async def test_no_steering_brings_the_tool_nearer_than_planned(seed: int) -> None:
+    """The distance is that of the tool to the body."""
     hands = np.random.default_rng(seed)
     async with open_bench() as bench:
         alice = await guided(bench, placed=bool(seed % 2))
@@ -219,7 +220,7 @@ def body_distance(bench: WorkflowBench, posture: Floats) -> float:
     return float(model.distances(posture)[model.pairs.index((TOOL, BODY))])
 
 
-async def test_whoever_engages_has_to_be_heard_at_all(alice: Teleoperator) -> None:
+async def test_engaging_needs_a_teleoperator_who_sends(alice: Teleoperator) -> None:
     bench = alice.bench
     await bench.refuse("teleoperation.engage", "no_teleoperator")
     before = await tool(bench)
@@ -258,7 +259,7 @@ async def test_guiding_ends_with_the_registration_it_rests_on(alice: Teleoperato
 
 
 @pytest.mark.parametrize("workflow", ["ratms", "grid_mapping", "ratms_threshold", "femoroplasty"])
-def test_who_only_plans_moves_nothing(workflow: str) -> None:
+def test_planner_role_moves_nothing(workflow: str) -> None:
     branches = read_workflow(workflow).branches
     for name, branch in branches.items():
         for key, operation in branch.operations.items():
@@ -270,7 +271,7 @@ def test_who_only_plans_moves_nothing(workflow: str) -> None:
     assert branches["robot"].operations["acknowledge"].roles == ["operator"], "a decision of the people on site"
 
 
-async def test_a_tool_that_is_led_along_the_edge_of_its_range_does_not_leave_it() -> None:
+async def test_tool_led_along_the_edge_of_its_range_does_not_leave_it() -> None:
     """Aside, at the edge, is outwards: by so little that no bound of the speed notices, and more with each step."""
     async with open_bench({"teleoperation": {"range": 0.101}}) as bench:
         await guided(bench)
@@ -292,7 +293,7 @@ async def test_a_tool_that_is_led_along_the_edge_of_its_range_does_not_leave_it(
         assert distance(before, guide.plan_from_tool) > 0.01, "where it leads inwards, it goes"
 
 
-async def test_nothing_moves_while_the_clutch_is_open_whoever_asks(alice: Teleoperator) -> None:
+async def test_nothing_moves_while_the_clutch_is_open(alice: Teleoperator) -> None:
     bench = alice.bench
     guiding = GuidanceSession(activity(bench, bench.data))
     for _ in range(2):

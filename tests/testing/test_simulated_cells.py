@@ -34,7 +34,9 @@ def test_a_procedure_is_run_alike_each_time() -> None:
     assert first == again > 5.0
 
 
-def test_a_crash_leaves_the_starting_states_and_what_is_not_confirmed_is_said() -> None:
+def test_crash_leaves_the_starting_states() -> None:
+    """What is not confirmed is reported."""
+
     async def course(cell: CellInSimulatedTime) -> None:
         await to_standoff(cell)
         await cell.crash()

@@ -58,7 +58,7 @@ def test_a_grid_goes_outwards_in_a_spiral_of_neighbours() -> None:
         assert mine.max() <= ring + 1e-9
 
 
-def test_a_pose_beside_the_scalp_is_brought_onto_it_with_the_least_tilt() -> None:
+def test_pose_beside_the_scalp_is_moved_onto_it_with_least_tilt() -> None:
     beside = Transform.from_rotvec((0.001, 0.0, RADIUS + 0.01), (0.2, 0.0, 0.7))
     placed = on_scalp(sphere, beside)
     assert np.linalg.norm(placed.translation) == pytest.approx(RADIUS)
@@ -68,7 +68,7 @@ def test_a_pose_beside_the_scalp_is_brought_onto_it_with_the_least_tilt() -> Non
 
 
 @pytest.mark.parametrize(("side", "sign"), [("right", 1.0), ("left", -1.0)])
-def test_the_hand_area_is_beside_the_vertex_with_the_handle_back_and_out(side: str, sign: float) -> None:
+def test_hand_area_is_beside_the_vertex_with_handle_back_and_out(side: str, sign: float) -> None:
     pose = hand_area(sphere, TOP.translation, "right" if side == "right" else "left")
     away = RADIUS * np.arccos(pose.translation[2] / RADIUS)
     assert away == pytest.approx(np.hypot(0.055, 0.005), rel=1e-3)
@@ -85,12 +85,12 @@ def test_the_heading_is_the_turn_about_the_normal(angle: float, tilt_x: float, t
 
 
 @pytest.mark.parametrize(("spacing", "rings"), [(0.0, 2), (-0.01, 2), (float("nan"), 2), (0.01, -1), (0.01, 21)])
-def test_what_is_no_grid_is_refused(spacing: float, rings: int) -> None:
+def test_invalid_grid_is_refused(spacing: float, rings: int) -> None:
     with pytest.raises(GeometryError, match="positive spacing"):
         grid_on_scalp(sphere, TOP, spacing, rings)
 
 
-def test_a_coil_upside_down_and_offsets_that_are_none_are_refused() -> None:
+def test_upside_down_coil_and_invalid_offsets_are_refused() -> None:
     flipped = Transform.from_rotvec(TOP.translation, (np.pi, 0.0, 0.0))
     with pytest.raises(GeometryError, match="into the head"):
         on_scalp(sphere, flipped)

@@ -71,7 +71,7 @@ def test_a_steady_muscle_leads_to_the_hotspot(method: HotspotMethod, hotspot: tu
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_what_counts_is_where_the_coil_was_measured(method: HotspotMethod) -> None:
+def test_measured_pose_of_the_coil_counts(method: HotspotMethod) -> None:
     """A robot that is off by 3 mm and 3 degrees throughout does not shift what is found."""
     subject = subject_at(0.006, 0.003, 0.2)
     shift = Transform.from_rotvec((0.003, 0.0, 0.0), (0.0, 0.0, 0.05))
@@ -79,7 +79,7 @@ def test_what_counts_is_where_the_coil_was_measured(method: HotspotMethod) -> No
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_journalled_search_goes_on_as_it_would_have(method: HotspotMethod) -> None:
+def test_journalled_search_continues_unchanged(method: HotspotMethod) -> None:
     subject = subject_at(0.005, 0.005, 0.2)
     search = begun(method)
     for _ in range(25):
@@ -91,7 +91,8 @@ def test_a_journalled_search_goes_on_as_it_would_have(method: HotspotMethod) -> 
     assert msgspec.json.decode(msgspec.json.encode(search), type=HotspotSearch).estimate == search.estimate
 
 
-def test_grid_mapping_goes_through_all_places_then_turns_the_handle_at_the_middle() -> None:
+def test_grid_mapping_visits_all_places_then_turns_the_handle() -> None:
+    """It turns the handle at the middle."""
     subject, search = subject_at(0.006, -0.006, 0.3), begun("grid", pulses_per_place=2)
     asked = []
     while not search.finished:
@@ -187,7 +188,7 @@ def test_the_process_is_that_of_scikit_learn(seed: int) -> None:
     assert np.allclose(covariance, spread, atol=1e-9)
 
 
-def test_an_adaptive_search_ends_when_the_place_is_known_or_at_its_budget() -> None:
+def test_adaptive_search_ends_at_a_known_place_or_at_its_budget() -> None:
     subject = subject_at(0.005, 0.0, 0.1)
     loose = run(begun("adaptive", uncertainty_mm=6.0), subject)
     assert 20 <= len(loose.pulses) < 40
@@ -206,14 +207,14 @@ def test_the_expected_map_is_highest_near_the_hotspot() -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("amplitude", [math.nan, math.inf, -math.inf, -1e-9, 1.0])
-def test_what_is_no_amplitude_is_refused(method: HotspotMethod, amplitude: float) -> None:
+def test_invalid_amplitude_is_refused(method: HotspotMethod, amplitude: float) -> None:
     search = begun(method)
     with pytest.raises(RefusalError) as refused:
         search.after(search.next(), amplitude)
     assert refused.value.refusal_code == "bad_amplitude"
 
 
-def test_what_is_no_pose_is_refused() -> None:
+def test_invalid_pose_is_refused() -> None:
     for pose in (
         PoseMessage(position=(0.0, math.nan, 0.0), quat_wxyz=(1.0, 0.0, 0.0, 0.0)),
         PoseMessage(position=(0.0, 0.0, 0.0), quat_wxyz=(0.0, 0.0, 0.0, 0.0)),
@@ -223,7 +224,7 @@ def test_what_is_no_pose_is_refused() -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_without_a_response_there_is_no_hotspot_and_after_the_end_no_pulse(method: HotspotMethod) -> None:
+def test_no_response_gives_no_hotspot_and_no_pulse_after_the_end(method: HotspotMethod) -> None:
     search = begun(method)
     while not search.finished:
         search = search.after(search.next(), 20e-6)

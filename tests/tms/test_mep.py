@@ -77,7 +77,7 @@ def test_a_response_begins_at_fifty_microvolts(microvolts: float, present: bool)
     assert mep.valid
 
 
-def test_what_comes_too_early_or_too_late_is_no_response() -> None:
+def test_too_early_or_too_late_onset_is_no_response() -> None:
     assert not judged(response(1e-3, onset=0.055) + noise(1e-7)).present
     early = judged(response(1e-3, onset=0.003) + noise(1e-7))
     assert not early.present
@@ -138,7 +138,7 @@ def test_hum_left_alone_counts_as_activity(mains_hz: float) -> None:
     assert not mep.present
 
 
-def test_a_tense_muscle_is_not_believed() -> None:
+def test_tense_muscle_gives_no_valid_response() -> None:
     mep = judged(response(500e-6) + noise(12e-6))
     assert (mep.preactivated, mep.valid, mep.present) == (True, False, False)
     assert judged(response(500e-6) + noise(8e-6)).present

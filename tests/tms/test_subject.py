@@ -67,7 +67,8 @@ def test_no_pose_on_the_scalp_is_better_than_the_hotspot(x: float, y: float, ang
     assert share(turned(pose, angle)) <= 1.0 + 1e-9
 
 
-def test_drawn_subjects_lie_on_the_scalp_around_the_hand_area_and_differ() -> None:
+def test_drawn_subjects_lie_around_the_hand_area_and_differ() -> None:
+    """Their hotspots lie on the scalp."""
     surface, centre = phantom()
     subjects = [draw(surface.closest, centre, np.random.default_rng(seed)) for seed in range(40)]
     hotspots = [subject.image_from_hotspot for subject in subjects]

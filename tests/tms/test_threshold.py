@@ -202,7 +202,7 @@ def test_amplitudes_that_contradict_are_refused(responded: bool, amplitude: floa
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_journalled_hunt_goes_on_as_it_was(method: ThresholdMethod) -> None:
+def test_journalled_hunt_continues_unchanged(method: ThresholdMethod) -> None:
     answer = muscle(55.0, 9)
     hunt = MotorThresholdEstimator.begin(ThresholdSettings(method=method))
     for _ in range(6):

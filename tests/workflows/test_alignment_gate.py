@@ -94,7 +94,7 @@ def test_settings_that_would_flicker_are_refused() -> None:
 
 
 @pytest.mark.parametrize("decided", [True, False], ids=["refused", "waiting"])
-async def test_what_has_just_opened_closes_without_delay_and_only_repeats_wait(decided: bool) -> None:
+async def test_opened_gate_closes_at_once_and_only_repeats_wait(decided: bool) -> None:
     now = 0.0
     posted: list[tuple[float, str]] = []
 
@@ -132,7 +132,7 @@ async def test_what_has_just_opened_closes_without_delay_and_only_repeats_wait(d
     assert posted[1:] == [(40 / 64, "outside"), *repeated]
 
 
-async def test_a_tool_whose_registration_was_given_up_is_watched_on_and_counts_as_outside(
+async def test_tool_without_registration_stays_watched_and_outside(
     unrevoked: WorkflowBench,
 ) -> None:
     """A blueprint that leaves the tool at its place then: nothing is aligned with a pose that nobody knows."""

@@ -62,7 +62,7 @@ def calibrated(folder: Path, kind: str, **given: Any) -> dict[str, Any]:
         ("femoroplasty", RESTING_ON_IT),
     ],
 )
-def test_what_rests_on_a_calibration_asks_whether_it_is_valid(name: str, expected: set[str]) -> None:
+def test_operations_that_need_a_calibration_check_it(name: str, expected: set[str]) -> None:
     blueprint: Blueprint = read_workflow(name)
     asking = {
         f"{branch}.{operation}"
@@ -111,7 +111,7 @@ async def _explicit_id() -> str:
         ("pointer", {"cell": "lab/cell2"}, "calibration_foreign"),
     ],
 )
-async def test_nothing_is_digitized_by_a_calibration_that_must_not_be_used(
+async def test_nothing_is_digitized_with_an_unusable_calibration(
     tmp_path: Path, kind: str, given: Mapping[str, Any], code: str
 ) -> None:
     async with open_bench(calibrated(tmp_path, kind, **given)) as bench:
@@ -140,7 +140,7 @@ async def test_a_changed_file_is_refused(tmp_path: Path) -> None:
         await bench.refuse("digitization.digitize_all", "calibration_changed")
 
 
-async def test_a_calibration_that_expires_stops_approaches_and_no_retreat(tmp_path: Path) -> None:
+async def test_expired_calibration_bars_approaches_but_no_retreat(tmp_path: Path) -> None:
     async with open_bench(calibrated(tmp_path, "tool")) as bench:
         await bench.to_standoff()
         _let_expire(bench)
@@ -163,7 +163,8 @@ async def test_femoroplasty_needs_a_drill_guide(tmp_path: Path) -> None:
         await bench.refuse("digitization.digitize_all", "calibration_foreign")
 
 
-async def test_a_file_that_is_no_calibration_of_the_kind_is_a_bad_configuration(tmp_path: Path) -> None:
+async def test_file_of_another_kind_is_a_bad_configuration(tmp_path: Path) -> None:
+    """So is a file that cannot be read."""
     pointer = calibrated(tmp_path, "pointer")["calibration"]["pointer_file"]
     for file, words in ((pointer, "of a pointer"), (str(tmp_path / "none.toml"), "cannot be read")):
         with pytest.raises(ConfigurationError, match=words) as refused:

@@ -12,7 +12,7 @@ from pcmrs.messages import HeadMotion
 FINE: dict[str, Any] = {"placement": {"frames": 60, "settle_time": 0.3, "tolerance_mm": 0.08, "tolerance_deg": 0.03}}
 
 
-async def test_every_round_is_in_the_result_and_the_last_is_within_tolerance() -> None:
+async def test_every_round_is_in_the_result_and_the_last_in_tolerance() -> None:
     async with open_bench(FINE) as bench:
         placed = await bench.to_placed()
     assert placed.result is not None

@@ -51,7 +51,7 @@ async def test_the_configured_force_counts_where_none_is_asked_for() -> None:
         assert await contact_force(bench) == pytest.approx(4.0, abs=0.5)
 
 
-async def test_pressing_anew_goes_from_one_force_to_the_other() -> None:
+async def test_pressing_again_changes_from_one_force_to_the_other() -> None:
     async with open_bench(sim=DYNAMICS) as bench:
         await bench.to_placed()
         await pressed(bench, force=4.0)
@@ -60,7 +60,7 @@ async def test_pressing_anew_goes_from_one_force_to_the_other() -> None:
         assert await contact_force(bench) == pytest.approx(1.0, abs=0.5)
 
 
-async def test_what_comes_after_starts_from_the_pressed_pose() -> None:
+async def test_later_motions_start_from_the_pressed_pose() -> None:
     async with open_bench(sim=DYNAMICS) as bench:
         await bench.to_placed()
         before = await bench.true_height()

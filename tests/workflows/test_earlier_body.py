@@ -54,14 +54,15 @@ async def test_without_any_registration_a_way_home_has_to_be_confirmed(name: str
         await bench.accept(name)  # it is there: nothing moves
 
 
-async def test_once_registered_nothing_has_to_be_confirmed_also_when_that_is_given_up() -> None:
+async def test_once_registered_nothing_needs_confirmation() -> None:
+    """Not even when the registration is given up."""
     async with open_bench({"home": ASIDE}) as bench:
         await bench.register()
         await bench.accept("registration.clear_registration")
         await bench.accept("placement.home")
 
 
-async def test_the_previous_registration_is_a_zone_to_keep_out_of_and_nothing_else() -> None:
+async def test_previous_registration_is_only_a_zone_to_keep_out_of() -> None:
     registered, at_the_body = await registered_and_at_the_body()
     async with open_bench({"home": ASIDE}, workflow=restarted_with(registered)) as bench:
         await bench.connect()
@@ -80,7 +81,8 @@ async def test_the_previous_registration_is_a_zone_to_keep_out_of_and_nothing_el
 @pytest.mark.parametrize(
     "other", [{"patient": "somebody else"}, {"calibration": "another"}, {"reference_serial": "another"}]
 )
-async def test_that_of_another_patient_calibration_or_reference_says_nothing(other: dict[str, Any]) -> None:
+async def test_registration_of_other_patient_or_calibration_is_ignored(other: dict[str, Any]) -> None:
+    """So is that of another reference."""
     registered, at_the_body = await registered_and_at_the_body()
     previous = msgspec.structs.replace(registered, **other)
     async with open_bench({"home": ASIDE}, workflow=restarted_with(previous)) as bench:
@@ -90,7 +92,7 @@ async def test_that_of_another_patient_calibration_or_reference_says_nothing(oth
         await bench.accept("placement.home", confirm=True)
 
 
-async def test_a_reference_that_is_seen_to_have_moved_says_nothing_either() -> None:
+async def test_registration_of_a_moved_reference_is_ignored() -> None:
     registered, _ = await registered_and_at_the_body()
     assert registered.reference is not None
     async with open_bench({"home": ASIDE}, workflow=restarted_with(registered)) as bench:

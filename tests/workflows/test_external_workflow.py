@@ -79,7 +79,7 @@ async def test_a_path_is_a_workflow(tmp_path: Path) -> None:
     await _lights(str(_write(tmp_path)))
 
 
-async def test_an_entry_point_is_a_workflow_and_finding_it_runs_nothing_of_it(
+async def test_entry_point_is_a_workflow_and_finding_it_runs_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = _write(tmp_path / "lamps" / "bright", code=f"from .. import LAMPS\n{STRIKE}")
@@ -112,7 +112,7 @@ def test_an_unknown_name_is_refused_with_what_there_is(name: str) -> None:
         assert known in refused.value.text
 
 
-def test_an_entry_point_without_its_module_is_told_with_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_entry_point_without_its_module_is_refused_with_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _install(tmp_path, monkeypatch, "gone", "no_such_package.lamp")
     with pytest.raises(ConfigurationError, match=r"'gone' is installed by lamps, but its module no_such_package\.lamp"):
         find_workflow("gone")
@@ -157,7 +157,7 @@ def test_a_path_is_relative_to_where_it_is_written(tmp_path: Path, monkeypatch: 
         ("async def strike(run): ...\ndef register(registry):\n    registry.step(strike)\n", ("line 3", "world_step")),
     ],
 )
-def test_a_faulty_python_file_is_told_with_its_line(tmp_path: Path, code: str | None, words: Sequence[str]) -> None:
+def test_faulty_python_file_is_reported_with_its_line(tmp_path: Path, code: str | None, words: Sequence[str]) -> None:
     file = _write(tmp_path, code=code)
     with pytest.raises((ConfigurationError, BlueprintError)) as refused:
         open_workflow(str(file))
@@ -181,7 +181,7 @@ def _with(defaults: str) -> str:
     return f"{LAMP}\n{defaults}"
 
 
-def test_defaults_of_a_workflow_lie_between_the_built_in_ones_and_the_file(tmp_path: Path) -> None:
+def test_workflow_defaults_lie_between_built_in_ones_and_file(tmp_path: Path) -> None:
     file = _write(
         tmp_path,
         _with(
@@ -224,7 +224,7 @@ def test_wrong_defaults_are_refused_and_name_the_blueprint(tmp_path: Path, defau
         assert word in refused.value.text
 
 
-def test_a_limit_that_the_workflow_does_not_have_is_refused_with_those_it_has(tmp_path: Path) -> None:
+def test_unknown_limit_is_refused_with_those_of_the_workflow(tmp_path: Path) -> None:
     file = _write(tmp_path, _with("defaults.procedure.limits.brightness = 2"))
     assert (
         read_settings(None, [f"workflow={file}", "procedure.limits.brightness=3"]).procedure.limits["brightness"] == 3
@@ -242,7 +242,7 @@ def test_a_huge_file_is_refused_before_it_is_read_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"\xff\xfe", b"id = ", b"id = 5", b"", b"unknown = 1\nid = 'x'\nversion = '1'"])
-def test_a_workflow_that_is_no_blueprint_is_refused_with_its_place(tmp_path: Path, content: bytes) -> None:
+def test_workflow_that_is_no_blueprint_is_refused_with_its_place(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "lamp.toml"
     file.write_bytes(content)
     with pytest.raises(BlueprintError) as refused:
@@ -303,7 +303,7 @@ async def test_the_example_refuses_what_it_must() -> None:
         assert bench.states["needle"] == "astray", "after a new registration the tip is not known to be at the target"
 
 
-async def test_a_latched_stop_keeps_the_needle_out_and_lets_it_be_withdrawn() -> None:
+async def test_latched_stop_bars_the_needle_and_allows_its_withdrawal() -> None:
     async with open_bench(workflow=str(BIOPSY)) as bench:
         await _planned(bench)
         await bench.dispatcher.stop("test")
@@ -316,7 +316,7 @@ async def test_a_latched_stop_keeps_the_needle_out_and_lets_it_be_withdrawn() ->
         assert (await bench.accept("needle.withdraw")).state == "planned"
 
 
-async def test_commands_to_branches_that_the_workflow_has_not_are_rejections_and_stop_works() -> None:
+async def test_command_to_unknown_branch_is_rejected_and_stop_works() -> None:
     async with open_bench(workflow=str(BIOPSY)) as bench:
         await bench.refuse("robot.connect", "unknown_branch")
         await bench.refuse("placement.approach", "unknown_branch")

@@ -129,7 +129,7 @@ async def test_a_whole_procedure_from_the_landmarks_to_the_injection(femur: Work
     ]
 
 
-async def test_no_confirmation_without_a_name_and_no_drilling_without_a_guide(femur: WorkflowBench) -> None:
+async def test_confirmation_needs_a_name_and_drilling_a_guide(femur: WorkflowBench) -> None:
     nameless: list[dict[str, Any]] = [{}, {"surgeon": ""}, {"surgeon": "  "}, {"surgeon": 1}, {"surgeon": "x" * 101}]
     nameless += [{"surgeon": f"A.{letter}Surgeon"} for letter in "\n\r\t\0\x1b\x7f\x85\u2028\u202e"]
     nameless += [{"surgeon": letters} for letters in ("A. Surgeon\n", "\nA. Surgeon", "\u200b", "- -")]
@@ -142,7 +142,8 @@ async def test_no_confirmation_without_a_name_and_no_drilling_without_a_guide(fe
     assert given_up.result == {"surgeon": "Dr. Þóra Ñandú-O’Neill, 医師", "confirmed": "abandon"}
 
 
-async def test_after_a_restart_nothing_moves_until_the_surgeon_says_that_nothing_is_in_the_bone() -> None:
+async def test_after_a_restart_nothing_moves_until_the_bone_is_clear() -> None:
+    """The surgeon confirms it."""
     async with open_bench(workflow="femoroplasty") as bench:
         await bench.connect()
         await bench.accept("registration.plan_landmarks", landmarks=PLAN["landmarks"])
@@ -199,14 +200,14 @@ async def test_drill_and_needle_go_in_only_where_the_guide_is_now(femur: Workflo
     assert failed.state == "drilled", "the check is taken back"
 
 
-async def test_work_in_the_bone_is_not_begun_unseen(femur: WorkflowBench) -> None:
+async def test_work_in_the_bone_does_not_start_unseen(femur: WorkflowBench) -> None:
     await femur.scene.occlude("coil", True)
     await femur.clock.sleep(1.0)
     failed = await femur.refuse("treatment.start_drilling", "pose_missing", decision="failed", **SURGEON)
     assert failed.state == "ready"
 
 
-async def test_while_stop_is_latched_nothing_begins_and_all_that_is_done_can_be_said(femur: WorkflowBench) -> None:
+async def test_latched_stop_bars_new_steps_but_no_confirmations(femur: WorkflowBench) -> None:
     await femur.dispatcher.stop("test")
     await femur.refuse("treatment.start_drilling", "latched", **SURGEON)
     await femur.accept("robot.acknowledge")
@@ -261,7 +262,8 @@ async def test_nudges_excuse_nothing(femur: WorkflowBench) -> None:
     await femur.accept("treatment.start_injection", **SURGEON)
 
 
-async def test_a_new_plan_ends_the_work_along_the_old_one_and_no_hole_is_drilled_twice(femur: WorkflowBench) -> None:
+async def test_new_plan_ends_the_work_and_no_hole_is_drilled_twice(femur: WorkflowBench) -> None:
+    """The work is that along the old plan."""
     await femur.accept("treatment.start_drilling", **SURGEON)
     await femur.refuse("toolplan.plan_trajectory", "drill_in_bone", **TRAJECTORY)
     assert (await femur.accept("treatment.withdraw", **SURGEON)).state == "ready"
@@ -279,7 +281,7 @@ async def test_a_new_plan_ends_the_work_along_the_old_one_and_no_hole_is_drilled
     assert (begun.state, begun.result) == ("ready", {**SURGEON, "confirmed": "reinit"})
 
 
-async def test_a_new_registration_ends_the_work_and_an_injection_stays_one(femur: WorkflowBench) -> None:
+async def test_new_registration_ends_the_work_and_injections_stay(femur: WorkflowBench) -> None:
     await drill(femur)
     await femur.accept("registration.register")
     assert femur.states["treatment"] == "abandoned"
@@ -327,7 +329,7 @@ async def test_a_lost_link_while_injecting_forgets_no_cement(femur: WorkflowBenc
     await femur.accept("placement.back_off")
 
 
-async def test_giving_up_is_for_the_record_and_a_next_trajectory_begins_anew(femur: WorkflowBench) -> None:
+async def test_abandoning_is_recorded_and_a_next_trajectory_restarts(femur: WorkflowBench) -> None:
     await femur.accept("treatment.start_drilling", **SURGEON)
     await femur.refuse("treatment.abandon", "invalid_in_state", **SURGEON)
     await femur.accept("treatment.withdraw", **SURGEON)
@@ -338,7 +340,7 @@ async def test_giving_up_is_for_the_record_and_a_next_trajectory_begins_anew(fem
     assert (await femur.accept("treatment.reinit", **SURGEON)).state == "ready"
 
 
-async def test_what_is_no_trajectory_is_refused(femur: WorkflowBench) -> None:
+async def test_invalid_trajectory_is_refused(femur: WorkflowBench) -> None:
     refused: list[tuple[dict[str, Any], str]] = [
         ({"entry": ENTRY, "target": ENTRY}, "bad_trajectory"),
         ({"entry": [0.1, 0.0, 0.0], "target": [-0.1001, 0.0, 0.0]}, "bad_trajectory"),
@@ -352,7 +354,7 @@ async def test_what_is_no_trajectory_is_refused(femur: WorkflowBench) -> None:
 
 
 @given(points, points)
-def test_a_guide_stands_at_the_entry_and_points_away_from_the_target(entry: Any, target: Any) -> None:
+def test_guide_stands_at_the_entry_pointing_away_from_the_target(entry: Any, target: Any) -> None:
     assume(np.linalg.norm(entry - target) > 0.005)
     pose = guide_pose(entry, target)
     target_in_guide = pose.inverse() @ target
@@ -367,7 +369,7 @@ def test_the_example_has_the_poses_that_its_trajectories_mean() -> None:
         assert np.allclose(planned.matrix, guide_pose(*trajectory(*course)).matrix, atol=1e-7)
 
 
-async def test_a_guide_is_not_checked_against_a_hole_that_was_never_measured(femur: WorkflowBench) -> None:
+async def test_guide_is_not_checked_against_a_hole_never_measured(femur: WorkflowBench) -> None:
     """A blueprint may let it be asked for: without the place of the hole no needle goes in."""
     await drill(femur)
     run = femur.run("treatment.check_guide")

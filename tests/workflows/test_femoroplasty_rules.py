@@ -267,7 +267,7 @@ def test_each_promise_is_proved_and_broken_by_what_breaks_it(change: Break, prom
 
 @pytest.mark.parametrize("treatment", IN_BONE)
 @pytest.mark.parametrize("placement", ["placed", "held", "retracted", "unknown"])
-def test_with_something_in_the_bone_nothing_moves_and_the_reason_is_clear(treatment: str, placement: str) -> None:
+def test_anything_in_the_bone_bars_motion_with_a_clear_reason(treatment: str, placement: str) -> None:
     engine = ENGINE
     engine.place({**PLACED, "placement": placement, "treatment": treatment})
     for name in MOTIONS:
@@ -284,7 +284,7 @@ def test_with_something_in_the_bone_nothing_moves_and_the_reason_is_clear(treatm
             assert f"it is in {treatment}" in answer.text
 
 
-def test_before_anything_is_known_of_the_bone_all_may_be_planned_and_nothing_moved() -> None:
+def test_unknown_bone_state_allows_planning_but_no_motion() -> None:
     engine = ENGINE
     engine.place({**PLACED, "placement": "held", "treatment": "unknown"})
     denied = {name for name in PLANNING if isinstance(engine.ask(*name.split(".")), Denial)}
@@ -319,6 +319,7 @@ def test_every_word_of_the_surgeon_carries_a_name() -> None:
     assert all("record_confirmation" in spec.steps for name, spec in operations.items() if name not in without)
 
 
-def test_what_acts_on_the_patient_is_told_to_stop_and_what_tells_of_it_is_not() -> None:
+def test_only_drilling_and_injecting_affect_the_patient() -> None:
+    """Steps that report what was done do not."""
     operations = BLUEPRINT.branches["treatment"].operations
     assert {name for name, spec in operations.items() if spec.affects_patient} == {"start_drilling", "start_injection"}

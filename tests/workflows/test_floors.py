@@ -42,7 +42,7 @@ async def test_parts_find_what_the_whole_way_shows(cell: Cell) -> None:
     np.testing.assert_allclose(at_home, ClearanceLimits(cell, cell.zones.sample_clearance([home]).distances[0])._limits)
 
 
-async def test_the_loop_goes_on_between_the_parts(cell: Cell) -> None:
+async def test_loop_runs_between_the_parts(cell: Cell) -> None:
     way = np.tile(cell.home, (SAMPLES, 1))
     turns = 0
 

@@ -90,7 +90,7 @@ async def ended(bench: WorkflowBench) -> None:
 
 
 @pytest.mark.nightly
-async def test_the_tool_follows_breathing_to_a_fraction_of_its_amplitude() -> None:
+async def test_tool_follows_breathing_to_a_fraction_of_its_amplitude() -> None:
     async with open_bench(sim=DYNAMICS) as bench:
         await follow(bench)
         await bench.scene.set_motion(BREATHING)
@@ -127,7 +127,7 @@ async def test_after_a_step_the_tool_is_back_and_alignment_too() -> None:
         await bench.until(lambda: aligned(bench))
 
 
-async def test_a_head_quicker_than_the_tool_closes_the_gate_until_the_tool_is_there() -> None:
+async def test_head_quicker_than_the_tool_closes_the_gate_meanwhile() -> None:
     burst = HeadMotion(bursts=[HeadBurst(time=0.1, duration=0.8, speed=0.086, direction=(1.0, 0.0, 0.0))])
     async with open_bench({"following": {"linear_velocity": 0.05}}) as bench:
         await follow(bench)
@@ -147,7 +147,7 @@ async def test_a_tracker_that_was_restarted_is_not_followed(following: WorkflowB
     assert "The tracker was restarted" in danger(following)
 
 
-async def test_a_tool_at_its_place_counts_as_aligned_again_when_the_tracker_counts_anew(bench: WorkflowBench) -> None:
+async def test_tool_in_place_is_aligned_again_after_a_tracker_restart(bench: WorkflowBench) -> None:
     await bench.to_placed()
     await bench.until(lambda: aligned(bench))
     await bench.scene.occlude("coil", hidden=True)
@@ -181,7 +181,7 @@ async def test_stop_ends_it(following: WorkflowBench) -> None:
 
 
 @pytest.mark.parametrize("body", ["coil", "body_ref"])
-async def test_what_is_not_seen_is_not_followed(following: WorkflowBench, body: str) -> None:
+async def test_unseen_body_is_not_followed(following: WorkflowBench, body: str) -> None:
     await following.scene.set_motion(BREATHING)
     await following.scene.occlude(body, True)
     where = await tool(following)
@@ -252,7 +252,7 @@ async def test_the_tool_retreats_from_a_head_that_moves(
     assert not following.dispatcher.snapshot().latched
 
 
-async def test_it_is_ended_where_the_tool_is_and_taken_up_again(following: WorkflowBench) -> None:
+async def test_following_ends_where_the_tool_is_and_can_be_resumed(following: WorkflowBench) -> None:
     assert (await following.accept("placement.stop_following")).state == "placed"
     assert not aligned(following)
     await following.until(lambda: aligned(following))
@@ -261,7 +261,7 @@ async def test_it_is_ended_where_the_tool_is_and_taken_up_again(following: Workf
     await following.until(lambda: aligned(following))
 
 
-async def test_a_tool_far_from_its_place_does_not_go_there_by_following() -> None:
+async def test_tool_far_from_its_place_does_not_go_there_by_following() -> None:
     async with open_bench() as bench:
         await bench.to_placed()
         await bench.scene.move_body((0.010, 0.0, 0.0))
@@ -294,7 +294,7 @@ async def test_the_snapshot_shows_the_error(following: WorkflowBench) -> None:
     assert len(following.published) - before <= 15, "a few snapshots per second"
 
 
-async def test_an_acknowledgement_that_came_too_late_does_not_hold_a_tool_that_follows(
+async def test_late_acknowledgement_does_not_hold_a_following_tool(
     following: WorkflowBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Somebody else has acknowledged, the tool follows the head again, and nothing is latched any more."""
@@ -312,7 +312,7 @@ async def test_an_acknowledgement_that_came_too_late_does_not_hold_a_tool_that_f
     assert following.states["placement"] == "following"
 
 
-def test_without_compensation_the_pose_wanted_is_the_newest_that_was_seen() -> None:
+def test_uncompensated_target_pose_is_the_newest_pose_seen() -> None:
     """Of a body that drifts: with compensation it is wanted where the body is by now, ahead of what was seen."""
 
     def sighting(number: int) -> Sighting:

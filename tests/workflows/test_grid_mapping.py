@@ -67,7 +67,7 @@ async def _perform(bench: WorkflowBench) -> Verdict:
     return await bench.accept("mapping.perform")
 
 
-async def test_points_in_order_with_a_failed_a_repeated_and_a_skipped_one(
+async def test_points_in_order_with_a_failed_repeated_and_skipped_one(
     three_points: Workflow[Cell, PlacementData],
 ) -> None:
     async with mapping(three_points) as bench:
@@ -108,9 +108,10 @@ async def test_a_point_at_which_the_coil_is_not_stops_the_next(three_points: Wor
 
 
 @pytest.mark.nightly
-async def test_a_nudged_coil_is_measured_against_the_point_not_against_the_nudge(
+async def test_nudged_coil_is_measured_against_the_point(
     three_points: Workflow[Cell, PlacementData],
 ) -> None:
+    """The nudged pose does not count."""
     async with mapping(three_points) as bench:
         await _go_to_next(bench)
         await bench.accept("placement.nudge", translation=[0.0, 0.003, 0.0])
@@ -123,7 +124,7 @@ async def test_a_nudged_coil_is_measured_against_the_point_not_against_the_nudge
 
 
 @pytest.mark.nightly
-async def test_a_map_of_skipped_points_says_so_and_the_next_begins_with_none(
+async def test_map_of_skipped_points_says_so_and_the_next_starts_empty(
     three_points: Workflow[Cell, PlacementData],
 ) -> None:
     async with mapping(three_points, {"limits": {"point_tolerance_mm": 1e-6}}) as bench:
@@ -224,9 +225,10 @@ async def test_a_grid_that_does_not_fit_is_refused(three_points: Workflow[Cell, 
         await bench.refuse("mapping.plan_grid", "bad_geometry", poses=[*GRID[:2], flat])
 
 
-async def test_a_new_grid_begins_anew_and_a_new_registration_reopens_a_finished_map(
+async def test_new_grid_restarts_and_new_registration_reopens_a_map(
     three_points: Workflow[Cell, PlacementData],
 ) -> None:
+    """The map was finished."""
     async with mapping(three_points) as bench:
         await bench.accept("mapping.skip")
         await bench.accept("registration.register")
@@ -252,7 +254,7 @@ async def test_a_new_plan_at_the_point_takes_the_tool_from_it(three_points: Work
 
 
 @pytest.mark.nightly
-async def test_after_a_restart_a_grid_must_be_planned_anew(
+async def test_after_a_restart_a_grid_must_be_planned_again(
     three_points: Workflow[Cell, PlacementData], tmp_path: Path
 ) -> None:
     journal = Journal.open(tmp_path / "my_grid.sqlite", durable=False)
@@ -291,7 +293,7 @@ REQUIRED = 'requires = { registration = ["111"], toolplan = ["1"], robot = ["1"]
     ["", REQUIRED.replace('"placed"', '"placed", "standoff"'), REQUIRED.replace(', placement = ["placed"]', "")],
 )
 @pytest.mark.nightly
-def test_the_verifier_notices_points_that_could_be_performed_elsewhere(weaker: str) -> None:
+def test_verifier_finds_points_that_could_be_performed_elsewhere(weaker: str) -> None:
     file = find_workflow("grid_mapping").blueprint
     text = file.read_text().replace("count = 9", "count = 1")
     required = f'{REQUIRED}refusal = "not_at_point"'

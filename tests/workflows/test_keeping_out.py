@@ -83,7 +83,7 @@ async def register(bench: WorkflowBench) -> None:
     await bench.accept("registration.register")
 
 
-async def test_a_plan_in_a_zone_is_refused_with_the_zone_and_the_posture() -> None:
+async def test_plan_in_a_zone_is_refused_with_zone_and_posture() -> None:
     async with open_bench() as bench:
         await bench.to_standoff()
         at_standoff = coil(bench, bench.cell.posture().tolist())
@@ -167,7 +167,7 @@ async def test_the_tool_keeps_off_the_body_away_from_its_target(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("name", ["ratms", "femoroplasty"])
-def test_the_tool_of_every_example_keeps_off_the_body_until_it_is_in_the_cone(name: str) -> None:
+def test_example_tools_keep_off_the_body_until_in_the_cone(name: str) -> None:
     defaults = overlaid({"procedure": {}}, open_workflow(name).blueprint.defaults)
     own = msgspec.convert(defaults["procedure"], ProcedureSettings)
     surface = read_surface(own)
@@ -188,7 +188,8 @@ def test_the_tool_of_every_example_keeps_off_the_body_until_it_is_in_the_cone(na
             assert coal.distance(*shapes, coal.DistanceRequest(), found) > zones.body_margin + BOUND
 
 
-def test_no_point_of_a_tool_that_points_away_from_the_flange_moves_farther_than_twice_the_bound() -> None:
+def test_tool_pointing_away_moves_at_most_twice_the_bound() -> None:
+    """No point of it moves farther between two samples."""
     tool = {"radius": 0.01, "half_length": 0.2}
     own = msgspec.convert({"zones": {"tool": tool}}, ProcedureSettings)
     flange_from_tool = Transform(np.eye(3), np.array((0.0, 0.0, 0.15)))
@@ -234,7 +235,7 @@ async def move_body(bench: WorkflowBench, offset: Floats) -> None:
     await bench.scene.move_body((x, y, z))
 
 
-async def test_a_motion_that_a_body_comes_into_is_held_and_the_way_back_stays_open(bench: WorkflowBench) -> None:
+async def test_body_entering_a_motion_holds_it_and_allows_retreat(bench: WorkflowBench) -> None:
     await bench.to_standoff()
     async with bench.moving("placement.confirm") as confirm:
         offset = await move_body_beside_elbow(bench)
@@ -312,13 +313,13 @@ def settings_with(**body: Any) -> ProcedureSettings:
     return msgspec.convert({"body": body}, ProcedureSettings)
 
 
-def test_no_surface_is_told_at_the_start() -> None:
+def test_missing_surface_is_logged_at_the_start() -> None:
     with capture_logs() as logs:
         assert read_surface(settings_with()) is None
     assert [log["event"] for log in logs] == ["no_body_surface"]
 
 
-def test_a_surface_is_found_in_the_folders_then_among_the_examples(tmp_path: Path) -> None:
+def test_surface_is_found_in_the_folders_then_among_examples(tmp_path: Path) -> None:
     (tmp_path / "own.ply").write_text(TETRAHEDRON)
     own = read_surface(settings_with(surface="own.ply", folders=[str(tmp_path)], unit="mm", space="LPS"))
     assert own is not None
@@ -347,7 +348,7 @@ def test_boxes_have_names_of_their_own(name: str) -> None:
         msgspec.convert({"zones": {"boxes": [box]}}, ProcedureSettings)
 
 
-async def test_where_every_posture_is_refused_the_one_nearest_to_the_present_says_why() -> None:
+async def test_nearest_of_all_refused_postures_gives_the_reason() -> None:
     """Of five postures four have the elbow in a box: what is wrong with the way of the other is the reason."""
     async with open_bench() as bench:
         await bench.register()

@@ -22,7 +22,7 @@ def _named(points: Any) -> list[dict[str, Any]]:
     return [{"name": f"p{index}", "position": list(point)} for index, point in enumerate(points)]
 
 
-def test_a_digitization_is_complete_when_every_landmark_has_a_point() -> None:
+def test_digitization_is_complete_if_every_landmark_has_a_point() -> None:
     landmarks = (Landmark("a", (0.0, 0.0, 0.0)), Landmark("b", (1.0, 0.0, 0.0)))
     first, second = (0.0, 0.1, 0.2), (0.3, 0.4, 0.5)
     open_ones: list[tuple[Point | None, ...]] = [(), (None, None), (first, None), (None, second)]
@@ -71,7 +71,7 @@ async def test_malformed_plans_are_refused(bench: WorkflowBench, arguments: dict
     await bench.refuse("registration.plan_landmarks", "bad_arguments", **arguments)
 
 
-async def test_a_landmark_that_is_not_planned_is_refused_with_its_range(bench: WorkflowBench) -> None:
+async def test_unplanned_landmark_is_refused_with_the_valid_range(bench: WorkflowBench) -> None:
     await _plan(bench)
     for index in (-1, COUNT, 99):
         verdict = await bench.refuse("digitization.digitize_one", "no_such_landmark", index=index)
@@ -82,7 +82,7 @@ async def test_a_landmark_that_is_not_planned_is_refused_with_its_range(bench: W
 
 
 @pytest.mark.parametrize("body", ["pointer", "body_ref"])
-async def test_what_the_tracker_does_not_see_is_not_digitized(bench: WorkflowBench, body: str) -> None:
+async def test_unseen_body_is_not_digitized(bench: WorkflowBench, body: str) -> None:
     await _plan(bench)
     await bench.scene.occlude(body, True)
     verdict = await bench.refuse("digitization.digitize_all", "pose_missing", decision="failed")
@@ -104,7 +104,7 @@ async def test_a_pointer_that_shakes_is_refused() -> None:
         assert bench.data.digitized == (None,) * COUNT
 
 
-async def test_stop_in_the_middle_of_a_digitization_keeps_nothing_of_it(bench: WorkflowBench) -> None:
+async def test_stop_during_digitization_keeps_nothing_of_it(bench: WorkflowBench) -> None:
     await _plan(bench)
     running = asyncio.create_task(bench.do("digitization.digitize_all"))
     await bench.until(lambda: any(item.progress > 0.3 for item in bench.dispatcher.snapshot().running))
@@ -137,7 +137,7 @@ async def test_a_limit_from_the_configuration_is_the_one_that_gates() -> None:
         assert fields["worst"] in {landmark["name"] for landmark in LANDMARKS}
 
 
-async def test_digitizing_again_ends_a_registration_and_revokes_the_standoff(bench: WorkflowBench) -> None:
+async def test_redigitizing_ends_a_registration_and_revokes_standoff(bench: WorkflowBench) -> None:
     await bench.to_standoff()
     await bench.accept("digitization.digitize_all")
     states = bench.states
@@ -174,7 +174,7 @@ async def test_whatever_ends_a_registration_revokes_the_standoff(bench: Workflow
     assert verdict.decision == "rejected"
 
 
-async def test_the_previous_digitization_serves_the_same_landmarks_only(bench: WorkflowBench) -> None:
+async def test_previous_digitization_serves_the_same_landmarks_only(bench: WorkflowBench) -> None:
     await _plan(bench)
     await bench.refuse("digitization.reuse_previous", "no_previous_digitization")
     await bench.accept("digitization.digitize_all")
@@ -191,7 +191,7 @@ async def test_the_previous_digitization_serves_the_same_landmarks_only(bench: W
     await bench.refuse("digitization.reuse_previous_except", "other_landmarks", index=1)
 
 
-async def test_the_previous_registration_belongs_to_a_patient_and_a_calibration(bench: WorkflowBench) -> None:
+async def test_previous_registration_needs_the_patient_and_calibration(bench: WorkflowBench) -> None:
     await bench.refuse("registration.use_previous", "no_previous_registration")
     await bench.register()
     registered = bench.data.registered
@@ -227,7 +227,7 @@ async def test_a_new_plan_after_the_previous_registration_ends_it(bench: Workflo
 
 
 @pytest.mark.parametrize("from_state", ["110", "111"])
-async def test_the_session_can_be_initiated_anew_and_gone_through_again(bench: WorkflowBench, from_state: str) -> None:
+async def test_session_can_be_reinitiated_and_repeated(bench: WorkflowBench, from_state: str) -> None:
     await _plan(bench)
     await bench.accept("digitization.digitize_all")
     if from_state == "111":
@@ -240,7 +240,7 @@ async def test_the_session_can_be_initiated_anew_and_gone_through_again(bench: W
     await bench.register()
 
 
-async def test_the_previous_digitization_belongs_to_a_patient_and_a_calibration(bench: WorkflowBench) -> None:
+async def test_previous_digitization_needs_the_patient_and_calibration(bench: WorkflowBench) -> None:
     await bench.register()
     await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
     mine = bench.cell.settings

@@ -43,7 +43,7 @@ async def test_a_plan_of_no_pose_is_refused(bench: WorkflowBench) -> None:
     assert verdict.reason.fields["limit"] == 1.0
 
 
-async def test_an_unreachable_pose_is_refused_as_soon_as_it_can_be_known() -> None:
+async def test_unreachable_pose_is_refused_as_soon_as_it_is_known() -> None:
     far: dict[str, Any] = {"position": [0.0, 0.9, 0.9], "quat_xyzw": POSES[0]["quat_xyzw"]}
     async with open_bench({"registration": {"tre_limit_mm": 100.0}}) as bench:
         await bench.accept("toolplan.plan", **far)
@@ -70,7 +70,7 @@ async def test_poses_on_all_sides_of_the_head_are_placed_from_home(bench: Workfl
 
 
 @pytest.mark.parametrize("name", ["home", "to_initial"])
-async def test_the_tool_may_go_home_from_the_target_and_backs_off_on_its_way(bench: WorkflowBench, name: str) -> None:
+async def test_tool_may_go_home_from_the_target_and_backs_off_first(bench: WorkflowBench, name: str) -> None:
     await bench.to_placed()
     assert (await bench.accept(f"placement.{name}")).state == "retracted"
     assert bench.cell.joints is not None
@@ -125,7 +125,7 @@ async def test_nudges_move_the_tool_in_its_own_frame_and_add_up(bench: WorkflowB
     assert bench.data.nudge_rotation_zyx == pytest.approx((radians(5.0), 0.0, 0.0))
 
 
-async def test_nudges_are_limited_in_their_sum_and_start_anew_with_an_approach(bench: WorkflowBench) -> None:
+async def test_nudges_are_limited_in_sum_and_reset_by_an_approach(bench: WorkflowBench) -> None:
     await bench.to_standoff()
     await bench.refuse("placement.nudge", "nudge_too_large", translation=[0.0, 0.0, 0.021])
     await bench.accept("placement.nudge", translation=[0.0, 0.0, 0.015])
@@ -152,7 +152,7 @@ async def test_the_body_must_be_seen_for_a_motion_towards_it(bench: WorkflowBenc
 
 
 @pytest.mark.parametrize("name", ["placement.approach", "placement.confirm", "placement.nudge"])
-async def test_a_motion_towards_a_body_that_is_not_seen_any_more_is_held_without_a_latch(name: str) -> None:
+async def test_motion_towards_an_unseen_body_is_held_without_a_latch(name: str) -> None:
     async with open_bench({"motion": {"linear_velocity": 0.02, "near_velocity": 0.01}}) as bench:
         await (bench.register() if name == "placement.approach" else bench.to_standoff())
         arguments = {"translation": [0.0, 0.0, 0.019]} if name == "placement.nudge" else {}
@@ -192,7 +192,7 @@ async def test_how_long_a_body_may_be_hidden_is_configured() -> None:
             assert (await approach).decision == "accepted"
 
 
-async def test_a_tool_lost_by_the_tracker_during_the_correction_is_held(bench: WorkflowBench) -> None:
+async def test_tool_lost_by_the_tracker_in_the_correction_is_held(bench: WorkflowBench) -> None:
     await bench.to_standoff()
     async with bench.moving("placement.confirm") as confirm:
         await bench.scene.occlude("coil", True)
@@ -206,7 +206,7 @@ async def test_a_tool_lost_by_the_tracker_during_the_correction_is_held(bench: W
     assert (await bench.accept("placement.back_off")).state == "standoff"
 
 
-async def test_a_correction_that_is_none_is_not_followed(bench: WorkflowBench) -> None:
+async def test_too_large_a_correction_is_not_followed(bench: WorkflowBench) -> None:
     """The head moves while the tool comes down: what the tracker asks for is no small correction any more."""
     await bench.to_standoff()
     async with bench.moving("placement.confirm") as confirm:
@@ -265,7 +265,7 @@ async def test_the_speed_limits_are_kept() -> None:
         assert fastest.max() > 0.02
 
 
-async def test_what_was_nudged_at_the_standoff_is_kept_by_confirm(bench: WorkflowBench) -> None:
+async def test_confirm_keeps_the_nudge_at_the_standoff(bench: WorkflowBench) -> None:
     await bench.to_standoff()
     await bench.accept("placement.nudge", translation=[0.005, 0.0, 0.0])
     verdict = await bench.accept("placement.confirm")
@@ -308,7 +308,7 @@ async def test_a_retreat_waits_for_nothing_on_other_branches(bench: WorkflowBenc
     assert (await digitizing).decision == "accepted"
 
 
-async def test_the_tool_goes_on_to_no_other_plan_than_it_was_brought_to(unrevoked: WorkflowBench) -> None:
+async def test_tool_continues_only_to_the_plan_it_was_brought_to(unrevoked: WorkflowBench) -> None:
     """A blueprint that forgets to take the tool from its place: the checks do not trust its states."""
     await unrevoked.to_standoff()
     await unrevoked.accept("toolplan.plan", **POSES[1])
@@ -323,7 +323,7 @@ async def test_the_tool_goes_on_to_no_other_plan_than_it_was_brought_to(unrevoke
     await unrevoked.accept("placement.confirm")
 
 
-async def test_without_a_surface_too_no_way_to_the_standoff_leads_through_the_body() -> None:
+async def test_way_to_the_standoff_avoids_the_body_without_a_surface() -> None:
     bare = {"body": {"surface": ""}, "placement": {"clearance": 0.14}}
     async with open_bench(bare) as bench:
         await bench.register()

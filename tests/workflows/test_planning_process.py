@@ -118,7 +118,7 @@ async def test_it_keeps_away_from_the_body_that_the_daemon_has_read(tmp_path: Pa
         on_the_machine(ask(bench))
 
 
-async def test_an_arm_that_has_moved_meanwhile_is_planned_for_anew() -> None:
+async def test_arm_that_moved_during_planning_is_planned_for_again() -> None:
     async def ask(bench: WorkflowBench) -> None:
         async with planning(bench) as (planner, _):
             asked = asyncio.ensure_future(planner.check(run_of(bench, "placement.approach")))
@@ -176,7 +176,7 @@ async def test_a_process_that_hangs_is_a_refusal_and_restarted(monkeypatch: pyte
         on_the_machine(ask(bench))
 
 
-def test_it_ends_in_silence_where_the_daemon_is_gone_before_it_has_sent_the_settings() -> None:
+def test_it_ends_silently_if_the_daemon_is_gone_before_settings() -> None:
     command = [sys.executable, "-m", "pcmrs.workflows.planning_process"]
     ended = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=60, check=False)
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"", b"")

@@ -41,7 +41,7 @@ async def test_every_step_of_the_procedure_once() -> None:
         assert bench.states["placement"] == "unknown"
 
 
-async def test_without_errors_the_registration_and_the_placement_are_exact() -> None:
+async def test_registration_and_placement_are_exact_without_errors() -> None:
     exact = {
         "tracker": {"jitter_mm": 0.0, "jitter_deg": 0.0, "bias_mm": 0.0, "bias_deg": 0.0},
         "digitization": {"planning_bias_mm": 0.0, "noise_mm": 0.0, "reach_time": 0.05, "rest_time": 0.05},
@@ -65,7 +65,7 @@ async def test_without_errors_the_registration_and_the_placement_are_exact() -> 
         assert _difference(planned, image_from_coil) < 5e-4
 
 
-async def test_the_configured_offset_is_kept_and_not_counted_as_an_error() -> None:
+async def test_configured_offset_is_kept_and_not_counted_as_an_error() -> None:
     async with open_bench({"placement": {"frames": 4, "settle_time": 0.1, "confirm_offset": 0.010}}) as bench:
         placed = await bench.to_placed()
         assert placed.result is not None
@@ -75,7 +75,8 @@ async def test_the_configured_offset_is_kept_and_not_counted_as_an_error() -> No
         assert await bench.true_height() == pytest.approx(0.070, abs=0.001)
 
 
-async def test_plan_and_connection_may_come_before_or_during_the_registration(bench: WorkflowBench) -> None:
+async def test_plan_and_connection_may_precede_the_registration(bench: WorkflowBench) -> None:
+    """They may come during it, too."""
     await bench.accept("toolplan.plan", **POSES[1])
     await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
     for index in (3, 0, 5, 1):

@@ -100,9 +100,7 @@ UNSEEN: list[tuple[str, Faults]] = [
 
 
 @pytest.mark.parametrize(("fault", "arguments"), UNSEEN)
-async def test_nothing_goes_to_the_body_by_a_pose_that_is_not_believed(
-    bench: WorkflowBench, fault: str, arguments: Faults
-) -> None:
+async def test_rejected_pose_lets_nothing_move_to_the_body(bench: WorkflowBench, fault: str, arguments: Faults) -> None:
     await bench.to_standoff()
     await bench.scene.inject(fault, arguments | {"on": True})
     await bench.clock.sleep(1.0)
@@ -114,9 +112,7 @@ async def test_nothing_goes_to_the_body_by_a_pose_that_is_not_believed(
 
 
 @pytest.mark.parametrize(("fault", "arguments"), UNSEEN)
-async def test_nothing_is_followed_by_a_pose_that_is_not_believed(
-    following: WorkflowBench, fault: str, arguments: Faults
-) -> None:
+async def test_rejected_pose_ends_following(following: WorkflowBench, fault: str, arguments: Faults) -> None:
     await following.scene.inject(fault, arguments | {"on": True})
     await held(following)
     await following.scene.inject(fault, arguments | {"on": False})
@@ -184,9 +180,7 @@ async def test_a_head_at_86_mm_per_second_gets_no_pulse(armed: WorkflowBench) ->
 
 
 @pytest.mark.parametrize(("fault", "arguments"), [*UNSEEN[:2], ("tracker_rate", {"hertz": 5.0})])
-async def test_no_pulse_is_given_by_a_pose_that_is_not_believed(
-    armed: WorkflowBench, fault: str, arguments: Faults
-) -> None:
+async def test_rejected_pose_allows_no_pulse(armed: WorkflowBench, fault: str, arguments: Faults) -> None:
     await armed.scene.inject(fault, arguments if "hertz" in arguments else arguments | {"on": True})
     await armed.clock.sleep(1.0)
     await armed.refuse("stimulation.fire", "pose_stale")
@@ -240,7 +234,7 @@ async def test_a_motion_that_fails_at_the_robot_is_held_and_latched(
 
 
 @pytest.mark.parametrize(("fault", "begin", "end", "event"), BRAKED)
-async def test_what_follows_the_head_is_held_and_latched(
+async def test_fault_while_following_holds_and_latches(
     following: WorkflowBench, fault: str, begin: Faults, end: Faults, event: str
 ) -> None:
     await following.scene.inject(fault, begin)
@@ -284,7 +278,7 @@ async def test_an_interrupted_motion_has_failed(bench: WorkflowBench) -> None:
 
 
 @pytest.mark.parametrize("fault", ["cut_robot", "silence_robot", "drop_client"])
-async def test_what_nobody_answers_for_is_unknown_and_never_repeated(bench: WorkflowBench, fault: str) -> None:
+async def test_unanswered_motion_is_unknown_and_never_repeated(bench: WorkflowBench, fault: str) -> None:
     await bench.register()
     begin: Faults = {} if fault == "drop_client" else {"on": True}
     async with bench.moving("placement.approach") as approach:
@@ -304,7 +298,7 @@ async def test_what_nobody_answers_for_is_unknown_and_never_repeated(bench: Work
     await bench.refuse("placement.approach", "latched")
 
 
-async def test_an_arm_that_was_moved_meanwhile_is_looked_for_anew(bench: WorkflowBench) -> None:
+async def test_arm_moved_while_disconnected_is_located_again(bench: WorkflowBench) -> None:
     await bench.to_standoff()
     await bench.scene.inject("drop_client", {})
     await bench.until(lambda: bench.states["robot"] == "0")
@@ -343,7 +337,7 @@ async def test_a_pose_out_of_reach_is_refused(bench: WorkflowBench) -> None:
     await bench.accept("placement.approach")
 
 
-async def test_a_set_point_that_comes_after_the_reconnection_is_dropped(following: WorkflowBench) -> None:
+async def test_set_point_after_the_reconnection_is_dropped(following: WorkflowBench) -> None:
     robot = following.robot
     assert isinstance(robot, SimRobot)
     await following.scene.inject("late_set_point", {"on": True})

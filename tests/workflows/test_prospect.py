@@ -27,7 +27,7 @@ async def ask(bench: WorkflowBench, name: str, role: Role = "operator", **argume
 
 
 @pytest.mark.parametrize("pose", [*POSES[:3], FAR, TURNED, {"position": [900.0, 0.0, 0.0], "quat_xyzw": [0, 0, 0, 1]}])
-async def test_it_is_what_is_said_when_the_command_is_given(pose: dict[str, Any]) -> None:
+async def test_dry_run_equals_the_verdict_of_the_command(pose: dict[str, Any]) -> None:
     async with open_bench() as bench:
         await bench.register()
         asked = await ask(bench, "toolplan.plan", **pose)
@@ -42,7 +42,7 @@ async def test_it_is_what_is_said_when_the_command_is_given(pose: dict[str, Any]
             assert asked.reason.code == said.reason.code
 
 
-async def test_what_cannot_be_decided_yet_is_said() -> None:
+async def test_undecided_checks_are_named() -> None:
     async with open_bench() as bench:
         assert (await ask(bench, "toolplan.plan", **FAR)).undecided == [
             "Whether the arm reaches it is not known before a registration."
@@ -64,7 +64,7 @@ async def test_what_cannot_be_decided_yet_is_said() -> None:
         ("placement.confirm", "operator", {}, None),
     ],
 )
-async def test_what_is_refused_before_any_check_is_refused(
+async def test_dry_run_is_refused_before_any_check_as_the_command(
     name: str, role: Role, arguments: dict[str, Any], code: str | None
 ) -> None:
     async with open_bench() as bench:

@@ -98,7 +98,7 @@ async def test_the_hotspot_is_found_by_pulses(
     assert same(registered.data.plan, registered.data.hotspot)
 
 
-async def test_a_search_needs_a_registration_an_intensity_and_a_surface(registered: StimulationBench) -> None:
+async def test_search_needs_registration_intensity_and_surface(registered: StimulationBench) -> None:
     await registered.refuse("hotspot.begin", "bad_arguments", method="by feeling")
     await registered.refuse("hotspot.begin", "bad_arguments", rings=100)
     over = {"position": [9.0, 0.0, 0.0], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
@@ -121,7 +121,7 @@ async def test_a_search_around_the_plan_needs_a_plan(registered: StimulationBenc
     await registered.accept("hotspot.begin", centre=POSES[0])
 
 
-async def test_nothing_is_taken_for_the_pose_of_a_search_that_was_not_begun(registered: StimulationBench) -> None:
+async def test_no_pose_is_taken_for_that_of_a_search_never_started(registered: StimulationBench) -> None:
     """A blueprint may let a pulse of a search be asked for at any time: the checks do not."""
     for check in (plan_is_of_search, search_pose_reachable, place_known):
         with pytest.raises(RefusalError, match=r"send hotspot\.begin first") as refused:
@@ -131,7 +131,7 @@ async def test_nothing_is_taken_for_the_pose_of_a_search_that_was_not_begun(regi
     plan_is_of_search(registered.bench.run("hotspot.pulse"))
 
 
-async def test_pulses_of_a_search_are_given_where_it_proposes_and_at_one_intensity(armed: StimulationBench) -> None:
+async def test_search_pulses_need_the_proposed_pose_and_one_intensity(armed: StimulationBench) -> None:
     await armed.accept("hotspot.begin", method="grid")
     await armed.accept("stimulation.set_intensity", percent=55.0)
     await armed.refuse("hotspot.pulse", "intensity_changed")
@@ -254,7 +254,7 @@ async def test_the_hunt_that_is_journalled_is_the_hunt(armed: StimulationBench) 
     assert [pulse.intensity for pulse in hunt.pulses] == [intensity for _, intensity, _ in armed.stimulator.fired]
 
 
-async def test_a_muscle_that_never_answers_has_no_threshold_below_the_ceiling(armed: StimulationBench) -> None:
+async def test_muscle_without_responses_has_no_threshold_below_ceiling(armed: StimulationBench) -> None:
     armed.emg.amplitude = lambda _: SILENT
     await armed.accept("threshold.begin", method="relative_frequency")
     while armed.states["threshold"] == "hunting":
@@ -294,7 +294,7 @@ async def test_a_hunt_stays_below_the_ceiling_of_the_operator(armed: Stimulation
     assert not armed.stimulator.fired
 
 
-async def test_no_threshold_is_hunted_before_the_operator_has_set_a_ceiling() -> None:
+async def test_threshold_is_not_hunted_before_a_ceiling_is_set() -> None:
     async with stimulation(TOOLS) as bench:
         await bench.bench.register()
         verdict = await bench.refuse("threshold.begin", "no_ceiling")
@@ -305,7 +305,7 @@ async def test_no_threshold_is_hunted_before_the_operator_has_set_a_ceiling() ->
         assert bench.data.hunt.settings.ceiling == 70.0
 
 
-async def test_no_intensity_is_set_for_a_hunt_that_was_not_begun(armed: StimulationBench) -> None:
+async def test_no_intensity_is_set_for_a_hunt_never_started(armed: StimulationBench) -> None:
     """A blueprint may let a pulse of a hunt be asked for at any time: check and step do not."""
     calls = len(armed.stimulator.calls)
     run = armed.bench.run("threshold.pulse")
@@ -336,7 +336,7 @@ async def test_elsewhere_is_another_threshold(armed: StimulationBench) -> None:
     await armed.refuse("threshold.begin", "no_plan")
 
 
-async def test_search_and_hunt_do_not_go_on_together(armed: StimulationBench) -> None:
+async def test_search_and_hunt_exclude_each_other(armed: StimulationBench) -> None:
     await armed.accept("threshold.begin")
     await armed.refuse("hotspot.begin", "hunt_under_way")
     await armed.accept("threshold.abandon")
@@ -364,7 +364,7 @@ async def test_every_way_to_a_pulse_has_all_its_conditions(armed: StimulationBen
 
 
 @pytest.mark.parametrize("name", ["hotspot", "threshold"])
-async def test_an_unknown_pulse_of_a_search_disarms_and_is_not_learned_from(armed: StimulationBench, name: str) -> None:
+async def test_unknown_pulse_of_a_search_disarms_and_is_not_counted(armed: StimulationBench, name: str) -> None:
     await armed.accept(f"{name}.begin")
     armed.stimulator.mute.add("fire")
     assert (await armed.do(f"{name}.pulse")).decision == "unknown"

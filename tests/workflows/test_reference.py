@@ -47,7 +47,7 @@ async def _digitized(bench: WorkflowBench) -> None:
 
 
 @pytest.mark.parametrize(("offset", "rotvec"), [(BUMP, NOTHING), (NOTHING, TURN)])
-async def test_a_bumped_reference_latches_and_takes_the_registration_back(
+async def test_bumped_reference_latches_and_revokes_the_registration(
     bench: WorkflowBench, offset: Any, rotvec: Any
 ) -> None:
     await bench.to_standoff()
@@ -93,7 +93,7 @@ async def test_a_head_that_moves_with_its_reference_is_no_bump(bench: WorkflowBe
 
 
 @pytest.mark.parametrize("offset", [(0.0005, 0.0, 0.0), (0.0, -0.0008, 0.0)])
-async def test_what_the_tracker_itself_makes_is_no_bump(bench: WorkflowBench, offset: Any) -> None:
+async def test_displacement_within_tracker_noise_is_no_bump(bench: WorkflowBench, offset: Any) -> None:
     await bench.register()
     async with watched(bench):
         await bench.scene.bump_reference(offset, NOTHING)
@@ -101,7 +101,7 @@ async def test_what_the_tracker_itself_makes_is_no_bump(bench: WorkflowBench, of
     assert not _moved(bench)
 
 
-async def test_without_a_witness_nobody_watches_and_the_registration_says_so(bench: WorkflowBench) -> None:
+async def test_without_a_witness_nobody_watches_and_the_result_says_so(bench: WorkflowBench) -> None:
     await bench.scene.occlude("witness", True)
     await bench.clock.sleep(1.0)
     await _digitized(bench)
@@ -117,7 +117,7 @@ async def test_without_a_witness_nobody_watches_and_the_registration_says_so(ben
     assert bench.states["registration"] == "111"
 
 
-async def test_a_witness_that_is_hidden_for_a_while_is_no_bump_and_is_watched_again(bench: WorkflowBench) -> None:
+async def test_witness_hidden_for_a_while_is_no_bump_and_then_watched(bench: WorkflowBench) -> None:
     await bench.register()
     async with watched(bench):
         await bench.scene.occlude("witness", True)
@@ -130,7 +130,7 @@ async def test_a_witness_that_is_hidden_for_a_while_is_no_bump_and_is_watched_ag
         await bench.until(lambda: bench.states["registration"] == "100")
 
 
-async def test_a_few_frames_are_not_enough_to_say_that_a_reference_has_moved(bench: WorkflowBench) -> None:
+async def test_few_frames_do_not_show_that_a_reference_has_moved(bench: WorkflowBench) -> None:
     await bench.register()
     await bench.scene.occlude("witness", True)
     await bench.clock.sleep(2.0 * RECENT)
@@ -144,7 +144,7 @@ async def test_a_few_frames_are_not_enough_to_say_that_a_reference_has_moved(ben
     assert detected_shift(bench.cell, bench.data) is not None
 
 
-async def test_a_bump_in_the_middle_of_a_digitization_is_refused_at_the_next_landmark(bench: WorkflowBench) -> None:
+async def test_bump_during_digitization_is_refused_at_next_landmark(bench: WorkflowBench) -> None:
     await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
     await bench.accept("digitization.digitize_one", index=0)
     await bench.scene.bump_reference(BUMP, NOTHING)
@@ -155,7 +155,7 @@ async def test_a_bump_in_the_middle_of_a_digitization_is_refused_at_the_next_lan
     await bench.accept("registration.register")
 
 
-async def test_nothing_that_a_moved_reference_has_made_worthless_is_taken_back(bench: WorkflowBench) -> None:
+async def test_nothing_before_a_moved_reference_can_be_taken_back(bench: WorkflowBench) -> None:
     await bench.register()
     await bench.scene.bump_reference(BUMP, NOTHING)
     await bench.clock.sleep(1.0)
@@ -166,7 +166,7 @@ async def test_nothing_that_a_moved_reference_has_made_worthless_is_taken_back(b
     await bench.refuse("toolplan.use_previous", "reference_moved")
 
 
-async def test_a_previous_registration_goes_on_being_watched(bench: WorkflowBench) -> None:
+async def test_previous_registration_is_watched(bench: WorkflowBench) -> None:
     await bench.register()
     await bench.accept("registration.clear_landmarks")
     await bench.accept("registration.use_previous")
@@ -189,7 +189,7 @@ async def test_a_landmark_touched_again_is_where_it_was(bench: WorkflowBench, st
     assert bench.data == data
 
 
-async def test_a_landmark_that_is_elsewhere_takes_the_registration_back(bench: WorkflowBench) -> None:
+async def test_displaced_landmark_revokes_the_registration(bench: WorkflowBench) -> None:
     await bench.register()
     await bench.scene.occlude("witness", True)
     await bench.scene.bump_reference(FAR_BUMP, NOTHING)
@@ -210,7 +210,8 @@ async def test_a_checked_landmark_must_be_planned(bench: WorkflowBench) -> None:
     await bench.refuse("digitization.check_landmark", "no_such_landmark", index=len(LANDMARKS))
 
 
-async def test_with_a_drill_in_the_bone_a_moved_reference_latches_and_ends_the_registration_when_it_is_out() -> None:
+async def test_reference_moved_while_drilling_latches_then_revokes() -> None:
+    """The registration ends when the drill is out of the bone."""
     surgeon = {"surgeon": "A. Surgeon"}
     async with open_bench(workflow="femoroplasty") as bench:
         await bench.connect()
@@ -236,7 +237,7 @@ async def test_with_a_drill_in_the_bone_a_moved_reference_latches_and_ends_the_r
         await bench.accept("placement.back_off")
 
 
-async def test_checking_a_landmark_leaves_what_rests_on_the_registration() -> None:
+async def test_checking_a_landmark_keeps_what_needs_the_registration() -> None:
     async with open_bench(workflow="grid_mapping") as bench:
         await bench.register()
         await bench.accept("mapping.plan_grid", poses=POSES[:9])

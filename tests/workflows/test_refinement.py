@@ -59,7 +59,8 @@ async def test_points_are_touched_on_the_true_skin(touched: WorkflowBench) -> No
     assert np.unique(points.round(6), axis=0).shape == points.shape
 
 
-async def test_a_refinement_is_better_at_the_target_as_predicted_and_in_truth() -> None:
+async def test_refinement_is_better_at_the_target_as_predicted() -> None:
+    """The true error falls, too."""
     gains = []
     for seed in (1, 2):
         async with open_bench(sim={"seed": seed}) as bench:
@@ -78,7 +79,8 @@ async def test_a_refinement_is_better_at_the_target_as_predicted_and_in_truth() 
     assert sum(after**2 for _, after in gains) < 0.5 * sum(before**2 for before, _ in gains)
 
 
-async def test_a_refined_registration_is_in_force_and_gates_plans_by_what_it_predicts(touched: WorkflowBench) -> None:
+async def test_refined_registration_is_in_force_and_gates_plans(touched: WorkflowBench) -> None:
+    """The gate compares the error that it predicts."""
     told = (await touched.accept("registration.refine")).result
     assert told is not None
     assert touched.states["registration"] == "111"
@@ -107,7 +109,7 @@ async def test_too_few_points_are_refused(digitized: WorkflowBench) -> None:
     assert digitized.data.registered == before
 
 
-async def test_a_refinement_that_does_not_help_is_refused_with_both_values(touched: WorkflowBench) -> None:
+async def test_useless_refinement_is_refused_with_both_values(touched: WorkflowBench) -> None:
     mine = touched.cell.settings
     noisy = msgspec.structs.replace(mine.registration, surface_sigma_mm=60.0)
     touched.cell.settings = msgspec.structs.replace(mine, registration=noisy)
@@ -180,7 +182,7 @@ async def test_nobody_touches_the_skin_while_the_tool_is_at_the_head(bench: Work
     await bench.accept("digitization.digitize_surface")
 
 
-async def test_the_tool_does_not_move_while_somebody_touches_the_skin(bench: WorkflowBench) -> None:
+async def test_tool_does_not_move_while_the_skin_is_touched(bench: WorkflowBench) -> None:
     await bench.register()
     touching = asyncio.create_task(bench.do("digitization.digitize_surface", points=20))
     await bench.until(lambda: any(item.operation == "digitize_surface" for item in bench.dispatcher.snapshot().running))
@@ -217,7 +219,7 @@ def test_no_skin_is_kept_without_a_digitization() -> None:
         assert bool(settle(data, {"registration": state}, []).surface) == kept
 
 
-async def test_without_a_surface_there_is_nothing_to_refine_by_until_one_is_named() -> None:
+async def test_refinement_needs_a_surface_that_is_configured_or_named() -> None:
     async with open_bench({"body": {"surface": ""}}) as bench:
         await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
         await bench.accept("digitization.digitize_all")

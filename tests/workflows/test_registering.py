@@ -67,7 +67,7 @@ async def test_each_landmark_tells_how_still_the_pointer_was_held(bench: Workflo
     assert list(_result(await bench.accept("digitization.digitize_one", index=1))["spreads"]) == [NAMES[1]]
 
 
-async def test_one_landmark_that_is_off_is_named_though_the_residual_would_pass(bench: WorkflowBench) -> None:
+async def test_displaced_landmark_is_named_though_residual_would_pass(bench: WorkflowBench) -> None:
     touched = POSITIONS.copy()
     touched[2, 0] += 0.012
     await _displaced(bench, touched)
@@ -110,7 +110,7 @@ async def test_a_plan_in_force_is_where_the_error_matters(bench: WorkflowBench) 
     assert at_centroid["tre"] < told["tre"]
 
 
-async def test_the_error_at_the_target_gates_registering_planning_and_approaching() -> None:
+async def test_target_error_gates_registering_planning_and_approaching() -> None:
     far: dict[str, Any] = {"position": [0.0, 0.6, 0.5], "quat_xyzw": POSES[0]["quat_xyzw"]}
     async with open_bench() as bench:
         await bench.accept("toolplan.plan", **far)
@@ -171,7 +171,7 @@ async def test_bad_sets_do_not_teach_the_workflow_to_accept_them() -> None:
         assert verdict.decision == "rejected"
 
 
-async def test_the_femur_has_limits_of_its_own() -> None:
+async def test_femur_has_its_own_limits() -> None:
     async with open_bench(workflow="femoroplasty") as bench:
         settings = bench.cell.settings.registration
         assert (settings.residual_limit_mm, settings.sigma_mm, settings.tre_limit_mm) == (2.7, 1.03, 3.0)

@@ -63,7 +63,7 @@ MEANT = {
 
 
 @pytest.mark.parametrize("workflow", MEANT)
-def test_shared_branches_differ_from_those_of_ratms_only_where_they_are_meant_to(workflow: str) -> None:
+def test_shared_branches_differ_from_ratms_only_where_meant(workflow: str) -> None:
     ratms, other = _leaves("ratms"), _leaves(workflow)
     different = {path for path in ratms.keys() | other.keys() if ratms.get(path) != other.get(path)}
     unexpected = {path for path in different if not any(_within(path, meant) for meant in MEANT[workflow])}

@@ -42,7 +42,7 @@ def events(bench: StimulationBench) -> list[str]:
 # -- a pulse ----------------------------------------------------------------------------------------------
 
 
-async def test_a_pulse_is_given_once_and_its_response_is_told(armed: StimulationBench) -> None:
+async def test_pulse_is_given_once_and_its_response_reported(armed: StimulationBench) -> None:
     verdict = await armed.accept("stimulation.fire")
     assert [pulse[:2] for pulse in armed.stimulator.fired] == [(1, 50.0)]
     result = verdict.result or {}
@@ -75,7 +75,7 @@ async def test_a_repeated_command_fires_nothing(armed: StimulationBench) -> None
     assert len(armed.stimulator.fired) == 1
 
 
-async def test_without_devices_it_is_said_what_to_configure(bench: StimulationBench) -> None:
+async def test_missing_stimulator_is_refused_with_the_setting_to_set(bench: StimulationBench) -> None:
     bench.bench.cell.stimulator = None
     await bench.accept("stimulation.set_ceiling", percent=70.0, operator="Dr Hand")
     verdict = await bench.refuse("stimulation.set_intensity", "no_stimulator", percent=50.0)
@@ -83,7 +83,7 @@ async def test_without_devices_it_is_said_what_to_configure(bench: StimulationBe
     assert "stimulator.driver" in verdict.reason.text
 
 
-async def test_a_pulse_without_an_electromyograph_is_given_and_counts_for_nothing(armed: StimulationBench) -> None:
+async def test_pulse_without_an_electromyograph_is_given_uncounted(armed: StimulationBench) -> None:
     armed.bench.cell.emg = None
     verdict = await armed.accept("stimulation.fire")
     assert verdict.result is not None
@@ -100,7 +100,7 @@ UNUSABLE: dict[str, tuple[str, Any]] = {
 
 
 @pytest.mark.parametrize("problem", UNUSABLE)
-async def test_a_response_that_says_nothing_of_the_muscle_is_said_to(armed: StimulationBench, problem: str) -> None:
+async def test_unusable_response_is_reported_with_its_problem(armed: StimulationBench, problem: str) -> None:
     setattr(armed.emg, *UNUSABLE[problem])
     verdict = await armed.accept("stimulation.fire")
     assert verdict.result is not None
@@ -142,7 +142,7 @@ async def test_intensity_needs_a_ceiling_and_stays_below(bench: StimulationBench
     assert bench.data.ceiling.percent == 40.0
 
 
-async def test_a_ceiling_that_is_none_is_refused(bench: StimulationBench) -> None:
+async def test_invalid_ceiling_is_refused(bench: StimulationBench) -> None:
     wrong: list[dict[str, Any]] = [
         {"percent": 0.0, "operator": "x"},
         {"percent": 100.5, "operator": "x"},
@@ -192,7 +192,7 @@ async def test_not_aligned_no_pulse(armed: StimulationBench) -> None:
     await armed.refuse("stimulation.fire", "not_aligned")
 
 
-async def test_a_coil_beside_its_place_gives_no_pulse_even_while_it_still_counts_as_aligned() -> None:
+async def test_misplaced_coil_gives_no_pulse_even_if_still_aligned() -> None:
     """The gate tolerates an error for a while; a pulse does not."""
     async with stimulation({"alignment": {"off_time": 30.0}}) as bench:
         await bench.to_armed()
@@ -205,7 +205,7 @@ async def test_a_coil_beside_its_place_gives_no_pulse_even_while_it_still_counts
     assert not bench.stimulator.fired
 
 
-async def test_what_is_not_seen_lately_gives_no_pulse() -> None:
+async def test_body_not_seen_lately_allows_no_pulse() -> None:
     async with stimulation({"alignment": {"off_time": 30.0}}) as bench:
         await bench.to_armed()
         await bench.bench.scene.occlude("body_ref", hidden=True)
@@ -246,7 +246,7 @@ async def test_a_head_that_moves_fast_gets_no_pulse() -> None:
         await bench.accept("stimulation.fire")
 
 
-async def test_what_happens_while_the_stimulator_charges_is_looked_at_again() -> None:
+async def test_changes_while_the_stimulator_charges_are_checked_again() -> None:
     async with stimulation({"alignment": {"off_time": 30.0}}) as bench:
         await bench.to_armed()
         bench.stimulator.ready_at = bench.clock.monotonic() + 1.0
@@ -267,13 +267,13 @@ async def test_a_stimulator_that_is_hot_is_not_waited_for_forever(armed: Stimula
     assert not armed.stimulator.fired
 
 
-async def test_a_dial_that_somebody_has_turned_is_found(armed: StimulationBench) -> None:
+async def test_turned_dial_is_detected(armed: StimulationBench) -> None:
     armed.stimulator.reports = 65.0
     await armed.refuse("stimulation.fire", "intensity_differs", "failed")
     assert not armed.stimulator.fired
 
 
-async def test_pulses_that_somebody_else_gave_are_found(armed: StimulationBench) -> None:
+async def test_pulses_given_elsewhere_are_detected(armed: StimulationBench) -> None:
     armed.stimulator.arming.pulse = 7
     await armed.refuse("stimulation.fire", "pulse_unaccounted", "failed")
     await armed.accept("stimulation.disarm")
@@ -344,7 +344,7 @@ async def test_stop_reaches_a_pulse_that_waits_for_the_stimulator(armed: Stimula
     assert not armed.stimulator.fired
 
 
-async def test_a_pulse_that_was_given_before_stop_counts_once_it_is_armed_again(armed: StimulationBench) -> None:
+async def test_pulse_given_before_a_stop_counts_after_rearming(armed: StimulationBench) -> None:
     task = asyncio.create_task(armed.do("stimulation.fire"))
     await armed.until(lambda: bool(armed.stimulator.fired))
     await armed.bench.dispatcher.stop("test:operator")
@@ -367,7 +367,7 @@ async def test_stop_while_it_charges_leaves_it_disarmed(bench: StimulationBench)
     assert not bench.stimulator.arming.armed
 
 
-async def test_one_that_disarms_by_itself_says_so(armed: StimulationBench) -> None:
+async def test_stimulator_that_disarms_by_itself_is_shown_disarmed(armed: StimulationBench) -> None:
     await armed.bench.dispatcher.report(armed.stimulator.arming.expiry())
     assert armed.states["stimulation"] == "disarmed"
 
@@ -427,7 +427,7 @@ async def test_a_stimulator_that_does_not_arm_is_refused(bench: StimulationBench
     assert bench.stimulator.calls[-1] == "disarm"
 
 
-async def test_what_the_stimulator_says_is_shown(armed: StimulationBench) -> None:
+async def test_stimulator_values_are_shown(armed: StimulationBench) -> None:
     armed.stimulator.coil_temperature = 31.0
     await armed.clock.sleep(0.5)
     (shown,) = [each for each in armed.bench.dispatcher.snapshot().activities if each.name == "watch_stimulator"]
@@ -463,7 +463,7 @@ async def test_no_pulse_without_a_registration_and_a_plan(armed: StimulationBenc
     assert refused.value.refusal_code == "no_plan"
 
 
-async def test_a_stimulator_that_is_not_armed_after_it_was_told_to_is_not_believed_to_be(
+async def test_stimulator_that_did_not_arm_does_not_count_as_armed(
     bench: StimulationBench,
 ) -> None:
     await bench.bench.to_placed()

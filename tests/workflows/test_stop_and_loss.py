@@ -54,9 +54,7 @@ async def test_stop_holds_every_motion_and_the_way_out_is_back_off(
 
 
 @pytest.mark.parametrize("prepare", [WorkflowBench.register, WorkflowBench.to_standoff, WorkflowBench.to_placed])
-async def test_an_arm_that_moves_while_nothing_runs_is_not_where_it_counted_as_being(
-    bench: WorkflowBench, prepare: Prepare
-) -> None:
+async def test_arm_that_moves_while_nothing_runs_loses_its_place(bench: WorkflowBench, prepare: Prepare) -> None:
     await prepare(bench)
     await bench.dispatcher.report(
         DeviceEvent(device="robot", code=MOVED, text="Joint 3 was displaced by 0.05 rad.", danger=True)
@@ -98,7 +96,7 @@ async def test_nobody_knows_where_a_silent_robot_is(
     assert bench.states["placement"] in ("held", "retracted")
 
 
-async def test_a_link_lost_at_the_standoff_leaves_the_placement_unknown(bench: WorkflowBench) -> None:
+async def test_link_lost_at_the_standoff_makes_the_placement_unknown(bench: WorkflowBench) -> None:
     await bench.to_standoff()
     await bench.scene.cut_robot(True)
     await bench.dispatcher.report(LOST)
@@ -140,7 +138,7 @@ async def test_a_motion_stopped_at_the_robot_itself_is_held(bench: WorkflowBench
     assert (await bench.accept("placement.back_off")).state == "standoff"
 
 
-async def test_backing_off_leads_home_where_a_joint_limit_cuts_the_straight_way_short() -> None:
+async def test_backing_off_leads_home_if_a_joint_limit_cuts_it_short() -> None:
     """Joint 6 is a hundredth of a radian before its limit, and the straight way back would turn it farther."""
     at_limit = {"arm": {"home": [0.035, -0.194, -0.017, -0.74, -0.014, 2.085, -1.561]}}
     async with open_bench(sim=at_limit) as bench:
@@ -161,7 +159,7 @@ async def test_backing_off_leads_home_where_a_joint_limit_cuts_the_straight_way_
         assert bench.cell.joints.positions == pytest.approx(bench.cell.home, abs=2e-3)
 
 
-async def test_a_robot_that_reports_joints_that_are_no_numbers_is_not_connected(
+async def test_robot_that_reports_joints_not_finite_is_not_connected(
     bench: WorkflowBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     connect, released = bench.robot.connect, list[bool]()

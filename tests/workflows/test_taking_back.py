@@ -14,7 +14,7 @@ def change(bench: WorkflowBench, **changes: Any) -> None:
     bench.cell.settings = msgspec.structs.replace(bench.cell.settings, **changes)
 
 
-async def test_the_last_plan_is_taken_back_under_an_id_of_its_own(bench: WorkflowBench) -> None:
+async def test_last_plan_is_taken_back_under_its_own_id(bench: WorkflowBench) -> None:
     await bench.refuse("toolplan.use_previous", "no_previous_plan")
     await bench.accept("toolplan.plan", **POSES[0])
     await bench.accept("toolplan.plan", **POSES[1])
@@ -27,7 +27,8 @@ async def test_the_last_plan_is_taken_back_under_an_id_of_its_own(bench: Workflo
     assert bench.data.plan_id not in (None, plan_id), "what was approached by the other id is not at this plan"
 
 
-async def test_nothing_is_taken_back_for_another_patient_calibration_or_reference() -> None:
+async def test_nothing_of_another_patient_is_taken_back() -> None:
+    """Nor anything of another calibration or reference."""
     async with open_bench() as bench:
         await bench.register()
         await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)

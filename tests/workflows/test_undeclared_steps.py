@@ -26,7 +26,7 @@ UNDECLARED: dict[str, tuple[str, str, str]] = {
 
 
 @pytest.mark.parametrize("what", UNDECLARED)
-def test_what_moves_must_be_declared(what: str, tmp_path: Path) -> None:
+def test_motion_must_be_declared(what: str, tmp_path: Path) -> None:
     """Undeclared, it would be accepted while Stop is latched."""
     old, new, name = UNDECLARED[what]
     text = RATMS.read_text()

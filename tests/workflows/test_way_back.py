@@ -95,7 +95,7 @@ async def test_a_registration_given_up_leaves_the_way_back_open(name: str, pose:
 
 
 @pytest.mark.parametrize(("name", "pose"), PLACES)
-async def test_after_a_restart_the_way_back_is_straight_though_it_pass_the_reference(name: str, pose: int) -> None:
+async def test_way_back_after_a_restart_is_straight_past_the_reference(name: str, pose: int) -> None:
     async with open_placed(name, pose) as bench:
         posture = bench.cell.posture().tolist()
     async with open_bench(sim={"arm": {"home": posture}}, workflow=name) as bench:
@@ -119,7 +119,7 @@ async def test_after_a_restart_the_way_back_is_straight_though_it_pass_the_refer
         await bench.accept("placement.home", confirm=True)
 
 
-async def test_home_heeds_the_middle_of_a_body_that_is_not_registered_any_more() -> None:
+async def test_home_avoids_the_middle_of_a_body_no_longer_registered() -> None:
     async with open_placed("ratms", 0) as bench:
         placed = bench.cell.posture().tolist()
         await bench.accept("placement.home")
@@ -129,7 +129,7 @@ async def test_home_heeds_the_middle_of_a_body_that_is_not_registered_any_more()
 
 
 @pytest.mark.parametrize("registered", [True, False])
-async def test_a_tool_that_was_never_seen_with_the_body_backs_off_by_the_standoff(registered: bool) -> None:
+async def test_tool_never_seen_with_the_body_backs_off_by_standoff(registered: bool) -> None:
     """Without a registration, middle of the body and plan say nothing; with one, nobody knows where that is."""
     async with open_placed("ratms", 0) as bench:
         if not registered:
@@ -149,7 +149,7 @@ async def test_a_tool_that_was_never_seen_with_the_body_backs_off_by_the_standof
         assert away == pytest.approx((0.0, 0.0, bench.cell.settings.placement.standoff), abs=0.001)
 
 
-async def test_before_the_robot_has_reported_its_joints_nothing_is_known_of_the_arm(bench: WorkflowBench) -> None:
+async def test_nothing_is_known_of_the_arm_before_its_first_joints(bench: WorkflowBench) -> None:
     await bench.register()
     silent = replace(bench.cell, joints=None, base_from_body_ref=None)
     for ask in (silent.posture, partial(silent.frames, bench.data), partial(silent.image_from_coil, bench.data)):
