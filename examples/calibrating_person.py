@@ -19,7 +19,7 @@ from pcmrs.spatial import Transform
 
 PLAN = json.loads((Path(__file__).parent / "ratms_plan.json").read_text())
 TURNS = (0.6, -0.6)
-"""Turns of the planned poses about the tool's axis, rad: with tilts alone the arm would turn too little about one axis."""
+"""Turns of the planned poses about the tool's axis, rad: tilts alone would turn the arm too little about one axis."""
 REST = 1.5
 """Pause in every posture, s."""
 
