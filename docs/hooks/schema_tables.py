@@ -39,7 +39,7 @@ def definition_body(definition: Schema) -> Iterator[str]:
     if "properties" not in definition:
         yield f"{type_text(definition)}\n"
     elif definition["properties"]:
-        yield "| key | type | default | what |\n| --- | --- | --- | --- |"
+        yield "| key | type | default | meaning |\n| --- | --- | --- | --- |"
         meanings = {key: plain(text) for key, text in _ATTRIBUTE.findall(documentation)}
         for key, value in definition["properties"].items():
             yield _row(key, value, key in definition.get("required", ()), meanings.get(key, ""))

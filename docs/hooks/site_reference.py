@@ -43,7 +43,7 @@ def on_page_markdown(markdown: str, **_context: Any) -> str:
 def keys_of_bus() -> Iterator[str]:
     """The table of keys, and the schema of every payload."""
     types = _message_types()
-    yield "| key | use | payload | what for | who may | who serves it |\n| --- | --- | --- | --- | --- | --- |"
+    yield "| key | use | payload | purpose | users | served by |\n| --- | --- | --- | --- | --- | --- |"
     for row in KEYS:
         payload = OWN_TYPE.sub(lambda name: f"[{name[0]}](#{name[0].lower()})", row.payload)
         who = ", ".join(row.users), ", ".join(row.owners)
@@ -75,13 +75,13 @@ def blueprint() -> Iterator[str]:
 
 def error_types() -> Iterator[str]:
     """The tree of errors."""
-    yield "| code | type | what |\n| --- | --- | --- |"
+    yield "| code | type | meaning |\n| --- | --- | --- |"
     yield from _below(errors.PcmrsError, 0)
 
 
 def refusal_codes() -> Iterator[str]:
     """Codes of refusals, with what they say."""
-    yield "| code | what is said | where |\n| --- | --- | --- |"
+    yield "| code | text | module |\n| --- | --- | --- |"
     for code, places in groupby(refusals(), key=lambda refusal: refusal.code):
         known = list(places)
         texts = dict.fromkeys(plain(place.text) for place in known if place.text)
