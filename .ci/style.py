@@ -37,6 +37,10 @@ PHRASES = {
     r"who asks": "the caller; the client",
     r"is no \w+ (?:of|beside)": "unknown …; did you mean …?",
     r"over and over": "repeatedly",
+    r"but for": "except",
+    r"mend(?:s|ed|ing)?": "fix, repair",
+    r"in vain": "without effect",
+    r"hears? of": "is announced to",
     r"lets? go on": "continue",
 }
 """What is no longer used, and what to write."""
