@@ -72,9 +72,10 @@ docs: install ## Build the documentation into site/, strictly: a broken link fai
 screenshots: install ## Take the pictures of the console that docs/console.md shows; needs `make browser`
 	$(BIN)/python tests/console/screenshots.py docs/pictures
 
-lint: install ## Check style, format, types and import contracts
+lint: install ## Check style, format, words, types and import contracts
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
+	$(BIN)/python .ci/style.py
 	$(BIN)/mypy --strict
 	for fixtures in tests/*/conftest.py; do $(BIN)/mypy --strict "$$fixtures"; done
 	$(BIN)/lint-imports

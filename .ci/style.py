@@ -37,18 +37,25 @@ PHRASES = {
     r"who asks": "the caller; the client",
     r"is no \w+ (?:of|beside)": "unknown …; did you mean …?",
     r"over and over": "repeatedly",
+    r"but for": "except",
+    r"mend(?:s|ed|ing)?": "fix, repair",
+    r"in vain": "without effect",
+    r"hears? of": "is announced to",
     r"lets? go on": "continue",
 }
 """What is no longer used, and what to write."""
-UNUSED = re.compile("|".join(rf"(?P<p{number}>\b{phrase}\b)" for number, phrase in enumerate(PHRASES)), re.IGNORECASE)
+UNUSED = re.compile(
+    "|".join(rf"(?P<p{number}>\b{phrase}\b)" for number, phrase in enumerate(PHRASES)).replace(" ", r"\s+"),
+    re.IGNORECASE,
+)
 
 
 def findings(text: str) -> Iterator[tuple[int, str, str]]:
     """Yield line, phrase and advice for each phrase of a text that is no longer used."""
     plain = QUOTED.sub(lambda code: re.sub(r"[^\n]", "`", code[0]), text)
-    for found in UNUSED.finditer(re.sub(r"\s", " ", plain)):
+    for found in UNUSED.finditer(plain):
         advice = list(PHRASES.values())[int((found.lastgroup or "p0")[1:])]
-        yield text.count("\n", 0, found.start()) + 1, found[0], advice
+        yield plain.count("\n", 0, found.start()) + 1, " ".join(found[0].split()), advice
 
 
 def main() -> int:

@@ -1,6 +1,6 @@
-"""Does at the simulated cell what a person does there for `pcmrs calibrate pivot|hand-eye --live`.
+"""Simulate the person in `pcmrs calibrate pivot|hand-eye --live` on the simulated cell.
 
-The tool is where `sim.geometry.flange_from_coil` has it; where the tip is, the simulation tells.
+`sim.geometry.flange_from_coil` is the true tool; the simulation reports the true tip.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from pcmrs.spatial import Transform
 
 PLAN = json.loads((Path(__file__).parent / "ratms_plan.json").read_text())
 TURNS = (0.6, -0.6)
-"""Of the planned poses about the tool's axis, rad: by tilts alone the arm would turn too little about one axis."""
+"""Turns of the planned poses about the tool's axis, rad: tilts alone would turn the arm too little about one axis."""
 REST = 1.5
-"""In every posture, s."""
+"""Pause in every posture, s."""
 
 
 @click.command()
@@ -30,18 +30,18 @@ REST = 1.5
 @click.option("--site", default="lab", show_default=True)
 @click.option("--cell", default="cell1", show_default=True)
 def main(kind: str, endpoint: str, site: str, cell: str) -> None:
-    """Pivot the pointer, or take the arm from posture to posture."""
+    """Pivot the pointer, or move the arm from posture to posture."""
     asyncio.run(act(kind, endpoint, site, cell))
 
 
 async def act(kind: str, endpoint: str, site: str, cell: str) -> None:
-    """Connects to the cell and does it."""
+    """Connect to the cell and run the motion of a calibration."""
     async with Client.connect(endpoint, site, cell) as client:
         await (pivot(client) if kind == "pivot" else change_postures(client))
 
 
 async def pivot(client: Client) -> None:
-    """Pivots the pointer about its tip for ten minutes of the cell."""
+    """Pivot the pointer about its tip for ten minutes of the cell."""
     await client.request_device("scene", "pivot_pointer", {"duration": 600.0})
     truth = await client.request_device("scene", "truth")
     x, y, z = (1000.0 * value for value in truth["tip_in_pointer"])
@@ -49,7 +49,7 @@ async def pivot(client: Client) -> None:
 
 
 async def change_postures(client: Client) -> None:
-    """Registers the head, then goes to the standoff of every planned pose, turned one way and the other."""
+    """Register the head, then move to the standoff of every planned pose, turned in both directions."""
     await call(client, "robot.connect")
     await call(client, "registration.plan_landmarks", landmarks=PLAN["landmarks"])
     await call(client, "digitization.digitize_all")
@@ -62,14 +62,14 @@ async def change_postures(client: Client) -> None:
 
 
 def turned(pose: dict[str, Any], angle: float) -> dict[str, Any]:
-    """A planned pose turned about the tool's axis, rad."""
+    """Return a planned pose that is turned about the tool's axis by `angle`, rad."""
     planned = Transform.from_quat_xyzw(pose["position"], pose["quat_xyzw"])
     found = planned @ Transform.from_rotvec((0.0, 0.0, 0.0), (0.0, 0.0, angle))
     return pose | {"quat_xyzw": found.quat_xyzw.tolist()}
 
 
 async def call(client: Client, name: str, **arguments: object) -> None:
-    """Asks for an operation; one that is refused is no reason to give up."""
+    """Request an operation; continue if it is refused."""
     verdict = await client.call(name, arguments)
     if verdict.reason is not None:
         click.echo(f"{name} {verdict.decision}: {verdict.reason.text}", err=True)

@@ -1,6 +1,6 @@
-"""A program drafts a workflow, has it verified, and mends it by the findings until it is sound.
+"""Draft a workflow, verify it, and repair it by the findings until it is sound.
 
-The scripted drafter stands for a language model: all it sees is what `pcmrs fsm verify --json` says of its draft.
+The scripted drafter represents a language model: it sees only the output of `pcmrs fsm verify --json` for its draft.
 
     python examples/draft_workflow.py
 """
@@ -58,7 +58,7 @@ Finding = dict[str, Any]
 
 
 def rename_operation(draft: Table, finding: Finding) -> str:
-    """A word that Python keeps for itself cannot be an operation."""
+    """Rename an operation whose name is a reserved word of Python."""
     _, branch, _, word = finding["path"]
     operations = draft["branches"][branch]["operations"]
     operations[f"do_{word}"] = operations.pop(word)
@@ -66,7 +66,7 @@ def rename_operation(draft: Table, finding: Finding) -> str:
 
 
 def add_reinitiation(draft: Table, finding: Finding) -> str:
-    """Rule 1: a branch below level 1 can always begin again."""
+    """Add a re-initiation (Rule 1: every branch of level 2 or more has one)."""
     name = finding["path"][1]
     branch = draft["branches"][name]
     start = next(iter(branch["states"]))
@@ -75,7 +75,7 @@ def add_reinitiation(draft: Table, finding: Finding) -> str:
 
 
 def mark_as_signal(draft: Table, finding: Finding) -> str:
-    """Rule 2: what a branch calls above is called by it alone."""
+    """Mark the parent's operation as a signal (Rule 2: only the child calls it)."""
     child = finding["path"][1]
     parent, called = draft["branches"][child]["parent"]["branch"], draft["branches"][child]["emits"]["*"]
     draft["branches"][parent]["operations"][called]["iio"] = True
@@ -83,7 +83,7 @@ def mark_as_signal(draft: Table, finding: Finding) -> str:
 
 
 def forbid_last_command(draft: Table, finding: Finding) -> str:
-    """What leads to a forbidden joint state needs the other branches to be elsewhere."""
+    """Let the last command require other states, so that it no longer leads to a forbidden joint state."""
     branch, operation = finding["commands"][-1].partition(":")[0].split(".")
     forbidden = draft["properties"][int(finding["path"][1])]["never"]["states"]
     requires = {
@@ -104,7 +104,7 @@ MENDS: dict[str, Callable[[Table, Finding], str]] = {
 
 
 def verify(draft: Table) -> list[Finding]:
-    """What is wrong with a draft; nothing when it is sound."""
+    """Return the findings on a draft; none if it is sound."""
     command = [sys.executable, "-m", "pcmrs.cli", "fsm", "verify", "--json", "-"]
     done = subprocess.run(command, input=tomli_w.dumps(draft), capture_output=True, text=True, check=False)
     findings: list[Finding] = json.loads(done.stdout)[0]["findings"] if done.returncode else []
@@ -112,7 +112,7 @@ def verify(draft: Table) -> list[Finding]:
 
 
 def main() -> int:
-    """Drafts, verifies and mends; returns the exit status."""
+    """Draft, verify and repair; return the exit status."""
     draft = tomllib.loads(DRAFT)
     for number in range(1, MOST_ROUNDS + 1):
         findings = verify(draft)

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Builds the image pcmrs:latest, or the one named as $1, from Debian's packages and this checkout; no registry of images is asked.
+# Builds the image pcmrs:latest, or the one named as $1, from Debian's packages and this checkout; it uses no image registry.
 # As root, after: make install && apt-get install mmdebstrap buildah runc
 set -euo pipefail
 cd "$(dirname "$0")/../.."
@@ -7,7 +7,7 @@ image=${1:-pcmrs:latest}
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 
-# Debian 12 has Python 3.11, as the environment that collects the wheels.
+# Debian 12 has Python 3.11, like the environment that collects the wheels.
 mmdebstrap --variant=minbase --include=ca-certificates,libgomp1,python3,python3-venv bookworm "$work/rootfs.tar"
 
 mkdir "$work/wheels"

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Starts the image as compose.yaml does, but with podman alone: a router, a simulated cell that dials it, and a viewer.
-# As root, after build.sh. Ends with 0 when the cell is well and the viewer has seen it; leaves nothing behind.
+# Starts the image as compose.yaml does, but with podman alone: a router, a simulated cell that connects to it, and a viewer.
+# As root, after build.sh. Exit status 0 if the cell is healthy and the viewer has seen it; leaves nothing behind.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 image=${1:-pcmrs:latest}
@@ -11,7 +11,7 @@ closed=(--read-only --cap-drop ALL --security-opt no-new-privileges --user 10001
     --ulimit nofile=4096:4096 --ulimit nproc=4096:4096 --ulimit core=0:0 --network try --log-driver k8s-file)
 
 finish() {
-    # What a container said is asked for only where something failed.
+    # Print the log of a container only if something failed.
     (($? == 0)) || for name in try-router try-cell; do podman logs "$name" >&2 || true; done
     podman rm --force --ignore --time 30 try-cell try-router >/dev/null
     podman volume rm --force try-journal >/dev/null

@@ -1,4 +1,4 @@
-"""What the code says when it refuses: read from the source, since reasons are values and no types."""
+"""Codes and texts of refusals, read from the source because reasons are values and not types."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[2]
 PLACES = {"RefusalError": (0, 1), "Reason": (0, 1), "Denial": (0, 1), "Gate": (0, 4)}
-"""Where code and text stand among the arguments of what makes a refusal."""
+"""Positions of code and text among the arguments of a call that makes a refusal."""
 ELSEWHERE = ("campaign", "experiment", "replay", "report")
-"""Rooms that read or repeat what the daemon said."""
+"""Packages that only read or repeat the refusals of the daemon."""
 
 
 class Refusal(NamedTuple):
-    """One place that refuses: its code, the module, and the text where it stands there; ``…`` is a value."""
+    """One refusal in the source: code, module, and the text if it is written there; ``…`` is a value."""
 
     code: str
     module: str
@@ -24,7 +24,7 @@ class Refusal(NamedTuple):
 
 
 def refusals() -> list[Refusal]:
-    """Every refusal whose code is written where it is made."""
+    """Return every refusal whose code is a constant in its call."""
     found = {refusal for path in sorted((ROOT / "pcmrs").rglob("*.py")) for refusal in _of_file(path)}
     return sorted(found)
 
@@ -47,7 +47,7 @@ def _of_file(path: Path) -> Iterator[Refusal]:
 
 
 def _own_nodes(node: ast.AST) -> Iterator[ast.AST]:
-    """The node and what is in it, but for functions: they have texts of their own."""
+    """Yield the node and its children, except functions, which have their own texts."""
     if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
         return
     yield node

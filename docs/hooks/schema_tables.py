@@ -23,23 +23,23 @@ _BOUNDS = {
     "pattern": "like `{}`",
 }
 _LONGEST = 60
-"""Letters of a default that are shown; a longer one is that of the type it is made of."""
+"""Greatest length of a default that is shown; a longer one is the default of its type."""
 
 
 def definition_section(name: str, definition: Schema, level: str = "###") -> Iterator[str]:
-    """Heading, what it is, and the table of its keys."""
+    """Yield heading, description, and the table of keys."""
     yield f"{level} {name}\n"
     yield from definition_body(definition)
 
 
 def definition_body(definition: Schema) -> Iterator[str]:
-    """What a type is, and the table of its keys; of one that is no table, its values."""
+    """Yield the description of a type and the table of its keys; for a type without keys, its values."""
     documentation = cleandoc(definition.get("description", ""))
     yield plain(documentation.partition("\n\n")[0]) + "\n"
     if "properties" not in definition:
         yield f"{type_text(definition)}\n"
     elif definition["properties"]:
-        yield "| key | type | default | what |\n| --- | --- | --- | --- |"
+        yield "| key | type | default | meaning |\n| --- | --- | --- | --- |"
         meanings = {key: plain(text) for key, text in _ATTRIBUTE.findall(documentation)}
         for key, value in definition["properties"].items():
             yield _row(key, value, key in definition.get("required", ()), meanings.get(key, ""))
@@ -47,17 +47,17 @@ def definition_body(definition: Schema) -> Iterator[str]:
 
 
 def plain(text: str) -> str:
-    """A docstring's text on one line of Markdown."""
+    """Return a docstring as one line of Markdown."""
     return " ".join(text.split()).replace("``", "`")
 
 
 def name_of(ref: str) -> str:
-    """The name at the end of a reference, ``#/$defs/Name``."""
+    """Return the name at the end of a reference, ``#/$defs/Name``."""
     return ref.rpartition("/")[2]
 
 
 def type_text(value: Schema) -> str:
-    """The type of a value in words, with its bounds; types of our own are links to their section."""
+    """Return the type of a value in words, with its bounds; our own types are links to their section."""
     bounds = [text.format(_json(value[key])) for key, text in _BOUNDS.items() if key in value]
     return ", ".join([_kind(value), *(bound.replace("|", "\\|") for bound in bounds)])
 

@@ -1,4 +1,4 @@
-"""Fills `{{ name }}` in a page with what the code says, so that no page can be older than the code."""
+"""Fill `{{ name }}` in a page from the code, so that no page can be older than the code."""
 
 from __future__ import annotations
 
@@ -28,22 +28,22 @@ MESSAGES = (
     "pcmrs.bus.keys",
     "pcmrs.bus.stop",
 )
-"""Where the types are that the table of keys names."""
+"""Modules with the types that the table of keys names."""
 
 
 OWN_TYPE = re.compile(r"(?<!/)\b(?!CDR:)[A-Z]\w+")
-"""A type of ours in a payload; those of ROS 2 follow a slash."""
+"""One of our types in a payload; types of ROS 2 follow a slash."""
 
 
 def on_page_markdown(markdown: str, **_context: Any) -> str:
-    """Fills the page."""
+    """Fill the page."""
     return re.sub(r"^\{\{ (\w+) \}\}$", lambda found: "\n".join(FILLED[found[1]]()), markdown, flags=re.MULTILINE)
 
 
 def keys_of_bus() -> Iterator[str]:
-    """The table of keys, and the schema of every payload."""
+    """Yield the table of keys, and the schema of every payload."""
     types = _message_types()
-    yield "| key | use | payload | what for | who may | who serves it |\n| --- | --- | --- | --- | --- | --- |"
+    yield "| key | use | payload | purpose | users | served by |\n| --- | --- | --- | --- | --- | --- |"
     for row in KEYS:
         payload = OWN_TYPE.sub(lambda name: f"[{name[0]}](#{name[0].lower()})", row.payload)
         who = ", ".join(row.users), ", ".join(row.owners)
@@ -56,7 +56,7 @@ def keys_of_bus() -> Iterator[str]:
 
 
 def settings() -> Iterator[str]:
-    """Every table of the configuration, those of the drivers last."""
+    """Yield every table of the configuration, those of the drivers last."""
     points = sorted(entry_points(group=DRIVER_SETTINGS), key=lambda point: point.name)
     drivers = {point.name: point.load() for point in points}
     _, components = msgspec.json.schema_components([Settings, *drivers.values()])
@@ -67,21 +67,21 @@ def settings() -> Iterator[str]:
 
 
 def blueprint() -> Iterator[str]:
-    """The parts of a blueprint."""
+    """Yield the parts of a blueprint."""
     for name, definition in json.loads(blueprint_schema())["$defs"].items():
         if not name.startswith("Partial"):
             yield from definition_section(name, definition, "##")
 
 
 def error_types() -> Iterator[str]:
-    """The tree of errors."""
-    yield "| code | type | what |\n| --- | --- | --- |"
+    """Yield the tree of errors."""
+    yield "| code | type | meaning |\n| --- | --- | --- |"
     yield from _below(errors.PcmrsError, 0)
 
 
 def refusal_codes() -> Iterator[str]:
-    """Codes of refusals, with what they say."""
-    yield "| code | what is said | where |\n| --- | --- | --- |"
+    """Yield the codes of refusals with their texts."""
+    yield "| code | text | module |\n| --- | --- | --- |"
     for code, places in groupby(refusals(), key=lambda refusal: refusal.code):
         known = list(places)
         texts = dict.fromkeys(plain(place.text) for place in known if place.text)
@@ -90,7 +90,7 @@ def refusal_codes() -> Iterator[str]:
 
 
 def workflow_refusals() -> Iterator[str]:
-    """Codes that blueprints give to what they require."""
+    """Yield the codes that blueprints give to unmet requirements."""
     found: dict[str, list[str]] = {}
     for workflow in WORKFLOWS:
         for name, branch in read_workflow(workflow).branches.items():
@@ -105,7 +105,7 @@ def workflow_refusals() -> Iterator[str]:
 
 
 def _tables(path: str, name: str, components: Mapping[str, Schema], shown: set[str]) -> Iterator[str]:
-    """A table and those below it; a type that several tables have is shown at the first."""
+    """Yield a table and those below it; a type of several tables is shown at the first."""
     if name in shown:
         return
     shown.add(name)
@@ -119,7 +119,7 @@ def _tables(path: str, name: str, components: Mapping[str, Schema], shown: set[s
 
 
 def _named(value: Schema) -> Schema | None:
-    """What a table holds under names that the user gives."""
+    """Return the type of the values that the user names in a table."""
     more = value.get("additionalProperties")
     return more if isinstance(more, Mapping) else None
 

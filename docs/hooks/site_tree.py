@@ -1,4 +1,4 @@
-"""The site has the pages of docs/ and, as they lie in the repository, the README and what pages link to elsewhere."""
+"""Add the README, and files outside docs/ that pages link to, to the site, with their paths in the repository."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ PAGES = (
     Path("SECURITY.md"),
     *(path.relative_to(ROOT) for path in sorted((ROOT / "deploy").rglob("README.md"))),
 )
-"""Pages outside docs/; the README besides is the home page."""
+"""Pages outside docs/; the README is the home page, too."""
 
 _LINK = re.compile(r"(\]\()([^)#:\s]+)((?:#[^)]*)?\))")
 _FENCE = re.compile(r"^```(\w+) ([\w.-]+)$", re.MULTILINE)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Adds the pages from outside docs/, and the files that pages link to there."""
+    """Add the pages from outside docs/, and the files that pages link to there."""
     files.append(_brought(config, HOME, ROOT / "README.md"))
     for place in PAGES:
         files.append(_brought(config, place.as_posix(), ROOT / place))
@@ -39,7 +39,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, *, page: Page, **_context: Any) -> str:
-    """Links as they are in the site's tree; the name of a file that a block shows becomes its title."""
+    """Change links to the tree of the site; the name of a file that a block shows becomes its title."""
     place = _place(page.file.src_uri)
     here = _in_site(place)
 
@@ -55,14 +55,14 @@ def _brought(config: MkDocsConfig, uri: str, path: Path) -> File:
 
 
 def _place(uri: str) -> PurePosixPath:
-    """Where a page lies in the repository."""
+    """Return the path of a page in the repository."""
     if uri == HOME:
         return PurePosixPath("README.md")
     return PurePosixPath(uri) if Path(uri) in PAGES else PurePosixPath("docs", uri)
 
 
 def _in_site(place: PurePosixPath) -> PurePosixPath:
-    """Where something of the repository lies in the site."""
+    """Return the path in the site of a file of the repository."""
     if place == PurePosixPath("README.md"):
         return PurePosixPath(HOME)
     return place.relative_to("docs") if place.parts[0] == "docs" else place

@@ -22,7 +22,7 @@ class NeedlePath(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Data(PlacementData, frozen=True, kw_only=True):
-    """What a biopsy gathers beside landmarks and registration."""
+    """Data of a biopsy besides landmarks and registration."""
 
     path: NeedlePath | None = None
     tip: Point | None = None
@@ -43,7 +43,7 @@ def keep_path(run: Run[Cell, Data]) -> None:
 
 
 async def bring_tip_to_target(run: Run[Cell, Data]) -> None:
-    """A world step waits for devices: has the needle brought to the target, then measures its tip in the image."""
+    """A world step waits for devices: it prompts for the needle at the target, then measures its tip in the image."""
     cell, path, registered = run.cell, run.data.path, run.data.registered
     if path is None or registered is None:
         raise RefusalError("not_ready", "Plan a path and register first.")
@@ -69,7 +69,7 @@ def tip_at_target(run: Run[Cell, Data]) -> None:
 
 
 def register(registry: Registry[Cell, PlacementData]) -> None:
-    """Called by the daemon: gives the functions the names that biopsy.toml uses, which are their own."""
+    """Register the functions under their own names, which biopsy.toml uses. The daemon calls this."""
     registry.payload("needle_path", NeedlePath)
     registry.check(path_fits_needle)
     registry.step(keep_path)

@@ -1,4 +1,4 @@
-"""Registers the simulated head and places the coil, with the plain client; a refusal on the way says why."""
+"""Register the simulated head and place the coil with the plain client; a refusal gives its reason."""
 
 import json
 from pathlib import Path
@@ -25,6 +25,6 @@ with PlainClient.connect() as cell:
         print(f"{operation}: {verdict.decision}, {verdict.branch} is {verdict.state}")
         if verdict.decision != "accepted":
             raise SystemExit(verdict.reason.text if verdict.reason else "no reason given")
-        cell.until(lambda state: not state.running)  # the arm is located as soon as it is connected
+        cell.until(lambda state: not state.running)  # connecting also locates the arm
     residual = cell.gathered().residual
     print(f"the landmarks fit within {1000.0 * (residual or 0.0):.1f} mm on average")

@@ -1,4 +1,4 @@
-"""A planner needs a UDP socket only: asks for a motion too early, and is told why not: planner.py [PORT]."""
+"""Plan with a UDP socket only: request a motion too early, and print the refusal: planner.py [PORT]."""
 
 import socket
 import sys

@@ -1,4 +1,4 @@
-"""Writes what the tracker sees as CSV: record_poses.py SECONDS > poses.csv. Positions in m, quaternions w x y z."""
+"""Write the poses of the tracker as CSV: record_poses.py SECONDS > poses.csv. Positions in m, quaternions w x y z."""
 
 import sys
 import time

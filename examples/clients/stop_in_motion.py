@@ -1,4 +1,4 @@
-"""Begins a motion, stops it on its way, and backs off once somebody has acknowledged. Run place.py before it."""
+"""Start a motion, stop it, acknowledge, and back off. Run place.py first."""
 
 import asyncio
 

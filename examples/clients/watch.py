@@ -1,4 +1,4 @@
-"""Prints what is decided and reported in a cell, and every change of its state, until Ctrl-C: watch.py [SECONDS]."""
+"""Print decisions, device events and state changes of a cell until Ctrl-C: watch.py [SECONDS]."""
 
 import asyncio
 import sys
