@@ -1,4 +1,4 @@
-"""What the gateway needs of the daemon."""
+"""Interface of the gateway to the daemon."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ class Core(Protocol):
     """The daemon behind the gateway. Lengths in m, angles in rad; the reads return at once."""
 
     async def submit(self, command: Command, *, arrived: float | None = None) -> Verdict:
-        """Decides and performs one command; a rejection is a verdict, not an exception.
+        """Decide on one command and perform it; a rejection is a verdict, not an exception.
 
         Args:
-            command: What is asked.
-            arrived: When it came in, s of the machine's monotonic clock; by default now.
+            command: The command.
+            arrived: Time of its arrival, s of the machine's monotonic clock; by default now.
         """
 
     async def stop(self, source: str) -> bool:
-        """Stops everything and latches; returns whether the robot confirmed that it stands."""
+        """Stop everything and latch; return whether the robot has confirmed that it stands."""
 
     def report(self, event: DeviceEvent) -> None:
-        """Journals and publishes an event of the gateway, without waiting."""
+        """Journal and publish an event of the gateway, without waiting."""
 
     def add_listener(self, listener: DispatcherListener) -> None:
         """Notify a listener of every Stop and of everything that is published, synchronously."""
 
     def snapshot(self) -> Snapshot:
-        """The state of all branches."""
+        """Return the state of all branches."""
 
     def joints(self) -> list[float] | None:
-        """Newest measured joints, rad; None while the robot is not connected."""
+        """Return the newest measured joints, rad; None while the robot is not connected."""
 
     def remember_initial_joints(self) -> list[float] | None:
-        """Keeps the present joints as the initial ones and returns them.
+        """Store the present joints as the initial ones and return them.
 
-        None when there are none, or the arm moves or is near the body: that is no place to return to.
+        Return None if there are none, or if the arm moves or is near the body: that is no place to return to.
         """
 
     def flange_pose(self) -> Transform | None:

@@ -1,4 +1,4 @@
-"""The table of string commands: what each takes, what it means, and the groups that a signed peer may be allowed."""
+"""Table of the string commands: their payloads, their operations, and the groups that a signed peer may be allowed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ APPROACHES = frozenset({"approach", "confirm", "nudge"})
 
 
 class Kind(Enum):
-    """What one token of a payload holds."""
+    """Type of one token of a payload."""
 
     COUNT = auto()  # 1 to 3 decimal digits
     NUMBER = auto()  # finite decimal number
@@ -25,7 +25,7 @@ class Kind(Enum):
 
 
 class Action(Enum):
-    """What the gateway does with a command."""
+    """Action of the gateway for a command."""
 
     SUBMIT = auto()
     ANNOUNCE_LANDMARKS = auto()
@@ -46,14 +46,14 @@ class Action(Enum):
 
 
 class Second(Enum):
-    """The second datagram that clients expect after the acknowledgement."""
+    """Kind of the second datagram that clients expect after the acknowledgement."""
 
     RESIDUAL = auto()  # one number, mm
     VALUES = auto()  # numbers, each followed by a separator
 
 
 class Plan(Enum):
-    """The kinds of plan that clients send."""
+    """Kinds of plan that clients send."""
 
     LANDMARKS = auto()
     POSE = auto()
@@ -61,7 +61,7 @@ class Plan(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One operation of the workflow; skipped unless its branch is in one of `only_in`, if that is given."""
+    """One operation of the workflow; skipped unless its branch is in a state of `only_in`, if that is given."""
 
     branch: str
     operation: str
@@ -78,7 +78,7 @@ class Spec:
         steps: Operations submitted in order; the first that is not accepted ends the command.
         arguments: The operations' arguments from the payload's values.
         second: The second datagram that clients without verdict replies expect.
-        settles: The kind of plan that acceptance of this command makes up for, though it is no plan itself.
+        settles: Kind of plan that counts as accepted with this command, though the command is not a plan itself.
     """
 
     name: str
@@ -92,12 +92,12 @@ class Spec:
 
     @property
     def moves(self) -> bool:
-        """Whether it moves the arm; such a command begins in time or never."""
+        """True if it moves the arm; such a command begins in time or never."""
         return any(step.branch == "placement" for step in self.steps)
 
     @property
     def approaches(self) -> bool:
-        """Whether it may move the tool towards the plan; such a command waits for an accepted plan."""
+        """True if it may move the tool towards the plan; such a command waits for an accepted plan."""
         return any(step.branch == "placement" and step.operation in APPROACHES for step in self.steps)
 
 
@@ -124,7 +124,7 @@ def _index(values: tuple[Value, ...]) -> dict[str, Any]:
 
 
 def _surface(values: tuple[Value, ...]) -> dict[str, Any]:
-    """The base name of a path on the client's machine, Windows or not: what else is in it is nobody's business here."""
+    """Base name of a path on the client's machine, Windows or not; its folders mean nothing here."""
     return {"surface": PureWindowsPath(str(values[0])).name}
 
 
@@ -207,16 +207,16 @@ GROUPS = {
 """Groups of commands by name; each command but Stop is in one."""
 
 DEFAULT = ("read", "stream", "record", "plan", "digitize", "register")
-"""What a planner does. Connecting and moving the robot is for whoever stands beside it, and has to be listed."""
+"""Groups of a planner. Connecting and moving the robot must be listed: only people beside it should do that."""
 
 STOP = next(name for name, spec in COMMANDS.items() if spec.action is Action.STOP)
 
 
 def allowed(entries: Iterable[str]) -> frozenset[str]:
-    """The commands that a list of commands and groups means; Stop is always one of them.
+    """Return the commands of a list of commands and groups; Stop is always one of them.
 
     Raises:
-        ConfigurationError: An entry is neither.
+        ConfigurationError: An entry is neither a command nor a group.
     """
     found = {STOP}
     for entry in entries:

@@ -1,4 +1,4 @@
-"""The grammar of command datagrams: bytes to command and back, checked whole.
+"""Grammar of command datagrams: bytes to command and back, checked as a whole.
 
 A datagram is ``<16 characters>[_<token>...][_#<id>];``, printable ASCII, at most 256 bytes. Numbers are decimal
 (``-0.5``, ``1e-3``) and finite. The last token ``#<id>``, 1 to 10 digits, asks for a verdict reply; a path token
@@ -35,16 +35,16 @@ class Request:
 
 
 def parse(datagram: bytes) -> Request:
-    """Reads one datagram.
+    """Parse one datagram.
 
     Raises:
-        PayloadError: It breaks the grammar or names no command.
+        PayloadError: The datagram breaks the grammar or names no command.
     """
     body = _command_text(_text(datagram))
     name, payload = body[:NAME_LENGTH], body[NAME_LENGTH:]
     spec = COMMANDS.get(name)
     if spec is None:
-        raise PayloadError(f"{name!r} is no command; the name is the first 16 characters.", name=name)
+        raise PayloadError(f"{name!r} is not a command; the name is the first 16 characters.", name=name)
     match = _ID.search(payload)
     client_id = match[1] if match else None
     tokens = _tokens(spec, payload[: match.start()] if match else payload)
@@ -65,7 +65,12 @@ def may_become_command(beginning: bytes) -> bool:
 
 
 def format_command(name: str, *values: Value, client_id: str | None = None) -> bytes:
-    """The datagram of a command; `parse` returns exactly these values.
+    """Return the datagram of a command; `parse` returns exactly these values.
+
+    Args:
+        name: Name of the command, 16 characters.
+        values: Values of its payload.
+        client_id: Id for a verdict reply, 1 to 10 digits; None for none.
 
     Raises:
         PayloadError: The result would break the grammar.
@@ -82,10 +87,10 @@ def format_command(name: str, *values: Value, client_id: str | None = None) -> b
 
 
 def parse_tool_points(datagram: bytes) -> tuple[float, ...] | None:
-    """The two points (x1, y1, z1, x2, y2, z2), mm, of a tool-pose message; None when it is no such message.
+    """Return the two points (x1, y1, z1, x2, y2, z2), mm, of a tool-pose message; None for another message.
 
     Raises:
-        PayloadError: It starts like one but does not hold six numbers.
+        PayloadError: The message starts like one but does not hold six numbers.
     """
     if not datagram.startswith(TOOL_POINTS_PREFIX.encode()):
         return None

@@ -1,4 +1,4 @@
-"""What the gateway does with each command of one peer."""
+"""Handlers of the commands of one peer."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from pcmrs.messages import Command
 from pcmrs.messages.identity import Principal
 
 PAIR_WINDOW = 1.0
-"""Seconds of the machine between rotation and translation of one pose."""
+"""Limit of the time between rotation and translation of one pose, s of the machine."""
 
 
 class LandmarkSeries:
-    """Landmarks announced by their number and then sent one by one.
+    """Landmarks whose number is announced, and which are then sent one by one.
 
-    Whatever breaks the series drops it, so the next one starts with an announcement.
+    Any error drops the series, so that the next one starts with an announcement.
     """
 
     def __init__(self) -> None:
@@ -34,15 +34,19 @@ class LandmarkSeries:
         self._points: dict[int, list[float]] = {}
 
     def announce(self, count: int) -> None:
-        """Begins a series of `count` landmarks; one begun before is dropped."""
+        """Begin a series of `count` landmarks; an earlier one is dropped."""
         self._count = count
         self._points = {}
 
     def add(self, index: int, point: Sequence[float]) -> None:
-        """Adds the landmark `index`, counted from 0, at `point` in the image, m, (3,).
+        """Add a landmark.
+
+        Args:
+            index: Its index, from 0.
+            point: Its position in the image, m, (3,).
 
         Raises:
-            RefusalError: No series is announced, or the index lies outside it or came before.
+            RefusalError: No series is announced, or the index lies outside it or was sent before.
         """
         if self._count is None:
             raise RefusalError("no_series", f"Landmark {index} belongs to no series; announce their number first.")
@@ -53,7 +57,7 @@ class LandmarkSeries:
         self._points[index] = list(point)
 
     def finish(self) -> list[dict[str, object]]:
-        """Ends the series: its landmarks by name and position, in order.
+        """End the series; return name and position of its landmarks, in order.
 
         Raises:
             RefusalError: No series is announced, or landmarks are missing.
@@ -73,17 +77,26 @@ class LandmarkSeries:
 
 
 class PosePair:
-    """A pose sent as a rotation and then, within `PAIR_WINDOW`, a translation."""
+    """Pose that is sent as a rotation and then, within `PAIR_WINDOW`, a translation."""
 
     def __init__(self) -> None:
         self._open: tuple[float, list[float]] | None = None
 
     def rotate(self, quat_xyzw: Sequence[float], now: float) -> None:
-        """Begins a pair at `now` (s); a rotation that waited is replaced."""
+        """Begin a pair; a rotation that waits is replaced.
+
+        Args:
+            quat_xyzw: Unit quaternion, (4,).
+            now: Present time, s.
+        """
         self._open = (now, list(quat_xyzw))
 
     def translate(self, position: Sequence[float], now: float) -> dict[str, object]:
-        """Ends the pair at `now` (s): position in m and ``quat_xyzw``.
+        """End the pair; return ``position``, m, and ``quat_xyzw``.
+
+        Args:
+            position: Position in m, (3,).
+            now: Present time, s.
 
         Raises:
             RefusalError: No rotation waits, or it is older than the window.
@@ -104,7 +117,7 @@ class PosePair:
 
 
 class PlanLock:
-    """Holds approaches back while the newest plan of a kind is not accepted.
+    """Refuses approaches while the newest plan of a kind is not accepted.
 
     A client that ignores a refusal would otherwise move to the old target. All clients of one host share a lock:
     planner and control panel of one workstation use different sockets.
@@ -116,7 +129,7 @@ class PlanLock:
 
     @property
     def held(self) -> bool:
-        """Whether the newest plan of some kind is not accepted."""
+        """True while the newest plan of some kind is not accepted."""
         return bool(self._pending)
 
     @property
@@ -125,13 +138,18 @@ class PlanLock:
         return self._attempts
 
     def attempt(self, kind: Plan) -> int:
-        """Notes that a plan of `kind` began; returns its number."""
+        """Note that a plan of `kind` has begun; return its number."""
         self._attempts += 1
         self._pending[kind] = self._attempts
         return self._attempts
 
     def accept(self, kind: Plan, attempt: int) -> None:
-        """Notes that `kind` is settled up to `attempt`; a newer one keeps the lock."""
+        """Note that a plan was accepted; a newer one of its kind keeps the lock.
+
+        Args:
+            kind: Kind of the plan.
+            attempt: Its number.
+        """
         if self._pending.get(kind, attempt) <= attempt:
             self._pending.pop(kind, None)
 
@@ -145,15 +163,15 @@ PARTS = {
     Action.OPEN_POSE: Plan.POSE,
     Action.PLAN_POSE: Plan.POSE,
 }
-"""Commands that are a part of a plan."""
+"""Commands that are part of a plan."""
 
 
 @dataclass(frozen=True, slots=True)
 class Services:
-    """What all peers share.
+    """Services that all peers share.
 
     Attributes:
-        run: Unique to one opening of the gateway: the daemon remembers commands for ever, a client's ids start anew.
+        run: Unique id of this run of the gateway: the daemon remembers all commands, but a client's ids start again.
     """
 
     run: str
@@ -168,10 +186,10 @@ class CommandHandlers:
     """The actions of one peer.
 
     Args:
-        source: Who the peer is and which way it came, as the daemon records it.
-        asker: Who the peer is, and what it may do.
-        services: What all peers share.
-        lock: The plan lock of the peer's host, or its own when it signs.
+        source: Source of its commands in the journal: peer and link.
+        asker: User of its commands, and their role.
+        services: Services that all peers share.
+        lock: Plan lock of the peer's host, or its own if it signs.
     """
 
     def __init__(self, source: str, asker: Principal, services: Services, lock: PlanLock) -> None:
@@ -202,13 +220,13 @@ class CommandHandlers:
         }
 
     def prepare(self, request: Request, arrived: float) -> Outcome | Job:
-        """Does at once what needs no waiting, and returns the rest as a job to run in its turn.
+        """Perform at once what need not wait, and return the rest as a job to run in its turn.
 
-        Parts of a plan are collected here, on arrival, so that a motion behind them already sees the plan as begun.
+        Parts of a plan are collected here, on arrival, so that a motion that follows already sees the plan as begun.
 
         Args:
             request: The command.
-            arrived: When it came, s of the machine's clock.
+            arrived: Time of its arrival, s of the machine's clock.
         """
         if request.spec.action is Action.SUBMIT:
             return lambda: self._submit(request, arrived)
@@ -218,26 +236,42 @@ class CommandHandlers:
             return self.refused(request, refusal)
 
     def deny(self, request: Request, refusal: RefusalError) -> Outcome:
-        """Refuses what is not even prepared; of a plan, all that was collected is dropped, and approaches wait."""
+        """Refuse a command that is not prepared; if it is part of a plan, drop its parts, and let approaches wait.
+
+        Args:
+            request: The command.
+            refusal: Why it is refused.
+        """
         if request.spec.action in PARTS:
             self._lock.attempt(PARTS[request.spec.action])
             self._landmarks, self._pair = LandmarkSeries(), PosePair()
         return self.refused(request, refusal)
 
     def halt(self) -> None:
-        """Ends commands of several steps after the step under way, as Stop demands."""
+        """End commands of several steps after the present step, because of Stop."""
         self._stops += 1
 
     def accepted(self, request: Request, *numbers: float) -> Outcome:
-        """The acceptance of a command that the gateway itself performs."""
+        """Return the acceptance of a command that the gateway itself performs, with its results."""
         return Outcome("accepted", request.spec.branch, self._state(request), numbers=numbers)
 
     def rejected(self, request: Request, reason: str, text: str = "") -> Outcome:
-        """The gateway's own refusal, because of what else runs or waits; each one of a motion is reported."""
+        """Return a refusal by the gateway because of other commands; each refusal of a motion is reported.
+
+        Args:
+            request: The command.
+            reason: Code of the reason.
+            text: Text of the reason.
+        """
         return self._reject(request, reason, text or reason, each=request.spec.moves)
 
     def refused(self, request: Request, refusal: RefusalError) -> Outcome:
-        """A refusal for a reason found elsewhere, such as who asks."""
+        """Return a refusal for a reason that was found elsewhere, such as the sender.
+
+        Args:
+            request: The command.
+            refusal: Why it is refused.
+        """
         return self._reject(request, refusal.refusal_code, refusal.text, each=False)
 
     def _reject(self, request: Request, reason: str, text: str, *, each: bool) -> Outcome:
@@ -245,7 +279,12 @@ class CommandHandlers:
         return Outcome("rejected", request.spec.branch, self._state(request), reason)
 
     def failed(self, request: Request, reason: str) -> Outcome:
-        """A command that was begun and broke."""
+        """Return the failure of a command that had begun.
+
+        Args:
+            request: The command.
+            reason: Code of the reason.
+        """
         return Outcome("failed", request.spec.branch, self._state(request), reason)
 
     async def _submit(self, request: Request, arrived: float) -> Outcome:
@@ -260,8 +299,8 @@ class CommandHandlers:
     async def _run_steps(self, request: Request, arguments: dict[str, Any], arrived: float) -> Outcome:
         """Submits the operations in order; the first that is not accepted ends the command.
 
-        The first one is as old as the command, so that its wait here counts; each further one begins with the end of
-        the one before.
+        The age of the first one counts from the arrival of the command, so that its wait here counts; that of each
+        further one counts from the end of the one before.
         """
         outcome = self.accepted(request)
         stops = self._stops
@@ -298,8 +337,8 @@ class CommandHandlers:
         )
         verdict = await self._core.submit(command, arrived=arrived)
         if (verdict.branch, verdict.operation) != (branch, operation):
-            # The daemon recalled an earlier command: another one, or this one when it took other steps.
-            text = f"#{request.id} has been {verdict.branch}.{verdict.operation}; give each command an id of its own."
+            # The daemon has recalled an earlier command: another one, or this one with other steps.
+            text = f"#{request.id} has been {verdict.branch}.{verdict.operation}; give each command its own id."
             raise RefusalError("id_reused", text, id=request.id)
         return of_verdict(verdict)
 
@@ -357,5 +396,5 @@ class CommandHandlers:
         return self.accepted(request)
 
     def _state(self, request: Request) -> str:
-        """State of the command's branch; the gateway's own services have none but ready."""
+        """State of the command's branch; the gateway's own services are always ready."""
         return self._core.snapshot().branches.get(request.spec.branch, "ready")

@@ -1,4 +1,4 @@
-"""The gate of all links: who may send, what parses, and which session it belongs to."""
+"""Intake of all links: checks sender and grammar, and hands each command to its session."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from pcmrs.messages.identity import ON_SITE, Principal
 
 MAX_SESSIONS = 256
 STREAMS = ("tcp", "openigtlink")
-"""Links that are no UDP."""
+"""Links over TCP."""
 LINK_ERROR = "link_error"
-"""Reason where nothing was wrong with what was sent, or only a part of it came."""
+"""Reason if the content was not wrong, or only a part of it arrived."""
 OF_PEERS = (UNKNOWN_PEER, BAD_TAG, OLD_COUNTER, TOO_OLD, CLOCK_AHEAD, NOT_ALLOWED, OVER_RATE, NOT_KEPT)
-"""Reasons why what is signed is refused; the first three are not answered."""
+"""Reasons why signed commands are refused; the first three are not answered."""
 
 
 @dataclass(slots=True)
@@ -45,9 +45,9 @@ class Counters:
 
     Attributes:
         received: All of them.
-        refused: Those that did not parse or came from where commands are not accepted.
-        overflowed: Commands refused because too many of their peer were waiting.
-        of_peers: What was signed and refused, by reason; the unauthentic of it is in `refused` too.
+        refused: Those that broke the grammar, or whose sender may not send commands.
+        overflowed: Commands that were refused because too many of their peer were waiting.
+        of_peers: Signed commands that were refused, by reason; those that were not authentic are in `refused`, too.
     """
 
     received: int = 0
@@ -56,7 +56,7 @@ class Counters:
     of_peers: dict[str, int] = field(default_factory=lambda: dict.fromkeys(OF_PEERS, 0))
 
     def table(self) -> dict[str, int]:
-        """The same under the names that the daemon's counters have."""
+        """Return the counters under the names that the daemon reports."""
         own = {"received": self.received, "refused": self.refused, "overflowed": self.overflowed}
         return {f"gateway.{name}": many for name, many in (own | self.of_peers).items()}
 
@@ -65,14 +65,14 @@ class Intake(DispatcherListener):
     """Checks what arrives on any link and hands it to the sender's session.
 
     Args:
-        services: What all peers share.
-        tasks: Owns what the sessions run.
+        services: Services that all peers share.
+        tasks: Owner of the sessions' tasks.
         unsigned_peers: Hosts whose unsigned commands are accepted.
-        admission: The way in for signed commands; None where no peer has a key.
+        admission: Admission of signed commands; None if no peer has a key.
 
     Attributes:
-        counters: What arrived and was refused.
-        refusals: Told of everything that is refused.
+        counters: Numbers of datagrams and refusals.
+        refusals: Log of all refusals.
     """
 
     def __init__(
@@ -96,18 +96,18 @@ class Intake(DispatcherListener):
     def receive(
         self, link: str, peer: tuple[str, int], exposed: bool, data: bytes, answer: ReplyChannel
     ) -> PayloadError | RefusalError | None:
-        """Take one datagram or frame; what is refused is counted, reported and changes nothing.
+        """Take one datagram or frame; a refused one is counted and reported, and changes nothing.
 
         Args:
-            link: Name of the link it came by.
+            link: Name of the link.
             peer: Host and port of the sender.
-            exposed: Whether the link is bound to another address than loopback.
+            exposed: The link is bound to another address than loopback.
             data: The bytes.
-            answer: Where answers go.
+            answer: Channel for answers.
 
         Returns:
-            None where the sender is known and the grammar holds; `PayloadError` where the grammar is broken or nothing
-            unsigned is taken from there; `RefusalError` where a signature does not hold.
+            None if the sender is known and the grammar is right; `PayloadError` if the grammar is broken or the sender
+            may not send unsigned commands; `RefusalError` if a signature is wrong.
         """
         arrived = self._clock.monotonic()
         self.counters.received += 1
@@ -124,11 +124,22 @@ class Intake(DispatcherListener):
         return None
 
     def takes_unsigned(self, host: str, exposed: bool) -> bool:
-        """Return whether unsigned commands from `host` count on a link that is `exposed` or not."""
+        """Return whether unsigned commands are accepted.
+
+        Args:
+            host: Host of the sender.
+            exposed: The link is bound to another address than loopback.
+        """
         return not exposed and host in self._unsigned_peers
 
     def refuse(self, link: str, peer: tuple[str, int], error: Exception) -> None:
-        """Counts what cannot be taken, and has it told."""
+        """Count and report a datagram or frame that is refused.
+
+        Args:
+            link: Name of the link.
+            peer: Host and port of the sender.
+            error: Why it is refused.
+        """
         self.counters.refused += 1
         reason = _reason_of(error)
         self._count(reason)
@@ -142,11 +153,11 @@ class Intake(DispatcherListener):
             session.halt()
 
     def lock(self, holder: str) -> PlanLock:
-        """The plan lock that all unsigned clients of a host share, whatever link they come by; or one peer's own."""
+        """Return the plan lock that all unsigned clients of a host share on all links, or that of a signed peer."""
         return self._locks.setdefault(holder, PlanLock())
 
     def _check_unsigned(self, host: str, exposed: bool) -> None:
-        """What is not signed comes from listed loopback peers on loopback links only."""
+        """Refuses unsigned commands, except from listed loopback peers on loopback links."""
         if exposed:
             raise PayloadError("The link is not bound to loopback, so it refuses unsigned commands: sign them.")
         if host not in self._unsigned_peers:
@@ -163,7 +174,7 @@ class Intake(DispatcherListener):
         self._session(source_of(link, peer), peer[0], ON_SITE).receive(request, answer, arrived)
 
     def _receive_signed(self, link: str, signed: Signed, answer: ReplyChannel, arrived: float) -> None:
-        """What is known to be a peer's is answered, refused or not; what is not raises, and nobody learns of it."""
+        """Answers an authentic datagram, refused or not; raises for any other, which gets no answer."""
         if self._admission is None:
             raise RefusalError(UNKNOWN_PEER, "No peer has a key; make one with: pcmrs peers new NAME.")
         peer = self._admission.identify(signed)
@@ -184,7 +195,7 @@ class Intake(DispatcherListener):
         self._session(peer.source, peer.source, peer.asker).receive(request, answer, arrived, refusal)
 
     def _session(self, source: str, holder: str, asker: Principal) -> Session:
-        """The session of a source, moved to the end of the order in which idle ones are forgotten."""
+        """Session of a source, moved to the end of the order in which idle ones are forgotten."""
         session = self._sessions.pop(source, None) or self._new_session(source, holder, asker)
         self._sessions[source] = session
         return session
@@ -208,7 +219,12 @@ class Intake(DispatcherListener):
 
 
 def source_of(link: str, peer: tuple[str, int]) -> str:
-    """Who sends over a link, as the daemon records it."""
+    """Return the source of an unsigned sender, as it is journalled.
+
+    Args:
+        link: Name of the link.
+        peer: Host and port of the sender.
+    """
     host, port = peer
     return f"{link}:{host}:{port}" if link in STREAMS else f"udp:{link}:{host}:{port}"
 

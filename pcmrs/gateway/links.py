@@ -31,7 +31,7 @@ from pcmrs.gateway.udp import UdpLink
 from pcmrs.messages import DeviceEvent
 
 FINISH_WITHIN = 1.0
-"""Seconds that closing waits for running commands to end and be answered."""
+"""Limit for running commands to end and be answered when the gateway closes, s."""
 COUNTERS = "peers.counters"
 """File of the newest counters of signed peers."""
 RESET = "counters_reset"
@@ -49,7 +49,7 @@ class Gateway:
 
     Attributes:
         addresses: Host and port of every listening link, by name (``tcp`` is the TCP link).
-        counters: What arrived and what was refused.
+        counters: Numbers of datagrams and refusals.
     """
 
     addresses: dict[str, tuple[str, int]]
@@ -58,13 +58,13 @@ class Gateway:
 
 @asynccontextmanager
 async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: Path) -> AsyncIterator[Gateway]:
-    """Serves all links until the context ends.
+    """Serve all links until the context ends.
 
     Args:
         core: The daemon.
         config: The links.
         clock: The machine's clock, not a faster simulated one: clients wait in real time.
-        folder: Of the cell: the counters of signed peers go here, saved placements and pose logs into `RECORDS` below.
+        folder: Folder of the cell, for the counters of signed peers; saved placements and pose logs go into `RECORDS`.
 
     Raises:
         ConfigurationError: A port cannot be bound, or a peer's key or the counters cannot be used.
@@ -93,7 +93,7 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
             addresses[LINK] = await _open_tcp(stack, TcpLink(intake, tasks, clock), config.host, config.tcp_port)
         if config.openigtlink.enabled:
             addresses["openigtlink"] = await _open_openigtlink(stack, core, config, clock, intake, tasks, jobs)
-        # Left first, while the sockets are open: clients learn what became of commands that the daemon has ended.
+        # It is left first, while the sockets are open: clients learn the outcome of commands that the daemon has ended.
         stack.push_async_callback(jobs.finish, clock, FINISH_WITHIN)
         yield Gateway(addresses, intake.counters)
 
@@ -119,17 +119,17 @@ def _open_admission(
 
 
 def _report_reset(core: Core, peers: Mapping[str, PeerConfig], path: Path) -> None:
-    """In a new folder every counter begins at 0, and whoever has kept old commands could send them again."""
+    """Warns that in a new folder every counter begins at 0, so that recorded commands could be sent again."""
     growing = ", ".join(sorted(name for name, peer in peers.items() if peer.counter != UNIX_NS))
     text = f"{path} is new: counters of signed peers begin at 0. If this cell had another folder, copy it from there."
     if growing:
-        text += f" Otherwise commands that were sent before could be taken once more from: {growing}."
+        text += f" Otherwise commands that were sent before could be accepted again from: {growing}."
     _log.warning(RESET, text=text, peers=sorted(peers))
     core.report(DeviceEvent(device="gateway", code=RESET, text=text, fields={"peers": sorted(peers)}))
 
 
 async def _open_sender(stack: AsyncExitStack) -> Send:
-    """A socket of its own for streams, so that a mixed reality host need not be reachable from loopback."""
+    """Opens a separate socket for streams, so that a mixed reality host need not be reachable from loopback."""
     transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
         asyncio.DatagramProtocol, family=socket.AF_INET
     )

@@ -1,8 +1,8 @@
 """Outcome of a command, and the replies that report it to clients.
 
 Verdict reply: ``<id>_accepted_<branch>_<state>[_<number>...];`` or ``<id>_rejected_<branch>_<state>_<reason>;`` or the
-same with ``failed``. ``_`` inside a branch or state is written ``-``; the reason is everything behind the fourth
-separator and may itself hold ``_``. An outcome nobody knows is ``failed`` with the reason ``outcome_unknown``.
+same with ``failed``. ``_`` inside a branch or state is written ``-``; the reason is everything after the fourth
+separator and may itself hold ``_``. An unknown outcome is ``failed`` with the reason ``outcome_unknown``.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ class Outcome:
     """How a command ended.
 
     Attributes:
-        reason: Code of the refusal; None when accepted.
-        numbers: The results, in the units of the wire.
+        reason: Code of the reason; None if accepted.
+        numbers: Results in the units of the wire.
     """
 
     decision: Literal["accepted", "rejected", "failed"]
@@ -34,13 +34,13 @@ class Outcome:
     numbers: tuple[float, ...] = ()
 
     def reply(self, client_id: str) -> str:
-        """The verdict reply to the command `client_id`."""
+        """Return the verdict reply to the command `client_id`."""
         head = [client_id, self.decision, self.branch.replace("_", "-"), self.state.replace("_", "-")]
         tail = [self.reason] if self.reason else [f"{number:.6g}" for number in self.numbers]
         return "_".join([*head, *tail]) + ";"
 
     def second(self, kind: Second) -> str:
-        """The second datagram for clients that know no verdict replies: numbers only when accepted."""
+        """Return the second datagram for clients without verdict replies: numbers if accepted."""
         if self.decision != "accepted" or not self.numbers:
             return NO_DATA
         if kind is Second.RESIDUAL:
@@ -49,7 +49,7 @@ class Outcome:
 
 
 def of_verdict(verdict: Verdict) -> Outcome:
-    """The outcome that a dispatcher's verdict tells."""
+    """Return the outcome of a dispatcher's verdict."""
     if verdict.decision == "accepted":
         return Outcome("accepted", verdict.branch, verdict.state, numbers=_numbers(verdict.result or {}))
     if verdict.decision == "unknown":

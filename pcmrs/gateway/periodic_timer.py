@@ -14,7 +14,7 @@ from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 
 Beats = Callable[[float], AsyncGenerator[None]]
-"""Yields now and then each so many seconds; beats missed in a stall are not made up for."""
+"""Yields at once and then once per period, s; beats missed in a stall are dropped."""
 
 _log = structlog.get_logger(__name__)
 
@@ -30,7 +30,7 @@ class _Timer(ctypes.Structure):
 
 
 def beats_of(clock: Clock) -> Beats:
-    """Beats of any clock, by its sleep."""
+    """Return beats that sleep by `clock`."""
 
     async def beats(period: float) -> AsyncGenerator[None]:
         due = clock.monotonic()
@@ -44,13 +44,13 @@ def beats_of(clock: Clock) -> Beats:
 
 
 async def kernel_beats(period: float) -> AsyncGenerator[None]:
-    """Beats of the machine's own clock, timerfd_create(2)."""
+    """Yield once per `period`, s, by a timer of the kernel, timerfd_create(2)."""
     loop = asyncio.get_running_loop()
     timer = _timer(period)
     beat = asyncio.Event()
 
     def expired() -> None:
-        os.read(timer, 8)  # how many there were since the last look: one beat, however many
+        os.read(timer, 8)  # the number of expirations: they make one beat
         beat.set()
 
     loop.add_reader(timer, expired)
@@ -67,7 +67,7 @@ async def kernel_beats(period: float) -> AsyncGenerator[None]:
 def _timer(period: float) -> int:
     """A file that becomes readable each `period`, s."""
     timer: int = _libc.timerfd_create(time.CLOCK_MONOTONIC, os.O_NONBLOCK | os.O_CLOEXEC)
-    every = _Timespec(*divmod(max(1, round(period * 1e9)), 10**9))  # 0 would mean that it never expires
+    every = _Timespec(*divmod(max(1, round(period * 1e9)), 10**9))  # 0 would never expire
     if timer < 0 or _libc.timerfd_settime(timer, 0, ctypes.byref(_Timer(every, every)), None) != 0:
         failed = OSError(ctypes.get_errno(), "timerfd")
         if timer >= 0:
@@ -77,13 +77,13 @@ def _timer(period: float) -> int:
 
 
 class PeriodicTask:
-    """Something done at a steady rate between `start` and `stop`, whatever the network says to it.
+    """Function that is called at a steady rate between `start` and `stop`, also while the network fails.
 
     Args:
-        beats: Pace it.
-        rate_hz: Times per second.
-        tick: What is done.
-        tasks: Owns it while it runs.
+        beats: Source of the rate.
+        rate_hz: Calls per second.
+        tick: The function.
+        tasks: Owner of the task.
     """
 
     def __init__(self, beats: Beats, rate_hz: float, tick: Callable[[], None], tasks: BackgroundTasks) -> None:
@@ -95,12 +95,12 @@ class PeriodicTask:
         self._failing = False
 
     def start(self) -> None:
-        """Begins, unless it runs."""
+        """Start, unless it runs."""
         if self._task is None or self._task.done():
             self._task = self._tasks.spawn(self._repeat())
 
     def stop(self) -> None:
-        """Ends, if it runs."""
+        """Stop, if it runs."""
         if self._task is not None:
             self._task.cancel()
             self._task = None
@@ -110,7 +110,7 @@ class PeriodicTask:
             self._try()
 
     def _try(self) -> None:
-        """One tick; only the first of several that fail in a row is logged."""
+        """Calls the function; of several failures in a row only the first is logged."""
         try:
             self._tick()
         except OSError as error:

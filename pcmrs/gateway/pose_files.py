@@ -1,4 +1,4 @@
-"""Saved placements (YAML) and pose logs (CSV), in the formats that the lab's scripts read.
+"""Saved placements (YAML) and pose logs (CSV), in the formats that the laboratory's scripts read.
 
 Lengths in m, quaternions x y z w, whatever the units of the links.
 """
@@ -26,10 +26,10 @@ class PoseFileWriter:
     """Writes records into one folder, each whole or not at all.
 
     Args:
-        core: Where the poses come from.
-        clock: The machine's clock: paces the log and stamps the names.
-        folder: Where the files go; made when the first is written.
-        tasks: Owns a running log.
+        core: The daemon, which has the poses.
+        clock: The machine's clock, for the rate of the log and the names of files.
+        folder: Folder of the files. It is created with the first file.
+        tasks: Owner of a running log.
     """
 
     def __init__(self, core: Core, clock: Clock, folder: Path, tasks: BackgroundTasks) -> None:
@@ -40,10 +40,10 @@ class PoseFileWriter:
         self._log: asyncio.Task[Path] | None = None
 
     async def save_placement(self) -> Path:
-        """Writes the planned and the measured pose of the coil in the image; returns the file.
+        """Write the planned and the measured pose of the coil in the image; return the file.
 
         Raises:
-            RefusalError: One of the two is not known.
+            RefusalError: One of the two poses is not known.
         """
         planned, measured = self._core.target_in_image(), self._core.tool_in_image()
         if planned is None or measured is None:
@@ -52,7 +52,7 @@ class PoseFileWriter:
         return await self._write("placement", "yaml", placement_text(planned, measured))
 
     def log_poses(self) -> asyncio.Task[Path]:
-        """Begins a log of `LOG_SECONDS` at `LOG_RATE_HZ`; its task returns the file.
+        """Start a log of `LOG_SECONDS` at `LOG_RATE_HZ`; return its task, whose result is the file.
 
         Raises:
             RefusalError: A log is being taken.
@@ -68,7 +68,7 @@ class PoseFileWriter:
         for sample in range(round(LOG_SECONDS * LOG_RATE_HZ) + 1):
             await self._clock.sleep(began + sample / LOG_RATE_HZ - self._clock.monotonic())
             tracked = self._core.tracked()
-            if tracked is not None:  # what the tracker does not see leaves a gap, not an old pose
+            if tracked is not None:  # a body that the tracker does not see leaves a gap, not an old pose
                 rows.append(sample_rows(tracked))
         return await self._write("poses", "csv", "".join(rows))
 
@@ -80,12 +80,17 @@ class PoseFileWriter:
 
 
 def placement_text(planned: Transform, measured: Transform) -> str:
-    """The YAML text of a placement."""
+    """Return the YAML text of a placement.
+
+    Args:
+        planned: Planned ``image_from_coil``, m.
+        measured: Measured ``image_from_coil``, m.
+    """
     return _pose_block("PLANNED_POSE", planned) + _pose_block("MEASURED_POSE", measured)
 
 
 def sample_rows(tracked: dict[str, Transform]) -> str:
-    """The CSV rows of one tracker frame: name, x, y, z, qx, qy, qz, qw."""
+    """Return the CSV rows of one tracker frame: name, x, y, z, qx, qy, qz, qw."""
     lines = []
     for row, key in _ROWS.items():
         pose = tracked[key]
@@ -110,7 +115,7 @@ def _mapping(names: str, numbers: list[float]) -> str:
 
 
 def _write_whole(path: Path, text: str) -> None:
-    """A reader sees the complete file under its name, or none."""
+    """Writes a file so that a reader sees the complete file under its name, or none."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
     with part.open("w", encoding="ascii") as file:

@@ -1,4 +1,4 @@
-"""Tells log and journal of what the gateway itself refuses, at a bounded rate."""
+"""Log and journal of the refusals by the gateway itself, at a bounded rate."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pcmrs.gateway.adapter import Core
 from pcmrs.messages import DeviceEvent
 
 PERIOD = 10.0
-"""Seconds between two reports of one reason."""
+"""Period of the reports of one reason, s."""
 
 REFUSED = "refused"
 
@@ -21,7 +21,7 @@ _log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class PendingReport:
-    """What was refused for one reason since it was told last: how often, and the newest."""
+    """Refusals for one reason since its last report: their number, and the newest one."""
 
     count: int
     source: str
@@ -29,17 +29,17 @@ class PendingReport:
 
 
 class RejectionLog:
-    """Reports the first of each reason at once; as long as more come, the newest every `PERIOD`, with their number.
+    """Reports the first refusal of each reason at once; while more come, the newest every `PERIOD`, with their number.
 
-    What the dispatcher refuses it journals itself. What does not get there is journalled by this: nothing is refused
-    in silence, and a flood fills neither log nor journal. A motion that is refused is reported each time, as one that
-    the dispatcher refuses: who looks for why the arm did not move finds it.
+    The dispatcher journals its own refusals. This log journals those that do not get there: no refusal is silent, and a
+    flood fills neither log nor journal. Each refusal of a motion is reported, as by the dispatcher, so that anyone who
+    looks for why the arm did not move finds it.
 
     Args:
-        core: Journals the reports.
-        clock: The machine's.
-        tasks: Owns the waiting.
-        edge: Of the daemon; stands in the reports.
+        core: The daemon, which journals the reports.
+        clock: The machine's clock.
+        tasks: Owner of the task that waits.
+        edge: Name of the edge of the daemon, for the reports.
     """
 
     def __init__(self, core: Core, clock: Clock, tasks: BackgroundTasks, edge: str = "gateway") -> None:
@@ -52,13 +52,13 @@ class RejectionLog:
         self._waiting = False
 
     def add(self, source: str, reason: str, text: str, *, each: bool = False) -> None:
-        """Takes one refusal; never waits.
+        """Add one refusal; never waits.
 
         Args:
-            source: Who asked, as the daemon records it.
-            reason: One of the codes that there are.
-            text: What, which value, which limit, what to do.
-            each: It is reported at once, by itself.
+            source: Source of the command, as it is journalled.
+            reason: Code of the reason, one of a fixed set.
+            text: What was refused, the value, the limit, and what to do.
+            each: Report it at once, by itself.
         """
         if each:
             self._tell(reason, PendingReport(1, source, text))

@@ -1,4 +1,4 @@
-"""One peer of one link: its order of commands, its acknowledgements and its verdict replies."""
+"""Session of one peer of one link: order of its commands, acknowledgements and verdict replies."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from pcmrs.gateway.outcome import NO_DATA, Outcome
 
 ACKNOWLEDGEMENT = "ack"
 SECOND_WITHIN = 0.35
-"""Seconds that a second datagram waits for its result; then it says that there is none."""
+"""Limit of a second datagram's wait for its result, s; then it says that there is none."""
 SECOND_BEFORE = 0.38
-"""Seconds after the acknowledgement from which no second datagram is sent: clients wait 0.4 s, and it has to arrive."""
+"""Time after the acknowledgement from which no second datagram is sent, s: clients wait 0.4 s for its arrival."""
 BEGIN_WITHIN = 0.1
-"""Seconds from the arrival of a command that moves to its checks; later it is refused."""
+"""Limit from the arrival of a command that moves to its checks, s; later it is refused."""
 MAX_WAITING = 64
-"""Commands of one peer that wait or run; more are refused."""
+"""Limit of commands of one peer that wait or run; more are refused."""
 QUEUE_FULL = "queue_full"
 BUSY = "busy"
 
@@ -38,11 +38,11 @@ Send = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True)
 class ReplyChannel:
-    """Where answers to one datagram go.
+    """Channel of the answers to one datagram.
 
     Attributes:
-        verdict: To the sender's address.
-        acknowledge: To the link's reply port; None on a link that does not acknowledge.
+        verdict: Sends to the sender's address.
+        acknowledge: Sends to the link's reply port; None on a link that does not acknowledge.
     """
 
     verdict: Send
@@ -54,10 +54,10 @@ class Turn:
     """A command that runs, or waits for its turn.
 
     Attributes:
-        job: What is left to do.
-        ended: Its outcome.
-        arrived: When it came, s of the machine's clock.
-        stops: How often the session had been halted by then.
+        job: The work.
+        ended: Its outcome, done or to come.
+        arrived: Time of its arrival, s of the machine's clock.
+        stops: Number of halts of the session until then.
     """
 
     request: Request
@@ -68,18 +68,18 @@ class Turn:
 
 
 class Session:
-    """Commands without an id are acknowledged at once and begin in order; those with one begin as they come.
+    """Acknowledges commands without an id at once and begins them in order; begins those with one on arrival.
 
-    Nothing waits for the end of a motion: what comes behind it runs beside it, and the daemon decides on it. A motion
-    waits for what came before it, such as its plan, for at most `BEGIN_WITHIN`. One that comes while another motion of
+    No command waits for the end of a motion: later commands run beside it, and the daemon decides on them. A motion
+    waits for earlier commands, such as its plan, for at most `BEGIN_WITHIN`. A motion that arrives while another one of
     this peer runs or waits is refused.
 
     Args:
-        actions: What the commands do.
+        actions: Handlers of the commands.
         clock: The machine's clock.
-        tasks: Owns what runs.
+        tasks: Owner of its tasks.
         outcomes: Outcomes of commands with an id, of all peers.
-        on_overflow: Called when a command is refused because too many wait.
+        on_overflow: Called if a command is refused because too many wait.
     """
 
     def __init__(
@@ -103,19 +103,19 @@ class Session:
 
     @property
     def idle(self) -> bool:
-        """Whether nothing waits or runs."""
+        """True if no command waits or runs."""
         return not self._queue and self._running == 0
 
     def receive(
         self, request: Request, answer: ReplyChannel, arrived: float, refusal: RefusalError | None = None
     ) -> None:
-        """Begins a command, or rejects it with `refusal`, unless it was begun before; never waits.
+        """Begin a command, or reject it with `refusal`, unless it repeats an earlier one; never waits.
 
         Args:
             request: The command.
-            answer: Where answers go.
-            arrived: When it came, s of the machine's clock.
-            refusal: Why it is refused already.
+            answer: Channel for answers.
+            arrived: Time of its arrival, s of the machine's clock.
+            refusal: Why it is refused already; None if it is not.
         """
         if request.id is not None:
             self._receive_identified(request, request.id, answer.verdict, arrived, refusal)
@@ -129,7 +129,7 @@ class Session:
             self._tasks.spawn(self._send_second(request.spec.second, ended, answer.acknowledge, acknowledged))
 
     def halt(self) -> None:
-        """Rejects what waits and ends what has steps to come, as Stop demands."""
+        """Reject waiting commands, and end those with further steps, because of Stop."""
         self._stops += 1
         self._actions.halt()
         while self._queue:
@@ -139,11 +139,11 @@ class Session:
     def _receive_identified(
         self, request: Request, client_id: str, verdict: Send, arrived: float, refusal: RefusalError | None
     ) -> None:
-        # Stop is honoured every time, whatever its id.
+        # Stop is performed each time, whatever its id.
         repeatable = request.spec.action is Action.STOP
         ended = None if repeatable else self._outcomes.get(self._actions.source, client_id)
         if ended is not None and not ended.done():
-            return  # attached: the reply under way goes to this same sender
+            return  # attached: the reply to come goes to this same sender
         if ended is None:
             ended = self._begin(request, arrived, refusal)
             self._outcomes.put(self._actions.source, client_id, ended)
@@ -185,20 +185,20 @@ class Session:
     async def _drain(self) -> None:
         while self._queue:
             turn = self._queue.popleft()
-            # A task each, so that they begin in this order though nothing waits for the end of a motion.
+            # Each is its own task, so that they begin in this order although none waits for the end of a motion.
             running = self._start(turn)
             if not turn.request.spec.moves:
                 await asyncio.wait([running])
         self._draining = False
 
     async def _give_up(self, turn: Turn) -> None:
-        """Refuses a motion that still waits when its time is up."""
+        """Refuses a motion that still waits after its time limit."""
         with suppress(TimeoutError):
             async with self._clock.timeout(BEGIN_WITHIN):
                 await asyncio.wait([turn.ended])
         if turn in self._queue:
             self._queue.remove(turn)
-            text = f"what came before it still runs after {BEGIN_WITHIN:g} s; send it when that has ended."
+            text = f"an earlier command still runs after {BEGIN_WITHIN:g} s; send it when that has ended."
             turn.ended.set_result(self._actions.rejected(turn.request, BUSY, text))
 
     def _start(self, turn: Turn) -> asyncio.Task[None]:
@@ -212,18 +212,18 @@ class Session:
             self._running -= 1
 
     def _too_late(self, turn: Turn) -> Outcome | None:
-        """The refusal of a command that does not begin any more: Stop came, or the loop did not answer in time."""
+        """Refusal of a command that must not begin any more, because of Stop or a stalled loop; None if it may."""
         request = turn.request
         if turn.stops != self._stops and request.spec.action is not Action.STOP:
             return self._actions.rejected(request, "stopped")
         waited = self._clock.monotonic() - turn.arrived
         if request.spec.moves and waited > BEGIN_WITHIN:
-            text = f"it came {waited:.3f} s ago and has not begun, the limit is {BEGIN_WITHIN:g} s; send it again."
+            text = f"it arrived {waited:.3f} s ago and has not begun, the limit is {BEGIN_WITHIN:g} s; send it again."
             return self._actions.rejected(request, "expired", text)
         return None
 
     async def _perform(self, request: Request, job: Job) -> Outcome:
-        """Every way a job can end, as an outcome: a client must not wait for ever."""
+        """Returns the outcome of a job, however it ends: a client must not wait for ever."""
         try:
             return await job()
         except RefusalError as refusal:
@@ -235,13 +235,13 @@ class Session:
             return self._actions.failed(request, "internal_error")
 
     async def _send_second(self, kind: Second, ended: asyncio.Future[Outcome], send: Send, acknowledged: float) -> None:
-        """A late datagram is never sent: the client would take it for its next acknowledgement."""
+        """Sends the second datagram, but never late: the client would take it for its next acknowledgement."""
         try:
             async with self._clock.timeout(SECOND_WITHIN):
                 text = (await asyncio.shield(ended)).second(kind)
         except TimeoutError:
             text = NO_DATA
-        # The loop may have stalled since: the time counts at which the datagram leaves.
+        # The loop may have stalled since: what counts is when the datagram is sent.
         late = self._clock.monotonic() - acknowledged
         if late < SECOND_BEFORE:
             send(text)
@@ -250,7 +250,7 @@ class Session:
 
 
 def _report(request: Request, ended: asyncio.Future[Outcome]) -> None:
-    """Clients without verdict replies never learn of a refusal, so the log has to tell it."""
+    """Logs a refusal, since clients without verdict replies do not receive it."""
     if not ended.cancelled() and (outcome := ended.result()).decision != "accepted":
         _log.warning(
             "command_refused",

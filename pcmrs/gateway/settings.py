@@ -17,7 +17,7 @@ from pcmrs.messages.identity import LOCAL
 
 MAX_PEERS = 64
 UNIX_NS: Final = "unix_ns"
-"""Counters that are nanoseconds since 1970."""
+"""Kind of counters that are nanoseconds since 1970."""
 
 Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
 
@@ -182,7 +182,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             )
 
     def links(self) -> dict[str, LinkConfig]:
-        """The UDP links by name."""
+        """Return the UDP links by name."""
         return {
             "planner": self.planner,
             "robot": self.robot,
@@ -201,12 +201,12 @@ def _check_peers(peers: dict[str, PeerConfig]) -> None:
             text = f"peers holds {name!r}; a peer's name has 1 to 32 letters, digits, '-' and '_'."
             raise ConfigurationError(text, peer=name)
         if name.lower() == LOCAL:
-            text = f"peers holds {name!r}, the name of whoever works on the cell's own machine: choose another one."
+            text = f"peers holds {name!r}, the name of the user at the cell's own machine: choose another one."
             raise ConfigurationError(text, peer=name)
 
 
 def _check_ipv4(name: str, host: str) -> None:
-    """A name would have to be looked up at every datagram, so it is refused here."""
+    """Refuses a host name, which would have to be looked up at every datagram."""
     try:
         ipaddress.IPv4Address(host)
     except ValueError:

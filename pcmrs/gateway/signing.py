@@ -28,11 +28,11 @@ _HEX = re.compile(r"[0-9a-fA-F]{64}\n?")
 
 
 def new_key(path: Path) -> None:
-    """Writes a new random key; a file that is there stays as it is.
+    """Write a new random key; an existing file is not changed.
 
     Raises:
         ConfigurationError: The file exists.
-        OSError: It cannot be written.
+        OSError: The file cannot be written.
     """
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, SECRET)
@@ -48,7 +48,7 @@ def new_key(path: Path) -> None:
 
 
 def read_key(path: Path) -> bytes:
-    """Reads a key.
+    """Read a key.
 
     Raises:
         ConfigurationError: The file cannot be read, others than its owner may use it, or it holds no key.
@@ -83,9 +83,9 @@ class Signed:
 
     Attributes:
         command: The command with its terminator.
-        peer: Who is said to have sent it.
+        peer: Name of the sender as the datagram gives it.
         counter: Larger than in any datagram that the peer sent before.
-        covered: What the tag is made of.
+        covered: Bytes that the tag covers.
         tag: 32 hex digits.
     """
 
@@ -96,12 +96,12 @@ class Signed:
     tag: bytes
 
     def holds(self, key: bytes) -> bool:
-        """Whether the tag was made with this key; takes as long whatever the tag is."""
+        """Return whether the tag was made with this key; takes the same time for every tag."""
         return hmac.compare_digest(self.tag, tag_of(self.covered, key))
 
 
 def split(datagram: bytes) -> Signed | None:
-    """The parts of a signed datagram; None for one that has no signature, or what only looks like one."""
+    """Return the parts of a signed datagram; None for one without a well-formed signature."""
     match = _SIGNED.fullmatch(datagram)
     if match is None:
         return None
@@ -109,7 +109,12 @@ def split(datagram: bytes) -> Signed | None:
 
 
 def tag_of(covered: bytes, key: bytes) -> bytes:
-    """The tag of what it covers."""
+    """Return the tag of some bytes.
+
+    Args:
+        covered: The bytes.
+        key: The peer's key, 32 bytes.
+    """
     return hmac.new(key, covered, hashlib.sha256).hexdigest()[:_TAG_DIGITS].encode("ascii")
 
 
@@ -118,9 +123,9 @@ def sign_answer(answer: str, peer: str, counter: int, key: bytes) -> str:
 
     Args:
         answer: The answer; it is ended by ``;`` if it is not.
-        peer: Who gets it.
-        counter: Of the command that it answers.
-        key: The peer's.
+        peer: Name of the receiver.
+        counter: Counter of the command that it answers.
+        key: The peer's key, 32 bytes.
     """
     covered = f"{answer.removesuffix(';')};|{peer}|{counter}"
     return f"{covered}|{tag_of(_OF_ANSWERS + covered.encode('ascii'), key).decode('ascii')}"
@@ -134,19 +139,19 @@ class Signer:
     Args:
         peer: The peer's name in the daemon's configuration.
         key: Its key, 32 bytes.
-        counter: Gives a number; the next one where it has not grown.
-        answers_signed: Whether an answer without a signature is refused. The daemon signs its answers to peers with
+        counter: Returns a number; if it has not grown, the next greater one is used.
+        answers_signed: Refuse an answer without a signature. The daemon signs its answers to peers with
             ``counter = "unix_ns"``, and to no others.
 
     Raises:
-        PayloadError: The name or the length of the key cannot be one.
+        PayloadError: The name or the length of the key is not valid.
     """
 
     def __init__(
         self, peer: str, key: bytes, counter: Callable[[], int] = time.time_ns, *, answers_signed: bool = False
     ) -> None:
         if not PEER_NAME.fullmatch(peer):
-            raise PayloadError(f"{peer!r} is no name of a peer: 1 to 32 letters, digits, '-' and '_'.", peer=peer)
+            raise PayloadError(f"{peer!r} is not a name of a peer: 1 to 32 letters, digits, '-' and '_'.", peer=peer)
         if len(key) != KEY_BYTES:
             raise PayloadError(f"The key has {len(key)} bytes; it must have {KEY_BYTES}.", size=len(key))
         self._peer = peer
@@ -156,7 +161,7 @@ class Signer:
         self._first = self._last = 0
 
     def sign(self, command: bytes) -> bytes:
-        """The signed datagram of a command; each time with a new counter, also for a command sent again."""
+        """Return the signed datagram of a command, with a new counter each time, also for a repeated command."""
         self._last = max(self._last + 1, self._counter())
         self._first = self._first or self._last
         covered = b"%s|%s|%d" % (command, self._peer.encode("ascii"), self._last)
@@ -168,15 +173,15 @@ class Signer:
         An answer to a command of an earlier run is refused. Within a run the command's id tells which one is answered.
 
         Raises:
-            PayloadError: The daemon did not sign it for this peer, or it answers no command that this has signed.
+            PayloadError: The daemon did not sign it for this peer, or it answers no command of this signer.
         """
         match = _ANSWER.fullmatch(answer)
         if match is None:
             if self._answers_signed or b"|" in answer:
-                raise PayloadError(f"{answer[:60]!r} is no signed answer.")
+                raise PayloadError(f"{answer[:60]!r} is not a signed answer.")
             return answer
         tag = tag_of(_OF_ANSWERS + match[1], self._key)
         ours = match[3] == self._peer.encode("ascii") and 0 < self._first <= int(match[4]) <= self._last
         if not (ours and hmac.compare_digest(match[5], tag)):
-            raise PayloadError(f"{answer[:60]!r} is no answer to {self._peer!r}, or its signature does not hold.")
+            raise PayloadError(f"{answer[:60]!r} is not an answer to {self._peer!r}, or its signature is wrong.")
         return match[2]

@@ -24,14 +24,14 @@ Send = Callable[[str, str, int], None]
 
 
 class Streams:
-    """Starts and stops the streams; a value that is not known at a tick is left out.
+    """Starts and stops the streams; unknown values are left out.
 
     Args:
-        core: Where the poses come from.
-        beats: Pace the streams, in real time.
+        core: The daemon, which has the poses.
+        beats: Rate of the streams, in real time.
         config: Hosts, ports and rate.
         send: Sends one datagram.
-        tasks: Owns the running streams.
+        tasks: Owner of the running streams.
     """
 
     def __init__(self, core: Core, beats: Beats, config: GatewayConfig, send: Send, tasks: BackgroundTasks) -> None:
@@ -43,24 +43,24 @@ class Streams:
         self._sent_to_unity: dict[str, str] = {}
 
     def start_poses(self) -> None:
-        """Begins the pose streams to the visualization and to mixed reality; the latter gets plan and registration."""
+        """Start the pose streams to visualization and mixed reality; the latter also gets plan and registration."""
         self._sent_to_unity.clear()
         self._poses.start()
 
     def stop_poses(self) -> None:
-        """Ends the pose streams."""
+        """Stop the pose streams."""
         self._poses.stop()
 
     def start_tip(self) -> None:
-        """Begins the stream of the pointer tip to the planner."""
+        """Start the stream of the pointer tip to the planner."""
         self._tip.start()
 
     def stop_tip(self) -> None:
-        """Ends the stream of the pointer tip."""
+        """Stop the stream of the pointer tip."""
         self._tip.stop()
 
     def relay_tool_points(self, points_mm: Sequence[float]) -> None:
-        """Passes two points of a tool pose (x1, y1, z1, x2, y2, z2), mm, from mixed reality on to the planner."""
+        """Forward two points of a tool pose (x1, y1, z1, x2, y2, z2), mm, from mixed reality to the planner."""
         self._to_planner(TOOL_POINTS_PREFIX + _join(points_mm, 5))
 
     def _send_poses(self) -> None:
@@ -83,7 +83,7 @@ class Streams:
             self._send(text, self._config.mixed_reality_host, port)
 
     def _changed(self, prefix: str, pose: Transform | None) -> Iterable[str]:
-        """The message of `pose`, if it is not the one sent last."""
+        """Message of `pose`, if it differs from the last one."""
         text = "" if pose is None else unity_message(prefix, pose)
         changed = text != self._sent_to_unity.get(prefix, "")
         self._sent_to_unity[prefix] = text
@@ -101,19 +101,23 @@ class Streams:
 
 
 def pose_message(image_from_coil: Transform) -> str:
-    """``__msg_pose_`` with the position in mm and the quaternion x y z w."""
+    """Return ``__msg_pose_`` with the position in mm and the quaternion x y z w."""
     return "__msg_pose_" + _join([*image_from_coil.translation * 1e3, *image_from_coil.quat_xyzw], 5)
 
 
 def point_message(tip_in_image: Floats) -> str:
-    """``__msg_point_`` with the point (3,) in mm."""
+    """Return ``__msg_point_`` with the point (3,) in mm."""
     return "__msg_point_" + _join(tip_in_image * 1e3, 5)
 
 
 def unity_message(prefix: str, pose: Transform) -> str:
-    """The pose in m in Unity's left-handed axes: x, z, y, -qx, -qz, -qy, qw.
+    """Return the message of a pose in Unity's left-handed axes: x, z, y, -qx, -qz, -qy, qw.
 
     Swapping y and z mirrors space, and a mirrored rotation turns the other way.
+
+    Args:
+        prefix: Beginning of the message.
+        pose: The pose, m.
     """
     x, y, z = pose.translation
     qx, qy, qz, qw = pose.quat_xyzw
@@ -130,11 +134,11 @@ STOP = "stop"
 class Markers(DispatcherListener):
     """Marks every change of a state as ``branch:from->to``, every Stop as ``stop`` and every pulse as ``pulse:3``.
 
-    The mark of a pulse comes when its operation has ended: when it was given is marked by the stimulator's driver.
+    The mark of a pulse comes when its operation has ended: the stimulator's driver marks the time of the pulse itself.
 
     Args:
         stream: Name of the stream.
-        now: How things are; changes from there on are marked.
+        now: Present snapshot; changes from there on are marked.
 
     Raises:
         ConfigurationError: Lab Streaming Layer is not installed.

@@ -1,4 +1,4 @@
-"""The TCP link: the same grammar as a stream, cut into frames at each ``;``.
+"""TCP link: the same grammar as a stream, cut into frames at each ``;``.
 
 A stream that begins with ``|;`` is signed: a frame of it is a command with its signature,
 ``<command>;|<peer>|<counter>|<tag>;``. In any other stream each ``;`` ends a frame.
@@ -24,7 +24,7 @@ from pcmrs.gateway.session import ReplyChannel
 from pcmrs.hosts import is_loopback
 
 SIGNS = b"|;"
-"""A stream whose commands are signed begins with this."""
+"""Beginning of a stream with signed commands."""
 
 _LONGEST_SIGNATURE = 86
 _SIGNATURE = re.compile(rb"\|[A-Za-z0-9_|-]*;?")
@@ -33,8 +33,8 @@ _SIGNATURE = re.compile(rb"\|[A-Za-z0-9_|-]*;?")
 class Frames:
     """Cuts a stream into frames.
 
-    A browser, or any other program that speaks another protocol, breaks the grammar at its first line. What it sends
-    afterwards may look like a command, so the stream has to end at the first wrong byte.
+    A browser, or any other program with another protocol, breaks the grammar at its first line. Its next lines may look
+    like a command, so the stream must end at the first wrong byte.
     """
 
     def __init__(self) -> None:
@@ -53,14 +53,14 @@ class Frames:
             data: Bytes that have arrived.
 
         Raises:
-            PayloadError: What follows the last frame cannot become one. Nothing after it may be looked at.
+            PayloadError: The bytes after the last frame cannot become one. Nothing after them may be read.
         """
         self._rest += data
         while (frame := self._next()) is not None:
             yield frame
 
     def _next(self) -> bytes | None:
-        """Return the next frame; None where it is not complete."""
+        """Next frame; None if it is not complete."""
         if self._signed is None and not self._opened():
             return None
         command, end, behind = self._rest.partition(b";")
@@ -79,7 +79,7 @@ class Frames:
         return command + end + signature
 
     def _opened(self) -> bool:
-        """Whether it is known that the stream is signed, or that it is not."""
+        """True once it is known whether the stream is signed."""
         if not self._rest or (self._rest != SIGNS and SIGNS.startswith(self._rest)):
             return False
         self._signed = self._rest.startswith(SIGNS)
@@ -100,11 +100,11 @@ def _shown(data: bytes) -> str:
 
 LINK = "tcp"
 MOST = 32
-"""Connections that are open at once. Each needs a descriptor, and Stop must always find one."""
+"""Limit of open connections. Each needs a descriptor, and Stop must always find one."""
 MOST_OF_A_HOST = 8
-"""Of these from one address."""
+"""Limit of open connections from one address."""
 FIRST_WITHIN = 10.0
-"""A peer that has to sign is disconnected if no signed frame of it has arrived after so long, s of the machine."""
+"""Limit after which a peer that must sign, but has sent no signed frame, is disconnected, s of the machine."""
 TOO_MANY = "too_many_connections"
 SILENT = "not_authenticated"
 
@@ -113,9 +113,9 @@ class TcpLink:
     """Serves a bounded number of connections.
 
     Args:
-        intake: Takes what arrives.
-        tasks: Owns the connections.
-        clock: The machine's.
+        intake: Intake of the commands.
+        tasks: Owner of the connections' tasks.
+        clock: The machine's clock.
     """
 
     def __init__(self, intake: Intake, tasks: BackgroundTasks, clock: Clock) -> None:
@@ -127,19 +127,24 @@ class TcpLink:
         self._open: Counter[str] = Counter()
 
     async def listen(self, host: str, port: int) -> tuple[str, int]:
-        """Begins to accept connections; returns the address it is bound to."""
+        """Start to accept connections; return the address that is bound.
+
+        Args:
+            host: Host to bind.
+            port: Port to bind; 0 takes any free one.
+        """
         self._server = await asyncio.start_server(self._connected, host, port, limit=MAX_BYTES)
         bound_host, bound_port = self._server.sockets[0].getsockname()[:2]
         self._exposed = not is_loopback(bound_host)
         return bound_host, bound_port
 
     def close(self) -> None:
-        """Accepts no more connections."""
+        """Stop accepting connections."""
         self._server.close()
 
     def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         name = writer.get_extra_info("peername")
-        if name is None:  # it has closed again already
+        if name is None:  # the peer has closed the connection already
             writer.transport.abort()
             return
         peer = name[:2]
@@ -157,7 +162,7 @@ class TcpLink:
         self._tasks.spawn(self._serve(reader, writer, peer))
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, peer: tuple[str, int]) -> None:
-        """Read until the peer closes, breaks the grammar, or has not shown in time who it is."""
+        """Reads until the peer closes, breaks the grammar, or fails to authenticate in time."""
         connection = _Connection(self._intake, reader, writer, peer, self._exposed)
         try:
             async with self._clock.timeout(FIRST_WITHIN):
@@ -181,7 +186,7 @@ class _Connection:
     """One connection.
 
     Attributes:
-        known: Whether the peer is configured, or one of its signatures held.
+        known: The peer is configured, or one of its signatures was right.
     """
 
     def __init__(
@@ -202,7 +207,7 @@ class _Connection:
         self.known = intake.takes_unsigned(peer[0], exposed)
 
     async def read(self) -> bool:
-        """Take the frames that have arrived; return False when there will be no more.
+        """Take the frames that have arrived; return False if there will be no more.
 
         Raises:
             PayloadError: The grammar is broken between two frames, or the last one is not complete.
@@ -216,7 +221,7 @@ class _Connection:
             self.known = self.known or error is None
             await self._writer.drain()
         if not data and self._frames.unfinished:
-            raise PayloadError(f"{self._frames.unfinished[:40]!r} is no complete frame.")
+            raise PayloadError(f"{self._frames.unfinished[:40]!r} is not a complete frame.")
         return bool(data)
 
     def _send(self, text: str) -> None:

@@ -14,12 +14,12 @@ UNKNOWN_PEER = ("unknown", 0)
 
 
 class UdpLink(asyncio.DatagramProtocol):
-    """Receives the commands of one link; acknowledges to its reply port at the sender's host.
+    """Receives the commands of one link; acknowledges to the link's reply port at the sender's host.
 
     Args:
         name: Name of the link.
         config: Its ports.
-        intake: Takes what arrives.
+        intake: Intake of the commands.
     """
 
     def __init__(self, name: str, config: LinkConfig, intake: Intake) -> None:
@@ -36,12 +36,17 @@ class UdpLink(asyncio.DatagramProtocol):
         return host, port
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Called by the event loop once the socket is bound."""
+        """Store the transport, once the socket is bound."""
         self._transport = cast(asyncio.DatagramTransport, transport)
         self._exposed = not is_loopback(self.address[0])
 
     def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
-        """Called by the event loop for every datagram."""
+        """Take a datagram.
+
+        Args:
+            data: The datagram.
+            addr: Host and port of the sender.
+        """
         host, port = addr[:2]
         reply_port = self._config.reply_port
         answer = ReplyChannel(
@@ -51,11 +56,11 @@ class UdpLink(asyncio.DatagramProtocol):
         self._intake.receive(self._name, (host, port), self._exposed, data, answer)
 
     def error_received(self, exc: Exception) -> None:
-        """Called by the event loop when a client's port is closed; the link goes on."""
+        """Ignore that a client's port is closed."""
         self._intake.refuse(self._name, UNKNOWN_PEER, exc)
 
     def close(self) -> None:
-        """Closes the socket."""
+        """Close the socket."""
         self._transport.close()
 
     def _send(self, text: str, addr: tuple[Any, ...]) -> None:

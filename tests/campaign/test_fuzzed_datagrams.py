@@ -41,7 +41,7 @@ def test_every_command_and_every_reason_for_refusing_comes_up() -> None:
 
 
 REASONS = (
-    "is no command",
+    "is not a command",
     "no terminator",
     "follows the terminator",
     "not printable",

@@ -148,7 +148,7 @@ def test_foreign_page_commands_nothing(daemon: ServeProcess) -> None:
     assert sent.count(COMMAND.encode()) >= 3
     assert b"Upgrade: websocket" in sent
     assert robot_of(daemon) == "0"
-    assert "is no command" in daemon.log or "cannot become a command" in daemon.log
+    assert "is not a command" in daemon.log or "cannot become a command" in daemon.log
     with socket.create_connection(tcp) as link:  # the same words of somebody who may
         link.sendall(COMMAND[1:].encode())
         assert link.recv(100).startswith(b"1_accepted")

@@ -147,7 +147,7 @@ async def test_new_folder_is_reported_at_the_start(tmp_path: Path) -> None:
         assert event.code == "counters_reset"
         assert event.fields == {"peers": ["panel", "planner"]}
         assert f"{tmp_path / COUNTERS} is new" in event.text
-        assert event.text.endswith("once more from: panel.")
+        assert event.text.endswith("accepted again from: panel.")
     async with open_room(tmp_path, peers) as room:
         assert room.core.events == []
     (tmp_path / COUNTERS).unlink()

@@ -1,1 +1,1 @@
-"""Who a signed command is from, and that it is not sent twice."""
+"""Authentication of signed commands, and protection against replay."""

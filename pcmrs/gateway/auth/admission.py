@@ -1,4 +1,4 @@
-"""The way in for commands of signed peers: none begins before the disk has its counter, except Stop."""
+"""Admission of signed commands: none begins before the disk has its counter, except Stop."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from pcmrs.gateway.session import MAX_WAITING, QUEUE_FULL
 from pcmrs.gateway.signing import Signed
 
 KEPT_WITHIN = 1.0
-"""Seconds that a command waits for the disk; then it is refused, and never begins late."""
+"""Limit of a command's wait for the disk, s; then it is refused, and never begins late."""
 NOT_KEPT = "counter_not_kept"
 
 Enter = Callable[[RefusalError | None], None]
-"""Begins a command, or has it rejected."""
+"""Begins a command, or rejects it with the error given."""
 
 
 class Admission:
-    """Lets commands in, those of one peer in the order of their arrival.
+    """Admits signed commands, those of one peer in the order of their arrival.
 
     Args:
         peers: The configured peers by name.
-        keeper: Has their counters written.
+        keeper: Writes their counters.
         clock: The machine's clock.
-        tasks: Owns the waiting.
+        tasks: Owner of the tasks that wait.
     """
 
     def __init__(
@@ -42,16 +42,27 @@ class Admission:
         self._stops = 0
 
     def identify(self, signed: Signed) -> SignedPeer:
-        """The peer that a datagram is from. Raises `RefusalError`."""
+        """Return the peer that a datagram is from; raise `RefusalError` if it is not authentic."""
         return authenticate(self._peers, signed)
 
     def enter_at_once(self, peer: SignedPeer, enter: Enter, refusal: RefusalError | None = None) -> None:
-        """Lets Stop in, or has a command rejected; neither waits for the disk, which gets the counter all the same."""
+        """Admit Stop, or reject a command; neither waits for the disk, which gets the counter all the same.
+
+        Args:
+            peer: The sender.
+            enter: Begins or rejects the command.
+            refusal: Why the command is rejected; None for Stop.
+        """
         self._keeper.note(peer.name, peer.newest)
         enter(refusal)
 
     def enter_when_kept(self, peer: SignedPeer, enter: Enter) -> None:
-        """Lets a command in once its counter is kept; it is rejected when that fails, or when Stop comes before."""
+        """Admit a command once its counter is stored; reject it if that fails, or if Stop comes before.
+
+        Args:
+            peer: The sender.
+            enter: Begins or rejects the command.
+        """
         if peer.waiting >= MAX_WAITING:
             text = f"{peer.waiting} commands of {peer.name!r} wait for the disk, the limit is {MAX_WAITING}; send less."
             self.enter_at_once(peer, enter, RefusalError(QUEUE_FULL, text))
@@ -61,7 +72,7 @@ class Admission:
 
         def decide(_: asyncio.Future[None]) -> None:
             peer.waiting -= 1
-            if not kept.cancelled():  # or else the gateway closes
+            if not kept.cancelled():  # it is cancelled when the gateway closes
                 enter(self._objection(kept.exception(), stops))
 
         peer.waiting += 1
@@ -69,15 +80,15 @@ class Admission:
         self._tasks.spawn(self._give_up(kept))
 
     def halt(self) -> None:
-        """Lets nothing begin that waits now, as Stop demands."""
+        """Reject all commands that wait now, because of Stop."""
         self._stops += 1
 
     def _objection(self, error: BaseException | None, stops: int) -> RefusalError | None:
         if error is not None:
-            text = f"Its counter cannot be kept, so it could be replayed: {error}. Look at the disk, then send it anew."
+            text = f"Its counter cannot be stored, so it could be replayed: {error}. Check the disk, then resend it."
             return RefusalError(NOT_KEPT, text)
         if stops != self._stops:
-            return RefusalError("stopped", "Stop came before it began.")
+            return RefusalError("stopped", "Stop came before it had begun.")
         return None
 
     async def _give_up(self, kept: asyncio.Future[None]) -> None:

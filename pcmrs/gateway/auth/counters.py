@@ -1,4 +1,4 @@
-"""The newest counter of each signed peer, on disk: what was sent once is refused for ever, across restarts too."""
+"""Newest counter of each signed peer, on disk: a command is accepted once only, also across restarts."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.files import write_durably
 
 MOST_NAMES: Final = 128
-"""Peers that are remembered, those that are no longer configured too: whoever comes back must not be replayed."""
+"""Limit of peers in the file, including those no longer configured: if one returns, nothing may be replayed."""
 
 _MAGIC: Final = b"PCMRSPC1"
 _HEADER: Final = struct.Struct(">8sQI")
-"""Magic, number of the write and length of the table, which follows as JSON, and then the hash of all."""
+"""Magic, number of the write and length of the table; the table follows as JSON, then the hash of all."""
 _HASH: Final = hashlib.sha256().digest_size
 _SLOT: Final = 8192
-"""A torn write of one of the two slots leaves the other whole."""
+"""Size of each of the two slots, bytes: a torn write of one leaves the other whole."""
 
 _table = msgspec.json.Decoder(dict[str, int])
 
 
 class CounterFile:
-    """The file; written by one thread at a time.
+    """File of counters; written by one thread at a time.
 
     Args:
-        path: Made where there is none.
+        path: The file. It is created if it does not exist.
 
     Attributes:
-        kept: Newest counter of each peer when it was opened.
-        made: Whether it was made now, so that every peer begins at 0.
+        kept: Newest counter of each peer when the file was opened.
+        made: The file was created now, so that every peer begins at 0.
 
     Raises:
-        ConfigurationError: It cannot be made, read or written, or no slot of it is whole.
+        ConfigurationError: The file cannot be created, read or written, or none of its slots is whole.
     """
 
     def __init__(self, path: Path) -> None:
@@ -66,7 +66,7 @@ class CounterFile:
         self._number, self.kept = max(whole, key=lambda slot: slot[0])
 
     def write(self, counters: Mapping[str, int]) -> None:
-        """Replaces the table, in the slot that is older; returns when the disk has it. Raises `OSError`."""
+        """Replace the table, in the older slot; return when the disk has it. Raise `OSError`."""
         slot = _slot(self._number + 1, counters)
         if os.pwrite(self._descriptor, slot, (self._number + 1) % 2 * _SLOT) != len(slot):
             raise OSError(f"only a part of the counters was written to {self._path}")
@@ -74,12 +74,18 @@ class CounterFile:
         self._number += 1
 
     def close(self) -> None:
-        """Closes the file."""
+        """Close the file."""
         os.close(self._descriptor)
 
 
 def check_room(kept: Mapping[str, int], peers: Mapping[str, object], path: Path) -> None:
-    """Raises `ConfigurationError` when the file cannot remember these peers beside those it knows."""
+    """Raise `ConfigurationError` if the file has no room for the configured peers.
+
+    Args:
+        kept: Counters in the file, by peer.
+        peers: The configured peers by name.
+        path: The file, for the message.
+    """
     names = kept.keys() | peers.keys()
     if len(names) > MOST_NAMES:
         raise ConfigurationError(
@@ -97,7 +103,7 @@ def _slot(number: int, counters: Mapping[str, int]) -> bytes:
 
 
 def _read(slot: bytes) -> tuple[int, dict[str, int]] | None:
-    """Number and table of a slot; None when it is not whole."""
+    """Number and table of a slot; None if it is not whole."""
     if len(slot) < _SLOT:
         return None
     magic, number, length = _HEADER.unpack_from(slot)
@@ -108,11 +114,11 @@ def _read(slot: bytes) -> tuple[int, dict[str, int]] | None:
 
 
 class CounterWriter:
-    """Writes whatever waits, with one wait for the disk; newer counters of a peer stand for older ones.
+    """Writes all counters that wait at once; newer counters of a peer replace older ones.
 
     Args:
-        file: Used by the thread only from now on, until this is closed.
-        failed: Called in the event loop with the error of every write that failed.
+        file: The file. Only the thread of the writer uses it from now on, until the writer is closed.
+        failed: Called in the event loop with the error of every write that has failed.
     """
 
     def __init__(self, file: CounterFile, failed: Callable[[OSError], None]) -> None:
@@ -128,12 +134,25 @@ class CounterWriter:
         self._thread.start()
 
     def note(self, peer: str, counter: int) -> None:
-        """Has a peer's newest counter written; nobody waits for it."""
+        """Write a peer's newest counter, without waiting.
+
+        Args:
+            peer: Name of the peer.
+            counter: The counter.
+        """
         with self._changed:
             self._note(peer, counter)
 
     def keep(self, peer: str, counter: int) -> asyncio.Future[None]:
-        """The same; the future is done when the disk has it, in the order of the calls, or has the `OSError`."""
+        """Write a peer's newest counter.
+
+        Args:
+            peer: Name of the peer.
+            counter: The counter.
+
+        Returns:
+            A future that is done when the disk has the counter, in the order of the calls, or that has the `OSError`.
+        """
         kept: asyncio.Future[None] = self._loop.create_future()
         with self._changed:
             self._note(peer, counter)
@@ -141,7 +160,7 @@ class CounterWriter:
         return kept
 
     async def close(self) -> None:
-        """Ends when what was noted is written; who waits still is cancelled."""
+        """Wait until all counters are written, and cancel the futures that still wait."""
         with self._changed:
             self._closing = True
             self._changed.notify()
@@ -174,7 +193,7 @@ class CounterWriter:
             self._failed(error)
         for kept in waiting:
             if kept.done():
-                continue  # its time was up
+                continue  # its time limit has passed
             if self._closing:
                 kept.cancel()
             elif error is None:

@@ -1,4 +1,4 @@
-"""Who a signed datagram is from: a configured peer whose tag holds, and whose counter has grown; and how old it is."""
+"""Signed peers: a datagram is authentic if its tag is right and its counter has grown; its age is limited."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ OVER_RATE = "over_rate"
 TOO_OLD = "too_old"
 CLOCK_AHEAD = "clock_ahead"
 FRESH_FOR = 2.0
-"""Seconds between the clock of a peer and ours at which its command is still taken: its way included."""
+"""Limit of the difference between the clock of a peer and ours, including the transmission, s."""
 
 
 class SignedPeer:
@@ -31,13 +31,13 @@ class SignedPeer:
     Args:
         name: Its name.
         config: Its key, commands and rate.
-        newest: The largest counter that it has sent so far, in earlier runs too.
+        newest: The largest counter that it has sent so far, also in earlier runs.
         clock: The machine's clock.
 
     Attributes:
         name: Its name.
         newest: The largest counter that it has used.
-        waiting: How many of its commands wait until their counters are kept.
+        waiting: Number of its commands that wait until their counters are stored.
 
     Raises:
         ConfigurationError: Its key cannot be used.
@@ -55,22 +55,22 @@ class SignedPeer:
 
     @property
     def source(self) -> str:
-        """Who it is, as the daemon records it, whatever address it has."""
+        """Source of its commands in the journal, whatever its address."""
         return f"peer:{self.name}"
 
     @property
     def asker(self) -> Principal:
-        """Who asks, and what they may do."""
+        """User of its commands, and their role."""
         return Principal(self.name, self._config.role)
 
     def accept(self, signed: Signed) -> None:
-        """Takes a datagram as this peer's, and its counter as used.
+        """Accept a datagram as this peer's, and mark its counter as used.
 
-        A counter that is a time in the future is not taken as used: otherwise the peer could send nothing, not even
-        Stop, between the moment when its clock is corrected and that time.
+        A counter that is a time in the future is not marked: otherwise the peer could send nothing, not even Stop,
+        between the correction of its clock and that time.
 
         Raises:
-            RefusalError: The tag does not hold, or the counter has not grown.
+            RefusalError: The tag is wrong, or the counter has not grown.
         """
         if not signed.holds(self._key):
             raise RefusalError(BAD_TAG, f"The tag is not one of {self.name!r}: use its key, and sign every byte.")
@@ -85,7 +85,12 @@ class SignedPeer:
             self.newest = signed.counter
 
     def objection(self, spec: Spec, counter: int) -> RefusalError | None:
-        """Why it may not give this command now; Stop may always be given."""
+        """Return why it may not send a command now; None if it may. Stop is always allowed.
+
+        Args:
+            spec: The command.
+            counter: Counter of the datagram.
+        """
         if spec.action is Action.STOP:
             return None
         age = self._age(counter)
@@ -116,7 +121,12 @@ class SignedPeer:
         return None
 
     def signs(self, answer: ReplyChannel, counter: int) -> ReplyChannel:
-        """Return where answers to the command with this counter go; those to a peer with a clock are signed."""
+        """Return the channel of the answers to a command; answers to a peer with a clock are signed.
+
+        Args:
+            answer: Channel to the peer.
+            counter: Counter of the command.
+        """
         if not self._timed:
             return answer
         acknowledge = answer.acknowledge
@@ -130,7 +140,7 @@ class SignedPeer:
         return self._config.counter == UNIX_NS
 
     def _age(self, counter: int) -> float:
-        """Seconds since the peer signed; 0 where its counter is no time."""
+        """Time since the peer signed, s; 0 if its counter is not a time."""
         return self._clock.wall() - counter * 1e-9 if self._timed else 0.0
 
     def _signing(self, send: Send, counter: int) -> Send:
@@ -138,13 +148,18 @@ class SignedPeer:
 
 
 def authenticate(peers: Mapping[str, SignedPeer], signed: Signed) -> SignedPeer:
-    """The peer that a datagram is from; its counter is used from now on.
+    """Return the peer that a datagram is from, and mark its counter as used.
+
+    Args:
+        peers: The configured peers by name.
+        signed: The datagram.
 
     Raises:
-        RefusalError: The peer is not known, the tag does not hold, or the counter has not grown.
+        RefusalError: The peer is unknown, the tag is wrong, or the counter has not grown.
     """
     peer = peers.get(signed.peer)
     if peer is None:
-        raise RefusalError(UNKNOWN_PEER, f"{signed.peer!r} is no peer; add [gateway.peers.{signed.peer}] with its key.")
+        text = f"{signed.peer!r} is not a peer; add [gateway.peers.{signed.peer}] with its key."
+        raise RefusalError(UNKNOWN_PEER, text)
     peer.accept(signed)
     return peer

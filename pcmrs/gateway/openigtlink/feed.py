@@ -1,4 +1,4 @@
-"""What all peers are sent: poses at a steady rate, the state at each change, the status then and every second."""
+"""Messages to all peers: poses at a steady rate, the state at each change, the status then and every second."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from pcmrs.messages import Snapshot
 
 TOOLS = "PcmrsTools"
 STATUS_PERIOD = 1.0
-"""A quiet connection is told at least so often that all is well, s; the dead one is found by it."""
+"""Limit between two status messages on a connection, s; they also detect a dead connection."""
 
 
 class Feed:
-    """Sends to all peers what is new.
+    """Sends new poses, states and statuses to all peers.
 
     Args:
-        core: Where it comes from.
+        core: The daemon.
         clock: The machine's clock.
-        together: Whether the poses go as one TDATA message instead of a TRANSFORM each.
+        together: Send the poses as one TDATA message instead of a TRANSFORM each.
     """
 
     def __init__(self, core: Core, clock: Clock, *, together: bool) -> None:
@@ -36,7 +36,7 @@ class Feed:
         self._status_due = 0.0
 
     def send(self, peers: Collection[Peer]) -> None:
-        """One tick; a peer that has come since the last one is told all."""
+        """Send what is new; a peer that has connected since the last call gets everything."""
         snapshot, now, found = self._core.snapshot(), self._clock.monotonic(), self._poses()
         texts = _texts(snapshot)
         state = self._packed(texts) if any(peer.shown != texts for peer in peers) else []
@@ -56,7 +56,7 @@ class Feed:
         return [text_message(text, **self._header(name)).pack() for name, text in texts.items()]
 
     def _poses(self) -> dict[str, bytes]:
-        """Packed messages by name; nothing where nothing is known."""
+        """Packed messages of the known poses, by name."""
         matrices = {name: matrix_mm(pose) for name, pose in poses(self._core).items()}
         if not self._together:
             return {name: TransformMessage(matrix, **self._header(name)).pack() for name, matrix in matrices.items()}

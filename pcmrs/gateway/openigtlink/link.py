@@ -1,4 +1,4 @@
-"""The OpenIGTLink link: a server for Slicer, or a client of Slicer's, with any of its connections the same."""
+"""OpenIGTLink link: a server for Slicer, or a client of Slicer's server; all connections are served alike."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ class OpenIgtLink(DispatcherListener):
 
     Args:
         core: The daemon.
-        config: Of the gateway; the table ``openigtlink`` and who is trusted are read.
+        config: Configuration of the gateway; its table ``openigtlink`` and the trusted hosts are read.
         clock: The machine's clock.
-        intake: Counts and logs what is refused, and has the plan lock of each host.
-        tasks: Owns the connections.
-        jobs: Owns the commands.
+        intake: Counts and logs refusals, and has the plan lock of each host.
+        tasks: Owner of the connections' tasks.
+        jobs: Owner of the commands' tasks.
     """
 
     def __init__(
@@ -70,11 +70,11 @@ class OpenIgtLink(DispatcherListener):
 
     @property
     def dropped(self) -> int:
-        """Messages that gave way to newer ones, of the peers that are connected."""
+        """Number of messages to connected peers that newer ones have replaced."""
         return sum(peer.outbox.dropped for peer in self._peers.values())
 
     async def open(self) -> tuple[str, int]:
-        """Begins to serve, or to connect; returns the address of the server, ours or Slicer's.
+        """Start to serve or to connect; return the address of the server, ours or Slicer's.
 
         Raises:
             OSError: The port cannot be bound.
@@ -89,7 +89,7 @@ class OpenIgtLink(DispatcherListener):
         return host, port
 
     def close(self) -> None:
-        """Accepts no more connections."""
+        """Stop accepting connections."""
         if self._server is not None:
             self._server.close()
 
@@ -110,7 +110,7 @@ class OpenIgtLink(DispatcherListener):
         self._tasks.spawn(self._serve(stream, writer))
 
     async def _keep_connected(self) -> None:
-        """Connects to Slicer's server, again and again; that it is absent is told once."""
+        """Connects to Slicer's server, and reconnects; its absence is logged once."""
         server, absent = f"{self._config.host}:{self._config.port}", False
         while True:
             try:
@@ -126,7 +126,7 @@ class OpenIgtLink(DispatcherListener):
             await self._clock.sleep(RETRY_AFTER)
 
     async def _serve(self, stream: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """One connection, until either side ends it."""
+        """Serves one connection until either side ends it."""
         address = writer.get_extra_info("peername")[:2]
         writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         peer = self._peers[address] = self._new_peer(address)
@@ -172,7 +172,7 @@ class OpenIgtLink(DispatcherListener):
             self._intake.counters.received += 1
 
     async def _send(self, peer: Peer, writer: asyncio.StreamWriter) -> None:
-        """A peer that takes nothing is cut off, which ends its receiving too."""
+        """Sends to a peer. One that reads nothing is disconnected, which ends the reception from it, too."""
         try:
             await peer.outbox.send(writer, self._clock)
         except TimeoutError:

@@ -1,4 +1,4 @@
-"""What one peer is still to be sent, bounded, so that one that does not read holds up nobody."""
+"""Bounded queue of messages to one peer, so that a peer that does not read delays nobody."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from collections import deque
 from pcmrs.clock import Clock
 
 MAX_WAITING = 100
-"""Messages other than poses that wait; beyond that the oldest is dropped."""
+"""Limit of waiting messages other than poses; beyond it the oldest is dropped."""
 STALLED_AFTER = 10.0
-"""A peer that has taken nothing for so long is given up, s."""
+"""Limit after which a peer that reads nothing is disconnected, s."""
 
 
 class Outbox:
-    """Keeps of each pose the newest, and of all else the newest `MAX_WAITING`, in order.
+    """Queue of the newest message of each pose, and of the newest `MAX_WAITING` other messages, in order.
 
     Attributes:
-        dropped: Messages that gave way to newer ones.
+        dropped: Number of messages that newer ones have replaced.
     """
 
     def __init__(self) -> None:
@@ -27,13 +27,18 @@ class Outbox:
         self._filled = asyncio.Event()
 
     def put_pose(self, name: str, data: bytes) -> None:
-        """Replaces the pose of that name, if it still waits."""
+        """Add a pose, in place of one of the same name that still waits.
+
+        Args:
+            name: Name of the pose.
+            data: The packed message.
+        """
         self.dropped += name in self._poses
         self._poses[name] = data
         self._filled.set()
 
     def put(self, data: bytes) -> None:
-        """Adds a message that is not replaced by later ones of its kind."""
+        """Add a message that later ones do not replace."""
         if len(self._rest) == MAX_WAITING:
             self._rest.popleft()
             self.dropped += 1
@@ -41,13 +46,17 @@ class Outbox:
         self._filled.set()
 
     async def send(self, writer: asyncio.StreamWriter, clock: Clock) -> None:
-        """Sends until cancelled, no faster than the peer reads.
+        """Send until cancelled, no faster than the peer reads.
+
+        Args:
+            writer: Connection to the peer.
+            clock: The machine's clock.
 
         Raises:
-            TimeoutError: The peer has taken nothing for `STALLED_AFTER`.
-            ConnectionError: It is gone.
+            TimeoutError: The peer has read nothing for `STALLED_AFTER`.
+            ConnectionError: The peer is gone.
         """
-        # Nothing waits in the transport, where it could be neither counted nor replaced.
+        # No message waits in the transport, where it could be neither counted nor replaced.
         writer.transport.set_write_buffer_limits(high=0)
         while True:
             await self._filled.wait()

@@ -1,4 +1,4 @@
-"""One connection: what came from it, and what it is told."""
+"""One connection: commands from it, and answers to it."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ Plans = Callable[[Callable[[Answer], None]], Planner]
 
 
 class Peer:
-    """Turns messages into commands, each once, and their ends into verdicts and a status.
+    """Turns messages into commands, each once, and their outcomes into verdicts and a status.
 
     Args:
         config: Names of the messages that are plans.
-        planner: Makes the planner, given what to tell the answers to.
-        wall: Unix seconds, for the stamps.
-        trusted: Whether commands are taken from this host.
+        planner: Makes the planner from a function that receives the answers.
+        wall: Returns Unix seconds, for the time stamps.
+        trusted: Commands from this host are accepted.
 
     Attributes:
-        outbox: What it is still to be sent.
-        shown: The state that it was sent last, by name; None before the first.
+        outbox: Queue of messages to it.
+        shown: The state that was sent last, by name; None before the first.
     """
 
     def __init__(self, config: OpenIgtLinkConfig, planner: Plans, wall: Callable[[], float], *, trusted: bool) -> None:
@@ -46,10 +46,10 @@ class Peer:
         self._latched = False
 
     def receive(self, message: Any) -> None:
-        """Takes one message; what is neither a plan nor Stop changes nothing and is not answered.
+        """Take one message; one that is neither a plan nor Stop changes nothing and is not answered.
 
         Raises:
-            PayloadError: It is a command, and commands are not taken from this host.
+            PayloadError: The message is a command, and commands from this host are not accepted.
         """
         name, kind = message.device_name, message.message_type
         if kind == "STRING" and message.string.strip().lower() == STOP:
@@ -63,11 +63,11 @@ class Peer:
             self._plan(Plan.LANDMARKS, repr(points), partial(plans.landmarks, *points))
 
     def halt(self) -> None:
-        """Lets nothing that came before now begin, as Stop demands."""
+        """Reject the commands that wait, because of Stop."""
         self._planner.halt()
 
     def send_status(self, latched: bool) -> None:
-        """Tells how the daemon fares: latched, or the reason of this peer's last rejection, or well."""
+        """Send the status: latched, or the reason of this peer's last rejection, or OK."""
         self._latched, wrong = latched, self._wrong
         if latched:
             text = "Stopped and latched: acknowledge it."
@@ -79,7 +79,7 @@ class Peer:
         self.outbox.put_pose("PcmrsStatus", status.pack())
 
     def _plan(self, kind: Plan, content: str, arguments: Callable[[], dict[str, Any]]) -> None:
-        """Slicer sends a node again at every touch of it: only a change is a new plan."""
+        """Submits a plan if it has changed: Slicer resends a node whenever it is touched."""
         self._check_trusted()
         if self._last.get(kind) == content:
             return

@@ -1,4 +1,4 @@
-"""The commands of one peer: its plans, one after the other, and Stop."""
+"""Commands of one peer: its plans, one after the other, and Stop."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ log = structlog.get_logger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What became of a command; `code` and `text` say why it was not accepted."""
+    """Outcome of a command; `code` and `text` say why it was not accepted."""
 
     decision: str
     operation: str
@@ -33,31 +33,31 @@ class Answer:
 
     @property
     def line(self) -> str:
-        """For a person to read."""
+        """Return one line of text for people."""
         head = f"{self.decision} {self.operation}"
         return f"{head} {self.code}: {self.text}" if self.code else head
 
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """A plan to be submitted; `number` is its own in the plan lock."""
+    """Plan to be submitted; `number` is its number in the plan lock."""
 
     number: int
     arguments: Callable[[], dict[str, Any]]
 
 
 class Planner:
-    """Submits plans and Stop for one peer. It has no motions, but its plans hold those of its host's others.
+    """Submits plans and Stop for one peer. It has no motions, but its plans lock the approaches of its host.
 
-    While a plan is being decided, the newest of each kind waits; those between are superseded and never submitted.
+    While a plan is being decided, the newest of each kind waits; earlier ones are superseded and never submitted.
 
     Args:
-        source: Who the peer is, as the daemon records it.
+        source: Source of the peer's commands in the journal.
         core: The daemon.
-        lock: The plan lock of the peer's host.
-        tasks: Owns what runs.
-        answer: Told how each command ended.
-        refusals: Told of what never gets to the daemon.
+        lock: Plan lock of the peer's host.
+        tasks: Owner of its tasks.
+        answer: Called with the outcome of each command.
+        refusals: Log of commands that are refused before they get to the daemon.
     """
 
     def __init__(
@@ -79,11 +79,11 @@ class Planner:
         self._working = False
 
     def plan(self, kind: Plan, arguments: Callable[[], dict[str, Any]]) -> None:
-        """Begins a plan; never waits.
+        """Begin a plan; never waits.
 
         Args:
-            kind: Which plan.
-            arguments: Gives the operation's arguments, or raises `RefusalError`.
+            kind: Kind of the plan.
+            arguments: Returns the operation's arguments, or raises `RefusalError`.
         """
         self._waiting[kind] = Attempt(self._lock.attempt(kind), arguments)
         if not self._working:
@@ -91,11 +91,11 @@ class Planner:
             self._tasks.spawn(self._work())
 
     def stop(self) -> None:
-        """Stops everything, past whatever waits."""
+        """Stop everything at once, ahead of all that waits."""
         self._tasks.spawn(self._stop())
 
     def halt(self) -> None:
-        """Rejects what waits, as Stop demands."""
+        """Reject the plans that wait, because of Stop."""
         for kind in self._waiting:
             self._answer(self._rejected(".".join(OPERATIONS[kind]), "stopped", "Stop came before it was decided."))
         self._waiting.clear()
@@ -107,7 +107,7 @@ class Planner:
         self._working = False
 
     async def _decide(self, kind: Plan, attempt: Attempt) -> Answer:
-        """Every way a plan can end, as an answer."""
+        """Returns the answer to a plan, however it ends."""
         branch, operation = OPERATIONS[kind]
         name = f"{branch}.{operation}"
         try:

@@ -1,4 +1,4 @@
-"""Plans out of what Slicer sends: checked whole, turned from mm into m, or refused with the reason."""
+"""Plans from messages of Slicer: checked as a whole and converted from mm to m, or refused with the reason."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from pcmrs.devices.plus.messages import rigid
 from pcmrs.errors import RefusalError
 
 NEAREST_MM = 1.0
-"""A target so near to the image's origin is in m by mistake, or a transform that Slicer has just made."""
+"""Limit of a target's distance to the image's origin, mm: a nearer one is in m by mistake, or a new transform."""
 FARTHEST_MM = 1000.0
 SMALLEST_MM = 5.0
-"""Landmarks that all lie within so little of each other are in m by mistake."""
+"""Limit of the extent of all landmarks, mm: smaller ones are in m by mistake."""
 FEWEST, MOST = 3, 100
 
 
 def target(matrix_mm: npt.ArrayLike) -> dict[str, Any]:
-    """Arguments of ``toolplan.plan`` from the matrix (4, 4), mm, of the planned tool in the image.
+    """Return the arguments of ``toolplan.plan`` from the matrix (4, 4), mm, of the planned tool in the image.
 
     Raises:
-        RefusalError: It is no rigid transform, or cannot be in mm.
+        RefusalError: The matrix is not a rigid transform, or cannot be in mm.
     """
     image_from_coil = rigid(matrix_mm)
     _check_near(image_from_coil.translation * 1e3)
@@ -36,10 +36,14 @@ def target(matrix_mm: npt.ArrayLike) -> dict[str, Any]:
 
 
 def landmarks(positions_mm: Sequence[Sequence[float]], names: Sequence[str]) -> dict[str, Any]:
-    """Arguments of ``registration.plan_landmarks`` from points in the image, mm; one without a name gets one.
+    """Return the arguments of ``registration.plan_landmarks``.
+
+    Args:
+        positions_mm: Points in the image, mm, (n, 3).
+        names: Their names; a point with an empty name gets one.
 
     Raises:
-        RefusalError: Too few or too many, a number that is not finite, or they cannot be in mm.
+        RefusalError: There are too few or too many points, a number is not finite, or they cannot be in mm.
     """
     if not FEWEST <= len(positions_mm) <= MOST:
         text = f"{len(positions_mm)} points were sent; a plan has {FEWEST} to {MOST} landmarks."

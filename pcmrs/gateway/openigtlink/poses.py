@@ -1,6 +1,6 @@
-"""The poses that Slicer is shown, by the names that PLUS and SlicerIGT give: ``XToY`` maps X to Y.
+"""Poses for Slicer, under the names of PLUS and SlicerIGT: ``XToY`` maps X to Y.
 
-Image is the image's frame, RAS in Slicer's scene; Tracker, Base (of the robot) and Reference are frames of their own.
+Image is the frame of the image, RAS in Slicer's scene; Tracker, Base (of the robot) and Reference are further frames.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ NAMES = {"coil": "Coil", "pointer": "Pointer", "body_ref": "Reference"}
 
 
 def poses(core: Core) -> dict[str, Transform]:
-    """Name to ``y_from_x``, m, of all that is known at this moment; what is not seen now is left out."""
+    """Return name to ``y_from_x``, m, of all poses that are known now."""
     seen = {NAMES[body]: pose for body, pose in core.seen().items() if body in NAMES}
     found = {f"{name}ToTracker": pose for name, pose in seen.items()}
     reference, body_ref_from_image = seen.get("Reference"), core.registration()

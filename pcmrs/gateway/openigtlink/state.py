@@ -8,7 +8,7 @@ from pcmrs.messages import Snapshot
 
 
 def state_json(snapshot: Snapshot) -> str:
-    """For programs: ``sequence``, ``branches``, ``flags``, ``running``, ``latched``, ``plan``, ``registration``."""
+    """Return JSON: ``sequence``, ``branches``, ``flags``, ``running``, ``latched``, ``plan``, ``registration``."""
     return json.dumps(
         {
             "sequence": snapshot.sequence,
@@ -23,7 +23,7 @@ def state_json(snapshot: Snapshot) -> str:
 
 
 def state_line(snapshot: Snapshot) -> str:
-    """For people: one short line."""
+    """Return one short line for people."""
     parts = [f"{branch} {state}" for branch, state in snapshot.branches.items()]
     parts += [f"running {each.branch}.{each.operation}" for each in snapshot.running]
     return ("LATCHED, " if snapshot.latched else "") + ", ".join(parts)
