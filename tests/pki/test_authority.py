@@ -187,7 +187,7 @@ def test_only_who_is_dialled_has_hosts(authority: Authority, tmp_path: Path, now
 def test_what_is_no_cell_is_given_to_nobody(
     authority: Authority, tmp_path: Path, now: float, cells: tuple[str, ...]
 ) -> None:
-    with pytest.raises(ConfigurationError, match="is no cell"):
+    with pytest.raises(ConfigurationError, match="is not a cell"):
         authority.issue("viewer", "eve", now, cells=cells, into=tmp_path)
     assert authority.identities() == []
 
