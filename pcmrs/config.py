@@ -34,17 +34,17 @@ def as_config(kind: type[S], values: Mapping[str, Any], origin: str = "The confi
         raise ConfigurationError(f"{origin} is wrong: {error}.") from None
 
 
-def overlaid(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+def merge_tables(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     """Both, table by table; where both have a value, that of `over`."""
     both = dict(base)
     for key, value in over.items():
         below = both.get(key)
-        both[key] = overlaid(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
+        both[key] = merge_tables(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
     return both
 
 
 def set_values(values: dict[str, Any], overrides: Sequence[str]) -> None:
-    """Sets single values.
+    """Set single values.
 
     Args:
         values: Set there.

@@ -30,7 +30,7 @@ FAILPOINTS: Final = (
 )
 """In the order in which one command that touches the world passes them."""
 
-OF_GROWTH: Final = ("journal.before_next_file", "journal.after_next_file", "journal.after_next_head")
+ROTATION_FAILPOINTS: Final = ("journal.before_next_file", "journal.after_next_file", "journal.after_next_head")
 """In the order in which a journal that goes on in a new file passes them."""
 
 
@@ -42,13 +42,13 @@ class _Armed:
 
 
 def failpoint(name: str) -> None:
-    """Does nothing, unless this is the place and the time that the process was armed for: then it dies by SIGKILL."""
+    """Do nothing, unless this is the place and the time that the process was armed for: then it dies by SIGKILL."""
     if _armed is not None and _armed.name == name and next(_armed.passes) == _armed.fatal:
         os.kill(os.getpid(), signal.SIGKILL)
 
 
 def arm(text: str) -> None:
-    """Arms this process, as its environment variable PCMRS_FAILPOINT does when it starts.
+    """Arm this process, as its environment variable PCMRS_FAILPOINT does when it starts.
 
     Args:
         text: ``name:N``: dies when it reaches that place for the N-th time, from 1; empty disarms.
@@ -58,8 +58,10 @@ def arm(text: str) -> None:
     """
     global _armed
     name, _, count = text.partition(":")
-    if text and (name not in FAILPOINTS + OF_GROWTH or not (count.isascii() and count.isdigit() and int(count))):
-        known = ", ".join(FAILPOINTS + OF_GROWTH)
+    if text and (
+        name not in FAILPOINTS + ROTATION_FAILPOINTS or not (count.isascii() and count.isdigit() and int(count))
+    ):
+        known = ", ".join(FAILPOINTS + ROTATION_FAILPOINTS)
         raise ConfigurationError(
             f"{VARIABLE}={text} arms nothing: give name:N with N from 1 and one of the names {known}.", value=text
         )

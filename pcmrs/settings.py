@@ -15,7 +15,7 @@ from pcmrs.bus.keys import cell_prefix
 from pcmrs.bus.seal import read_key
 from pcmrs.bus.settings import SECURED
 from pcmrs.clock import SystemClock
-from pcmrs.config import as_config, overlaid, read_file, set_values
+from pcmrs.config import as_config, merge_tables, read_file, set_values
 from pcmrs.console.settings import ConsoleSettings
 from pcmrs.devices.dwell import DwellSettings
 from pcmrs.devices.opening import DRIVERS
@@ -40,7 +40,7 @@ TABLES = ("sim", "kst", "ndi", "plus", "lsl", "trigger", "ros2")
 DWELL = "dwell"
 """The driver of a pointer that is no device: the daemon watches it by the tracker."""
 
-OF_WORKFLOW = frozenset(
+WORKFLOW_TABLES = frozenset(
     {"procedure.body", "procedure.limits", "procedure.registration", "procedure.tool", "procedure.zones", "sim"}
 )
 """Tables whose defaults a workflow may change; patient, calibration and the cell are none of its business."""
@@ -259,7 +259,7 @@ def read_settings(file: Path | None = None, overrides: Sequence[str] = ()) -> Se
     """
     values = _values(file, overrides)
     defaults = _defaults_of(values)
-    settings = as_config(Settings, overlaid(defaults, values))
+    settings = as_config(Settings, merge_tables(defaults, values))
     _check_limits(settings, defaults)
     _check_cell(settings)
     simulated = SIMULATED in settings.drivers()
@@ -309,7 +309,7 @@ def _defaults_of(values: Mapping[str, Any]) -> dict[str, Any]:
     origin = _origin(name)
     as_config(Settings, defaults, origin)
     changed = {*defaults} - {"procedure"} | {f"procedure.{table}" for table in defaults.get("procedure", {})}
-    for table in sorted(changed - OF_WORKFLOW):
+    for table in sorted(changed - WORKFLOW_TABLES):
         text = f"{origin} sets {table}; a workflow may change {', '.join(sorted(OF_WORKFLOW))} only."
         raise ConfigurationError(text, table=table)
     return defaults

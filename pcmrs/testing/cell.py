@@ -16,7 +16,7 @@ from pcmrs.devices.remote import RemoteScene
 from pcmrs.journal import JournalReader, JournalRow
 from pcmrs.planner import Planner
 from pcmrs.service import Ready
-from pcmrs.testing.daemon import device_key, last_words, own_settings, running_daemon
+from pcmrs.testing.daemon import device_key, log_tail, own_settings, running_daemon
 
 QUICK = (
     "cell.rate=5",
@@ -129,5 +129,5 @@ async def open_cell(
         try:
             yield cell
         except Exception as error:
-            error.add_note(f"The daemon's last words: {last_words(log, 12)}")
+            error.add_note(f"The daemon's last words: {log_tail(log, 12)}")
             raise

@@ -15,7 +15,7 @@ SPINS = 50
 
 
 async def settle() -> None:
-    """Lets the event loop run until everything that needs no time has happened."""
+    """Let the event loop run until everything that needs no time has happened."""
     for _ in range(SPINS):
         await asyncio.sleep(0)
 
@@ -51,7 +51,7 @@ class ManualClock:
                     heapq.heapify(self._due)
 
     async def advance(self, seconds: float) -> None:
-        """Moves time, waking whatever falls due, in order, and letting it run before time goes on."""
+        """Move time, waking whatever falls due, in order, and letting it run before time goes on."""
         end = self._now + seconds
         while self._due and self._due[0][0] <= end:
             due, _, wake = heapq.heappop(self._due)

@@ -71,7 +71,7 @@ def serve_command(overrides: Sequence[str]) -> list[str]:
 async def running_daemon(
     overrides: Sequence[str], log: Path, *, prefix: Sequence[str] = (), environment: Mapping[str, str] | None = None
 ) -> AsyncIterator[DaemonProcess]:
-    """Starts a daemon, waits until it is ready, and ends it and its nodes with the context, whatever state it is in.
+    """Start a daemon, wait until it is ready, and end it and its nodes with the context, whatever state it is in.
 
     Args:
         overrides: Settings of the daemon, ``key=value`` each.
@@ -115,7 +115,7 @@ CHILDREN = {"node": b"\0node\0", "world": b"\0pcmrs_sim.process\0", "heart": b"\
 
 
 def processes_of(pid: int) -> list[tuple[str, int]]:
-    """Names and ids of a daemon's process and of its `CHILDREN`."""
+    """Name and ids of a daemon's process and of its `CHILDREN`."""
     found = [("daemon", pid)]
     for child in descendants(pid):
         line = Path(f"/proc/{child}/cmdline").read_bytes()
@@ -134,7 +134,7 @@ def free_port() -> int:
 
 
 async def _end(process: asyncio.subprocess.Process, family: Sequence[int]) -> None:
-    """Ends a daemon that may be stopped, or held by the program that runs it, and what it leaves behind."""
+    """End a daemon that may be stopped, or held by the program that runs it, and what it leaves behind."""
     for pid in (process.pid, *family):
         _send(pid, signal.SIGCONT)
     if process.returncode is None:
@@ -146,7 +146,7 @@ async def _end(process: asyncio.subprocess.Process, family: Sequence[int]) -> No
 
 
 def _is_ours(pid: int) -> bool:
-    """Whether a process is still one of a daemon: its id may have gone to somebody else."""
+    """Return whether a process is still one of a daemon: its id may have gone to somebody else."""
     with suppress(OSError):
         return b"pcmrs" in Path(f"/proc/{pid}/cmdline").read_bytes()
     return False
@@ -164,13 +164,13 @@ async def _ready(process: asyncio.subprocess.Process, log: Path) -> Ready:
             async with asyncio.timeout(START_TIME):
                 line = await process.stdout.readline()
         except TimeoutError:
-            raise DeviceError(f"The daemon was not ready within {START_TIME:g} s: {last_words(log)}") from None
+            raise DeviceError(f"The daemon was not ready within {START_TIME:g} s: {log_tail(log)}") from None
     try:
         return msgspec.json.decode(line, type=Ready)
     except msgspec.MsgspecError:
-        raise DeviceError(f"The daemon did not start: {last_words(log)}") from None
+        raise DeviceError(f"The daemon did not start: {log_tail(log)}") from None
 
 
-def last_words(log: Path, lines: int = 3) -> str:
+def log_tail(log: Path, lines: int = 3) -> str:
     """The end of a log, in one line."""
     return " ".join(log.read_text(errors="replace").splitlines()[-lines:])

@@ -47,18 +47,18 @@ ACKNOWLEDGE = "robot.acknowledge"
 
 
 async def accept(client: Client, name: str, **arguments: object) -> Verdict:
-    """Calls an operation that must be accepted.
+    """Call an operation that must be accepted.
 
     Raises:
         Unmet: It was not.
     """
     verdict = await (client.acknowledge() if name == ACKNOWLEDGE else client.call(name, arguments))
     if verdict.decision != "accepted":
-        raise Unmet(f"{name} was {verdict.decision}: {said(verdict)}")
+        raise Unmet(f"{name} was {verdict.decision}: {reason_text(verdict)}")
     return verdict
 
 
-def said(verdict: Verdict) -> str:
+def reason_text(verdict: Verdict) -> str:
     """Why a command was not accepted."""
     return f"{verdict.reason.code}: {verdict.reason.text}" if verdict.reason is not None else "no reason"
 
@@ -68,8 +68,8 @@ async def state(client: Client, branch: str) -> str:
     return (await client.state()).branches[branch]
 
 
-async def start_anew(client: Client) -> None:
-    """Takes the cell to where a daemon begins, whatever an earlier fault has left.
+async def reset_cell(client: Client) -> None:
+    """Take the cell to where a daemon begins, whatever an earlier fault has left.
 
     Raises:
         Unmet: That was not accepted.
@@ -97,7 +97,7 @@ async def _put_away(client: Client) -> None:
 
 
 async def wait_until_stationary(client: Client) -> None:
-    """Takes the cell out of whatever an earlier fault has left, with the registration as it is.
+    """Take the cell out of whatever an earlier fault has left, with the registration as it is.
 
     Raises:
         Unmet: That was not accepted.
@@ -112,7 +112,7 @@ async def wait_until_stationary(client: Client) -> None:
 
 
 async def connect(client: Client) -> None:
-    """Connects the robot; a virtual cabinet may listen only a moment after the daemon is ready.
+    """Connect the robot; a virtual cabinet may listen only a moment after the daemon is ready.
 
     Raises:
         Unmet: It was not accepted within `PATIENCE`.
@@ -125,19 +125,19 @@ async def connect(client: Client) -> None:
     raise Unmet(f"The robot was not connected within {PATIENCE:g} s.")
 
 
-async def digitized(client: Client) -> None:
-    """Plans the landmarks and digitizes them."""
+async def digitize_landmarks(client: Client) -> None:
+    """Plan the landmarks and digitizes them."""
     await accept(client, "registration.plan_landmarks", **landmarks())
     await accept(client, "digitization.digitize_all")
 
 
 async def register(client: Client) -> None:
-    """Connects the robot, registers the head and plans a pose, as far as that is not done."""
+    """Connect the robot, register the head and plans a pose, as far as that is not done."""
     before = (await client.state()).branches
     if before["robot"] == "0":
         await connect(client)
     if before["registration"] != "111":
-        await digitized(client)
+        await digitize_landmarks(client)
         await accept(client, "registration.register")
     if before["toolplan"] == "0":
         await accept(client, "toolplan.plan", **tool_pose())
@@ -173,12 +173,12 @@ async def to_placed(client: Client) -> None:
 
 
 def showing(**branches: str) -> Callable[[Snapshot], bool]:
-    """Whether a snapshot shows branches in these states, as `until` takes it."""
+    """Return whether a snapshot shows branches in these states, as `until` takes it."""
     return lambda snapshot: branches.items() <= snapshot.branches.items()
 
 
 async def until(client: Client, condition: Callable[[Snapshot], bool], within: float = PATIENCE) -> Snapshot:
-    """Waits for a snapshot of which the condition holds, and returns it.
+    """Wait for a snapshot of which the condition holds, and return it.
 
     Raises:
         Unmet: None came within `within`, s of the machine; the text has the last one.
@@ -231,7 +231,7 @@ async def moving(
 
 
 async def approach_alone(client: Client) -> Verdict:
-    """Registers and approaches while nothing else is asked for: a control.
+    """Register and approaches while nothing else is asked for: a control.
 
     Raises:
         Unmet: The approach was not accepted.
@@ -240,7 +240,7 @@ async def approach_alone(client: Client) -> Verdict:
     async with moving(client) as approach:
         verdict = await approach
     if verdict.decision != "accepted":
-        raise Unmet(f"An approach that nothing disturbs was {verdict.decision}: {said(verdict)}")
+        raise Unmet(f"An approach that nothing disturbs was {verdict.decision}: {reason_text(verdict)}")
     return verdict
 
 

@@ -11,7 +11,7 @@ KEY, PUBLIC_KEY = "journal.key", "journal.pub"
 
 
 def place(files: Mapping[str, bytes], folder: Path) -> Path:
-    """Writes the files into a folder that is made; returns the path of the journal."""
+    """Write the files into a folder that is made; return the path of the journal."""
     folder.mkdir()
     for name, content in files.items():
         (folder / name).write_bytes(content)

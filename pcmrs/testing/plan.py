@@ -26,7 +26,7 @@ def example_plan(workflow: str) -> Path:
 
 
 def read_plan(path: Path) -> Plan:
-    """Reads a plan file.
+    """Read a plan file.
 
     Raises:
         ConfigurationError: It cannot be read or is no plan.

@@ -27,7 +27,7 @@ T = TypeVar("T")
 USER = "tester"
 PATIENCE = 60.0
 """Longest wait, s of the cell."""
-LOOKS = 0.01
+POLL_PERIOD = 0.01
 """A condition that is waited for is looked at after each of these, s of the cell."""
 
 
@@ -106,7 +106,7 @@ class CellInSimulatedTime:
         while not condition(self.snapshot):
             if self.clock.monotonic() > end:
                 raise Unmet(f"It did not come within {within:g} s; shown last: {self.snapshot.branches}.")
-            await self.clock.sleep(LOOKS)
+            await self.clock.sleep(POLL_PERIOD)
         return self.snapshot
 
     async def crash(self) -> None:

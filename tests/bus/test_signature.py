@@ -453,7 +453,7 @@ async def test_stop_needs_no_signature(lab: Lab) -> None:
 async def test_a_renewal_of_the_lease_that_was_long_on_its_way_is_not_the_end_of_it(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pcmrs.client.aio._RENEWED", 0.02)
+    monkeypatch.setattr("pcmrs.client.aio._RENEWAL_PERIOD", 0.02)
     async with opened(lab) as cell, cell.client("tom") as tom, asyncio.timeout(TIMEOUT), tom.holding():
         cell.hold_back(monkeypatch)
         while not cell.refused:  # noqa: ASYNC110  refused as they come
@@ -466,7 +466,7 @@ async def test_a_renewal_of_the_lease_that_was_long_on_its_way_is_not_the_end_of
 
 
 async def test_a_command_that_was_long_on_its_way_is_asked_again(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcmrs.client.aio._ASKED_AGAIN", 0.02)
+    monkeypatch.setattr("pcmrs.client.aio._RETRY_PERIOD", 0.02)
     async with opened(lab) as cell, cell.client("tom") as tom, asyncio.timeout(TIMEOUT), asyncio.TaskGroup() as group:
         cell.hold_back(monkeypatch)
         calling = group.create_task(tom.call("robot.connect"))
@@ -480,7 +480,7 @@ async def test_a_command_that_was_long_on_its_way_is_asked_again(lab: Lab, monke
 async def test_a_refusal_that_comes_after_a_broken_link_does_not_say_that_nothing_has_happened(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("pcmrs.client.aio._ASKED_AGAIN", 0.02)
+    monkeypatch.setattr("pcmrs.client.aio._RETRY_PERIOD", 0.02)
     monkeypatch.setattr("pcmrs.client.aio._TTL", 0.2)
     async with opened(lab) as cell, cell.client("tom") as tom, asyncio.timeout(TIMEOUT), asyncio.TaskGroup() as group:
         cell.answering.clear()
