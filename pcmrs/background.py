@@ -1,4 +1,4 @@
-"""Work that goes on while something else is done."""
+"""Background tasks that last as long as a context."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 
 @asynccontextmanager
 async def background_task(work: Coroutine[Any, Any, object], name: str | None = None) -> AsyncIterator[None]:
-    """Runs `work` as a task for the length of the context, then cancels it and waits for its end.
+    """Run a coroutine as a task for the length of the context, then cancel it and wait for its end.
 
     Args:
-        work: Is not expected to end; if it has failed, leaving raises its error.
-        name: Of the task.
+        work: Coroutine that is not expected to end. If it has failed, leaving the context raises its error.
+        name: Name of the task.
     """
     task = asyncio.create_task(work, name=name)
     try:
