@@ -1,4 +1,4 @@
-"""A token bucket: so many at once, and then so many per second."""
+"""Token bucket: limits a rate, and permits a burst."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from pcmrs.clock import Clock
 
 
 class TokenBucket:
-    """Full at first. From any thread.
+    """A token bucket, full at first. From any thread.
 
     Args:
-        rate_hz: Tokens that come per second.
-        burst: Tokens that it holds at most.
-        clock: The machine's clock.
+        rate_hz: Number of tokens that are added per second.
+        burst: Number of tokens that it holds at most.
+        clock: Clock of the machine.
     """
 
     def __init__(self, rate_hz: float, burst: int, clock: Clock) -> None:
@@ -26,11 +26,11 @@ class TokenBucket:
 
     @property
     def wait(self) -> float:
-        """Until the next token there is, s; 0 where there is one."""
+        """Time until the next token is available, s; 0 if there is one."""
         return max(0.0, 1.0 - self._tokens) / self._rate_hz
 
     def take(self) -> bool:
-        """Takes one token; False when there is none."""
+        """Take one token; return False if there is none."""
         with self._lock:
             now = self._clock.monotonic()
             self._tokens = min(self._burst, self._tokens + (now - self._filled) * self._rate_hz)

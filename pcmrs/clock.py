@@ -1,4 +1,4 @@
-"""The one source of time: every wait, deadline and stamp goes through a `Clock`."""
+"""The only source of time: every wait, deadline and time stamp uses a `Clock`."""
 
 from __future__ import annotations
 
@@ -9,23 +9,27 @@ from typing import Any, Protocol
 
 
 class Clock(Protocol):
-    """Seconds that never jump, the wall's seconds, and waiting."""
+    """Monotonic time, wall time, and waiting."""
 
     def monotonic(self) -> float:
-        """Seconds on a clock that is never set; its zero has no meaning."""
+        """Return the time of a clock that is never set, s; its zero has no meaning."""
 
     def wall(self) -> float:
-        """Unix seconds, for display and records; decides only if a calibration or a signature is too old."""
+        """Return the wall time, Unix seconds.
+
+        It is for display and records. The only decisions that use it are about the age of calibrations, certificates
+        and signed messages.
+        """
 
     async def sleep(self, seconds: float) -> None:
-        """Waits `seconds` of this clock."""
+        """Wait `seconds` of this clock."""
 
     def timeout(self, seconds: float) -> AbstractAsyncContextManager[Any]:
-        """A context that raises `TimeoutError` after `seconds` of this clock."""
+        """Return a context that raises `TimeoutError` after `seconds` of this clock."""
 
 
 class SystemClock:
-    """The machine's clock, run `rate` times as fast for a simulated cell.
+    """The clock of the machine, which runs `rate` times as fast for a simulated cell.
 
     All processes of one machine that use the same rate share the same monotonic time.
 

@@ -1,4 +1,4 @@
-"""Typed configuration: defaults in code, a TOML file over them, single values over that."""
+"""Typed configuration: defaults in code, overridden by a TOML file, overridden by single values."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ S = TypeVar("S", bound=msgspec.Struct)
 
 
 def as_config(kind: type[S], values: Mapping[str, Any], origin: str = "The configuration") -> S:
-    """The values as a configuration.
+    """Convert values to a configuration.
 
     Args:
-        kind: Type of the whole configuration; it holds the defaults.
-        values: What differs from the defaults.
-        origin: How errors call the values.
+        kind: Type of the whole configuration, with the defaults.
+        values: Values that differ from the defaults.
+        origin: Origin of the values, for messages.
 
     Raises:
-        ConfigurationError: A key is unknown, or a value has the wrong type or range or is no finite number; the
-            text says which.
+        ConfigurationError: A key is unknown, or a value has the wrong type or range or is not a finite number; the
+            text names it.
     """
     try:
         _check_finite(values, "")
@@ -34,31 +34,36 @@ def as_config(kind: type[S], values: Mapping[str, Any], origin: str = "The confi
         raise ConfigurationError(f"{origin} is wrong: {error}.") from None
 
 
-def overlaid(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
-    """Both, table by table; where both have a value, that of `over`."""
+def merge_tables(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """Return two tables merged, with their inner tables.
+
+    Args:
+        base: First table.
+        over: Second table; its values replace those of the first.
+    """
     both = dict(base)
     for key, value in over.items():
         below = both.get(key)
-        both[key] = overlaid(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
+        both[key] = merge_tables(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
     return both
 
 
 def set_values(values: dict[str, Any], overrides: Sequence[str]) -> None:
-    """Sets single values.
+    """Set single values.
 
     Args:
-        values: Set there.
-        overrides: ``key=value`` each, such as ``robot.model=iiwa7``; the value is TOML, or plain text.
+        values: Configuration as plain data, which is changed.
+        overrides: Settings, ``key=value`` each, such as ``robot.model=iiwa7``; the value is TOML, or plain text.
 
     Raises:
-        ConfigurationError: One is not of that form, or a key on its way is no table.
+        ConfigurationError: A setting does not have this form, or a key in its path is not a table.
     """
     for override in overrides:
         _set(values, override)
 
 
 def read_file(file: Path) -> dict[str, Any]:
-    """The tables of a TOML file. Raises `ConfigurationError`."""
+    """Read the tables of a TOML file. Raises `ConfigurationError`."""
     try:
         return tomllib.loads(file.read_text())
     except OSError as error:
@@ -89,7 +94,7 @@ def _value(text: str) -> Any:
 
 
 def _check_finite(value: Any, path: str) -> None:
-    """TOML has nan and inf, but no limit or distance may be one: nothing would ever be beyond it."""
+    """Refuse nan and inf, which TOML permits: no value would ever exceed such a limit."""
     if isinstance(value, float) and not math.isfinite(value):
         raise ValueError(f"{path[1:]} is {value}; every number must be finite")
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
@@ -98,6 +103,6 @@ def _check_finite(value: Any, path: str) -> None:
 
 
 def as_table(config: msgspec.Struct) -> Mapping[str, Any]:
-    """The configuration as plain data, as files and drivers read it."""
+    """Return a configuration as plain data, as files and drivers read it."""
     table: dict[str, Any] = msgspec.to_builtins(config)
     return table

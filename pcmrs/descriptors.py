@@ -1,4 +1,4 @@
-"""Descriptors of the process: enough of them that Stop finds one, whatever others hold."""
+"""File descriptors of the process: enough of them that one is always left for Stop."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ import resource
 from typing import Final
 
 NEEDED: Final = 4096
-"""The links take 40 connections, the bus 1,000 sessions and 100 more that say nothing yet; the rest is reserved."""
+"""Number of descriptors.
+
+The links accept 40 connections, the bus 1,000 sessions and 100 more that have sent nothing yet; the rest is reserved.
+"""
 
 
 def reserve() -> None:
-    """Raises the limit of this process to `NEEDED`, as far as it may; child processes inherit it."""
+    """Raise the limit of this process to `NEEDED`, or as far as permitted; child processes inherit it."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     most = NEEDED if hard == resource.RLIM_INFINITY else min(NEEDED, hard)
     if soft != resource.RLIM_INFINITY and soft < most:

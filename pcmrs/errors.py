@@ -1,4 +1,4 @@
-"""The error tree: every refusal says what, which value, which limit and what to do."""
+"""The error tree: every refusal names what happened, the value, the limit and what to do."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ class PcmrsError(Exception):
 
     Attributes:
         code: Stable snake_case name that programs may match on.
-        text: One readable sentence or two: what, which value, which limit, what to do.
-        fields: The values named in the text, as data.
+        text: One or two sentences: what happened, the value, the limit, what to do.
+        fields: Values in the text, as data.
     """
 
     code: ClassVar[str] = "error"
@@ -35,12 +35,12 @@ class BlueprintError(PcmrsError):
 
 
 class RefusalError(PcmrsError):
-    """A check or a step says no; the dispatcher turns it into a verdict, never a traceback.
+    """A check or a step refuses a command; the dispatcher turns this into a verdict, never a traceback.
 
     Args:
-        refusal_code: The reason's code in the verdict, such as ``residual_too_large``.
-        text: What, which value, which limit, what to do.
-        **fields: The values named in the text.
+        refusal_code: Code of the reason in the verdict, such as ``residual_too_large``.
+        text: One or two sentences: what happened, the value, the limit, what to do.
+        **fields: Values in the text, as data.
     """
 
     code = "refused"
@@ -51,7 +51,7 @@ class RefusalError(PcmrsError):
 
 
 class UnknownOutcomeError(PcmrsError):
-    """Nobody can say whether the action happened: the device is silent or gone. Never retried."""
+    """It is unknown whether the action happened, because the device is silent or gone. Never retried."""
 
     code = "outcome_unknown"
 
@@ -63,7 +63,7 @@ class DeviceError(PcmrsError):
 
 
 class DeviceRefusedError(DeviceError):
-    """A device answered that it does not do what it was told; nothing happened."""
+    """A device refused a command; nothing happened."""
 
     code = "device_refused"
 
@@ -81,35 +81,38 @@ class BusError(PcmrsError):
 
 
 class PayloadError(PcmrsError):
-    """Bytes on an edge of the system do not hold what their key or command promises."""
+    """Bytes on an edge of the system do not have the form that their key or command requires."""
 
     code = "malformed"
 
 
 class SealError(PcmrsError):
-    """A message between daemon and device nodes was not sealed by one of them; the field ``why`` says what is wrong."""
+    """A message between daemon and device nodes has no valid seal.
+
+    The field ``why`` is ``unsealed``, ``forged`` or ``repeated``.
+    """
 
     code = "not_sealed"
 
 
 class AccessError(PcmrsError):
-    """Somebody may not take part in this cell, or a message in their name is not theirs, by all that can be seen.
+    """A user may not take part in this cell, or a message in the name of a user is not proved to be theirs.
 
-    The field ``why`` is ``unknown``, ``revoked``, ``expired`` or ``foreign`` for who may not take part; ``unsigned``,
-    ``forged``, ``certificate``, ``old``, ``ahead`` or ``repeated`` for the signature of a message.
+    The field ``why`` is ``unknown``, ``revoked``, ``expired`` or ``foreign`` for a user who may not take part;
+    ``unsigned``, ``forged``, ``certificate``, ``old``, ``ahead`` or ``repeated`` for the signature of a message.
     """
 
     code = "access_denied"
 
 
 class CommandRefusedError(PcmrsError):
-    """The daemon did not accept a planner's command; the field ``verdict`` says why."""
+    """The daemon did not accept a command; the field ``verdict`` holds the reason."""
 
     code = "command_refused"
 
 
 class FileFormatError(PcmrsError):
-    """A file of other software cannot be read, or does not hold what its kind promises; file and key are named."""
+    """A file of other software cannot be read, or does not fit its format; the text names file and key."""
 
     code = "bad_file"
 
@@ -127,43 +130,43 @@ class SupervisionError(PcmrsError):
 
 
 class ReplayError(PcmrsError):
-    """A journal cannot be replayed by this program; file, row and what is missing are named."""
+    """This program cannot replay a journal; the text names the file, the row and what is missing."""
 
     code = "not_replayable"
 
 
 class ReentrancyError(PcmrsError):
-    """An operation awaited its own dispatcher, which would wait for itself for ever."""
+    """An operation awaited its own dispatcher, which would be a deadlock."""
 
     code = "reentrant"
 
 
 class GeometryError(PcmrsError):
-    """Numbers that are no pose, no rotation, or too degenerate to compute with."""
+    """Numbers are not a pose or a rotation, or are too degenerate to compute with."""
 
     code = "bad_geometry"
 
 
 class MissingTransformError(GeometryError):
-    """No chain of known transforms joins two frames."""
+    """No chain of known transforms connects two frames."""
 
     code = "missing_transform"
 
 
 class DegeneratePointsError(GeometryError):
-    """Points that do not fix a rigid transform: too few, coincident or on one line."""
+    """Points do not determine a rigid transform: they are too few, coincident or on one line."""
 
     code = "degenerate_points"
 
 
 class DegenerateMotionError(GeometryError):
-    """Poses that do not fix a calibration: too few, or turned about one axis only."""
+    """Poses do not determine a calibration: they are too few, or rotated about one axis only."""
 
     code = "degenerate_motion"
 
 
 class MirroredPointsError(GeometryError):
-    """Paired points of which one set is the mirror image of the other: no rotation maps them."""
+    """One set of paired points is the mirror image of the other, so no rotation maps them."""
 
     code = "mirrored"
 

@@ -1,4 +1,4 @@
-"""Extras of the distribution: the base install has the client, the command line and the state machines."""
+"""Extras of the distribution: the base install holds the client, the command line and the state machines."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
     "teleop": ("evdev",),
     "ros2": ("pycdr2",),
 }
-"""Name of an extra to the modules that it brings and that are imported."""
+"""Imported modules of each extra."""
 
 POSIX: Final = frozenset({"fcntl", "grp", "pty", "pwd", "resource", "termios", "tty"})
 """Modules of the standard library that Windows does not have."""
 
 
 def missing_module(error: ModuleNotFoundError) -> ConfigurationError | None:
-    """Return the error that says what to do about a missing module; None if it belongs to no extra."""
+    """Return an error that names the extra of a missing module; None if it belongs to no extra."""
     module = (error.name or "").partition(".")[0]
     if module in POSIX:
         text = f"This needs {module}, which Windows does not have: run it on Linux."

@@ -1,4 +1,4 @@
-"""Places in the program at which a test has its process killed, to see what a crash there leaves behind."""
+"""Failpoints: places in the program at which a test kills the process, to check what a crash there leaves behind."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Final
 from pcmrs.errors import ConfigurationError
 
 VARIABLE: Final = "PCMRS_FAILPOINT"
+"""Environment variable that arms a failpoint."""
 
 FAILPOINTS: Final = (
     "journal.before_begin",
@@ -28,10 +29,10 @@ FAILPOINTS: Final = (
     "dispatcher.before_reply",
     "service.before_publish",
 )
-"""In the order in which one command that touches the world passes them."""
+"""Failpoints in the order in which one command with side effects passes them."""
 
-OF_GROWTH: Final = ("journal.before_next_file", "journal.after_next_file", "journal.after_next_head")
-"""In the order in which a journal that goes on in a new file passes them."""
+ROTATION_FAILPOINTS: Final = ("journal.before_next_file", "journal.after_next_file", "journal.after_next_head")
+"""Failpoints in the order in which a journal that continues in a new file passes them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,24 +43,26 @@ class _Armed:
 
 
 def failpoint(name: str) -> None:
-    """Does nothing, unless this is the place and the time that the process was armed for: then it dies by SIGKILL."""
+    """Kill the process by SIGKILL if it is armed for this failpoint and this pass; do nothing otherwise."""
     if _armed is not None and _armed.name == name and next(_armed.passes) == _armed.fatal:
         os.kill(os.getpid(), signal.SIGKILL)
 
 
 def arm(text: str) -> None:
-    """Arms this process, as its environment variable PCMRS_FAILPOINT does when it starts.
+    """Arm this process, like the environment variable PCMRS_FAILPOINT at its start.
 
     Args:
-        text: ``name:N``: dies when it reaches that place for the N-th time, from 1; empty disarms.
+        text: ``name:N``: the process dies when it passes that failpoint for the N-th time, from 1. Empty disarms.
 
     Raises:
-        ConfigurationError: There is no such place, or N is no count.
+        ConfigurationError: There is no such failpoint, or N is not a positive integer.
     """
     global _armed
     name, _, count = text.partition(":")
-    if text and (name not in FAILPOINTS + OF_GROWTH or not (count.isascii() and count.isdigit() and int(count))):
-        known = ", ".join(FAILPOINTS + OF_GROWTH)
+    if text and (
+        name not in FAILPOINTS + ROTATION_FAILPOINTS or not (count.isascii() and count.isdigit() and int(count))
+    ):
+        known = ", ".join(FAILPOINTS + ROTATION_FAILPOINTS)
         raise ConfigurationError(
             f"{VARIABLE}={text} arms nothing: give name:N with N from 1 and one of the names {known}.", value=text
         )

@@ -1,4 +1,4 @@
-"""Files that a power cut leaves either as they were or whole, and secrets that nobody but their owner may read."""
+"""Durable files, which a power cut leaves either unchanged or whole, and secrets that only their owner can read."""
 
 from __future__ import annotations
 
@@ -12,12 +12,22 @@ from pcmrs.errors import ConfigurationError
 SECRET: Final = 0o600
 """Mode of a file that holds a secret."""
 OWN: Final = 0o700
-"""Mode of a folder that only its owner may look into."""
+"""Mode of a folder that only its owner can enter."""
 _LONGEST: Final = 64 * 1024
+"""Longest secret, bytes."""
 
 
 def write_durably(path: Path, content: bytes, *, mode: int) -> None:
-    """Writes a whole file under its name only when the disk has it. Raises `OSError`."""
+    """Write a file that gets its name only once its whole content is on the disk.
+
+    Args:
+        path: Path of the file.
+        content: Whole content.
+        mode: Mode of the file, such as `SECRET`.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
     part = path.with_name(path.name + ".part")
     part.unlink(missing_ok=True)
     descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
@@ -31,10 +41,10 @@ def write_durably(path: Path, content: bytes, *, mode: int) -> None:
 
 
 def make_private(folder: Path) -> None:
-    """Make a folder that only its owner may look into; one that is there and open to others is closed to them.
+    """Make a folder that only its owner can enter; an existing folder is closed to others.
 
     Raises:
-        OSError: It cannot be made, or its rights cannot be changed.
+        OSError: The folder cannot be made, or its mode cannot be changed.
     """
     folder.mkdir(mode=OWN, parents=True, exist_ok=True)
     if folder.stat().st_mode & 0o777 & ~OWN:
@@ -42,7 +52,15 @@ def make_private(folder: Path) -> None:
 
 
 def publish(part: Path, path: Path) -> None:
-    """Gives a file its name once the disk has it as a whole. Raises `OSError`."""
+    """Give a file its name once its whole content is on the disk.
+
+    Args:
+        part: Path of the written file.
+        path: Path that it gets; in the same folder.
+
+    Raises:
+        OSError: The disk refuses.
+    """
     _sync(part)
     part.replace(path)
     _sync(path.parent)
@@ -57,11 +75,11 @@ def _sync(path: Path) -> None:
 
 
 def read_secret(path: Path) -> bytes:
-    """Reads a secret, and looks at the file that it has read: nobody can exchange it in between.
+    """Read a secret, and check the mode of the opened file, which cannot be exchanged in between.
 
     Raises:
-        ConfigurationError: Others than its owner may use it.
-        OSError: It cannot be read.
+        ConfigurationError: Others than its owner can use the file.
+        OSError: The file cannot be read.
     """
     with path.open("rb") as file:
         status = os.fstat(file.fileno())
@@ -70,7 +88,7 @@ def read_secret(path: Path) -> bytes:
     if mode & 0o077 and not _is_credential(path, status):
         raise ConfigurationError(
             f"{path} has mode {mode:04o}: others than its owner may use this key. The limit is {SECRET:04o}: "
-            f"chmod 600 {path}, and make a new key if somebody may have copied it.",
+            f"chmod 600 {path}, and make a new key if someone may have copied it.",
             file=str(path),
             mode=f"{mode:04o}",
             limit=f"{SECRET:04o}",
@@ -79,19 +97,19 @@ def read_secret(path: Path) -> bytes:
 
 
 def _is_credential(path: Path, status: os.stat_result) -> bool:
-    """Whether a service manager hands the secret over, by an access list that shows as the group's right to read."""
+    """Return True if a service manager provides the secret; its access list shows as the group's right to read."""
     folder = os.environ.get("CREDENTIALS_DIRECTORY")
     handed_over = status.st_uid == 0 and status.st_mode & 0o777 == 0o440
     return handed_over and folder is not None and path.parent == Path(folder)
 
 
 def settle_on_disk(paths: Iterable[Path]) -> None:
-    """Has the disk take what it has not, and the next read of these files come from the disk.
+    """Write files to the disk, and drop them from the page cache, so that the next read comes from the disk.
 
-    After a failed fsync the kernel takes what was lost for written: only what is read from the disk is there.
+    After a failed fsync the kernel treats lost pages as written, so only data that is read from the disk is safe.
 
     Raises:
-        OSError: A file that is there cannot be opened, or still not be written.
+        OSError: An existing file cannot be opened, or still cannot be written.
     """
     for path in paths:
         if not path.exists():

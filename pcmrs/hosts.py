@@ -1,4 +1,4 @@
-"""Addresses of this machine, and of others."""
+"""Host addresses."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import ipaddress
 
 
 def is_loopback(host: str) -> bool:
-    """Whether `host` is an IP address of this machine's loopback."""
+    """Return True if `host` is a loopback IP address."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

@@ -1,4 +1,4 @@
-"""The end of a child process that nobody listens to any more."""
+"""Ending of a child process whose output nobody reads any more."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import asyncio
 from contextlib import suppress
 
 
-async def killed(process: asyncio.subprocess.Process) -> int:
-    """Kills a child process that may have ended, waits for its end, and returns its exit status.
+async def kill_and_wait(process: asyncio.subprocess.Process) -> int:
+    """Kill a child process that may have ended, wait for its end, and return its exit status.
 
-    What it had written and nobody has read is thrown away. `Process.wait` alone would never return where that is more
-    than a stream holds: it waits until the pipe is closed, and a stream that is full reads no further.
+    Unread output is discarded. `Process.wait` alone would never return if there is more of it than a stream holds: it
+    waits until the pipe is closed, and a full stream stops reading.
     """
     with suppress(ProcessLookupError):
         process.kill()

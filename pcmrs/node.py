@@ -20,7 +20,7 @@ from pcmrs.settings import Settings
 from pcmrs.threads import Priority, RealTime, Threads, keep_pauses_short
 
 ACTING = frozenset({"robot", "stimulator"})
-"""Devices that somebody must be able to stop at any time."""
+"""Devices that must be able to stop at any time."""
 
 
 async def serve_devices(
@@ -32,19 +32,19 @@ async def serve_devices(
     *,
     lifeline: bool,
 ) -> None:
-    """Serves `devices` with `driver` until SIGTERM or SIGINT.
+    """Serve devices until SIGTERM or SIGINT.
 
     Args:
-        settings: The cell's configuration.
-        driver: Name of their driver.
-        devices: Devices to serve.
-        opening: Opens them; see `pcmrs.devices.opening.open_driver`.
-        device_key: With which daemon and nodes seal what they send each other.
-        lifeline: Also ends when standard input ends: with the daemon that started this process.
+        settings: Configuration of the cell.
+        driver: Name of the driver.
+        devices: Names of the devices to serve.
+        opening: Context that opens them; see `pcmrs.devices.opening.open_driver`.
+        device_key: Key with which daemon and nodes seal their messages.
+        lifeline: True to end when standard input ends, too: with the daemon that started this process.
 
     Raises:
         BusError: The daemon does not answer.
-        ConfigurationError: The driver refuses its settings, or its devices lack what a node asks of them.
+        ConfigurationError: The driver refuses its settings, or a device lacks a method of its protocol.
         DeviceError: The driver has failed for good.
     """
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
@@ -78,7 +78,7 @@ async def serve_devices(
 
 
 def when_input_ends(act: Callable[[], None]) -> None:
-    """Calls `act` once when standard input ends, or anything more arrives on it."""
+    """Call `act` once when standard input ends, or when more data arrives on it."""
     loop, descriptor = asyncio.get_running_loop(), sys.stdin.fileno()
 
     def readable() -> None:

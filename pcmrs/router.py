@@ -1,4 +1,4 @@
-"""A router in the middle: cells and people dial it, and it carries what the register lets them do."""
+"""A router between cells and people: both connect to it, and it carries the messages that the register permits."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from pcmrs.pki import check_registered, read_credentials, read_register
 
 
 def router_settings(identity: Path, register: Path, listen: Sequence[str]) -> BusSettings:
-    """How a router joins the bus: with certificates only, and without a place for its own machine.
+    """Return the bus settings of a router: with certificates only, and without an endpoint on loopback.
 
     Args:
-        identity: Folder that the authority has issued for it.
-        register: Everybody who may take part.
-        listen: Endpoints, such as ``tls/0.0.0.0:7449``.
+        identity: Folder of the identity that the authority has issued for the router.
+        register: File of the register: everyone who may take part.
+        listen: Endpoints at which it listens, such as ``tls/0.0.0.0:7449``.
 
     Raises:
         ConfigurationError: Identity or register cannot be used.
@@ -31,11 +31,11 @@ def router_settings(identity: Path, register: Path, listen: Sequence[str]) -> Bu
 
 @asynccontextmanager
 async def routing(settings: BusSettings) -> AsyncIterator[None]:
-    """Carries messages for the length of the block.
+    """Carry messages for the length of the block.
 
     Raises:
-        BusError: It cannot listen.
-        ConfigurationError: An endpoint is not one with certificates.
+        BusError: The router cannot listen.
+        ConfigurationError: An endpoint has no certificates.
     """
     loop = asyncio.get_running_loop()
     session = await loop.run_in_executor(None, open_session, settings)

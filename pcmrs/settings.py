@@ -1,4 +1,4 @@
-"""The whole configuration of one cell: what `pcmrs-serve` and the device nodes read."""
+"""The whole configuration of one cell, which `pcmrs-serve` and the device nodes read."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pcmrs.bus.keys import cell_prefix
 from pcmrs.bus.seal import read_key
 from pcmrs.bus.settings import SECURED
 from pcmrs.clock import SystemClock
-from pcmrs.config import as_config, overlaid, read_file, set_values
+from pcmrs.config import as_config, merge_tables, read_file, set_values
 from pcmrs.console.settings import ConsoleSettings
 from pcmrs.devices.dwell import DwellSettings
 from pcmrs.devices.opening import DRIVERS
@@ -30,20 +30,20 @@ from pcmrs.workflows import find_workflow, read_workflow
 from pcmrs.workflows.settings import ProcedureSettings
 
 DRIVER_SETTINGS = "pcmrs.driver_settings"
-SIMULATIONS = "pcmrs.simulations"
+"""Group of the entry points that name the settings of drivers."""
 SIMULATED = "sim"
-"""Driver of the simulated cell, which another distribution brings."""
-"""Drivers that open their devices in the process that asks, as simulated time needs it."""
+"""Driver of the simulated cell, which the distribution pcmrs-sim provides."""
 DEVICES = ("robot", "tracker", "pointer", "scene", "stimulator", "emg")
+"""Names of all devices."""
 TABLES = ("sim", "kst", "ndi", "plus", "lsl", "trigger", "ros2")
-"""Drivers that have a table of their own."""
+"""Drivers that have their own table."""
 DWELL = "dwell"
-"""The driver of a pointer that is no device: the daemon watches it by the tracker."""
+"""Driver of a pointer without electronics: the daemon watches it with the tracker."""
 
-OF_WORKFLOW = frozenset(
+WORKFLOW_TABLES = frozenset(
     {"procedure.body", "procedure.limits", "procedure.registration", "procedure.tool", "procedure.zones", "sim"}
 )
-"""Tables whose defaults a workflow may change; patient, calibration and the cell are none of its business."""
+"""Tables whose defaults a workflow may change; it may not change patient, calibration and cell."""
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -51,14 +51,14 @@ class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CellSettings(Table, frozen=True, forbid_unknown_fields=True):
-    """Which cell this is.
+    """Name, endpoint and folder of the cell.
 
     Attributes:
-        site: First part of its name on the bus.
-        name: Second part.
-        endpoint: Where the daemon's bus router listens.
+        site: First part of the cell's name on the bus.
+        name: Second part of the cell's name on the bus.
+        endpoint: Endpoint at which the daemon's bus router listens.
         rate: Seconds of the cell per second of the machine; more than 1 only with simulated devices.
-        folder: Where journal and records are kept; empty for ``pcmrs/<site>-<name>`` in the user's state folder.
+        folder: Folder of journal and records; empty for ``pcmrs/<site>-<name>`` in the user's state folder.
     """
 
     site: str = "lab"
@@ -68,41 +68,42 @@ class CellSettings(Table, frozen=True, forbid_unknown_fields=True):
     folder: str = ""
 
     def path(self) -> Path:
-        """The folder as a path."""
+        """Return the path of the folder."""
         if self.folder:
             return Path(self.folder).expanduser()
         state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
         return Path(state) / "pcmrs" / f"{self.site}-{self.name}"
 
     def journal(self, workflow: str) -> Path:
-        """The journal of the workflow whose blueprint has this id."""
+        """Return the path of a workflow's journal; `workflow` is the id of its blueprint."""
         return self.path() / f"{workflow}.sqlite"
 
 
 class DeviceSettings(Table, frozen=True, forbid_unknown_fields=True):
-    """Which driver serves a device; ``none`` where another machine runs its node, or there is no such device."""
+    """Driver of a device; ``none`` if another machine runs its node, or if there is no such device."""
 
     driver: str = "sim"
 
 
 class PointerSettings(DeviceSettings, frozen=True, forbid_unknown_fields=True):
-    """The pointer; its driver ``dwell`` needs no device: a touch is a tip that the tracker sees held still.
+    """The pointer; its driver ``dwell`` needs no device: the tip touches where the tracker sees it held still.
 
     Attributes:
-        dwell: How still and how long.
+        dwell: Conditions of a touch.
     """
 
     dwell: DwellSettings = DwellSettings()
 
 
 class RobotSettings(DeviceSettings, frozen=True, forbid_unknown_fields=True):
-    """The arm: its driver and its model, a name of `find_arm` or the path of a URDF file.
+    """The arm.
 
     Attributes:
-        force_limit: The driver stops the arm when the force on the tool exceeds this, N.
-        relief_mm: Before that it draws the tool back along its axis by so much at most, to relieve the force.
-        deadman: Its node holds the moving arm by itself when it has not heard the daemon for so long, s of the machine;
-            a servo session ends so long after its last set point.
+        model: Name of a model (`find_arm`), or path of a URDF file.
+        force_limit: Force on the tool above which the driver stops the arm, N.
+        relief_mm: Longest travel by which the driver first draws the tool back along its axis to relieve the force, mm.
+        deadman: Time without a heartbeat of the daemon after which the node holds the moving arm by itself, s of the
+            machine; also the time after its last set point at which a servo session ends.
     """
 
     model: str = "iiwa14"
@@ -112,16 +113,16 @@ class RobotSettings(DeviceSettings, frozen=True, forbid_unknown_fields=True):
 
 
 class AccessSettings(Table, frozen=True, forbid_unknown_fields=True):
-    """Who may reach the cell from other machines: nobody, unless it has an identity.
+    """Access to the cell from other machines; there is none without an identity.
 
     Attributes:
-        identity: Folder that ``pcmrs pki issue`` has made for this process; empty: this machine only.
-        register: Copy of the authority's register: everybody who may take part, with role and cells.
-        listen: Endpoints at which others dial this cell, such as ``tls/0.0.0.0:7448``.
-        routers: Routers that this cell dials, such as ``tls/router.example.org:7449``.
-        device_key: File with the key that daemon and device nodes of other machines share, as ``pcmrs pki device-key``
-            makes it; empty: the daemon makes a new one at each start, for the nodes that it starts itself.
-        lease_s: Whoever holds the cell from elsewhere and is not heard for so long does not hold it any more, s.
+        identity: Folder that ``pcmrs pki issue`` has made for this process; empty for this machine only.
+        register: Copy of the authority's register: everyone who may take part, with role and cells.
+        listen: Endpoints at which others connect to this cell, such as ``tls/0.0.0.0:7448``.
+        routers: Routers that this cell connects to, such as ``tls/router.example.org:7449``.
+        device_key: File of the key that daemon and device nodes of other machines share, made by ``pcmrs pki
+            device-key``. Empty: the daemon makes a new key at each start, for the nodes that it starts itself.
+        lease_s: Time without a renewal after which a remote holder loses the cell, s.
     """
 
     identity: str = ""
@@ -133,19 +134,19 @@ class AccessSettings(Table, frozen=True, forbid_unknown_fields=True):
 
     @property
     def is_open(self) -> bool:
-        """True if others than this machine may reach the cell: then somebody has to hold it."""
+        """True if other machines may reach the cell: then a user has to hold it."""
         return bool(self.identity)
 
     def credentials(self) -> Credentials | None:
-        """The identity, looked at and found usable; None without one. Raises `ConfigurationError`."""
+        """Read and check the identity; None if none is configured. Raises `ConfigurationError`."""
         return read_credentials(Path(self.identity), SystemClock().wall()) if self.identity else None
 
     def read_device_key(self) -> bytes | None:
-        """The key in the file `device_key`; None where none is configured. Raises `ConfigurationError`."""
+        """Read the key in the file `device_key`; None if none is configured. Raises `ConfigurationError`."""
         return read_key(Path(self.device_key)) if self.device_key else None
 
     def members(self) -> tuple[Identity, ...]:
-        """Everybody in the register. Raises `ConfigurationError`."""
+        """Read the register. Raises `ConfigurationError`."""
         return tuple(read_register(Path(self.register))) if self.register else ()
 
 
@@ -153,10 +154,11 @@ class JournalSettings(Table, frozen=True, forbid_unknown_fields=True):
     """The journal.
 
     Attributes:
-        durable: Without it decisions survive a kill but not a power cut: for benchmarks.
-        largest_mb: Beyond this size the journal goes on in a new file, MB.
-        warn_free_mb: With less free space on its disk the daemon warns, MB.
-        least_free_mb: With less it accepts no state change any more; Stop, events and what runs still have room, MB.
+        durable: If False, decisions survive a kill but not a power cut: for benchmarks.
+        largest_mb: Size beyond which the journal continues in a new file, MB.
+        warn_free_mb: Free space on its disk below which the daemon warns, MB.
+        least_free_mb: Free space below which no state change is accepted any more, MB. There is still room for Stop,
+            events and running operations.
     """
 
     durable: bool = True
@@ -169,7 +171,7 @@ class MetricsSettings(Table, frozen=True, forbid_unknown_fields=True):
     """Metrics for Prometheus over HTTP, on loopback only.
 
     Attributes:
-        port: Where they are served, 0 takes a free one; none are served without it.
+        port: TCP port; 0 for a free one. None: no metrics are served.
     """
 
     port: Annotated[int, msgspec.Meta(ge=0, le=65535)] | None = None
@@ -180,7 +182,7 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         workflow: Name of a workflow, or path of its blueprint: ``something.toml``.
-        sim: Read by the simulated devices; so are the tables of the other drivers by theirs.
+        sim: Table of the simulated devices. The tables of the other drivers follow it.
     """
 
     workflow: str = "ratms"
@@ -207,7 +209,7 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
     ros2: dict[str, Any] = {}
 
     def drivers(self) -> dict[str, list[str]]:
-        """Driver name to the devices its node serves, without those that another machine serves."""
+        """Return the devices that each driver's node serves, without those that another machine serves."""
         found: dict[str, list[str]] = {}
         for device in DEVICES:
             driver = getattr(self, device).driver
@@ -216,10 +218,10 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
         return found
 
     def bus(self, mode: str) -> BusSettings:
-        """How a process of this cell joins the bus: the daemon as ``router``, others as ``client``.
+        """Return the bus settings of a process: `mode` is ``router`` for the daemon, ``client`` for others.
 
         Raises:
-            ConfigurationError: Its identity, or the register, cannot be used.
+            ConfigurationError: The identity or the register cannot be used.
         """
         cell, access = self.cell, self.access
         on_site = mode == "client" and not cell.endpoint.startswith(SECURED)
@@ -236,11 +238,11 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
 
 
 class Inherited(msgspec.Struct, frozen=True, kw_only=True):
-    """What a child process of the daemon gets on its standard input, as one line of JSON.
+    """Data that a child process of the daemon gets on its standard input, as one line of JSON.
 
     Attributes:
-        settings: Of the daemon.
-        device_key: With which daemon and nodes seal what they send; empty for a child that only reads.
+        settings: Settings of the daemon.
+        device_key: Key with which daemon and nodes seal their messages; empty for a child that only reads.
     """
 
     settings: Settings
@@ -248,23 +250,23 @@ class Inherited(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def read_settings(file: Path | None = None, overrides: Sequence[str] = ()) -> Settings:
-    """Read and check the whole configuration: what the workflow changes in the defaults, the file, single values.
+    """Read and check the whole configuration: defaults of the workflow, overridden by a file and by single values.
 
     Args:
         file: TOML file; the path of a workflow, an arm or a calibration in it is relative to its folder.
-        overrides: ``key=value`` each; such a path there is relative to the working directory.
+        overrides: Settings, ``key=value`` each; such a path there is relative to the working directory.
 
     Raises:
-        ConfigurationError: A key is unknown or a value cannot be used; the text says which and what to do.
+        ConfigurationError: A key is unknown or a value cannot be used; the text names it and what to do.
     """
     values = _values(file, overrides)
     defaults = _defaults_of(values)
-    settings = as_config(Settings, overlaid(defaults, values))
+    settings = as_config(Settings, merge_tables(defaults, values))
     _check_limits(settings, defaults)
     _check_cell(settings)
     simulated = SIMULATED in settings.drivers()
     if not simulated and SIMULATED not in values:
-        # What the workflow says of a simulation does not matter where there is none; nor need it be installed.
+        # Without a simulation its defaults in the workflow are not used, and it need not be installed.
         settings = msgspec.structs.replace(settings, sim={})
     if simulated:
         _check_driver_tables({SIMULATED: defaults.get(SIMULATED, {})}, f" in {_origin(settings.workflow)}")
@@ -284,7 +286,7 @@ def _values(file: Path | None, overrides: Sequence[str]) -> dict[str, Any]:
 
 
 def _resolve_paths(values: dict[str, Any], folder: Path) -> None:
-    """Make the paths of a workflow, an arm, of calibrations and of secrets absolute; an absolute one stays."""
+    """Make the paths of a workflow, an arm, calibrations and secrets absolute, relative to `folder`."""
     procedure = values.get("procedure")
     calibration = procedure.get("calibration") if isinstance(procedure, dict) else None
     access = values.get("access")
@@ -301,16 +303,16 @@ def _resolve_paths(values: dict[str, Any], folder: Path) -> None:
 
 
 def _defaults_of(values: Mapping[str, Any]) -> dict[str, Any]:
-    """What the workflow changes in the defaults, checked by itself so that errors name its blueprint."""
+    """Return the workflow's defaults, checked separately so that errors name its blueprint."""
     name = values.get("workflow", Settings().workflow)
     if not isinstance(name, str):
-        return {}  # refused with all the other values
+        return {}  # refused later, with the other values
     defaults = read_workflow(name).defaults
     origin = _origin(name)
     as_config(Settings, defaults, origin)
     changed = {*defaults} - {"procedure"} | {f"procedure.{table}" for table in defaults.get("procedure", {})}
-    for table in sorted(changed - OF_WORKFLOW):
-        text = f"{origin} sets {table}; a workflow may change {', '.join(sorted(OF_WORKFLOW))} only."
+    for table in sorted(changed - WORKFLOW_TABLES):
+        text = f"{origin} sets {table}; a workflow may change {', '.join(sorted(WORKFLOW_TABLES))} only."
         raise ConfigurationError(text, table=table)
     return defaults
 
@@ -322,12 +324,12 @@ def _origin(workflow: str) -> str:
 def _check_limits(settings: Settings, defaults: Mapping[str, Any]) -> None:
     known = defaults.get("procedure", {}).get("limits", {})
     for name in sorted(settings.procedure.limits.keys() - known):
-        text = f"procedure.limits.{name} is no limit of {settings.workflow}; it has {', '.join(known) or 'none'}."
+        text = f"procedure.limits.{name} is not a limit of {settings.workflow}; it has {', '.join(known) or 'none'}."
         raise ConfigurationError(text, limit=name)
 
 
 def _check_cell(settings: Settings) -> None:
-    """Name, arm and drivers: what the types alone do not refuse."""
+    """Check name, arm and drivers, beyond what the types check."""
     try:
         cell_prefix(settings.cell.site, settings.cell.name)
     except PayloadError as error:
@@ -360,18 +362,18 @@ def _check_access(access: AccessSettings) -> None:
 def _check_dwell(settings: Settings) -> None:
     wrong = [device for device in DEVICES if device != "pointer" and getattr(settings, device).driver == DWELL]
     if wrong:
-        text = f"The driver {DWELL!r} is one of the pointer, not of {', '.join(wrong)}; choose another one there."
+        text = f"The driver {DWELL!r} serves the pointer, not {', '.join(wrong)}; choose another driver there."
         raise ConfigurationError(text, devices=wrong)
 
 
 def _check_home(home: tuple[float, ...], arm: ArmFacts) -> None:
-    if len(home) not in (0, len(arm.joints)):  # none: the arm's own
+    if len(home) not in (0, len(arm.joints)):  # empty: the default posture of the arm
         text = f"procedure.home holds {len(home)} numbers; {arm.name} has {len(arm.joints)} joints."
         raise ConfigurationError(text, home=list(home))
 
 
 def _check_driver_tables(tables: Mapping[str, Mapping[str, Any]], where: str = "") -> None:
-    """Each driver's own table, against the type that the driver declares for it."""
+    """Check the table of each driver with the type that the driver declares for it."""
     for point in entry_points(group=DRIVER_SETTINGS):
         if point.name in tables:
             try:

@@ -1,4 +1,4 @@
-"""Text from outside, made safe to show: no character of it acts on a terminal or begins a line of the log."""
+"""Escaping of text from outside, so that no character of it controls a terminal or begins a line of the log."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ def visible(text: str, *, keep: str = "") -> str:
     r"""Return `text` with each character that is not printable written as an escape, such as ``\u001b`` or ``\n``.
 
     Control characters, line separators, invisible format characters and lone surrogates are escaped as in JSON, so that
-    JSON stays the same JSON.
+    a JSON text keeps its meaning.
 
     Args:
-        text: May come from anybody.
-        keep: Characters that are left as they are.
+        text: Text from any source.
+        keep: Characters that are not escaped.
     """
     if text.isprintable():
         return text

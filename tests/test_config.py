@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs import settings as settings_module
-from pcmrs.config import as_config, as_table, overlaid, read_file, set_values
+from pcmrs.config import as_config, as_table, merge_tables, read_file, set_values
 from pcmrs.errors import ConfigurationError
 from pcmrs.settings import Settings, read_settings
 from pcmrs.workflows import read_workflow
@@ -42,14 +42,14 @@ Tables = st.recursive(st.integers(), lambda inner: st.dictionaries(st.sampled_fr
 
 @given(*[st.dictionaries(st.sampled_from("abc"), Tables, max_size=3)] * 3)
 def test_layers_may_be_laid_one_by_one_or_first_the_upper_ones(low: Any, middle: Any, high: Any) -> None:
-    assert overlaid({}, low) == overlaid(low, {}) == overlaid(low, low) == low
-    both = overlaid(low, high)
+    assert merge_tables({}, low) == merge_tables(low, {}) == merge_tables(low, low) == low
+    both = merge_tables(low, high)
     assert both.keys() == low.keys() | high.keys()
     for key, value in both.items():
         tables = isinstance(low.get(key), dict) and isinstance(high.get(key), dict)
-        assert value == (overlaid(low[key], high[key]) if tables else high.get(key, low.get(key)))
+        assert value == (merge_tables(low[key], high[key]) if tables else high.get(key, low.get(key)))
     if not _clashes(low, middle) and not _clashes(middle, high) and not _clashes(low, high):
-        assert overlaid(overlaid(low, middle), high) == overlaid(low, overlaid(middle, high))
+        assert merge_tables(merge_tables(low, middle), high) == merge_tables(low, merge_tables(middle, high))
 
 
 def _clashes(a: Any, b: Any) -> bool:

@@ -7,7 +7,7 @@ import signal
 import sys
 
 from pcmrs.clock import SystemClock
-from pcmrs.killing import killed
+from pcmrs.killing import kill_and_wait
 
 FULL = 1 << 17
 """Of a stream that nobody reads, bytes: more than this it does not take."""
@@ -23,10 +23,10 @@ async def test_one_that_nobody_reads_ends() -> None:
     while len(process.stdout._buffer) <= FULL:  # type: ignore[attr-defined]  # noqa: ASYNC110  # nothing else tells
         await asyncio.sleep(0)
     async with SystemClock().timeout(60.0):
-        assert await killed(process) == -signal.SIGKILL
+        assert await kill_and_wait(process) == -signal.SIGKILL
 
 
 async def test_one_that_has_ended_keeps_its_status() -> None:
     process = await child("raise SystemExit(7)")
     await process.wait()
-    assert await killed(process) == 7
+    assert await kill_and_wait(process) == 7

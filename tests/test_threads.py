@@ -18,14 +18,14 @@ def test_working_thread_is_pending_and_a_sleeping_one_is_not() -> None:
     thread = threading.Thread(target=resting.wait)
     thread.start()
     threads = Threads()
-    assert thread.native_id in threads.figures()
+    assert thread.native_id in threads.times()
     assert threading.get_native_id() in threads.names()
     with subprocess.Popen([sys.executable, "-c", UNTIL_TOLD], stdin=subprocess.PIPE) as child:
         other = Threads(child.pid)
-        while not other.pending() or other.figures()[child.pid].ran == 0.0:
+        while not other.pending() or other.times()[child.pid].ran == 0.0:
             assert child.poll() is None
         child.communicate(b"\n")
-    assert other.figures() == {}, "it has ended"
+    assert other.times() == {}, "it has ended"
     resting.set()
     thread.join()
 

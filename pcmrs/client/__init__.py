@@ -1,4 +1,4 @@
-"""Clients of a running cell: `Client` for asyncio, `PlainClient` for programs without."""
+"""Clients of a running cell: `Client` for asyncio, `PlainClient` for programs without asyncio."""
 
 from pcmrs.client.aio import Client, Event
 from pcmrs.client.plain import PlainClient

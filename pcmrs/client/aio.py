@@ -1,4 +1,4 @@
-"""The asyncio client of a running cell, as the command line, the console and tests use it.
+"""The asyncio client of a running cell; the command line, the console and tests use it, too.
 
 async with Client.connect() as cell:
     verdict = await cell.call("registration.reinit")
@@ -50,25 +50,26 @@ Event = Snapshot | Verdict | DeviceEvent
 T = TypeVar("T")
 
 _TTL = 5.0
-"""Seconds after which a command that was held up on its way is refused, not run late."""
-_RENEWED = 1.0
-_LOOK = 0.05
-"""Between two renewals of the lease, s."""
-_PATIENCE, _FAR_PATIENCE = 1.5, 10.0
-"""For what a daemon decides at once, s: on this machine, and over a network that loses packets."""
-_ASKED_AGAIN = 0.5
-"""Between two askings for the verdict of a command whose link broke, s."""
+"""Age after which a command that was held up on its way is refused instead of run late, s."""
+_RENEWAL_PERIOD = 1.0
+"""Time between two renewals of the lease, s."""
+_POLL_PERIOD = 0.05
+"""Time between two looks at the state while a change is awaited, s."""
+_REPLY_TIME, _FAR_REPLY_TIME = 1.5, 10.0
+"""Longest wait for an immediate reply, s: on this machine, and over a network that loses packets."""
+_RETRY_PERIOD = 0.5
+"""Time between two requests for the verdict of a command whose link broke, s."""
 _OLD = "old"
-"""Why a command is denied that was too long on its way; see `AccessError`."""
+"""Reason for which a command that was too long on its way is denied; see `AccessError`."""
 _BACKLOG = 1024
-"""Events that may wait for who watches."""
+"""Number of events that may wait for the reader of `Client.watch`."""
 
 
 class Client:
     """A connection to the daemon of one cell. Use `Client.connect`.
 
     Attributes:
-        missed: Events that `watch` has dropped, the oldest first, since whoever watches took them too slowly.
+        missed: Number of events that `watch` has dropped, the oldest first, because its reader was too slow.
     """
 
     def __init__(self, bus: Bus, user: str) -> None:
@@ -77,7 +78,7 @@ class Client:
         self._user = user
         self._clock = SystemClock()
         self._is_far = bus.settings.endpoint.startswith(SECURED)
-        self._patience = _FAR_PATIENCE if self._is_far else _PATIENCE
+        self._patience = _FAR_REPLY_TIME if self._is_far else _REPLY_TIME
 
     @classmethod
     @asynccontextmanager
@@ -93,18 +94,18 @@ class Client:
         """Connect for the length of the ``async with`` block.
 
         Args:
-            endpoint: Where the daemon's bus listens, or a router that it dials; by default that of the environment,
-                ``PCMRS_ENDPOINT``, or else of a daemon on this machine.
-            site: First name of the cell; by default ``PCMRS_SITE``, or else ``lab``.
-            cell: Second name of the cell; by default ``PCMRS_CELL``, or else ``cell1``.
-            user: Who asks; the daemon journals it as ``bus:<user>``. With credentials it is their name.
-            credentials: For an endpoint on another machine.
-            device_key: Key that daemon and device nodes share (``access.device_key``): needed by `request_device` for
+            endpoint: Endpoint of the daemon's bus, or of a router that the daemon connects to; by default
+                ``PCMRS_ENDPOINT`` in the environment, or else that of a daemon on this machine.
+            site: First part of the cell's name; by default ``PCMRS_SITE``, or else ``lab``.
+            cell: Second part of the cell's name; by default ``PCMRS_CELL``, or else ``cell1``.
+            user: Name of the user; the daemon journals it as ``bus:<user>``. With credentials it is their name.
+            credentials: Identity, needed for an endpoint on another machine.
+            device_key: Key that daemon and device nodes share (``access.device_key``): `request_device` needs it for
                 all devices but the simulated scene.
 
         Raises:
-            BusError: No daemon of this cell answers there, or it does not let us in.
-            ConfigurationError: An endpoint on another machine, and no credentials.
+            BusError: No daemon of this cell answers there, or it refuses the connection.
+            ConfigurationError: The endpoint is on another machine and there are no credentials.
         """
         settings = BusSettings(
             endpoint=endpoint or os.environ.get("PCMRS_ENDPOINT", DEFAULT_ENDPOINT),
@@ -128,66 +129,70 @@ class Client:
         id: str | None = None,
         timeout: float = 600.0,
     ) -> Verdict:
-        """Ask for an operation and wait for its outcome.
+        """Send a command and wait for its outcome.
 
-        Over a network a link that breaks meanwhile is not the end: for some seconds the daemon is asked again by the
-        command's id, which begins nothing twice. So it is when the command was too long on its way.
+        If the link breaks over a network, or if the command was too long on its way, the command is sent again with the
+        same id for some seconds, which never runs it twice.
 
         Args:
-            name: ``branch.operation``.
-            arguments: Of the operation.
-            id: Of the command; give the same one again to learn the verdict of an earlier call.
-            timeout: Seconds; a daemon that ends is noticed at once, one that hangs within a second.
+            name: Name of the operation, ``branch.operation``.
+            arguments: Arguments of the operation by name.
+            id: Id of the command; use the same one again to get the verdict of an earlier call.
+            timeout: Longest wait for the outcome, s. The end of the daemon is detected at once, a hang within 1 s.
 
         Raises:
-            UnknownOutcomeError: The daemon fell silent before it answered.
-            PayloadError: The name is no ``branch.operation``, or an argument cannot be sent.
+            UnknownOutcomeError: The daemon became silent before it answered.
+            PayloadError: The name is not a ``branch.operation``, or an argument cannot be sent.
         """
         key, envelope = self._command(name, arguments, id)
         end = self._clock.monotonic() + timeout
         unknown: UnknownOutcomeError | None = None
         while True:
             try:
-                left = max(end - self._clock.monotonic(), _ASKED_AGAIN)
+                left = max(end - self._clock.monotonic(), _RETRY_PERIOD)
                 verdict = await self._bus.request(key, envelope, Verdict, left)
-                denied = _denied(verdict)
+                denied = _denial(verdict)
                 if not denied or (unknown is None and denied != _OLD):
                     return verdict
-                # It says nothing of what was asked before; asked again, the command may be quick enough.
+                # The denial does not tell the outcome of an earlier attempt; the next one may be fast enough.
                 patience = _TTL
             except UnknownOutcomeError as error:
                 if not self._is_far:
                     raise
-                unknown, patience = error, _FAR_PATIENCE
+                unknown, patience = error, _FAR_REPLY_TIME
             end = min(end, self._clock.monotonic() + patience)
             if self._clock.monotonic() >= end:
                 if unknown is not None:
                     raise unknown
                 return verdict
-            await self._clock.sleep(_ASKED_AGAIN)
+            await self._clock.sleep(_RETRY_PERIOD)
 
     def _command(self, name: str, arguments: Mapping[str, Any] | None, id: str | None) -> tuple[str, Envelope]:
         branch, dot, operation = name.partition(".")
         if not dot:
-            raise PayloadError(f"'{name}' is no operation: write branch.operation.", name=name)
+            raise PayloadError(f"'{name}' is not an operation: write branch.operation.", name=name)
         envelope = Envelope(
             id=id or uuid.uuid4().hex, sent=self._clock.wall(), ttl=_TTL, arguments=dict(arguments or {})
         )
         return command_key(self._user, branch, operation), envelope
 
     async def state(self, timeout: float | None = None) -> Snapshot:
-        """The present state of all branches.
+        """Return the present state of all branches.
 
         Raises:
-            UnknownOutcomeError: The daemon did not answer within `timeout` (s); over a network None is longer.
+            UnknownOutcomeError: The daemon did not answer within `timeout` (s); the default is longer over a network.
         """
         return await self._bus.request("svc/snapshot", Empty(), Snapshot, timeout or self._patience)
 
     async def until(self, condition: Callable[[Snapshot], bool], timeout: float = 60.0) -> Snapshot:
-        """The first state, from the present one on, of which the condition holds.
+        """Wait for the first state, from the present one on, that fulfils a condition, and return it.
+
+        Args:
+            condition: Returns True for a state that fulfils it.
+            timeout: Longest wait, s.
 
         Raises:
-            TimeoutError: There was none within `timeout` (s).
+            TimeoutError: No state fulfilled it in time.
         """
         async with asyncio.timeout(timeout), aclosing(self.watch()) as events:
             while True:
@@ -196,7 +201,7 @@ class Client:
                     return event
 
     async def keys(self, timeout: float | None = None) -> KeyTable:
-        """Everything that can be published and subscribed, with payloads.
+        """Return the table of all bus keys, with their payloads.
 
         Raises:
             UnknownOutcomeError: The daemon did not answer within `timeout` (s).
@@ -204,7 +209,7 @@ class Client:
         return await self._bus.request("svc/keys", Empty(), KeyTable, timeout or self._patience)
 
     async def health(self, timeout: float | None = None) -> Health:
-        """How the daemon is, and why it is not well.
+        """Return the health of the daemon, with the reasons if it is not healthy.
 
         Raises:
             UnknownOutcomeError: The daemon did not answer within `timeout` (s).
@@ -212,7 +217,7 @@ class Client:
         return await self._bus.request("svc/health", Empty(), Health, timeout or self._patience)
 
     async def setup(self, timeout: float | None = None) -> Setup:
-        """How the cell is set up, and what we may do there.
+        """Return the setup of the cell, and the role of this user.
 
         Raises:
             UnknownOutcomeError: The daemon did not answer within `timeout` (s).
@@ -220,7 +225,7 @@ class Client:
         return await self._bus.request(f"svc/setup/{self._user}", Empty(), Setup, timeout or self._patience)
 
     async def gathered(self, timeout: float | None = None) -> ProcedureDataView:
-        """Landmarks, digitization, registration and plan so far.
+        """Return landmarks, digitization, registration and plan so far.
 
         Raises:
             UnknownOutcomeError: The daemon did not answer within `timeout` (s).
@@ -228,27 +233,36 @@ class Client:
         return await self._bus.request("svc/data", Empty(), ProcedureDataView, timeout or self._patience)
 
     async def check(self, name: str, arguments: Mapping[str, Any], timeout: float | None = None) -> DryRunResult:
-        """What would be said to a command now, without giving it: see `call` for its arguments.
+        """Return the verdict that a command would get now, without sending it.
+
+        Args:
+            name: Name of the operation, ``branch.operation``.
+            arguments: Arguments of the operation by name.
+            timeout: Longest wait for the answer, s; the default is longer over a network.
 
         Raises:
-            UnknownOutcomeError: The daemon did not answer within `timeout` (s).
+            UnknownOutcomeError: The daemon did not answer in time.
         """
         branch, _, operation = name.partition(".")
         question = Question(branch=branch, operation=operation, arguments=dict(arguments))
         return await self._bus.request(f"svc/check/{self._user}", question, DryRunResult, timeout or self._patience)
 
     async def journal(self, query: JournalQuery, timeout: float | None = None) -> JournalPage:
-        """Rows of the journal; operators and viewers may ask.
+        """Return rows of the journal; operators and viewers may read it.
+
+        Args:
+            query: Range of rows.
+            timeout: Longest wait for the answer, s; the default is longer over a network.
 
         Raises:
-            UnknownOutcomeError: The daemon did not answer within `timeout` (s).
+            UnknownOutcomeError: The daemon did not answer in time.
         """
         return await self._bus.request("svc/journal", query, JournalPage, timeout or self._patience)
 
     async def stop(self, timeout: float | None = None) -> Stopping:
-        """Stop every motion: sent to all listeners at once, and return when the daemon has begun.
+        """Stop every motion: send Stop to all listeners at once, and return when the daemon has started to stop.
 
-        Whether the robot stands is not known then; see `standstill`.
+        The robot may still move then; see `standstill`.
 
         Raises:
             UnknownOutcomeError: The daemon did not answer within `timeout` (s).
@@ -262,11 +276,11 @@ class Client:
         """Wait for the robot's standstill after Stop `number`, or a newer one.
 
         Args:
-            number: See `stop`.
-            timeout: s.
+            number: Number of the Stop, as `stop` returns it.
+            timeout: Longest wait, s.
 
         Returns:
-            Whether it was confirmed in that time.
+            True if standstill was confirmed in that time.
 
         Raises:
             UnknownOutcomeError: The daemon does not answer.
@@ -278,29 +292,29 @@ class Client:
                 return True
             if self._clock.monotonic() >= end:
                 return False
-            await self._clock.sleep(_LOOK)
+            await self._clock.sleep(_POLL_PERIOD)
 
     async def acknowledge(self, operation: str | None = None) -> Verdict:
-        """Acknowledge the newest Stop, by its number, as soon as nothing is pending that it has to wait for.
+        """Acknowledge the newest Stop, by its number, as soon as its pending conditions are met.
 
         Args:
-            operation: Of the workflow, that releases the latch; by default the first that does.
+            operation: Operation of the workflow that releases the latch; by default the first one.
 
         Raises:
-            ConfigurationError: The workflow has no such operation, since the latch bars nothing in it.
+            ConfigurationError: The workflow has no such operation, because the latch blocks nothing in it.
             UnknownOutcomeError: The daemon did not answer in time.
         """
         end = self._clock.monotonic() + self._patience
         while (shown := await self.state()).stop.pending and self._clock.monotonic() < end:
-            await self._clock.sleep(_LOOK)
+            await self._clock.sleep(_POLL_PERIOD)
         if operation is None and not shown.release:
-            text = f"In {shown.blueprint.id} the latch of Stop bars nothing: there is nothing to release."
+            text = f"In {shown.blueprint.id} the latch of Stop blocks nothing: there is nothing to release."
             raise ConfigurationError(text, workflow=shown.blueprint.id)
         return await self.call(operation or shown.release[0], {"stop": shown.stop.number})
 
     @property
     def user(self) -> str:
-        """Who asks, as the daemon knows us."""
+        """Name of the user, as the daemon knows it."""
         return self._user
 
     def steer(self, setpoint: TeleopSetpoint) -> None:
@@ -312,17 +326,17 @@ class Client:
         """Hold the cell's lease for the length of the ``async with`` block.
 
         Args:
-            over: Take it over from whoever holds it, which waits until they confirm; on site it does not.
+            over: True to take it over from its holder. This waits until the holder confirms; on site it does not wait.
 
         Raises:
-            CommandRefusedError: Somebody else holds it, or it was lost meanwhile: then the block is cancelled.
+            CommandRefusedError: Another user holds it, or it was lost meanwhile: then the block is cancelled.
             UnknownOutcomeError: The daemon did not answer at the beginning.
         """
         await self.lease("take_over" if over else "acquire")
         try:
             while not self._holds(await self.state()):
-                await self._clock.sleep(_RENEWED)
-            async with _cancelled_with(self._renew()):
+                await self._clock.sleep(_RENEWAL_PERIOD)
+            async with _beside(self._renew()):
                 yield
         finally:
             with suppress(CommandRefusedError, UnknownOutcomeError):  # it was lost, or the daemon has ended
@@ -333,20 +347,20 @@ class Client:
 
     async def _renew(self) -> None:
         while True:
-            await self._clock.sleep(_RENEWED)
+            await self._clock.sleep(_RENEWAL_PERIOD)
             try:
                 await self.lease("renew")
             except UnknownOutcomeError:
-                continue  # a line that is slow now may be quick enough before the lease lapses
+                continue  # a slow link may recover before the lease expires
             except CommandRefusedError as error:
-                if _denied(error.fields["verdict"]) != _OLD:
+                if _denial(error.fields["verdict"]) != _OLD:
                     raise
 
     async def lease(self, operation: str) -> None:
-        """Ask for ``acquire``, ``take_over``, ``renew`` or ``release``; see `holding`.
+        """Send ``acquire``, ``take_over``, ``renew`` or ``release`` for the lease; see `holding`.
 
         Raises:
-            CommandRefusedError: It was not accepted.
+            CommandRefusedError: The command was not accepted.
             UnknownOutcomeError: The daemon did not answer in time.
         """
         key, envelope = self._command(f"lease.{operation}", None, None)
@@ -356,7 +370,7 @@ class Client:
             raise CommandRefusedError(text, verdict=verdict)
 
     async def watch(self) -> AsyncGenerator[Event, None]:
-        """Yield the last snapshot, then snapshots, verdicts and device events as they come; never ends."""
+        """Yield the last snapshot, then snapshots, verdicts and device events as they arrive; never ends."""
         events: asyncio.Queue[Event] = asyncio.Queue(_BACKLOG)
 
         def take(event: Event) -> None:
@@ -377,15 +391,15 @@ class Client:
                 await end()
 
     def listen(self, key: str, kind: type[T], handler: Callable[[T], None]) -> Callable[[], Awaitable[None]]:
-        """Call `handler` with what comes on a stream from now on.
+        """Call `handler` with each message on a stream from now on.
 
         Args:
-            key: Of the stream or of several, such as ``state/joints`` or ``state/pose/*``.
+            key: Key of the stream or of several, such as ``state/joints`` or ``state/pose/*``.
             kind: Type of its messages.
-            handler: Runs in the event loop and returns soon.
+            handler: Called in the event loop; must return soon.
 
         Returns:
-            Ends that; the end of the connection does, too.
+            A function that ends the subscription. The end of the connection ends it, too.
         """
         end: Callable[[], Awaitable[None]] = self._bus.subscribe(key, kind, lambda _, message: handler(message))
         return end
@@ -393,14 +407,20 @@ class Client:
     async def request_device(
         self, device: str, method: str, arguments: Mapping[str, Any] | None = None, timeout: float = 5.0
     ) -> Any:
-        """Call a method of a device node, past the daemon; for the devices of a simulation.
+        """Call a method of a device node, bypassing the daemon; for the devices of a simulation.
 
-        Nodes answer only who has the key that they share with the daemon (see `connect`); the simulated scene answers
-        everybody.
+        Nodes answer only processes with the key that they share with the daemon (see `connect`); the simulated scene
+        answers every process.
+
+        Args:
+            device: Name of the device.
+            method: Name of a method of its protocol.
+            arguments: Arguments of the method by name.
+            timeout: Longest wait for the answer, s.
 
         Raises:
-            UnknownOutcomeError: The node did not answer within `timeout` (s).
-            DeviceError: It answered with a failure; field ``reason`` holds its code.
+            UnknownOutcomeError: The node did not answer in time.
+            DeviceError: The node answered with a failure; field ``reason`` holds its code.
         """
         request = DeviceRequest(method=method, arguments=dict(arguments or {}))
         reply = await self._bus.request(f"dev/{device}/cmd", request, DeviceReply, timeout)
@@ -415,21 +435,21 @@ class Client:
             settings = self._bus.settings
             raise BusError(
                 f"At {settings.endpoint} no daemon of cell {self._bus.prefix} answers {settings.user}: check site and "
-                "cell, wait until it has started, or have yourself a role in this cell.",
+                "cell, wait until it has started, or get a role in this cell.",
                 endpoint=settings.endpoint,
                 cell=self._bus.prefix,
             ) from error
 
 
-def _denied(verdict: Verdict) -> str:
-    """Why a command was not taken as ours; empty where it was."""
+def _denial(verdict: Verdict) -> str:
+    """Return why access was denied to a command; empty if it was not."""
     reason = verdict.reason
     return "" if reason is None or reason.code != AccessError.code else str(reason.fields.get("why"))
 
 
 @asynccontextmanager
-async def _cancelled_with(beside: Coroutine[Any, Any, None]) -> AsyncIterator[None]:
-    """Run beside the block what only ends by an error; the first error, of either, is raised by itself."""
+async def _beside(beside: Coroutine[Any, Any, None]) -> AsyncIterator[None]:
+    """Run a coroutine that ends only by an error beside the block; raise the first error of either by itself."""
     try:
         async with asyncio.TaskGroup() as group:
             task = group.create_task(beside)

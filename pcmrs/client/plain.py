@@ -26,9 +26,9 @@ T = TypeVar("T")
 
 
 class PlainClient:
-    """What `Client` does, with functions that return when it is done. Use `PlainClient.connect`.
+    """`Client` with blocking functions. Use `PlainClient.connect`.
 
-    An event loop of its own works for it in a thread; functions may be called from any thread but that one.
+    Its own event loop runs in a thread; call its functions from any thread but that one.
     """
 
     def __init__(self, portal: BlockingPortal, client: Client) -> None:
@@ -45,7 +45,15 @@ class PlainClient:
         user: str = LOCAL,
         credentials: Credentials | None = None,
     ) -> Iterator[PlainClient]:
-        """Connect for the length of the ``with`` block; see `Client.connect`."""
+        """Connect for the length of the ``with`` block; see `Client.connect`.
+
+        Args:
+            endpoint: Endpoint of the daemon's bus or of a router.
+            site: First part of the cell's name.
+            cell: Second part of the cell's name.
+            user: Name of the user.
+            credentials: Identity, needed for an endpoint on another machine.
+        """
         from anyio.from_thread import start_blocking_portal  # not needed with asyncio
 
         connected = Client.connect(endpoint, site, cell, user, credentials)
@@ -60,11 +68,23 @@ class PlainClient:
         id: str | None = None,
         timeout: float = 600.0,
     ) -> Verdict:
-        """Ask for an operation and wait for its outcome; see `Client.call`."""
+        """Send a command and wait for its outcome; see `Client.call`.
+
+        Args:
+            name: Name of the operation, ``branch.operation``.
+            arguments: Arguments of the operation by name.
+            id: Id of the command; use the same one again to get the verdict of an earlier call.
+            timeout: Longest wait for the outcome, s.
+        """
         return self._portal.call(partial(self._client.call, name, arguments, id=id, timeout=timeout))
 
     def check(self, name: str, arguments: Mapping[str, Any] | None = None) -> DryRunResult:
-        """What would be said to an operation now; see `Client.check`."""
+        """Return the verdict that a command would get now; see `Client.check`.
+
+        Args:
+            name: Name of the operation, ``branch.operation``.
+            arguments: Arguments of the operation by name.
+        """
         return self._portal.call(partial(self._client.check, name, arguments or {}))
 
     def stop(self) -> None:
@@ -72,31 +92,36 @@ class PlainClient:
         self._portal.call(self._client.stop)
 
     def state(self) -> Snapshot:
-        """The present state of all branches; see `Client.state`."""
+        """Return the present state of all branches; see `Client.state`."""
         return self._portal.call(self._client.state)
 
     def until(self, condition: Callable[[Snapshot], bool], timeout: float = 60.0) -> Snapshot:
-        """The first state of which the condition holds; see `Client.until`."""
+        """Wait for the first state that fulfils a condition, and return it; see `Client.until`.
+
+        Args:
+            condition: Returns True for a state that fulfils it; called in the client's thread.
+            timeout: Longest wait, s.
+        """
         return self._portal.call(self._client.until, condition, timeout)
 
     def keys(self) -> KeyTable:
-        """Everything that can be published and subscribed; see `Client.keys`."""
+        """Return the table of all bus keys; see `Client.keys`."""
         return self._portal.call(self._client.keys)
 
     def health(self) -> Health:
-        """How the daemon is; see `Client.health`."""
+        """Return the health of the daemon; see `Client.health`."""
         return self._portal.call(self._client.health)
 
     def setup(self) -> Setup:
-        """How the cell is set up; see `Client.setup`."""
+        """Return the setup of the cell; see `Client.setup`."""
         return self._portal.call(self._client.setup)
 
     def gathered(self) -> ProcedureDataView:
-        """Landmarks, digitization, registration and plan so far; see `Client.gathered`."""
+        """Return landmarks, digitization, registration and plan so far; see `Client.gathered`."""
         return self._portal.call(self._client.gathered)
 
     def journal(self, query: JournalQuery) -> JournalPage:
-        """Rows of the journal; see `Client.journal`."""
+        """Return rows of the journal; see `Client.journal`."""
         return self._portal.call(partial(self._client.journal, query))
 
     @contextmanager
@@ -106,7 +131,7 @@ class PlainClient:
             yield
 
     def watch(self) -> Iterator[Event]:
-        """Yield the last snapshot, then snapshots, verdicts and device events as they come; see `Client.watch`."""
+        """Yield the last snapshot, then snapshots, verdicts and device events as they arrive; see `Client.watch`."""
         events = self._client.watch()
         try:
             while True:
@@ -115,10 +140,15 @@ class PlainClient:
             self._portal.call(events.aclose)
 
     def listen(self, key: str, kind: type[T], handler: Callable[[T], None]) -> Callable[[], None]:
-        """Call `handler`, in a thread of the client, with what comes on a stream; see `Client.listen`.
+        """Call `handler`, in the client's thread, with each message on a stream; see `Client.listen`.
+
+        Args:
+            key: Key of the stream or of several, such as ``state/joints`` or ``state/pose/*``.
+            kind: Type of its messages.
+            handler: Called with each message; must return soon.
 
         Returns:
-            Ends that; the end of the connection does, too.
+            A function that ends the subscription. The end of the connection ends it, too.
         """
         end = self._portal.call(self._client.listen, key, kind, handler)
         return partial(self._portal.call, end)

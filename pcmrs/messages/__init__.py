@@ -1,7 +1,7 @@
 """The typed messages that cross the bus or the journal.
 
-SI units; quaternions are ``quat_wxyz`` inside. Stamps are seconds of the sender's monotonic clock, so
-that an age is (sent - captured) at the sender plus (now - received) at the receiver.
+SI units; quaternions are ``quat_wxyz``. Time stamps are seconds of the sender's monotonic clock, so an age is
+(sent - captured) at the sender plus (now - received) at the receiver.
 """
 
 from pcmrs.messages.base import Message

@@ -6,4 +6,4 @@ import msgspec
 
 
 class Message(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Base of all messages: immutable, by keyword, defaults left out on the wire."""
+    """Base of all messages: immutable, with keyword arguments; defaults are left out on the wire."""

@@ -1,7 +1,4 @@
-"""Commands, and what was decided about them.
-
-Reading the journal over the bus.
-"""
+"""Commands, the decisions about them, and queries of the journal over the bus."""
 
 from __future__ import annotations
 
@@ -14,15 +11,18 @@ Decision = Literal["accepted", "rejected", "failed", "unknown"]
 
 
 class Command(Message, frozen=True, kw_only=True):
-    """A request that one operation of one branch be performed.
+    """A request to perform one operation of one branch.
 
     Attributes:
-        id: Unique per source; a repeat returns the recorded verdict and runs nothing.
-        source: Who asks and which way, such as ``udp:planner:127.0.0.1`` or ``bus:local``.
-        user: Who that is: see `Principal`.
-        role: What they may do; the dispatcher holds them to it.
-        sent: Unix seconds at which it was sent, if the sender said so.
-        ttl: Seconds after `sent` beyond which it is refused as expired.
+        id: Id of the command, unique per source; a repeat returns the recorded verdict and runs nothing.
+        branch: Branch of the workflow.
+        operation: Operation of that branch.
+        source: Sender and its route, such as ``udp:planner:127.0.0.1`` or ``bus:local``.
+        user: Name of the user, see `Principal`.
+        role: Role of the user; the dispatcher enforces it.
+        arguments: Arguments of the operation by name.
+        sent: Time of sending, Unix seconds; None if the sender gave none.
+        ttl: Time after `sent` beyond which the command is refused as expired, s.
         parent: Id of the command whose step submitted this one.
     """
 
@@ -39,7 +39,7 @@ class Command(Message, frozen=True, kw_only=True):
 
 
 class Reason(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """Why not: a stable code, a sentence, and the values in it."""
+    """Reason of a refusal or failure: a stable code, a sentence, and the values in it."""
 
     code: str
     text: str
@@ -47,13 +47,18 @@ class Reason(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class Verdict(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """What the dispatcher decided, and for operations how they ended.
+    """Decision of the dispatcher on a command, and the outcome of its operation.
 
     Attributes:
+        id: Id of the command.
+        branch: Branch of the command.
+        operation: Operation of the command.
+        decision: The decision.
         state: State of the branch after the decision.
-        allowed: Operations of the branch that would not be denied now.
-        result: What the operation reports, such as ``residual`` in m.
         sequence: Number of the snapshot that shows the decision.
+        reason: Reason if the command was not accepted.
+        allowed: Operations of the branch that would not be denied now.
+        result: Results of the operation by name, such as ``residual`` in m.
     """
 
     id: str
@@ -68,7 +73,7 @@ class Verdict(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class Question(Message, frozen=True, kw_only=True):
-    """Asks what would be said to a command, without giving it."""
+    """Request for a dry run: the verdict that a command would get now."""
 
     max_bytes: ClassVar[int] = 64 * 1024
 
@@ -78,12 +83,12 @@ class Question(Message, frozen=True, kw_only=True):
 
 
 class DryRunResult(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """What would be said to a command now, by its states and checks; its steps have still to go well.
+    """Result of a dry run by states and checks; the steps of the operation may still fail.
 
     Attributes:
-        reason: Why it would be rejected; None if it would not.
-        undecided: What its checks could not decide yet, in words.
-        result: What they have worked out, such as ``tre`` in m.
+        reason: Reason for which the command would be rejected; None if it would not be.
+        undecided: Texts of the checks that cannot be decided yet.
+        result: Results of the checks by name, such as ``tre`` in m.
     """
 
     reason: Reason | None = None
@@ -92,12 +97,12 @@ class DryRunResult(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class JournalQuery(Message, frozen=True, kw_only=True):
-    """Asks for rows of the journal.
+    """Request for rows of the journal.
 
     Attributes:
-        after: Only those with a larger sequence.
-        before: Only those with a smaller one, and of these the last ones; None for the first ones of all.
-        limit: At most so many. A page may have fewer, since it has a largest size; where it has none there are no more.
+        after: Only rows with a larger sequence number.
+        before: Only rows with a smaller sequence number, and of these the last ones; None for the first ones of all.
+        limit: Greatest number of rows. A page has a largest size and may hold fewer; an empty page is the end.
     """
 
     after: int = 0

@@ -1,4 +1,4 @@
-"""Calls to device nodes, and what these tell of themselves."""
+"""Calls to device nodes, and the nodes' replies, events, heartbeats and health."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pcmrs.messages.decisions import Reason
 
 
 class ActToken(Message, frozen=True, kw_only=True):
-    """For which situation a request that acts was made; see `pcmrs.devices.gate`.
+    """Sessions and hold epoch for which an acting request was made; see `pcmrs.devices.gate`.
 
     Attributes:
         daemon: Daemon session: random, one for each start of the daemon.
         node: Node session: random, one for each start of the device's node.
         epoch: Hold epoch of the device.
-        number: Grows with each request of one daemon to one device.
+        number: Number that grows with each request of one daemon to one device.
     """
 
     daemon: str
@@ -25,14 +25,14 @@ class ActToken(Message, frozen=True, kw_only=True):
 
 
 class GateState(Message, frozen=True, kw_only=True):
-    """What a device acts for now: requests that name something else are refused.
+    """Sessions and hold epoch for which a device acts now: requests that name others are refused.
 
     Attributes:
         node: Node session.
         epoch: Hold epoch: every hold raises it.
-        latched: The device was stopped, or has just started, and has not been released since.
-        daemon: Daemon session that the device acts for; empty until one has released it.
-        changes: Grows with every hold and release, so that of two reports of one node the newer is known.
+        latched: True if the device was stopped, or has just started, and was not released since.
+        daemon: Daemon session for which the device acts; empty until a daemon has released it.
+        changes: Number of holds and releases, which shows the newer one of two reports of one node.
     """
 
     node: str
@@ -46,11 +46,11 @@ class DeviceRequest(Message, frozen=True, kw_only=True):
     """A call to a device node: `method` of its protocol with `arguments`.
 
     Attributes:
-        method: Its name.
-        arguments: By name.
-        sent: When the daemon sent it, s of its machine's monotonic clock; None where nobody minds that it is late.
-        token: Of a request that acts, holds or releases; None of others.
-        latch: Whether a request that holds also latches the device; one that only ends a motion does not.
+        method: Name of the method.
+        arguments: Arguments by name.
+        sent: Time of sending, s of the monotonic clock of the daemon's machine; None if a delay does not matter.
+        token: Token of a request that acts, holds or releases; None for others.
+        latch: True if a request that holds also latches the device; False if it only ends a motion.
     """
 
     method: str
@@ -64,7 +64,9 @@ class DeviceReply(Message, frozen=True, kw_only=True, omit_defaults=False):
     """A device node's answer: a result, or the reason of the failure.
 
     Attributes:
-        gate: Of a device that acts, as it is after the request.
+        result: Result of the method as plain data.
+        failure: Reason of the failure; None for a result.
+        gate: State of an acting device's gate after the request.
     """
 
     result: Any = None
@@ -73,7 +75,7 @@ class DeviceReply(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class DeviceEvent(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """Something a device reports by itself; `danger` events take the lane of Stop."""
+    """An event that a device reports by itself; `danger` events take the lane of Stop."""
 
     device: str
     code: str
@@ -86,10 +88,10 @@ class Beat(Message, frozen=True, kw_only=True):
     """A heartbeat of the daemon for the device nodes.
 
     Attributes:
-        number: Grows with each beat of a session.
-        session: Random, one per start of the daemon.
+        number: Number that grows with each heartbeat of a session.
+        session: Session of the daemon: random, one for each start.
         alive: Last sign of life of the daemon's loop, s of its machine's monotonic clock.
-        sent: When the beat was sent, on the same clock: a beat may be sent long after the sign of life that it carries.
+        sent: Time of sending on the same clock, s; it may be long after `alive`.
     """
 
     number: int
@@ -102,9 +104,9 @@ class NodeBeat(Message, frozen=True, kw_only=True):
     """A heartbeat of a device's node.
 
     Attributes:
-        number: Grows by one each time.
-        sent: s of the node's monotonic clock.
-        gate: Of a device that acts.
+        number: Number that grows by one each time.
+        sent: Time of sending, s of the node's monotonic clock.
+        gate: State of an acting device's gate; None for others.
     """
 
     number: int
@@ -113,13 +115,13 @@ class NodeBeat(Message, frozen=True, kw_only=True):
 
 
 class DeviceHealth(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """Whether a device node and its device are well.
+    """Health of a device, as its node reports it.
 
     Attributes:
-        device: Its name.
-        connected: It is there.
-        text: Why not, and what to do.
-        dropped: Kind of message to how many came too late at its node to be followed, since that began.
+        device: Name of the device.
+        connected: True if the device is connected.
+        text: Reason why it is not, and what to do.
+        dropped: Number of messages that arrived at the node too late since its start, by kind.
     """
 
     device: str

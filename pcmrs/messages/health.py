@@ -1,4 +1,4 @@
-"""How a running daemon is: what it has found of itself, and the verdict on that."""
+"""Health of a running daemon: the facts that it has found about itself, and the verdict on them."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from pcmrs.messages.snapshot import BlueprintTag
 HealthStatus = Literal["ok", "degraded", "failed"]
 Severity = Literal["degraded", "failed"]
 Room = Literal["enough", "little", "none"]
-"""What the free space of a disk is to the journal on it."""
+"""Rating of the free disk space for the journal."""
 
 
 class JournalStatus(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """The journal.
+    """Status of the journal.
 
     Attributes:
-        waiting: Rows that wait for the disk.
-        oldest_wait: How long the first of them has waited, s of the machine.
-        failure: Why it cannot be written; empty while it can.
-        free: Free space on its disk, bytes; None where nobody has looked yet.
-        room: What that means: with ``none`` no state change is accepted.
+        waiting: Number of rows that wait for the disk.
+        oldest_wait: Wait of the oldest of them, s of the machine.
+        failure: Reason why it cannot be written; empty while it can.
+        free: Free space on its disk, bytes; None before the first check.
+        room: Rating of the free space: with ``none`` no state change is accepted.
     """
 
     waiting: int
@@ -32,7 +32,13 @@ class JournalStatus(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class TaskStanding(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """A task of the daemon; one that does not answer is stuck."""
+    """Status of a task of the daemon.
+
+    Attributes:
+        name: Name of the task.
+        answers: False if the task is stuck.
+        restarts: Number of restarts since the start of the daemon.
+    """
 
     name: str
     answers: bool
@@ -40,7 +46,14 @@ class TaskStanding(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class NodeStatus(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """The process of a driver; one that is given up is not begun anew."""
+    """Status of the process of a driver.
+
+    Attributes:
+        driver: Name of the driver.
+        devices: Devices that it serves.
+        restarts: Number of restarts since the start of the daemon.
+        given_up: True if it has failed too often and is not restarted any more.
+    """
 
     driver: str
     devices: list[str]
@@ -49,15 +62,15 @@ class NodeStatus(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class DeviceStatus(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """A device, as its node tells.
+    """Status of a device.
 
     Attributes:
-        device: Its name.
-        connected: It is there, as its node said last.
-        text: Why not, and what to do.
-        heard: Age of its node's last heartbeat, s of the machine; None when there was none.
-        data: Age of the last joints or poses that came, s of the machine; None of a device that sends neither.
-        dropped: Kind of message to how many came too late at its node to be followed.
+        device: Name of the device.
+        connected: True if it is connected by the last report of its node.
+        text: Reason why it is not, and what to do.
+        heard: Age of its node's last heartbeat, s of the machine; None before the first one.
+        data: Age of its last joints or poses, s of the machine; None for a device that sends neither.
+        dropped: Number of messages that arrived at its node too late, by kind.
     """
 
     device: str
@@ -69,7 +82,13 @@ class DeviceStatus(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class LoopStatus(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """The event loop: how late it answered last, stalls since the start, and the longest of them, s of the machine."""
+    """Status of the event loop.
+
+    Attributes:
+        lag: Delay of its last answer, s of the machine.
+        stalls: Number of stalls since the start of the daemon.
+        longest: Longest stall, s of the machine.
+    """
 
     lag: float
     stalls: int
@@ -77,10 +96,14 @@ class LoopStatus(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class QueueStatus(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """A bounded queue: what waits now, how much may wait, and how much did not fit since the start.
+    """Status of a bounded queue.
 
-    `refused` is None where nothing is counted: what does not fit stops the daemon for safety, or is told to its sender
-    only.
+    Attributes:
+        queue: Name of the queue.
+        depth: Number of items that wait now.
+        limit: Number of items that may wait.
+        refused: Number of items that did not fit since the start. None where they are not counted, because an item that
+            does not fit stops the daemon for safety, or is reported to its sender only.
     """
 
     queue: str
@@ -90,16 +113,17 @@ class QueueStatus(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class LatencyStatus(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """From a command's arrival at an edge to its verdict, of all commands that ended with the same decision.
+    """Latency from a command's arrival at the daemon to its verdict, for all commands with the same decision.
 
-    The performing of the operation is in it, a motion's time too; of rejected commands it is the deciding alone.
+    It includes the duration of the operation, also that of a motion. For rejected commands it is the decision alone.
 
     Attributes:
-        count: Commands since the start.
-        sum: Of all their times, s of the machine.
-        p50: Median of the last ones, s.
-        p99: 99 % of the last ones took this long at most, s.
-        buckets: Upper bound, s, and how many commands since the start took this long at most.
+        decision: Decision on the commands.
+        count: Number of commands since the start.
+        sum: Sum of their latencies, s of the machine.
+        p50: Median latency of recent commands, s.
+        p99: 99th percentile of the latency of recent commands, s.
+        buckets: Upper bound of a bucket, s, and number of commands since the start within it.
     """
 
     decision: str
@@ -111,13 +135,13 @@ class LatencyStatus(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class HealthReason(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """Why a daemon is not well.
+    """Reason why a daemon is not healthy.
 
     Attributes:
-        severity: What it makes of the whole.
+        severity: Effect on the status of the daemon.
         code: Stable name.
-        text: What was found.
-        remedy: What to do.
+        text: Finding, in words.
+        remedy: Action that helps.
     """
 
     severity: Severity
@@ -127,24 +151,31 @@ class HealthReason(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class HealthFacts(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """What a daemon has found of itself.
+    """Facts that a daemon has found about itself.
 
     Attributes:
-        uptime: Since it serves, s of the machine.
-        versions: Of pcmrs and Python.
-        blueprint: The workflow.
-        latched: Stop is latched; no sign of illness.
-        fail_stop: Code and text of why nothing is accepted any more; empty in operation.
-        in_doubt: A stopped robot has not confirmed that it stands.
-        recording: Why the session is not recorded any more; empty while it is, or is not to be.
-        console: Why the page is not served any more; empty while it is, or is not to be.
-        metrics: Why metrics are not served; empty while they are, or are not to be.
-        certificate: Until the daemon's own certificate ends, s of the wall clock; None where it has none.
-        strays: Failures in the loop that belong to no task.
-        datagrams: Datagrams and TCP frames that arrived at the gateway.
-        dropped: What was dropped, refused or replaced since the start, by what and where.
-        decisions: Decision to how many were made.
-        rejections: Reason code to how many commands were rejected for it.
+        uptime: Time since the daemon started to serve, s of the machine.
+        versions: Versions of pcmrs and Python.
+        blueprint: Workflow.
+        latched: True if Stop is latched, which is not a fault.
+        fail_stop: Code and text of the reason why nothing is accepted any more; empty in operation.
+        in_doubt: True if a stopped robot has not confirmed its standstill.
+        recording: Reason why the session is not recorded any more; empty while it is, or is not to be.
+        console: Reason why the page is not served any more; empty while it is, or is not to be.
+        metrics: Reason why metrics are not served; empty while they are, or are not to be.
+        certificate: Time until the daemon's own certificate expires, s of the wall clock; None if it has none.
+        journal: Status of the journal.
+        tasks: Status of the daemon's tasks.
+        nodes: Status of the drivers' processes.
+        devices: Status of the devices.
+        loop: Status of the event loop.
+        queues: Status of the bounded queues.
+        strays: Number of failures in the loop that belong to no task.
+        datagrams: Number of datagrams and TCP frames that arrived at the gateway.
+        dropped: Number of items that were dropped, refused or replaced since the start, by kind and place.
+        decisions: Number of decisions by kind.
+        rejections: Number of rejected commands by reason code.
+        latencies: Latency of commands by decision.
     """
 
     uptime: float
@@ -172,7 +203,7 @@ class HealthFacts(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class Health(HealthFacts, frozen=True, kw_only=True, omit_defaults=False):
-    """The facts and the verdict on them: the answer to ``svc/health``, and told on ``state/health`` now and then."""
+    """Facts and the verdict on them: the answer to ``svc/health``, published on ``state/health`` every few seconds."""
 
     status: HealthStatus
     reasons: list[HealthReason]

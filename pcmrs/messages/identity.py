@@ -1,7 +1,4 @@
-"""Identities: a name that is never given twice, the role that it has, and the cells in which it has it.
-
-Roles: what somebody on the bus may do, wherever that is decided.
-"""
+"""Identities and roles: an identity is a name that is never reused, its role, and its cells."""
 
 from __future__ import annotations
 
@@ -18,18 +15,18 @@ Role = Literal["operator", "planner", "viewer", "device", "teleoperator", "daemo
 
 ROLES: tuple[Role, ...] = get_args(Role)
 PEOPLE: tuple[Role, ...] = ("operator", "planner", "viewer", "teleoperator")
-"""Roles of whoever sits at a console, or of the program that does it for them."""
+"""Roles of people, and of programs that act for them."""
 COMMANDING: tuple[Role, ...] = ("operator", "planner", "teleoperator")
-"""Roles that may ask for operations at all; a blueprint may say that some of them may not ask for one."""
+"""Roles that may send commands at all; a blueprint may restrict an operation to some of them."""
 HOLDING: tuple[Role, ...] = ("operator", "teleoperator")
 """Roles that may hold the lease of a cell."""
 INFRASTRUCTURE: tuple[Role, ...] = ("daemon", "router")
-"""Roles of processes that others dial."""
-
+"""Roles of processes that others connect to."""
 
 LOCAL: Final = "local"
-"""Whoever comes over loopback on the cell's own machine; nobody else has this name."""
+"""Name of every user who connects over loopback on the cell's own machine; no identity has this name."""
 EVERY_CELL: Final = ("*/*",)
+"""Pattern of all cells."""
 
 _NAME = re.compile(r"[a-z0-9][a-z0-9._-]{0,62}")
 _PART = rf"(?:\*|{_NAME.pattern})"
@@ -40,14 +37,14 @@ class Identity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """One certificate.
 
     Attributes:
-        name: The common name; it stands in the keys of the bus that belong to this identity.
-        role: What it may do.
-        cells: Where it may do that: ``<site>/<cell>``, either may be ``*``.
-        serial: Of the certificate, hexadecimal.
+        name: Common name of the certificate; part of the bus keys of this identity.
+        role: Role of the identity.
+        serial: Serial number of the certificate, hexadecimal.
         begins: Wall time from which it is valid, s.
         ends: Wall time until which it is valid, s.
-        revoked: Wall time at which it was revoked, s; None when it was not.
-        via: Names of the routers that may carry what this person sends. Empty: none may.
+        cells: Cells in which it has the role: ``<site>/<cell>``, either may be ``*``.
+        revoked: Wall time at which it was revoked, s; None if it was not.
+        via: Names of the routers that may carry the messages of this person; empty for none.
     """
 
     name: str
@@ -60,20 +57,20 @@ class Identity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     via: tuple[str, ...] = ()
 
     def valid(self, now: float) -> bool:
-        """Whether it counts at the wall time `now`, s."""
+        """Return True if the identity is valid at the wall time `now`, s."""
         return self.revoked is None and self.begins <= now < self.ends
 
     def in_cell(self, cell: str) -> bool:
-        """Whether `cell`, as ``<site>/<name>``, is one of its cells."""
+        """Return True if `cell`, as ``<site>/<name>``, is one of its cells."""
         return any(fnmatchcase(cell, each) for each in self.cells)
 
 
 class Principal(NamedTuple):
-    """Somebody who asks for operations.
+    """User who sends commands.
 
     Attributes:
-        user: Name of the certificate, or of the peer that signs; `LOCAL` on the cell's own machine.
-        role: What they may do.
+        user: Name in the certificate, or of the peer that signs; `LOCAL` on the cell's own machine.
+        role: Role of the user.
     """
 
     user: str
@@ -81,14 +78,15 @@ class Principal(NamedTuple):
 
 
 ON_SITE: Final = Principal(LOCAL, "operator")
-"""Whoever works on the cell's own machine."""
+"""Every user on the cell's own machine."""
 
 
 def check_name(name: str) -> str:
-    """Returns `name` if it may be an identity's: it has to stand between two slashes of a key.
+    """Return `name` if it can be the name of an identity, which is a chunk of bus keys.
 
     Raises:
-        ConfigurationError: It is empty, longer than 63 characters, holds others than ``a-z 0-9 . _ -``, or is `LOCAL`.
+        ConfigurationError: The name is empty, longer than 63 characters, has characters other than ``a-z 0-9 . _ -``,
+            or is `LOCAL`.
     """
     if not _NAME.fullmatch(name):
         text = (
@@ -97,27 +95,32 @@ def check_name(name: str) -> str:
         )
         raise ConfigurationError(text, name=name)
     if name == LOCAL:
-        text = f"{LOCAL!r} is the name of whoever works on the cell's own machine: choose another one."
+        text = f"{LOCAL!r} is the name of all users on the cell's own machine: choose another one."
         raise ConfigurationError(text, name=name)
     return name
 
 
 def check_cells(cells: Iterable[str]) -> tuple[str, ...]:
-    """Returns `cells` if each is ``<site>/<cell>``, of which either may be ``*``.
+    """Return `cells` if each is ``<site>/<cell>``, where either may be ``*``.
 
     Raises:
-        ConfigurationError: One is something else, or there is none.
+        ConfigurationError: One has another form, or there is none.
     """
     found = tuple(cells)
     for each in found or ("",):
         if not _CELLS.fullmatch(each):
-            text = f"{each!r} is no cell: write its site and name, such as lab/cell1; either may be *."
+            text = f"{each!r} is not a cell: write its site and name, such as lab/cell1; either may be *."
             raise ConfigurationError(text, cell=each)
     return found
 
 
 def shared_cells(ones: Iterable[str], others: Iterable[str]) -> tuple[str, ...]:
-    """Return the cells that two identities have both; either may be written with ``*``."""
+    """Return the cells that two identities have in common.
+
+    Args:
+        ones: Cells of the first identity, ``<site>/<cell>``; either part may be ``*``.
+        others: Cells of the second identity, likewise.
+    """
     found = []
     for one in ones:
         for other in others:

@@ -1,7 +1,4 @@
-"""Poses, tracked and planned.
-
-What a person with a pointer is asked.
-"""
+"""Poses, tracked and planned, and the prompt for a person with a pointer."""
 
 from __future__ import annotations
 
@@ -9,11 +6,12 @@ from pcmrs.messages.base import Message
 
 
 class LandmarkPrompt(Message, frozen=True, kw_only=True):
-    """Asks the person with the pointer to touch one landmark.
+    """Prompt to touch one landmark with the pointer.
 
     Attributes:
-        index: From 0, in the order of the plan.
-        position_in_image: Where the plan has it, m: what the person sees on the screen.
+        index: Index of the landmark in the plan, from 0.
+        name: Name of the landmark.
+        position_in_image: Planned position, which the screen shows, m.
     """
 
     index: int
@@ -25,16 +23,17 @@ class BodyPose(Message, frozen=True, kw_only=True):
     """One tracked body in one tracker frame, as the tracker measured it.
 
     Attributes:
-        frame_number: Grows by one per tracker frame; a frozen number is a frozen tracker.
-        captured: Sender's monotonic time of the exposure.
-        sent: Sender's monotonic time of publication.
-        valid: False when the tracker does not see the body; then `reason` says why.
-        position: `tracker_from_body` translation, m.
-        quat_wxyz: `tracker_from_body` rotation, unit quaternion.
-        error: The tracker's own fit error, m.
-        reason: Why it is not valid.
-        session: Random id, one per start of the tracker's node and whenever the tracker counts anew; numbers and stamps
-            are compared within one session only. The node sets it.
+        body: Name of the tracked body.
+        frame_number: Number that grows by one per tracker frame; a frozen number is a frozen tracker.
+        captured: Time of the exposure, s of the sender's monotonic clock.
+        sent: Time of publication, s of the sender's monotonic clock.
+        valid: False if the tracker does not see the body; `reason` says why.
+        position: Translation of ``tracker_from_body``, m.
+        quat_wxyz: Rotation of ``tracker_from_body``, unit quaternion.
+        error: Fit error reported by the tracker, m.
+        reason: Reason why the pose is not valid.
+        session: Random id, new for each start of the tracker's node and each restart of the tracker's count. Frame
+            numbers and time stamps are comparable within one session only. The node sets it.
     """
 
     body: str
@@ -57,12 +56,12 @@ class PoseMessage(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class Target(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """Where the tool shall be, and what joins the image to the patient.
+    """Planned pose of the tool, and the registration of the image to the patient.
 
     Attributes:
-        plan: Id of the accepted tool plan; None when there is none.
-        pose: Its ``image_from_coil``; None when there is none.
-        body_ref_from_image: The registration in force; None when there is none.
+        plan: Id of the accepted tool plan; None if there is none.
+        pose: Planned ``image_from_coil``; None if there is none.
+        body_ref_from_image: Registration in force; None if there is none.
     """
 
     plan: str | None = None

@@ -1,4 +1,4 @@
-"""What an arm is told, and what it tells."""
+"""Requests to an arm, and its states and results."""
 
 from __future__ import annotations
 
@@ -9,12 +9,18 @@ from pcmrs.messages.device import ActToken
 
 
 class JointState(Message, frozen=True, kw_only=True):
-    """Measured joints: positions in rad, velocities in rad/s, torques in N m, base to flange.
+    """Measured joints, base to flange.
 
     Attributes:
-        flange_force: External force on what the flange carries, N, along the flange's axes, without its weight;
-            None where the arm has no estimate.
-        relieving: It goes back along the tool's axis because of a force on the tool, by a bounded way.
+        captured: Time of the measurement, s of the sender's monotonic clock.
+        sent: Time of publication, s of the sender's monotonic clock.
+        positions: Joint positions, rad, (n,).
+        velocities: Joint velocities, rad/s, (n,).
+        torques: Joint torques, N m, (n,).
+        moving: True if the arm moves.
+        flange_force: External force on the tool along the flange's axes, without its weight, N; None if the arm has no
+            estimate.
+        relieving: True while the tool moves back along its axis, by a bounded travel, because of a force on it.
     """
 
     captured: float
@@ -28,7 +34,12 @@ class JointState(Message, frozen=True, kw_only=True):
 
 
 class JointTrajectory(Message, frozen=True, kw_only=True):
-    """Joint positions (rad) at a fixed `period` (s), starting with the present posture."""
+    """Joint positions at a fixed period, starting with the present posture.
+
+    Attributes:
+        period: Time between two postures, s.
+        positions: Postures, rad, (N, n).
+    """
 
     period: float
     positions: list[list[float]]
@@ -38,11 +49,13 @@ MotionOutcome = Literal["done", "stopped"]
 
 
 class MotionResult(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """How a motion ended, and the joints (rad) measured then.
+    """Outcome of a motion.
 
     Attributes:
-        reason: Why it was stopped: ``held``, ``force_limit``, or a reason of the motion's own.
-        force: With which the tool pressed then, N; only after `Robot.press`.
+        outcome: ``done``, or ``stopped`` before its end.
+        positions: Measured joints at the end, rad, (n,).
+        reason: Reason why it was stopped: ``held``, ``force_limit``, or a reason of this kind of motion.
+        force: Force of the tool at the end, N; only after `Robot.press`.
     """
 
     outcome: MotionOutcome
@@ -55,8 +68,8 @@ class ServoSession(Message, frozen=True, kw_only=True, omit_defaults=False):
     """A stream of set points that a robot has agreed to follow.
 
     Attributes:
-        session: Goes into every set point; grows with each session.
-        deadman: The robot brakes by itself when no fresh set point has come for so long, s of the cell.
+        session: Number of the session, which every set point carries; grows with each session.
+        deadman: Time without a fresh set point after which the robot brakes by itself, s of the cell.
     """
 
     session: int
@@ -64,13 +77,15 @@ class ServoSession(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class JointSetpoint(Message, frozen=True, kw_only=True):
-    """Where the joints shall be now (rad) and how fast they shall go there (rad/s), base to flange.
+    """Set point of the joints, base to flange.
 
     Attributes:
-        session: Of a `ServoSession`; set points of another one are dropped.
-        number: Grows within a session; a set point that is not newer than the last is dropped.
-        sent: Sender's monotonic time.
-        token: For which situation it was made; None inside a node.
+        session: Number of the `ServoSession`; set points of another session are dropped.
+        number: Number that grows within a session; a set point that is not newer than the last is dropped.
+        sent: Time of sending, s of the sender's monotonic clock.
+        positions: Joint positions at `sent`, rad, (n,).
+        velocities: Joint velocities at `sent`, rad/s, (n,).
+        token: Sessions and hold epoch for which it was made; None inside a node.
     """
 
     session: int
@@ -82,14 +97,14 @@ class JointSetpoint(Message, frozen=True, kw_only=True):
 
 
 class PressRequest(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """Asks that the tool be pressed gently against the body.
+    """Request to press the tool gently against the body.
 
     Attributes:
-        force: To press with, N, 1 to 5.
-        direction_in_flange: Unit vector along which to go and press, in the flange's axes.
-        travel: Farthest way along it, m, 0.010 at most.
-        speed: Greatest speed on it, m/s.
-        timeout: Longest time, s of the cell, 20 at most.
+        force: Target force, N, 1 to 5.
+        direction_in_flange: Unit vector of the motion and the press in the flange's axes.
+        travel: Longest travel along it, m, 0.010 at most.
+        speed: Greatest speed along it, m/s.
+        timeout: Longest duration, s of the cell, 20 at most.
     """
 
     force: float

@@ -1,4 +1,4 @@
-"""The truth of a simulated scene, and how its head moves."""
+"""Ground truth of a simulated scene, and motion of its head."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ class SceneTruth(Message, frozen=True, kw_only=True, omit_defaults=False):
     The true pose of a planned tool is ``tracker_from_body_ref @ body_ref_from_image @ image_from_coil``.
 
     Attributes:
-        time: Of the cell, at which all of it holds, s.
-        contact_force: Between body and tool, N.
-        tip_in_pointer: Where the pointer's tip truly is, in its marker body, m.
-        tip_in_tracker: Where it is now, m; None while the pointer is away.
-        image_from_hotspot: Best pose of a stimulator's coil; None where there is nothing to stimulate.
-        threshold: Motor threshold there, percent of the maximum stimulator output; None likewise.
+        tracker_from_coil: True pose of the tool.
+        tracker_from_body_ref: True pose of the reference on the body.
+        body_ref_from_image: True registration.
+        time: Time of the cell at which all values hold, s.
+        contact_force: Force between body and tool, N.
+        tip_in_pointer: True position of the tip in the pointer's marker body, m.
+        tip_in_tracker: Present position of the tip, m; None while the pointer is away.
+        image_from_hotspot: Best pose of the stimulator's coil; None if there is nothing to stimulate.
+        threshold: Motor threshold at that pose, percent of the maximum stimulator output; None likewise.
     """
 
     tracker_from_coil: PoseMessage
@@ -32,14 +35,26 @@ class SceneTruth(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class HeadStep(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """A quick shift of the head by `offset` (m, along the tracker's axes), `time` s after the motion began."""
+    """A sudden shift of the head.
+
+    Attributes:
+        time: Time after the start of the motion, s of the cell.
+        offset: Shift along the tracker's axes, m.
+    """
 
     time: float
     offset: tuple[float, float, float]
 
 
 class HeadBurst(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """The head goes at `speed` (m/s) for `duration` (s) along `direction` (unit vector), and stays there."""
+    """A quick motion of the head, which then stays where it is.
+
+    Attributes:
+        time: Time after the start of the motion, s of the cell.
+        duration: Duration, s.
+        speed: Speed, m/s.
+        direction: Unit vector along the tracker's axes.
+    """
 
     time: float
     duration: float
@@ -48,18 +63,18 @@ class HeadBurst(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class HeadMotion(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """How a simulated head moves, in cell time since it was set; by default it does not.
+    """Motion of a simulated head, in cell time since it was set; by default there is none.
 
     Vectors are along the tracker's axes.
 
     Attributes:
-        drift: Velocity, m/s.
-        breathing_amplitude: Of a sine along `breathing_direction`, m.
-        breathing_hz: Its frequency.
+        drift: Constant velocity, m/s.
+        breathing_amplitude: Amplitude of a sine along `breathing_direction`, m.
+        breathing_hz: Frequency of the sine, Hz.
         breathing_direction: Unit vector.
         steps: Sudden shifts.
-        bursts: Stretches of quick motion.
-        seed: Gives the breathing its phase.
+        bursts: Quick motions.
+        seed: Seed of the phase of the breathing.
     """
 
     drift: tuple[float, float, float] = (0.0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""What a console needs once, to show a cell: who asks, the workflow, the arm, the tool, the body."""
+"""Data that a console needs to show a cell: its user, the workflow, the arm, the tool and the body."""
 
 from __future__ import annotations
 
@@ -12,7 +12,13 @@ Point = tuple[float, float, float]
 
 
 class BoxShown(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """Something fixed that the arm keeps out of: its middle in the robot's base, and its edges, m."""
+    """A fixed box that the arm keeps out of.
+
+    Attributes:
+        name: Name of the box.
+        pose: Pose of its centre in the robot's base.
+        size: Lengths of its edges, m.
+    """
 
     name: str
     pose: PoseMessage
@@ -32,12 +38,13 @@ class SurfaceShown(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class ArmShown(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """The arm as joints that turn about their own z.
+    """The arm as a chain of joints that turn about their own z axis.
 
     Attributes:
-        joints: Each in the frame of the one before it at position 0; the first in the robot's base.
-        flange: In the frame of the last joint.
-        link_radius: Of all links, m.
+        name: Name of the arm.
+        joints: Pose of each joint at position 0 in the frame of the one before; of the first in the robot's base.
+        flange: Pose of the flange in the frame of the last joint.
+        link_radius: Radius of all links, m.
     """
 
     name: str
@@ -47,7 +54,13 @@ class ArmShown(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class SliceShown(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """A rectangle across the tracker's measuring volume: `distance` along its -z, width along x, height along y, m."""
+    """A rectangle across the tracker's measuring volume.
+
+    Attributes:
+        distance: Distance along the tracker's -z, m.
+        width: Width along x, m.
+        height: Height along y, m.
+    """
 
     distance: float
     width: float
@@ -58,21 +71,24 @@ class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
     """The answer to ``svc/setup/<user>``.
 
     Attributes:
-        role: What the user may do.
-        lease_required: Whether somebody has to hold the cell before anything that changes it.
-        blueprint: The workflow, as TOML.
-        flange_from_coil: Where the tool is on the arm.
-        tool_radius: Of the tool, a disc or rod about its z axis, m.
-        tool_half_length: The same along it.
-        surface: None where none is configured.
-        patient: Whose session it is.
-        operator: Who is responsible for it.
+        user: Name of the user who asks.
+        role: Role of the user.
+        lease_required: True if a user has to hold the cell before any change of it.
+        blueprint: Workflow as TOML.
+        arm: The arm.
+        flange_from_coil: Pose of the tool on the arm.
+        tool_radius: Radius of the tool, a disc or rod about its z axis, m.
+        tool_half_length: Half of the tool's length along its z axis, m.
+        boxes: Fixed boxes that the arm keeps out of.
+        surface: Surface of the body; None if none is configured.
+        patient: Name of the patient of this session.
+        operator: Name of the responsible operator.
         residual_limit: Mean distance of the landmarks beyond which a registration is rejected, m.
-        drivers: Device to the driver that serves it; ``sim`` is simulated.
-        body_margin: All links but the tool keep so far from the convex hull of the surface, m.
+        drivers: Driver of each device; ``sim`` is simulated.
+        body_margin: Distance that all links but the tool keep from the convex hull of the surface, m.
         tre_limit: Predicted error at a target beyond which a plan is refused, m.
-        volume: Where the tracker measures, near to far; empty where nobody has said.
-        mep: What a response is told from: the table ``procedure.stimulation.mep`` of the configuration.
+        volume: Measuring volume of the tracker, near to far; empty if it is not configured.
+        mep: Criteria of a response: the table ``procedure.stimulation.mep`` of the configuration.
     """
 
     user: str
@@ -96,7 +112,13 @@ class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class LandmarkShown(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """A landmark: planned in the image, and where it was digitized in body_ref, m; None while it is open."""
+    """A landmark.
+
+    Attributes:
+        name: Name of the landmark.
+        planned: Planned position in the image, m.
+        digitized: Digitized position in body_ref, m; None until it is digitized.
+    """
 
     name: str
     planned: Point
@@ -104,13 +126,13 @@ class LandmarkShown(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class StimulationShown(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """What a procedure with stimulation has gathered; intensities in percent of the maximum stimulator output.
+    """Data of a procedure with stimulation; intensities are percent of the maximum stimulator output.
 
     Attributes:
-        ceiling: That no pulse goes above; None until it has been set.
-        intensity: Of the next pulse; None until it has been set.
-        response: To the last pulse: intensity, what was measured, and why it does not count where it does not.
-        hunt: For the threshold: its settings and pulses, as the journal has them.
+        ceiling: Greatest intensity of any pulse; None until it is set.
+        intensity: Intensity of the next pulse; None until it is set.
+        response: Response to the last pulse: intensity, measured values, and the reason if it does not count.
+        hunt: Search for the threshold: its settings and pulses as in the journal.
     """
 
     ceiling: float | None = None
@@ -120,15 +142,16 @@ class StimulationShown(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class ProcedureDataView(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """What the procedure has gathered so far: told on ``state/data`` when it changes, and asked for by ``svc/data``.
+    """Data of the procedure so far: published on ``state/data`` when it changes, and the answer to ``svc/data``.
 
     Attributes:
-        body_ref_from_image: The registration in force.
+        landmarks: Landmarks in the order of the plan.
+        body_ref_from_image: Registration in force; None if there is none.
         residual: Mean distance of its landmarks, m.
-        plan: ``image_from_coil`` of the accepted tool plan.
-        sigma: Noise of a landmark that is reckoned with now, standard deviation per axis, m.
-        covariance: Of the registration, where the surface has refined it, (6, 6) row by row; empty otherwise.
-        stimulation: None where the workflow stimulates nothing.
+        plan: ``image_from_coil`` of the accepted tool plan; None if there is none.
+        sigma: Assumed noise of a landmark, standard deviation per axis, m.
+        covariance: Covariance of a registration that the surface has refined, (6, 6) row by row; empty otherwise.
+        stimulation: Data of the stimulation; None if the workflow has none.
     """
 
     landmarks: list[LandmarkShown]

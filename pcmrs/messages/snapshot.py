@@ -1,4 +1,4 @@
-"""The joint state of a workflow, as it is published."""
+"""Snapshots: the published joint state of all branches of a workflow."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Running(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class ActiveActivity(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """The activity of the state that a branch is in; `values` are what it shows of itself."""
+    """The running activity of a branch's state; `values` are what it displays."""
 
     branch: str
     state: str
@@ -26,12 +26,14 @@ class ActiveActivity(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class UnknownOutcome(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """A command of which nobody knows how it ended, until an operator has settled that.
+    """A command with an unknown outcome, until an operator has settled it.
 
     Attributes:
-        command: Its id.
-        source: Who asked for it.
-        since: When it began, or where that is not known when its outcome was given up; Unix seconds.
+        command: Id of the command.
+        source: Source of the command.
+        branch: Branch of the command.
+        operation: Operation of the command.
+        since: Start of the command or, if that is unknown, the time at which its outcome was given up; Unix seconds.
     """
 
     command: str
@@ -42,7 +44,7 @@ class UnknownOutcome(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class BlueprintTag(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """Which workflow a decision was made under; `hash` is the SHA-256 of what the blueprint says."""
+    """Identification of a workflow; `hash` is the SHA-256 of the contents of its blueprint."""
 
     id: str
     version: str
@@ -50,7 +52,7 @@ class BlueprintTag(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class LeaseState(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """Who holds the cell, and who asks to have it instead."""
+    """User who holds the cell, and user who requests to take it over."""
 
     holder: str
     asking: str | None = None
@@ -60,10 +62,10 @@ class StopState(Message, frozen=True, kw_only=True, omit_defaults=False):
     """The newest Stop.
 
     Attributes:
-        number: Grows with every Stop, across restarts of the daemon; 0 before the first one. An acknowledgement names
-            it.
-        pending: What an acknowledgement waits for: ``standstill``, or the code of a danger event.
-        confirmed: Standstill was measured after its holds; false while it has only begun.
+        number: Number that grows with every Stop, across restarts of the daemon; 0 before the first one. An
+            acknowledgement names it.
+        pending: Conditions that an acknowledgement waits for: ``standstill``, or the code of a danger event.
+        confirmed: True if standstill was measured after the holds; False while the Stop has only begun.
     """
 
     number: int = 0
@@ -75,13 +77,19 @@ class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
     """The joint state of all branches after one commit.
 
     Attributes:
+        sequence: Number that grows with each snapshot.
+        branches: State of each branch.
+        flags: Flags that mirror the states, for displays.
+        running: Operations in progress.
+        latched: True if Stop is latched.
+        blueprint: Identification of the workflow.
         plan: Id of the accepted tool plan, if any.
         registration: Id of the accepted registration, if any.
-        activities: What goes on besides operations, until the state it belongs to is left.
-        unknown: Outcomes that nobody knows and no operator has settled yet, of earlier runs of the daemon too.
-        lease: None while nobody holds the cell.
+        activities: Activities, each of which runs until its state is left.
+        unknown: Commands with an unknown outcome that no operator has settled yet, also of earlier runs of the daemon.
+        lease: Holder of the cell; None while there is none.
         stop: The newest Stop.
-        release: Operations of the workflow, ``branch.operation``, that release the latch of Stop; each alone does.
+        release: Operations of the workflow, ``branch.operation``, each of which releases the latch of Stop.
     """
 
     sequence: int
@@ -100,7 +108,7 @@ class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class Flags(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """The flags of snapshot `sequence`, for displays; nothing is decided by them."""
+    """Flags of the snapshot `sequence`, for displays; no decision depends on them."""
 
     sequence: int
     flags: dict[str, bool]

@@ -1,4 +1,4 @@
-"""Pulses of a magnetic stimulator, and what a muscle answers."""
+"""Pulses of a magnetic stimulator, and the responses of a muscle."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from pcmrs.messages.base import Message
 
 
 class StimulatorState(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """What a magnetic stimulator says of itself.
+    """State of a magnetic stimulator.
 
     Attributes:
-        ready: Charged, and cool enough to fire.
-        intensity: Percent of the maximum stimulator output; None where only the operator at its dial knows.
-        coil_temperature: Degrees Celsius; None where it has no sensor.
-        pulse: Number of the last pulse it fired; 0 before the first.
+        armed: True if it can fire.
+        ready: True if it is charged, and cool enough to fire.
+        intensity: Intensity, percent of the maximum stimulator output; None if only the operator at its dial knows it.
+        coil_temperature: Temperature of the coil, degrees Celsius; None if it has no sensor.
+        pulse: Number of the last pulse; 0 before the first.
     """
 
     armed: bool
@@ -26,9 +27,9 @@ class FiredPulse(Message, frozen=True, kw_only=True, omit_defaults=False):
     """A pulse that was given.
 
     Attributes:
-        number: Of the pulse, as it was asked for.
-        intensity: Percent of the maximum stimulator output; None where only the operator knows.
-        fired: Of the node's clock, s.
+        number: Number of the pulse in its request.
+        intensity: Intensity, percent of the maximum stimulator output; None if only the operator knows it.
+        fired: Time of the pulse, s of the node's clock.
     """
 
     number: int
@@ -43,9 +44,9 @@ class Epoch(Message, frozen=True, kw_only=True, omit_defaults=False):
         pulse: Number of the pulse.
         muscle: Name of the channel.
         rate_hz: Samples per second.
-        start: Time of the first sample since the pulse, s: negative before it.
-        samples: V, evenly spaced.
-        full_scale: Magnitude at which the amplifier saturates, V; None where it does not say.
+        start: Time of the first sample relative to the pulse, s; negative before it.
+        samples: Signal, evenly spaced, V.
+        full_scale: Magnitude at which the amplifier saturates, V; None if it is unknown.
     """
 
     pulse: int

@@ -1,4 +1,4 @@
-"""What a teleoperator sends, and what the daemon tells of it."""
+"""Set points of a teleoperator, and the status that the daemon publishes."""
 
 from __future__ import annotations
 
@@ -12,19 +12,22 @@ Twist = tuple[float, float, float, float, float, float]
 AT_REST: Final[Twist] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 Limit = Literal["height", "range", "turn", "zone", "reach"]
-"""What keeps the tool from going where it is asked to: the planned contact, its distance or rotation from the planned
-pose, what the arm keeps out of, or the end of a joint."""
+"""Limit that keeps the tool from moving as requested.
+
+It is the planned contact, the distance or rotation from the planned pose, a zone that the arm keeps out of, or the
+limit of a joint.
+"""
 
 
 class TeleopSetpoint(Message, frozen=True, kw_only=True):
-    """How a teleoperator wants the tool to move, until the next set point.
+    """Requested motion of the tool until the next set point.
 
     Attributes:
-        sequence: Grows with every set point; one that is not newer than the last is refused.
-        sent: Sender's monotonic time, s; only differences count.
-        seen: `TeleopStatus.stamp` of the newest status that the sender has seen, s: the daemon's own time.
-        ttl: The set point is refused when `seen` is older than this, s.
-        twist: See `Twist`.
+        sequence: Number that grows with every set point; one that is not newer than the last is refused.
+        sent: Time of sending, s of the sender's monotonic clock; only differences are used.
+        seen: `TeleopStatus.stamp` of the newest status that the sender has received, s of the daemon's clock.
+        ttl: Age of `seen` beyond which the set point is refused, s.
+        twist: Requested velocity of the tool, see `Twist`.
     """
 
     sequence: int
@@ -35,21 +38,21 @@ class TeleopSetpoint(Message, frozen=True, kw_only=True):
 
 
 class TeleopStatus(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """How the guiding goes, published for as long as the tool is guided.
+    """Status of the guidance, published while the tool is guided.
 
     Attributes:
-        stamp: Daemon's monotonic time, s; see `TeleopSetpoint.seen`.
-        user: Who has engaged the clutch; None while it is open.
-        sequence: Of the last set point that was admitted; 0 for none.
-        round_trip: From `stamp` to the set point that has seen it, s; None before the first.
-        jitter: Of the set points' arrival, s (RFC 3550, 6.4.1).
-        scale: What the delay leaves of the speed, 0 to 1.
-        held: The delay was too long: the tool stands until a set point asks for no motion.
-        distance: Of the tool point from its planned place, m.
-        height: Of the tool point above the planned contact, m.
-        turn: Of the tool against its planned pose, rad.
-        limit: What the tool has come to.
-        refused: Code to how many set points were refused for it since the clutch was engaged.
+        stamp: Time of the daemon's monotonic clock, s; see `TeleopSetpoint.seen`.
+        user: User who has engaged the clutch; None while it is open.
+        sequence: Number of the last admitted set point; 0 for none.
+        round_trip: Time from `stamp` to the arrival of the set point that has seen it, s; None before the first.
+        jitter: Jitter of the set points' arrival, s (RFC 3550, 6.4.1).
+        scale: Factor on the speed because of the delay, 0 to 1.
+        held: True if the delay was too long: the tool stands until a set point requests no motion.
+        distance: Distance of the tool point from its planned position, m.
+        height: Height of the tool point above the planned contact, m.
+        turn: Rotation of the tool from its planned pose, rad.
+        limit: Limit that the tool has reached; None for none.
+        refused: Number of set points that were refused since the clutch was engaged, by code.
     """
 
     stamp: float

@@ -1,4 +1,4 @@
-"""Reports as pages: HTML that needs no script, with every text escaped and nothing left out in silence."""
+"""Reports as HTML pages without scripts; every text is escaped, and a missing value is an error."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from collections.abc import Callable
 from typing import Any, Final
 
 NONE: Final = "–"
-"""Text of a number that is missing."""
+"""Text of a missing number."""
 PNG, SVG = "image/png", "image/svg+xml"
 """Media types of pictures."""
 
 
 def render(package: str, template: str, *filters: Callable[..., Any], **values: Any) -> str:
-    """A template with values in it.
+    """Render a template.
 
     Args:
-        package: In whose folder the template lies.
-        template: Its name.
-        filters: Of the template, by their names.
-        values: What it shows; one that it names and does not get is an error.
+        package: Package whose folder holds the template.
+        template: Name of the template.
+        *filters: Filters of the template, under their own names.
+        **values: Values of the template; one that is used but not given is an error.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -36,7 +36,12 @@ def render(package: str, template: str, *filters: Callable[..., Any], **values: 
 
 
 def fixed(value: float | None, digits: int = 2) -> str:
-    """A number with so many decimals; a dash where there is none."""
+    """Format a number with a fixed number of decimals.
+
+    Args:
+        value: The number; None gives a dash.
+        digits: Number of decimals.
+    """
     return NONE if value is None else f"{value:.{digits}f}".replace("-", "−")
 
 

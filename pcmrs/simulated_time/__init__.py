@@ -1,1 +1,1 @@
-"""Time that is simulated: an event loop in which waiting costs nothing, and the clocks that read it."""
+"""Simulated time: an event loop in which waiting costs nothing, and the clocks that read its time."""

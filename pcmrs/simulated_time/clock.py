@@ -1,4 +1,4 @@
-"""Clocks of the processes of a simulated cell."""
+"""Clocks of the processes of a cell in simulated time."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from contextlib import AbstractAsyncContextManager
 from typing import Any
 
 EPOCH = 1_700_000_000.0
-"""Unix seconds at the beginning of every simulation."""
+"""Wall time at the start of every simulation, Unix seconds."""
 
 
 class SimulatedClock:
     """Implements `pcmrs.clock.Clock` on the time of a simulated loop.
 
-    All clocks of one loop share the same monotonic time, as the processes of one machine do; each has a wall clock of
-    its own, which can be set, as that of a host can.
+    All clocks of one loop share the same monotonic time, like the processes of one machine. Each has its own wall
+    clock, which can be set like that of a host.
 
     Args:
-        loop: Whose time it is.
+        loop: Loop whose time it reads.
 
     Attributes:
-        ahead: The wall clock is so much ahead of the true time, s.
+        ahead: Offset of the wall clock from the true time, s.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -47,7 +47,7 @@ class SimulatedClock:
         return asyncio.timeout(seconds)
 
     def freeze(self, frozen: bool) -> None:
-        """The wall clock stands still from now on, or goes on as if it had not."""
+        """Stop the wall clock, or let it continue as if it had never stopped."""
         self._frozen = self.wall() if frozen else None
 
 

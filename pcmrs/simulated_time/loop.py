@@ -1,11 +1,10 @@
-"""An event loop in which waiting costs nothing: when nobody has anything to do, time jumps to the next timer.
+"""An event loop in which waiting costs nothing: when no callback is due, time jumps to the next timer.
 
-The order of everything is decided by the timers and by the order in which callbacks were scheduled; tasks are
-numbered, so that a set of them is walked through in the same order in every run. Sockets, threads and processes have
-no place in it: what asks for them fails.
+The timers and the order in which callbacks were scheduled determine the order of execution. Tasks are numbered, so that
+a set of them has the same order in every run. Sockets, threads and processes are not supported: using them fails.
 
-All simulated processes share the loop. One of them can be held up, as by a callback that takes long or by a scheduler
-that gives it no time: its callbacks then wait, in their order, and those of the others go on.
+All simulated processes share the loop. One of them can be held up, as by a long callback or by a scheduler that gives
+it no time: its callbacks then wait, in their order, and those of the others continue.
 """
 
 from __future__ import annotations
@@ -28,10 +27,10 @@ class SimulationError(PcmrsError):
 
 
 class _NumberedTask(asyncio.Task[Any]):
-    """A task with a place of its own in a set; the address of an object is another one in every run."""
+    """A task that is hashed by its number: the address of an object differs in every run."""
 
     def __init__(self, work: Any, *, loop: SimulatedLoop, **options: Any) -> None:
-        self._number = loop.next_number()  # first, for the base class puts the task into a set
+        self._number = loop.next_number()  # first, because the base class puts the task into a set
         super().__init__(work, loop=loop, **options)
 
     def __hash__(self) -> int:
@@ -41,11 +40,11 @@ class _NumberedTask(asyncio.Task[Any]):
 _Arguments = TypeVarTuple("_Arguments")
 
 OWNER: ContextVar[dict[asyncio.Task[Any], None] | None] = ContextVar("owner", default=None)
-"""The tasks of the process in whose context something is done; what it starts belongs to it, too."""
+"""Tasks of the simulated process in whose context the code runs; tasks that it starts belong to it, too."""
 
 
 class SimulatedLoop(asyncio.BaseEventLoop):
-    """An event loop on simulated time, which begins at 0 s."""
+    """An event loop in simulated time, which starts at 0 s."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -57,7 +56,7 @@ class SimulatedLoop(asyncio.BaseEventLoop):
         self.set_task_factory(self._numbered_task)
 
     def time(self) -> float:
-        """Simulated seconds since the loop was made."""
+        """Return the simulated time since the loop was made, s."""
         return self._now
 
     def call_soon(
@@ -91,7 +90,7 @@ class SimulatedLoop(asyncio.BaseEventLoop):
         return timer
 
     def _run_once(self) -> None:
-        """Goes to the next timer if nobody has anything to do, and then does what is due."""
+        """Advance to the next timer if no callback is due, then run what is due."""
         timers, due = self._timers, self._due
         while timers and (timers[0][0] <= self._now or not due or timers[0][2].cancelled()):
             when, _, timer = heapq.heappop(timers)
@@ -99,7 +98,7 @@ class SimulatedLoop(asyncio.BaseEventLoop):
                 self._now = max(self._now, when)
                 due.append(timer)
         if not (due or self._stopping):  # type: ignore[attr-defined]
-            raise SimulationError("Everybody waits and nothing will ever happen: no timer is set.")
+            raise SimulationError("The simulation is stuck: all tasks wait, and no timer is set.")
         for _ in range(len(due)):
             handle = due.popleft()
             if handle.cancelled():
@@ -111,11 +110,11 @@ class SimulatedLoop(asyncio.BaseEventLoop):
                 handle._run()
 
     def hold_up(self, owned: dict[asyncio.Task[Any], None], seconds: float) -> None:
-        """The process that owns these tasks does nothing for so long; its threads go on.
+        """Hold up the process that owns these tasks; its threads continue.
 
         Args:
-            owned: See `OWNER`.
-            seconds: From now on, s.
+            owned: Tasks of the process, see `OWNER`.
+            seconds: Duration from now, s.
         """
         self._held_up[id(owned)] = self._now + seconds
 
@@ -127,10 +126,10 @@ class SimulatedLoop(asyncio.BaseEventLoop):
         return until
 
     def _timer_handle_cancelled(self, handle: asyncio.TimerHandle) -> None:
-        """It is dropped when its time comes."""
+        """Do nothing: a cancelled timer is dropped when it is due."""
 
     def next_number(self) -> int:
-        """Of the next task."""
+        """Return the number of the next task."""
         return next(self._numbers)
 
     @staticmethod

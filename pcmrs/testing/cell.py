@@ -1,4 +1,4 @@
-"""A daemon as a process, with a folder and ports of its own, and everybody who talks to it."""
+"""A running daemon as a process, with its own folder and ports, and its client, planner and bus."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from pcmrs.devices.remote import RemoteScene
 from pcmrs.journal import JournalReader, JournalRow
 from pcmrs.planner import Planner
 from pcmrs.service import Ready
-from pcmrs.testing.daemon import device_key, last_words, own_settings, running_daemon
+from pcmrs.testing.daemon import device_key, log_tail, own_settings, running_daemon
 
 QUICK = (
     "cell.rate=5",
     "robot.deadman=0.5",
-    "procedure.max_pose_age=0.6",  # a machine that does much else may leave a process alone for so long
+    "procedure.max_pose_age=0.6",  # a busy machine may leave a process without a processor for so long
     "procedure.motion.joint_speed_fraction=1.0",
     "procedure.motion.joint_acceleration=5.0",
     "procedure.motion.linear_velocity=0.5",
     "procedure.placement.frames=5",
-    "procedure.placement.tolerance_mm=0.5",  # of so few frames the mean is no better
+    "procedure.placement.tolerance_mm=0.5",  # the mean of so few frames is not more accurate
     "procedure.placement.tolerance_deg=0.2",
     "procedure.registration.samples=5",
     "sim.digitization.reach_time=0.1",
     "sim.digitization.rest_time=0.1",
 )
-"""Settings of every daemon unless others are given: a cell that is quick where nothing depends on it."""
+"""Default settings of every daemon: a fast cell."""
 REAL_TIME = (
     "cell.rate=1",
     "procedure.max_pose_age=0.5",
@@ -40,20 +40,23 @@ REAL_TIME = (
     "procedure.motion.linear_velocity=0.3",
     "robot.deadman=1.0",
 )
-"""Settings for what happens in real time: in the middle of a motion, while the tool follows, deadlines of devices."""
+"""Settings for tests in real time: in the middle of a motion, while the tool follows, and of deadlines of devices."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunningCell:
-    """A running daemon, and everybody who talks to it.
+    """A running daemon, and its client, planner and bus.
 
     Attributes:
-        process: The daemon, or the program that runs it.
-        log_file: What daemon and nodes have written to standard error.
-        client: Over the bus.
-        planner: Over UDP.
-        bus: As a device node or a console has it.
-        scene: Truth and faults of the simulation.
+        process: Process of the daemon, or of the program that runs it.
+        ready: Report of the daemon when it was ready.
+        settings: Settings of the daemon, ``key=value`` each.
+        folder: Folder of the cell.
+        log_file: Standard error of daemon and nodes.
+        client: Client over the bus.
+        planner: Client of the planner link over UDP.
+        bus: Bus with the rights of a device node.
+        scene: Ground truth and faults of the simulation.
     """
 
     process: asyncio.subprocess.Process
@@ -68,21 +71,21 @@ class RunningCell:
 
     @property
     def name(self) -> str:
-        """The cell's."""
+        """Name of the cell."""
         return self.ready.prefix.split("/")[-1]
 
     @property
     def log(self) -> str:
-        """Everything that daemon and nodes have written to standard error."""
+        """Standard error of daemon and nodes so far."""
         return self.log_file.read_text(errors="replace")
 
     def rows(self, after: int = 0) -> list[JournalRow]:
-        """What the journal holds after a sequence number, read from the file."""
+        """Return the rows of the journal after a sequence number, read from its file."""
         with JournalReader(Path(self.ready.journal)) as journal:
             return [stored.row for stored in journal.read(after=after)]
 
     def last_row(self) -> int:
-        """Sequence number of the journal's last row."""
+        """Return the sequence number of the journal's last row."""
         with JournalReader(Path(self.ready.journal)) as journal:
             return max((stored.sequence for stored in journal.read(last=1)), default=0)
 
@@ -99,12 +102,12 @@ async def open_cell(
 
     Args:
         folder: Folder of the cell, which is made if it is missing; its name is the name of the cell.
-        overrides: Settings besides `QUICK`, ``key=value`` each.
+        overrides: Settings in addition to `QUICK`, ``key=value`` each.
         prefix: Words before the daemon's command line, such as ``strace`` and its options.
-        environment: Variables that the daemon has besides those of this process.
+        environment: Environment variables in addition to those of this process.
 
     Raises:
-        DeviceError: It did not start; the text has its last words.
+        DeviceError: The daemon did not start; the text has the end of its log.
     """
     settings, log = (*own_settings(folder, folder.name), *QUICK, *overrides), folder / "log"
     async with (
@@ -129,5 +132,5 @@ async def open_cell(
         try:
             yield cell
         except Exception as error:
-            error.add_note(f"The daemon's last words: {last_words(log, 12)}")
+            error.add_note(f"The end of the daemon's log: {log_tail(log, 12)}")
             raise

@@ -1,4 +1,4 @@
-"""Clocks for tests: of one the time stands still until the test moves it, the other's wall clock can be set."""
+"""Clocks for tests: one whose time only the test advances, and one whose wall clock can be set."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from contextlib import asynccontextmanager
 from pcmrs.clock import SystemClock
 
 EPOCH = 1_700_000_000.0
+"""Offset of the wall time of a `ManualClock`, Unix seconds."""
 SPINS = 50
+"""Number of turns after which the event loop is settled."""
 
 
 async def settle() -> None:
-    """Lets the event loop run until everything that needs no time has happened."""
+    """Let the event loop run until all tasks wait."""
     for _ in range(SPINS):
         await asyncio.sleep(0)
 
@@ -51,7 +53,7 @@ class ManualClock:
                     heapq.heapify(self._due)
 
     async def advance(self, seconds: float) -> None:
-        """Moves time, waking whatever falls due, in order, and letting it run before time goes on."""
+        """Advance time by `seconds`; each waiter that falls due runs, in order, before time advances further."""
         end = self._now + seconds
         while self._due and self._due[0][0] <= end:
             due, _, wake = heapq.heappop(self._due)
@@ -62,7 +64,7 @@ class ManualClock:
         await settle()
 
     def stall(self, seconds: float) -> None:
-        """Time in which nobody gets a turn, as when the machine is busy with others."""
+        """Advance time by `seconds` without running any waiter, as on a busy machine."""
         self._now += seconds
 
     def _at(self, seconds: float, wake: Callable[[], None]) -> tuple[float, int, Callable[[], None]]:
@@ -72,7 +74,11 @@ class ManualClock:
 
 
 class SetClock(SystemClock):
-    """A machine whose wall clock is set while it runs: it is `ahead` s of what it was."""
+    """The clock of a machine whose wall clock is set while it runs.
+
+    Attributes:
+        ahead: Offset of the wall clock from its true time, s.
+    """
 
     ahead = 0.0
 

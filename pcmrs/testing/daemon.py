@@ -1,4 +1,4 @@
-"""A daemon as a child process: on free ports, in a folder and a cell of its own."""
+"""A daemon as a child process: on free ports, in its own folder and cell."""
 
 from __future__ import annotations
 
@@ -21,11 +21,13 @@ from pcmrs.service import Ready
 from pcmrs.service.processes.child import end_child
 
 START_TIME = 300.0
-"""The daemon must say that it is ready within this, s: on a busy machine its imports alone take a minute."""
+"""Time within which the daemon must be ready, s: on a busy machine its imports alone take a minute."""
 
 END_TIME = 15.0
+"""Time within which the daemon must end, s."""
 
 DEVICE_KEY = "device.key"
+"""Name of the file of the key that daemon and device nodes share."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +35,8 @@ class DaemonProcess:
     """A running daemon.
 
     Attributes:
-        process: The child process: the daemon, or the program given before it.
-        ready: What the daemon said about itself when it was ready.
+        process: Child process: the daemon, or the program given before it.
+        ready: Report of the daemon when it was ready.
     """
 
     process: asyncio.subprocess.Process
@@ -42,18 +44,23 @@ class DaemonProcess:
 
 
 def own_settings(folder: Path, cell: str) -> list[str]:
-    """Settings of a cell that nobody else has; port 0 takes a free one. Its nodes know the key of `device_key`."""
+    """Return the settings of a cell with its own folder, ports and device key; port 0 takes a free one.
+
+    Args:
+        folder: Folder of the cell.
+        cell: Name of the cell.
+    """
     device_key(folder)
     own = [f"cell.name={cell}", f"cell.folder={folder}", f"cell.endpoint=tcp/127.0.0.1:{free_port()}"]
     own.append(f"access.device_key={folder / DEVICE_KEY}")
     links = [f"gateway.{link}.port=0" for link in ("planner", "robot", "visualization", "mep")]
-    # Where virtual devices are served, if a driver looks for them.
+    # Addresses of virtual devices, for drivers that use them.
     virtual = [f"kst.port={free_port()}", f"ndi.device=127.0.0.1:{free_port()}"]
     return [*own, *links, "gateway.tcp_port=0", "recording.enabled=false", "console.enabled=false", *virtual]
 
 
 def device_key(folder: Path) -> bytes:
-    """The key that daemon and device nodes of a cell in `folder` share; it is made where there is none."""
+    """Return the key that daemon and device nodes of a cell in `folder` share; it is made if there is none."""
     path = folder / DEVICE_KEY
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
@@ -62,7 +69,7 @@ def device_key(folder: Path) -> bytes:
 
 
 def serve_command(overrides: Sequence[str]) -> list[str]:
-    """The command line of a daemon with these settings, ``key=value`` each."""
+    """Return the command line of a daemon with these settings, ``key=value`` each."""
     settings = [word for override in overrides for word in ("--set", override)]
     return [sys.executable, "-m", "pcmrs.cli", "serve", "--json", *settings]
 
@@ -71,38 +78,38 @@ def serve_command(overrides: Sequence[str]) -> list[str]:
 async def running_daemon(
     overrides: Sequence[str], log: Path, *, prefix: Sequence[str] = (), environment: Mapping[str, str] | None = None
 ) -> AsyncIterator[DaemonProcess]:
-    """Starts a daemon, waits until it is ready, and ends it and its nodes with the context, whatever state it is in.
+    """Start a daemon, wait until it is ready, and end it and its nodes with the context, in any state.
 
     Args:
         overrides: Settings of the daemon, ``key=value`` each.
-        log: Takes its standard error, after what is there.
+        log: File to which its standard error is appended.
         prefix: Words before its command line: a program that runs it.
-        environment: Variables that it has besides those of this process.
+        environment: Environment variables in addition to those of this process.
 
     Raises:
-        DeviceError: It did not start; the text has its last words.
+        DeviceError: The daemon did not start; the text has the end of its log.
     """
     with log.open("ab") as errors:
         process = await asyncio.create_subprocess_exec(
             *prefix,
             *serve_command(overrides),
-            "--lifeline",  # it ends with this process, however that ends
+            "--lifeline",  # the daemon ends with this process, however that ends
             stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             stderr=errors,
             env={**os.environ, **(environment or {})},
         )
-    family: list[int] = []
+    children: list[int] = []
     try:
         ready = await _ready(process, log)
-        family = descendants(process.pid)
+        children = descendants(process.pid)
         yield DaemonProcess(process, ready)
     finally:
-        await _end(process, family or descendants(process.pid))
+        await _end(process, children or descendants(process.pid))
 
 
 def descendants(pid: int) -> list[int]:
-    """Ids of all processes below a process: device nodes, and whatever they have started."""
+    """Return the ids of all processes below a process: device nodes, and the processes that they have started."""
     found: list[int] = []
     for children in Path(f"/proc/{pid}/task").glob("*/children"):
         with suppress(OSError):
@@ -111,11 +118,11 @@ def descendants(pid: int) -> list[int]:
 
 
 CHILDREN = {"node": b"\0node\0", "world": b"\0pcmrs_sim.process\0", "heart": b"\0pcmrs.bus.heart\0"}
-"""Processes of a daemon that work for as long as it does, each with a word of its command line."""
+"""Permanent child processes of a daemon, each with a word of its command line."""
 
 
 def processes_of(pid: int) -> list[tuple[str, int]]:
-    """Names and ids of a daemon's process and of its `CHILDREN`."""
+    """Return the names and ids of a daemon's process and of its `CHILDREN`."""
     found = [("daemon", pid)]
     for child in descendants(pid):
         line = Path(f"/proc/{child}/cmdline").read_bytes()
@@ -124,7 +131,7 @@ def processes_of(pid: int) -> list[tuple[str, int]]:
 
 
 def free_port() -> int:
-    """A port on which nobody listens, TCP and UDP; below those that Linux gives to whoever names none."""
+    """Return a port that is free for TCP and UDP, below the range that Linux assigns itself."""
     while True:
         port = random.SystemRandom().randrange(20_000, 32_768)
         with socket.socket() as tcp, socket.socket(type=socket.SOCK_DGRAM) as udp, suppress(OSError):
@@ -133,20 +140,20 @@ def free_port() -> int:
             return port
 
 
-async def _end(process: asyncio.subprocess.Process, family: Sequence[int]) -> None:
-    """Ends a daemon that may be stopped, or held by the program that runs it, and what it leaves behind."""
-    for pid in (process.pid, *family):
+async def _end(process: asyncio.subprocess.Process, children: Sequence[int]) -> None:
+    """End a daemon, which may be stopped or held by the program that runs it, and its remaining children."""
+    for pid in (process.pid, *children):
         _send(pid, signal.SIGCONT)
     if process.returncode is None:
         process.terminate()
     await end_child(process, END_TIME)
-    for pid in family:
+    for pid in children:
         if _is_ours(pid):
             _send(pid, signal.SIGKILL)
 
 
 def _is_ours(pid: int) -> bool:
-    """Whether a process is still one of a daemon: its id may have gone to somebody else."""
+    """Return True if a process still belongs to a daemon; its id may be in use by another one."""
     with suppress(OSError):
         return b"pcmrs" in Path(f"/proc/{pid}/cmdline").read_bytes()
     return False
@@ -164,13 +171,18 @@ async def _ready(process: asyncio.subprocess.Process, log: Path) -> Ready:
             async with asyncio.timeout(START_TIME):
                 line = await process.stdout.readline()
         except TimeoutError:
-            raise DeviceError(f"The daemon was not ready within {START_TIME:g} s: {last_words(log)}") from None
+            raise DeviceError(f"The daemon was not ready within {START_TIME:g} s: {log_tail(log)}") from None
     try:
         return msgspec.json.decode(line, type=Ready)
     except msgspec.MsgspecError:
-        raise DeviceError(f"The daemon did not start: {last_words(log)}") from None
+        raise DeviceError(f"The daemon did not start: {log_tail(log)}") from None
 
 
-def last_words(log: Path, lines: int = 3) -> str:
-    """The end of a log, in one line."""
+def log_tail(log: Path, lines: int = 3) -> str:
+    """Return the end of a log in one line.
+
+    Args:
+        log: Path of the log.
+        lines: Number of lines.
+    """
     return " ".join(log.read_text(errors="replace").splitlines()[-lines:])

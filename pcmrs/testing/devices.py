@@ -1,4 +1,4 @@
-"""Devices for tests: each answers at once, remembers what it was told, and fails if the test says so."""
+"""Fake devices for tests: each answers at once, records its requests, and fails if the test demands it."""
 
 from __future__ import annotations
 
@@ -24,28 +24,28 @@ from pcmrs.messages import (
 )
 
 SESSION = 4
-"""Of set points, as `FakeRobot` numbers it."""
+"""Number of the servo session of `FakeRobot`."""
 STATE = JointState(captured=1.0, sent=1.0, positions=[0.1] * 7, velocities=[0.0] * 7, torques=[0.0] * 7)
 """Joints of an arm at rest, rad."""
 END = JointSetpoint(session=0, number=0, sent=0.0, positions=[], velocities=[])
-"""Stands for the end of a session among the set points of `FakeRobot`."""
+"""Marks the end of a session among the set points of `FakeRobot`."""
 EPOCH = Epoch(pulse=1, muscle="FDI", rate_hz=5000.0, start=-0.1, samples=[0.0, 1e-5])
 """The signal around pulse 1, V."""
 
 
 class FakeRobot:
-    """A robot that does as told at once, and remembers what it was told.
+    """A robot that performs requests at once, and records them.
 
     Attributes:
-        error: Raised by calls; None for a robot that answers.
+        error: Error that calls raise; None for a robot that answers.
         state: Measured joints.
-        followed: Trajectories, in order.
-        pressed: Requests to press, in order.
-        holds: How often it was held.
-        setpoints: Set points in order; `END` where a session ended.
-        servo_end: How sessions of set points end.
-        stream: Put joint states in here, and it publishes them.
-        reports: Put events in here, and it reports them.
+        followed: Requested trajectories, in order.
+        pressed: Requested presses, in order.
+        holds: Number of holds.
+        setpoints: Set points in order; `END` at the end of a session.
+        servo_end: Result of servo sessions.
+        stream: Queue of joint states that it publishes.
+        reports: Queue of events that it reports.
     """
 
     trouble = ""
@@ -86,7 +86,7 @@ class FakeRobot:
 
     async def end_servo(self, session: int) -> MotionResult:
         if session != SESSION:
-            raise DeviceError(f"There is no session {session}; the only one is {SESSION}.", session=session)
+            raise DeviceError(f"There is no session {session}; the only session is {SESSION}.", session=session)
         self.setpoints.append(END)
         if self.error is not None:
             raise self.error
@@ -111,11 +111,11 @@ class FakeRobot:
 
 
 class FakeTracker:
-    """A tracker without frames of its own.
+    """A tracker that publishes the frames of a test.
 
     Attributes:
-        trouble: Why it sends no frames, as it says.
-        stream: Put frames in here, and it publishes them.
+        trouble: Reported reason why it sends no frames.
+        stream: Queue of frames that it publishes.
     """
 
     trouble = "The tracker is unplugged."
@@ -129,10 +129,10 @@ class FakeTracker:
 
 
 class FakeHand:
-    """A pointer and a scene in one; it does nothing.
+    """A pointer and a scene in one, which only records its requests.
 
     Attributes:
-        calls: What it was asked for, in order.
+        calls: Requests, in order.
     """
 
     def __init__(self) -> None:
@@ -167,12 +167,12 @@ class FakeStimulator:
     """A stimulator that is charged at once.
 
     Attributes:
-        armed: Whether it can fire.
-        intensity: Percent of the maximum stimulator output.
+        armed: True if it can fire.
+        intensity: Intensity, percent of the maximum stimulator output.
         pulse: Number of the last pulse.
-        disarms: How often it was disarmed.
-        error: Raised by calls; None for a stimulator that answers.
-        reports: Put events in here, and it reports them.
+        disarms: Number of disarm requests.
+        error: Error that calls raise; None for a stimulator that answers.
+        reports: Queue of events that it reports.
     """
 
     def __init__(self) -> None:
@@ -213,9 +213,9 @@ class FakeStimulator:
 
 
 class FakeEmg:
-    """An electromyograph that has seen pulse 1 only."""
+    """An electromyograph that has received the marker of pulse 1 only."""
 
     async def epoch(self, pulse: int, before: float, after: float) -> Epoch:  # noqa: ARG002 - as the protocol has it
         if pulse != EPOCH.pulse:
-            raise DeviceError(f"No marker of pulse {pulse} was seen.", pulse=pulse)
+            raise DeviceError(f"No marker of pulse {pulse} was received.", pulse=pulse)
         return EPOCH

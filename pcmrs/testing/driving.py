@@ -1,4 +1,4 @@
-"""Driving a cell over the bus: to a registered head, into a motion, and out of it; all of it must be accepted."""
+"""Operating a cell over the bus: to a registered head, into a motion, and out of it; every command must be accepted."""
 
 from __future__ import annotations
 
@@ -18,27 +18,28 @@ from pcmrs.testing.errors import Unmet
 from pcmrs.testing.plan import Plan, example_plan, read_plan
 
 PATIENCE = 20.0
-"""Anything that must come about has done so within this, s of the machine."""
+"""Longest wait for an expected event, s of the machine."""
 RETRY = 0.5
+"""Pause between two attempts to connect the robot, s."""
 SEEN = 0.5
-"""After the arm came to rest the tracker has seen it within this, s of the machine."""
+"""Time after which the tracker has seen the arm at rest, s of the machine."""
 MOVES = 5e-3
 """Joint velocity above which the simulated arm counts as moving, rad/s."""
 
 
 @cache
 def plan() -> Plan:
-    """Landmarks and poses of the example."""
+    """Return the landmarks and poses of the example plan."""
     return read_plan(example_plan("ratms"))
 
 
 def landmarks() -> dict[str, Any]:
-    """Arguments of ``registration.plan_landmarks``."""
+    """Return the arguments of ``registration.plan_landmarks``."""
     return {"landmarks": msgspec.to_builtins(plan().landmarks)}
 
 
 def tool_pose(number: int = 0) -> dict[str, Any]:
-    """Arguments of ``toolplan.plan``."""
+    """Return the arguments of ``toolplan.plan`` for a pose of the example plan."""
     pose: dict[str, Any] = msgspec.to_builtins(plan().poses[number])
     return pose
 
@@ -47,32 +48,42 @@ ACKNOWLEDGE = "robot.acknowledge"
 
 
 async def accept(client: Client, name: str, **arguments: object) -> Verdict:
-    """Calls an operation that must be accepted.
+    """Call an operation that must be accepted.
+
+    Args:
+        client: Client of the cell.
+        name: Name of the operation, ``branch.operation``.
+        **arguments: Arguments of the operation.
 
     Raises:
-        Unmet: It was not.
+        Unmet: The operation was not accepted.
     """
     verdict = await (client.acknowledge() if name == ACKNOWLEDGE else client.call(name, arguments))
     if verdict.decision != "accepted":
-        raise Unmet(f"{name} was {verdict.decision}: {said(verdict)}")
+        raise Unmet(f"{name} was {verdict.decision}: {reason_text(verdict)}")
     return verdict
 
 
-def said(verdict: Verdict) -> str:
-    """Why a command was not accepted."""
+def reason_text(verdict: Verdict) -> str:
+    """Return the reason for which a command was not accepted."""
     return f"{verdict.reason.code}: {verdict.reason.text}" if verdict.reason is not None else "no reason"
 
 
 async def state(client: Client, branch: str) -> str:
-    """The present state of a branch."""
+    """Return the present state of a branch.
+
+    Args:
+        client: Client of the cell.
+        branch: Name of the branch.
+    """
     return (await client.state()).branches[branch]
 
 
-async def start_anew(client: Client) -> None:
-    """Takes the cell to where a daemon begins, whatever an earlier fault has left.
+async def reset_cell(client: Client) -> None:
+    """Bring the cell to the initial state of a daemon, from any state that an earlier fault has left.
 
     Raises:
-        Unmet: That was not accepted.
+        Unmet: A command was not accepted.
     """
     before = await client.state()
     if before.branches.get("stimulation", "disarmed") != "disarmed":
@@ -97,10 +108,10 @@ async def _put_away(client: Client) -> None:
 
 
 async def wait_until_stationary(client: Client) -> None:
-    """Takes the cell out of whatever an earlier fault has left, with the registration as it is.
+    """Bring the cell out of any state that an earlier fault has left, and keep its registration.
 
     Raises:
-        Unmet: That was not accepted.
+        Unmet: A command was not accepted.
     """
     shown = await client.state()
     if shown.latched:
@@ -112,10 +123,10 @@ async def wait_until_stationary(client: Client) -> None:
 
 
 async def connect(client: Client) -> None:
-    """Connects the robot; a virtual cabinet may listen only a moment after the daemon is ready.
+    """Connect the robot; tries again, because a virtual cabinet may be ready later than the daemon.
 
     Raises:
-        Unmet: It was not accepted within `PATIENCE`.
+        Unmet: The command was not accepted within `PATIENCE`.
     """
     with suppress(TimeoutError):
         async with asyncio.timeout(PATIENCE):
@@ -125,19 +136,19 @@ async def connect(client: Client) -> None:
     raise Unmet(f"The robot was not connected within {PATIENCE:g} s.")
 
 
-async def digitized(client: Client) -> None:
-    """Plans the landmarks and digitizes them."""
+async def digitize_landmarks(client: Client) -> None:
+    """Plan the landmarks and digitize them."""
     await accept(client, "registration.plan_landmarks", **landmarks())
     await accept(client, "digitization.digitize_all")
 
 
 async def register(client: Client) -> None:
-    """Connects the robot, registers the head and plans a pose, as far as that is not done."""
+    """Connect the robot, register the head and plan a pose, as far as that is not done."""
     before = (await client.state()).branches
     if before["robot"] == "0":
         await connect(client)
     if before["registration"] != "111":
-        await digitized(client)
+        await digitize_landmarks(client)
         await accept(client, "registration.register")
     if before["toolplan"] == "0":
         await accept(client, "toolplan.plan", **tool_pose())
@@ -147,7 +158,7 @@ async def register(client: Client) -> None:
 
 
 async def to_retracted(client: Client) -> None:
-    """The head is registered, the tool away from it."""
+    """Register the head and move the tool away from it."""
     await register(client)
     if await state(client, "placement") == "held":
         await accept(client, "placement.back_off")
@@ -156,7 +167,7 @@ async def to_retracted(client: Client) -> None:
 
 
 async def to_standoff(client: Client) -> None:
-    """The tool is at the standoff."""
+    """Register the head and move the tool to the standoff."""
     await register(client)
     if await state(client, "placement") in ("placed", "following", "guided", "held"):
         await accept(client, "placement.back_off")
@@ -165,7 +176,7 @@ async def to_standoff(client: Client) -> None:
 
 
 async def to_placed(client: Client) -> None:
-    """The tool is at its planned pose."""
+    """Register the head and move the tool to its planned pose."""
     await register(client)
     if await state(client, "placement") != "placed":
         await to_standoff(client)
@@ -173,15 +184,20 @@ async def to_placed(client: Client) -> None:
 
 
 def showing(**branches: str) -> Callable[[Snapshot], bool]:
-    """Whether a snapshot shows branches in these states, as `until` takes it."""
+    """Return a condition for `until`: True for a snapshot with these states of branches."""
     return lambda snapshot: branches.items() <= snapshot.branches.items()
 
 
 async def until(client: Client, condition: Callable[[Snapshot], bool], within: float = PATIENCE) -> Snapshot:
-    """Waits for a snapshot of which the condition holds, and returns it.
+    """Wait for a snapshot that fulfils a condition, and return it.
+
+    Args:
+        client: Client of the cell.
+        condition: Returns True for a snapshot that fulfils it.
+        within: Longest wait, s of the machine.
 
     Raises:
-        Unmet: None came within `within`, s of the machine; the text has the last one.
+        Unmet: No snapshot fulfilled it in time; the text has the last one.
     """
     last: Snapshot | None = None
     with suppress(TimeoutError):
@@ -191,7 +207,7 @@ async def until(client: Client, condition: Callable[[Snapshot], bool], within: f
                 if last is not None and condition(last):
                     return last
     shown = "nothing" if last is None else f"{last.branches}, latched {last.latched}"
-    raise Unmet(f"What was waited for did not come within {within:g} s; shown last: {shown}.")
+    raise Unmet(f"The expected state did not come within {within:g} s; shown last: {shown}.")
 
 
 @asynccontextmanager
@@ -201,13 +217,13 @@ async def moving(
     id: str | None = None,
     arguments: dict[str, Any] | None = None,
 ) -> AsyncIterator[asyncio.Task[Verdict]]:
-    """A motion in the middle of which the arm moves; its verdict has come when the context ends.
+    """Start a motion and wait until the arm moves; leaving the context waits for the verdict.
 
     Args:
-        client: Of the cell.
-        name: ``branch.operation`` that moves it.
-        id: Of the command; one of its own by default.
-        arguments: Of the operation.
+        client: Client of the cell.
+        name: Name of the operation that moves the arm, ``branch.operation``.
+        id: Id of the command; by default a new one.
+        arguments: Arguments of the operation by name.
 
     Raises:
         Unmet: The arm did not move, or no verdict came within `PATIENCE`.
@@ -231,7 +247,7 @@ async def moving(
 
 
 async def approach_alone(client: Client) -> Verdict:
-    """Registers and approaches while nothing else is asked for: a control.
+    """Register and approach without any other command, as a control.
 
     Raises:
         Unmet: The approach was not accepted.
@@ -240,7 +256,7 @@ async def approach_alone(client: Client) -> Verdict:
     async with moving(client) as approach:
         verdict = await approach
     if verdict.decision != "accepted":
-        raise Unmet(f"An approach that nothing disturbs was {verdict.decision}: {said(verdict)}")
+        raise Unmet(f"An undisturbed approach was {verdict.decision}: {reason_text(verdict)}")
     return verdict
 
 

@@ -6,6 +6,6 @@ from pcmrs.errors import PcmrsError
 
 
 class Unmet(PcmrsError):  # noqa: N818 - what a test finds, not an error of the program
-    """The required response was not seen; the text says what was seen instead."""
+    """The required response was not observed; the text names what was observed instead."""
 
     code = "response_unmet"

@@ -1,4 +1,4 @@
-"""Folders with the files of a journal."""
+"""Files of a journal: writing them into a folder, and reading them back."""
 
 from __future__ import annotations
 
@@ -11,7 +11,12 @@ KEY, PUBLIC_KEY = "journal.key", "journal.pub"
 
 
 def place(files: Mapping[str, bytes], folder: Path) -> Path:
-    """Writes the files into a folder that is made; returns the path of the journal."""
+    """Write files into a new folder, and return the path of the journal in it.
+
+    Args:
+        files: Content of each file by name.
+        folder: Folder to make.
+    """
     folder.mkdir()
     for name, content in files.items():
         (folder / name).write_bytes(content)
@@ -21,5 +26,5 @@ def place(files: Mapping[str, bytes], folder: Path) -> Path:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """All files that outlive a process; SQLite's shared memory does, but is made anew after a reboot."""
+    """Return the content of all files in a folder by name, except SQLite's shared memory, which a reboot removes."""
     return {path.name: path.read_bytes() for path in folder.iterdir() if not path.name.endswith("-shm")}

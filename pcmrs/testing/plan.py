@@ -12,7 +12,7 @@ from pcmrs.workflows.toolplan import ToolPose
 
 
 class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a planner picked: landmarks in order, and tool poses; m and quaternions x y z w."""
+    """Plan of a procedure: landmarks in order, and tool poses; m and quaternions x y z w."""
 
     landmarks: tuple[Landmark, ...]
     poses: tuple[ToolPose, ...]
@@ -26,14 +26,14 @@ def example_plan(workflow: str) -> Path:
 
 
 def read_plan(path: Path) -> Plan:
-    """Reads a plan file.
+    """Read a plan file.
 
     Raises:
-        ConfigurationError: It cannot be read or is no plan.
+        ConfigurationError: The file cannot be read or is not a plan.
     """
     try:
         return msgspec.json.decode(path.read_bytes(), type=Plan)
     except OSError as error:
         raise ConfigurationError(f"{path} cannot be read: {error.strerror}.", file=str(path)) from None
     except (msgspec.MsgspecError, RecursionError) as error:
-        raise ConfigurationError(f"{path} is no plan: {error}.", file=str(path)) from None
+        raise ConfigurationError(f"{path} is not a plan: {error}.", file=str(path)) from None

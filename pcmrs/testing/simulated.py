@@ -1,4 +1,4 @@
-"""A whole cell in one process and in simulated time: a procedure takes seconds, and every run is the same."""
+"""A whole cell in one process and in simulated time: a procedure takes seconds, and runs are reproducible."""
 
 from __future__ import annotations
 
@@ -25,18 +25,19 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 USER = "tester"
+"""Name of the client's user."""
 PATIENCE = 60.0
 """Longest wait, s of the cell."""
-LOOKS = 0.01
-"""A condition that is waited for is looked at after each of these, s of the cell."""
+POLL_PERIOD = 0.01
+"""Time between two checks of an awaited condition, s of the cell."""
 
 
 class CellInSimulatedTime:
     """A running cell, and a client of it; use `simulated_cell` or `run_simulated`.
 
     Attributes:
-        clock: Of the client's machine.
-        scene: Truth and faults of the simulation.
+        clock: Clock of the client's machine.
+        scene: Ground truth and faults of the simulation.
     """
 
     def __init__(self, cell: SimulatedCell) -> None:
@@ -48,7 +49,7 @@ class CellInSimulatedTime:
 
     @property
     def snapshot(self) -> Snapshot:
-        """The daemon's present state.
+        """Present state of the daemon.
 
         Raises:
             Unmet: The daemon does not run.
@@ -59,11 +60,11 @@ class CellInSimulatedTime:
         return procedure.dispatcher.snapshot()
 
     async def call(self, name: str, **arguments: object) -> Verdict:
-        """Ask for an operation and return the verdict.
+        """Send a command and return its verdict.
 
         Args:
-            name: ``branch.operation``.
-            arguments: Of the operation.
+            name: Name of the operation, ``branch.operation``.
+            **arguments: Arguments of the operation.
 
         Raises:
             UnknownOutcomeError: No verdict came within `PATIENCE`.
@@ -82,10 +83,10 @@ class CellInSimulatedTime:
         return await self._link.request(f"cmd/{USER}/{branch}/{operation}", command, Verdict, PATIENCE)
 
     async def accept(self, name: str, **arguments: object) -> Verdict:
-        """Ask for an operation that must be accepted; see `call`.
+        """Send a command that must be accepted, and return its verdict; see `call`.
 
         Raises:
-            Unmet: It was not.
+            Unmet: The command was not accepted.
         """
         verdict = await self.call(name, **arguments)
         if verdict.decision != "accepted":
@@ -93,24 +94,24 @@ class CellInSimulatedTime:
         return verdict
 
     async def until(self, condition: Callable[[Snapshot], bool], within: float = PATIENCE) -> Snapshot:
-        """Wait for a state.
+        """Wait for a state that fulfils a condition, and return it.
 
         Args:
-            condition: Holds in the state that is waited for.
-            within: s of the cell.
+            condition: Returns True for a state that fulfils it.
+            within: Longest wait, s of the cell.
 
         Raises:
-            Unmet: It did not come in time.
+            Unmet: No state fulfilled it in time.
         """
         end = self.clock.monotonic() + within
         while not condition(self.snapshot):
             if self.clock.monotonic() > end:
-                raise Unmet(f"It did not come within {within:g} s; shown last: {self.snapshot.branches}.")
-            await self.clock.sleep(LOOKS)
+                raise Unmet(f"The state did not come within {within:g} s; shown last: {self.snapshot.branches}.")
+            await self.clock.sleep(POLL_PERIOD)
         return self.snapshot
 
     async def crash(self) -> None:
-        """End the daemon as SIGKILL does, and start it again on the same journal."""
+        """End the daemon like SIGKILL does, and restart it with the same journal."""
         await self._cell.crash_daemon()
         await self._cell.start_daemon()
 
@@ -130,7 +131,7 @@ async def simulated_cell(
     Raises:
         ConfigurationError: The distribution pcmrs-sim is not installed, there is no such workflow, or a setting cannot
             be used.
-        BlueprintError: The workflow is unsound.
+        BlueprintError: The blueprint of the workflow breaks a rule.
     """
     try:
         from pcmrs_sim.deterministic.cell import simulated_cell as open_simulated
@@ -143,27 +144,27 @@ async def simulated_cell(
 
 
 def run_simulated(
-    course: Callable[[CellInSimulatedTime], Awaitable[T]],
+    scenario: Callable[[CellInSimulatedTime], Awaitable[T]],
     workflow: str = "ratms",
     overrides: Sequence[str] = (),
     seed: int = 1,
 ) -> T:
-    """Run a course of events in a new cell in simulated time, and return what it returns; see `simulated_cell`.
+    """Run a scenario in a new cell in simulated time, and return its result; see `simulated_cell`.
 
     Args:
-        course: Called with the cell.
+        scenario: Called with the cell.
         workflow: Name of an installed workflow, or path of a blueprint.
         overrides: Settings, ``key=value`` each.
         seed: Seed of all simulated errors and delays.
 
     Raises:
         ConfigurationError: See `simulated_cell`.
-        BlueprintError: The workflow is unsound.
+        BlueprintError: The blueprint of the workflow breaks a rule.
     """
 
     async def run(folder: Path) -> T:
         async with simulated_cell(folder, workflow, overrides, seed) as cell:
-            return await course(cell)
+            return await scenario(cell)
 
     with tempfile.TemporaryDirectory(prefix="pcmrs-") as name:
         loop = SimulatedLoop()

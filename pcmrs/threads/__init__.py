@@ -1,17 +1,17 @@
-"""Scheduling of threads: how long they ran and waited, and the real-time policy of the few that an arm waits for."""
+"""Scheduling of threads: their run and wait times, and the real-time policy of the few that an arm depends on."""
 
-from pcmrs.threads.figures import Figures, Load, Threads
 from pcmrs.threads.realtime import NOT_PERMITTED, Priority, RealTime, keep_pauses_short
 from pcmrs.threads.runaways import Runaway, Runaways
+from pcmrs.threads.scheduling import Load, Threads, ThreadTimes
 
 __all__ = [
     "NOT_PERMITTED",
-    "Figures",
     "Load",
     "Priority",
     "RealTime",
     "Runaway",
     "Runaways",
+    "ThreadTimes",
     "Threads",
     "keep_pauses_short",
 ]

@@ -1,10 +1,10 @@
 """The real-time policy SCHED_RR for the few threads that must not wait behind other programs.
 
-For the loop of the daemon, the process that owns the link to a device, and their threads of Zenoh; never for planning,
-physics, rendering, recording or the console. Threads and processes that they start begin without it
+The policy is for the loop of the daemon, the process that owns the link to a device, and their Zenoh threads; never for
+planning, physics, rendering, recording or the console. Threads and processes that they start begin without it
 (SCHED_RESET_ON_FORK).
 
-What Python does by itself, at times that nobody has chosen: it must not keep an event loop waiting.
+`keep_pauses_short` limits the pauses of Python itself: thread switches and garbage collection.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from enum import IntEnum
 
-from pcmrs.threads.figures import Threads
+from pcmrs.threads.scheduling import Threads
 
 SWITCH = 0.0005
-"""A thread that holds the interpreter's lock gives it to one that waits after this, s; Python's own value is 0.005."""
+"""Time after which a thread releases the interpreter's lock to one that waits, s; Python's default is 0.005."""
 
 
 def keep_pauses_short() -> None:
-    """Let neither other threads of this process nor the garbage collector keep its event loop waiting for long.
+    """Limit the pauses of the event loop by other threads of this process and by the garbage collector.
 
-    Call it once, when the process has started. The real-time policy does not help against either: a thread that waits
-    for the lock does not run, whatever its priority is, and the collector runs in the thread that needs memory. A full
-    collection of all that a daemon loads takes about 60 ms; what exists now is not looked at again.
+    Call it once, after the start of the process. The real-time policy does not help here: a thread that waits for the
+    lock does not run, whatever its priority is, and the collector runs in the thread that allocates memory. A full
+    collection of all objects that a daemon loads takes about 60 ms, so the present objects are excluded from it.
     """
     sys.setswitchinterval(SWITCH)
     gc.collect()
@@ -37,23 +37,23 @@ def keep_pauses_short() -> None:
 
 
 ZENOH = ("app-", "net-", "acc-", "rx-", "tx-")
-"""Names of Zenoh's own threads begin so, as the kernel knows them."""
+"""Prefixes of the kernel's names of Zenoh's own threads."""
 CALLBACKS = ("pcmrs-bus", "pcmrs-stop", "pyo3-closure")
-"""Parts of the names, as Python knows them, of threads that send requests and take what Zenoh has received."""
+"""Parts of Python's names of the threads that send requests and handle received messages."""
 
 NOT_PERMITTED = (
     "The real-time policy SCHED_RR is not permitted here: RLIMIT_RTPRIO is too small, or sched_setscheduler is "
-    "refused. On a busy machine heartbeats come late then, and a moving arm is held that need not be. Permit it as the "
-    "units in deploy/systemd do (LimitRTPRIO=20), and look with pcmrs doctor."
+    "refused. On a busy machine heartbeats are then late, and a moving arm is held without need. Permit it as the "
+    "units in deploy/systemd do (LimitRTPRIO=20), and check with pcmrs doctor."
 )
 
 
 PERIOD = 1.0
-"""A thread that has begun has the policy after this, s of the machine."""
+"""Time after which a new thread gets the policy, s of the machine."""
 
 
 class Priority(IntEnum):
-    """Whoever brakes goes ahead of whoever leads, and the watch over both ahead of them."""
+    """Real-time priorities: a node, which can brake, is ahead of the daemon, and the heart is ahead of both."""
 
     LOOP = 10
     DEVICE = 11
@@ -61,10 +61,10 @@ class Priority(IntEnum):
 
 
 class RealTime:
-    """The policy for the main thread of this process and its threads of Zenoh.
+    """Gives the policy to the main thread of this process and to its Zenoh threads.
 
     Args:
-        priority: Of SCHED_RR.
+        priority: Priority within SCHED_RR.
     """
 
     def __init__(self, priority: Priority) -> None:
@@ -72,10 +72,12 @@ class RealTime:
         self._given: set[int] = set()
 
     def give(self) -> None:
-        """Gives the policy to all that have begun since the last call; to none again from which it was taken away.
+        """Give the policy to all threads that were started since the last call.
+
+        A thread from which the policy was taken away does not get it again.
 
         Raises:
-            PermissionError: It is not permitted.
+            PermissionError: The policy is not permitted.
         """
         for thread in self._wanted() - self._given:
             with suppress(ProcessLookupError):  # the thread has ended
@@ -84,10 +86,10 @@ class RealTime:
             self._given.add(thread)
 
     async def keep(self, sleep: Callable[[float], Awaitable[None]]) -> None:
-        """Gives the policy again and again, for threads begin at any time; without permission it does nothing.
+        """Give the policy every `PERIOD`, because threads start at any time; do nothing without permission.
 
         Args:
-            sleep: Waits so long, s of the machine.
+            sleep: Waits for a time in s of the machine.
         """
         with suppress(PermissionError):
             while True:

@@ -1,4 +1,4 @@
-"""Takes the real-time policy away from a thread that runs away: nothing else would get its turn beside it."""
+"""Detection of real-time threads that run away: they lose the policy, because nothing else could run beside them."""
 
 from __future__ import annotations
 
@@ -7,26 +7,24 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import NamedTuple
 
-from pcmrs.threads.figures import Figures, Threads
+from pcmrs.threads.scheduling import Threads, ThreadTimes
 
 LONGEST = 0.3
-"""A thread that has not rested for so long runs away, s: no turn of a loop is meant to take longer than 0.2 s."""
+"""Time without a pause after which a thread runs away, s: no turn of a loop should take longer than 0.2 s."""
 REST = 0.1
-"""Part of the time between two looks that a thread rests at least unless it runs away."""
-
-
+"""Part of the time between two checks that a thread must pause; with less it did not pause."""
 CALM = 10.0
-"""One that has rested again and again for so long gets the policy back, s."""
+"""Time with regular pauses after which a thread gets the policy back, s."""
 
 
 class Runaway(NamedTuple):
-    """A thread that had the real-time policy and has it no more.
+    """A thread that has lost the real-time policy.
 
     Attributes:
-        process: Its process.
-        thread: Its id.
-        name: Of the thread, as the kernel knows it.
-        ran: Without a rest, s.
+        process: Id of its process.
+        thread: Id of the thread.
+        name: Name of the thread in the kernel.
+        ran: Time that it ran without a pause, s.
     """
 
     process: int
@@ -36,18 +34,24 @@ class Runaway(NamedTuple):
 
 
 class _Seen(NamedTuple):
-    """Of a thread at the last look: when that was, its figures, and since when it has not rested, or has."""
+    """State of a thread at the last check.
+
+    Attributes:
+        at: Time of the check, s.
+        times: Its scheduling times.
+        since: Time since which it has not paused or, without the policy, has always paused, s.
+    """
 
     at: float
-    figures: Figures
+    times: ThreadTimes
     since: float
 
 
 class Runaways:
-    """Watches the scheduling figures of all threads with the policy.
+    """Watches the scheduling times of all threads with the policy.
 
     Args:
-        processes: Ids of those to watch, asked at each look.
+        processes: Returns the ids of the processes to watch; called at each check.
     """
 
     def __init__(self, processes: Callable[[], Iterable[int]]) -> None:
@@ -56,21 +60,23 @@ class Runaways:
         self._demoted: dict[int, int] = {}
 
     def look(self, now: float) -> list[Runaway]:
-        """Demotes to SCHED_OTHER those that have run away, and returns them; those that rest again get the policy back.
+        """Demote threads that have run away to SCHED_OTHER, and return them; calm ones get the policy back.
+
+        Call this several times within `LONGEST`.
 
         Args:
-            now: s of the machine's monotonic clock; looks are to come several times within `LONGEST`.
+            now: Time of the machine's monotonic clock, s.
         """
         before, self._seen, found = self._seen, {}, []
         for process in self._processes():
             threads = Threads(process)
-            for thread, figures in threads.figures().items():
-                last = before.get(thread, _Seen(now, figures, now))
+            for thread, times in threads.times().items():
+                last = before.get(thread, _Seen(now, times, now))
                 if thread in self._demoted:
-                    self._look_at_demoted(thread, last, figures, now)
+                    self._look_at_demoted(thread, last, times, now)
                 elif _is_realtime(thread):
-                    rested = figures.ran - last.figures.ran < (1.0 - REST) * (now - last.at)
-                    seen = self._seen[thread] = _Seen(now, figures, now if rested else last.since)
+                    rested = times.ran - last.times.ran < (1.0 - REST) * (now - last.at)
+                    seen = self._seen[thread] = _Seen(now, times, now if rested else last.since)
                     if now - seen.since > LONGEST:
                         self._demote(thread)
                         found.append(Runaway(process, thread, threads.names().get(thread, ""), now - seen.since))
@@ -82,10 +88,10 @@ class Runaways:
             self._demoted[thread] = os.sched_getparam(thread).sched_priority
             os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
 
-    def _look_at_demoted(self, thread: int, last: _Seen, figures: Figures, now: float) -> None:
-        # It is one of many now: what it waits for a processor is no rest.
-        worked = sum(figures) - sum(last.figures)
-        self._seen[thread] = seen = _Seen(now, figures, now if worked > (1.0 - REST) * (now - last.at) else last.since)
+    def _look_at_demoted(self, thread: int, last: _Seen, times: ThreadTimes, now: float) -> None:
+        # Without the policy it competes with other threads: its wait for a processor is not a pause.
+        worked = sum(times) - sum(last.times)
+        self._seen[thread] = seen = _Seen(now, times, now if worked > (1.0 - REST) * (now - last.at) else last.since)
         if now - seen.since > CALM:
             self._seen[thread] = seen._replace(since=now)
             with suppress(OSError):

@@ -451,7 +451,7 @@ async def test_stop_needs_no_signature(lab: Lab) -> None:
 
 
 async def test_late_renewal_does_not_end_the_lease(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcmrs.client.aio._RENEWED", 0.02)
+    monkeypatch.setattr("pcmrs.client.aio._RENEWAL_PERIOD", 0.02)
     async with opened(lab) as cell, cell.client("tom") as tom, asyncio.timeout(TIMEOUT), tom.holding():
         cell.hold_back(monkeypatch)
         while not cell.refused:  # noqa: ASYNC110  refused as they come
@@ -464,7 +464,7 @@ async def test_late_renewal_does_not_end_the_lease(lab: Lab, monkeypatch: pytest
 
 
 async def test_a_command_that_was_long_on_its_way_is_asked_again(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcmrs.client.aio._ASKED_AGAIN", 0.02)
+    monkeypatch.setattr("pcmrs.client.aio._RETRY_PERIOD", 0.02)
     async with opened(lab) as cell, cell.client("tom") as tom, asyncio.timeout(TIMEOUT), asyncio.TaskGroup() as group:
         cell.hold_back(monkeypatch)
         calling = group.create_task(tom.call("robot.connect"))
@@ -479,7 +479,7 @@ async def test_refusal_after_a_broken_link_leaves_the_outcome_unknown(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The refusal does not say that nothing has happened."""
-    monkeypatch.setattr("pcmrs.client.aio._ASKED_AGAIN", 0.02)
+    monkeypatch.setattr("pcmrs.client.aio._RETRY_PERIOD", 0.02)
     monkeypatch.setattr("pcmrs.client.aio._TTL", 0.2)
     async with opened(lab) as cell, cell.client("tom") as tom, asyncio.timeout(TIMEOUT), asyncio.TaskGroup() as group:
         cell.answering.clear()

@@ -49,7 +49,7 @@ class Stand:
 def daemons(monkeypatch: pytest.MonkeyPatch) -> Daemons:
     made = Daemons()
     monkeypatch.setattr("pcmrs_lab.campaign.lab.open_cell", made.open_cell)
-    monkeypatch.setattr("pcmrs_lab.campaign.lab.start_anew", made.start_anew)
+    monkeypatch.setattr("pcmrs_lab.campaign.lab.reset_cell", made.start_anew)
     return made
 
 

@@ -113,7 +113,7 @@ def test_a_process_gets_no_more_than_its_share() -> None:
 
 
 def _ran(pid: int) -> float:
-    return sum(each.ran for each in Threads(pid).figures().values())
+    return sum(each.ran for each in Threads(pid).times().values())
 
 
 async def test_a_tool_that_fails_is_not_run() -> None:

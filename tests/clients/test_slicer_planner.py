@@ -17,7 +17,7 @@ from slicer_program import Cell, Program, core, lossy_way, running_cell
 
 from pcmrs.gateway.signing import new_key
 from pcmrs.testing.daemon import free_port
-from pcmrs.testing.driving import accept, plan, start_anew
+from pcmrs.testing.driving import accept, plan, reset_cell
 
 qt: Any = pytest.importorskip("PySide6.QtCore", reason="PySide6 is not installed: pip install PySide6-Essentials")
 link = core()
@@ -105,7 +105,7 @@ def _key(folder: Path) -> Path:
 
 @pytest.fixture
 def cell(shared: Cell) -> Cell:
-    shared.ask(start_anew(shared.cell.client))
+    shared.ask(reset_cell(shared.cell.client))
     return shared
 
 

@@ -16,8 +16,8 @@ from kst_peer import HOME, Peer, line, served
 from pcmrs.clock import SystemClock
 from pcmrs.devices.drivers.kst import open_devices
 from pcmrs.devices.kst import drive
+from pcmrs.devices.kst.arm import TorqueForce
 from pcmrs.devices.kst.drive import LATE, STALLED
-from pcmrs.devices.kst.force import TorqueForce
 from pcmrs.devices.protocols import OpenDriver, RobotDriver
 from pcmrs.errors import (
     ConfigurationError,

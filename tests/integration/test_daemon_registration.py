@@ -9,7 +9,7 @@ from daemon_process import PLAN, ServeProcess, own_settings, running_daemon
 
 from pcmrs.client import Client
 from pcmrs.planner import Planner
-from pcmrs.testing.driving import accept, landmarks, register, showing, start_anew, until
+from pcmrs.testing.driving import accept, landmarks, register, reset_cell, showing, until
 
 POINTS = 25
 
@@ -18,7 +18,7 @@ POINTS = 25
 async def test_the_wire_refines_a_registration_by_the_surface(
     daemon: ServeProcess, client: Client, planner: Planner
 ) -> None:
-    await start_anew(client)
+    await reset_cell(client)
     await planner.plan_landmarks([landmark["position"] for landmark in PLAN["landmarks"]])
     assert (await planner.command("icp_digitizexxxx")).reason == "invalid_in_state"
     await planner.digitize_all()
@@ -37,7 +37,7 @@ async def test_the_wire_refines_a_registration_by_the_surface(
 
 
 async def test_swapped_landmarks_are_named(daemon: ServeProcess, client: Client) -> None:
-    await start_anew(client)
+    await reset_cell(client)
     await accept(client, "registration.plan_landmarks", **landmarks())
     first, second = (PLAN["landmarks"][index] for index in (0, 4))
     between = [b - a for a, b in zip(first["position"], second["position"], strict=True)]

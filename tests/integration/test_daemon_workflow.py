@@ -4,13 +4,13 @@ from daemon_process import PLAN, ServeProcess
 
 from pcmrs.client import Client
 from pcmrs.planner import Planner
-from pcmrs.testing.driving import start_anew
+from pcmrs.testing.driving import reset_cell
 
 
 async def test_an_external_planner_completes_the_procedure_over_udp(
     daemon: ServeProcess, planner: Planner, client: Client
 ) -> None:
-    await start_anew(client)
+    await reset_cell(client)
     await planner.connect()
     await planner.plan_landmarks([landmark["position"] for landmark in PLAN["landmarks"]])
     await planner.digitize_all()

@@ -17,7 +17,7 @@ from pcmrs.devices.ndi.tools import placeholder
 from pcmrs.devices.remote import RemoteScene
 from pcmrs.messages import Verdict
 from pcmrs.testing.daemon import free_port
-from pcmrs.testing.driving import accept, moving, register, showing, start_anew, until
+from pcmrs.testing.driving import accept, moving, register, reset_cell, showing, until
 
 pytest.importorskip("mujoco")
 pytest.importorskip("ndicapy")
@@ -84,7 +84,7 @@ async def test_a_robot_that_fails_in_motion(virtual_daemon: ServeProcess, fault:
     async with virtual_daemon.client() as client, scene_of(virtual_daemon) as scene:
         if (await client.state()).branches["robot"] == "0":
             await connect(client)
-        await start_anew(client)
+        await reset_cell(client)
         await connect(client)
         await register(client)
         async with moving(client) as approach:
@@ -119,7 +119,7 @@ async def test_a_tracker_that_fails_while_the_tool_follows(
     async with virtual_daemon.client() as client, scene_of(virtual_daemon) as scene:
         if (await client.state()).branches["robot"] == "0":
             await connect(client)
-        await start_anew(client)
+        await reset_cell(client)
         await connect(client)
         await register(client)
         async with moving(client):

@@ -17,7 +17,7 @@ import pytest
 from journal_rows import outcome, row
 
 from pcmrs.errors import JournalError
-from pcmrs.failpoints import OF_GROWTH, VARIABLE
+from pcmrs.failpoints import ROTATION_FAILPOINTS, VARIABLE
 from pcmrs.files import publish
 from pcmrs.journal import Journal, JournalReader, copy_journal, verify
 from pcmrs.journal import writer as writer_module
@@ -197,7 +197,7 @@ def killed_at(path: Path, failpoint: str) -> list[int]:
     return [int(line) for line in ended.stdout.splitlines()]
 
 
-@pytest.mark.parametrize("name", OF_GROWTH)
+@pytest.mark.parametrize("name", ROTATION_FAILPOINTS)
 @pytest.mark.parametrize("growth", [1, 2])
 async def test_kill_while_a_file_is_started_loses_no_acknowledged_row(path: Path, name: str, growth: int) -> None:
     acknowledged = killed_at(path, f"{name}:{growth}")

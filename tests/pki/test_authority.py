@@ -185,7 +185,7 @@ def test_only_who_is_dialled_has_hosts(authority: Authority, tmp_path: Path, now
 def test_certificate_for_an_invalid_cell_is_not_issued(
     authority: Authority, tmp_path: Path, now: float, cells: tuple[str, ...]
 ) -> None:
-    with pytest.raises(ConfigurationError, match="is no cell"):
+    with pytest.raises(ConfigurationError, match="is not a cell"):
         authority.issue("viewer", "eve", now, cells=cells, into=tmp_path)
     assert authority.identities() == []
 

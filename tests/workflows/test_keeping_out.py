@@ -13,7 +13,7 @@ import pytest
 from structlog.testing import capture_logs
 from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
-from pcmrs.config import overlaid
+from pcmrs.config import merge_tables
 from pcmrs.errors import ConfigurationError, FileFormatError
 from pcmrs.kinematics.arms import IIWA14_R820
 from pcmrs.kinematics.collision import cylinder, hull, se3
@@ -168,7 +168,7 @@ async def test_the_tool_keeps_off_the_body_away_from_its_target(tmp_path: Path) 
 
 @pytest.mark.parametrize("name", ["ratms", "femoroplasty"])
 def test_example_tools_keep_off_the_body_until_in_the_cone(name: str) -> None:
-    defaults = overlaid({"procedure": {}}, open_workflow(name).blueprint.defaults)
+    defaults = merge_tables({"procedure": {}}, open_workflow(name).blueprint.defaults)
     own = msgspec.convert(defaults["procedure"], ProcedureSettings)
     surface = read_surface(own)
     assert surface is not None

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from pcmrs.background import background_task
-from pcmrs.config import overlaid
+from pcmrs.config import merge_tables
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.protocols import LatchingRobot, LatchingStimulator, RobotDriver, Scene, TrackerDriver
 from pcmrs.dispatcher import Dispatcher, DispatcherListener, Recorder, Run, Workflow
@@ -280,8 +280,8 @@ async def open_bench(
     """
     opened_workflow = shipped_workflow(workflow) if isinstance(workflow, str) else workflow
     defaults = opened_workflow.blueprint.defaults
-    quick = overlaid(defaults, {"procedure": QUICK_PROCEDURE, "sim": QUICK_SIM})
-    values = overlaid(quick, {"procedure": procedure or {}, "sim": sim or {}})
+    quick = merge_tables(defaults, {"procedure": QUICK_PROCEDURE, "sim": QUICK_SIM})
+    values = merge_tables(quick, {"procedure": procedure or {}, "sim": sim or {}})
     settings = msgspec.convert(values["procedure"], ProcedureSettings)
     clock = SimulatedClock(asyncio.get_running_loop())
     async with open_devices(DEVICES, {"sim": values["sim"]}, clock) as opened:

@@ -13,7 +13,7 @@ import msgspec
 from pcmrs.gateway.rejection_log import REFUSED
 from pcmrs.journal import JournalRow
 from pcmrs.messages import JointState, Snapshot, Verdict
-from pcmrs.testing.driving import PATIENCE, accept, said, until
+from pcmrs.testing.driving import PATIENCE, accept, reason_text, until
 from pcmrs.testing.errors import Unmet
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ async def check_refused(cell: RunningCell, verdict: Verdict, before: Snapshot, r
 async def _check_rejected(cell: RunningCell, verdict: Verdict, before: Snapshot, codes: Iterable[str]) -> None:
     what, known = f"{verdict.branch}.{verdict.operation}", list(codes)
     if verdict.decision != "rejected" or verdict.reason is None or verdict.reason.code not in known:
-        raise Unmet(f"{what} was {verdict.decision} ({said(verdict)}), must be rejected: {', '.join(known)}.")
+        raise Unmet(f"{what} was {verdict.decision} ({reason_text(verdict)}), must be rejected: {', '.join(known)}.")
     after = await cell.client.state()
     if shape(after) != shape(before):
         raise Unmet(f"{what} was rejected, but the state changed: {before} became {after}.")

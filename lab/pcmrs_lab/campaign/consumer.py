@@ -19,7 +19,7 @@ from typing import Literal
 import msgspec
 
 from pcmrs.bus import Bus, BusSettings
-from pcmrs.killing import killed
+from pcmrs.killing import kill_and_wait
 from pcmrs.messages import BodyPose
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.driving import PATIENCE
@@ -87,7 +87,7 @@ async def consumer(cell: RunningCell, manner: Manner) -> AsyncIterator[Callable[
             bring_about(lambda: os.kill(process.pid, signal.SIGSTOP))
         yield go_on
     finally:
-        await killed(process)
+        await kill_and_wait(process)
 
 
 async def _line(process: asyncio.subprocess.Process, told: bytes) -> bytes:

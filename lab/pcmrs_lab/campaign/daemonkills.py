@@ -16,7 +16,7 @@ from pcmrs.failpoints import FAILPOINTS, VARIABLE
 from pcmrs.journal import JournalReader
 from pcmrs.messages import Verdict
 from pcmrs.testing.cell import RunningCell, open_cell
-from pcmrs.testing.daemon import last_words
+from pcmrs.testing.daemon import log_tail
 from pcmrs_lab.campaign.kills import RANDOM, KillReport, ShowProgress, Tally
 from pcmrs_lab.campaign.operating import Operator
 
@@ -97,7 +97,7 @@ async def _killed(folder: Path, place: str, generator: random.Random) -> tuple[d
             operator = Operator(cell.client, generator)
             ended = await _operate(cell, operator, generator.uniform(0.0, LONGEST) if at_random else DIES_WITHIN)
     if ended is not None and (at_random or ended != -signal.SIGKILL):
-        words = last_words(folder / "log")
+        words = log_tail(folder / "log")
         raise DeviceError(f"A daemon in operation ended by itself, with exit status {ended}: {words}")
     if operator is None:
         return {}, False

@@ -17,7 +17,7 @@ from pcmrs.errors import PcmrsError
 from pcmrs.gateway.commands import COMMANDS, Action, Kind, Spec
 from pcmrs.gateway.grammar import NAME_LENGTH
 from pcmrs.testing.cell import RunningCell, open_cell
-from pcmrs.testing.driving import digitized
+from pcmrs.testing.driving import digitize_landmarks
 from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.checks import shape
 from pcmrs_lab.campaign.datagrams import raw_socket
@@ -152,7 +152,7 @@ async def fuzz(
         progress: Told now and then.
     """
     async with open_cell(folder / "fuzzed", ("robot.deadman=0.5",)) as cell:
-        await digitized(cell.client)
+        await digitize_landmarks(cell.client)
         generator, end = random.Random(seed), math.inf
         await _send(cell, WARM_UP, generator, end, clock, lambda *_: None)
         before, row, memory = await cell.client.state(), cell.last_row(), await _memory(cell, clock)

@@ -9,10 +9,10 @@ from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from pathlib import Path
 
 from pcmrs.errors import PcmrsError
-from pcmrs.killing import killed
+from pcmrs.killing import kill_and_wait
 from pcmrs.testing.cell import QUICK, RunningCell, open_cell
-from pcmrs.testing.daemon import last_words, own_settings, serve_command
-from pcmrs.testing.driving import start_anew, wait_until_stationary
+from pcmrs.testing.daemon import log_tail, own_settings, serve_command
+from pcmrs.testing.driving import reset_cell, wait_until_stationary
 from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.delays import FOLDER, Delays
 from pcmrs_lab.campaign.sham import is_sham
@@ -102,13 +102,13 @@ class Lab:
             raise Unmet("The daemon was not refused: it runs.") from None
         finally:
             if process.returncode is None:
-                await killed(process)
+                await kill_and_wait(process)
         return process.returncode or 0, errors.decode(errors="replace")
 
-    def last_words(self) -> str:
+    def log_tail(self) -> str:
         """The last lines of the newest daemon's log, for the report of a failure."""
         logs = sorted((*self.folder.glob("*/log"), *self._pool.logs()), key=lambda log: log.stat().st_mtime)
-        return last_words(logs[-1], 5) if logs else ""
+        return log_tail(logs[-1], 5) if logs else ""
 
 
 class Pool:
@@ -171,4 +171,4 @@ def _variables(folder: Path, delayed: bool) -> Mapping[str, str]:
 
 async def _prepare(cell: RunningCell, seed: int, *, anew: bool) -> None:
     await cell.scene.reseed(seed)
-    await (start_anew(cell.client) if anew else wait_until_stationary(cell.client))
+    await (reset_cell(cell.client) if anew else wait_until_stationary(cell.client))

@@ -106,7 +106,7 @@ async def run_injection(injection: Injection, seed: int, folder: Path, pool: Poo
             return Part(injection.name, injection.how, "not_run", error.text, clock.monotonic() - begun)
         except Exception as error:  # whatever an injection raises is a failure of this fault alone
             kind = error.code if isinstance(error, PcmrsError) else type(error).__name__
-            details = {"daemon": lab.last_words(), "where": _where(error), "error": kind}
+            details = {"daemon": lab.log_tail(), "where": _where(error), "error": kind}
             seconds = clock.monotonic() - begun
             late = isinstance(error, TimeoutError) and seconds >= injection.deadline
             text = f"not ended within {injection.deadline:g} s" if late else _text(error)

@@ -30,7 +30,7 @@ from pcmrs.formats.grid import Space, Unit
 from pcmrs.formats.landmarks import Landmarks
 from pcmrs.formats.mesh import Mesh
 from pcmrs.formats.reading import refuse
-from pcmrs.killing import killed
+from pcmrs.killing import kill_and_wait
 
 LARGEST = 1_000_000_000
 """Of all files of one upload, bytes."""
@@ -96,7 +96,7 @@ async def _ask(path: Path, request: Request) -> Answer:
     except TimeoutError:
         refuse(path, f"took more than {PATIENCE:g} s to read; give a smaller one.", limit=PATIENCE)
     finally:
-        await killed(process)
+        await kill_and_wait(process)
     if not answer:
         refuse(path, "ended the process that read it, perhaps for want of memory; give a smaller one.")
     try:

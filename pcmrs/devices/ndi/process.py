@@ -12,7 +12,7 @@ from contextlib import suppress
 from pcmrs.clock import Clock
 from pcmrs.devices.ndi.wire import Failed, Frame, Job, Ready, Unpacker, pack
 from pcmrs.errors import DeviceError
-from pcmrs.killing import killed
+from pcmrs.killing import kill_and_wait
 
 SETUP_TIME = 35.0
 """Time within which the reader reports that the tracker tracks, or why not, s: longer than the reader's own limit."""
@@ -50,7 +50,7 @@ async def read_reports(job: Job, clock: Clock) -> AsyncGenerator[Ready | Frame, 
                 yield report
         raise DeviceError(_why_ended(await process.wait()))
     finally:
-        await killed(process)
+        await kill_and_wait(process)
 
 
 async def _send_job(process: Process, job: Job) -> None:

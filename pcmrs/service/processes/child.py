@@ -12,7 +12,7 @@ import structlog
 
 from pcmrs.clock import Clock
 from pcmrs.errors import DeviceError
-from pcmrs.killing import killed
+from pcmrs.killing import kill_and_wait
 from pcmrs.messages import DeviceEvent
 from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 from pcmrs.settings import Inherited, Settings
@@ -60,7 +60,7 @@ async def end_child(process: asyncio.subprocess.Process, patience: float) -> boo
         async with asyncio.timeout(patience):
             await process.wait()
     except TimeoutError:
-        await killed(process)
+        await kill_and_wait(process)
         return False
     return True
 

@@ -15,7 +15,7 @@ from pcmrs.dispatcher import Run
 from pcmrs.dispatcher.execution import reason_of
 from pcmrs.errors import RefusalError
 from pcmrs.formats.mesh import Mesh
-from pcmrs.killing import killed
+from pcmrs.killing import kill_and_wait
 from pcmrs.messages import DeviceEvent, Reason
 from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 from pcmrs.settings import Settings
@@ -92,7 +92,7 @@ class PlanningProcess:
         """Kills the process, which has nothing to lose and may be planning, and waits for its end."""
         process = self._process
         if process is not None:
-            await killed(process)
+            await kill_and_wait(process)
 
     async def _ask(self, request: PlanRequest, name: str) -> PlanAnswer:
         """Raises `RefusalError` where no answer comes."""

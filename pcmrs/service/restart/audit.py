@@ -13,7 +13,7 @@ import msgspec
 import structlog
 
 from pcmrs.journal import Verification
-from pcmrs.killing import killed
+from pcmrs.killing import kill_and_wait
 from pcmrs.messages import DeviceEvent
 
 log = structlog.get_logger(__name__)
@@ -67,5 +67,5 @@ async def _verified(journal: Path) -> Verification:
         output, _ = await process.communicate()
     finally:
         if process.returncode is None:
-            await killed(process)
+            await kill_and_wait(process)
     return msgspec.json.decode(output, type=Verification)

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import click
 
 from pcmrs.cli.options import Finite
-from pcmrs.config import overlaid, set_values
+from pcmrs.config import merge_tables, set_values
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -29,7 +29,7 @@ def world_options(function: Callable[..., Any]) -> Callable[..., Any]:
         values: dict[str, Any] = {}
         set_values(values, overrides)
         # The arm does not guard the force by itself: that is the driver's, as on a real arm.
-        return function(settings=overlaid(overlaid(settings, values), {"robot": {"driver": "kst"}}), **given)
+        return function(settings=merge_tables(merge_tables(settings, values), {"robot": {"driver": "kst"}}), **given)
 
     for option in (
         click.option("--json", "as_json", is_flag=True, help="Say where it listens as one line of JSON."),

@@ -16,7 +16,7 @@ from pcmrs.devices.node import DeviceNode
 from pcmrs.devices.protocols import OpenDriver
 from pcmrs.dispatcher import Workflow
 from pcmrs.messages import Beat
-from pcmrs.settings import SIMULATIONS, Settings
+from pcmrs.settings import Settings
 from pcmrs.simulated_time.clock import SimulatedClock
 from pcmrs.simulated_time.loop import SimulatedLoop
 from pcmrs.workflows.cell import Cell
@@ -26,6 +26,8 @@ from pcmrs_sim.deterministic.disk import Disk
 from pcmrs_sim.deterministic.network import Endpoint, Network
 
 DRIVER = "sim"
+SIMULATIONS = "pcmrs.simulations"
+"""Group of the entry points that open devices in the process that asks, as simulated time needs it."""
 NODE, DAEMON = "node", "daemon"
 NOTICED = 0.005
 """The end of a node's process is noticed by its daemon after this, s."""

@@ -21,7 +21,7 @@ from pcmrs.gateway.signing import Signer, read_key
 from pcmrs.messages import Verdict
 from pcmrs.pki import read_credentials
 from pcmrs.testing.cell import RunningCell
-from pcmrs.testing.driving import PATIENCE, accept, said
+from pcmrs.testing.driving import PATIENCE, accept, reason_text
 from pcmrs_lab.campaign.checks import check_refused, expect, shape
 from pcmrs_lab.campaign.counted_session import CountedSession, counted_session, counting_endpoint
 from pcmrs_lab.campaign.datagrams import raw_socket, refusals_after, taken
@@ -315,7 +315,7 @@ async def _refused(open_cell: ReachableCell, client: Client, name: str, code: st
     before, row = await open_cell.cell.client.state(), open_cell.cell.last_row()
     verdict = await client.call(name)
     await check_refused(open_cell.cell, verdict, before, row, [code])
-    return said(verdict)
+    return reason_text(verdict)
 
 
 async def _ignored(open_cell: ReachableCell, datagrams: list[bytes], *, control: bytes) -> Evidence:
@@ -403,7 +403,7 @@ async def _taken_of(open_cell: ReachableCell, name: str, command: str = "robot/c
     answers = await asyncio.to_thread(ask)
     expect(len(answers) == 1, f"{key} had {len(answers)} answers.")
     verdict = unpack(answers[0], Verdict)
-    expect(verdict.decision == "accepted", f"{key} of who may was {verdict.decision}: {said(verdict)}.")
+    expect(verdict.decision == "accepted", f"{key} of who may was {verdict.decision}: {reason_text(verdict)}.")
     return verdict.decision
 
 

@@ -25,10 +25,10 @@ from pcmrs.testing.driving import (
     PATIENCE,
     accept,
     approach_alone,
-    digitized,
+    digitize_landmarks,
     moving,
     register,
-    start_anew,
+    reset_cell,
     tool_pose,
     until,
 )
@@ -102,7 +102,7 @@ async def stop_under_a_flood(lab: Lab) -> Evidence:
             taken = await stop_times(cell, STOPS)
         arrived = (await cell.client.health()).datagrams - before
         await confirmed(cell)
-        await start_anew(cell.client)
+        await reset_cell(cell.client)
     details = {"rate_hz": round(sent.rate), **in_ms("stop", taken), **in_ms("timer", timer.late)}
     late = percentile(taken, 0.5) - percentile(timer.late, 0.99)
     expect(late < STOP_WITHIN, f"Stop took {late * 1e3:.1f} ms longer than a bare timer is late: {details}.")
@@ -118,7 +118,7 @@ async def stop_under_a_flood(lab: Lab) -> Evidence:
 async def magic_texts(lab: Lab) -> Evidence:
     """Words that might end a receiver, whole and as a part of a datagram."""
     async with lab.cell() as cell:
-        await digitized(cell.client)
+        await digitize_landmarks(cell.client)
         details = await refused_all(cell, [*MAGIC, *(b"x" * 16 + m for m in MAGIC)])
         control = await taken(cell, b"stop_visualizexx_#1;")
     return Evidence(
@@ -135,7 +135,7 @@ async def unknown_commands_and_bad_numbers(lab: Lab) -> Evidence:
     wrong = [b"no_such_commandx;", b"img_fid_numxxxxx_-1;", b"img_fid_numxxxxx_1000;", b"img_dig_digitize_x;"]
     wrong += [b"target_tslxxxxxx_1_2;", b"target_tslxxxxxx_1_2_3_4;", b"target_tslxxxxxx_1_2_x;"]
     async with lab.cell() as cell:
-        await digitized(cell.client)
+        await digitize_landmarks(cell.client)
         async with unmoved(cell):
             details = await refused_all(cell, wrong)
             for name, arguments, code in (
@@ -208,7 +208,7 @@ async def paths_from_the_network(lab: Lab) -> Evidence:
         "\\\\host\\share\\x.ply",
     )
     async with lab.cell() as cell:
-        await digitized(cell.client)
+        await digitize_landmarks(cell.client)
         await accept(cell.client, "digitization.digitize_surface", points=POINTS)
         before, files = await cell.client.state(), set(cell.folder.rglob("*"))
         row = cell.last_row()
@@ -253,7 +253,7 @@ async def stop_spam(lab: Lab) -> Evidence:
         stops = sum(entry.operation == "stopped" for entry in told) + sum(each["fields"]["presses"] for each in again)
         expect(honoured == SPAM, f"Of {SPAM} Stops {honoured} were confirmed.")
         expect(stops == SPAM, f"Of {SPAM} Stops the journal counts {stops}.")
-        await start_anew(cell.client)
+        await reset_cell(cell.client)
         alone = await approach_alone(cell.client)
     return Evidence(
         "all honoured, held until confirmed",

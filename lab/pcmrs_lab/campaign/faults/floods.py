@@ -14,7 +14,7 @@ from pcmrs.errors import PcmrsError
 from pcmrs.journal.reader import journal_files
 from pcmrs.messages import JournalQuery
 from pcmrs.testing.cell import REAL_TIME, RunningCell
-from pcmrs.testing.driving import accept, approach_alone, moving, register, start_anew, to_placed, tool_pose, until
+from pcmrs.testing.driving import accept, approach_alone, moving, register, reset_cell, to_placed, tool_pose, until
 from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.bus_flood import FLOODER, LONG, Kind, bus_flood
 from pcmrs_lab.campaign.checks import confirmed, expect, held
@@ -56,7 +56,7 @@ async def stop_by_a_viewer(lab: Lab) -> Evidence:
         await _until_over(cell, row)
         expect(not any(entry.operation == FAIL_STOP for entry in cell.rows(row)), "The dispatcher has failed.")
         await confirmed(cell)
-        await start_anew(cell.client)
+        await reset_cell(cell.client)
         alone = await approach_alone(cell.client)
     return Evidence(
         "one Stop at a time, counted, and others are in time",
@@ -83,7 +83,7 @@ async def rejected_without_end(lab: Lab) -> Evidence:
         rows, dropped = await _on_record(cell, row, sum(codes.values()))
         planned = await accept(cell.client, "toolplan.plan", **tool_pose())
         await accept(cell.client, "toolplan.reinit")
-        await start_anew(cell.client)
+        await reset_cell(cell.client)
     return Evidence(
         "bounded, and counted",
         took_place={"rows_in_the_journal": rows, "counted_without_row": dropped},
@@ -104,7 +104,7 @@ async def queries_without_end(lab: Lab) -> Evidence:
         refused = await _no_place(cell) - before
         expect(not any(entry.operation == FAIL_STOP for entry in cell.rows(row)), "The dispatcher has failed.")
         await confirmed(cell)
-        await start_anew(cell.client)
+        await reset_cell(cell.client)
     return Evidence(
         "a few at a time, and Stop is in time",
         took_place={"requests_without_a_place": refused},

@@ -9,7 +9,7 @@ from pcmrs.errors import UnknownOutcomeError
 from pcmrs.messages import BodyPose, Snapshot
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.daemon import free_port
-from pcmrs.testing.driving import PATIENCE, accept, moving, register, start_anew, tool_pose, until
+from pcmrs.testing.driving import PATIENCE, accept, moving, register, reset_cell, tool_pose, until
 from pcmrs_lab.campaign.checks import expect, held, refused, stands
 from pcmrs_lab.campaign.consumer import Manner, consumer
 from pcmrs_lab.campaign.fault import Evidence, fault
@@ -152,7 +152,7 @@ async def _cut_in_motion(lab: Lab, *, towards: bool, back: bool) -> Evidence:
         expect(ended.state in ("held", "unknown"), f"The tool counts as {ended.state}.")
         way = await _stands_when_back(cell)
         await held(cell, ("held", "unknown"))
-        await start_anew(cell.client)
+        await reset_cell(cell.client)
         await register(cell.client)
         control = await accept(cell.client, "placement.approach")
         log = (lab.folder / "remote" / "node.log").read_text(errors="replace")
@@ -193,7 +193,7 @@ async def _beside_a_slow_consumer(lab: Lab, manner: Manner) -> Evidence:
                 await cell.client.stop()
             await held(cell)
             poses = await go_on()
-        await start_anew(cell.client)
+        await reset_cell(cell.client)
     expect(beside < 1.0, f"A command took {beside:.2f} s beside a consumer that is too slow.")
     expect(poses.lost > BURST, f"The consumer was not too slow: it lost {poses.lost} of {poses.sent} poses.")
     expect(

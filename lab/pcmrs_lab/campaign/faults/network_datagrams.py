@@ -15,7 +15,7 @@ from pcmrs.gateway.commands import Value
 from pcmrs.journal import JournalRow
 from pcmrs.planner import REPEAT_AFTER, Planner, PlannerVerdict
 from pcmrs.testing.cell import RunningCell
-from pcmrs.testing.driving import PATIENCE, digitized, plan, register, state
+from pcmrs.testing.driving import PATIENCE, digitize_landmarks, plan, register, state
 from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.checks import expect
 from pcmrs_lab.campaign.datagrams import raw_socket, refused_all, taken
@@ -144,7 +144,7 @@ async def no_terminator_and_oversize(lab: Lab) -> Evidence:
     """Without an end, with two ends, and of up to 60,000 bytes."""
     whole = b"session_reinitxx"
     async with lab.cell() as cell:
-        await digitized(cell.client)
+        await digitize_landmarks(cell.client)
         wrong = [whole, whole + b";;", whole + b";" + whole + b";", whole + b"\0;", b";", b"\xff" * 300]
         wrong += [whole + b"_" * size + b";" for size in (256, 1500, 9000, 60_000)]
         details = await refused_all(cell, wrong)
@@ -191,7 +191,7 @@ async def a_series_with_gaps(lab: Lab) -> Evidence:
         "one more than announced": ("no_series", [b"img_fid_numxxxxx_01;", b"img_fid_pntxxxxx_01" + point + b";"]),
     }
     async with lab.cell() as cell:
-        await digitized(cell.client)
+        await digitize_landmarks(cell.client)
         details: dict[str, Any] = {}
         for number, (name, (code, datagrams)) in enumerate(series.items()):
             end = f"img_fid_lastrecv_#{1000 + number};".encode()

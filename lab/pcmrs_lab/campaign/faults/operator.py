@@ -27,12 +27,12 @@ from pcmrs.testing.driving import (
     MOVES,
     accept,
     connect,
-    digitized,
+    digitize_landmarks,
     landmarks,
     moving,
     plan,
+    reason_text,
     register,
-    said,
     state,
     to_placed,
     to_retracted,
@@ -155,14 +155,14 @@ async def index_out_of_range(lab: Lab) -> Evidence:
             verdict = await refused(
                 cell, "digitization.digitize_one", {"index": index}, codes=("no_such_landmark", "bad_arguments")
             )
-            codes.append(f"{index}: {said(verdict)}")
+            codes.append(f"{index}: {reason_text(verdict)}")
         before = await cell.client.state()
         answer = await cell.planner.command("img_dig_digitize", count, timeout=30.0)
         expect(answer.decision == "rejected", f"Over UDP it was {answer.decision}.")
         expect(shape(await cell.client.state()) == shape(before), "The state changed.")
         control = await accept(cell.client, "digitization.digitize_one", index=count - 1)
     return Evidence(
-        f"refused: {said(verdict)}",
+        f"refused: {reason_text(verdict)}",
         took_place={"the daemon says of each index": codes, "of the datagram": answer.decision},
         control={f"index {count - 1}": control.decision},
     )
@@ -178,12 +178,12 @@ async def _displaced(cell: RunningCell, offsets: dict[int, Any]) -> Evidence:
     await accept(cell.client, "digitization.digitize_all")
     verdict = await refused(cell, "registration.register", codes=GATES)
     await refused(cell, "placement.approach", codes=("requirement_not_met", "invalid_in_state", "parent_refuses"))
-    await digitized(cell.client)
+    await digitize_landmarks(cell.client)
     control = await accept(cell.client, "registration.register")
     reason = verdict.reason
     return Evidence(
         f"registration refused: {reason.code if reason is not None else ''}",
-        took_place={"the daemon's fit of the touches": said(verdict)},
+        took_place={"the daemon's fit of the touches": reason_text(verdict)},
         control={"the same landmarks without the error": control.decision},
     )
 
@@ -224,8 +224,8 @@ async def collinear(lab: Lab) -> Evidence:
         verdict = await refused(cell, "registration.plan_landmarks", asked, codes=codes)
         control = await accept(cell.client, "registration.plan_landmarks", **landmarks())
     return Evidence(
-        f"refused: {said(verdict)}",
-        took_place={"the daemon's words": said(verdict)},
+        f"refused: {reason_text(verdict)}",
+        took_place={"the daemon's words": reason_text(verdict)},
         control={"the example's landmarks": control.decision},
     )
 
@@ -239,15 +239,15 @@ def _patient(name: str) -> tuple[str, ...]:
 async def previous_patient(lab: Lab) -> Evidence:
     """Another patient's registration is not taken."""
     async with lab.daemon(*_patient("one")) as cell:
-        await digitized(cell.client)
+        await digitize_landmarks(cell.client)
         await accept(cell.client, "registration.register")
     async with lab.daemon(*_patient("one" if is_sham() else "two"), folder=cell.folder) as other:
         verdict = await refused(other, "registration.use_previous", codes=("other_patient",))
     async with lab.daemon(*_patient("one"), folder=cell.folder) as same:
         control = await accept(same.client, "registration.use_previous")
     return Evidence(
-        f"refused: {said(verdict)}",
-        took_place={"the daemon's words": said(verdict)},
+        f"refused: {reason_text(verdict)}",
+        took_place={"the daemon's words": reason_text(verdict)},
         control={"for the same patient": control.decision},
     )
 
@@ -290,8 +290,8 @@ async def wrong_units(lab: Lab) -> Evidence:
         mirror = await _displaced(cell, dict(enumerate(mirrored - points)))
     return replace(
         mirror,
-        response=f"mm: {said(unit)}; mirror image: {mirror.response}",
-        took_place={"the daemon's words of mm": said(unit), **mirror.took_place},
+        response=f"mm: {reason_text(unit)}; mirror image: {mirror.response}",
+        took_place={"the daemon's words of mm": reason_text(unit), **mirror.took_place},
     )
 
 
@@ -341,7 +341,7 @@ async def stop_while_digitizing(lab: Lab) -> Evidence:
             expect((await cell.client.state()).branches["digitization"] == "0", "Something was digitized.")
         stops = sum((stored.kind, stored.operation) == ("device", "stopped") for stored in cell.rows(row))
         control = await cell.client.call("digitization.digitize_one", {"index": 0}, timeout=30.0)
-        expect(control.decision == "accepted", f"Without a Stop it was {control.decision}: {said(control)}.")
+        expect(control.decision == "accepted", f"Without a Stop it was {control.decision}: {reason_text(control)}.")
     late = await _timer_lateness()
     if median(took) > PROMISE:
         raise Unmet(
@@ -399,13 +399,13 @@ async def edited_while_moving(lab: Lab) -> Evidence:
             points = await cell.client.call("registration.plan_landmarks", landmarks())
             await check_refused(cell, points, meanwhile, row, ("busy",))
             verdict = await approach
-        expect(verdict.decision == "accepted", f"The approach was {verdict.decision}: {said(verdict)}.")
+        expect(verdict.decision == "accepted", f"The approach was {verdict.decision}: {reason_text(verdict)}.")
         expect((await cell.client.state()).plan == before.plan, "The plan was changed.")
         control = await accept(cell.client, "toolplan.plan", **tool_pose(1))
         await until(cell.client, lambda snapshot: snapshot.branches["placement"] == "held")
         revoked = await state(cell.client, "placement")
     return Evidence(
-        f"refused: {said(pose)}",
+        f"refused: {reason_text(pose)}",
         took_place={
             "a joint moves, rad/s": speed if speed > MOVES else 0.0,
             "runs": [each.operation for each in meanwhile.running],

@@ -14,9 +14,9 @@ from pcmrs.testing.driving import (
     accept,
     landmarks,
     moving,
-    said,
+    reason_text,
+    reset_cell,
     showing,
-    start_anew,
     state,
     to_placed,
     to_retracted,
@@ -93,7 +93,7 @@ async def late_motion(
             again = await control
         expect(again.decision == "accepted", f"{name} was {again.decision} when it was asked for again.")
         await start_over(cell)
-    expect(verdict.decision in ("failed", "accepted"), f"{name} ended {verdict.decision}: {said(verdict)}.")
+    expect(verdict.decision in ("failed", "accepted"), f"{name} ended {verdict.decision}: {reason_text(verdict)}.")
     return delayed("no joint moved", late, moved, moved_the_arm_when_asked_again=again.decision)
 
 
@@ -185,7 +185,7 @@ async def overtaken_by_the_next(lab: Lab) -> Evidence:
             verdict = await cell.client.call("placement.back_off", timeout=PATIENCE)
             async with standing(cell) as moved:
                 late = await delays_of(cell).took_place(rule)
-        expect(verdict.decision == "accepted", f"back_off was {verdict.decision}: {said(verdict)}.")
+        expect(verdict.decision == "accepted", f"back_off was {verdict.decision}: {reason_text(verdict)}.")
         where = await state(cell.client, "placement")
         expect(where in ("standoff", "retracted"), f"The placement is {where} after back_off.")
     return delayed("the next motion was done, and no other", late, moved, back_off=verdict.decision, reached=where)
@@ -254,9 +254,9 @@ async def touch_late(lab: Lab) -> Evidence:
             verdict = await asked
             late = await delays_of(cell).took_place(rule)
             seen = await _tips(cell)
-        expect(verdict.decision == "failed", f"digitize_one ended {verdict.decision}: {said(verdict)}.")
+        expect(verdict.decision == "failed", f"digitize_one ended {verdict.decision}: {reason_text(verdict)}.")
         expect(set(seen) == {before}, f"The hand was at {before}, and after Stop at {set(seen)}.")
-        await start_anew(cell.client)
+        await reset_cell(cell.client)
         await accept(cell.client, "registration.plan_landmarks", **landmarks())
         again = await accept(cell.client, "digitization.digitize_one", index=0)
     spreads = {name: round(spread * 1e3, 3) for name, spread in (again.result or {})["spreads"].items()}

@@ -21,10 +21,10 @@ from pcmrs.testing.driving import (
     PATIENCE,
     accept,
     connect,
-    digitized,
+    digitize_landmarks,
     moving,
-    said,
-    start_anew,
+    reason_text,
+    reset_cell,
     state,
     to_placed,
     to_retracted,
@@ -141,7 +141,7 @@ async def old_acknowledgement(lab: Lab) -> Evidence:
         await refused(cell, "placement.home", codes=("latched",))
         control = await accept(cell.client, "robot.acknowledge", stop=newest)
         await accept(cell.client, "placement.back_off")
-    return delayed(f"refused: {said(again)}", late, newest_acknowledged=control.decision)
+    return delayed(f"refused: {reason_text(again)}", late, newest_acknowledged=control.decision)
 
 
 @fault("Q5", how="the bus delivers the hold late; the reference slips in that moment")
@@ -163,7 +163,7 @@ async def event_while_the_hold_is_slow(lab: Lab) -> Evidence:
         expect(acknowledged.decision == "rejected", f"The acknowledgement was {acknowledged.decision}.")
         expect(shown.latched, "Nothing is latched.")
         await confirmed(cell)
-        await start_anew(cell.client)
+        await reset_cell(cell.client)
         await to_standoff(cell.client)
         again = await accept(cell.client, "placement.confirm")
         where = await state(cell.client, "placement")
@@ -190,7 +190,7 @@ async def beside_a_retreat(lab: Lab, name: str, arguments: dict[str, Any], *, pl
         where = shown.branches["placement"]
         ready = shown.branches["registration"] == "111" and shown.branches["toolplan"] == "1"
         same = shown.plan == before.plan
-        expect(ended.decision == "accepted", f"back_off was {ended.decision}: {said(ended)}.")
+        expect(ended.decision == "accepted", f"back_off was {ended.decision}: {reason_text(ended)}.")
         expect(where != "standoff" or (ready and same), f"The tool is at a standoff of another plan: {shown.branches}.")
         expect(verdict.decision == "rejected" or where != "standoff" or plan, f"{name} left {shown.branches}.")
         if where == "held":
@@ -258,7 +258,7 @@ async def late_second_datagram(lab: Lab) -> Evidence:
         raw_socket(cell.ready.links["planner"], port) as raw,
     ):
         await connect(cell.client)
-        await digitized(cell.client)
+        await digitize_landmarks(cell.client)
         raw.send(b"start_registrati;")
         usual = [await _answer(raw), await _answer(raw)]
         expect(usual[0] == b"ack" and _is_number(usual[1]), f"Without the fault the answers are {usual}.")
@@ -325,7 +325,7 @@ async def plan_out_of_date(lab: Lab) -> Evidence:
         again = await accept(cell.client, "placement.approach")
         where = await state(cell.client, "placement")
     return Evidence(
-        f"{verdict.decision}: {said(verdict)}",
+        f"{verdict.decision}: {reason_text(verdict)}",
         took_place={"state_of_the_process": frozen, "late_s": SLOW},
         control={"asked_again": again.decision, "reached": where},
         details={"moved_rad": moved[0]},
@@ -379,7 +379,7 @@ async def slow_hold(lab: Lab, rule: Rule) -> Evidence:
         await held(cell)
         again = await accept(cell.client, "robot.acknowledge")
         await accept(cell.client, "placement.back_off")
-    return delayed(f"refused: {said(verdict)}", late, acknowledged_at_standstill=again.decision)
+    return delayed(f"refused: {reason_text(verdict)}", late, acknowledged_at_standstill=again.decision)
 
 
 @fault("Q19", how="the bus delivers the hold late")
@@ -419,12 +419,12 @@ async def _while_the_intent_is_written(lab: Lab, what: str) -> Evidence:
             verdict = await approach
             await until(cell.client, lambda shown: shown.latched)
             late = await delays_of(cell).took_place(rule)
-        expect(verdict.decision == "failed", f"The approach ended {verdict.decision}: {said(verdict)}.")
+        expect(verdict.decision == "failed", f"The approach ended {verdict.decision}: {reason_text(verdict)}.")
         if what == "event":
             await until(cell.client, lambda shown: shown.branches["registration"] != "111")
         await confirmed(cell)
         if what == "event":
-            await start_anew(cell.client)
+            await reset_cell(cell.client)
         await to_retracted(cell.client)
         again = await accept(cell.client, "placement.approach")
         where = await state(cell.client, "placement")
@@ -518,7 +518,7 @@ async def loop_stands_still(lab: Lab) -> Evidence:
                 late = await delays_of(cell).took_place(rule)
             await asyncio.gather(stop, plan)
             verdict = await approach
-        expect(verdict.decision == "failed", f"The approach ended {verdict.decision}: {said(verdict)}.")
+        expect(verdict.decision == "failed", f"The approach ended {verdict.decision}: {reason_text(verdict)}.")
         await held(cell)
         await confirmed(cell)
         again = await _approached(cell)
@@ -535,7 +535,7 @@ async def beats_out_of_order(lab: Lab) -> Evidence:
             late = await delays_of(cell).took_place(rule)
             verdict = await approach
         expect(late[0].overtaken > 0, "No beat has overtaken the late one.")
-        expect(verdict.decision == "accepted", f"The approach ended {verdict.decision}: {said(verdict)}.")
+        expect(verdict.decision == "accepted", f"The approach ended {verdict.decision}: {reason_text(verdict)}.")
         where = await state(cell.client, "placement")
     return delayed("the motion went on", late, approach=verdict.decision, reached=where)
 
@@ -579,7 +579,7 @@ async def event_late(lab: Lab) -> Evidence:
             number = (await cell.client.state()).stop.number
             late = await delays_of(cell).took_place(rule)
             shown = await until(cell.client, _stopped(number))
-        expect(verdict.decision == "failed", f"The approach ended {verdict.decision}: {said(verdict)}.")
+        expect(verdict.decision == "failed", f"The approach ended {verdict.decision}: {reason_text(verdict)}.")
         await confirmed(cell)
         again = await _approached(cell)
     return delayed(f"held, and latched again by {shown.stop.number - number}", late, approach_without_it=again)

@@ -22,7 +22,7 @@ from pcmrs.replay.replay import replay
 from pcmrs.service.watches import stall
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.daemon import descendants
-from pcmrs.testing.driving import PATIENCE, accept, moving, register, start_anew, tool_pose, until
+from pcmrs.testing.driving import PATIENCE, accept, moving, register, reset_cell, tool_pose, until
 from pcmrs.threads import Threads
 from pcmrs_lab.campaign import cgroups
 from pcmrs_lab.campaign.cgroups import memory_limit, processor_quota
@@ -253,7 +253,7 @@ async def no_file_descriptors(lab: Lab) -> Evidence:
         await confirmed(cell)
         again = await _newcomer(cell)
         expect(again == CONNECTED, f"There are descriptors again, and somebody new is told: {again}")
-        await start_anew(cell.client)
+        await reset_cell(cell.client)
     return Evidence(
         "Stop and status work; nobody new gets in",
         {"newcomer": told, "sequence": status.sequence},
@@ -352,7 +352,7 @@ async def a_callback_that_never_returns(lab: Lab) -> Evidence:
             await cell.client.stop()
         await held(cell)
         blocked = await messages()
-        await start_anew(cell.client)
+        await reset_cell(cell.client)
     async with lab.cell() as cell, _blocked_subscriber(cell, blocks=False) as messages:
         heard = await messages(more=True)
         expect(heard > 1, "A subscriber whose callback returns has not heard more than one message, either.")

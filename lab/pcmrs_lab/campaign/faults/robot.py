@@ -19,7 +19,7 @@ from pcmrs.testing.driving import (
     accept,
     connect,
     moving,
-    said,
+    reason_text,
     state,
     to_placed,
     to_retracted,
@@ -70,7 +70,7 @@ async def _retracted(cell: RunningCell) -> bool:
 
 
 def _expect_end(verdict: Verdict, *endings: tuple[str, str]) -> None:
-    seen = f"The operation ended {verdict.decision} in {verdict.state} ({said(verdict)})"
+    seen = f"The operation ended {verdict.decision} in {verdict.state} ({reason_text(verdict)})"
     known = " or ".join(" in ".join(ending) for ending in endings)
     expect((verdict.decision, verdict.state) in endings, f"{seen}, must be {known}.")
 
@@ -137,13 +137,13 @@ async def interrupted(lab: Lab) -> Evidence:
         async with moving(cell.client) as approach, injected(cell, "interrupt", {}, {}):
             verdict = await approach
         _expect_end(verdict, ("failed", "held"))
-        expect("interrupted" in said(verdict), f"The reason does not say so: {said(verdict)}.")
+        expect("interrupted" in reason_text(verdict), f"The reason does not say so: {reason_text(verdict)}.")
         await stands(cell)
         await accept(cell.client, "placement.back_off")
         control = await accept(cell.client, "placement.approach")
     return Evidence(
         "the operation has failed, the tool is held",
-        took_place={"the cabinet's reply": said(verdict)},
+        took_place={"the cabinet's reply": reason_text(verdict)},
         control={"approach without the fault": control.decision},
     )
 
@@ -243,7 +243,7 @@ async def unreachable(lab: Lab) -> Evidence:
         await asyncio.sleep(1.0)
         control = await accept(cell.client, "placement.approach")
     return Evidence(
-        f"refused: {said(verdict)}",
+        f"refused: {reason_text(verdict)}",
         took_place={"the head is elsewhere by_m": shifted if shifted > 1.0 else 0.0},
         control={"approach when it was back": control.decision},
     )
@@ -317,8 +317,8 @@ async def raising(lab: Lab) -> Evidence:
         await connect(cell.client)
         reached = await state(cell.client, "robot")
     return Evidence(
-        f"failed, state 0 kept: {said(verdict)}",
-        took_place={"the robot's own reason": said(verdict)},
+        f"failed, state 0 kept: {reason_text(verdict)}",
+        took_place={"the robot's own reason": reason_text(verdict)},
         control={"connected when it did not refuse": reached == "1"},
     )
 
@@ -407,9 +407,9 @@ async def old_command(lab: Lab) -> Evidence:
         await stands(cell)
         anew = Envelope(id=f"new-{sent}", sent=SystemClock().wall(), ttl=5.0)
         control = await cell.bus.request(key, anew, Verdict, 20.0)
-        expect(control.decision == "accepted", f"Sent anew it was {control.decision}: {said(control)}.")
+        expect(control.decision == "accepted", f"Sent anew it was {control.decision}: {reason_text(control)}.")
     return Evidence(
-        f"refused: {said(verdict)}",
+        f"refused: {reason_text(verdict)}",
         took_place={"age at the daemon, s": verdict.reason.fields["age"] if verdict.reason is not None else 0.0},
         control={"the same command, sent now": control.decision},
     )

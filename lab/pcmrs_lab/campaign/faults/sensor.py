@@ -15,7 +15,7 @@ from pcmrs.clock import SystemClock
 from pcmrs.devices.ndi.tools import placeholder
 from pcmrs.messages import PoseMessage
 from pcmrs.testing.cell import REAL_TIME, RunningCell
-from pcmrs.testing.driving import accept, landmarks, said, state, to_placed, to_standoff, until
+from pcmrs.testing.driving import accept, landmarks, reason_text, state, to_placed, to_standoff, until
 from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.checks import confirmed, expect, held, refused, stands
 from pcmrs_lab.campaign.driving import FOLLOWED, injected, to_following
@@ -317,7 +317,7 @@ async def _fire(cell: RunningCell) -> str:
     """
     verdict = await cell.client.call("stimulation.fire")
     if verdict.decision != "accepted":
-        raise NotRun(f"No pulse is given without the fault, either: {said(verdict)}")
+        raise NotRun(f"No pulse is given without the fault, either: {reason_text(verdict)}")
     await asyncio.sleep(INTERVAL)
     return verdict.decision
 

@@ -1,4 +1,4 @@
-"""Scheduling of the threads of a process, as Linux shows it: how long each ran and waited for a processor."""
+"""Scheduling of the threads of a process by Linux: how long each one ran and waited for a processor."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ from pathlib import Path
 from typing import NamedTuple
 
 
-class Figures(NamedTuple):
-    """Of one thread since it began.
+class ThreadTimes(NamedTuple):
+    """Scheduling times of one thread since its start.
 
     Attributes:
         ran: Time on a processor, s.
-        waited: Time in which it could have run and no processor was free for it, s.
+        waited: Time in which it was ready to run and waited for a processor, s.
     """
 
     ran: float
     waited: float
 
 
-NONE = Figures(0.0, 0.0)
+_NONE = ThreadTimes(0.0, 0.0)
 
 
 class Load(NamedTuple):
-    """How much the machine has to do now.
+    """Load of the machine.
 
     Attributes:
-        running: Threads that run or wait for a processor.
-        processors: That this process may use.
+        running: Number of threads that run or wait for a processor.
+        processors: Number of processors that this process may use.
     """
 
     running: int
@@ -45,38 +45,37 @@ class Threads:
     """The threads of one process.
 
     Args:
-        pid: Of the process; None for this one.
+        pid: Id of the process; None for this one.
     """
 
     def __init__(self, pid: int | None = None) -> None:
         self._folder = Path(f"/proc/{pid or os.getpid()}/task")
-        self._before: dict[int, Figures] | None = None
+        self._before: dict[int, ThreadTimes] | None = None
 
-    def figures(self) -> dict[int, Figures]:
-        """Thread id to figures; empty where the process has ended or the kernel keeps none."""
-        return {thread: _figures(text) for thread, text in self._read("schedstat")}
+    def times(self) -> dict[int, ThreadTimes]:
+        """Return the times by thread id; empty if the process has ended or the kernel does not count them."""
+        return {thread: _times_of(text) for thread, text in self._read("schedstat")}
 
     def waited(self) -> float:
-        """The longest that one of the threads has waited for a processor since the last call, in all, s; 0 at first."""
-        before, self._before = self._before, self.figures()
+        """Return the longest total wait of a thread for a processor since the last call, s; 0 at the first call."""
+        before, self._before = self._before, self.times()
         if before is None:
             return 0.0
-        none = Figures(0.0, 0.0)
         return max(
-            (each.waited - before.get(thread, none).waited for thread, each in self._before.items()), default=0.0
+            (each.waited - before.get(thread, _NONE).waited for thread, each in self._before.items()), default=0.0
         )
 
     def pending(self) -> bool:
-        """Whether a thread other than the caller's runs, or waits for a processor."""
+        """Return True if a thread other than the caller's runs or waits for a processor."""
         own = threading.get_native_id()
         return any(_state(text) == "R" for thread, text in self._read("stat") if thread != own)
 
     def names(self) -> dict[int, str]:
-        """Thread id to the name that the kernel knows, of 15 characters at most."""
+        """Return the kernel's names of the threads, of 15 characters at most, by thread id."""
         return {thread: text.strip() for thread, text in self._read("comm")}
 
     def load(self) -> Load:
-        """How much the machine has to do at this moment."""
+        """Return the present load of the machine."""
         running = Path("/proc/loadavg").read_text().split()[3].partition("/")[0]
         return Load(int(running), len(os.sched_getaffinity(0)))
 
@@ -87,11 +86,11 @@ class Threads:
                     yield int(thread.name), (thread / file).read_text()
 
 
-def _figures(text: str) -> Figures:
+def _times_of(text: str) -> ThreadTimes:
     ran, waited, *_ = text.split()
-    return Figures(int(ran) * 1e-9, int(waited) * 1e-9)
+    return ThreadTimes(int(ran) * 1e-9, int(waited) * 1e-9)
 
 
 def _state(text: str) -> str:
-    """Of the line of `proc_pid_stat(5)`: the name before it may hold anything."""
+    """Return the state in a line of `proc_pid_stat(5)`; the name before it may hold any character."""
     return text.rpartition(")")[2].split()[0]
