@@ -21,12 +21,12 @@ def connect_teleoperators(link: Link, port: TeleopPort, seen: Callable[[], None]
     """
 
     def take(key: str, setpoint: TeleopSetpoint) -> None:
-        port.take(key.partition("/")[2], setpoint)
+        port.receive(key.partition("/")[2], setpoint)
 
-    def tell(status: TeleopStatus) -> None:
+    def publish(status: TeleopStatus) -> None:
         link.publish(STATUS, status)
         if status.sequence:
             seen()
 
-    port.tell = tell
+    port.publish = publish
     link.subscribe(SETPOINTS, TeleopSetpoint, take)

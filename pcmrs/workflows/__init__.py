@@ -1,6 +1,7 @@
-"""Procedures: a blueprint each, and the operations that blueprints name.
+"""Workflows: their blueprints, and the operations that blueprints name.
 
-What is here reads them only; `opening` makes one ready to run, and loads all that operations compute with.
+This module only finds and reads blueprints. `opening` makes a workflow ready to run and loads everything that its
+operations need.
 """
 
 from __future__ import annotations
@@ -8,17 +9,20 @@ from __future__ import annotations
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.files.load import as_written
-from pcmrs.workflows.find import Place, find_workflow
+from pcmrs.workflows.find import WorkflowFiles, find_workflow
 
-__all__ = ["Place", "find_workflow", "read_workflow"]
+__all__ = ["WorkflowFiles", "find_workflow", "read_workflow"]
 
 
 def read_workflow(name: str) -> Blueprint:
-    """The blueprint of the workflow of that name or path, as it is written: neither verified nor run.
+    """Return the blueprint of a workflow as it is written, neither verified nor run.
+
+    Args:
+        name: Name of the workflow, or path of its blueprint.
 
     Raises:
-        ConfigurationError: There is no such workflow, or its file cannot be opened.
-        BlueprintError: It is no blueprint.
+        ConfigurationError: The workflow does not exist, or its file cannot be opened.
+        BlueprintError: The file is not a blueprint.
     """
     place = find_workflow(name)
     try:

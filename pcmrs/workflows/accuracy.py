@@ -1,4 +1,4 @@
-"""How noisy this pointer's landmarks are, and how accurate a registration is at a target by that."""
+"""Noise of this pointer's landmarks, and the resulting accuracy of a registration at a target."""
 
 from __future__ import annotations
 
@@ -15,32 +15,46 @@ from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Registered, as_transform
 
-LEAST_NOISE, MOST_NOISE = 0.5, 1.5
-"""Times the prior: no estimate leaves these bounds. What an accepted registration leaves over was accepted under the
-noise in force then, so an estimate that fed on itself could grow step by step until it explains any wrong landmark;
-and one that luck has made small would refuse good ones."""
+MIN_NOISE_RATIO, MAX_NOISE_RATIO = 0.5, 1.5
+"""Bounds of the estimated noise, relative to the prior. Residuals are learned only from registrations that were
+accepted with the estimate at that time, so an unbounded estimate could grow step by step until it explains any wrong
+landmark. An estimate that is small by chance would refuse good landmarks."""
 
 
 def pointer_id(cell: Cell) -> str:
-    """Short hash of the pointer's calibration: noise belongs to a pointer."""
+    """Return a short hash of the pointer's calibration, because the noise belongs to a pointer."""
     calibration = cell.pointer_calibration
     used = cell.settings.calibration.pointer_from_tip if calibration is None else calibration.content_hash()
     return hashlib.sha256(msgspec.json.encode(used)).hexdigest()[:16]
 
 
 def active_noise_sigma(cell: Cell, data: PlacementData) -> float:
-    """Deviation of a landmark per axis, m: of the prior and of this pointer's accepted registrations, bounded."""
+    """Return the noise of a landmark, standard deviation per axis, m.
+
+    It is pooled from the prior and this pointer's accepted registrations, and bounded.
+
+    Args:
+        cell: Cell with the pointer and the settings.
+        data: Data of the procedure.
+    """
     settings = cell.settings.registration
     prior = settings.sigma_mm / 1000.0
     estimate = data.noise.get(pointer_id(cell), NoiseEstimate())
-    return float(np.clip(estimate.sigma(prior, settings.sigma_degrees), LEAST_NOISE * prior, MOST_NOISE * prior))
+    return float(
+        np.clip(estimate.sigma(prior, settings.sigma_degrees), MIN_NOISE_RATIO * prior, MAX_NOISE_RATIO * prior)
+    )
 
 
 def learn_noise(cell: Cell, data: PlacementData, distances: Floats) -> dict[str, NoiseEstimate]:
-    """The estimates after an accepted registration that left `distances` (N,), m.
+    """Return the noise estimates after an accepted registration.
 
-    One plan counts once, however often it is digitized: most of the noise is where the plan has the landmarks, and that
-    is the same each time.
+    One plan counts once, however often it is digitized. Most of the noise is the plan's error in the positions of the
+    landmarks, which is the same each time.
+
+    Args:
+        cell: Cell with the pointer.
+        data: Data of the procedure before the registration.
+        distances: Distances of the landmarks after registration, m, (N,).
     """
     previous = data.previous
     if previous is not None and previous.landmarks == data.landmarks:
@@ -50,8 +64,13 @@ def learn_noise(cell: Cell, data: PlacementData, distances: Floats) -> dict[str,
     return data.noise | {pointer: known.with_residuals(distances, len(distances))}
 
 
-def limits_in_force(cell: Cell, data: PlacementData) -> RegistrationLimits:
-    """What a registration must keep now."""
+def active_limits(cell: Cell, data: PlacementData) -> RegistrationLimits:
+    """Return the limits that a registration must keep now.
+
+    Args:
+        cell: Cell with the settings.
+        data: Data of the procedure.
+    """
     settings = cell.settings.registration
     return RegistrationLimits(
         residual=settings.residual_limit_mm / 1000.0,
@@ -62,7 +81,14 @@ def limits_in_force(cell: Cell, data: PlacementData) -> RegistrationLimits:
 
 
 def tre_at(cell: Cell, data: PlacementData, registered: Registered, target: Floats) -> float:
-    """Predicted rms error of a registration at a target in the image (3,), m."""
+    """Return the predicted rms error of a registration at a target, m.
+
+    Args:
+        cell: Cell with the pointer and the settings.
+        data: Data of the procedure.
+        registered: Registration to judge.
+        target: Target in the image, m, (3,).
+    """
     landmarks = np.array([landmark.position for landmark in registered.landmarks])
     body_ref_from_image, covariance = as_transform(registered.body_ref_from_image), registered.covariance
     return float(tre_over(landmarks, body_ref_from_image, covariance, active_noise_sigma(cell, data), target[None])[0])
@@ -75,14 +101,14 @@ def tre_over(
     sigma: float,
     targets: Floats,
 ) -> Floats:
-    """Predicted rms error of a registration at targets in the image (M, 3), m, (M,).
+    """Return the predicted rms errors of a registration at targets, m, (M,).
 
     Args:
-        landmarks: That it was made of, in the image, m, (N, 3).
-        body_ref_from_image: The registration.
-        covariance: Of `Registered`: empty where no surface has refined it.
-        sigma: Of `active_noise_sigma`, m; counts where it is empty.
-        targets: m.
+        landmarks: Landmarks of the registration in the image, m, (N, 3).
+        body_ref_from_image: Registration.
+        covariance: Covariance of `Registered`; empty if no surface has refined the registration.
+        sigma: Noise of a landmark as from `active_noise_sigma`, m; used if `covariance` is empty.
+        targets: Targets in the image, m, (M, 3).
     """
     if not covariance:
         return predict_tre(landmarks, targets, sigma)
@@ -93,9 +119,15 @@ def tre_over(
 
 
 def check_tre(cell: Cell, data: PlacementData, target: Floats) -> float | None:
-    """Refuses a target at which the registration in force is not accurate enough; returns its predicted error, m.
+    """Refuse a target at which the registration in force is not accurate enough.
 
-    Without a registration there is nothing to predict yet: None.
+    Args:
+        cell: Cell with the pointer and the settings.
+        data: Data of the procedure.
+        target: Target in the image, m, (3,).
+
+    Returns:
+        Predicted rms error at the target, m; None without a registration, because then there is nothing to predict.
 
     Raises:
         RefusalError: ``tre_too_large``.

@@ -1,4 +1,4 @@
-"""Whether the tool is near enough to its planned pose to treat: watched frame by frame, by the tracker."""
+"""Alignment: the tracker's continuous check that the tool is near enough to its planned pose to treat."""
 
 from __future__ import annotations
 
@@ -21,30 +21,31 @@ from pcmrs.workflows.settings import AlignmentSettings
 
 Activity = AnyActivity[Cell, PlacementData]
 Run = AnyRun[Cell, PlacementData]
-Exposure = dict[str, Sighting]
-"""One frame of the tracker that shows tool and body."""
+TrackerFrame = dict[str, Sighting]
+"""One frame of the tracker that shows tool and body, by the name of the marker body."""
 
 BODIES = ("coil", "body_ref")
 WATCHING = {"placed": "watch_alignment", "following": "follow_head"}
-"""The activity that watches in each state of the placement."""
-LOOKS = 5
-"""Within the time after which alignment is lost; by default a look takes less time than a frame of the tracker."""
-LEAST_PAUSE = 0.02
-"""Between two looks, s."""
-SHOW_EVERY = 0.5
-"""Each showing publishes a snapshot, s."""
-ASK_EVERY = 0.25
-"""An event that was refused is posted again this long after it was posted, s; one that still waits is not."""
+"""Activity that watches alignment in each state of the placement."""
+CHECKS_PER_LOSS = 5
+"""Number of checks within the time after which alignment is lost. By default a check takes less time than a frame of
+the tracker."""
+MIN_PAUSE = 0.02
+"""Shortest time between two checks, s."""
+PUBLISH_INTERVAL = 0.5
+"""Time between two snapshots with the error, s."""
+REPEAT_INTERVAL = 0.25
+"""Time after which a refused event is posted again, s. An event that still waits is not repeated."""
 
 
 class AlignmentGate:
-    """Opens after an error was small for a while, closes after it was large for a while: in between it stays.
+    """Gate with hysteresis: it opens after the error was small for a while, and closes after it was large for a while.
 
     Args:
-        settings: Both thresholds and times.
+        settings: Thresholds and times.
 
     Attributes:
-        open: Whether the tool counts as aligned; at first it does not.
+        open: True while the tool is aligned; False at the start.
     """
 
     def __init__(self, settings: AlignmentSettings) -> None:
@@ -54,7 +55,12 @@ class AlignmentGate:
         self.open = False
 
     def update(self, time: float, error: tuple[float, float] | None) -> bool:
-        """Takes the error at a time (s): translation in mm and rotation in degrees, or None where nothing is seen."""
+        """Take the error at a time, and return the state of the gate.
+
+        Args:
+            time: Time of the error, s.
+            error: Translation in mm and rotation in deg; None if the tool or the body is not seen.
+        """
         limits = self._settings
         within = error is not None and error[0] <= limits.on_mm and error[1] <= limits.on_deg
         beyond = error is None or error[0] > limits.off_mm or error[1] > limits.off_deg
@@ -67,50 +73,62 @@ class AlignmentGate:
         return self.open
 
 
-def _since(begun: float | None, time: float) -> float:
-    return time if begun is None else begun
+def _since(started_at: float | None, time: float) -> float:
+    return time if started_at is None else started_at
 
 
 class AlignmentWatch:
-    """Follows the tracker's frames, posts ``within`` and ``outside``, and shows the error in the snapshot.
+    """Watch of the tracker's frames, which posts ``within`` and ``outside`` and shows the error in the snapshot.
 
-    The error is that of the newest frame, tool against body in the same exposure: it is as old as the tracker's
+    The error is that of the newest frame, tool against body at one time of exposure. It is as old as the tracker's
     latency, and its noise counts as error.
 
     Args:
-        act: On whose behalf.
+        act: Activity that runs the watch.
     """
 
     def __init__(self, act: Activity) -> None:
         self._act = act
         self._gate = AlignmentGate(act.cell.settings.alignment)
         self._error: tuple[float, float] | None = None
-        self._asked_for: bool | None = None
-        self._answer: asyncio.Future[Verdict] | None = None
-        self._seen = self._asked = self._shown = -math.inf
+        self._requested: bool | None = None
+        self._request: asyncio.Future[Verdict] | None = None
+        self._seen_at = self._requested_at = self._published_at = -math.inf
 
-    def take(self, frame: Exposure, measured_from_desired: Transform) -> None:
-        """Takes the error of a frame."""
-        self._error, self._seen = size_of(measured_from_desired), frame["coil"].captured
+    def take(self, frame: TrackerFrame, measured_from_desired: Transform) -> None:
+        """Take the error of a frame.
 
-    def look(self, **values: Any) -> None:
-        """Decides on what is known now; `values` are shown beside the error."""
+        Args:
+            frame: Frame of the tracker.
+            measured_from_desired: Desired pose of the tool in its measured frame.
+        """
+        self._error, self._seen_at = size_of(measured_from_desired), frame["coil"].captured
+
+    def evaluate(self, **values: Any) -> None:
+        """Evaluate the gate now, and post an event if alignment has changed.
+
+        Args:
+            **values: Values to show in the snapshot in addition to the error.
+        """
         act, now = self._act, self._act.clock.monotonic()
-        if now - self._seen > act.cell.settings.following.longest_gap:
+        if now - self._seen_at > act.cell.settings.following.longest_gap:
             self._error = None
         aligned = self._gate.update(now, self._error)
-        anew = aligned != self._asked_for  # only repeats wait: the gate closes at once after it has opened
-        if aligned != (act.states["alignment"] == "1") and (anew or self._may_repeat(now)):
-            self._asked, self._asked_for = now, aligned
-            self._answer = act.post("alignment", "within" if aligned else "outside")
-        if now - self._shown >= SHOW_EVERY:
-            self._shown = now
+        changed = aligned != self._requested  # only repeats wait, so that the gate can close at once after it opened
+        if aligned != (act.states["alignment"] == "1") and (changed or self._may_repeat(now)):
+            self._requested_at, self._requested = now, aligned
+            self._request = act.post("alignment", "within" if aligned else "outside")
+        if now - self._published_at >= PUBLISH_INTERVAL:
+            self._published_at = now
             error_mm, error_deg = self._error or (None, None)
             act.show(error_mm=_rounded(error_mm), error_deg=_rounded(error_deg), **values)
 
     def _may_repeat(self, now: float) -> bool:
-        """While a motion holds the branch, an event waits for it: repeats would only be refused after it."""
-        return now - self._asked >= ASK_EVERY and (self._answer is None or self._answer.done())
+        """Return True if the last event may be posted again.
+
+        While a motion holds the branch, the event waits for it, and repeats would only be refused afterwards.
+        """
+        return now - self._requested_at >= REPEAT_INTERVAL and (self._request is None or self._request.done())
 
 
 def _rounded(value: float | None) -> float | None:
@@ -118,20 +136,30 @@ def _rounded(value: float | None) -> float | None:
 
 
 def desired_in_body_ref(cell: Cell, data: PlacementData) -> Transform | None:
-    """``body_ref_from_coil`` as planned and nudged; None where there is no registration or plan any more."""
+    """Return ``body_ref_from_coil`` as planned and nudged; None if there is no registration or plan.
+
+    Args:
+        cell: Cell with the settings.
+        data: Data of the procedure.
+    """
     if data.registered is None or data.plan is None:
         return None
     return as_transform(data.registered.body_ref_from_image) @ target(data, cell.settings.placement.confirm_offset)
 
 
-def measured_from_desired(frame: Exposure, body_ref_from_coil: Transform) -> Transform:
-    """What the tool's pose is wrong by in a frame, along its own axes."""
+def measured_from_desired(frame: TrackerFrame, body_ref_from_coil: Transform) -> Transform:
+    """Return the error of the tool's pose in a frame, along its own axes.
+
+    Args:
+        frame: Frame of the tracker.
+        body_ref_from_coil: Desired pose of the tool.
+    """
     tracker_from_desired = frame["body_ref"].tracker_from_body @ body_ref_from_coil
     return frame["coil"].tracker_from_body.inverse() @ tracker_from_desired
 
 
 async def watch_alignment(act: Activity) -> None:
-    """Watches a tool that stands at the body, until it is told to end; a hidden tool or body is no alignment."""
+    """Watch a tool that rests at the body until the activity is cancelled. A hidden tool or body is not aligned."""
     watch, number = AlignmentWatch(act), 0
     while True:
         for frame in act.cell.poses.frames_after(number, BODIES)[-1:]:
@@ -139,18 +167,18 @@ async def watch_alignment(act: Activity) -> None:
             desired = desired_in_body_ref(act.cell, act.data)
             if desired is not None:
                 watch.take(frame, measured_from_desired(frame, desired))
-        watch.look()
-        await act.clock.sleep(max(LEAST_PAUSE, act.cell.settings.alignment.off_time / LOOKS))
+        watch.evaluate()
+        await act.clock.sleep(max(MIN_PAUSE, act.cell.settings.alignment.off_time / CHECKS_PER_LOSS))
 
 
 def seen_by_present_watch(run: Run) -> None:
-    """Refuses an event that has waited until another activity watches: what it tells was seen before."""
+    """Refuse an event that has waited until another activity watches, because it reports an outdated observation."""
     if run.command.source != f"activity:{WATCHING[run.states['placement']]}":
-        text = f"{run.command.source} does not watch the tool any more: it is {run.states['placement']}."
+        text = f"{run.command.source} no longer watches the tool: it is {run.states['placement']}."
         raise RefusalError("not_watching", text, source=run.command.source)
 
 
 def register_alignment(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for this activity and check."""
+    """Register the names that blueprints use for this activity and check."""
     registry.check(seen_by_present_watch)
     registry.activity(watch_alignment)

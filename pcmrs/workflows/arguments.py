@@ -1,9 +1,4 @@
-"""Arguments of the operations that bring the tool away from the body.
-
-Names of people, as commands give them and records show them.
-
-Whether coordinates can be in m.
-"""
+"""Arguments that several operations share, and checks of them."""
 
 from __future__ import annotations
 
@@ -16,28 +11,29 @@ import numpy.typing as npt
 from pcmrs.errors import RefusalError
 
 NAME = r"\A(?=.*\w)[^\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069]+\Z"
-"""Something to read, and nothing that would write on another line or place of a record: no control characters."""
+"""At least one letter or digit, and no control characters, which could forge another line or place of a record."""
 
 PersonName = Annotated[str, msgspec.Meta(max_length=100, pattern=NAME)]
+"""Name of a person, as commands give it and records show it."""
 
-
-FARTHEST = 1.0
-"""A coordinate farther than this from the origin of the image (m) was probably given in mm."""
+MAX_COORDINATE = 1.0
+"""Largest plausible coordinate in the image, m. A larger one was probably given in mm."""
 
 
 def check_metres(points: npt.ArrayLike) -> None:
-    """Refuses coordinates in the image that are too large to be in m, (..., 3). Raises `RefusalError`."""
+    """Refuse coordinates in the image, (..., 3), that are too large to be in m. Raises `RefusalError`."""
     farthest = float(np.abs(points).max())
-    if farthest > FARTHEST:
-        text = f"A coordinate is {farthest:g} m; the limit is {FARTHEST:g} m. Were these millimetres?"
-        raise RefusalError("wrong_unit", text, value=farthest, limit=FARTHEST)
+    if farthest > MAX_COORDINATE:
+        text = f"A coordinate is {farthest:g} m; the limit is {MAX_COORDINATE:g} m. Were these millimetres?"
+        raise RefusalError("wrong_unit", text, value=farthest, limit=MAX_COORDINATE)
 
 
 class Retreat(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Arguments of `back_off`, `home` and `to_initial`.
 
     Attributes:
-        confirm: Somebody has looked at the whole way; it is needed where no registration tells where the body is.
+        confirm: True if a person has looked at the whole path of the arm. It is needed if no registration shows the
+            place of the body.
     """
 
     confirm: bool = False

@@ -1,4 +1,4 @@
-"""The cell as operations see it: devices, calibrations, and where everything is now."""
+"""The cell as operations see it: devices, calibrations, and the present poses."""
 
 from __future__ import annotations
 
@@ -36,28 +36,36 @@ class Cell:
     """Devices and calibrations of one cell.
 
     Attributes:
-        surface: Of the body, read once when the cell was opened, so that planning, guard and display have the same one
-            even if the file has changed since. None where none is configured.
-        joints: Newest measured joints; None until the robot has been heard.
+        robot: Robot that carries the tool.
+        pointer: Pointer with which a person touches points.
+        poses: Newest tracked poses.
+        arm: Model of the robot's arm.
+        clock: Clock of the cell.
+        settings: Settings of the procedure.
+        surface: Surface of the body in the image; None if none is configured. It is read once when the cell is opened,
+            so that planning, guard and display use the same surface even if the file has changed since.
+        joints: Newest measured joints; None until the robot has reported them.
+        resting_since: Time at which the arm came to rest, s of the clock. Poses captured earlier show it moving.
+        base_from_body_ref: Last seen pose of the body in the robot's base.
+        base_from_tracker: Pose of the tracker in the robot's base at that time.
+        body_ref_from_image: Last registration in force, even if it has been given up.
+        middle_in_body_ref: Centre of the last registered landmarks in body_ref, m, (3,). It remains when the
+            registration is given up, because its place in the body does not change. None until a registration.
+        earlier_body_ref_from_image: Last accepted registration of an earlier run, while there has been none since and
+            it still fits. The arm keeps away from the body at that place.
+        initial_joints: Posture to which `placement.to_initial` returns, rad, (n,); None for the home posture.
+        watchers: Functions that receive every newly measured joint state.
         name: ``site/name`` of the cell.
-        tool_calibration: From a file; None where the configuration gives the poses.
-        pointer_calibration: The same of the pointer.
-        resting_since: When the arm came to rest, s of the clock; poses captured earlier show it moving.
-        initial_joints: Posture that `placement.to_initial` returns to; the home posture until one is remembered.
-        base_from_body_ref: Where the body was last seen in the robot's base.
-        base_from_tracker: Where the tracker was by that.
-        body_ref_from_image: The registration that was in force last, also when it has been given up.
-        middle_in_body_ref: Centre of the landmarks that were registered last, m, (3,): it stays where it is in the
-            body when the registration is given up. None until this cell has seen a registration.
-        earlier_body_ref_from_image: The last accepted registration of an earlier run, while none has been seen since
-            and it still fits: the arm keeps away from where that has the body.
-        watchers: Called with every newly measured joint state.
-        zones: What the arm keeps out of.
-        uses_robot: The workflow connects or moves the robot. Otherwise nobody has ever released the arm, if there is
-            one: it is latched since it started, and neither a Stop nor its release waits for it.
-        stimulator: None where none is configured.
-        emg: The same.
-        teleop: Where set points of teleoperators come in.
+        uses_robot: True if the workflow connects or moves the robot. Otherwise nobody has ever released the arm, if
+            there is one: it has been latched since its start, and neither Stop nor its release waits for it.
+        stimulator: Stimulator; None if none is configured.
+        emg: Electromyograph; None if none is configured.
+        teleop: Port for the set points of teleoperators.
+        flange_from_coil: Pose of the tool's marker body on the flange.
+        pointer_from_tip: Pose of the tip in the pointer's marker body.
+        zones: Zones that the arm keeps out of.
+        tool_calibration: Calibration file of the tool; None if the configuration gives the poses.
+        pointer_calibration: Calibration file of the pointer; None if the configuration gives the pose.
     """
 
     robot: LatchingRobot
@@ -102,19 +110,19 @@ class Cell:
 
     @property
     def calibration_id(self) -> str:
-        """Short hash of the calibrations in use: what was registered with another one is not comparable."""
+        """Short hash of the calibrations in use. Registrations with another hash are not comparable."""
         return _identity(self.tool_calibration, self.pointer_calibration, self.settings)
 
     def calibrations(self) -> dict[str, str]:
-        """What is in use, for people: the calibration files, or ``explicit`` for poses of the configuration."""
+        """Return the title of each calibration file in use, or ``explicit`` for poses of the configuration."""
         found = {"tool": self.tool_calibration, "pointer": self.pointer_calibration}
         return {kind: "explicit" if used is None else used.title() for kind, used in found.items()}
 
     def posture(self) -> Floats:
-        """Measured joints at rest, rad, (n,).
+        """Return the measured joints at rest, rad, (n,).
 
         Raises:
-            RefusalError: The robot has not been heard yet.
+            RefusalError: The robot has not reported its joints yet.
         """
         if self.joints is None:
             raise RefusalError("joints_unknown", "The robot has not reported its joints yet: connect it first.")
@@ -122,11 +130,11 @@ class Cell:
 
     @property
     def home(self) -> tuple[float, ...]:
-        """The home posture: as configured, or the arm's own; rad, base to flange."""
+        """Home posture as configured, or the arm's own, rad, base to flange."""
         return self.settings.home or self.arm.facts.home
 
     def update_joints(self, state: JointState) -> None:
-        """Takes a newly measured joint state."""
+        """Take a newly measured joint state."""
         if state.moving:
             self.resting_since = self.clock.monotonic()
         self.joints = state
@@ -134,13 +142,13 @@ class Cell:
             watch(state)
 
     async def make_safe(self, latch: bool) -> None:
-        """Holds the robot, if the workflow uses it, and disarms the stimulator, both at once.
+        """Hold the robot, if the workflow uses it, and disarm the stimulator, both at once.
 
         Args:
-            latch: They act only after a release; not where only a motion is ended.
+            latch: True if both must not act again before a release; False if only a motion is ended.
 
         Raises:
-            PcmrsError: One of them has not confirmed it.
+            PcmrsError: One of them has not confirmed.
         """
         robot, stimulator = self.robot, self.stimulator
         asked: list[Awaitable[object]] = []
@@ -153,19 +161,18 @@ class Cell:
                 raise answer
 
     async def release(self, stopped: bool) -> list[str]:
-        """Ends the latch of robot and stimulator, once the robot has confirmed that it stands, if it is used.
+        """Release the latch of robot and stimulator, after the robot has confirmed that it stands still, if it is used.
 
         Args:
-            stopped: Robot and stimulator were stopped. Otherwise a robot that is not latched is left alone: it may
-                move, and an acknowledgement that came too late must not hold it.
+            stopped: True if robot and stimulator were stopped. Otherwise a robot that is not latched is left alone: it
+                may be moving, and an acknowledgement that arrives too late must not hold it.
 
         Returns:
-            Names of the devices that stay latched: a stimulator that does not answer, which must not keep anybody from
-            retreating.
+            Names of the devices that stay latched. A stimulator that does not answer must not prevent a retreat.
 
         Raises:
-            DeviceError: The robot moves, was held once more meanwhile, or refuses.
-            UnknownOutcomeError: It does not answer.
+            DeviceError: The robot moves, was held again meanwhile, or refuses.
+            UnknownOutcomeError: The robot does not answer.
         """
         if self.uses_robot and (stopped or self.robot.latched):
             await self.robot.hold()
@@ -180,7 +187,7 @@ class Cell:
         return []
 
     def motion_limits(self) -> MotionLimits:
-        """The configured speed limits, within the arm's own."""
+        """Return the configured speed limits, within the arm's own limits."""
         motion, joints = self.settings.motion, len(self.arm.velocity)
         return MotionLimits(
             joint_velocity=tuple(motion.joint_speed_fraction * self.arm.velocity),
@@ -194,10 +201,10 @@ class Cell:
         )
 
     def frames(self, data: PlacementData) -> FrameGraph:
-        """The chain robot_base – flange – tool – coil – tracker – body_ref – image, with the arm at rest.
+        """Return the chain robot_base – flange – tool – coil – tracker – body_ref – image, with the arm at rest.
 
         Raises:
-            RefusalError: Tool or body are not seen together, or the joints are not known.
+            RefusalError: Tool and body are not seen together, or the joints are not known.
         """
         count = self.settings.placement.frames
         tracked = self.poses.recent(["coil", "body_ref"], count, since=self.resting_since)
@@ -215,12 +222,14 @@ class Cell:
         return graph
 
     def remember_registered(self, registered: Registered) -> None:
-        """Takes the middle of the body, and where its image is, from a registration."""
+        """Store the middle of the body and the pose of its image from a registration."""
         self.body_ref_from_image = as_transform(registered.body_ref_from_image)
         self.middle_in_body_ref = registered.middle_in_body_ref()
 
     def image_from_coil(self, data: PlacementData) -> Transform:
-        """Where the tool is in the image: as the tracker sees it, or by the joints and where the body was last seen.
+        """Return the pose of the tool in the image.
+
+        It is measured by the tracker, or computed from the joints and the last seen pose of the body.
 
         Raises:
             RefusalError: There is no registration, or the body has never been seen.
@@ -234,12 +243,12 @@ class Cell:
         return base_from_image.inverse() @ self.arm.forward(self.posture()) @ self.flange_from_coil
 
     def flange_for(self, robot_base_from_coil: Transform) -> Transform:
-        """``robot_base_from_flange`` that brings the coil to the pose."""
+        """Return the ``robot_base_from_flange`` that brings the coil to a pose."""
         return robot_base_from_coil @ self.flange_from_coil.inverse()
 
 
 def calibration_id_of(settings: ProcedureSettings) -> str:
-    """The `Cell.calibration_id` of a cell with these settings.
+    """Return the `Cell.calibration_id` of a cell with these settings.
 
     Raises:
         ConfigurationError: A calibration file cannot be read.
@@ -258,7 +267,7 @@ def _identity(tool: Calibration | None, pointer: Calibration | None, settings: P
 
 
 def _calibration(kind: Kind, file: str) -> Calibration | None:
-    """The calibration in a configured file; None without one. Raises `ConfigurationError`."""
+    """Return the calibration in a configured file; None without a file. Raises `ConfigurationError`."""
     if not file:
         return None
     key = f"procedure.calibration.{kind}_file"

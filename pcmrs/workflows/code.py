@@ -1,4 +1,4 @@
-"""The Python file beside a blueprint: a workflow's own checks, steps and data."""
+"""Python file beside a blueprint: a workflow's own checks, steps and data."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from pcmrs.dispatcher.workflow import Settle
 from pcmrs.errors import ConfigurationError
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, settle
-from pcmrs.workflows.find import Place
+from pcmrs.workflows.find import WorkflowFiles
 
 
 @dataclass(frozen=True, slots=True)
-class Code:
-    """What a workflow's Python file says.
+class WorkflowCode:
+    """Definitions in a workflow's Python file.
 
     Attributes:
-        register: Adds its payloads, checks and steps to those that all procedures share.
-        data: What a procedure gathers.
-        settle: Fits the data to a commit.
+        register: Function that adds payloads, checks and steps to those that all procedures share.
+        data: Type of the procedure's data.
+        settle: Function that fits the data to a commit.
     """
 
     register: Callable[[Registry[Cell, PlacementData]], None] = lambda _: None
@@ -35,34 +35,42 @@ class Code:
     settle: Settle[PlacementData] = settle
 
 
-def load_code(place: Place) -> Code:
-    """Runs the Python file of a workflow, if there is one; it is trusted like any other program of the user's.
+def load_code(files: WorkflowFiles) -> WorkflowCode:
+    """Run the Python file of a workflow, if there is one. It is trusted like any other program of the user.
+
+    Args:
+        files: Files of the workflow.
 
     Raises:
-        ConfigurationError: It cannot be run or is no such file; the text names the file and the line.
+        ConfigurationError: The file cannot be run or lacks a definition; the text names the file and the line.
     """
-    if not place.code.is_file():
-        return Code()
-    module = add_source_location(place.code, _import, place)
+    if not files.code.is_file():
+        return WorkflowCode()
+    module = add_source_location(files.code, _import, files)
     register, data = getattr(module, "register", None), getattr(module, "Data", PlacementData)
     if not callable(register):
-        raise ConfigurationError(f"{place.code}: defines no function register(registry): add it.", file=str(place.code))
+        raise ConfigurationError(f"{files.code}: defines no function register(registry): add it.", file=str(files.code))
     if not (isinstance(data, type) and issubclass(data, PlacementData)):
         raise ConfigurationError(
-            f"{place.code}: Data is no subclass of PlacementData: make it one.", file=str(place.code)
+            f"{files.code}: Data is not a subclass of PlacementData: make it one.", file=str(files.code)
         )
     fits = getattr(module, "settle", settle)
     if not callable(fits):
-        text = f"{place.code}: settle is no function settle(data, states, effects): make it one."
-        raise ConfigurationError(text, file=str(place.code))
-    return Code(register, data, fits)
+        text = f"{files.code}: settle is not a function settle(data, states, effects): make it one."
+        raise ConfigurationError(text, file=str(files.code))
+    return WorkflowCode(register, data, fits)
 
 
 def add_source_location(file: Path, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Calls a function of the user's file.
+    """Call a function of the user's file, and add the file and the line to any error.
+
+    Args:
+        file: File that defines the function.
+        function: Function to call.
+        *arguments: Arguments of the function.
 
     Raises:
-        ConfigurationError: It raises; the text names the file, the line in it, and what was raised.
+        ConfigurationError: The function raises an error; the text names the file, the line in it, and the error.
     """
     try:
         return function(*arguments)
@@ -73,21 +81,21 @@ def add_source_location(file: Path, function: Callable[..., Any], *arguments: An
         raise ConfigurationError(text, file=str(file), line=line) from error
 
 
-def _import(place: Place) -> ModuleType:
-    if place.module:
-        return importlib.import_module(place.module)
-    name = f"pcmrs_workflow_{place.code.stem}"
-    spec = importlib.util.spec_from_file_location(name, place.code)
+def _import(files: WorkflowFiles) -> ModuleType:
+    if files.module:
+        return importlib.import_module(files.module)
+    name = f"pcmrs_workflow_{files.code.stem}"
+    spec = importlib.util.spec_from_file_location(name, files.code)
     if spec is None or spec.loader is None:
-        raise ImportError(f"{place.code} is no Python file")
+        raise ImportError(f"{files.code} is not a Python file")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses and msgspec look up their own module there
+    sys.modules[name] = module  # dataclasses and msgspec look up the module of a class there
     spec.loader.exec_module(module)
     return module
 
 
 def _line_in(file: Path, error: BaseException) -> int:
-    """The innermost line of the file that led to the error; 0 where there is none."""
+    """Return the innermost line of the file that led to the error; 0 if there is none."""
     if isinstance(error, SyntaxError) and error.filename == str(file):
         return error.lineno or 0
     frames: Sequence[traceback.FrameSummary] = traceback.extract_tb(error.__traceback__)

@@ -1,7 +1,4 @@
-"""Ways past the zones: refused where they come too near, and slower near the body.
-
-How near an arm may come to what it keeps out of, once it is on its way.
-"""
+"""Planning of paths that avoid the zones and are slower near the body, and clearance limits of a motion in progress."""
 
 from __future__ import annotations
 
@@ -20,52 +17,64 @@ from pcmrs.kinematics.time_parameterization import SpeedLimitAt
 from pcmrs.kinematics.trajectory import joint_motion, straight_motion
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform
-from pcmrs.spatial import Floats as Numbers
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_transform
 from pcmrs.workflows.earlier_body import earlier_registration
 
-PART = 32
-"""So many samples of a motion are looked at in one go, which takes about a millisecond."""
+SAMPLES_PER_PART = 32
+"""Number of samples of a motion whose clearance is computed without a pause: it takes about a millisecond."""
 
 
 class ClearanceLimits:
-    """Least distances of a motion: as near as allowed, or as planned where that is nearer, less the drift.
+    """Least distances of a motion in progress.
+
+    They are the allowed distances, or the planned ones if these are smaller, less the permitted drift.
 
     Args:
-        cell: With its zones arranged.
+        cell: Cell with placed zones.
         planned: Least distance of every pair along the planned motion, m, (P,).
     """
 
-    def __init__(self, cell: Cell, planned: Numbers) -> None:
+    def __init__(self, cell: Cell, planned: Floats) -> None:
         zones = cell.zones
         self._model = zones.model
-        # A tool that is planned to come near the body may touch it; any other keeps off it.
+        # A tool whose plan comes near the body may touch it. In all other motions it keeps its distance.
         limits = np.where(planned < zones.limits_afar, zones.limits, zones.limits_afar)
-        self._floors = np.minimum(limits, planned) - cell.settings.zones.drift_limit
+        self._limits = np.minimum(limits, planned) - cell.settings.zones.drift_limit
 
     @classmethod
-    def at(cls, cell: Cell, posture: npt.ArrayLike) -> Self:
-        """Of an arm that stands at a posture, rad, (n,)."""
+    def at_posture(cls, cell: Cell, posture: npt.ArrayLike) -> Self:
+        """Return the limits of an arm that rests at a posture.
+
+        Args:
+            cell: Cell with placed zones.
+            posture: Joint positions, rad, (n,).
+        """
         return cls(cell, cell.zones.model.distances(posture))
 
     @classmethod
-    async def along(cls, cell: Cell, positions: npt.ArrayLike) -> Self:
-        """Of a planned motion, rad, (N, n).
+    async def along_motion(cls, cell: Cell, positions: npt.ArrayLike) -> Self:
+        """Return the limits of a planned motion.
 
-        A long one takes tens of milliseconds, and Stop may wait for the event loop no longer than a few of them.
+        A long motion takes tens of milliseconds. The computation pauses after each part, because Stop may wait for the
+        event loop no longer than a few milliseconds.
+
+        Args:
+            cell: Cell with placed zones.
+            positions: Joint positions along the motion, rad, (N, n).
         """
         samples, planned = np.asarray(positions), []
-        for start in range(0, len(samples), PART):  # each part ends where the next one begins
-            planned.append(cell.zones.sample_clearance(samples[start : start + PART + 1]).distances.min(axis=0))
+        for start in range(0, len(samples), SAMPLES_PER_PART):  # each part ends where the next one begins
+            part = samples[start : start + SAMPLES_PER_PART + 1]
+            planned.append(cell.zones.sample_clearance(part).distances.min(axis=0))
             await asyncio.sleep(0)
         return cls(cell, np.min(planned, axis=0))
 
-    def passed(self, positions: npt.ArrayLike) -> RefusalError | None:
-        """Why an arm with its joints there, rad, (n,), is to be held, if it is."""
+    def violation(self, positions: npt.ArrayLike) -> RefusalError | None:
+        """Return the refusal for an arm at joint positions rad, (n,), that must be held; None if it may go on."""
         distances = self._model.distances(positions)
-        pair = int(np.argmin(distances - self._floors))
-        floor = float(self._floors[pair])
+        pair = int(np.argmin(distances - self._limits))
+        floor = float(self._limits[pair])
         if distances[pair] >= floor:
             return None
         found = self._model.clearance(distances, pair)
@@ -79,44 +88,69 @@ class ClearanceLimits:
 
 P = TypeVar("P", bound=PlacementData)
 
-ELSEWHERE = "Go home first, or plan another pose."
-BACK = "Bring the arm away by hand, with the robot's own controls."
+OTHER_PATH_ADVICE = "Go home first, or plan another pose."
+MANUAL_ADVICE = "Bring the arm away by hand, with the robot's own controls."
 
 
 def check_towards(cell: Cell, data: PlacementData, trajectory: JointTrajectory, base_from_target: Transform) -> None:
-    """Accepts a way to the body; `base_from_target` is the planned pose of the tool.
+    """Refuse a path to the body that passes a zone or leaves the approach cone.
+
+    Args:
+        cell: Cell whose zones are placed here.
+        data: Data of the procedure.
+        trajectory: Planned path.
+        base_from_target: Planned pose of the tool in the robot's base.
 
     Raises:
-        RefusalError: It passes a zone, comes near the body away from the target, or to the target beside the cone or
-            too deep.
+        RefusalError: The path passes a zone, comes near the body away from the target, or comes to the target outside
+            the cone or too deep.
     """
     update_collision_scene(cell, data)
-    passage = cell.zones.sample_clearance(trajectory.positions)
-    points = np.array([cell.arm.forward(q) @ cell.flange_from_coil.translation for q in passage.postures])
+    sampled = cell.zones.sample_clearance(trajectory.positions)
+    points = np.array([cell.arm.forward(q) @ cell.flange_from_coil.translation for q in sampled.postures])
     limits = cell.zones.limits_towards(base_from_target, points)
-    _refuse(passage.first_violation(cell.zones.model, limits), ELSEWHERE)
-    _check_inside_cone(cell, passage.postures, points, base_from_target)
+    _refuse(sampled.first_violation(cell.zones.model, limits), OTHER_PATH_ADVICE)
+    _check_inside_cone(cell, sampled.postures, points, base_from_target)
 
 
 def check_away(cell: Cell, data: PlacementData, trajectory: JointTrajectory) -> None:
-    """Accepts a way back: where it begins too near to a zone, it may only lead out.
+    """Refuse a retreat into a zone. If it starts too near to a zone, it may only lead out of it.
+
+    Args:
+        cell: Cell whose zones are placed here.
+        data: Data of the procedure.
+        trajectory: Planned path.
 
     Raises:
-        RefusalError: It leads into a zone.
+        RefusalError: The path leads into a zone.
     """
     update_collision_scene(cell, data)
-    passage = cell.zones.sample_clearance(trajectory.positions)
-    _refuse(passage.first_approach(cell.zones.model, cell.zones.retreat_limits), BACK)
+    sampled = cell.zones.sample_clearance(trajectory.positions)
+    _refuse(sampled.first_approach(cell.zones.model, cell.zones.retreat_limits), MANUAL_ADVICE)
 
 
 def check_postures(cell: Cell, *postures: Floats) -> None:
-    """Refuses postures in a zone, rad, (n,) each; the zones are where `update_collision_scene` has placed them last."""
+    """Refuse postures in a zone. The zones are those that `update_collision_scene` has placed last.
+
+    Args:
+        cell: Cell with placed zones.
+        *postures: Joint positions, rad, (n,) each.
+
+    Raises:
+        RefusalError: A posture is in a zone.
+    """
+    zones = cell.zones
     for posture in postures:
-        _refuse(cell.zones.sample_clearance([posture]).first_violation(cell.zones.model, cell.zones.limits), ELSEWHERE)
+        _refuse(zones.sample_clearance([posture]).first_violation(zones.model, zones.limits), OTHER_PATH_ADVICE)
 
 
 def update_collision_scene(cell: Cell, data: PlacementData) -> None:
-    """Places body and lines of sight where they are seen now, or were seen last."""
+    """Place the body and the lines of sight at their present or last seen poses.
+
+    Args:
+        cell: Cell with zones and tracked poses.
+        data: Data of the procedure.
+    """
     with suppress(RefusalError):
         cell.frames(data)
     if data.registered is not None:
@@ -131,7 +165,13 @@ def update_collision_scene(cell: Cell, data: PlacementData) -> None:
 
 
 def place_body(cell: Cell, base_from_tracker: Transform, base_from_body_ref: Transform) -> None:
-    """Places a body that moves, and the lines of sight to it."""
+    """Place a moving body and the lines of sight to it.
+
+    Args:
+        cell: Cell with zones.
+        base_from_tracker: Pose of the tracker in the robot's base.
+        base_from_body_ref: Pose of the body's reference in the robot's base.
+    """
     cell.base_from_body_ref = base_from_body_ref
     cell.zones.model.set_sight_lines(base_from_tracker.translation, base_from_body_ref.translation)
     if cell.body_ref_from_image is not None:
@@ -139,21 +179,32 @@ def place_body(cell: Cell, base_from_tracker: Transform, base_from_body_ref: Tra
 
 
 def plan_joint_path(run: AnyRun[Cell, P], start: npt.ArrayLike, goal: npt.ArrayLike) -> JointTrajectory:
-    """All joints together from rest to rest, rad, (n,), slower near the body.
+    """Plan a motion of all joints together from rest to rest, slower near the body.
+
+    Args:
+        run: Present operation.
+        start: Joint positions at the start, rad, (n,).
+        goal: Joint positions at the end, rad, (n,).
 
     Raises:
         UnreachableError: `goal` breaks a joint limit.
     """
     cell = run.cell
     update_collision_scene(cell, run.data)
-    limits, coil, allowed = cell.motion_limits(), cell.flange_from_coil, _allowed(cell)
-    return joint_motion(cell.arm, start, goal, limits, flange_from_tool=coil, speed_limit_at=allowed)
+    limits, coil, speed_limit_at = cell.motion_limits(), cell.flange_from_coil, _speed_limits(cell)
+    return joint_motion(cell.arm, start, goal, limits, flange_from_tool=coil, speed_limit_at=speed_limit_at)
 
 
 def plan_linear_path(
     run: AnyRun[Cell, P], start: npt.ArrayLike, base_from_coil: Transform, *, near: bool = False
 ) -> JointTrajectory:
-    """The tool straight from joint positions, rad, (n,), to a pose, slower near the body, or slow all the way.
+    """Plan a straight motion of the tool from rest to rest, slower near the body.
+
+    Args:
+        run: Present operation.
+        start: Joint positions at the start, rad, (n,).
+        base_from_coil: Pose of the tool at the end, in the robot's base.
+        near: True if the whole motion must be slow.
 
     Raises:
         UnreachableError: The arm cannot follow the line to its end.
@@ -164,17 +215,17 @@ def plan_linear_path(
     if near:
         limits = replace(limits, linear_velocity=min(limits.linear_velocity, motion.near_velocity))
     goal, coil = cell.flange_for(base_from_coil), cell.flange_from_coil
-    return straight_motion(cell.arm, start, goal, limits, flange_from_tool=coil, speed_limit_at=_allowed(cell))
+    return straight_motion(cell.arm, start, goal, limits, flange_from_tool=coil, speed_limit_at=_speed_limits(cell))
 
 
-def _allowed(cell: Cell) -> SpeedLimitAt:
+def _speed_limits(cell: Cell) -> SpeedLimitAt:
     motion = cell.settings.motion
 
-    def allowed(postures: Floats) -> Floats:
+    def speed_limit_at(postures: Floats) -> Floats:
         near = cell.zones.near_body(postures, motion.near_distance)
         return np.where(near, motion.near_velocity, motion.linear_velocity)
 
-    return allowed
+    return speed_limit_at
 
 
 def _refuse(violation: Violation | None, advice: str) -> None:
@@ -199,6 +250,6 @@ def _check_inside_cone(cell: Cell, postures: Floats, points: Floats, base_from_t
         text = (
             f"The tool point would be {np.hypot(x, y) * 1000:.0f} mm beside the planned axis, {z * 1000:.0f} mm above "
             f"the target, {excess[worst] * 1000:.0f} mm outside the cone of {zones.cone_half_angle_deg:g}° in which "
-            f"the tool comes to the body, with the joints at {joints_deg}°. {ELSEWHERE}"
+            f"the tool comes to the body, with the joints at {joints_deg}°. {OTHER_PATH_ADVICE}"
         )
         raise RefusalError("outside_cone", text, excess=float(excess[worst]), height=z, joints_deg=joints_deg)

@@ -1,6 +1,6 @@
-"""Connecting the robot, and finding out where it is.
+"""Connection of the robot, its first location, and the check of the calibrations.
 
-Nothing is measured or moved by a calibration that is expired, of something else, or changed.
+Nothing is measured or moved with a calibration that is expired, changed, or made for another tool or pointer.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ Run = AnyRun[Cell, PlacementData]
 
 
 def calibration_valid(run: Run) -> None:
-    """Refuses where a configured calibration file must not be used; poses given in the configuration do not expire.
+    """Refuse if a configured calibration file must not be used. Poses in the configuration do not expire.
 
     Raises:
-        RefusalError: Tool or pointer: see `check_valid`.
+        RefusalError: A calibration of tool or pointer is not valid; see `check_valid`.
     """
     cell, settings = run.cell, run.cell.settings
     run.result["calibration"] = cell.calibrations()
@@ -34,7 +34,7 @@ def calibration_valid(run: Run) -> None:
 
 
 def register_calibration_checks(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the name that blueprints use for this check."""
+    """Register the name that blueprints use for this check."""
     registry.check(calibration_valid)
 
 
@@ -42,13 +42,13 @@ FRAMES_TO_LOCATE = 5
 
 
 async def connect_robot(run: Run) -> None:
-    """Connected means that the robot has answered with joints within its limits.
+    """Connect the robot. It is connected once it has reported joints within its limits.
 
-    The devices may act from now on, unless Stop is latched: then only its acknowledgement releases them.
+    From then on the devices may act, unless Stop is latched. In that case only its acknowledgement releases them.
     """
     state = await run.cell.robot.connect()
     if not np.all(np.isfinite(state.positions)):
-        raise RefusalError("bad_joints", f"The robot reports joints {state.positions}, which are no numbers.")
+        raise RefusalError("bad_joints", f"The robot reports joints {state.positions}, which are not finite numbers.")
     run.cell.arm.check_limits(state.positions)
     run.cell.update_joints(state)
     if not run.latched and (latched := await run.cell.release(stopped=True)):
@@ -57,21 +57,21 @@ async def connect_robot(run: Run) -> None:
 
 
 async def disconnect_robot(run: Run) -> None:
-    """Ends the connection once the robot has confirmed it."""
+    """End the connection after the robot has confirmed it."""
     await run.cell.robot.disconnect()
 
 
 async def locate_arm(run: Run) -> None:
-    """Clear of the body or not, by the measured joints and the body as the tracker sees it."""
+    """Decide by the measured joints and the tracked body if the tool is clear of the body."""
     cell = run.cell
     cell.update_joints(await cell.robot.joints())
     cell.arm.check_limits(cell.posture())
     await cell.poses.collect(["coil", "body_ref"], FRAMES_TO_LOCATE, timeout=5.0)
-    run.outcome = where_clear(run)
+    run.outcome = clear_state(run)
 
 
-def where_clear(run: Run) -> str:
-    """``retracted`` where the tool is seen clear of the body, otherwise ``held``."""
+def clear_state(run: Run) -> str:
+    """Return ``retracted`` if the tool is seen clear of the body, otherwise ``held``."""
     clearance = run.cell.settings.placement.clearance
     try:
         distance = distance_from_body(run.cell, run.data)
@@ -82,6 +82,6 @@ def where_clear(run: Run) -> str:
 
 
 def register_connection_operations(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for these steps."""
+    """Register the names that blueprints use for these steps."""
     for step in (connect_robot, disconnect_robot, locate_arm):
         registry.world_step(step)

@@ -1,4 +1,4 @@
-"""Pressing the tool gently on the body, along its own axis."""
+"""Pressing the tool gently on the body along its own axis."""
 
 from __future__ import annotations
 
@@ -15,34 +15,38 @@ from pcmrs.workflows.collision_checks import check_towards, plan_linear_path
 from pcmrs.workflows.data import PlacementData, Point, as_point
 from pcmrs.workflows.guard import guarded
 from pcmrs.workflows.paths import along_axis
-from pcmrs.workflows.placement import check_at_present_plan, check_nudges, nudge_of, planned
+from pcmrs.workflows.placement import check_at_present_plan, check_nudges, nudge_transform, planned
 from pcmrs.workflows.settings import PressForce
 
 Run = AnyRun[Cell, PlacementData]
 
-LEAST_TRAVEL = 0.001
-"""Less is not worth pressing, m."""
+MIN_TRAVEL = 0.001
+"""Least travel of a press, m."""
 
 ROUNDING = 1e-4
-"""So far a press stays short of the deepest place, m: the joints are measured."""
+"""Distance by which a press stays above the depth limit, m, because the joints are measured."""
 
-ENDINGS = {
-    "no_contact": "The tool met nothing on its way of {travel:.1f} mm. Plan or nudge it nearer to the body.",
+REFUSAL_TEXTS = {
+    "no_contact": "The tool met nothing within {travel:.1f} mm. Plan or nudge it nearer to the body.",
     "travel_limit": "After {travel:.1f} mm the force was {force:.1f} N, not {asked:g} N. Look at what gives way.",
-    "timeout": "When the time was up the force was {force:.1f} N, not steadily {asked:g} N. Look at the tool.",
+    "timeout": "At the time limit the force was {force:.1f} N, not steadily {asked:g} N. Look at the tool.",
     "force_limit": "The force on the tool exceeded the robot's limit, and the arm was held. Look at the tool.",
 }
-"""What is said where the robot did not press as asked, by its reason."""
+"""Texts of the refusal of a press that failed, by the robot's reason."""
 
 
 class Press(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Arguments of `press`: the force, N; the configured one where it is left out."""
+    """Arguments of `press`.
+
+    Attributes:
+        force: Force, N; None for the configured one.
+    """
 
     force: PressForce | None = None
 
 
 def press_possible(run: Run) -> None:
-    """Prepares a press; refuses it where its whole travel would pass a zone, or exceed what nudges may add up to."""
+    """Prepare a press, or refuse it if its whole travel would pass a zone or exceed the limit of the nudges."""
     check_at_present_plan(run.data)
     cell, contact = run.cell, run.cell.settings.contact
     base_from_target = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE) @ planned(run.data)
@@ -62,10 +66,12 @@ def press_possible(run: Run) -> None:
 
 
 async def press_gently(run: Run) -> None:
-    """Presses, and tells the force and how far the tool went. That way is a nudge: the pressed pose is the aim now.
+    """Press, and report the force and the travel.
+
+    The travel becomes a nudge, so that the pressed pose is the new target.
 
     Raises:
-        RefusalError: Nothing was there, or the force was not reached or too great.
+        RefusalError: There was no contact, or the force was not reached or too large.
     """
     cell = run.cell
     request, way = run.prepared
@@ -80,10 +86,13 @@ async def press_gently(run: Run) -> None:
 
 
 def _allowed_travel(cell: Cell, height: float) -> float:
-    """The configured travel, or as much as is left of the depth, of a tool `height` (m) above the target, m."""
+    """Return the travel that a tool `height` (m) above the target may make, m.
+
+    It is the configured travel, or the distance to the depth limit if that is shorter.
+    """
     contact, limit = cell.settings.contact, cell.settings.zones.depth_limit
     left = height + limit - ROUNDING
-    if left < LEAST_TRAVEL:
+    if left < MIN_TRAVEL:
         text = (
             f"The tool is {-height * 1000:.1f} mm beyond the target, and may go no deeper than {limit * 1000:g} mm. "
             "Nudge it away from the body, or plan another pose."
@@ -93,12 +102,12 @@ def _allowed_travel(cell: Cell, height: float) -> float:
 
 
 def _nudged_by(data: PlacementData, travel: float) -> Point:
-    """The sum of nudges after a way towards the body along the axis of the nudged tool, m."""
-    return as_point(nudge_of(data.nudge_translation, data.nudge_rotation_zyx) @ np.array([0.0, 0.0, -travel]))
+    """Return the sum of nudges after travel towards the body along the axis of the nudged tool, m."""
+    return as_point(nudge_transform(data.nudge_translation, data.nudge_rotation_zyx) @ np.array([0.0, 0.0, -travel]))
 
 
 def _travel(cell: Cell, way: JointTrajectory, ended: MotionResult) -> float:
-    """How far the tool went along its axis towards the body, by the joints, m."""
+    """Return the travel of the tool along its axis towards the body, computed from the joints, m."""
     before = cell.arm.forward(way.positions[0]) @ cell.flange_from_coil
     after = cell.arm.forward(ended.positions) @ cell.flange_from_coil
     return -float((before.inverse() @ after.translation)[2])
@@ -107,14 +116,14 @@ def _travel(cell: Cell, way: JointTrajectory, ended: MotionResult) -> float:
 def _not_pressed(request: PressRequest, ended: MotionResult, travel: float) -> RefusalError:
     force = 0.0 if ended.force is None else ended.force
     reason = ended.reason or "held"
-    text = ENDINGS.get(reason, f"The press was stopped: {reason}.")
-    told = text.format(travel=travel * 1000.0, force=force, asked=request.force)
-    code = reason if reason in ENDINGS else "motion_stopped"
-    return RefusalError(code, told, force=force, asked=request.force, travel=travel, limit=request.travel)
+    text = REFUSAL_TEXTS.get(reason, f"The press was stopped: {reason}.")
+    message = text.format(travel=travel * 1000.0, force=force, asked=request.force)
+    code = reason if reason in REFUSAL_TEXTS else "motion_stopped"
+    return RefusalError(code, message, force=force, asked=request.force, travel=travel, limit=request.travel)
 
 
 def register_contact_operations(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for pressing."""
+    """Register the names that blueprints use for pressing."""
     registry.payload("press", Press)
     registry.long_check(press_possible)
     registry.world_step(press_gently, moves=True)

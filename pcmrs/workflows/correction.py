@@ -1,4 +1,4 @@
-"""The closed loop of a placement: the command is corrected by the tracker until the tool is where it should be."""
+"""Closed loop of a placement: the tracker corrects the command until the tool is at its target."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ Run = AnyRun[Cell, PlacementData]
 
 
 async def correct_from_tracker(run: Run) -> None:
-    """Corrects the command by what the tracker sees until that is within tolerance: the arm errs alike so near.
+    """Correct the command by the tracker until the tool is within tolerance.
 
-    Each round measures at rest and moves the command, not the measured pose, by what is left; all are in the result.
+    The arm's error hardly changes over so small a distance. Each round measures at rest and moves the command, not the
+    measured pose, by the remaining error. The result holds all rounds.
 
     Raises:
-        RefusalError: A correction is too large to be one, or the rounds do not bring the tool within tolerance.
+        RefusalError: A correction is implausibly large, or the rounds do not bring the tool within tolerance.
     """
     cell, limits = run.cell, run.cell.settings.placement
     commanded = run.prepared.positions[-1]
@@ -38,7 +39,7 @@ async def correct_from_tracker(run: Run) -> None:
         shift_mm, turn_deg = size_of(measured_from_desired)
         rounds.append({"shift_mm": shift_mm, "turn_deg": turn_deg})
         check_correctable(measured_from_desired, limits)
-        if _decided(rounds, limits):
+        if _converged(rounds, limits):
             return
         goal = cell.arm.forward(commanded) @ cell.flange_from_coil @ measured_from_desired
         correction = plan_linear_path(run, commanded, goal, near=True)
@@ -47,11 +48,19 @@ async def correct_from_tracker(run: Run) -> None:
 
 
 def check_correctable(measured_from_desired: Transform, limits: PlacementSettings) -> None:
-    """Refuses a correction that is too large to be one. Raises `RefusalError`."""
+    """Refuse an implausibly large correction.
+
+    Args:
+        measured_from_desired: Desired pose of the tool in its measured frame.
+        limits: Settings with the limits.
+
+    Raises:
+        RefusalError: ``correction_too_large``.
+    """
     shift_mm, turn_deg = size_of(measured_from_desired)
     if shift_mm > limits.correction_limit_mm or turn_deg > limits.correction_limit_deg:
         text = (
-            f"The tracker sees the tool {_told(shift_mm, turn_deg)} from where it should be; the limits are "
+            f"The tracker sees the tool {_size_text(shift_mm, turn_deg)} from where it should be; the limits are "
             f"{limits.correction_limit_mm:g} mm and {limits.correction_limit_deg:g}°. Check the calibration, and "
             "whether the body has moved."
         )
@@ -59,25 +68,25 @@ def check_correctable(measured_from_desired: Transform, limits: PlacementSetting
 
 
 def size_of(measured_from_desired: Transform) -> tuple[float, float]:
-    """Translation in mm and rotation in degrees."""
+    """Return the translation of a transform in mm and its rotation in deg."""
     shift, turn = np.linalg.norm(measured_from_desired.translation), np.linalg.norm(measured_from_desired.rotvec)
     return float(shift) * 1000.0, math.degrees(float(turn))
 
 
-def _told(shift_mm: float, turn_deg: float) -> str:
+def _size_text(shift_mm: float, turn_deg: float) -> str:
     return f"{shift_mm:.2f} mm and {turn_deg:.2f}°"
 
 
-def _decided(rounds: list[dict[str, float]], limits: PlacementSettings) -> bool:
-    """Whether the tool is within tolerance after these rounds. Raises `RefusalError` where no other is worth it."""
+def _converged(rounds: list[dict[str, float]], limits: PlacementSettings) -> bool:
+    """Return True if the tool is within tolerance. Raises `RefusalError` if another round is not worthwhile."""
     last, before = rounds[-1], rounds[-2:][0]
     if last["shift_mm"] <= limits.tolerance_mm and last["turn_deg"] <= limits.tolerance_deg:
         return True
     grows = last["shift_mm"] > before["shift_mm"] + limits.tolerance_mm
     if grows or last["turn_deg"] > before["turn_deg"] + limits.tolerance_deg or len(rounds) > limits.corrections:
         text = (
-            f"After {len(rounds) - 1} corrections the tracker sees the tool {_told(**last)} from where it should be; "
-            f"the tolerance is {limits.tolerance_mm:g} mm and {limits.tolerance_deg:g}°. Look whether the body keeps "
+            f"After {len(rounds) - 1} corrections the tracker sees the tool {_size_text(**last)} from where it should "
+            f"be; the tolerance is {limits.tolerance_mm:g} mm and {limits.tolerance_deg:g}°. Check that the body keeps "
             "still, then back off."
         )
         raise RefusalError("not_converged", text, corrections=rounds)
@@ -85,5 +94,5 @@ def _decided(rounds: list[dict[str, float]], limits: PlacementSettings) -> bool:
 
 
 def register_correction_steps(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for these steps."""
+    """Register the name that blueprints use for this step."""
     registry.world_step(correct_from_tracker, moves=True)

@@ -1,4 +1,4 @@
-"""What a placement procedure gathers: landmarks, digitization, registration, plan and nudges."""
+"""Data of a placement procedure: landmarks, digitization, registration, plan and nudges."""
 
 from __future__ import annotations
 
@@ -20,18 +20,27 @@ Point = tuple[float, float, float]
 
 
 class Landmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A planned anatomical point in the image, m."""
+    """A planned anatomical point.
+
+    Attributes:
+        name: Name of the landmark.
+        position: Position in the image, m.
+    """
 
     name: str
     position: Point
 
 
 class Digitized(msgspec.Struct, frozen=True, kw_only=True):
-    """A complete digitization: for each landmark its point in body_ref, m, and what it rests on.
+    """A complete digitization and its preconditions.
 
     Attributes:
-        reference: ``body_ref_from_witness`` when it began; None where no witness was seen.
-        reference_serial: Of the marker body that was on the patient; empty where nobody said.
+        landmarks: Planned landmarks.
+        points: Digitized point of each landmark in body_ref, m.
+        patient: Name of the patient.
+        calibration: `Cell.calibration_id` at that time.
+        reference: ``body_ref_from_witness`` at its start; None if no witness was seen.
+        reference_serial: Serial number of the marker body on the patient; empty if it is not known.
     """
 
     landmarks: tuple[Landmark, ...]
@@ -43,17 +52,21 @@ class Digitized(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Registered(msgspec.Struct, frozen=True, kw_only=True):
-    """An accepted registration and all it rests on.
+    """An accepted registration and its preconditions.
 
     Attributes:
-        body_ref_from_image: The registration.
+        id: Identifier of the registration.
+        body_ref_from_image: Registration.
         residual: Mean distance of the landmarks, m.
-        patient: Whose head it is.
-        calibration: Identity of the pointer's and tool's calibration it was made with.
-        reference: ``body_ref_from_witness`` of its digitization; None where no witness was seen.
-        covariance: Where the surface has refined it: of the small motion ``(rotation vector, translation)`` in body_ref
-            that is between it and the true one, rad and m, (6, 6) row by row; empty otherwise.
-        reference_serial: Of the marker body that was on the patient; empty where nobody said.
+        rms: Root mean square distance of the landmarks, m.
+        landmarks: Planned landmarks.
+        digitized: Digitized point of each landmark in body_ref, m.
+        patient: Name of the patient.
+        calibration: `Cell.calibration_id` at that time.
+        reference: ``body_ref_from_witness`` of its digitization; None if no witness was seen.
+        covariance: Covariance of the small motion ``(rotation vector, translation)`` in body_ref between it and the
+            true registration, rad and m, (6, 6) row by row; empty if the surface has not refined it.
+        reference_serial: Serial number of the marker body on the patient; empty if it is not known.
     """
 
     id: str
@@ -75,14 +88,15 @@ class Registered(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Planned(msgspec.Struct, frozen=True, kw_only=True):
-    """An accepted tool plan and what it was made for.
+    """An accepted tool plan and its preconditions.
 
     Attributes:
-        image_from_coil: The planned pose.
-        patient: In whose image.
-        calibration: Identity of the pointer's and tool's calibration then.
-        reference: ``body_ref_from_witness`` of the digitization then; None where there was none.
-        reference_serial: Of the marker body that was on the patient; empty where nobody said.
+        id: Identifier of the plan.
+        image_from_coil: Planned pose.
+        patient: Name of the patient.
+        calibration: `Cell.calibration_id` at that time.
+        reference: ``body_ref_from_witness`` of the digitization at that time; None if there was none.
+        reference_serial: Serial number of the marker body on the patient; empty if it is not known.
     """
 
     id: str
@@ -97,19 +111,19 @@ class PlacementData(ProcedureData, frozen=True, kw_only=True):
     """Data of the procedures that place a tool on a registered body.
 
     Attributes:
-        landmarks: Planned, in the image, m.
-        digitized: For each landmark its point in body_ref, m; None while it is open.
-        reference: ``body_ref_from_witness`` when the first of them was digitized; None where no witness was seen.
+        landmarks: Planned landmarks in the image.
+        digitized: Digitized point of each landmark in body_ref, m; None while the landmark is open.
+        reference: ``body_ref_from_witness`` when the first landmark was digitized; None if no witness was seen.
         surface: Points touched on the skin, in body_ref, m, in order.
-        previous_digitization: The last complete digitization.
-        registered: The registration in force.
-        previous: The last accepted registration, in force or not.
-        noise: What accepted registrations have left over, by pointer.
+        previous_digitization: Last complete digitization.
+        registered: Registration in force.
+        previous: Last accepted registration, in force or not.
+        noise: Noise estimated from the residuals of accepted registrations, by pointer.
         plan: ``image_from_coil`` of the accepted tool plan.
-        previous_plan: The last accepted tool plan, in force or not.
+        previous_plan: Last accepted tool plan, in force or not.
         nudge_translation: Sum of nudges since the approach, m, in the tool frame.
-        nudge_rotation_zyx: Sum of rotations since the approach, rad.
-        approached: Ids of the plan and registration that the tool is at.
+        nudge_rotation_zyx: Sum of rotations about z, y, x since the approach, rad.
+        approached: Identifiers of the plan and the registration to which the tool was brought.
         teleoperator: User who has engaged the clutch; None while it is open.
     """
 
@@ -130,17 +144,23 @@ class PlacementData(ProcedureData, frozen=True, kw_only=True):
 
     @classmethod
     def begin(cls, _blueprint: Blueprint) -> Self:
-        """What a procedure under the blueprint begins with."""
+        """Return the data with which a procedure under the blueprint starts."""
         return cls()
 
     def complete_digitization(self) -> tuple[Point, ...]:
-        """The digitized points; empty unless every landmark has one."""
+        """Return the digitized points in body_ref, m; empty unless every landmark has one."""
         points = tuple(point for point in self.digitized if point is not None)
         return points if self.landmarks and len(points) == len(self.landmarks) else ()
 
 
 def settle(data: PlacementData, states: Mapping[str, str], effects: Sequence[Effect]) -> PlacementData:
-    """Drops what the joint state no longer stands for; a branch that the workflow has not says nothing. Pure."""
+    """Remove the data that the joint state no longer supports. Branches that the workflow lacks change nothing. Pure.
+
+    Args:
+        data: Data of the procedure.
+        states: New state of every branch.
+        effects: Effects of the commit.
+    """
     changes: dict[str, object] = {}
     registration = states.get("registration", "111")
     if registration == "000":
@@ -166,17 +186,17 @@ def _all_open(data: PlacementData) -> tuple[None, ...]:
 
 @lru_cache(maxsize=64)
 def as_transform(pose: PoseMessage | BodyPose) -> Transform:
-    """The pose as a `Transform`."""
+    """Return a pose message as a `Transform`."""
     return Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
 
 
 def as_message(transform: Transform) -> PoseMessage:
-    """The transform as data."""
+    """Return a transform as a pose message."""
     return PoseMessage(position=as_point(transform.translation), quat_wxyz=_four(transform.quat_wxyz))
 
 
 def as_point(values: npt.ArrayLike) -> Point:
-    """Three numbers as plain data."""
+    """Return three numbers as plain data."""
     x, y, z = np.asarray(values, dtype=float).tolist()
     return (x, y, z)
 

@@ -1,4 +1,4 @@
-"""Femoroplasty's own checks and steps: the drill trajectory, the surgeon's confirmations, the guide and the hole."""
+"""Femoroplasty's own checks and steps: drill trajectory, the surgeon's confirmations, guide and hole."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from pcmrs.workflows.arguments import PersonName, check_metres
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Point, as_message, as_transform
 from pcmrs.workflows.data import settle as settle_placement
-from pcmrs.workflows.motion import as_result, errors_of, measure_coil
+from pcmrs.workflows.motion import measure_coil, placement_errors, pose_result
 from pcmrs.workflows.placement import planned
 from pcmrs.workflows.toolplan import accept_pose
 
-SHORTEST_TRAJECTORY = 0.005
-"""Entry and target nearer than this (m) give no direction worth drilling along."""
-LONGEST_TRAJECTORY = 0.200
-"""No femoral neck is so long, m."""
+MIN_LENGTH = 0.005
+"""Least distance of entry and target, m. Nearer points give no reliable direction."""
+MAX_LENGTH = 0.200
+"""Greatest distance of entry and target, m: longer than any femoral neck."""
 ANTERIOR, SUPERIOR = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 NEARLY_PARALLEL = 0.99
 
-AT_THE_HOLE = ("drilling", "drilling_interrupted", "drilled", "checked", "injecting", "injecting_interrupted")
-"""States of the treatment in which there is a hole, or will be, that work goes on at."""
+HOLE_STATES = ("drilling", "drilling_interrupted", "drilled", "checked", "injecting", "injecting_interrupted")
+"""States of the treatment in which there is or will be a hole that is still needed."""
 
 
 class Data(PlacementData, frozen=True, kw_only=True):
-    """What a femoroplasty gathers.
+    """Data of a femoroplasty.
 
     Attributes:
-        hole: ``image_from_coil`` as measured when the drill went in.
+        hole: ``image_from_coil`` measured when the drill entered; None before that.
     """
 
     hole: PoseMessage | None = None
@@ -47,23 +47,36 @@ Run = AnyRun[Cell, Data]
 
 
 class Trajectory(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Arguments of `plan_trajectory`: where the drill enters the bone and where it is to end, in the image, m."""
+    """Arguments of `plan_trajectory`.
+
+    Attributes:
+        entry: Point at which the drill enters the bone, in the image, m.
+        target: Point at which the drill ends, in the image, m.
+    """
 
     entry: Point
     target: Point
 
 
 class Confirmation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Arguments of what only the surgeon can know: the name of the surgeon who says so."""
+    """Arguments of operations that only the surgeon can confirm.
+
+    Attributes:
+        surgeon: Name of the confirming surgeon.
+    """
 
     surgeon: PersonName
 
 
 def guide_pose(entry: Floats, target: Floats) -> Transform:
-    """``image_from_coil`` of a guide at the entry of a trajectory.
+    """Return ``image_from_coil`` of a guide at the entry of a trajectory.
 
-    The origin is the entry, +z leads from the target to the entry, so away from the body, and +y is as far superior
-    as it can be (anterior, where the trajectory itself is superior): a guide is the same however it is turned.
+    The origin is the entry. +z points from the target to the entry, away from the body. +y is as superior as possible
+    (anterior if the trajectory itself is superior), because a guide is symmetric about its axis.
+
+    Args:
+        entry: Entry in the image, m, (3,).
+        target: Target in the image, m, (3,).
     """
     z = (entry - target) / np.linalg.norm(entry - target)
     up = SUPERIOR if abs(z @ SUPERIOR) < NEARLY_PARALLEL else ANTERIOR
@@ -73,57 +86,58 @@ def guide_pose(entry: Floats, target: Floats) -> Transform:
 
 
 def trajectory_reachable(run: Run) -> None:
-    """Refuses what is no trajectory in a femur, and as soon as that can be decided what the arm cannot reach."""
+    """Refuse points that are not a trajectory in a femur or, once this can be decided, that the arm cannot reach."""
     entry, target = np.array(run.payload.entry), np.array(run.payload.target)
     check_metres((entry, target))
     run.result["length"] = length = float(np.linalg.norm(entry - target))
-    if not SHORTEST_TRAJECTORY <= length <= LONGEST_TRAJECTORY:
+    if not MIN_LENGTH <= length <= MAX_LENGTH:
         text = (
-            f"Entry and target are {length * 1000:.1f} mm apart; a trajectory has {SHORTEST_TRAJECTORY * 1000:g} to "
-            f"{LONGEST_TRAJECTORY * 1000:g} mm. Pick both points in the same bone."
+            f"Entry and target are {length * 1000:.1f} mm apart; a trajectory has {MIN_LENGTH * 1000:g} to "
+            f"{MAX_LENGTH * 1000:g} mm. Pick both points in the same bone."
         )
-        limits = [SHORTEST_TRAJECTORY, LONGEST_TRAJECTORY]
+        limits = [MIN_LENGTH, MAX_LENGTH]
         raise RefusalError("bad_trajectory", text, length=length, limits=limits)
     accept_pose(run, guide_pose(entry, target))
 
 
 def record_confirmation(run: Run) -> None:
-    """Puts on record who confirmed what."""
+    """Put on record who confirmed which operation."""
     run.result |= {"surgeon": run.payload.surgeon, "confirmed": run.command.operation}
 
 
 async def check_guide_on_plan(run: Run) -> None:
-    """Measures the guide by the tracker, and refuses one beside the plan; what was nudged on purpose counts as well.
+    """Measure the guide by the tracker, and refuse it if it is off the plan. Intended nudges count as errors, too.
 
     Raises:
         RefusalError: An error is over its limit, or the guide is not seen.
     """
     plan, offset = planned(run.data), run.cell.settings.placement.confirm_offset
     run.prepared = measured = await measure_coil(run)
-    run.result |= {"planned": as_result(plan), **errors_of(measured, plan, offset)}
-    _refuse_beside(run, "guide", "the plan, nudges included", "Back off and place it anew, or plan another trajectory.")
+    run.result |= {"planned": pose_result(plan), **placement_errors(measured, plan, offset)}
+    advice = "Back off and place it again, or plan another trajectory."
+    _refuse_if_off(run, "guide", "the plan, nudges included", advice)
 
 
 def keep_hole(run: Run) -> None:
-    """The hole is where the guide has been measured: nudges and plans do not move it."""
+    """Store the measured pose of the guide as that of the hole. Nudges and plans do not move it."""
     run.keep(hole=as_message(run.prepared))
 
 
 async def check_guide_pose(run: Run) -> None:
-    """Measures the guide by the tracker, and refuses one that is not where it was when the hole was drilled.
+    """Measure the guide by the tracker, and refuse it if it is not where it was when the hole was drilled.
 
     Raises:
-        RefusalError: An error is over its limit, the guide is not seen, or nobody knows where the hole is.
+        RefusalError: An error is over its limit, the guide is not seen, or the place of the hole is unknown.
     """
     if run.data.hole is None:
         raise RefusalError("no_hole", "Where the hole is has not been measured: drill through the guide first.")
     hole, measured = as_transform(run.data.hole), await measure_coil(run)
-    run.result |= {"hole": as_result(hole), **errors_of(measured, hole)}
-    _refuse_beside(run, "hole", "where the hole was drilled", "Back off and place it anew, with the nudges of then.")
+    run.result |= {"hole": pose_result(hole), **placement_errors(measured, hole)}
+    _refuse_if_off(run, "hole", "where the hole was drilled", "Back off and place it again, with the same nudges.")
 
 
-def _refuse_beside(run: Run, kind: str, what: str, advice: str) -> None:
-    """Refuses a guide whose errors are over the limits of their kind."""
+def _refuse_if_off(run: Run, kind: str, what: str, advice: str) -> None:
+    """Refuse a guide whose errors are over the limits of their kind."""
     limits = run.cell.settings.limits
     shift_mm, turn_deg = run.result["translation_error"] * 1000.0, math.degrees(run.result["rotation_error"])
     limit_mm, limit_deg = limits[f"{kind}_error_mm"], limits[f"{kind}_error_deg"]
@@ -136,13 +150,19 @@ def _refuse_beside(run: Run, kind: str, what: str, advice: str) -> None:
 
 
 def settle(data: PlacementData, states: Mapping[str, str], effects: Sequence[Effect]) -> PlacementData:
-    """Forgets where the hole is once nothing more is to be done there. Pure."""
+    """Remove the hole once no more work is to be done there. Pure.
+
+    Args:
+        data: Data of the procedure.
+        states: New state of every branch.
+        effects: Effects of the commit.
+    """
     settled = settle_placement(data, states, effects)
-    return settled if states["treatment"] in AT_THE_HOLE else msgspec.structs.replace(settled, hole=None)
+    return settled if states["treatment"] in HOLE_STATES else msgspec.structs.replace(settled, hole=None)
 
 
 def register(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that the blueprint uses."""
+    """Register the names that the blueprint uses."""
     registry.payload("trajectory", Trajectory)
     registry.payload("confirmation", Confirmation)
     registry.long_check(trajectory_reachable)

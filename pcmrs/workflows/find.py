@@ -1,4 +1,4 @@
-"""Where a workflow is: shipped with PCMRS, in an installed package, or a file of the user's."""
+"""Search for a workflow: shipped with PCMRS, in an installed package, or in a file of the user."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from pcmrs.errors import ConfigurationError
 
 FOLDER = Path(__file__).parent
 GROUP = "pcmrs.workflows"
-"""Entry points whose values are modules; the blueprint lies beside the module."""
+"""Group of entry points. Their values are modules; the blueprint lies beside the module."""
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """A workflow that was found; nothing of it has been read or run.
+class WorkflowFiles:
+    """Files of a workflow. Finding them does not read or run any of them.
 
     Attributes:
-        blueprint: Its TOML file.
-        module: Import name of the Python file beside it; empty where that belongs to no package.
+        blueprint: TOML file of the blueprint.
+        module: Import name of the Python file beside it; empty if that belongs to no package.
     """
 
     blueprint: Path
@@ -30,62 +30,67 @@ class Place:
 
     @property
     def code(self) -> Path:
-        """The Python file of its own checks and steps; need not exist."""
+        """Python file with the workflow's own checks and steps; it need not exist."""
         return self.blueprint.with_suffix(".py")
 
 
-def find_workflow(name: str) -> Place:
-    """The workflow that a configuration or a user means.
+def find_workflow(name: str) -> WorkflowFiles:
+    """Return the files of the workflow that a configuration or a user names.
 
     Args:
-        name: Of a shipped workflow or of an entry point; or a path that ends in ``.toml``.
+        name: Name of a shipped workflow or of an entry point, or a path that ends in ``.toml``.
 
     Raises:
-        ConfigurationError: There is none, or more than one; the text lists what there is.
+        ConfigurationError: There is no such workflow, or more than one; the text lists the known ones.
     """
     return _at(Path(name).expanduser()) if name.endswith(".toml") else find_installed(name)
 
 
-def find_installed(name: str) -> Place:
-    """The workflow of that name: what a file of somebody else's names must not be a path, whose code would be run.
+def find_installed(name: str) -> WorkflowFiles:
+    """Return the files of a workflow by its name only.
+
+    Names from other machines' files must not be paths, because the code at such a path would be run.
+
+    Args:
+        name: Name of a shipped workflow or of an entry point.
 
     Raises:
-        ConfigurationError: There is none, or more than one; the text lists what there is.
+        ConfigurationError: There is no such workflow, or more than one; the text lists the known ones.
     """
-    found = [place for known, place in _installed() if known == name]
+    found = [files for known, files in _installed() if known == name]
     if not found:
         _refuse_incomplete(name)
         names = ", ".join(sorted({known for known, _ in _installed()}))
         text = f"There is no workflow {name!r}; there are {names}, or give the path of a .toml file."
         raise ConfigurationError(text, workflow=name)
     if len(found) > 1:
-        files = " and ".join(str(place.blueprint) for place in found)
-        text = f"More than one workflow is called {name!r}: {files}. Give the path of the one."
+        names = " and ".join(str(files.blueprint) for files in found)
+        text = f"More than one workflow is called {name!r}: {names}. Give the path of one of them."
         raise ConfigurationError(text, workflow=name)
     return found[0]
 
 
 def _refuse_incomplete(name: str) -> None:
-    """Raises `ConfigurationError` where a package offers the workflow, but not the module that it names."""
+    """Raise `ConfigurationError` if a package offers the workflow but lacks the module that it names."""
     for point in entry_points(group=GROUP, name=name):
         package = point.dist.name if point.dist is not None else "a package"
         text = f"The workflow {name!r} is installed by {package}, but its module {point.module} is missing: "
         raise ConfigurationError(f"{text}install {package} again, with that module in it.", workflow=name)
 
 
-def _at(path: Path) -> Place:
+def _at(path: Path) -> WorkflowFiles:
     if not path.is_file():
         raise ConfigurationError(f"There is no workflow {path}: no such file.", workflow=str(path))
-    return Place(path.absolute())
+    return WorkflowFiles(path.absolute())
 
 
-def _installed() -> Iterator[tuple[str, Place]]:
+def _installed() -> Iterator[tuple[str, WorkflowFiles]]:
     for path in FOLDER.glob("*.toml"):
-        yield path.stem, Place(path, f"{__package__}.{path.stem}")
+        yield path.stem, WorkflowFiles(path, f"{__package__}.{path.stem}")
     for point in entry_points(group=GROUP):
         spec = _spec_of(point.module)
         if spec is not None and spec.origin is not None:
-            yield point.name, Place(Path(spec.origin).with_suffix(".toml"), point.module)
+            yield point.name, WorkflowFiles(Path(spec.origin).with_suffix(".toml"), point.module)
 
 
 def _spec_of(module: str) -> ModuleSpec | None:

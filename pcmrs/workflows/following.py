@@ -15,44 +15,44 @@ from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
 from pcmrs.kinematics.track import track
 from pcmrs.spatial import Floats, Frame, Transform
-from pcmrs.workflows.alignment import BODIES, AlignmentWatch, Exposure, desired_in_body_ref, measured_from_desired
+from pcmrs.workflows.alignment import BODIES, AlignmentWatch, TrackerFrame, desired_in_body_ref, measured_from_desired
 from pcmrs.workflows.body_track import BodyTrack
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.collision_checks import ClearanceLimits, place_body, update_collision_scene
 from pcmrs.workflows.correction import check_correctable
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.placement import confirm_possible, target
-from pcmrs.workflows.setpoints import within
+from pcmrs.workflows.setpoints import limit_twist
 
-LARGEST_ERROR, LARGEST_TURN = 5e-4, float(np.radians(0.25))
-"""A tool that is farther behind a quick body errs no more than this by the arm's fault, m and rad."""
+MAX_ERROR, MAX_ERROR_ANGLE = 5e-4, float(np.radians(0.25))
+"""Largest error that the integrator takes as the arm's, m and rad. A larger one is lag behind a fast body."""
 
-BESIDE_TIME = 0.3
-"""A tool that is seen too far from its place for so long, s, though nothing limits it, is not where it is seen: longer
-than what was seen while it caught up is on its way."""
+MAX_OFFSET_TIME = 0.3
+"""Time for which a tool may be seen too far from its place although nothing limits it, s. It is longer than the delay
+of frames taken while the tool was catching up."""
 
 
-class Follower:
-    """Works out where the joints shall be next; moves nothing itself.
+class BodyFollower:
+    """Computes the next joint positions for the tool to follow the body. It moves nothing itself.
 
-    The tracker is taken to be where it makes the tool's pose by the joints agree with the one it sees: that takes in
-    the error of the arm's geometry, as it is at the start. What is left, and what comes as the arm moves on, is
-    integrated slowly from the tool's error against the body in the same exposure.
+    The tracker's pose is chosen so that the tool's pose by the joints agrees with the tracked one, which includes the
+    error of the arm's geometry at the start. The remaining error, and the error that arises as the arm moves on, is
+    integrated slowly from the tool's error against the body at one time of exposure.
 
     Args:
-        cell: With the arm at rest.
-        data: Of the procedure, with a registration and a plan in force.
-        frames: The newest ones, of a body that may move.
+        cell: Cell with the arm at rest.
+        data: Data of the procedure, with a registration and a plan in force.
+        frames: Newest frames of a body that may move.
 
     Attributes:
-        positions: Where the joints shall be, rad, (n,).
-        moved: How far the body is from where it was at first, m.
+        positions: Desired joint positions, rad, (n,).
+        moved: Distance of the body from its place at the start, m.
 
     Raises:
         RefusalError: Tool or body are not seen, or the tool is too far from its place to go there by itself.
     """
 
-    def __init__(self, cell: Cell, data: PlacementData, frames: Sequence[Exposure]) -> None:
+    def __init__(self, cell: Cell, data: PlacementData, frames: Sequence[TrackerFrame]) -> None:
         self._cell, self._settings = cell, cell.settings.following
         desired = desired_in_body_ref(cell, data)
         if desired is None or data.registered is None:
@@ -62,101 +62,101 @@ class Follower:
         update_collision_scene(cell, data)
         self._base_from_tracker = graph.get(Frame.ROBOT_BASE, Frame.TRACKER)
         self._base_from_coil = graph.get(Frame.ROBOT_BASE, Frame.COIL)
-        self._begun = graph.get(Frame.TRACKER, Frame.BODY_REF).translation
+        self._start = graph.get(Frame.TRACKER, Frame.BODY_REF).translation
         self._body = BodyTrack(self._settings)
         for frame in frames:
             self._body.take(frame)
             check_correctable(measured_from_desired(frame, desired), cell.settings.placement)
         self._correction = Transform.identity()
         self._velocity: Floats = np.zeros(6)
-        self._lags = False
-        self._beside = 0.0
+        self._lagging = False
+        self._offset_time = 0.0
         self.positions = cell.posture()
         self.moved = 0.0
-        self._floors = ClearanceLimits.at(cell, self.positions)
+        self._limits = ClearanceLimits.at_posture(cell, self.positions)
 
-    def take(self, frame: Exposure) -> Transform:
-        """Takes a frame, and returns the tool's error in it, ``measured_from_desired``.
+    def take(self, frame: TrackerFrame) -> Transform:
+        """Take a frame, and return the tool's error in it, ``measured_from_desired``.
 
         Raises:
-            RefusalError: The body jumped, the tool did, or what the arm errs by is too much to be believed.
+            RefusalError: The body or the tool jumped, or the arm's error is implausibly large.
         """
-        passed = self._body.take(frame)
+        elapsed = self._body.take(frame)
         error = measured_from_desired(frame, self._desired)
-        self._check_beside(error, passed)
-        if not self._lags:  # a tool that is limited in its speed is behind, not beside
-            gain = passed / self._settings.correction_time
-            step = gain * within(_twist(error), LARGEST_ERROR, LARGEST_TURN)
+        self._check_offset(error, elapsed)
+        if not self._lagging:  # the error of a tool at its speed limit is lag, not an error of the arm
+            gain = elapsed / self._settings.correction_time
+            step = gain * limit_twist(_twist(error), MAX_ERROR, MAX_ERROR_ANGLE)
             self._correction = self._correction @ Transform.from_rotvec(step[:3], step[3:])
             check_correctable(self._correction, self._cell.settings.placement)
         return error
 
-    def advance(self, time: float, passed: float) -> Floats:
-        """Goes on to where the tool shall be at `time`, s of the cell; returns the joint velocities to it, rad/s, (n,).
+    def advance(self, time: float, elapsed: float) -> Floats:
+        """Move on to the tool's pose at a time, and return the joint velocities of this step, rad/s, (n,).
 
         Args:
-            time: Now.
-            passed: Since the last call, s.
+            time: Present time, s of the cell.
+            elapsed: Time since the last call, s.
 
         Raises:
-            RefusalError: The body is not seen, has gone too far, or an arm that follows it would be in a zone.
+            RefusalError: The body is not seen or has gone too far, or the arm would be in a zone.
             UnreachableError: The arm cannot follow any farther.
         """
         stamp = self._body.stamp(time)
         tracker_from_body_ref = self._body.pose(stamp)
         self._check_range(tracker_from_body_ref)
         base_from_body_ref = self._base_from_tracker @ tracker_from_body_ref
-        earlier = self._base_from_tracker @ self._body.pose(stamp - passed)
-        self._go_on(self._goal(earlier), self._goal(base_from_body_ref), passed)
-        before, self.positions = self.positions, self._joints()
+        earlier = self._base_from_tracker @ self._body.pose(stamp - elapsed)
+        self._move_tool(self._goal(earlier), self._goal(base_from_body_ref), elapsed)
+        before, self.positions = self.positions, self._track()
         self._keep_out(base_from_body_ref)
-        velocities: Floats = (self.positions - before) / passed
+        velocities: Floats = (self.positions - before) / elapsed
         return velocities
 
-    def _check_beside(self, error: Transform, passed: float) -> None:
-        """Refuses a tool that stays seen elsewhere: by then it has been corrected by much less than a millimetre."""
+    def _check_offset(self, error: Transform, elapsed: float) -> None:
+        """Refuse a tool that is seen off its place for too long; until then it is corrected by much less than 1 mm."""
         try:
             check_correctable(error, self._cell.settings.placement)
         except RefusalError:
-            self._beside = 0.0 if self._lags else self._beside + passed
-            if self._beside > BESIDE_TIME:
+            self._offset_time = 0.0 if self._lagging else self._offset_time + elapsed
+            if self._offset_time > MAX_OFFSET_TIME:
                 raise
         else:
-            self._beside = 0.0
+            self._offset_time = 0.0
 
     def _check_range(self, tracker_from_body_ref: Transform) -> None:
-        self.moved = float(np.linalg.norm(tracker_from_body_ref.translation - self._begun))
+        self.moved = float(np.linalg.norm(tracker_from_body_ref.translation - self._start))
         if self.moved > self._settings.range:
             text = (
                 f"The body has moved by {self.moved * 1000:.0f} mm since the tool began to follow it; the limit is "
-                f"{self._settings.range * 1000:g} mm. Back off, and approach anew."
+                f"{self._settings.range * 1000:g} mm. Back off, and approach again."
             )
             raise RefusalError("body_moved_far", text, moved=self.moved, limit=self._settings.range)
 
     def _goal(self, base_from_body_ref: Transform) -> Transform:
-        """``base_from_coil`` to tell the arm, for the tool to be at its place on the body."""
+        """Return the ``base_from_coil`` to command so that the tool is at its place on the body."""
         return base_from_body_ref @ self._desired @ self._correction
 
-    def _go_on(self, earlier: Transform, goal: Transform, passed: float) -> None:
-        """Moves the tool as the body moves, and smoothly on to its place there, within the limits of its motion."""
+    def _move_tool(self, earlier: Transform, goal: Transform, elapsed: float) -> None:
+        """Move the tool with the body, and smoothly to its place there, within the limits of its motion."""
         settings = self._settings
-        with_body = _twist(earlier.inverse() @ goal) / passed
-        catching_up = _twist(self._base_from_coil.inverse() @ earlier) / max(settings.smoothing_time, passed)
-        asked = with_body + catching_up
-        wanted = within(asked, settings.linear_velocity, settings.angular_velocity)
-        most = settings.linear_acceleration * passed, settings.angular_acceleration * passed
-        self._velocity = self._velocity + within(wanted - self._velocity, *most)
-        self._lags = not np.allclose(self._velocity, asked)
-        step = self._velocity * passed
+        with_body = _twist(earlier.inverse() @ goal) / elapsed
+        catching_up = _twist(self._base_from_coil.inverse() @ earlier) / max(settings.smoothing_time, elapsed)
+        requested = with_body + catching_up
+        limited = limit_twist(requested, settings.linear_velocity, settings.angular_velocity)
+        max_change = settings.linear_acceleration * elapsed, settings.angular_acceleration * elapsed
+        self._velocity = self._velocity + limit_twist(limited - self._velocity, *max_change)
+        self._lagging = not np.allclose(self._velocity, requested)
+        step = self._velocity * elapsed
         self._base_from_coil = self._base_from_coil @ Transform.from_rotvec(step[:3], step[3:])
 
-    def _joints(self) -> Floats:
+    def _track(self) -> Floats:
         return track(self._cell.arm, self._cell.flange_for(self._base_from_coil), self.positions)
 
     def _keep_out(self, base_from_body_ref: Transform) -> None:
         """Places what moves with the body, and raises `RefusalError` where the arm would come too near to a zone."""
         place_body(self._cell, self._base_from_tracker, base_from_body_ref)
-        entered = self._floors.passed(self.positions)
+        entered = self._limits.violation(self.positions)
         if entered is not None:
             raise entered
 
@@ -170,13 +170,13 @@ Activity = AnyActivity[Cell, PlacementData]
 Run = AnyRun[Cell, PlacementData]
 
 FIRST_FRAMES = 10
-"""So many show where all is before anything moves."""
+"""Number of frames that must show tool and body before anything moves."""
 FIRST_TIME = 5.0
-"""They come within this, s."""
+"""Longest wait for these frames, s."""
 
 
 def follow_possible(run: Run) -> None:
-    """Plans the straight way to where the body is now; refuses one that is too long for a small correction."""
+    """Plan the straight path to the body's present place, and refuse one that is too long for a small correction."""
     cell = run.cell
     image_from_coil = cell.frames(run.data).get(Frame.IMAGE, Frame.COIL)
     desired = target(run.data, cell.settings.placement.confirm_offset)
@@ -185,17 +185,17 @@ def follow_possible(run: Run) -> None:
 
 
 async def follow_head(act: Activity) -> None:
-    """Sends set points for as long as it is not told to end, and ends the stream before it does.
+    """Send set points until the activity is cancelled, and end the stream then.
 
     Raises:
-        RefusalError: See `Follower`: the robot is held then.
-        DeviceError: The robot has ended the stream by itself.
+        RefusalError: See `BodyFollower`. The robot is then held.
+        DeviceError: The robot has ended the stream itself.
     """
     cell, clock = act.cell, act.clock
     await cell.poses.collect(BODIES, FIRST_FRAMES, timeout=FIRST_TIME)
     known = cell.poses.frames_after(0, BODIES)[-FIRST_FRAMES:]
     number = known[-1]["coil"].frame_number
-    follower, watch = Follower(cell, act.data, known), AlignmentWatch(act)
+    follower, watch = BodyFollower(cell, act.data, known), AlignmentWatch(act)
     async with cell.robot.servo() as stream:
         now = clock.monotonic()
         while True:
@@ -205,11 +205,11 @@ async def follow_head(act: Activity) -> None:
             before, now = now, clock.monotonic()
             velocities = follower.advance(now, max(now - before, cell.settings.following.period))
             stream.send(follower.positions, velocities)
-            watch.look(moved_mm=round(follower.moved * 1000.0, 1))
+            watch.evaluate(moved_mm=round(follower.moved * 1000.0, 1))
             await clock.sleep(cell.settings.following.period)
 
 
 def register_following(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for this check and activity."""
+    """Register the names that blueprints use for this check and activity."""
     registry.long_check(follow_possible)
     registry.activity(follow_head, moves=True)

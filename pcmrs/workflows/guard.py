@@ -1,4 +1,4 @@
-"""Watches an arm that moves: holds it where it drifts into a zone, or goes to a body that is not seen any more."""
+"""Guard of a moving arm: it is held if it drifts into a zone, or goes to a body that is no longer seen."""
 
 from __future__ import annotations
 
@@ -14,17 +14,22 @@ from pcmrs.workflows.collision_checks import ClearanceLimits
 
 BODY = "body_ref"
 
-LONGEST_LOOK = 0.1
-"""Between two looks, s: joints come more often."""
+MAX_CHECK_INTERVAL = 0.1
+"""Longest counted time between two checks, s. Measured joints arrive more often."""
 
 
 async def follow_guarded(cell: Cell, trajectory: JointTrajectory, *, towards_body: bool) -> MotionResult:
-    """Follows a trajectory, watched; `towards_body` says whether the tracker has to show the body on the way.
+    """Follow a trajectory under guard.
+
+    Args:
+        cell: Cell with robot and zones.
+        trajectory: Planned path.
+        towards_body: True if the tracker must show the body on the way.
 
     Raises:
-        RefusalError: The arm was held: it came nearer to a zone than planned, or the body was not seen.
+        RefusalError: The arm was held, because it came nearer to a zone than planned or the body was not seen.
         DeviceError: The robot answered with a failure.
-        UnknownOutcomeError: It did not answer.
+        UnknownOutcomeError: The robot did not answer.
     """
     async with guarded(cell, trajectory, towards_body=towards_body):
         return await cell.robot.follow(trajectory)
@@ -32,57 +37,57 @@ async def follow_guarded(cell: Cell, trajectory: JointTrajectory, *, towards_bod
 
 @asynccontextmanager
 async def guarded(cell: Cell, trajectory: JointTrajectory, *, towards_body: bool) -> AsyncIterator[None]:
-    """Watches a motion along a trajectory, or along a part of it, for as long as the context lasts.
+    """Guard a motion along a trajectory, or along a part of it, for as long as the context lasts.
 
     Args:
-        cell: The cell.
-        trajectory: The way as it was planned.
-        towards_body: The arm is held where the tracker does not show the body any more; a retreat goes on.
+        cell: Cell with robot and zones.
+        trajectory: Planned path.
+        towards_body: True if the arm must be held when the tracker no longer shows the body. A retreat goes on.
 
     Raises:
-        RefusalError: The arm was held: it came nearer to a zone than planned, or the body was not seen.
+        RefusalError: The arm was held, because it came nearer to a zone than planned or the body was not seen.
     """
-    floors = await ClearanceLimits.along(cell, trajectory.positions)
-    guard = _Guard(cell, floors, _Sight(cell) if towards_body else None)
+    limits = await ClearanceLimits.along_motion(cell, trajectory.positions)
+    guard = _Guard(cell, limits, _BodyVisibility(cell) if towards_body else None)
     cell.watchers.append(guard.watch)
     try:
         yield
     finally:
         cell.watchers.remove(guard.watch)
-        await guard.held()
+        await guard.wait_until_held()
     guard.check()
 
 
 class _Guard:
-    def __init__(self, cell: Cell, floors: ClearanceLimits, sight: _Sight | None) -> None:
+    def __init__(self, cell: Cell, limits: ClearanceLimits, visibility: _BodyVisibility | None) -> None:
         self._cell = cell
-        self._sight = sight
-        self._floors = floors
+        self._visibility = visibility
+        self._limits = limits
         self._refusal: RefusalError | None = None
         self._holding: asyncio.Task[JointState] | None = None
 
     def watch(self, state: JointState) -> None:
-        """Takes measured joints, and holds the arm the first time that a link is too near or the body is lost."""
+        """Take measured joints, and hold the arm the first time that a link is too near or the body is lost."""
         if self._refusal is not None:
             return
         self._place_body()
-        lost = None if self._sight is None else self._sight.lost()
-        self._refusal = self._floors.passed(state.positions) or lost
+        lost = None if self._visibility is None else self._visibility.refusal()
+        self._refusal = self._limits.violation(state.positions) or lost
         if self._refusal is not None:
             self._holding = asyncio.get_running_loop().create_task(self._cell.robot.hold())
 
-    async def held(self) -> None:
-        """Returns once an arm that had to be held stands."""
+    async def wait_until_held(self) -> None:
+        """Return once an arm that had to be held stands still."""
         if self._holding is not None:
             await self._holding
 
     def check(self) -> None:
-        """Raises `RefusalError` where the arm was held."""
+        """Raise `RefusalError` if the arm was held."""
         if self._refusal is not None:
             raise self._refusal
 
     def _place_body(self) -> None:
-        """Takes where the tracker sees the body now; while it does not, the body counts as where it was."""
+        """Place the body where the tracker sees it now. While it is not seen, its last place counts."""
         cell = self._cell
         with suppress(RefusalError):
             seen = cell.poses.newest(BODY)
@@ -91,32 +96,32 @@ class _Guard:
                 cell.zones.place_body(cell.base_from_tracker @ seen @ body_ref_from_image)
 
 
-class _Sight:
-    """Measures for how long the tracker has not shown the body, with every look.
+class _BodyVisibility:
+    """Timer of how long the tracker has not shown the body, updated by every check.
 
-    Time in which nobody looked counts as `LONGEST_LOOK` at most: where this process or the robot's messages were held
-    up, poses wait to be taken, too.
+    The time between two checks counts as `MAX_CHECK_INTERVAL` at most. If this process or the robot's messages were
+    delayed, tracked poses wait to be taken, too.
     """
 
     def __init__(self, cell: Cell) -> None:
         self._cell = cell
-        self._looked = cell.clock.monotonic()
+        self._checked_at = cell.clock.monotonic()
         self._captured = -math.inf
         self._unseen = 0.0
 
-    def lost(self) -> RefusalError | None:
-        """Why the arm is to be held, if it is."""
+    def refusal(self) -> RefusalError | None:
+        """Return the refusal for an arm that must be held because the body is not seen; otherwise None."""
         cell, limit = self._cell, self._cell.settings.tracking.unseen
         now, captured = cell.clock.monotonic(), cell.poses.last_seen(BODY)
         if captured > self._captured and now - captured <= limit:
-            self._captured, self._unseen = captured, min(now - captured, LONGEST_LOOK)
+            self._captured, self._unseen = captured, min(now - captured, MAX_CHECK_INTERVAL)
         else:
-            self._unseen += min(now - self._looked, LONGEST_LOOK)
-        self._looked = now
+            self._unseen += min(now - self._checked_at, MAX_CHECK_INTERVAL)
+        self._checked_at = now
         if self._unseen <= limit:
             return None
         text = (
             f"The tracker has not shown the body for {self._unseen:.2f} s, limit {limit:g} s, and the arm was held on "
-            "its way to it. Clear the line of sight, then back off."
+            "its way to it. Clear the line of visibility, then back off."
         )
         return RefusalError("body_not_seen", text, unseen=self._unseen, limit=limit)

@@ -14,25 +14,25 @@ from pcmrs.kinematics.zones import MOUNT, TOOL
 from pcmrs.messages.teleop import Limit
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.setpoints import within
+from pcmrs.workflows.setpoints import limit_twist
 from pcmrs.workflows.settings import TeleoperationSettings
 from pcmrs.workflows.zones import BODY
 
-MARGINS: tuple[Limit, ...] = ("height", "range", "turn")
-"""What the margins of `PlanLimits.margins` are of, in order."""
+MARGIN_NAMES: tuple[Limit, ...] = ("height", "range", "turn")
+"""Names of the bounds in the order of `PlanLimits.margins`."""
 
-EDGE = (1e-4, 1e-4, 1e-3)
-"""A tool with less margin than this counts as at the limit, m, m and rad."""
+LIMIT_TOLERANCE = (1e-4, 1e-4, 1e-3)
+"""Margins below which a tool counts as at the limit, m, m and rad."""
 
 
 class PlanLimits:
-    """Bounds on pose and twist of a tool in the frame of its planned pose, whose +z points away from the body.
+    """Bounds on pose and twist of a tool in the frame of its planned pose, whose +z axis points away from the body.
 
-    The tool point stays above the planned contact and near the planned place, the tool is turned little; towards each
-    of these bounds it is never faster than it can brake before it.
+    The tool point stays above the planned contact and near the planned place, and the tool is turned only a little.
+    Towards each of these bounds it is never faster than it can brake before it.
 
     Args:
-        settings: Of teleoperation.
+        settings: Settings of teleoperation.
     """
 
     def __init__(self, settings: TeleoperationSettings) -> None:
@@ -40,23 +40,26 @@ class PlanLimits:
         self._turn = math.radians(settings.turn_deg)
 
     def margins(self, plan_from_tool: Transform) -> Floats:
-        """What is left until each bound, m, m and rad, (3,), as in `MARGINS`; negative beyond it."""
+        """Return the distances to the bounds, m, m and rad, (3,); negative beyond them.
+
+        They are in the order of `MARGIN_NAMES`.
+        """
         place = plan_from_tool.translation
         away, turned = np.linalg.norm(place), np.linalg.norm(plan_from_tool.rotvec)
         return np.array((place[2], self._settings.range - away, self._turn - turned))
 
     def met(self, plan_from_tool: Transform) -> Limit | None:
-        """The bound that the tool is at, if any."""
-        left = self.margins(plan_from_tool) - EDGE
-        return next((name for name, margin in zip(MARGINS, left, strict=True) if margin < 0.0), None)
+        """Return the bound that the tool is at, if any."""
+        left = self.margins(plan_from_tool) - LIMIT_TOLERANCE
+        return next((name for name, margin in zip(MARGIN_NAMES, left, strict=True) if margin < 0.0), None)
 
     def bounded(self, plan_from_tool: Transform, twist: Floats, period: float) -> Floats:
-        """The twist, (6,), in the tool's frame, without what would lead over a bound.
+        """Return a twist in the tool's frame, (6,), without the parts that would lead over a bound.
 
         Args:
-            plan_from_tool: Where the tool is.
-            twist: m/s and rad/s.
-            period: For which it holds, s.
+            plan_from_tool: Present pose of the tool in the frame of the plan.
+            twist: Twist in the tool's frame: m/s and rad/s, (6,).
+            period: Time for which the twist holds, s.
         """
         settings = self._settings
         height, reach, turn = self.margins(plan_from_tool).tolist()
@@ -70,44 +73,49 @@ class PlanLimits:
         return np.concatenate((plan_from_tool.rotation.T @ velocity, spin))
 
     def allow(self, before: Transform, after: Transform) -> bool:
-        """Whether a tool may go from one pose to the next: within the bounds, or where it is beyond one, back."""
+        """Return True if a tool may go from one pose to the next: within the bounds or, from beyond a bound, back.
+
+        Args:
+            before: Present pose of the tool in the frame of the plan.
+            after: Next pose of the tool in the frame of the plan.
+        """
         least = np.minimum(self.margins(before), 0.0)
         return bool(np.all(self.margins(after) >= least - 1e-9))
 
 
 def _brakes_within(margin: float, acceleration: float, period: float) -> float:
-    """Greatest speed held for one `period` and braked from then within `margin`: v T + v² / 2a = margin."""
+    """Return the greatest speed for one `period` from which it brakes within `margin`: v T + v² / 2a = margin."""
     if margin <= 0.0:
         return 0.0
     return acceleration * (math.sqrt(period**2 + 2.0 * margin / acceleration) - period)
 
 
 def _slowed(velocity: Floats, direction: Floats, fastest: float) -> Floats:
-    """A velocity (3,) that is no faster than `fastest` along a unit vector, (3,)."""
+    """Return a velocity (3,) that is no faster than `fastest` along a unit vector, (3,)."""
     excess = float(velocity @ direction) - fastest
     return velocity - excess * direction if excess > 0.0 else velocity
 
 
 def _direction(vector: Floats) -> Floats:
-    """The unit vector along one, (3,); zero for none."""
+    """Return the unit vector along a vector, (3,); zero for a zero vector."""
     length = float(np.linalg.norm(vector))
     return vector / length if length > 0.0 else vector
 
 
-class Guide:
-    """Integrates twists into a pose of the tool, and follows that with the joints; moves nothing itself.
+class GuidedTool:
+    """Integrator of twists into a pose of the tool and the joints that follow it. It moves nothing itself.
 
-    A step that would lead over a limit is not made: the tool stands, and may go back. Zones are kept as on any other
-    way; where the tool may touch the body, it comes no nearer to it than at the planned contact. What is already
-    nearer may only go away.
+    A step over a limit is not made: the tool stops, and may go back. Zones are kept as on any other path. Where the
+    tool may touch the body, it comes no nearer to it than at the planned contact. Links that are already nearer may
+    only go away.
 
     Args:
-        cell: With the arm at rest and its zones arranged.
-        base_from_plan: Where the planned pose is, nudges included.
+        cell: Cell with the arm at rest and placed zones.
+        base_from_plan: Planned pose in the robot's base, including nudges.
 
     Attributes:
-        positions: Where the joints shall be, rad, (n,).
-        limit: What has kept the tool from its last step, if anything.
+        positions: Desired joint positions, rad, (n,).
+        limit: Limit that blocked the last step, if any.
 
     Raises:
         UnreachableError: The arm cannot go from here to the planned contact.
@@ -127,53 +135,50 @@ class Guide:
 
     @property
     def plan_from_tool(self) -> Transform:
-        """Where the tool is by its planned pose."""
+        """Pose of the tool in the frame of its planned pose."""
         return self._base_from_plan.inverse() @ self._base_from_tool
 
     def begin(self) -> None:
-        """Takes the arm as it stands."""
+        """Start from the present posture of the arm."""
         self.positions = self._cell.posture()
         self._base_from_tool = self._cell.arm.forward(self.positions) @ self._cell.flange_from_coil
         self._velocity = np.zeros(6)
 
-    def see(self, base_from_plan: Transform) -> None:
-        """Takes where the planned pose is now; the zones are placed alike."""
+    def set_plan(self, base_from_plan: Transform) -> None:
+        """Take the present planned pose in the robot's base. The zones must be placed accordingly."""
         self._base_from_plan = base_from_plan
 
-    def advance(self, twist: Floats, scale: float, passed: float) -> Floats:
-        """Goes on towards a twist.
+    def advance(self, twist: Floats, scale: float, elapsed: float) -> Floats:
+        """Move on with a twist, and return the joint velocities of this step, rad/s, (n,).
 
         Args:
-            twist: In the tool's frame, m/s and rad/s, (6,); what is over the limits of speed is shortened.
-            scale: Part of that speed that is left, 0 to 1.
-            passed: Since the last call, s.
-
-        Returns:
-            The joint velocities that lead there, rad/s, (n,).
+            twist: Desired twist in the tool's frame: m/s and rad/s, (6,). It is shortened to the speed limits.
+            scale: Share of the speed limits that is available, 0 to 1.
+            elapsed: Time since the last call, s.
         """
         settings, pose = self._settings, self.plan_from_tool
-        wanted = scale * within(twist, settings.linear_velocity, settings.angular_velocity)
-        wanted = self._limits.bounded(pose, wanted, passed)
-        most = settings.linear_acceleration * passed, settings.angular_acceleration * passed
-        changed = self._velocity + within(wanted - self._velocity, *most)
-        self._velocity = self._limits.bounded(pose, changed, passed)
+        wanted = scale * limit_twist(twist, settings.linear_velocity, settings.angular_velocity)
+        wanted = self._limits.bounded(pose, wanted, elapsed)
+        max_change = settings.linear_acceleration * elapsed, settings.angular_acceleration * elapsed
+        changed = self._velocity + limit_twist(wanted - self._velocity, *max_change)
+        self._velocity = self._limits.bounded(pose, changed, elapsed)
         self.limit = self._limits.met(pose) if np.any(twist) else None
         before = self.positions
         if np.any(self._velocity):
-            self._step(self._velocity * passed)
-        return np.asarray((self.positions - before) / passed)
+            self._step(self._velocity * elapsed)
+        return np.asarray((self.positions - before) / elapsed)
 
     def _step(self, way: Floats) -> None:
-        """Goes a way (6,), m and rad, where nothing is against it; stands otherwise."""
+        """Move by a step (6,), m and rad, if nothing blocks it; otherwise stop."""
         base_from_tool = self._base_from_tool @ Transform.from_rotvec(way[:3], way[3:])
-        positions, against = self._look_at(base_from_tool)
-        if against is None:
+        positions, blocked_by = self._solve(base_from_tool)
+        if blocked_by is None:
             self._base_from_tool, self.positions = base_from_tool, positions
         else:
-            self._velocity, self.limit = np.zeros(6), self.limit or against
+            self._velocity, self.limit = np.zeros(6), self.limit or blocked_by
 
-    def _look_at(self, base_from_tool: Transform) -> tuple[Floats, Limit | None]:
-        """The joints for a pose of the tool, and what is against it."""
+    def _solve(self, base_from_tool: Transform) -> tuple[Floats, Limit | None]:
+        """Return the joint positions for a pose of the tool, and the limit that blocks it, if any."""
         plan_from_tool = self._base_from_plan.inverse() @ base_from_tool
         if not self._limits.allow(self.plan_from_tool, plan_from_tool):
             return self.positions, self._limits.met(plan_from_tool) or "range"
@@ -181,9 +186,9 @@ class Guide:
             positions = track(self._cell.arm, self._cell.flange_for(base_from_tool), self.positions)
         except UnreachableError:
             return self.positions, "reach"
-        return positions, self._zone_against(positions, base_from_tool)
+        return positions, self._blocking_zone(positions, base_from_tool)
 
-    def _zone_against(self, positions: Floats, base_from_tool: Transform) -> Literal["zone"] | None:
+    def _blocking_zone(self, positions: Floats, base_from_tool: Transform) -> Literal["zone"] | None:
         zones = self._cell.zones
         limits = zones.limits_towards(self._base_from_plan, base_from_tool.translation[None])[0]
         limits = self._with_contact(limits)
@@ -192,11 +197,14 @@ class Guide:
         return "zone" if nearer or self._leaves_cone(base_from_tool) else None
 
     def _leaves_cone(self, base_from_tool: Transform) -> bool:
-        """Whether the tool point goes out of the cone in which alone it comes to the body, or farther out of it."""
+        """Return True if the tool point leaves the approach cone, or goes farther out of it."""
         points = np.array((self._base_from_tool.translation, base_from_tool.translation))
         here, there = self._cell.zones.cone.excess(self._base_from_plan, points).tolist()
         return bool(there > 0.0 and there > here)
 
     def _with_contact(self, limits: npt.NDArray[np.float64]) -> Floats:
-        """The limits of all pairs, m, (P,); what may touch the body comes as near as at the planned contact."""
+        """Return the limits of all pairs, m, (P,).
+
+        Pairs that may touch may come as near as at the planned contact.
+        """
         return np.where(self._touching & np.isinf(limits), self._at_contact, limits)

@@ -1,4 +1,4 @@
-"""Planning and digitizing landmarks."""
+"""Planning and digitizing of landmarks."""
 
 from __future__ import annotations
 
@@ -13,46 +13,54 @@ from pcmrs.registration import register_points
 from pcmrs.workflows.arguments import check_metres
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import Digitized, Landmark, PlacementData, Planned, Point, Registered, as_point
-from pcmrs.workflows.reference import LATELY, check_reference, see_witness
+from pcmrs.workflows.reference import RECENT, check_reference, observe_witness
 from pcmrs.workflows.touching import touch
 
 Run = AnyRun[Cell, PlacementData]
 
-FEWEST_LANDMARKS = 3
+MIN_LANDMARKS = 3
 
 
 class LandmarkPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Arguments of `plan_landmarks`."""
+    """Arguments of `plan_landmarks`.
+
+    Attributes:
+        landmarks: Landmarks in the order in which they are touched.
+    """
 
     landmarks: tuple[Landmark, ...]
 
 
 class LandmarkIndex(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Arguments of the operations on one landmark; `index` counts from 0 in the order of the plan."""
+    """Arguments of the operations on one landmark.
+
+    Attributes:
+        index: Index of the landmark in the order of the plan, from 0.
+    """
 
     index: int
 
 
 def landmarks_spread(run: Run) -> None:
-    """Refuses a plan that no registration could use: too few, in mm, collinear or coincident points."""
+    """Refuse a plan that no registration could use: too few, in mm, collinear or coincident points."""
     landmarks = run.payload.landmarks
-    if len(landmarks) < FEWEST_LANDMARKS:
-        text = f"{len(landmarks)} landmarks are planned; a registration needs at least {FEWEST_LANDMARKS}."
-        raise RefusalError("too_few_landmarks", text, count=len(landmarks), limit=FEWEST_LANDMARKS)
+    if len(landmarks) < MIN_LANDMARKS:
+        text = f"{len(landmarks)} landmarks are planned; a registration needs at least {MIN_LANDMARKS}."
+        raise RefusalError("too_few_landmarks", text, count=len(landmarks), limit=MIN_LANDMARKS)
     points = np.array([landmark.position for landmark in landmarks])
     check_metres(points)
     register_points(points, points)
 
 
 def keep_landmarks(run: Run) -> None:
-    """A new plan opens all landmarks."""
+    """Store a new plan, which opens all landmarks."""
     landmarks = run.payload.landmarks
     run.keep(landmarks=landmarks, digitized=(None,) * len(landmarks), reference=None)
     run.result["landmarks"] = len(landmarks)
 
 
 def landmark_exists(run: Run) -> None:
-    """Refuses an index that the accepted plan does not have."""
+    """Refuse an index that the accepted plan does not have."""
     count = len(run.data.landmarks)
     if not 0 <= run.payload.index < count:
         text = f"Landmark index {run.payload.index} is outside 0 to {count - 1}: {count} landmarks are planned."
@@ -60,7 +68,10 @@ def landmark_exists(run: Run) -> None:
 
 
 async def digitize_every_landmark(run: Run) -> None:
-    """Digitizes all landmarks in order; all of them, or none is kept. Points of the skin go with the old ones."""
+    """Digitize all landmarks in order; either all of them are stored or none.
+
+    Earlier points of the skin are removed.
+    """
     count = len(run.data.landmarks)
     run.keep(digitized=(None,) * count, surface=())
     for index in range(count):
@@ -69,25 +80,25 @@ async def digitize_every_landmark(run: Run) -> None:
 
 
 async def digitize_landmark(run: Run) -> None:
-    """Digitizes one landmark; the last open one completes the digitization."""
+    """Digitize one landmark. The last open one completes the digitization."""
     await _digitize(run, run.payload.index)
     run.outcome = "complete" if run.data.complete_digitization() else "partial"
 
 
 async def digitize_landmark_again(run: Run) -> None:
-    """Replaces one landmark of a complete digitization."""
+    """Replace one landmark of a complete digitization."""
     await _digitize(run, run.payload.index)
 
 
 def reopen_landmark(run: Run) -> None:
-    """Opens one landmark; the others stay."""
+    """Reopen one landmark. The others stay."""
     points = run.data.digitized
     index = run.payload.index
     run.keep(digitized=(*points[:index], None, *points[index + 1 :]))
 
 
 def previous_digitization_fits(run: Run) -> None:
-    """Refuses a previous digitization of other landmarks, another patient, calibration or place of the reference."""
+    """Refuse a previous digitization of other landmarks, patient, calibration or place of the reference."""
     previous = run.data.previous_digitization
     if previous is None:
         raise RefusalError("no_previous_digitization", "No complete digitization was made before: digitize first.")
@@ -95,11 +106,11 @@ def previous_digitization_fits(run: Run) -> None:
         text = "The previous digitization was made for other planned landmarks: digitize the present ones."
         raise RefusalError("other_landmarks", text)
     check_same_head(run.cell, previous)
-    check_reference(run.cell, previous.reference, run.clock.monotonic() - LATELY)
+    check_reference(run.cell, previous.reference, run.clock.monotonic() - RECENT)
 
 
 def take_previous_digitization(run: Run) -> None:
-    """Takes all points of the previous digitization."""
+    """Restore all points of the previous digitization."""
     previous = run.data.previous_digitization
     if previous is not None:
         run.keep(reference=previous.reference, surface=())
@@ -107,7 +118,11 @@ def take_previous_digitization(run: Run) -> None:
 
 
 def check_same_head(cell: Cell, previous: Digitized | Registered | Planned) -> None:
-    """Refuses what belongs to another patient, or was made with another calibration or marker body on the patient.
+    """Refuse data of another patient, or data that was made with another calibration or marker body on the patient.
+
+    Args:
+        cell: Cell with the settings and calibrations.
+        previous: Earlier data.
 
     Raises:
         RefusalError: ``other_patient``, ``other_calibration`` or ``other_reference``.
@@ -148,9 +163,9 @@ def _keep_digitized(run: Run, points: tuple[Point | None, ...]) -> None:
 
 
 async def _touch(run: Run, index: int) -> Point:
-    """Has landmark `index` touched and returns the tip in body_ref, m.
+    """Wait for the touch of landmark `index`, and return the tip in body_ref, m.
 
-    The first of a digitization also takes the pose of the witness, with which the others are compared.
+    The first touch of a digitization also stores the pose of the witness, with which later poses are compared.
 
     Raises:
         RefusalError: See `touch`; or the reference has moved since the first landmark.
@@ -161,13 +176,13 @@ async def _touch(run: Run, index: int) -> Point:
     if any(point is not None for point in run.data.digitized):
         check_reference(cell, run.data.reference, touched.since)
     else:
-        run.keep(reference=see_witness(cell, touched.since))
+        run.keep(reference=observe_witness(cell, touched.since))
     run.result.setdefault("spreads", {})[landmark.name] = touched.spread
     return as_point(touched.point)
 
 
 def register_landmark_operations(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for these checks and steps."""
+    """Register the names that blueprints use for these checks and steps."""
     registry.payload("landmarks", LandmarkPlan)
     registry.payload("landmark_index", LandmarkIndex)
     for check in (landmarks_spread, landmark_exists, previous_digitization_fits):

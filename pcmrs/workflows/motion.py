@@ -1,4 +1,4 @@
-"""Moving the tool, and measuring where it is."""
+"""Motion of the tool and measurement of its pose."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from pcmrs.errors import RefusalError
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Frame, Transform, distance, mean_transform, rotation_angle
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.connection import where_clear
+from pcmrs.workflows.connection import clear_state
 from pcmrs.workflows.data import PlacementData, as_transform
 from pcmrs.workflows.guard import follow_guarded
 from pcmrs.workflows.paths import along_axis
 from pcmrs.workflows.placement import (
-    NOTHING,
+    NO_NUDGE,
+    accumulated_nudges,
     at_present_plan,
-    nudges_with,
     planned,
     target,
 )
@@ -29,81 +29,91 @@ Run = AnyRun[Cell, PlacementData]
 P = TypeVar("P", bound=PlacementData)
 
 FRAMES_TIME = 1.0
-"""A frame of an arm at rest comes within this, s, or nobody sees where it is."""
+"""Longest wait for a frame of the arm at rest, s. Without one, the tool is not seen."""
 
 MEASURING_TIME = 10.0
-"""All frames of a measurement come within this, s."""
+"""Longest wait for all frames of a measurement, s."""
 
 
 async def follow_prepared(run: Run) -> None:
-    """Follows the trajectory that the check has planned, and lets the arm come to rest."""
+    """Follow the trajectory that the check has planned, and let the arm come to rest."""
     await follow(run, run.prepared)
 
 
 async def back_off_anew(run: Run) -> None:
-    """Plans the way back again where the arm followed body or teleoperator until now."""
-    await _plan_anew(run)
+    """Plan the way back again if the arm has followed the body or the teleoperator until now."""
+    await _replan(run)
 
 
 async def home_anew(run: Run) -> None:
-    """Plans the way home again where the arm followed body or teleoperator until now."""
-    await _plan_anew(run)
+    """Plan the way home again if the arm has followed the body or the teleoperator until now."""
+    await _replan(run)
 
 
 async def initial_anew(run: Run) -> None:
-    """Plans the way to the initial posture again where the arm followed body or teleoperator until now."""
-    await _plan_anew(run)
+    """Plan the way to the initial posture again if the arm has followed the body or the teleoperator until now."""
+    await _replan(run)
 
 
-async def _plan_anew(run: Run) -> None:
-    """The check has seen an arm that moved on after it: now it stands."""
+async def _replan(run: Run) -> None:
+    """Plan again from the arm's present rest, because the check saw an arm that moved on afterwards."""
     if run.states["placement"] in ("following", "guided"):
-        await _seen_at_rest(run)
+        await _wait_for_frame_at_rest(run)
         await run.plan_anew()
 
 
 def remember_approach(run: Run) -> None:
-    """The standoff belongs to this plan and this registration; nudges start anew."""
+    """Store the plan and the registration that the standoff belongs to, and reset the nudges."""
     approached = (run.data.plan_id, run.data.registration_id)
-    run.keep(approached=approached, nudge_translation=NOTHING, nudge_rotation_zyx=NOTHING)
+    run.keep(approached=approached, nudge_translation=NO_NUDGE, nudge_rotation_zyx=NO_NUDGE)
 
 
 def remember_nudge(run: Run) -> None:
-    """Nudges add up."""
-    translation, rotation = nudges_with(run)
+    """Add the nudge to the sum of nudges."""
+    translation, rotation = accumulated_nudges(run)
     run.keep(nudge_translation=translation, nudge_rotation_zyx=rotation)
 
 
 async def measure_placement(run: Run) -> None:
-    """Measures the pose of the tool and its errors against the plan, both by the tracker.
+    """Measure the pose of the tool and its errors against the plan by the tracker.
 
-    Translation error ‖R_mᵀ(t_m − t_p) − s·e_z‖ for measured m, planned p and offset s along the tool's z axis;
-    rotation error is the angle of R_pᵀR_m. What the operator has nudged on purpose is part of the plan here.
+    The translation error is ‖R_mᵀ(t_m − t_p) − s·e_z‖ for measured pose m, planned pose p and offset s along the tool's
+    z axis. The rotation error is the angle of R_pᵀR_m. Intended nudges are part of the plan here.
     """
     offset = run.cell.settings.placement.confirm_offset
     measured, plan = await measure_coil(run), target(run.data, offset) @ along_axis(-offset)
-    told = {"planned": as_result(planned(run.data)), "confirm_offset": offset}
-    run.result |= {**told, **errors_of(measured, plan, offset)}
+    extra = {"planned": pose_result(planned(run.data)), "confirm_offset": offset}
+    run.result |= {**extra, **placement_errors(measured, plan, offset)}
 
 
-def errors_of(measured: Transform, expected: Transform, offset: float = 0.0) -> dict[str, Any]:
-    """A measured pose and its errors against the one expected, `offset` (m) away along the tool's axis, as a result."""
+def placement_errors(measured: Transform, expected: Transform, offset: float = 0.0) -> dict[str, Any]:
+    """Return a measured pose and its errors against the expected one, as a result.
+
+    Args:
+        measured: Measured ``image_from_coil``.
+        expected: Expected ``image_from_coil``.
+        offset: Expected distance from it along the tool's +z axis, m.
+    """
     error = measured.rotation.T @ (measured.translation - expected.translation) - np.array([0.0, 0.0, offset])
     return {
-        "measured": as_result(measured),
+        "measured": pose_result(measured),
         "translation_error": float(np.linalg.norm(error)),
         "rotation_error": rotation_angle(expected, measured),
     }
 
 
 async def find_where_retreat_ended(run: Run) -> None:
-    """At the standoff of the plan in force, clear of the body, or neither: then it is held where it is."""
-    await _seen_at_rest(run)
-    run.outcome = "standoff" if _at_standoff(run) else where_clear(run)
+    """Decide if the tool is at the standoff of the plan in force or clear of the body; otherwise it is held there."""
+    await _wait_for_frame_at_rest(run)
+    run.outcome = "standoff" if _at_standoff(run) else clear_state(run)
 
 
 async def measure_coil(run: AnyRun[Cell, P]) -> Transform:
-    """``image_from_coil`` as the mean of fresh tracker frames, with the arm at rest."""
+    """Return ``image_from_coil`` as the mean of new tracker frames, with the arm at rest.
+
+    Raises:
+        RefusalError: There is no registration, or tool and body are not seen.
+    """
     cell, placement = run.cell, run.cell.settings.placement
     registered = run.data.registered
     if registered is None:
@@ -114,15 +124,23 @@ async def measure_coil(run: AnyRun[Cell, P]) -> Transform:
 
 
 async def follow(run: Run, trajectory: JointTrajectory) -> None:
-    """Follows a trajectory past the zones, and lets the arm come to rest. Raises `RefusalError` where it was held."""
+    """Follow a trajectory under guard, and let the arm come to rest.
+
+    Args:
+        run: Present operation.
+        trajectory: Planned path.
+
+    Raises:
+        RefusalError: The arm was held.
+    """
     ended = await follow_guarded(run.cell, trajectory, towards_body=run.motion == "approach")
     if ended.outcome != "done":
         raise RefusalError("motion_stopped", f"The motion was stopped: {ended.reason or 'held'}.")
     await run.clock.sleep(run.cell.settings.placement.settle_time)
 
 
-async def _seen_at_rest(run: Run) -> None:
-    """The tracker's frames of the arm at rest may still be on their way, or never come."""
+async def _wait_for_frame_at_rest(run: Run) -> None:
+    """Wait for one frame of the arm at rest, which may be delayed or never come."""
     with suppress(RefusalError):
         await run.cell.poses.collect(["coil", "body_ref"], 1, timeout=FRAMES_TIME)
 
@@ -139,13 +157,13 @@ def _at_standoff(run: Run) -> bool:
     return distance(planned(data) @ along_axis(placement.standoff), measured) * 1000 <= placement.standoff_tolerance_mm
 
 
-def as_result(pose: Transform) -> dict[str, list[float]]:
-    """A pose as results have it."""
+def pose_result(pose: Transform) -> dict[str, list[float]]:
+    """Return a pose in the form of results."""
     return {"position": pose.translation.tolist(), "quat_xyzw": pose.quat_xyzw.tolist()}
 
 
 def register_motion_steps(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for these steps."""
+    """Register the names that blueprints use for these steps."""
     for step in (remember_approach, remember_nudge):
         registry.step(step)
     for replanning in (back_off_anew, home_anew, initial_anew):

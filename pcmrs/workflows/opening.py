@@ -1,4 +1,4 @@
-"""Workflows ready to run: a blueprint with the checks and steps that it names."""
+"""Workflows ready to run: a blueprint with its checks and steps."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from pcmrs.errors import BlueprintError, ConfigurationError
 from pcmrs.fsm import load_blueprint
 from pcmrs.workflows.alignment import register_alignment
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.code import Code, add_source_location, load_code
+from pcmrs.workflows.code import WorkflowCode, add_source_location, load_code
 from pcmrs.workflows.connection import register_calibration_checks, register_connection_operations
 from pcmrs.workflows.contact import register_contact_operations
 from pcmrs.workflows.correction import register_correction_steps
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.find import Place, find_installed, find_workflow
+from pcmrs.workflows.find import WorkflowFiles, find_installed, find_workflow
 from pcmrs.workflows.following import register_following
 from pcmrs.workflows.landmarks import register_landmark_operations
 from pcmrs.workflows.motion import register_motion_steps
@@ -30,43 +30,51 @@ _log = logging.getLogger(__name__)
 
 
 def open_workflow(name: str) -> Workflow[Cell, PlacementData]:
-    """The workflow of that name or path, ready to run: its blueprint verified, its Python file run.
+    """Return a workflow ready to run: its blueprint is verified, and its Python file has run.
+
+    Args:
+        name: Name of the workflow, or path of its blueprint.
 
     Raises:
-        ConfigurationError: There is no such workflow, or its Python file is faulty.
-        BlueprintError: Its blueprint is unsound, or uses a name that nobody registers.
+        ConfigurationError: The workflow does not exist, or its Python file is faulty.
+        BlueprintError: Its blueprint is unsound, or uses a name that is not registered.
     """
     return _open(find_workflow(name))
 
 
 def open_installed(name: str) -> Workflow[Cell, PlacementData]:
-    """The same for a name that comes from elsewhere, such as another machine's journal; never a path.
+    """Return an installed workflow ready to run.
+
+    For names from elsewhere, such as another machine's journal, which must not be paths.
+
+    Args:
+        name: Name of the workflow.
 
     Raises:
-        ConfigurationError: There is no such workflow, or its Python file is faulty.
-        BlueprintError: Its blueprint is unsound, or uses a name that nobody registers.
+        ConfigurationError: The workflow does not exist, or its Python file is faulty.
+        BlueprintError: Its blueprint is unsound, or uses a name that is not registered.
     """
     return _open(find_installed(name))
 
 
-def _open(place: Place) -> Workflow[Cell, PlacementData]:
-    blueprint = load_blueprint(place.blueprint, warn=lambda warning: _log.warning("%s", warning.heading))
-    code = load_code(place)
-    registry = _registry_with(place, code)
-    initial = add_source_location(place.code, code.data.begin, blueprint)
+def _open(files: WorkflowFiles) -> Workflow[Cell, PlacementData]:
+    blueprint = load_blueprint(files.blueprint, warn=lambda warning: _log.warning("%s", warning.heading))
+    code = load_code(files)
+    registry = _registry_with(files, code)
+    initial = add_source_location(files.code, code.data.begin, blueprint)
     try:
         return Workflow(blueprint, registry, initial, code.settle)
     except BlueprintError as error:
         if "findings" in error.fields:
-            raise BlueprintError(f"{place.blueprint}: {error.text}", **error.fields) from None
-        text = f"{place.blueprint}: {error.text}; PCMRS has none of that name, nor does {place.code} register one."
+            raise BlueprintError(f"{files.blueprint}: {error.text}", **error.fields) from None
+        text = f"{files.blueprint}: {error.text}; PCMRS has none of that name, nor does {files.code} register one."
         raise BlueprintError(text, **error.fields) from None
 
 
-def _registry_with(place: Place, code: Code) -> Registry[Cell, PlacementData]:
-    """The shared registry and what the workflow adds; a name of the one never means something of the other."""
+def _registry_with(files: WorkflowFiles, code: WorkflowCode) -> Registry[Cell, PlacementData]:
+    """Return the shared registry with the workflow's additions. A workflow cannot redefine a shared name."""
     shared, registry = placement_registry(), placement_registry()
-    add_source_location(place.code, code.register, registry)
+    add_source_location(files.code, code.register, registry)
     kinds: list[tuple[dict[str, Any], dict[str, Any]]] = [
         (shared.payloads, registry.payloads),
         (shared.checks, registry.checks),
@@ -76,13 +84,13 @@ def _registry_with(place: Place, code: Code) -> Registry[Cell, PlacementData]:
     for before, after in kinds:
         for name in before:
             if after[name] is not before[name]:
-                text = f"{place.code}: registers {name!r}, which PCMRS has already: give it another name."
-                raise ConfigurationError(text, file=str(place.code), name=name)
+                text = f"{files.code}: registers {name!r}, which PCMRS has already: give it another name."
+                raise ConfigurationError(text, file=str(files.code), name=name)
     return registry
 
 
 def placement_registry() -> Registry[Cell, PlacementData]:
-    """Checks and steps of the procedures that place a tool on a registered body."""
+    """Return the registry of checks and steps of the procedures that place a tool on a registered body."""
     registry: Registry[Cell, PlacementData] = Registry()
     register_calibration_checks(registry)
     register_landmark_operations(registry)

@@ -1,4 +1,4 @@
-"""Paths of the tool relative to the body: towards it only as planned, away from it only farther."""
+"""Checks of the tool's distance from the body: towards it only as planned, away from it only farther."""
 
 from __future__ import annotations
 
@@ -14,21 +14,24 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.earlier_body import earlier_registration
 
-CHECK_EVERY = 8
-"""Every so manyth sample of a trajectory is looked at: 40 ms apart."""
+SAMPLE_STRIDE = 8
+"""Stride of the checked samples of a trajectory: 40 ms."""
 
-CLEAR_MARGIN = 0.010
-"""A retreat until clear of the body goes so much farther, m."""
+CLEARANCE_RESERVE = 0.010
+"""Distance by which a retreat goes beyond the clearance, m."""
 
 TOLERANCE = 0.001
-"""Shrinking by less than this (m) is noise of the measured posture."""
+"""A distance that shrinks by less than this is regarded as noise of the measured posture, m."""
 
 
-def middle_of_body(cell: Cell, data: PlacementData) -> Floats:
-    """A point inside the body, in the robot's base, m, (3,): the centre of the landmarks registered last.
+def body_centre(cell: Cell, data: PlacementData) -> Floats:
+    """Return a point inside the body, in the robot's base, m, (3,): the centre of the last registered landmarks.
 
-    The body is where it is seen now; where it was seen last while something hides it. Until a registration has been
-    seen, its reference stands for it.
+    The body is at its present or last seen pose. Until a registration has been seen, its reference is used instead.
+
+    Args:
+        cell: Cell with the tracked poses.
+        data: Data of the procedure.
 
     Raises:
         RefusalError: The body has never been seen together with the tool.
@@ -36,7 +39,7 @@ def middle_of_body(cell: Cell, data: PlacementData) -> Floats:
     with suppress(RefusalError):
         cell.frames(data)
     if cell.base_from_body_ref is None:
-        text = "Where the body is has not been seen yet: show the tool and the body's reference to the tracker."
+        text = "The body has not been seen yet: show the tool and the body's reference to the tracker."
         raise RefusalError("body_unknown", text)
     if data.registered is not None:
         cell.remember_registered(data.registered)
@@ -45,39 +48,55 @@ def middle_of_body(cell: Cell, data: PlacementData) -> Floats:
     return cell.base_from_body_ref @ cell.middle_in_body_ref
 
 
-def middles_of_body(cell: Cell, data: PlacementData) -> list[Floats]:
-    """Return all points to keep away from, in the robot's base, m, (3,) each: `middle_of_body`, and an earlier one.
+def body_centres(cell: Cell, data: PlacementData) -> list[Floats]:
+    """Return all points to keep away from, in the robot's base, m, (3,) each: `body_centre` and an earlier one.
+
+    Args:
+        cell: Cell with the tracked poses.
+        data: Data of the procedure.
 
     Raises:
-        RefusalError: See `middle_of_body`.
+        RefusalError: See `body_centre`.
     """
-    middle, earlier = middle_of_body(cell, data), earlier_registration(cell, data)
+    centre, earlier = body_centre(cell, data), earlier_registration(cell, data)
     if earlier is None or cell.base_from_body_ref is None:
-        return [middle]
-    return [middle, cell.base_from_body_ref @ earlier.middle_in_body_ref()]
+        return [centre]
+    return [centre, cell.base_from_body_ref @ earlier.middle_in_body_ref()]
 
 
 def distance_from_body(cell: Cell, data: PlacementData) -> float:
-    """Distance of the coil from the middle of the body now, m: from the nearer where an earlier one is known, too.
+    """Return the present distance of the coil from the nearest of `body_centres`, m.
+
+    Args:
+        cell: Cell with the tracked poses.
+        data: Data of the procedure.
 
     Raises:
         RefusalError: Tool and body are not seen together.
     """
     base_from_coil = cell.frames(data).get(Frame.ROBOT_BASE, Frame.COIL)
-    offsets = [base_from_coil.translation - middle for middle in middles_of_body(cell, data)]
+    offsets = [base_from_coil.translation - centre for centre in body_centres(cell, data)]
     return float(min(np.linalg.norm(offset) for offset in offsets))
 
 
-def length_until_clear(cell: Cell, data: PlacementData) -> float:
-    """How far the coil must go along its +z axis to be clear of the body, m; 0 where it already is."""
+def distance_until_clear(cell: Cell, data: PlacementData) -> float:
+    """Return the distance that the coil must go along its +z axis to be clear of the body, m; 0 if it already is.
+
+    Args:
+        cell: Cell with the tracked poses.
+        data: Data of the procedure.
+
+    Raises:
+        RefusalError: See `body_centre`.
+    """
     base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
-    radius = cell.settings.placement.clearance + CLEAR_MARGIN
-    return max(_length_until_clear(base_from_coil, middle, radius) for middle in middles_of_body(cell, data))
+    radius = cell.settings.placement.clearance + CLEARANCE_RESERVE
+    return max(_distance_until_clear(base_from_coil, centre, radius) for centre in body_centres(cell, data))
 
 
-def _length_until_clear(base_from_coil: Transform, middle: Floats, radius: float) -> float:
-    """How far it is along +z until the coil is `radius` from a point, m."""
-    offset = base_from_coil.translation - middle
+def _distance_until_clear(base_from_coil: Transform, centre: Floats, radius: float) -> float:
+    """Return the distance along +z until the coil is `radius` from a point, m."""
+    offset = base_from_coil.translation - centre
     outwards = float(offset @ base_from_coil.rotation[:, 2])
     # The root of |offset + length z| = radius that lies ahead.
     inside = radius**2 - float(offset @ offset)
@@ -85,40 +104,55 @@ def _length_until_clear(base_from_coil: Transform, middle: Floats, radius: float
 
 
 def check_ends_clear(cell: Cell, trajectory: JointTrajectory, data: PlacementData) -> None:
-    """Refuses a way that does not end clear of the body. Raises `RefusalError`."""
-    end = min(float(distances(cell, trajectory, middle)[-1]) for middle in middles_of_body(cell, data))
+    """Refuse a path that does not end clear of the body.
+
+    Args:
+        cell: Cell with the tracked poses.
+        trajectory: Planned path.
+        data: Data of the procedure.
+
+    Raises:
+        RefusalError: ``not_clear``.
+    """
+    end = min(float(body_distances(cell, trajectory, centre)[-1]) for centre in body_centres(cell, data))
     clearance = cell.settings.placement.clearance
     if end <= clearance:
         text = (
-            f"The way would end {end * 1000:.0f} mm from the middle of the body, which is not clear of it "
+            f"The path would end {end * 1000:.0f} mm from the middle of the body, which is not clear of it "
             f"(more than {clearance * 1000:.0f} mm). Choose another posture."
         )
         raise RefusalError("not_clear", text, distance=end, limit=clearance)
 
 
-def distances(cell: Cell, trajectory: JointTrajectory, middle: Floats) -> Floats:
-    """Distance of the coil from the middle of the body along a trajectory, m."""
-    samples = [*trajectory.positions[::CHECK_EVERY], trajectory.positions[-1]]
+def body_distances(cell: Cell, trajectory: JointTrajectory, centre: Floats) -> Floats:
+    """Return the distance of the coil from a point along a trajectory, m, (K,).
+
+    Args:
+        cell: Cell with the arm and the tool's calibration.
+        trajectory: Planned path.
+        centre: Point in the robot's base, m, (3,).
+    """
+    samples = [*trajectory.positions[::SAMPLE_STRIDE], trajectory.positions[-1]]
     coils = [(cell.arm.forward(q) @ cell.flange_from_coil).translation for q in samples]
-    return np.asarray(np.linalg.norm(np.array(coils) - middle, axis=1))
+    return np.asarray(np.linalg.norm(np.array(coils) - centre, axis=1))
 
 
 def check_only_grows(
     cell: Cell, trajectory: JointTrajectory, data: PlacementData, advice: str = "Back off first."
 ) -> None:
-    """Refuses a retreat that comes nearer to the body, unless it stays clear of it all the way.
+    """Refuse a retreat that comes nearer to the body, unless it stays clear of it all the way.
 
     Args:
-        cell: The cell.
-        trajectory: The way.
-        data: Of the procedure.
-        advice: What else can be done, for the text.
+        cell: Cell with the tracked poses.
+        trajectory: Planned path.
+        data: Data of the procedure.
+        advice: Remedy for the error text.
 
     Raises:
-        RefusalError: It comes nearer than `clearance` and by more than `TOLERANCE`.
+        RefusalError: The path comes nearer than `clearance`, and by more than `TOLERANCE`.
     """
-    for middle in middles_of_body(cell, data):
-        _check_only_grows(cell, distances(cell, trajectory, middle), advice)
+    for centre in body_centres(cell, data):
+        _check_only_grows(cell, body_distances(cell, trajectory, centre), advice)
 
 
 def _check_only_grows(cell: Cell, way: Floats, advice: str) -> None:
@@ -126,28 +160,33 @@ def _check_only_grows(cell: Cell, way: Floats, advice: str) -> None:
     worst = int(np.argmax(np.where(way < cell.settings.placement.clearance, shrinks, 0.0)))
     if way[worst] < cell.settings.placement.clearance and shrinks[worst] > TOLERANCE:
         text = (
-            f"The way leads back towards the body: to {way[worst] * 1000:.0f} mm from its middle after "
+            f"The path leads back towards the body: to {way[worst] * 1000:.0f} mm from its middle after "
             f"{(way[worst] + shrinks[worst]) * 1000:.0f} mm. {advice}"
         )
         raise RefusalError("distance_shrinks", text, distance=float(way[worst]), shrinks=float(shrinks[worst]))
 
 
 def check_passes_clear(cell: Cell, trajectory: JointTrajectory, data: PlacementData) -> None:
-    """Refuses an approach that comes nearer to the body on its way than at its end.
+    """Refuse an approach that comes nearer to the body on its way than at its end.
+
+    Args:
+        cell: Cell with the tracked poses.
+        trajectory: Planned path.
+        data: Data of the procedure.
 
     Raises:
-        RefusalError: It does, by more than 10 mm.
+        RefusalError: It comes nearer by more than 10 mm.
     """
-    way = distances(cell, trajectory, middle_of_body(cell, data))
+    way = body_distances(cell, trajectory, body_centre(cell, data))
     nearest, end = float(way.min()), float(min(way[0], way[-1]))
     if nearest < end - 0.010:
         text = (
-            f"The way to the standoff passes the body at {nearest * 1000:.0f} mm from its middle, nearer than "
-            f"it ends ({end * 1000:.0f} mm). Go home first, or plan another pose."
+            f"The path to the standoff passes the body at {nearest * 1000:.0f} mm from its middle, nearer than its "
+            f"end ({end * 1000:.0f} mm). Go home first, or plan another pose."
         )
         raise RefusalError("path_near_body", text, distance=nearest, limit=end)
 
 
 def along_axis(distance: float) -> Transform:
-    """``coil_from_shifted``: a shift along the tool's +z axis, away from the body, m."""
+    """Return ``coil_from_shifted`` of a shift along the tool's +z axis, away from the body, m."""
     return Transform(np.eye(3), np.array([0.0, 0.0, distance]))

@@ -1,4 +1,4 @@
-"""What is worked out before the tool moves: each check plans the whole motion or refuses it."""
+"""Checks before the tool moves: each plans the whole motion or refuses it."""
 
 from __future__ import annotations
 
@@ -26,43 +26,47 @@ from pcmrs.workflows.paths import (
     check_ends_clear,
     check_only_grows,
     check_passes_clear,
-    length_until_clear,
+    distance_until_clear,
 )
 from pcmrs.workflows.toolplan import standoff_postures
 
 Run = AnyRun[Cell, PlacementData]
 
-NOTHING: Point = (0.0, 0.0, 0.0)
+NO_NUDGE: Point = (0.0, 0.0, 0.0)
 
-WAYS = 3
-"""So many postures at the standoff are tried: each takes some 50 ms to plan."""
+MAX_POSTURES = 3
+"""Greatest number of postures at the standoff that are tried. Each takes about 50 ms to plan."""
 
-SHORT_OF_LIMIT = 0.005
-"""So far before the place where the arm cannot follow a line any more, it stops following it, m."""
+LIMIT_RESERVE = 0.005
+"""Distance by which a retreat stops before the place where the arm can no longer follow the line, m."""
 
-
-BY_HAND = "Register the body anew, or bring the arm away by hand, with the robot's own controls; then back off."
-"""What is left where even backing off is refused."""
+BY_HAND = "Register the body again, or bring the arm away by hand, with the robot's own controls; then back off."
+"""Advice if even backing off is refused."""
 
 
 class Nudge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Arguments of `nudge`, in the tool frame: m, and rotations about z, y, x in rad."""
+    """Arguments of `nudge`, in the tool frame.
 
-    translation: Point = NOTHING
-    rotation_zyx: Point = NOTHING
+    Attributes:
+        translation: Translation, m.
+        rotation_zyx: Rotations about z, y, x, rad.
+    """
+
+    translation: Point = NO_NUDGE
+    rotation_zyx: Point = NO_NUDGE
 
 
 def approach_possible(run: Run) -> None:
-    """Plans the way to the standoff, by another posture where the first is refused.
+    """Plan the path to the standoff, with another posture if the first one is refused.
 
-    Refuses where the registration is not accurate enough there, each way passes a zone or the body, or the target is
-    out of reach.
+    It is refused if the registration is not accurate enough there, each path passes a zone or the body, or the target
+    is out of reach.
     """
     check_tre(run.cell, run.data, planned(run.data).translation)
     refused: list[PcmrsError] = []
-    for posture in islice(standoff_postures(run, planned(run.data)), WAYS):
+    for posture in islice(standoff_postures(run, planned(run.data)), MAX_POSTURES):
         try:
-            run.prepared = _approach_by(run, posture)
+            run.prepared = _plan_approach(run, posture)
             return
         except (RefusalError, UnreachableError) as error:
             refused.append(error)
@@ -70,26 +74,35 @@ def approach_possible(run: Run) -> None:
 
 
 def confirm_possible(run: Run) -> None:
-    """Plans the straight way along the tool's axis to the target."""
+    """Plan the straight path along the tool's axis to the target."""
     check_at_present_plan(run.data)
-    run.prepared = _straight_to(run, target(run.data, run.cell.settings.placement.confirm_offset))
+    run.prepared = _plan_straight_to(run, target(run.data, run.cell.settings.placement.confirm_offset))
 
 
 def nudge_possible(run: Run) -> None:
-    """Plans the straight way to the nudged pose, and refuses a sum of nudges that is too large."""
+    """Plan the straight path to the nudged pose, and refuse a sum of nudges that is too large."""
     check_at_present_plan(run.data)
     limits = run.cell.settings.placement
-    translation, rotation = nudges_with(run)
+    translation, rotation = accumulated_nudges(run)
     check_nudges(run, translation, rotation)
     height = limits.standoff if run.states["placement"] == "standoff" else limits.confirm_offset
     nudged = msgspec.structs.replace(run.data, nudge_translation=translation, nudge_rotation_zyx=rotation)
-    run.prepared = _straight_to(run, target(nudged, height))
+    run.prepared = _plan_straight_to(run, target(nudged, height))
 
 
 def check_nudges(run: Run, translation: Point, rotation_zyx: Point) -> None:
-    """Refuses a sum of nudges that is too large, m and rad. Raises `RefusalError`."""
+    """Refuse a sum of nudges that is too large.
+
+    Args:
+        run: Present operation.
+        translation: Sum of translations, m.
+        rotation_zyx: Sum of rotations about z, y, x, rad.
+
+    Raises:
+        RefusalError: ``nudge_too_large``.
+    """
     limits = run.cell.settings.placement
-    length, angle = math.dist(NOTHING, translation), nudge_of(NOTHING, rotation_zyx).rotvec
+    length, angle = math.dist(NO_NUDGE, translation), nudge_transform(NO_NUDGE, rotation_zyx).rotvec
     turned = math.degrees(float(np.linalg.norm(angle)))
     if length * 1000.0 > limits.nudge_limit_mm or turned > limits.nudge_limit_deg:
         text = (
@@ -100,87 +113,101 @@ def check_nudges(run: Run, translation: Point, rotation_zyx: Point) -> None:
 
 
 def retreat_possible(run: Run) -> None:
-    """Plans the straight way back along the tool's axis: to the standoff it belongs to, or clear of the body.
+    """Plan the straight path back along the tool's axis: to its standoff, or until it is clear of the body.
 
-    Where the arm cannot follow that line to its end it goes on home: backing off is the only way out of `held`,
-    so a joint limit on the line must not refuse it. Nor must a body of which only the reference has been seen: that may
-    be beside it, while +z leads away from the body by definition. Only the way home is held against the reference.
+    If the arm cannot follow that line to its end, the path continues home. Backing off is the only way out of `held`,
+    so a joint limit on the line must not refuse it. Neither must a body of which only the reference has been seen: the
+    reference may be beside the body, while +z leads away from the body by definition. Only the path home is checked
+    against the reference.
     """
     cell = run.cell
-    straight, complete = _back_off(run)
+    straight, complete = _plan_back_off(run)
     middle_known = cell.base_from_body_ref is not None and cell.middle_in_body_ref is not None
-    run.prepared = straight if complete else _then_home(run, straight, checked_later=middle_known)
+    run.prepared = straight if complete else _append_way_home(run, straight, checked_later=middle_known)
     if middle_known:
         check_only_grows(cell, run.prepared, run.data, BY_HAND)
     check_away(cell, run.data, run.prepared)
 
 
 def home_grows_distance(run: Run) -> None:
-    """Plans the way to the home posture; it may only lead away from the body."""
-    run.prepared = _retreat_to(run, list(run.cell.home))
+    """Plan the path to the home posture, which may only lead away from the body."""
+    run.prepared = _plan_retreat(run, list(run.cell.home))
 
 
 def initial_grows_distance(run: Run) -> None:
-    """Plans the way to the initial posture; it may only lead away from the body."""
-    run.prepared = _retreat_to(run, run.cell.initial_joints or list(run.cell.home))
+    """Plan the path to the initial posture, which may only lead away from the body."""
+    run.prepared = _plan_retreat(run, run.cell.initial_joints or list(run.cell.home))
 
 
 def planned(data: PlacementData) -> Transform:
-    """``image_from_coil`` of the plan in force. Raises `RefusalError` when there is none."""
+    """Return ``image_from_coil`` of the plan in force. Raises `RefusalError` if there is none."""
     if data.plan is None:
         raise RefusalError("no_plan", "No tool pose is planned: plan one first.")
     return as_transform(data.plan)
 
 
 def target(data: PlacementData, height: float) -> Transform:
-    """``image_from_coil`` of the plan with all nudges, `height` (m) away along the tool's axis."""
-    return planned(data) @ along_axis(height) @ nudge_of(data.nudge_translation, data.nudge_rotation_zyx)
+    """Return ``image_from_coil`` of the plan with all nudges, shifted along the tool's axis.
+
+    Args:
+        data: Data of the procedure.
+        height: Shift along the tool's +z axis, away from the body, m.
+
+    Raises:
+        RefusalError: There is no plan.
+    """
+    return planned(data) @ along_axis(height) @ nudge_transform(data.nudge_translation, data.nudge_rotation_zyx)
 
 
 @lru_cache(maxsize=64)
-def nudge_of(translation: Point, rotation_zyx: Point) -> Transform:
-    """``coil_from_nudged`` of a translation (m) and rotations about z, y, x (rad)."""
+def nudge_transform(translation: Point, rotation_zyx: Point) -> Transform:
+    """Return ``coil_from_nudged`` of a nudge.
+
+    Args:
+        translation: Translation, m.
+        rotation_zyx: Rotations about z, y, x, rad.
+    """
     return Transform.from_zyx(translation, rotation_zyx)
 
 
-def nudges_with(run: Run) -> tuple[Point, Point]:
-    """The sums of nudges with the one that is asked for."""
+def accumulated_nudges(run: Run) -> tuple[Point, Point]:
+    """Return the sums of nudges, including the requested one: translation in m and rotations in rad."""
     data, asked = run.data, run.payload
     x, y, z = np.add(data.nudge_translation, asked.translation).tolist()
     rz, ry, rx = np.add(data.nudge_rotation_zyx, asked.rotation_zyx).tolist()
     return (x, y, z), (rz, ry, rx)
 
 
-def _approach_by(run: Run, posture: Floats) -> JointTrajectory:
-    """The way to a posture at the standoff, from which the target can be reached."""
+def _plan_approach(run: Run, posture: Floats) -> JointTrajectory:
+    """Plan the path to a posture at the standoff from which the target can be reached."""
     cell = run.cell
     base_from_image = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE)
     way = plan_joint_path(run, cell.posture(), posture)
     check_passes_clear(cell, way, run.data)
     base_from_target = base_from_image @ planned(run.data)
     check_towards(cell, run.data, way, base_from_target)
-    _line_to(run, posture, base_from_target @ along_axis(cell.settings.placement.confirm_offset), base_from_target)
+    _plan_line(run, posture, base_from_target @ along_axis(cell.settings.placement.confirm_offset), base_from_target)
     return way
 
 
-def _straight_to(run: Run, image_from_coil: Transform) -> JointTrajectory:
-    """The straight way of the coil from where it is to a pose in the image."""
+def _plan_straight_to(run: Run, image_from_coil: Transform) -> JointTrajectory:
+    """Plan the straight path of the coil from its present pose to a pose in the image."""
     base_from_image = run.cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE)
     base_from_target = base_from_image @ planned(run.data)
-    return _line_to(run, run.cell.posture(), base_from_image @ image_from_coil, base_from_target)
+    return _plan_line(run, run.cell.posture(), base_from_image @ image_from_coil, base_from_target)
 
 
-def _line_to(run: Run, start: Floats, base_from_coil: Transform, base_from_target: Transform) -> JointTrajectory:
-    """The straight way of the coil from joint positions to a pose near the target of the plan."""
+def _plan_line(run: Run, start: Floats, base_from_coil: Transform, base_from_target: Transform) -> JointTrajectory:
+    """Plan the straight path of the coil from joint positions to a pose near the target of the plan."""
     way = plan_linear_path(run, start, base_from_coil, near=True)
     check_towards(run.cell, run.data, way, base_from_target)
     return way
 
 
-def _retreat_to(run: Run, posture: list[float]) -> JointTrajectory:
-    """Back off along the axis where the tool is at the body, then straight in the joints to a posture."""
+def _plan_retreat(run: Run, posture: list[float]) -> JointTrajectory:
+    """Plan a retreat along the axis if the tool is at the body, and then a motion of the joints to a posture."""
     cell = run.cell
-    way = None if run.states["placement"] == "retracted" else _back_off(run)[0]
+    way = None if run.states["placement"] == "retracted" else _plan_back_off(run)[0]
     start = cell.posture() if way is None else way.positions[-1]
     trajectory = plan_joint_path(run, start, posture)
     trajectory = trajectory if way is None else concatenate(way, trajectory)
@@ -191,22 +218,22 @@ def _retreat_to(run: Run, posture: list[float]) -> JointTrajectory:
     return trajectory
 
 
-def _back_off(run: Run) -> tuple[JointTrajectory, bool]:
-    """Straight along the tool's +z axis, as far as the standoff is from where the tool is; and whether all of it.
+def _plan_back_off(run: Run) -> tuple[JointTrajectory, bool]:
+    """Plan a straight path along the tool's +z axis to the standoff, and return it with a flag.
 
-    It is cut short where the arm cannot follow it any farther.
+    The flag is False if the path was shortened because the arm cannot follow it any farther.
     """
-    length = whole = _length_of_retreat(run)
+    length = whole = _retreat_length(run)
     while True:
         try:
-            return _straight_away(run, length), length == whole
+            return _plan_straight_away(run, length), length == whole
         except UnreachableError as error:
-            shorter = error.fields.get("parameter", 0.0) * length - SHORT_OF_LIMIT
-            length = shorter if shorter > SHORT_OF_LIMIT else 0.0  # not worth moving for
+            shorter = error.fields.get("parameter", 0.0) * length - LIMIT_RESERVE
+            length = shorter if shorter > LIMIT_RESERVE else 0.0  # not worth moving for
 
 
-def _then_home(run: Run, straight: JointTrajectory, *, checked_later: bool) -> JointTrajectory:
-    """On home from the end of a straight way that was cut short; the straight way alone where that is refused."""
+def _append_way_home(run: Run, straight: JointTrajectory, *, checked_later: bool) -> JointTrajectory:
+    """Append the path home to a shortened straight path; return the straight path alone if the path home is refused."""
     cell = run.cell
     home = plan_joint_path(run, straight.positions[-1], cell.home)
     if not checked_later:
@@ -220,23 +247,23 @@ def _then_home(run: Run, straight: JointTrajectory, *, checked_later: bool) -> J
     return concatenate(straight, home)
 
 
-def _straight_away(run: Run, length: float) -> JointTrajectory:
-    """Straight along the tool's +z axis. Raises `UnreachableError` where the arm cannot follow it to its end."""
+def _plan_straight_away(run: Run, length: float) -> JointTrajectory:
+    """Plan a straight path along the tool's +z axis. Raises `UnreachableError` if the arm cannot follow it."""
     cell = run.cell
     base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
     return plan_linear_path(run, cell.posture(), base_from_coil @ along_axis(length))
 
 
-def _length_of_retreat(run: Run) -> float:
-    """To the standoff the tool belongs to, where it is on its axis; otherwise until it is clear of the body."""
+def _retreat_length(run: Run) -> float:
+    """Return the distance to the tool's standoff if it is on its axis; otherwise the distance until it is clear, m."""
     try:
-        way = _way_to_standoff(run)
-        return length_until_clear(run.cell, run.data) if way is None else way
+        way = _distance_to_standoff(run)
+        return distance_until_clear(run.cell, run.data) if way is None else way
     except RefusalError:  # neither tool nor body is seen, nor has been
         return run.cell.settings.placement.standoff
 
 
-def _way_to_standoff(run: Run) -> float | None:
+def _distance_to_standoff(run: Run) -> float | None:
     placement, data = run.cell.settings.placement, run.data
     if data.plan is None or data.registered is None or not at_present_plan(data):
         return None
@@ -248,23 +275,23 @@ def _way_to_standoff(run: Run) -> float | None:
 
 
 def at_present_plan(data: PlacementData) -> bool:
-    """Whether the tool was brought to the plan and registration that are in force."""
+    """Return True if the tool was brought to the plan and registration that are in force."""
     return data.approached is not None and data.approached == (data.plan_id, data.registration_id)
 
 
 def check_at_present_plan(data: PlacementData) -> None:
-    """Refuses to go on from where the tool was not brought for this plan, whatever the states say.
+    """Refuse to go on if the tool was not brought there for this plan, whatever the states say.
 
     Raises:
         RefusalError: ``not_at_plan``.
     """
     if not at_present_plan(data):
-        text = "The tool was not brought to the plan and registration in force: back off, then approach anew."
+        text = "The tool was not brought to the plan and registration in force: back off, then approach again."
         raise RefusalError("not_at_plan", text, plan=data.plan_id, registration=data.registration_id)
 
 
 def register_placement_checks(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for these checks."""
+    """Register the names that blueprints use for these checks."""
     registry.payload("nudge", Nudge)
     registry.payload("retreat", Retreat)
     for check in (approach_possible, confirm_possible, nudge_possible, retreat_possible):

@@ -1,4 +1,4 @@
-"""Checks that take long, as data that another process can ask them by."""
+"""Checks that take long, as requests that another process answers."""
 
 from __future__ import annotations
 
@@ -25,28 +25,28 @@ from pcmrs.workflows.settings import ProcedureSettings
 Run = AnyRun[Cell, PlacementData]
 
 FRAMES = 64
-"""So many frames of each body are sent: one second at 60 Hz."""
+"""Number of frames of each body that are sent: one second at 60 Hz."""
 
-STILL = 0.01
-"""An arm at rest that has moved by more than this in a joint while a motion was planned has left its start, rad."""
+MAX_JOINT_DRIFT = 0.01
+"""Largest motion of a joint of an arm at rest while a motion is planned, rad. Beyond it the arm has left the start."""
 
-_OWN = {
+_NOT_SENT = {
     *("robot", "pointer", "poses", "arm", "clock", "settings", "surface"),
     *("watchers", "name", "stimulator", "emg", "teleop"),
 }
-"""What a cell in another process has of its own, or not at all; all else of it is sent."""
-_SENT = tuple(field.name for field in fields(Cell) if field.init and field.name not in _OWN)
+"""Fields that a cell in another process has itself, or lacks. All other fields are sent."""
+_SENT = tuple(field.name for field in fields(Cell) if field.init and field.name not in _NOT_SENT)
 
 
 @dataclass(frozen=True, slots=True)
 class PlanningSettings:
-    """What a process needs to plan for a cell.
+    """Settings of a process that plans for a cell.
 
     Attributes:
-        workflow: Its name, or the path of its blueprint.
-        procedure: The settings of the procedure.
-        arm: Name of the arm, or the path of its URDF.
-        surface: Of the body, as the daemon has read it: plans and the guard of motions keep away from the same body.
+        workflow: Name of the workflow, or path of its blueprint.
+        procedure: Settings of the procedure.
+        arm: Name of the arm, or path of its URDF.
+        surface: Surface of the body as read by the daemon, so that plans and the guard of motions use the same surface.
     """
 
     workflow: str
@@ -57,7 +57,19 @@ class PlanningSettings:
 
 @dataclass(frozen=True, slots=True)
 class PlanRequest:
-    """Everything that the checks of one operation may read; times are those of the cell when it was asked."""
+    """Everything that the checks of one operation may read.
+
+    Attributes:
+        command: Command of the operation.
+        payload: Decoded arguments.
+        states: State of every branch.
+        data: Data of the procedure.
+        cell: Fields of the cell by name.
+        seen: Recent tracked poses.
+        latched: True if Stop is latched.
+        monotonic: Monotonic time of the request, s of the cell.
+        wall: Wall time of the request, Unix seconds.
+    """
 
     command: Command
     payload: Any
@@ -72,7 +84,14 @@ class PlanRequest:
 
 @dataclass(frozen=True, slots=True)
 class PlanAnswer:
-    """What the checks have found: the first refusal, or what they leave in the run."""
+    """Result of the checks of one operation.
+
+    Attributes:
+        refused: First refusal; None if all checks pass.
+        prepared: Value that the checks prepare for the steps.
+        result: Values for the result of the operation.
+        undecided: Texts of questions that cannot be decided yet.
+    """
 
     refused: Reason | None
     prepared: Any
@@ -81,7 +100,7 @@ class PlanAnswer:
 
 
 def request_of(run: Run) -> PlanRequest:
-    """Return the request for the checks of a run, by what is known now."""
+    """Return the request for the checks of a run with the present knowledge."""
     cell = run.cell
     return PlanRequest(
         command=run.command,
@@ -96,8 +115,14 @@ def request_of(run: Run) -> PlanRequest:
     )
 
 
-def take_answer(run: Run, request: PlanRequest, answer: PlanAnswer) -> Reason | None:
-    """Leaves in a run what its checks have found elsewhere; returns the first refusal, None when all agree."""
+def apply_answer(run: Run, request: PlanRequest, answer: PlanAnswer) -> Reason | None:
+    """Store the results of remote checks in a run, and return the first refusal, or None.
+
+    Args:
+        run: Present operation.
+        request: Request that was answered.
+        answer: Answer of the other process.
+    """
     if answer.refused is None:
         try:
             _check_stood_still(run, request)
@@ -105,33 +130,33 @@ def take_answer(run: Run, request: PlanRequest, answer: PlanAnswer) -> Reason | 
             return reason_of(error)
     run.prepared, run.undecided = answer.prepared, answer.undecided
     run.result |= answer.result
-    # The checks have placed the zones of their own cell; the guard of the motion asks those of this one.
+    # The checks have placed the zones of their own cell, but the guard of the motion uses those of this cell.
     update_collision_scene(run.cell, run.data)
     return answer.refused
 
 
 def _check_stood_still(run: Run, request: PlanRequest) -> None:
-    """Refuses a motion that was planned for an arm at rest that has moved since. Raises `RefusalError`."""
+    """Refuse a motion that was planned for an arm at rest that has moved since. Raises `RefusalError`."""
     before = request.cell["joints"]
     if run.motion == "none" or before is None or before.moving:  # a step plans anew for an arm that was moving
         return
     moved = float(np.abs(run.cell.posture() - np.array(before.positions)).max())
-    if moved > STILL:
+    if moved > MAX_JOINT_DRIFT:
         text = (
             f"The arm has moved by {np.degrees(moved):.2f}° while its motion was planned, the limit is "
-            f"{np.degrees(STILL):.2f}°: ask again when it stands."
+            f"{np.degrees(MAX_JOINT_DRIFT):.2f}°: send the command again when it stands still."
         )
-        raise RefusalError("moved_while_planning", text, moved=moved, limit=STILL)
+        raise RefusalError("moved_while_planning", text, moved=moved, limit=MAX_JOINT_DRIFT)
 
 
 class PlanningCell:
-    """Asks checks of one workflow in a process that has no devices.
+    """Cell that runs the checks of one workflow in a process without devices.
 
     Args:
-        workflow: With the checks.
-        settings: Of the procedure.
-        arm: Of the cell.
-        surface: Of the body.
+        workflow: Workflow with the checks.
+        settings: Settings of the procedure.
+        arm: Model of the cell's arm.
+        surface: Surface of the body; None if none is configured.
     """
 
     def __init__(
@@ -142,7 +167,7 @@ class PlanningCell:
         surface: Mesh | None,
     ) -> None:
         self._workflow = workflow
-        self._clock = _Moment()
+        self._clock = _FrozenClock()
         self._cell = Cell(
             robot=cast(LatchingRobot, None),
             pointer=cast(Pointer, None),
@@ -154,7 +179,7 @@ class PlanningCell:
         )
 
     def answer(self, request: PlanRequest) -> PlanAnswer:
-        """Asks all checks of an operation as if it were the moment of the request."""
+        """Run all checks of an operation with the time and the knowledge of the request."""
         command, cell = request.command, self._cell
         self._clock.now, self._clock.today = request.monotonic, request.wall
         for name, value in request.cell.items():
@@ -168,7 +193,7 @@ class PlanningCell:
             cell,
             self._clock,
             request.data,
-            _nobody,
+            _ignore_progress,
             spec.motion,
             request.latched,
         )
@@ -176,8 +201,8 @@ class PlanningCell:
         return PlanAnswer(refused, run.prepared, run.result, run.undecided)
 
 
-class _Moment:
-    """A clock that stands at the moment of a request: checks wait for nothing."""
+class _FrozenClock:
+    """A clock that shows the time of a request. Checks cannot wait."""
 
     def __init__(self) -> None:
         self.now = self.today = 0.0
@@ -195,5 +220,5 @@ class _Moment:
         raise PcmrsError(f"A check waits for up to {seconds:g} s: let a step do so.")
 
 
-def _nobody(_fraction: float) -> None:
+def _ignore_progress(_fraction: float) -> None:
     pass

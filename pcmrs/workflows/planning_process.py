@@ -1,7 +1,7 @@
-"""The process in which motions are planned: ``python -m pcmrs.workflows.planning_process``.
+"""Process in which motions are planned: ``python -m pcmrs.workflows.planning_process``.
 
-It reads its settings from its standard input, then requests, and writes an answer to each; all are pickled, with their
-length in front. It ends with its standard input, and so with the daemon.
+It reads its settings and then requests from its standard input, and writes an answer to each request. All messages are
+pickled, with their length in front. The process ends when its standard input ends, and therefore with the daemon.
 """
 
 from __future__ import annotations
@@ -19,19 +19,25 @@ from pcmrs.messages import Reason
 from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.planning import PlanAnswer, PlanningCell, PlanningSettings
 
-HEAD = struct.Struct("<QI")
-"""Number of a request, and the length of what follows. Number 0 are the settings, and that the process is ready."""
+HEADER = struct.Struct("<QI")
+"""Number of a request, and the length of its content. Number 0 carries the settings, and the answer that the process is
+ready."""
 
 
-def framed(number: int, content: bytes) -> bytes:
-    """Return a message with its head."""
-    return HEAD.pack(number, len(content)) + content
+def frame_message(number: int, content: bytes) -> bytes:
+    """Return a message with its header.
+
+    Args:
+        number: Number of the request.
+        content: Pickled content.
+    """
+    return HEADER.pack(number, len(content)) + content
 
 
 def main() -> None:
-    """Answers until standard input ends."""
+    """Answer requests until standard input ends."""
     requests = sys.stdin.buffer
-    # What a user's checks print must not get between the answers.
+    # Output that a user's checks print must not mix with the answers.
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     messages = _messages(requests)
@@ -47,22 +53,22 @@ def main() -> None:
 
 
 def _messages(stream: BinaryIO) -> Iterator[tuple[int, Any]]:
-    """Number and content of each message until the stream ends."""
-    while len(head := stream.read(HEAD.size)) == HEAD.size:
-        number, length = HEAD.unpack(head)
+    """Yield number and content of each message until the stream ends."""
+    while len(head := stream.read(HEADER.size)) == HEADER.size:
+        number, length = HEADER.unpack(head)
         yield number, pickle.loads(stream.read(length))  # noqa: S301  # of our parent
 
 
 def _write(answers: BinaryIO, number: int, answer: PlanAnswer | None) -> None:
-    answers.write(framed(number, _pickled(answer)))
+    answers.write(frame_message(number, _pickled(answer)))
     answers.flush()
 
 
 def _pickled(answer: PlanAnswer | None) -> bytes:
     try:
         return pickle.dumps(answer, pickle.HIGHEST_PROTOCOL)
-    except Exception as error:  # of a user's check, whose types are the user's
-        text = f"What its checks have found cannot be sent to the daemon: {error}. Register them with check."
+    except Exception as error:  # a user's check may return any type
+        text = f"The results of its checks cannot be sent to the daemon: {error}. Register them with check."
         refused = Reason(code="check_raised", text=text)
         return pickle.dumps(PlanAnswer(refused, None, {}, []), pickle.HIGHEST_PROTOCOL)
 

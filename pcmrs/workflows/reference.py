@@ -1,7 +1,7 @@
-"""Whether the reference still sits on the body where it sat when the landmarks were digitized.
+"""Check that the reference still sits on the body where it was when the landmarks were digitized.
 
-Where the tracker sees a second marker body that is fixed to the patient elsewhere, ``witness``, it is compared with the
-reference all the time. Otherwise only a landmark that is touched again can tell.
+If the tracker sees a second marker body, the ``witness``, which is fixed to the patient elsewhere, it is compared with
+the reference continuously. Otherwise only a second touch of a landmark can detect a shift.
 """
 
 from __future__ import annotations
@@ -25,25 +25,35 @@ from pcmrs.workflows.touching import touch
 Run = AnyRun[Cell, PlacementData]
 
 BODIES = ("body_ref", "witness")
-LATELY = 0.5
-"""Frames of the two bodies that are older say nothing of now, s."""
+RECENT = 0.5
+"""Greatest age of frames of the two bodies that show their present poses, s."""
 
 
 @dataclass(frozen=True, slots=True)
-class Shift:
-    """How far the reference has moved against the witness: at the witness, m, and rad."""
+class ReferenceShift:
+    """Shift of the reference against the witness.
+
+    Attributes:
+        translation: Translation at the witness, m.
+        rotation: Angle of rotation, rad.
+    """
 
     translation: float
     rotation: float
 
     def exceeds(self, settings: RegistrationSettings) -> bool:
-        """Whether it is more than tracker and skin explain."""
+        """Return True if the shift is larger than tracker and skin explain."""
         turned = math.degrees(self.rotation) > settings.reference_limit_deg
         return turned or self.translation * 1000.0 > settings.reference_limit_mm
 
 
-def see_witness(cell: Cell, since: float) -> PoseMessage | None:
-    """``body_ref_from_witness`` as seen after `since`, s of the clock; None where both are not seen."""
+def observe_witness(cell: Cell, since: float) -> PoseMessage | None:
+    """Return ``body_ref_from_witness``; None if both are not seen.
+
+    Args:
+        cell: Cell with the tracked poses.
+        since: Earliest capture time of the frames, s of the clock.
+    """
     try:
         seen = cell.poses.recent(BODIES, cell.settings.registration.samples, since)
     except RefusalError:
@@ -52,33 +62,42 @@ def see_witness(cell: Cell, since: float) -> PoseMessage | None:
 
 
 def check_reference(cell: Cell, baseline: PoseMessage | None, since: float) -> None:
-    """Refuses where the reference is seen to have moved since the baseline; without a witness nobody can tell.
+    """Refuse if the reference has visibly moved since the baseline. Without a witness this cannot be checked.
+
+    Args:
+        cell: Cell with the tracked poses.
+        baseline: Earlier ``body_ref_from_witness``; None if no witness was seen.
+        since: Earliest capture time of the present frames, s of the clock.
 
     Raises:
         RefusalError: ``reference_moved``.
     """
-    now = see_witness(cell, since)
+    now = observe_witness(cell, since)
     if baseline is None or now is None:
         return
     shift = _shift(as_transform(baseline), as_transform(now))
     if shift.exceeds(cell.settings.registration):
-        raise RefusalError("reference_moved", moved_text(shift, cell), **_fields(shift))
+        raise RefusalError("reference_moved", shift_text(shift, cell), **_fields(shift))
 
 
-def moved_by(cell: Cell, data: PlacementData) -> Shift | None:
-    """The least shift of the newest frames, where each of them shows that the reference has moved; None otherwise.
+def detected_shift(cell: Cell, data: PlacementData) -> ReferenceShift | None:
+    """Return the least shift of the newest frames if each of them shows that the reference has moved; otherwise None.
 
-    One frame alone may be wrong, as where a marker is half hidden.
+    A single frame may be wrong, for example if a marker is partly hidden.
+
+    Args:
+        cell: Cell with the tracked poses.
+        data: Data of the procedure with the baseline.
     """
     settings = cell.settings.registration
     if data.reference is None:
         return None
-    since = cell.clock.monotonic() - LATELY
+    since = cell.clock.monotonic() - RECENT
     frames = cell.poses.together(BODIES, since)[-settings.reference_frames :]
     if len(frames) < settings.reference_frames:
         return None
     baseline = as_transform(data.reference)
-    shifts: list[Shift] = []
+    shifts: list[ReferenceShift] = []
     for frame in reversed(frames):
         shifts.append(_shift(baseline, frame["body_ref"].inverse() @ frame["witness"]))
         if not shifts[-1].exceeds(settings):
@@ -86,8 +105,13 @@ def moved_by(cell: Cell, data: PlacementData) -> Shift | None:
     return min(shifts, key=lambda shift: (shift.translation, shift.rotation))
 
 
-def moved_text(shift: Shift, cell: Cell) -> str:
-    """What has moved how far, which limit, and what to do."""
+def shift_text(shift: ReferenceShift, cell: Cell) -> str:
+    """Return a text with the shift, its limits and the remedy.
+
+    Args:
+        shift: Shift of the reference.
+        cell: Cell with the limits.
+    """
     limits = cell.settings.registration
     return (
         f"The reference has moved by {shift.translation * 1000:.1f} mm and {math.degrees(shift.rotation):.1f}° against "
@@ -97,11 +121,11 @@ def moved_text(shift: Shift, cell: Cell) -> str:
 
 
 async def touch_landmark_again(run: Run) -> None:
-    """Touches a digitized landmark once more: ``same`` where two touches explain the difference, else ``moved``.
+    """Touch a digitized landmark again: ``same`` if noise explains the difference, otherwise ``moved``.
 
     Both touches have noise, so that the squared distance over twice the variance of a touch is chi-squared with 3
-    degrees of freedom. What has moved may be the reference, or the tip may have been on another landmark: who digitizes
-    anew finds out.
+    degrees of freedom. Either the reference has moved, or the tip was on another landmark. A new digitization shows
+    which.
     """
     index, settings = run.payload.index, run.cell.settings.registration
     landmark, digitized = run.data.landmarks[index], run.data.complete_digitization()[index]
@@ -116,14 +140,14 @@ async def touch_landmark_again(run: Run) -> None:
         run.keep(digitized=tuple(None for _ in run.data.landmarks), reference=None)
 
 
-def _shift(baseline: Transform, now: Transform) -> Shift:
-    return Shift(distance(baseline, now), rotation_angle(baseline, now))
+def _shift(baseline: Transform, now: Transform) -> ReferenceShift:
+    return ReferenceShift(distance(baseline, now), rotation_angle(baseline, now))
 
 
-def _fields(shift: Shift) -> dict[str, float]:
+def _fields(shift: ReferenceShift) -> dict[str, float]:
     return {"translation": shift.translation, "rotation": shift.rotation}
 
 
 def register_reference_operations(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the name that blueprints use for this step."""
+    """Register the name that blueprints use for this step."""
     registry.world_step(touch_landmark_again)

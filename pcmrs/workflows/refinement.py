@@ -17,7 +17,7 @@ from pcmrs.workflows.accuracy import learn_noise
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Point, as_point
 from pcmrs.workflows.reference import check_reference
-from pcmrs.workflows.registering import judge_landmarks, put_in_force
+from pcmrs.workflows.registering import activate_registration, judge_landmarks
 from pcmrs.workflows.surface import read_surface
 from pcmrs.workflows.touching import touch
 
@@ -25,19 +25,27 @@ Run = AnyRun[Cell, PlacementData]
 
 
 class SurfacePoints(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Arguments of `digitize_surface`: how many points, one after the other."""
+    """Arguments of `digitize_surface`.
+
+    Attributes:
+        points: Number of points to touch, one after the other.
+    """
 
     points: Annotated[int, msgspec.Meta(ge=1, le=100)] = 1
 
 
 class SurfaceName(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Arguments of `refine`: the file of the surface, by its base name; None for the configured one."""
+    """Arguments of `refine`.
+
+    Attributes:
+        surface: Base name of the surface's file; None for the configured one.
+    """
 
     surface: str | None = None
 
 
 async def digitize_surface_points(run: Run) -> None:
-    """Has points of the skin touched; all of them, or none is kept."""
+    """Digitize points of the skin; either all of them are stored or none."""
     count, points = run.payload.points, list[Point]()
     before = len(run.data.surface)
     for number in range(count):
@@ -46,35 +54,35 @@ async def digitize_surface_points(run: Run) -> None:
         check_reference(run.cell, run.data.reference, touched.since)
         points.append(as_point(touched.point))
     run.keep(surface=(*run.data.surface, *points))
-    _tell_count(run)
+    _report_count(run)
 
 
 def surface_point_there(run: Run) -> None:
-    """Refuses where no point of the skin is left to clear."""
+    """Refuse if there is no point of the skin to clear."""
     if not run.data.surface:
         raise RefusalError("no_surface_points", "No point of the skin has been digitized: there is none to clear.")
 
 
 def drop_last_surface_point(run: Run) -> None:
-    """Takes back the point touched last."""
+    """Remove the point that was touched last."""
     run.keep(surface=run.data.surface[:-1])
-    _tell_count(run)
+    _report_count(run)
 
 
 def drop_surface_points(run: Run) -> None:
-    """Takes back all points of the skin."""
+    """Remove all points of the skin."""
     run.keep(surface=())
-    _tell_count(run)
+    _report_count(run)
 
 
 def surface_refines(run: Run) -> None:
-    """Registers the landmarks, refines that by the points of the skin, and refuses what is not better at the target.
+    """Register the landmarks, refine the registration by the points of the skin, and refuse one that is not better.
 
     Raises:
-        RefusalError: A gate of the landmarks' registration does not pass, there is no such surface, or one of
-            `refine_with_surface`, such as ``tre_not_lowered``.
+        RefusalError: A gate of the landmarks' registration does not pass, there is no such surface, or a refusal of
+            `refine_with_surface` such as ``tre_not_lowered``.
     """
-    fit, told = judge_landmarks(run)
+    fit, report = judge_landmarks(run)
     data, settings = run.data, run.cell.settings.registration
     mesh = _surface(run)
     landmarks = np.array([landmark.position for landmark in data.landmarks])
@@ -82,19 +90,19 @@ def surface_refines(run: Run) -> None:
         fit.fixed_from_moving,
         landmarks,
         data.complete_digitization(),
-        told["sigma"],
+        report["sigma"],
         mesh.vertices,
         mesh.faces,
         np.array(data.surface).reshape(-1, 3),
         settings.surface_sigma_mm / 1000.0,
-        told["target"]["position"],
+        report["target"]["position"],
         settings.surface_trim,
     )
     run.result |= {
-        "landmarks": told,
+        "landmarks": report,
         "tre_before": refined.tre_before,
         "tre": refined.tre_after,
-        "target": told["target"],
+        "target": report["target"],
         "points": len(data.surface),
         "inliers": int(refined.inliers.sum()),
         "surface_rms": refined.rms,
@@ -103,16 +111,16 @@ def surface_refines(run: Run) -> None:
 
 
 def keep_refined_registration(run: Run) -> None:
-    """Puts the refined registration in force; the noise is what the landmarks alone have left over."""
+    """Put the refined registration in force. The noise is learned from the residuals of the landmarks alone."""
     fit, refined = run.prepared
     noise = learn_noise(run.cell, run.data, fit.distances)
-    put_in_force(run, refined.body_ref_from_image, noise=noise, covariance=refined.covariance.ravel().tolist())
+    activate_registration(run, refined.body_ref_from_image, noise=noise, covariance=refined.covariance.ravel().tolist())
 
 
 def _surface(run: Run) -> Mesh:
-    """The surface asked for, or the configured one.
+    """Return the requested surface, or the configured one.
 
-    A path that a client gives is one of its own machine, Windows or not: only the base name says anything here.
+    A path from a client is one of its own machine, Windows or not, so that only the base name has a meaning here.
     """
     settings, asked, mesh = run.cell.settings, run.payload.surface, run.cell.surface
     if asked is not None:
@@ -131,12 +139,12 @@ def _surface(run: Run) -> Mesh:
     return mesh
 
 
-def _tell_count(run: Run) -> None:
+def _report_count(run: Run) -> None:
     run.result["points"] = len(run.data.surface)
 
 
 def register_refinement_operations(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for these checks and steps."""
+    """Register the names that blueprints use for these checks and steps."""
     registry.payload("surface_points", SurfacePoints)
     registry.payload("surface_name", SurfaceName)
     registry.check(surface_point_there)

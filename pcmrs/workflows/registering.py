@@ -1,4 +1,4 @@
-"""Registering the digitized landmarks, and taking an earlier registration back."""
+"""Registration of the digitized landmarks, and reuse of an earlier registration."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
 from pcmrs.registration import Gate, PointRegistration, RegistrationVerdict, judge
 from pcmrs.spatial import Transform
-from pcmrs.workflows.accuracy import learn_noise, limits_in_force
+from pcmrs.workflows.accuracy import active_limits, learn_noise
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Point, Registered, as_message, as_point
 from pcmrs.workflows.landmarks import check_same_head
-from pcmrs.workflows.reference import LATELY, check_reference
+from pcmrs.workflows.reference import RECENT, check_reference
 
 Run = AnyRun[Cell, PlacementData]
 
 
 def registration_accepted(run: Run) -> None:
-    """Registers, and refuses what does not pass every gate of the verdict."""
-    run.prepared, told = judge_landmarks(run)
-    run.result |= told
+    """Register, and refuse a result that does not pass every gate of the verdict."""
+    run.prepared, report = judge_landmarks(run)
+    run.result |= report
 
 
 def judge_landmarks(run: Run) -> tuple[PointRegistration, dict[str, Any]]:
-    """The registration of the digitized landmarks, and what to tell of it.
+    """Return the registration of the digitized landmarks, and its values for the result.
 
     The target is the planned pose while a plan is in force, otherwise the centroid of the landmarks.
 
     Raises:
-        RefusalError: A gate does not pass: its name is the code.
+        RefusalError: A gate does not pass. The code is the name of the gate.
     """
-    data, limits = run.data, limits_in_force(run.cell, run.data)
+    data, limits = run.data, active_limits(run.cell, run.data)
     planned = np.array([landmark.position for landmark in data.landmarks])
     names = [landmark.name for landmark in data.landmarks]
     target = _planned_position(run)
@@ -52,26 +52,35 @@ def judge_landmarks(run: Run) -> tuple[PointRegistration, dict[str, Any]]:
         "tre": verdict.tre,
         "target": {"at": at, "position": position},
         "sigma": limits.sigma,
-        "gates": [_told(gate) for gate in verdict.gates],
+        "gates": [_gate_values(gate) for gate in verdict.gates],
         "witness": data.reference is not None,
     }
 
 
 def _planned_position(run: Run) -> Point | None:
-    """Of the plan in force, in the image, m; None where none is."""
+    """Return the position of the plan in force in the image, m; None without a plan."""
     plan = run.data.plan
     return plan.position if plan is not None and run.states.get("toolplan", "1") == "1" else None
 
 
 def keep_registration(run: Run) -> None:
-    """Puts the registration in force, and learns from what it has left over."""
+    """Put the registration in force, and learn the noise from its residuals."""
     fit = run.prepared
     noise = learn_noise(run.cell, run.data, fit.distances)
-    put_in_force(run, fit.fixed_from_moving, noise=noise)
+    activate_registration(run, fit.fixed_from_moving, noise=noise)
 
 
-def put_in_force(run: Run, body_ref_from_image: Transform, *, noise: dict[str, Any], covariance: Any = ()) -> None:
-    """Makes a registration of the present digitization the one in force."""
+def activate_registration(
+    run: Run, body_ref_from_image: Transform, *, noise: dict[str, Any], covariance: Any = ()
+) -> None:
+    """Put a registration of the present digitization in force.
+
+    Args:
+        run: Present operation.
+        body_ref_from_image: Registration.
+        noise: Noise estimates by pointer.
+        covariance: Covariance of `Registered`, row by row; empty if no surface has refined the registration.
+    """
     data = run.data
     fixed, moving = np.array(data.complete_digitization()), np.array([each.position for each in data.landmarks])
     distances = np.linalg.norm(body_ref_from_image @ moving - fixed, axis=1)
@@ -92,14 +101,14 @@ def put_in_force(run: Run, body_ref_from_image: Transform, *, noise: dict[str, A
 
 
 def previous_registration_fits(run: Run) -> None:
-    """Refuses a previous registration of another patient or calibration, or of a reference that has moved since."""
+    """Refuse a previous registration of another patient or calibration, or of a reference that has moved since."""
     previous = _previous(run)
     check_same_head(run.cell, previous)
-    check_reference(run.cell, previous.reference, run.clock.monotonic() - LATELY)
+    check_reference(run.cell, previous.reference, run.clock.monotonic() - RECENT)
 
 
 def take_previous_registration(run: Run) -> None:
-    """Puts the previous registration in force, with the landmarks it rests on."""
+    """Put the previous registration in force, with its landmarks."""
     previous = _previous(run)
     registered = msgspec.structs.replace(previous, id=f"registration-{run.command.id}")
     run.keep(
@@ -121,15 +130,15 @@ def _previous(run: Run) -> Registered:
     return previous
 
 
-def _told(gate: Gate) -> dict[str, Any]:
+def _gate_values(gate: Gate) -> dict[str, Any]:
     return {"name": gate.name, "accepted": gate.accepted, "value": gate.value, "limit": gate.limit}
 
 
 def _refused(verdict: RegistrationVerdict, names: list[str]) -> RefusalError:
-    """The refusal of the first gate that does not pass; its fields are the values of it and of the registration."""
+    """Return the refusal of the first gate that does not pass, with its values and those of the registration."""
     gate = next(gate for gate in verdict.gates if not gate.accepted)
     fields: dict[str, Any] = {"value": gate.value, "limit": gate.limit}
-    fields["gates"] = [_told(each) for each in verdict.gates]
+    fields["gates"] = [_gate_values(each) for each in verdict.gates]
     if verdict.registration is not None:
         worst = names[int(np.argmax(verdict.registration.distances))]
         fields |= {"residual": verdict.registration.residual, "worst": worst}
@@ -141,7 +150,7 @@ def _refused(verdict: RegistrationVerdict, names: list[str]) -> RefusalError:
 
 
 def register_registration_operations(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for these checks and steps."""
+    """Register the names that blueprints use for these checks and steps."""
     for check in (registration_accepted, previous_registration_fits):
         registry.check(check)
     for step in (keep_registration, take_previous_registration):

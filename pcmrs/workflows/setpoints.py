@@ -1,6 +1,7 @@
-"""Which set points of a teleoperator count. Pure.
+"""Set points of a teleoperator: which are admitted, how late they are, and the speed that this leaves the tool. Pure.
 
-Twists of a tool, (6,): velocity (m/s) before angular velocity (rad/s), or a way (m) before a turn (rad). Pure.
+A twist of a tool, (6,), is a velocity (m/s) before an angular velocity (rad/s), or a translation (m) before a rotation
+vector (rad).
 """
 
 from __future__ import annotations
@@ -17,26 +18,32 @@ from pcmrs.spatial import Floats
 from pcmrs.workflows.settings import TeleoperationSettings
 
 
-def within(twist: Floats, linear: float, angular: float) -> Floats:
-    """A twist (6,), shortened where its translation (m/s) or its rotation (rad/s) is longer than these."""
+def limit_twist(twist: Floats, linear: float, angular: float) -> Floats:
+    """Return a twist (6,) shortened to limits, with its direction unchanged.
+
+    Args:
+        twist: Twist, (6,).
+        linear: Greatest norm of its translation, m or m/s.
+        angular: Greatest norm of its rotation, rad or rad/s.
+    """
     excess = max(float(np.linalg.norm(twist[:3])) / linear, float(np.linalg.norm(twist[3:])) / angular)
     return twist / excess if excess > 1.0 else twist
 
 
 JITTER_GAIN = 1.0 / 16.0
-"""Of the estimator of RFC 3550, section 6.4.1."""
+"""Gain of the jitter estimator of RFC 3550, section 6.4.1."""
 
 
 class Latency:
-    """Round trip and jitter, without clocks that agree.
+    """Round trip and jitter of set points, measured without synchronized clocks.
 
-    The round trip is measured by the daemon's own clock: from a stamp that it published to the set point whose sender
-    had seen it. It contains how long the stamp lay at the sender, so it is never too small. The jitter is that of
-    RFC 3550, 6.4.1, from differences of the sender's stamps and differences of arrival.
+    The round trip is measured by the daemon's own clock, from a stamp that it published to the set point whose sender
+    had seen that stamp. It includes the time that the stamp waited at the sender, so that it is never too small. The
+    jitter is that of RFC 3550, 6.4.1, from differences of the sender's stamps and of the times of arrival.
 
     Attributes:
-        round_trip: Of the newest set point, s; None before the first.
-        jitter: s.
+        round_trip: Round trip of the newest set point, s; None before the first.
+        jitter: Jitter of the set points, s.
     """
 
     def __init__(self) -> None:
@@ -46,26 +53,34 @@ class Latency:
 
     @property
     def delay(self) -> float:
-        """Round trip and jitter together, s; 0 before the first set point."""
+        """Sum of round trip and jitter, s; 0 before the first set point."""
         return 0.0 if self.round_trip is None else self.round_trip + self.jitter
 
     def take(self, arrived: float, sent: float, seen: float) -> None:
-        """Takes a set point's stamps, s: `arrived` and `seen` are of the daemon's clock, `sent` of the sender's."""
+        """Take the stamps of a set point.
+
+        Args:
+            arrived: Time of arrival, s of the daemon's clock.
+            sent: Time of sending, s of the sender's clock.
+            seen: Newest stamp that the sender had seen, s of the daemon's clock.
+        """
         self.round_trip = arrived - seen
-        transit = arrived - sent  # off by what the clocks differ, which cancels in the difference
+        transit = arrived - sent  # the offset of the clocks cancels in the difference
         if self._transit is not None:
             self.jitter += JITTER_GAIN * (abs(transit - self._transit) - self.jitter)
         self._transit = transit
 
 
 class SpeedScale:
-    """Full speed up to one delay, none from another one on, linear in between; what stood goes on only when let go.
+    """Scale of the speed: full up to one delay, zero from another delay on, linear in between.
+
+    After a stop, the tool moves again only when the teleoperator has released the controls once.
 
     Args:
-        settings: Of teleoperation.
+        settings: Settings of teleoperation.
 
     Attributes:
-        held: The delay was too long, and no set point has asked for rest since it is not.
+        held: True if the delay was too long, and no set point at rest has arrived since it became shorter.
     """
 
     def __init__(self, settings: TeleoperationSettings) -> None:
@@ -75,11 +90,16 @@ class SpeedScale:
 
     @property
     def value(self) -> float:
-        """Part of the speed that is left, 0 to 1."""
+        """Share of the speed that is available, 0 to 1."""
         return 0.0 if self.held else self._scale
 
     def take(self, delay: float, *, at_rest: bool) -> None:
-        """Takes the delay, s, of a set point, and whether it asks for rest."""
+        """Take the delay of a set point.
+
+        Args:
+            delay: Sum of round trip and jitter, s.
+            at_rest: True if the set point commands rest.
+        """
         self._scale = min(1.0, max(0.0, (self._longest - delay) / (self._longest - self._slow)))
         if delay >= self._longest:
             self.held = True
@@ -87,27 +107,29 @@ class SpeedScale:
             self.held = False
 
 
-class Admission:
-    """Admits the set points of one engagement, and counts by code what it refuses.
+class SetpointAdmission:
+    """Admission of the set points of one engagement, with a count of the refused ones.
 
-    A set point has to have seen a status of this engagement, so that one of an earlier one is worth nothing here.
+    The sender of a set point must have seen a status of this engagement, so that set points of an earlier engagement
+    are refused.
 
     Args:
-        user: Who has engaged the clutch.
-        begun: When, s of the daemon's clock.
-        settings: Of teleoperation.
+        user: User who has engaged the clutch.
+        started_at: Time of the engagement, s of the daemon's clock.
+        settings: Settings of teleoperation.
 
     Attributes:
-        twist: That of the newest set point.
-        sequence: Its number; 0 for none.
-        arrived: When it came, s of the daemon's clock; None for none.
-        latency: Of those admitted.
-        scale: What that leaves of the speed.
-        refused: Code to how many.
+        user: User who has engaged the clutch.
+        twist: Twist of the newest set point.
+        sequence: Number of the newest set point; 0 before the first.
+        arrived: Time of its arrival, s of the daemon's clock; None before the first.
+        latency: Latency of the admitted set points.
+        scale: Scale of the speed by that latency.
+        refused: Number of refused set points by code.
     """
 
-    def __init__(self, user: str, begun: float, settings: TeleoperationSettings) -> None:
-        self._begun = begun
+    def __init__(self, user: str, started_at: float, settings: TeleoperationSettings) -> None:
+        self._started_at = started_at
         self.user = user
         self.twist: Twist = AT_REST
         self.sequence = 0
@@ -117,8 +139,14 @@ class Admission:
         self.refused: Counter[str] = Counter()
 
     def take(self, user: str, setpoint: TeleopSetpoint, arrived: float) -> None:
-        """Takes a set point of a user that has arrived now, s of the daemon's clock."""
-        code = self._fault(user, setpoint, arrived)
+        """Admit or refuse a set point that has just arrived.
+
+        Args:
+            user: User who has sent the set point.
+            setpoint: Set point.
+            arrived: Time of arrival, s of the daemon's clock.
+        """
+        code = self._rejection_code(user, setpoint, arrived)
         if code is not None:
             self.refused[code] += 1
             return
@@ -126,8 +154,13 @@ class Admission:
         self.latency.take(arrived, setpoint.sent, setpoint.seen)
         self.scale.take(self.latency.delay, at_rest=setpoint.twist == AT_REST)
 
-    def shown(self, status: TeleopStatus, limit: Limit | None) -> TeleopStatus:
-        """A status with what is known of the set points, and what the tool has come to."""
+    def add_to(self, status: TeleopStatus, limit: Limit | None) -> TeleopStatus:
+        """Return a status with the state of the set points added.
+
+        Args:
+            status: Status of the tool.
+            limit: Limit that the tool has reached, if any.
+        """
         return msgspec.structs.replace(
             status,
             user=self.user,
@@ -140,14 +173,14 @@ class Admission:
             refused=dict(self.refused),
         )
 
-    def _fault(self, user: str, setpoint: TeleopSetpoint, arrived: float) -> str | None:
+    def _rejection_code(self, user: str, setpoint: TeleopSetpoint, arrived: float) -> str | None:
         if user != self.user:
             return "other_user"
         if not all(map(math.isfinite, (setpoint.sent, setpoint.seen, setpoint.ttl, *setpoint.twist))):
             return "not_finite"
         if setpoint.seen > arrived:
             return "from_the_future"
-        if setpoint.seen < self._begun:
+        if setpoint.seen < self._started_at:
             return "before_engagement"
         if setpoint.sequence <= self.sequence:
             return "out_of_sequence"

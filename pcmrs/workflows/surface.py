@@ -1,4 +1,4 @@
-"""The surface of the body that a procedure is made for: which file, and whether it is this patient's."""
+"""Surface of the body in a procedure: its file, and the check that it is this patient's."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from pcmrs.workflows.settings import BodySettings, ProcedureSettings
 log = structlog.get_logger(__name__)
 
 PHANTOM = "phantom"
-"""The patient whose surfaces are shipped."""
+"""Name of the patient whose surfaces are shipped."""
 
 
 def read_surface(settings: ProcedureSettings) -> Mesh | None:
-    """The surface of the body, in the image, m; None where none is configured, which is told in the log.
+    """Return the surface of the body in the image, m; None, with a warning in the log, if none is configured.
 
     Raises:
-        ConfigurationError: There is no such file, or it is a phantom's while the patient is not.
-        FileFormatError: It is no mesh.
+        ConfigurationError: There is no such file, or it is the phantom's while the patient is not.
+        FileFormatError: The file is not a mesh.
     """
     body = settings.body
     if not body.surface:
@@ -38,10 +38,10 @@ def read_surface(settings: ProcedureSettings) -> Mesh | None:
 
 
 def find_surface(body: BodySettings) -> Path:
-    """Where the file of the surface is.
+    """Return the path of the surface's file.
 
     Raises:
-        ConfigurationError: Nowhere.
+        ConfigurationError: There is no such file.
     """
     name = Path(body.surface).expanduser()
     folders = [Path(folder).expanduser() for folder in body.folders] + _shipped()
@@ -54,6 +54,6 @@ def find_surface(body: BodySettings) -> Path:
 
 
 def _shipped() -> list[Path]:
-    """The folder of examples: in the installed package, or beside it."""
+    """Return the folders of the examples: in the installed package, and beside it."""
     package = Path(__file__).resolve().parents[1]
     return [package / "examples", package.parent / "examples"]

@@ -1,4 +1,4 @@
-"""Where the set points of teleoperators come in, and what the daemon tells them goes out."""
+"""Port between the bus and teleoperation: it receives set points and publishes statuses."""
 
 from __future__ import annotations
 
@@ -8,34 +8,34 @@ from dataclasses import dataclass
 
 from pcmrs.messages import TeleopSetpoint, TeleopStatus
 
-Hear = Callable[[str, TeleopSetpoint], None]
+SetpointHandler = Callable[[str, TeleopSetpoint], None]
 
 
-def nobody_hears(_user: str, _setpoint: TeleopSetpoint) -> None:
-    """Set points have no effect while nobody guides the tool."""
+def _discard_setpoint(_user: str, _setpoint: TeleopSetpoint) -> None:
+    """Discard a set point, because nobody guides the tool."""
 
 
-def nobody_is_told(_status: TeleopStatus) -> None:
-    """A cell without a bus tells nobody."""
+def _discard_status(_status: TeleopStatus) -> None:
+    """Discard a status, because the cell has no bus."""
 
 
 @dataclass
 class TeleopPort:
-    """Between the bus and the activity that guides the tool.
+    """Port between the bus and the activity that guides the tool.
 
     Attributes:
-        take: Takes a user's set point the moment it comes.
-        tell: Publishes a status.
+        receive: Function that takes a user's set point as soon as it arrives.
+        publish: Function that publishes a status.
     """
 
-    take: Hear = nobody_hears
-    tell: Callable[[TeleopStatus], None] = nobody_is_told
+    receive: SetpointHandler = _discard_setpoint
+    publish: Callable[[TeleopStatus], None] = _discard_status
 
     @contextmanager
-    def heard_by(self, hear: Hear) -> Iterator[None]:
-        """Has set points heard for as long as the context lasts."""
-        self.take = hear
+    def deliver_to(self, handler: SetpointHandler) -> Iterator[None]:
+        """Deliver set points to a handler for as long as the context lasts."""
+        self.receive = handler
         try:
             yield
         finally:
-            self.take = nobody_hears
+            self.receive = _discard_setpoint

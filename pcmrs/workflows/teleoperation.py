@@ -1,4 +1,4 @@
-"""A teleoperator guides the tool near its planned pose, for as long as the clutch is engaged."""
+"""Teleoperation: a user guides the tool near its planned pose while the clutch is engaged."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.collision_checks import place_body, update_collision_scene
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.following import FIRST_FRAMES, FIRST_TIME
-from pcmrs.workflows.guided_tool import Guide
+from pcmrs.workflows.guided_tool import GuidedTool
 from pcmrs.workflows.placement import check_at_present_plan
-from pcmrs.workflows.setpoints import Admission
+from pcmrs.workflows.setpoints import SetpointAdmission
 
 Activity = AnyActivity[Cell, PlacementData]
 Run = AnyRun[Cell, PlacementData]
 
 BUS = "bus:"
-"""What the sources of those begin with who can send set points."""
+"""Prefix of the sources that can send set points."""
 
-FIRST = 1.0
-"""The first set point may take so much longer than the others, s: until then nothing moves."""
-TELL_EVERY = 0.02
-"""Between two statuses, s: as often as set points come."""
+FIRST_SETPOINT_TIME = 1.0
+"""Additional time for the first set point, s. Until then nothing moves."""
+STATUS_INTERVAL = 0.02
+"""Time between two statuses, s: the period of set points."""
 
 
-class Guiding:
-    """Follows set points and the body, and waits for nothing.
+class GuidanceSession:
+    """Session of guidance that follows set points and the body, without ever waiting.
 
     Args:
-        act: On whose behalf; the arm is at rest.
+        act: Activity that runs the session. The arm is at rest.
 
     Attributes:
-        guide: Says where the joints shall be.
+        guide: Tool that is guided, with its desired joint positions.
 
     Raises:
         RefusalError: Tool or body are not seen, or there is no plan.
@@ -56,73 +56,78 @@ class Guiding:
         graph = cell.frames(act.data)
         self._base_from_tracker = graph.get(Frame.ROBOT_BASE, Frame.TRACKER)
         base_from_body_ref = graph.get(Frame.ROBOT_BASE, Frame.BODY_REF)
-        self.guide = Guide(cell, base_from_body_ref @ self._body_ref_from_plan)
+        self.guide = GuidedTool(cell, base_from_body_ref @ self._body_ref_from_plan)
         self._body = BodyTrack(cell.settings.following)
         self._frame_number = 0
-        self._admission: Admission | None = None
-        self._heard = self._told = -math.inf
+        self._admission: SetpointAdmission | None = None
+        self._last_setpoint_at = self._published_at = -math.inf
 
     @property
-    def wanted(self) -> str | None:
-        """User whose set points the workflow wants to count; None while the clutch is open."""
+    def engaged_user(self) -> str | None:
+        """User whose set points the workflow admits; None while the clutch is open."""
         return self._act.data.teleoperator if self._act.states["teleoperation"] == "engaged" else None
 
     def engage(self, user: str) -> None:
-        """The clutch has been engaged: the arm stands, and set points count from now on."""
+        """Start to admit set points of a user, with the arm at rest."""
         act, cell = self._act, self._act.cell
         now = act.clock.monotonic()
-        self._admission = Admission(user, now, self._settings)
-        self._heard = now + FIRST
+        self._admission = SetpointAdmission(user, now, self._settings)
+        self._last_setpoint_at = now + FIRST_SETPOINT_TIME
         self._body = BodyTrack(cell.settings.following)
         known = cell.poses.frames_after(0, BODIES)[-FIRST_FRAMES:]
         self._frame_number = known[0]["coil"].frame_number - 1 if known else 0
         self.guide.begin()
 
     def release(self) -> None:
-        """The clutch has been opened."""
+        """Stop to admit set points, because the clutch is open."""
         self._admission = None
 
-    def hear(self, user: str, setpoint: TeleopSetpoint) -> None:
-        """Takes a set point the moment it comes."""
+    def take_setpoint(self, user: str, setpoint: TeleopSetpoint) -> None:
+        """Take a set point as soon as it arrives.
+
+        Args:
+            user: User who has sent the set point.
+            setpoint: Set point.
+        """
         if self._admission is not None:
             self._admission.take(user, setpoint, self._act.clock.monotonic())
 
-    def advance(self, now: float, passed: float) -> Floats:
-        """Goes on as the newest set point asks; returns the joint velocities that lead there, rad/s, (n,).
+    def advance(self, now: float, elapsed: float) -> Floats:
+        """Move on with the newest set point, and return the joint velocities of this step, rad/s, (n,).
 
         Args:
-            now: s of the cell.
-            passed: Since the last call, s.
+            now: Present time, s of the cell.
+            elapsed: Time since the last call, s.
 
         Raises:
-            RefusalError: No fresh set point has come, tool and body are not seen, or the body has jumped.
+            RefusalError: No recent set point has arrived, tool and body are not seen, or the body has jumped.
         """
         admission = self._admission
         if admission is None:
             raise RefusalError("not_engaged", "The clutch is open: engage it first.")
-        self._check_heard(admission, now)
-        self._see_body(now)
-        velocities = self.guide.advance(np.array(admission.twist), admission.scale.value, passed)
-        if now - self._told >= TELL_EVERY:
-            self.tell()
+        self._check_deadman(admission, now)
+        self._track_body(now)
+        velocities = self.guide.advance(np.array(admission.twist), admission.scale.value, elapsed)
+        if now - self._published_at >= STATUS_INTERVAL:
+            self.publish_status()
         return velocities
 
-    def tell(self) -> None:
-        """Publishes how it goes."""
+    def publish_status(self) -> None:
+        """Publish the status of the tool and of the set points."""
         act, pose, admission = self._act, self.guide.plan_from_tool, self._admission
-        self._told = act.clock.monotonic()
+        self._published_at = act.clock.monotonic()
         status = TeleopStatus(
-            stamp=self._told,
+            stamp=self._published_at,
             distance=float(np.linalg.norm(pose.translation)),
             height=float(pose.translation[2]),
             turn=float(np.linalg.norm(pose.rotvec)),
         )
-        act.cell.teleop.tell(status if admission is None else admission.shown(status, self.guide.limit))
+        act.cell.teleop.publish(status if admission is None else admission.add_to(status, self.guide.limit))
 
-    def _check_heard(self, admission: Admission, now: float) -> None:
+    def _check_deadman(self, admission: SetpointAdmission, now: float) -> None:
         if admission.arrived is not None:
-            self._heard = admission.arrived
-        silence, limit = now - self._heard, self._settings.deadman
+            self._last_setpoint_at = admission.arrived
+        silence, limit = now - self._last_setpoint_at, self._settings.deadman
         if silence > limit:
             text = (
                 f"No set point of {admission.user} was admitted for {silence:.3f} s, the limit is {limit:g} s "
@@ -130,19 +135,27 @@ class Guiding:
             )
             raise RefusalError("teleoperator_lost", text, user=admission.user, silence=silence, limit=limit)
 
-    def _see_body(self, now: float) -> None:
-        """Takes where the tracker sees the body: the plan and the zones go with it."""
+    def _track_body(self, now: float) -> None:
+        """Place the body where the tracker sees it, with the plan and the zones."""
         cell = self._act.cell
         for frame in cell.poses.frames_after(self._frame_number, BODIES):
             self._frame_number = frame["coil"].frame_number
             self._body.take(frame)
         base_from_body_ref = self._base_from_tracker @ self._body.pose(self._body.stamp(now))
         place_body(cell, self._base_from_tracker, base_from_body_ref)
-        self.guide.see(base_from_body_ref @ self._body_ref_from_plan)
+        self.guide.set_plan(base_from_body_ref @ self._body_ref_from_plan)
 
 
 def planned_in_body_ref(cell: Cell, data: PlacementData) -> Transform:
-    """``body_ref_from_coil`` as planned and nudged. Raises `RefusalError` where there is no plan or registration."""
+    """Return ``body_ref_from_coil`` as planned and nudged.
+
+    Args:
+        cell: Cell with the settings.
+        data: Data of the procedure.
+
+    Raises:
+        RefusalError: There is no plan or registration.
+    """
     planned = desired_in_body_ref(cell, data)
     if planned is None:
         raise RefusalError("not_registered", "There is no registration and plan to guide the tool near.")
@@ -150,23 +163,23 @@ def planned_in_body_ref(cell: Cell, data: PlacementData) -> Transform:
 
 
 def guide_possible(run: Run) -> None:
-    """Refuses to guide a tool that is not seen with the body, or from where the arm cannot go to its planned pose."""
+    """Refuse to guide a tool that is not seen with the body, or whose arm cannot go from here to the planned pose."""
     check_at_present_plan(run.data)
     cell = run.cell
     body_ref_from_plan = planned_in_body_ref(cell, run.data)
     update_collision_scene(cell, run.data)
-    Guide(cell, cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.BODY_REF) @ body_ref_from_plan)
+    GuidedTool(cell, cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.BODY_REF) @ body_ref_from_plan)
 
 
 async def see_tool_and_body(run: Run) -> None:
-    """Waits until tool and body have been seen together once more. Raises `RefusalError` where they are not."""
+    """Wait until tool and body have been seen together again. Raises `RefusalError` if they are not."""
     await run.cell.poses.collect(BODIES, FIRST_FRAMES, timeout=FIRST_TIME)
 
 
 def engage_possible(run: Run) -> None:
-    """Refuses whoever cannot send set points, and to engage where tool or body are hidden.
+    """Refuse users who cannot send set points, and an engagement while tool or body are hidden.
 
-    Set points come over the bus, and are known by the user in their key.
+    Set points arrive over the bus, whose keys name the user.
     """
     if not run.command.source.startswith(BUS):
         text = f"Set points come over the bus, which {run.command.source} does not use: engage by `pcmrs teleop`."
@@ -176,42 +189,42 @@ def engage_possible(run: Run) -> None:
 
 
 def keep_teleoperator(run: Run) -> None:
-    """The set points of who asks count from now on, and of nobody else."""
+    """Admit the set points of the requesting user from now on, and of no other user."""
     run.keep(teleoperator=run.command.user)
 
 
 async def teleoperate(act: Activity) -> None:
-    """Moves the tool as the engaged teleoperator asks; otherwise stands, and waits for the clutch.
+    """Move the tool as the engaged teleoperator commands; otherwise stand still, and wait for the clutch.
 
     Raises:
-        RefusalError: See `Guiding`: the robot is held then.
-        DeviceError: The robot has ended the stream by itself.
+        RefusalError: See `GuidanceSession`. The robot is then held.
+        DeviceError: The robot has ended the stream itself.
     """
-    guiding = Guiding(act)
-    with act.cell.teleop.heard_by(guiding.hear):
+    session = GuidanceSession(act)
+    with act.cell.teleop.deliver_to(session.take_setpoint):
         while True:
-            guiding.tell()
-            if guiding.wanted is not None:
-                await _while_engaged(act, guiding, guiding.wanted)
-            await act.clock.sleep(TELL_EVERY)
+            session.publish_status()
+            if session.engaged_user is not None:
+                await _while_engaged(act, session, session.engaged_user)
+            await act.clock.sleep(STATUS_INTERVAL)
 
 
-async def _while_engaged(act: Activity, guiding: Guiding, user: str) -> None:
-    """Sends set points to the robot until this user's clutch is open; ends the stream, in which the arm brakes."""
+async def _while_engaged(act: Activity, session: GuidanceSession, user: str) -> None:
+    """Send set points to the robot until this user's clutch is open, then end the stream, which brakes the arm."""
     clock, period = act.clock, act.cell.settings.teleoperation.period
-    guiding.engage(user)
+    session.engage(user)
     async with act.cell.robot.servo() as stream:
         now = clock.monotonic()
-        while guiding.wanted == user:
+        while session.engaged_user == user:
             before, now = now, clock.monotonic()
-            velocities = guiding.advance(now, max(now - before, period))
-            stream.send(guiding.guide.positions, velocities)
+            velocities = session.advance(now, max(now - before, period))
+            stream.send(session.guide.positions, velocities)
             await clock.sleep(period)
-    guiding.release()
+    session.release()
 
 
 def register_teleoperation(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for these checks, steps and activity."""
+    """Register the names that blueprints use for these checks, steps and activity."""
     registry.long_check(guide_possible)
     registry.check(engage_possible)
     registry.world_step(see_tool_and_body)

@@ -1,4 +1,4 @@
-"""Planning the pose of the tool."""
+"""Planning of the tool's pose."""
 
 from __future__ import annotations
 
@@ -20,36 +20,42 @@ from pcmrs.workflows.collision_checks import check_postures, update_collision_sc
 from pcmrs.workflows.data import PlacementData, Planned, Point, as_message, as_transform
 from pcmrs.workflows.landmarks import check_same_head
 from pcmrs.workflows.paths import along_axis
-from pcmrs.workflows.reference import LATELY, check_reference
+from pcmrs.workflows.reference import RECENT, check_reference
 from pcmrs.workflows.zones import BODY
 
 Run = AnyRun[Cell, PlacementData]
 P = TypeVar("P", bound=PlacementData)
 
-SAME_POSTURE = 0.05
-"""Postures that differ by less in every joint are one, rad."""
+POSTURE_TOLERANCE = 0.05
+"""Largest difference in any joint of postures that count as the same, rad."""
 SEED_TURNS = (0.0, 0.8, -0.8, 1.6, -1.6)
-"""So far joints 1 and 3 are turned against each other to look for postures from there, rad: the elbow swings."""
+"""Angles by which joints 1 and 3 are turned against each other for the seeds of a search, rad. This swings the
+elbow."""
 
 
 class ToolPose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Arguments of `plan`: ``image_from_coil``, m and unit quaternion; +z points away from the body."""
+    """Arguments of `plan`: ``image_from_coil``, whose +z axis points away from the body.
+
+    Attributes:
+        position: Position in the image, m.
+        quat_xyzw: Unit quaternion x y z w.
+    """
 
     position: Point
     quat_xyzw: tuple[float, float, float, float]
 
 
 def plan_reachable(run: Run) -> None:
-    """Refuses what is no pose, and once everything is known to decide it, what the arm cannot reach."""
+    """Refuse an invalid pose and, once everything needed is known, a pose that the arm cannot reach."""
     accept_pose(run, pose_of(run.payload))
 
 
 def pose_of(asked: ToolPose) -> Transform:
-    """``image_from_coil`` that was asked for.
+    """Return the requested ``image_from_coil``.
 
     Raises:
-        GeometryError: It is no pose.
-        RefusalError: It is too far away to be in m.
+        GeometryError: The pose is invalid.
+        RefusalError: The pose is too far away to be in m.
     """
     pose = Transform.from_quat_xyzw(asked.position, asked.quat_xyzw)
     check_metres(pose.translation)
@@ -57,8 +63,17 @@ def pose_of(asked: ToolPose) -> Transform:
 
 
 def accept_pose(run: AnyRun[Cell, P], pose: Transform) -> None:
-    """Prepares a pose as the plan; refuses where the arm cannot reach it, or the registration is too inaccurate."""
-    missing = _missing(run)
+    """Prepare a pose as the plan.
+
+    Args:
+        run: Present operation.
+        pose: Planned ``image_from_coil``.
+
+    Raises:
+        RefusalError: The registration is not accurate enough, or every posture found is in a zone.
+        UnreachableError: The arm cannot reach the pose.
+    """
+    missing = _missing_prerequisite(run)
     if missing:
         run.undecided.append(f"Whether the arm reaches it is not known before {missing}.")
     else:
@@ -69,10 +84,16 @@ def accept_pose(run: AnyRun[Cell, P], pose: Transform) -> None:
 
 
 def standoff_postures(run: AnyRun[Cell, P], image_from_coil: Transform) -> Iterator[Floats]:
-    """Joints at the standoff of a planned pose, rad, (n,), that keep out of the zones there and at the target.
+    """Yield joint positions at the standoff of a planned pose, rad, (n,), that keep out of the zones.
 
-    The one nearest to the present posture comes first; then those with the elbow to either side. All of them keep the
-    forearm away from the body where that takes no long detour.
+    They keep out of the zones at the standoff and at the target.
+
+    The posture nearest to the present one comes first, then those with the elbow to either side. All of them keep the
+    forearm away from the body if that takes no long detour.
+
+    Args:
+        run: Present operation.
+        image_from_coil: Planned pose.
 
     Raises:
         UnreachableError: Standoff or target cannot be reached within the joint limits.
@@ -83,7 +104,7 @@ def standoff_postures(run: AnyRun[Cell, P], image_from_coil: Transform) -> Itera
     update_collision_scene(cell, run.data)
     standoff = cell.flange_for(base_from_coil @ along_axis(placement.standoff))
     target = cell.flange_for(base_from_coil @ along_axis(placement.confirm_offset))
-    body = _ball_around_body(cell)
+    body = _body_sphere(cell)
     found: list[Floats] = []
     refused: list[PcmrsError] = []
     for seed in _seeds(cell):
@@ -93,15 +114,15 @@ def standoff_postures(run: AnyRun[Cell, P], image_from_coil: Transform) -> Itera
         except (UnreachableError, RefusalError) as error:
             refused.append(error)
             continue
-        if all(np.abs(posture - other).max() > SAME_POSTURE for other in found):
+        if all(np.abs(posture - other).max() > POSTURE_TOLERANCE for other in found):
             found.append(posture)
             yield posture
     if not found:
         raise refused[0]
 
 
-def _ball_around_body(cell: Cell) -> Floats | None:
-    """Centre and radius of the body, (4,), m, robot base, as in the collision scene; None without a surface."""
+def _body_sphere(cell: Cell) -> Floats | None:
+    """Return a sphere around the body: centre and radius in the robot's base, m, (4,); None without a surface."""
     model = cell.zones.model
     return model.bounding_sphere(BODY) if model.pairs_of_zone(BODY).any() else None
 
@@ -115,7 +136,7 @@ def _seeds(cell: Cell) -> Iterator[Floats]:
 
 
 def keep_plan(run: Run) -> None:
-    """Puts the plan in force."""
+    """Put the plan in force."""
     cell = run.cell
     planned = Planned(
         id=f"plan-{run.command.id}",
@@ -129,17 +150,20 @@ def keep_plan(run: Run) -> None:
 
 
 def previous_plan_fits(run: Run) -> None:
-    """Refuses a previous plan of another patient, calibration or place of the reference, and what `plan` refuses."""
+    """Refuse a previous plan of another patient, calibration or place of the reference.
+
+    Also refuse one that `plan` would refuse.
+    """
     previous = run.data.previous_plan
     if previous is None:
         raise RefusalError("no_previous_plan", "No tool pose was planned before: plan one.")
     check_same_head(run.cell, previous)
-    check_reference(run.cell, previous.reference, run.clock.monotonic() - LATELY)
+    check_reference(run.cell, previous.reference, run.clock.monotonic() - RECENT)
     accept_pose(run, as_transform(previous.image_from_coil))
 
 
-def _missing(run: AnyRun[Cell, P]) -> str:
-    """What there has to be before reach can be decided; empty where it can."""
+def _missing_prerequisite(run: AnyRun[Cell, P]) -> str:
+    """Return the condition that must hold before reach can be decided; empty if it can be decided."""
     poses = run.cell.poses
     if run.states.get("registration") != "111":
         return "a registration"
@@ -149,7 +173,7 @@ def _missing(run: AnyRun[Cell, P]) -> str:
 
 
 def register_plan_operations(registry: Registry[Cell, PlacementData]) -> None:
-    """Registers the names that blueprints use for these checks and steps."""
+    """Register the names that blueprints use for these checks and steps."""
     registry.payload("tool_pose", ToolPose)
     registry.long_check(plan_reachable)
     registry.long_check(previous_plan_fits)

@@ -1,4 +1,4 @@
-"""Touching something with the pointer: where its tip was, and how still it was held."""
+"""Touching with the pointer: the position of its tip, and how still it was held."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from pcmrs.workflows.data import PlacementData
 Run = AnyRun[Cell, PlacementData]
 
 FRAMES_TIME = 5.0
-"""The frames of a touch come within this, s, or pointer or reference are not seen."""
+"""Longest wait for the frames of a touch, s. Without them, pointer or reference are not seen."""
 
 
 @dataclass(frozen=True, eq=False)
-class Touched:
-    """One touch.
+class TouchMeasurement:
+    """Measurement of one touch.
 
     Attributes:
         point: Mean of the tip over the frames, in body_ref, m, (3,).
-        spread: Root mean square distance of the frames from it, m.
-        since: When the first frame was captured at the earliest, s of the clock.
+        spread: Root mean square distance of the tip in the frames from the mean, m.
+        since: Earliest capture time of the frames, s of the clock.
     """
 
     point: Floats
@@ -36,39 +36,40 @@ class Touched:
     since: float
 
 
-async def touch(run: Run, asked: Awaitable[None], what: str) -> Touched:
-    """Waits until the person holds the tip on something, and measures where it is.
+async def touch(run: Run, request: Awaitable[None], target: str) -> TouchMeasurement:
+    """Wait until the person holds the tip on a target, and measure the tip.
 
     Args:
-        run: The operation.
-        asked: The request to the pointer; it ends when the person says so.
-        what: Is touched, for texts.
+        run: Present operation.
+        request: Request to the pointer, which ends when the person confirms the touch.
+        target: Name of the target for texts.
 
     Raises:
-        RefusalError: It is not touched in time, pointer or reference are not seen, or the samples spread too far.
+        RefusalError: The target is not touched in time, pointer or reference are not seen, or the samples spread too
+            far.
     """
     cell, settings = run.cell, run.cell.settings.registration
     try:
         async with run.clock.timeout(settings.touch_timeout_s):
-            await asked
+            await request
         since = run.clock.monotonic()
         frames = await cell.poses.collect(["body_ref", "pointer"], settings.samples, timeout=FRAMES_TIME)
     except TimeoutError:
-        text = f"{what} was not touched within {settings.touch_timeout_s:g} s; ask for it again."
+        text = f"{target} was not touched within {settings.touch_timeout_s:g} s; send the command again."
         raise RefusalError("not_touched", text, limit=settings.touch_timeout_s) from None
     finally:
-        with suppress(PcmrsError):  # the touch's own failure is the one to report
+        with suppress(PcmrsError):  # the failure of the touch itself is the one to report
             await cell.pointer.release()
     tip = cell.pointer_from_tip.translation
     tips = np.array([frame["body_ref"].inverse() @ (frame["pointer"] @ tip) for frame in frames])
-    return Touched(tips.mean(axis=0), _held_still(rms_spread(tips), settings.spread_limit_mm, what), since)
+    return TouchMeasurement(tips.mean(axis=0), _held_still(rms_spread(tips), settings.spread_limit_mm, target), since)
 
 
-def _held_still(spread: float, limit_mm: float, what: str) -> float:
+def _held_still(spread: float, limit_mm: float, target: str) -> float:
     limit = limit_mm / 1000.0
     if not spread <= limit:
         text = (
-            f"The samples of {what} spread {spread * 1000:.2f} mm, the limit is {limit_mm:.2f} mm. Hold the pointer "
+            f"The samples of {target} spread {spread * 1000:.2f} mm, the limit is {limit_mm:.2f} mm. Hold the pointer "
             "still and touch it again."
         )
         raise RefusalError("spread_too_large", text, spread=spread, limit=limit)

@@ -1,4 +1,4 @@
-"""The zones of a cell: laid out by its settings, placed by what is seen of body and tracker."""
+"""Zones of a cell: defined by its settings, placed by the tracked poses of body and tracker."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ BODY = "body"
 
 
 class CellZones:
-    """What the arm keeps out of in one cell.
+    """Zones that the arm keeps out of in one cell.
 
     Args:
-        facts: The arm.
-        flange_from_coil: Where the tool is.
-        settings: Of the procedure.
-        surface: Of the body; None where the arm keeps away from none.
+        facts: Facts of the arm.
+        flange_from_coil: Pose of the tool on the flange.
+        settings: Settings of the procedure.
+        surface: Surface of the body; None without a body to keep away from.
 
     Attributes:
-        model: Computes the distances.
-        limits: Distance that each pair of `model` keeps, m, (P,); tool and mount may touch the body.
-        limits_afar: The same away from the target, where these keep off the body as all links do.
-        retreat_limits: The same on the way back, for which nothing need be seen.
-        cone: Through which the tool comes to its target.
+        model: Model that computes the distances.
+        limits: Least distance of each pair of `model` near the target, m, (P,). Tool and mount may touch the body.
+        limits_afar: Least distances away from the target, m, (P,). Tool and mount keep off the body like all links.
+        retreat_limits: Least distances on a retreat, m, (P,), which needs no line of sight.
+        cone: Cone through which the tool approaches its target.
 
     Raises:
-        GeometryError: The surface encloses nothing.
+        GeometryError: The surface has no volume.
     """
 
     def __init__(
@@ -64,24 +64,33 @@ class CellZones:
         self.cone = _cone(zones, settings.placement.nudge_limit_mm / 1000.0)
 
     def place_body(self, base_from_image: Transform) -> None:
-        """Takes where the body is; without a surface that matters to nothing."""
+        """Place the body by the pose of its image in the robot's base. Without a surface this has no effect."""
         if self._of_body.any():
             self.model.place(BODY, base_from_image)
 
     def sample_clearance(self, positions: npt.ArrayLike) -> SampledClearance:
-        """A motion past the zones: joint positions rad, (N, n)."""
+        """Return the sampled distances along a motion with joint positions rad, (N, n)."""
         return sample_clearance(self.model, self._facts, self._tool_reach, positions)
 
     def limits_towards(self, base_from_target: Transform, points: Floats) -> Floats:
-        """Distance that each pair keeps with the tool at points (L, 3) in the base on its way to a target, m, (L, P).
+        """Return the least distance of each pair on the way to a target, m, (L, P).
 
-        The tool may touch the body as near to the target as the cone holds.
+        The tool may touch the body as near to the target as the cone applies.
+
+        Args:
+            base_from_target: Planned pose of the tool in the robot's base.
+            points: Tool points in the robot's base, m, (L, 3).
         """
         near = np.linalg.norm(points - base_from_target.translation, axis=1) < self.cone.height
         return np.where(near[:, None], self.limits, self.limits_afar)
 
     def near_body(self, postures: Floats, distance: float) -> npt.NDArray[np.bool_]:
-        """At which joint positions rad, (K, n), arm or tool are nearer to the body than `distance`, m, (K,)."""
+        """Return a mask of the postures at which arm or tool are near the body, (K,).
+
+        Args:
+            postures: Joint positions, rad, (K, n).
+            distance: Distance from the body within which they are near, m.
+        """
         if not self._of_body.any():
             return np.zeros(len(postures), dtype=bool)
         nearest = np.array([self.model.distances(q)[self._of_body].min() for q in postures])
@@ -89,7 +98,7 @@ class CellZones:
 
 
 def _tool_reach(flange_from_tool: Transform, tool: ToolSettings) -> float:
-    """No point of the tool is farther from the flange, whichever way its axis points, m."""
+    """Return the greatest distance of any point of the tool from the flange, for any direction of its axis, m."""
     return float(np.linalg.norm(flange_from_tool.translation)) + hypot(tool.radius, 2.0 * tool.half_length)
 
 
@@ -103,10 +112,13 @@ def _zones(settings: ProcedureSettings, surface: Mesh | None) -> list[Zone]:
 
 @lru_cache(maxsize=4)
 def _hull(vertices: bytes) -> Solid:
-    """Worked out once for all cells of a process with the same body; vertices (N, 3), m."""
+    """Return the hull of vertices (N, 3), m, computed once for all cells of a process with the same body."""
     return hull(np.frombuffer(vertices).reshape(-1, 3))
 
 
 def _cone(zones: ZoneSettings, radius: float) -> ApproachCone:
-    """As wide at the target as nudges may add up to, since they belong to the plan."""
+    """Return the approach cone.
+
+    Its radius at the target is the limit of the nudges, because nudges belong to the plan.
+    """
     return ApproachCone(radians(zones.cone_half_angle_deg), zones.cone_height, radius, zones.depth_limit)

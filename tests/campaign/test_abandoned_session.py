@@ -167,9 +167,9 @@ async def test_hands_that_guide_the_tool_are_there_and_a_tool_that_nobody_guides
     status = TeleopStatus(stamp=0.0, distance=0.0, height=0.0, turn=0.0, user="alice", sequence=7)
     for _ in range(5):
         await session.let(AFTER - 1.0)
-        session.teleoperators.tell(status)
+        session.teleoperators.publish(status)
     assert session.reported == []
-    session.teleoperators.tell(msgspec.structs.replace(status, sequence=0))
+    session.teleoperators.publish(msgspec.structs.replace(status, sequence=0))
     await session.let(AFTER + 0.5)
     assert session.reported
     await session.close()

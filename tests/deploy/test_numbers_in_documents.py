@@ -28,7 +28,7 @@ from pcmrs.gateway.intake import MAX_SESSIONS
 from pcmrs.journal.group import MOST_WAITING
 from pcmrs.service.supervisor import RESTARTS, WITHIN
 from pcmrs.settings import Settings
-from pcmrs.workflows.collision_checks import PART
+from pcmrs.workflows.collision_checks import SAMPLES_PER_PART
 from pcmrs_lab.campaign.catalogue import catalogue
 
 ROOT = Path(__file__).parents[2]
@@ -110,8 +110,8 @@ DECIDED: list[tuple[str, str, Callable[[], tuple[float, ...]]]] = [
     ("README.md", r"(\w+) State Branches;", lambda: (len(workflow("ratms").branches),)),
     ("README.md", r"digitizes (\d+) landmarks, registers, and places the coil at (\d+) poses", planned),
     ("CHANGELOG.md", r"(\d+) examples instead of (\d+)", lambda: (profile.get_profile("nightly").max_examples, USUAL)),
-    ("CHANGELOG.md", r"looked at in parts of (\d+) samples", lambda: (PART,)),
-    ("docs/architecture.md", r"computed in parts of (\d+) samples", lambda: (PART,)),
+    ("CHANGELOG.md", r"looked at in parts of (\d+) samples", lambda: (SAMPLES_PER_PART,)),
+    ("docs/architecture.md", r"computed in parts of (\d+) samples", lambda: (SAMPLES_PER_PART,)),
     ("docs/campaign.md", r"faults of a catalogue of (\d+)", lambda: (len(catalogue()),)),
     ("docs/console.md", r"the body in the scene has ([\d,]+) triangles at most", lambda: (FACES,)),
     ("docs/explore.md", r"for each of the (\w+) defects", lambda: (len(list(DEFECTS.glob("*.json"))),)),

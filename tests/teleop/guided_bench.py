@@ -74,7 +74,7 @@ class Teleoperator:
         return self.bench.clock.monotonic()
 
     def send(self, setpoint: TeleopSetpoint | None = None) -> None:
-        self.bench.cell.teleop.take(self.user, setpoint or self.setpoint())
+        self.bench.cell.teleop.receive(self.user, setpoint or self.setpoint())
 
     async def send_late(self, setpoint: TeleopSetpoint) -> None:
         await self.bench.clock.sleep(self.late)
@@ -115,7 +115,7 @@ async def guided(bench: WorkflowBench, *, placed: bool = False) -> Teleoperator:
     """A tool that may be guided, from the standoff or from its place, and a teleoperator who hears the statuses."""
     await (bench.to_placed() if placed else bench.to_standoff())
     teleoperator = Teleoperator(bench)
-    bench.cell.teleop.tell = teleoperator.heard.append
+    bench.cell.teleop.publish = teleoperator.heard.append
     assert (await bench.accept("placement.guide")).state == "guided"
     await bench.until(lambda: bool(teleoperator.heard))
     return teleoperator

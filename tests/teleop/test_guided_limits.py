@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.guided_tool import PlanLimits
-from pcmrs.workflows.setpoints import within
+from pcmrs.workflows.setpoints import limit_twist
 from pcmrs.workflows.settings import TeleoperationSettings
 
 SETTINGS = TeleoperationSettings(range=0.03, turn_deg=10.0)
@@ -27,7 +27,7 @@ def walk(limits: PlanLimits, pose: Transform, course: list[tuple[Floats, int]]) 
     found, velocity = [], np.zeros(6)
     for asked, steps in course:
         for _ in range(steps):
-            wanted = within(asked, SETTINGS.linear_velocity, SETTINGS.angular_velocity)
+            wanted = limit_twist(asked, SETTINGS.linear_velocity, SETTINGS.angular_velocity)
             velocity = limits.bounded(pose, wanted, PERIOD)
             after = pose @ Transform.from_rotvec(velocity[:3] * PERIOD, velocity[3:] * PERIOD)
             pose = after if limits.allow(pose, after) else pose
@@ -75,7 +75,7 @@ def test_a_bound_is_reached_and_braked_before_without_a_jerk(towards: tuple[floa
 
 @given(twists, st.floats(1e-3, 1.0), st.floats(1e-3, 1.0))
 def test_a_twist_is_shortened_never_turned(twist: Floats, linear: float, angular: float) -> None:
-    short = within(twist, linear, angular)
+    short = limit_twist(twist, linear, angular)
     assert np.linalg.norm(short[:3]) <= linear + 1e-12
     assert np.linalg.norm(short[3:]) <= angular + 1e-12
     assert np.allclose(np.cross(short[:3], twist[:3]), 0.0)

@@ -13,7 +13,7 @@ from pcmrs.bus.codec import pack, unpack
 from pcmrs.errors import PayloadError
 from pcmrs.messages import TeleopSetpoint
 from pcmrs.messages.teleop import AT_REST, Twist
-from pcmrs.workflows.setpoints import Admission, Latency, SpeedScale
+from pcmrs.workflows.setpoints import Latency, SetpointAdmission, SpeedScale
 from pcmrs.workflows.settings import TeleoperationSettings
 
 SETTINGS = TeleoperationSettings()
@@ -44,7 +44,7 @@ def setpoint(sequence: int, seen: float, ttl: float = 1.0, twist: Twist = UP, se
 
 @given(st.lists(sent, max_size=20))
 def test_only_the_fresh_newer_ones_of_who_engaged_count(many: list[Sent]) -> None:
-    admission, now, newest, admitted = Admission("alice", BEGUN, SETTINGS), BEGUN, 0, 0
+    admission, now, newest, admitted = SetpointAdmission("alice", BEGUN, SETTINGS), BEGUN, 0, 0
     for each in many:
         now += each.pause
         seen = now - each.seen_before
@@ -62,7 +62,7 @@ def test_no_number_that_is_not_finite_is_admitted_nor_gets_past_the_bus(place: i
     numbers = [0.0, BEGUN, 1.0, *UP]
     numbers[place] = wrong
     made = TeleopSetpoint(sequence=1, sent=numbers[0], seen=numbers[1], ttl=numbers[2], twist=tuple(numbers[3:]))  # type: ignore[arg-type]
-    admission = Admission("alice", BEGUN, SETTINGS)
+    admission = SetpointAdmission("alice", BEGUN, SETTINGS)
     admission.take("alice", made, BEGUN + 0.1)
     assert (admission.refused, admission.twist) == ({"not_finite": 1}, AT_REST)
     with pytest.raises(PayloadError):
@@ -70,7 +70,7 @@ def test_no_number_that_is_not_finite_is_admitted_nor_gets_past_the_bus(place: i
 
 
 def test_each_refusal_has_its_code() -> None:
-    admission = Admission("alice", BEGUN, SETTINGS)
+    admission = SetpointAdmission("alice", BEGUN, SETTINGS)
     admission.take("alice", setpoint(5, BEGUN), BEGUN + 0.1)
     for code, user, made in [
         ("other_user", "bob", setpoint(6, BEGUN)),

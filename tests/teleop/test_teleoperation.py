@@ -18,9 +18,9 @@ from pcmrs.messages.teleop import AT_REST, Twist
 from pcmrs.spatial import Floats, Frame, distance, rotation_angle
 from pcmrs.workflows import read_workflow
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.guided_tool import Guide
+from pcmrs.workflows.guided_tool import GuidedTool
 from pcmrs.workflows.settings import TeleoperationSettings
-from pcmrs.workflows.teleoperation import Activity, Guiding, planned_in_body_ref
+from pcmrs.workflows.teleoperation import Activity, GuidanceSession, planned_in_body_ref
 from pcmrs.workflows.zones import BODY
 
 SETTINGS = TeleoperationSettings()
@@ -276,7 +276,7 @@ async def test_a_tool_that_is_led_along_the_edge_of_its_range_does_not_leave_it(
         await guided(bench)
         settings, cell = bench.cell.settings.teleoperation, bench.cell
         graph = cell.frames(bench.data)
-        guide = Guide(cell, graph.get(Frame.ROBOT_BASE, Frame.BODY_REF) @ planned_in_body_ref(cell, bench.data))
+        guide = GuidedTool(cell, graph.get(Frame.ROBOT_BASE, Frame.BODY_REF) @ planned_in_body_ref(cell, bench.data))
 
         def lead(twist: Twist, steps: int) -> float:
             """Return how far the tool is from its planned place at the end, m."""
@@ -294,7 +294,7 @@ async def test_a_tool_that_is_led_along_the_edge_of_its_range_does_not_leave_it(
 
 async def test_nothing_moves_while_the_clutch_is_open_whoever_asks(alice: Teleoperator) -> None:
     bench = alice.bench
-    guiding = Guiding(activity(bench, bench.data))
+    guiding = GuidanceSession(activity(bench, bench.data))
     for _ in range(2):
         with pytest.raises(RefusalError, match="engage it first") as refused:
             guiding.advance(bench.clock.monotonic(), SETTINGS.period)
@@ -309,7 +309,7 @@ async def test_no_tool_is_guided_without_a_registration_and_a_plan(alice: Teleop
     """A blueprint may let it be guided: from a place that means nothing it is not."""
     data = msgspec.structs.replace(alice.bench.data, **{missing: None})
     with pytest.raises(RefusalError, match="no registration and plan to guide") as refused:
-        Guiding(activity(alice.bench, data))
+        GuidanceSession(activity(alice.bench, data))
     assert refused.value.refusal_code == "not_registered"
 
 

@@ -117,7 +117,7 @@ async def test_what_has_just_opened_closes_without_delay_and_only_repeats_wait(d
     def look(error_mm: float) -> None:
         frame: Any = {"coil": SimpleNamespace(captured=now)}
         watch.take(frame, Transform(np.eye(3), np.array((error_mm / 1000.0, 0.0, 0.0))))
-        watch.look()
+        watch.evaluate()
 
     for number in range(33):
         now = number / 64

@@ -11,12 +11,12 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.settings import Settings
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.collision_checks import PART, ClearanceLimits
+from pcmrs.workflows.collision_checks import SAMPLES_PER_PART, ClearanceLimits
 from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.planning import PlanningCell
 from pcmrs.workflows.surface import read_surface
 
-SAMPLES = 10 * PART + 7
+SAMPLES = 10 * SAMPLES_PER_PART + 7
 
 
 @pytest.fixture(scope="module")
@@ -35,11 +35,11 @@ async def test_parts_find_what_the_whole_way_shows(cell: Cell) -> None:
     home = np.array(cell.home)
     turn = np.array([0.9, 0.4, 0.0, -0.5, 0.0, 0.3, 0.0])
     way = home + np.linspace(0.0, 1.0, SAMPLES)[:, None] * turn
-    floors = await ClearanceLimits.along(cell, way)
+    limits = await ClearanceLimits.along_motion(cell, way)
     planned = cell.zones.sample_clearance(way).distances.min(axis=0)
-    np.testing.assert_allclose(floors._floors, ClearanceLimits(cell, planned)._floors, atol=2e-3)
-    at_home = ClearanceLimits.at(cell, home)._floors
-    np.testing.assert_allclose(at_home, ClearanceLimits(cell, cell.zones.sample_clearance([home]).distances[0])._floors)
+    np.testing.assert_allclose(limits._limits, ClearanceLimits(cell, planned)._limits, atol=2e-3)
+    at_home = ClearanceLimits.at_posture(cell, home)._limits
+    np.testing.assert_allclose(at_home, ClearanceLimits(cell, cell.zones.sample_clearance([home]).distances[0])._limits)
 
 
 async def test_the_loop_goes_on_between_the_parts(cell: Cell) -> None:
@@ -53,6 +53,6 @@ async def test_the_loop_goes_on_between_the_parts(cell: Cell) -> None:
             await asyncio.sleep(0)
 
     counting = asyncio.create_task(count())
-    await ClearanceLimits.along(cell, way)
+    await ClearanceLimits.along_motion(cell, way)
     counting.cancel()
-    assert turns >= SAMPLES // PART
+    assert turns >= SAMPLES // SAMPLES_PER_PART

@@ -17,7 +17,7 @@ from pcmrs.spatial import Floats, Transform, distance
 from pcmrs.workflows.alignment import BODIES
 from pcmrs.workflows.body_track import BodyTrack
 from pcmrs.workflows.data import as_transform
-from pcmrs.workflows.following import Follower
+from pcmrs.workflows.following import BodyFollower
 from pcmrs.workflows.settings import FollowingSettings
 from pcmrs_sim.settings import GeometrySettings
 
@@ -334,7 +334,7 @@ def test_without_compensation_the_pose_wanted_is_the_newest_that_was_seen() -> N
 async def test_nothing_is_followed_without_a_registration_and_a_plan(bench: WorkflowBench, missing: str) -> None:
     await bench.to_placed()
     frames = bench.cell.poses.frames_after(0, BODIES)[-10:]
-    assert Follower(bench.cell, bench.data, frames).moved == 0.0
+    assert BodyFollower(bench.cell, bench.data, frames).moved == 0.0
     with pytest.raises(RefusalError, match="no registration and plan to follow") as refused:
-        Follower(bench.cell, msgspec.structs.replace(bench.data, **{missing: None}), frames)
+        BodyFollower(bench.cell, msgspec.structs.replace(bench.data, **{missing: None}), frames)
     assert refused.value.refusal_code == "not_registered"

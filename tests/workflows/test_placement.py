@@ -317,7 +317,7 @@ async def test_the_tool_goes_on_to_no_other_plan_than_it_was_brought_to(unrevoke
     for name, arguments in motions.items():
         verdict = await unrevoked.refuse(f"placement.{name}", "not_at_plan", **arguments)
         assert verdict.reason is not None
-        assert "approach anew" in verdict.reason.text
+        assert "approach again" in verdict.reason.text
     await unrevoked.accept("placement.home")
     await unrevoked.accept("placement.approach")
     await unrevoked.accept("placement.confirm")

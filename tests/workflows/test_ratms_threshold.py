@@ -18,7 +18,7 @@ from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.tms.threshold import MotorThresholdEstimator
 from pcmrs.workflows import find_workflow
 from pcmrs.workflows.data import as_transform
-from pcmrs.workflows.motion import as_result
+from pcmrs.workflows.motion import pose_result
 from pcmrs.workflows.tms.hotspot import place_known, plan_is_of_search, search_pose_reachable
 from pcmrs.workflows.tms.threshold import hunted_intensity_allowed, set_hunted_intensity
 from pcmrs.workflows.toolplan import ToolPose, pose_of
@@ -224,7 +224,7 @@ async def test_the_simulated_subject_has_the_threshold_that_is_found() -> None:
         subject = draw_subject("head", seed=1)
         assert subject is not None
         await bench.register()
-        await bench.accept("toolplan.plan", **as_result(subject.image_from_hotspot))
+        await bench.accept("toolplan.plan", **pose_result(subject.image_from_hotspot))
         await bench.accept("placement.approach")
         await bench.accept("placement.confirm")
         await bench.accept("stimulation.set_ceiling", percent=100.0, operator="Dr Hand")

@@ -14,7 +14,7 @@ from workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
 from pcmrs.messages import DeviceEvent
 from pcmrs.service.watches.reference import ReferenceWatch
-from pcmrs.workflows.reference import BODIES, LATELY, moved_by
+from pcmrs.workflows.reference import BODIES, RECENT, detected_shift
 
 FEMUR: dict[str, Any] = json.loads((Path(__file__).parents[2] / "examples" / "femoroplasty_plan.json").read_text())
 BUMP = (0.004, 0.0, 0.0)
@@ -133,15 +133,15 @@ async def test_a_witness_that_is_hidden_for_a_while_is_no_bump_and_is_watched_ag
 async def test_a_few_frames_are_not_enough_to_say_that_a_reference_has_moved(bench: WorkflowBench) -> None:
     await bench.register()
     await bench.scene.occlude("witness", True)
-    await bench.clock.sleep(2.0 * LATELY)
+    await bench.clock.sleep(2.0 * RECENT)
     await bench.scene.bump_reference(BUMP, NOTHING)
     await bench.scene.occlude("witness", False)
     shown = bench.clock.monotonic()
     await bench.until(lambda: bool(bench.cell.poses.together(BODIES, shown)))
     assert len(bench.cell.poses.together(BODIES, shown)) < bench.cell.settings.registration.reference_frames
-    assert moved_by(bench.cell, bench.data) is None
-    await bench.clock.sleep(LATELY)
-    assert moved_by(bench.cell, bench.data) is not None
+    assert detected_shift(bench.cell, bench.data) is None
+    await bench.clock.sleep(RECENT)
+    assert detected_shift(bench.cell, bench.data) is not None
 
 
 async def test_a_bump_in_the_middle_of_a_digitization_is_refused_at_the_next_landmark(bench: WorkflowBench) -> None:

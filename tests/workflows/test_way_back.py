@@ -16,7 +16,7 @@ from workflow_bench import WorkflowBench, open_bench
 
 from pcmrs.errors import RefusalError
 from pcmrs.spatial import Transform
-from pcmrs.workflows.paths import middle_of_body
+from pcmrs.workflows.paths import body_centre
 
 PLANS = {"ratms": "ratms", "grid_mapping": "ratms", "femoroplasty": "femoroplasty"}
 PLACES = [("ratms", 0), ("ratms", 8), ("ratms", 11), ("grid_mapping", 3), ("femoroplasty", 0), ("femoroplasty", 8)]
@@ -83,10 +83,10 @@ async def clear_and_hide(bench: WorkflowBench) -> None:
 @pytest.mark.parametrize(("name", "pose"), PLACES)
 async def test_a_registration_given_up_leaves_the_way_back_open(name: str, pose: int, forget: Forget) -> None:
     async with open_placed(name, pose) as bench:
-        registered = middle_of_body(bench.cell, bench.data)
+        registered = body_centre(bench.cell, bench.data)
         await forget(bench)
         assert bench.data.registered is None
-        assert np.allclose(middle_of_body(bench.cell, bench.data), registered, atol=1e-3), "the middle stays known"
+        assert np.allclose(body_centre(bench.cell, bench.data), registered, atol=1e-3), "the middle stays known"
         assert bench.states["placement"] == "held"
         await bench.accept("placement.back_off")
         assert np.linalg.norm(coil(bench).translation - registered) > bench.cell.settings.placement.clearance
@@ -111,7 +111,7 @@ async def test_after_a_restart_the_way_back_is_straight_though_it_pass_the_refer
         if (name, pose) == ("ratms", 11):  # home is past the reference
             refused = await bench.refuse("placement.back_off", "distance_shrinks", confirm=True)
             assert refused.reason is not None
-            assert "Register the body anew" in refused.reason.text
+            assert "Register the body again" in refused.reason.text
             await register(bench)
         if bench.states["placement"] == "held":
             await bench.accept("placement.back_off", confirm=True)
@@ -138,7 +138,7 @@ async def test_a_tool_that_was_never_seen_with_the_body_backs_off_by_the_standof
         await bench.clock.sleep(1.0)
         bench.cell.base_from_body_ref = None
         with pytest.raises(RefusalError) as unknown:
-            middle_of_body(bench.cell, bench.data)
+            body_centre(bench.cell, bench.data)
         assert unknown.value.refusal_code == "body_unknown"
         with pytest.raises(RefusalError) as unseen:
             bench.cell.image_from_coil(bench.data)

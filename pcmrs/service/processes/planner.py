@@ -21,8 +21,8 @@ from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 from pcmrs.settings import Settings
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.planning import PlanAnswer, PlanningSettings, PlanRequest, request_of, take_answer
-from pcmrs.workflows.planning_process import HEAD, framed
+from pcmrs.workflows.planning import PlanAnswer, PlanningSettings, PlanRequest, apply_answer, request_of
+from pcmrs.workflows.planning_process import HEADER, frame_message
 
 log = structlog.get_logger(__name__)
 
@@ -65,7 +65,7 @@ class PlanningProcess:
             answer = await self._ask(request, f"{request.command.branch}.{request.command.operation}")
         except RefusalError as refusal:
             return reason_of(refusal)
-        return take_answer(run, request, answer)
+        return apply_answer(run, request, answer)
 
     def start(self, supervisor: Supervisor, surface: Mesh | None) -> None:
         """Starts the process, and keeps it running.
@@ -77,7 +77,7 @@ class PlanningProcess:
         settings = self._settings
         procedure = settings.procedure.in_cell_time(settings.cell.rate)
         start = PlanningSettings(settings.workflow, procedure, settings.robot.model, surface)
-        self._start = framed(0, pickle.dumps(start, pickle.HIGHEST_PROTOCOL))
+        self._start = frame_message(0, pickle.dumps(start, pickle.HIGHEST_PROTOCOL))
         supervisor.start("planner", self._keep)
 
     async def wait(self) -> None:
@@ -103,7 +103,7 @@ class PlanningProcess:
         self._number += 1
         number, answered = self._number, asyncio.get_running_loop().create_future()
         self._pending[number] = answered
-        process.stdin.write(framed(number, pickle.dumps(request, pickle.HIGHEST_PROTOCOL)))
+        process.stdin.write(frame_message(number, pickle.dumps(request, pickle.HIGHEST_PROTOCOL)))
         try:
             async with self._clock.timeout(PLANNING_TIME):
                 answer: PlanAnswer = await answered
@@ -144,7 +144,7 @@ class PlanningProcess:
         answers = process.stdout
         while answers is not None:
             try:
-                number, length = HEAD.unpack(await answers.readexactly(HEAD.size))
+                number, length = HEADER.unpack(await answers.readexactly(HEADER.size))
                 content = await answers.readexactly(length)
             except asyncio.IncompleteReadError:
                 return

@@ -9,7 +9,7 @@ from pcmrs.messages import DeviceEvent
 from pcmrs.service.supervisor import mark
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.reference import Shift, moved_by, moved_text
+from pcmrs.workflows.reference import ReferenceShift, detected_shift, shift_text
 
 PERIOD = 0.1
 """Between two looks, s of the cell."""
@@ -41,7 +41,7 @@ class ReferenceWatch:
         told: dict[str, str] = {}
         while True:
             mark()
-            shift = moved_by(self._cell, self._procedure.data)
+            shift = detected_shift(self._cell, self._procedure.data)
             joint = self._procedure.joint()
             if shift is None:
                 told = {}
@@ -50,7 +50,7 @@ class ReferenceWatch:
                 told = self._procedure.joint()
             await self._cell.clock.sleep(PERIOD)
 
-    def _event(self, shift: Shift) -> DeviceEvent:
+    def _event(self, shift: ReferenceShift) -> DeviceEvent:
         fields = {"translation": shift.translation, "rotation": shift.rotation}
-        text = moved_text(shift, self._cell)
+        text = shift_text(shift, self._cell)
         return DeviceEvent(device="tracker", code="reference_moved", text=text, danger=True, fields=fields)

@@ -9,7 +9,7 @@ import numpy as np
 from pcmrs.dispatcher import Registry
 from pcmrs.errors import RefusalError
 from pcmrs.spatial import Transform
-from pcmrs.workflows.alignment import BODIES, Exposure, desired_in_body_ref, measured_from_desired
+from pcmrs.workflows.alignment import BODIES, TrackerFrame, desired_in_body_ref, measured_from_desired
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.correction import size_of
 from pcmrs.workflows.data import PlacementData, as_transform
@@ -78,7 +78,7 @@ def check_coil_alignment(cell: Cell, data: Data) -> CoilAlignment:
     return CoilAlignment(image_from_body_ref @ body_ref.inverse() @ coil, error_mm, error_deg, speed)
 
 
-def _fresh_frames(cell: Cell, settings: StimulationSettings) -> list[Exposure]:
+def _fresh_frames(cell: Cell, settings: StimulationSettings) -> list[TrackerFrame]:
     """Return the newest frames, oldest first. Raises `RefusalError` if they are old or too few for a speed."""
     frames = cell.poses.frames_after(0, BODIES)
     if not frames:
@@ -96,7 +96,7 @@ def _fresh_frames(cell: Cell, settings: StimulationSettings) -> list[Exposure]:
     return recent
 
 
-def _speed(frames: list[Exposure], body_ref_from_desired: Transform) -> float:
+def _speed(frames: list[TrackerFrame], body_ref_from_desired: Transform) -> float:
     """Return the speed of the planned pose on the body, m/s: the slope of a straight line through its positions."""
     seen = [frame["body_ref"] for frame in frames]
     times = np.array([each.exposed for each in seen])

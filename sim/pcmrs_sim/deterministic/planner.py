@@ -14,7 +14,7 @@ from pcmrs.messages import Reason
 from pcmrs.settings import Settings
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.planning import PlanningCell, request_of, take_answer
+from pcmrs.workflows.planning import PlanningCell, apply_answer, request_of
 
 Run = AnyRun[Cell, PlacementData]
 
@@ -55,4 +55,4 @@ class SimulatedPlanner:
         request = request_of(run)
         answer = self._cell.answer(request)
         await self._clock.sleep(lasts)
-        return take_answer(run, request, answer)
+        return apply_answer(run, request, answer)
