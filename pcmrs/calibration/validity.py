@@ -71,6 +71,7 @@ def _check_own(calibration: Calibration, expected: Expected) -> None:
 
 
 def _check_date(calibration: Calibration, now: datetime) -> None:
+    """Raise `RefusalError` if a calibration is dated in the future or has expired."""
     date, over = calibration.date.isoformat(), now - calibration.date - timedelta(days=calibration.valid_days)
     if calibration.date > now + CLOCK_TOLERANCE:
         text = (

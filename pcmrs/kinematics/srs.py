@@ -116,6 +116,11 @@ def _shared(arm: ArmModel, own: Floats, elbow: Floats, wrist: Floats, keep_away:
 
 
 def _elbow_circle(arm: ArmModel, base_from_flange: Transform, bend_limit: float) -> _ElbowCircle:
+    """Return the circle of the elbow for a flange pose.
+
+    Raises:
+        UnreachableError: The wrist is too far from the shoulder, or so near that the elbow would bend beyond its limit.
+    """
     _, shoulder, _, elbow, _, hand, _, flange = arm.heights.tolist()
     upper_arm, forearm = elbow - shoulder, hand - elbow
     wrist = base_from_flange @ np.array((0.0, 0.0, hand - flange)) - np.array((0.0, 0.0, shoulder))

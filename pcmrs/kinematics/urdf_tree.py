@@ -146,6 +146,7 @@ class UrdfTree:
                     yield body.expressed_in(joint.parent_from_joint)
 
     def _own_body(self, link: str) -> Iterator[Body]:
+        """Yield the body of a link in its own frame, or nothing if the link has no inertial element."""
         element = self.links[link].find("inertial") if link in self.links else None
         if element is None:
             return

@@ -159,6 +159,7 @@ def _iterate(problem: _Problem, registration: Transform) -> tuple[Transform, int
 
 
 def _linearize(problem: _Problem, registration: Transform) -> _Linearized:
+    """Return the least-squares problem about a registration, with its nearest points and inliers."""
     points = problem.points_body_ref
     closest_image, normals_image = problem.surface.closest(registration.inverse() @ points)
     closest = registration @ closest_image

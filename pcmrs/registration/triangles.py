@@ -155,6 +155,7 @@ def _barycentric(points: Floats, corners: Floats) -> Floats:
 
 
 def _corners(vertices: Floats, faces: npt.NDArray[np.generic]) -> Floats:
+    """Return the corners of all triangles, m, (F, 3, 3). Raises `GeometryError` if the surface is malformed."""
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
         raise GeometryError(
             f"A surface needs vertices (V, 3) and faces (F, 3), not {vertices.shape} and {faces.shape}.",

@@ -315,6 +315,7 @@ def _dot(one: Sequence[float], other: Sequence[float]) -> float:
 
 
 def _check_rotation(rotation: Floats) -> None:
+    """Raise `GeometryError` unless a matrix (3, 3) is a rotation. Plain floats are faster here than numpy."""
     one, two, three = rotation.tolist()
     lengths = (abs(_dot(row, row) - 1.0) for row in (one, two, three))
     deviation = max(*lengths, abs(_dot(one, two)), abs(_dot(two, three)), abs(_dot(three, one)))

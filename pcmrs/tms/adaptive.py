@@ -52,7 +52,7 @@ JITTER = 1e-6
 """Variance added to the diagonal so that rounding does not make a covariance indefinite, decades squared."""
 
 
-class Peaks(NamedTuple):
+class _Peaks(NamedTuple):
     """Functions drawn from the posterior after the pulses so far, and their peaks.
 
     Attributes:
@@ -134,7 +134,7 @@ def posterior(candidates: Floats, inputs: Floats, outputs: Floats) -> tuple[Floa
 
 
 @lru_cache(maxsize=4)
-def _draw(patch: ScalpPatch, pulses: tuple[MapPulse, ...]) -> Peaks:
+def _draw(patch: ScalpPatch, pulses: tuple[MapPulse, ...]) -> _Peaks:
     """Return draws from the posterior. They are the same for the same pulses, so that a search can be replayed."""
     candidates = _candidates(patch)
     normals = np.random.default_rng((SEED, len(pulses))).normal(size=(len(candidates), DRAWS))
@@ -142,7 +142,7 @@ def _draw(patch: ScalpPatch, pulses: tuple[MapPulse, ...]) -> Peaks:
         mean, covariance = posterior(candidates, *_data(patch, pulses))
         values = mean[:, None] + cholesky(covariance + JITTER * np.eye(len(candidates)), lower=True) @ normals
     peaks = candidates[np.argmax(values, axis=0)]
-    return Peaks(values, peaks, _weights(patch, peaks), np.maximum(np.diag(covariance), 0.0))
+    return _Peaks(values, peaks, _weights(patch, peaks), np.maximum(np.diag(covariance), 0.0))
 
 
 def _weights(patch: ScalpPatch, peaks: Floats) -> Floats:

@@ -80,10 +80,10 @@ def _log_joint(settings: ThresholdSettings, pulses: tuple[Pulse, ...]) -> Floats
     if not pulses:
         deviations = (THRESHOLDS - settings.prior_mean) / settings.prior_sd
         return np.repeat(-0.5 * deviations**2, len(SLOPES), axis=1)
-    return _log_joint(settings, pulses[:-1]) + log_likelihood(settings, pulses[-1])
+    return _log_joint(settings, pulses[:-1]) + _log_likelihood(settings, pulses[-1])
 
 
-def log_likelihood(settings: ThresholdSettings, pulse: Pulse) -> Floats:
+def _log_likelihood(settings: ThresholdSettings, pulse: Pulse) -> Floats:
     """Return the log-likelihood of one pulse up to a constant, for every threshold and slope, (T, S) or (T, 1).
 
     Args:

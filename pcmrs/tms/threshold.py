@@ -129,6 +129,7 @@ class MotorThresholdEstimator(msgspec.Struct, frozen=True):
         raise RefusalError(code, f"No threshold after {pulses} pulses: {why}", pulses=pulses)
 
     def _refuse_contradiction(self, responded: bool, amplitude: float | None) -> None:
+        """Raise `RefusalError` if an amplitude is invalid or contradicts the response."""
         if amplitude is None:
             return
         least_uv = self.settings.response_uv

@@ -94,7 +94,7 @@ def _installed() -> Iterator[tuple[str, WorkflowFiles]]:
 
 
 def _spec_of(module: str) -> ModuleSpec | None:
-    """Finds a module without running it or the packages around it, as `importlib.util.find_spec` would."""
+    """Find a module without running it or its packages, unlike `importlib.util.find_spec`."""
     parts, spec, path = module.split("."), None, None
     for depth in range(1, len(parts) + 1):
         found = (finder.find_spec(".".join(parts[:depth]), path, None) for finder in sys.meta_path)

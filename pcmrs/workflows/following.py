@@ -154,7 +154,7 @@ class BodyFollower:
         return track(self._cell.arm, self._cell.flange_for(self._base_from_coil), self.positions)
 
     def _keep_out(self, base_from_body_ref: Transform) -> None:
-        """Places what moves with the body, and raises `RefusalError` where the arm would come too near to a zone."""
+        """Place the zones that move with the body. Raises `RefusalError` if the arm would be too near to a zone."""
         place_body(self._cell, self._base_from_tracker, base_from_body_ref)
         entered = self._limits.violation(self.positions)
         if entered is not None:
@@ -162,7 +162,7 @@ class BodyFollower:
 
 
 def _twist(way: Transform) -> Floats:
-    """Translation (m) before rotation vector (rad), (6,)."""
+    """Return the translation (m) and the rotation vector (rad) of a transform, (6,)."""
     return np.concatenate((way.translation, way.rotvec))
 
 

@@ -174,6 +174,7 @@ class SetpointAdmission:
         )
 
     def _rejection_code(self, user: str, setpoint: TeleopSetpoint, arrived: float) -> str | None:
+        """Return the code for which a set point is refused; None to admit it."""
         if user != self.user:
             return "other_user"
         if not all(map(math.isfinite, (setpoint.sent, setpoint.seen, setpoint.ttl, *setpoint.twist))):

@@ -74,7 +74,7 @@ def search_pose_reachable(run: Run) -> None:
 
 def plan_is_of_search(run: Run) -> None:
     """Refuse a pulse if the plan in force is neither the next pose of the search nor a neighbour of it."""
-    settings, proposed, plan = search_of(run).settings, _pose_of(run), planned(run.data)
+    settings, proposed, plan = _search_of(run).settings, _pose_of(run), planned(run.data)
     shift_mm, turn_deg = size_of(proposed.inverse() @ plan)
     if shift_mm > settings.spacing_mm or turn_deg > settings.heading_step_deg:
         text = (
@@ -94,13 +94,13 @@ def intensity_is_of_search(run: Run) -> None:
 
 
 def _pose_of(run: Run) -> Transform:
-    return as_transform(search_of(run).next() if run.data.hotspot is None else run.data.hotspot)
+    return as_transform(_search_of(run).next() if run.data.hotspot is None else run.data.hotspot)
 
 
 def learn_place(run: Run) -> None:
     """Add the response to the search. A pulse without a valid response is repeated at the same place."""
     response: Response = run.prepared
-    search = search_of(run)
+    search = _search_of(run)
     if response.mep is not None and not response.problem:
         search = search.after(response.coil, response.mep.peak_to_peak)
         run.keep(search=search)
@@ -114,17 +114,17 @@ def learn_place(run: Run) -> None:
 
 def place_known(run: Run) -> None:
     """Refuse to conclude a search without any result."""
-    _ = search_of(run).estimate
+    _ = _search_of(run).estimate
 
 
 def keep_hotspot(run: Run) -> None:
     """Put the best present estimate of the hot-spot on record."""
-    found = search_of(run).estimate
+    found = _search_of(run).estimate
     run.keep(hotspot=found.image_from_coil)
     run.result["hotspot"] = msgspec.to_builtins(found)
 
 
-def search_of(run: Run) -> HotspotSearch:
+def _search_of(run: Run) -> HotspotSearch:
     """Return the active search. Raises `RefusalError` if there is none."""
     if run.data.search is None:
         raise RefusalError("no_search", "There is no search for a hot-spot: send hotspot.begin first.")
