@@ -125,10 +125,10 @@ def write_calibration(path: Path, calibration: Calibration) -> Calibration:
         FileFormatError: The file cannot be written.
     """
     hashed = msgspec.structs.replace(calibration, sha256=calibration.content_hash())
-    beside = path.with_name(f".{path.name}.part")
+    partial = path.with_name(f".{path.name}.part")
     try:
-        beside.write_text(HEADER + tomli_w.dumps(msgspec.to_builtins(hashed, builtin_types=(datetime,))), "utf-8")
-        beside.replace(path)
+        partial.write_text(HEADER + tomli_w.dumps(msgspec.to_builtins(hashed, builtin_types=(datetime,))), "utf-8")
+        partial.replace(path)
     except OSError as error:
         raise FileFormatError(f"{path} cannot be written: {error.strerror}.", file=str(path)) from None
     return hashed

@@ -42,7 +42,7 @@ def check_valid(calibration: Calibration, expected: Expected, now: float) -> Non
             ``calibration_expired``.
     """
     _check_unchanged(calibration)
-    _check_own(calibration, expected)
+    _check_matches(calibration, expected)
     _check_date(calibration, datetime.fromtimestamp(now, UTC))
 
 
@@ -55,13 +55,13 @@ def _check_unchanged(calibration: Calibration) -> None:
         raise RefusalError("calibration_changed", text, name=calibration.name, recorded=calibration.sha256)
 
 
-def _check_own(calibration: Calibration, expected: Expected) -> None:
-    wanted = {
+def _check_matches(calibration: Calibration, expected: Expected) -> None:
+    fields = {
         "cell": (calibration.cell, expected.cell if calibration.cell else ""),
         "type": (calibration.type, expected.tool_type if calibration.kind == "tool" else ""),
         "serial": (calibration.serial, expected.serial or calibration.serial),
     }
-    for field, (found, needed) in wanted.items():
+    for field, (found, needed) in fields.items():
         if found != needed:
             text = (
                 f"The {calibration.kind} {calibration.title()} is calibrated for {field} {found!r}, but {needed!r} is "

@@ -60,12 +60,12 @@ def sphere_distances(start: Floats, end: Floats, spheres: Floats) -> Floats:
         end: Second ends of the links, m, (N, 3).
         spheres: Centres x, y, z and radii, m, (M, 4).
     """
-    way = (end - start)[:, None]
+    segment = (end - start)[:, None]
     offset = spheres[None, :, :3] - start[:, None]
-    length = np.maximum(np.sum(way * way, axis=-1), 1e-12)  # a link without length is a point
-    share = np.clip(np.sum(offset * way, axis=-1) / length, 0.0, 1.0)
-    away: Floats = np.linalg.norm(offset - share[..., None] * way, axis=-1) - spheres[:, 3]
-    return away
+    length = np.maximum(np.sum(segment * segment, axis=-1), 1e-12)  # a link without length is a point
+    share = np.clip(np.sum(offset * segment, axis=-1) / length, 0.0, 1.0)
+    clearances: Floats = np.linalg.norm(offset - share[..., None] * segment, axis=-1) - spheres[:, 3]
+    return clearances
 
 
 def sphere_array(keep_away: npt.ArrayLike) -> Floats:

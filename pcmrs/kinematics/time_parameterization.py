@@ -63,15 +63,15 @@ class CubicSpline:
         """
         places = np.asarray(places, dtype=float)
         left = np.clip(np.searchsorted(self.places, places, side="right") - 1, 0, len(self._steps) - 1)
-        step, away = self._steps[left, None], (places - self.places[left])[:, None]
+        step, offset = self._steps[left, None], (places - self.places[left])[:, None]
         start, slope = self._rows[left], self._slopes[left]
         chord = (self._rows[left + 1] - start) / step
         excess = (slope + self._slopes[left + 1] - 2.0 * chord) / step
         third, second = excess / step, (chord - slope) / step - excess
         value: Floats = (
-            start + away * (slope + away * (second + away * third)),
-            slope + away * (2.0 * second + away * 3.0 * third),
-            2.0 * second + away * 6.0 * third,
+            start + offset * (slope + offset * (second + offset * third)),
+            slope + offset * (2.0 * second + offset * 3.0 * third),
+            2.0 * second + offset * 6.0 * third,
         )[order]
         return value
 
@@ -208,17 +208,17 @@ def tool_path_lengths(arm: ArmModel, postures: Floats, flange_from_tool: Transfo
     return np.asarray(np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1))
 
 
-def time_parameterize(places: Floats, ways: Floats, allowed: Floats, bounds: ProgressLimits) -> Progress:
+def time_parameterize(places: Floats, path_lengths: Floats, allowed: Floats, bounds: ProgressLimits) -> Progress:
     """Return the fastest progress that keeps its own bounds and the speed limit at each place.
 
     Args:
         places: Ascending progress from 0 to 1, (K,).
-        ways: Distance that the tool moves from each place to the next, m, (K - 1,).
+        path_lengths: Distance that the tool moves from each place to the next, m, (K - 1,).
         allowed: Greatest speed of the tool at each place, m/s, (K,).
         bounds: Limits of the progress that hold everywhere.
     """
     levels = np.minimum(allowed[1:], allowed[:-1])
-    rates = np.maximum(ways, np.finfo(float).tiny) / np.diff(places)
+    rates = np.maximum(path_lengths, np.finfo(float).tiny) / np.diff(places)
     speeds = np.minimum(bounds.velocity, levels / rates)
     starts = np.concatenate(((0,), 1 + np.flatnonzero(np.diff(levels))))
     lengths = np.diff(np.append(places[starts], 1.0))

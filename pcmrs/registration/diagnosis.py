@@ -29,8 +29,8 @@ def unit_ratio(planned: Floats, digitized: Floats) -> float:
         planned: Landmarks as planned, in any frame, (N, 3).
         digitized: Landmarks as digitized, in any frame, (N, 3).
     """
-    apart, between = float(np.median(pdist(digitized))), float(np.median(pdist(planned)))
-    return apart / between if apart > 0.0 and between > 0.0 else 1.0
+    digitized_distance, planned_distance = float(np.median(pdist(digitized))), float(np.median(pdist(planned)))
+    return digitized_distance / planned_distance if digitized_distance > 0.0 and planned_distance > 0.0 else 1.0
 
 
 def detect_order(planned: Floats, digitized: Floats, sigma: float, false_alarm: float) -> tuple[int, ...] | None:

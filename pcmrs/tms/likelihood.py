@@ -93,10 +93,10 @@ def _log_likelihood(settings: ThresholdSettings, pulse: Pulse) -> Floats:
     deviation = (pulse.intensity - THRESHOLDS) / (SPREAD * THRESHOLDS)
     if pulse.amplitude is None:
         return np.asarray(log_ndtr(deviation if pulse.responded else -deviation))
-    least, top = settings.noise_uv / settings.response_uv, TOP
+    floor, top = settings.noise_uv / settings.response_uv, TOP
     size = pulse.amplitude * 1e6 / settings.response_uv
-    above = math.log10(min(max(size, least), top)) / SLOPES - deviation
-    if size <= least:
+    above = math.log10(min(max(size, floor), top)) / SLOPES - deviation
+    if size <= floor:
         return np.asarray(log_ndtr(above))
     if size >= top:
         return np.asarray(log_ndtr(-above))

@@ -169,9 +169,9 @@ def hand_area(closest: NearestPoints, vertex: npt.ArrayLike, side: Literal["righ
         side: Hemisphere of the brain. The hand is on the other side.
     """
     sign = 1.0 if side == "right" else -1.0
-    aside, ahead = HAND_AREA
+    lateral, forward = HAND_AREA
     upright = Transform(np.eye(3), np.asarray(vertex, dtype=float))
-    (pose,) = along_scalp(closest, upright, [[sign * aside, ahead]])
+    (pose,) = along_scalp(closest, upright, [[sign * lateral, forward]])
     return turned(pose, sign * HANDLE)
 
 

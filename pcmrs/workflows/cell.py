@@ -151,12 +151,12 @@ class Cell:
             PcmrsError: One of them has not confirmed.
         """
         robot, stimulator = self.robot, self.stimulator
-        asked: list[Awaitable[object]] = []
+        requests: list[Awaitable[object]] = []
         if self.uses_robot:
-            asked.append(robot.stop() if latch else robot.hold())
+            requests.append(robot.stop() if latch else robot.hold())
         if stimulator is not None:
-            asked.append(stimulator.stop() if latch else stimulator.disarm())
-        for answer in await asyncio.gather(*asked, return_exceptions=True):
+            requests.append(stimulator.stop() if latch else stimulator.disarm())
+        for answer in await asyncio.gather(*requests, return_exceptions=True):
             if isinstance(answer, BaseException):
                 raise answer
 

@@ -53,8 +53,8 @@ def press_possible(run: Run) -> None:
     base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
     travel = _allowed_travel(cell, float((base_from_target.inverse() @ base_from_coil.translation)[2]))
     check_nudges(run, _nudged_by(run.data, travel), run.data.nudge_rotation_zyx)
-    way = plan_linear_path(run, cell.posture(), base_from_coil @ along_axis(-travel), near=True)
-    check_towards(cell, run.data, way, base_from_target)
+    path = plan_linear_path(run, cell.posture(), base_from_coil @ along_axis(-travel), near=True)
+    check_towards(cell, run.data, path, base_from_target)
     request = PressRequest(
         force=contact.force if run.payload.force is None else run.payload.force,
         direction_in_flange=as_point(-cell.flange_from_coil.rotation[:, 2]),
@@ -62,7 +62,7 @@ def press_possible(run: Run) -> None:
         speed=contact.speed,
         timeout=contact.timeout,
     )
-    run.prepared = request, way
+    run.prepared = request, path
 
 
 async def press_gently(run: Run) -> None:
@@ -74,10 +74,10 @@ async def press_gently(run: Run) -> None:
         RefusalError: There was no contact, or the force was not reached or too large.
     """
     cell = run.cell
-    request, way = run.prepared
-    async with guarded(cell, way, towards_body=True):
+    request, path = run.prepared
+    async with guarded(cell, path, towards_body=True):
         ended = await cell.robot.press(request)
-    travel = _travel(cell, way, ended)
+    travel = _travel(cell, path, ended)
     run.result |= {"force": ended.force, "asked": request.force, "travel": travel}
     if ended.outcome != "done":
         raise _not_pressed(request, ended, travel)
@@ -91,14 +91,14 @@ def _allowed_travel(cell: Cell, height: float) -> float:
     It is the configured travel, or the distance to the depth limit if that is shorter.
     """
     contact, limit = cell.settings.contact, cell.settings.zones.depth_limit
-    left = height + limit - ROUNDING
-    if left < MIN_TRAVEL:
+    remaining = height + limit - ROUNDING
+    if remaining < MIN_TRAVEL:
         text = (
             f"The tool is {-height * 1000:.1f} mm beyond the target, and may go no deeper than {limit * 1000:g} mm. "
             "Nudge it away from the body, or plan another pose."
         )
         raise RefusalError("too_deep", text, height=height, limit=limit)
-    return min(contact.travel, left)
+    return min(contact.travel, remaining)
 
 
 def _nudged_by(data: PlacementData, travel: float) -> Point:
@@ -106,9 +106,9 @@ def _nudged_by(data: PlacementData, travel: float) -> Point:
     return as_point(nudge_transform(data.nudge_translation, data.nudge_rotation_zyx) @ np.array([0.0, 0.0, -travel]))
 
 
-def _travel(cell: Cell, way: JointTrajectory, ended: MotionResult) -> float:
+def _travel(cell: Cell, path: JointTrajectory, ended: MotionResult) -> float:
     """Return the travel of the tool along its axis towards the body, computed from the joints, m."""
-    before = cell.arm.forward(way.positions[0]) @ cell.flange_from_coil
+    before = cell.arm.forward(path.positions[0]) @ cell.flange_from_coil
     after = cell.arm.forward(ended.positions) @ cell.flange_from_coil
     return -float((before.inverse() @ after.translation)[2])
 

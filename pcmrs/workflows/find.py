@@ -57,10 +57,10 @@ def find_installed(name: str) -> WorkflowFiles:
     Raises:
         ConfigurationError: There is no such workflow, or more than one; the text lists the known ones.
     """
-    found = [files for known, files in _installed() if known == name]
+    found = [files for installed, files in _installed() if installed == name]
     if not found:
         _refuse_incomplete(name)
-        names = ", ".join(sorted({known for known, _ in _installed()}))
+        names = ", ".join(sorted({installed for installed, _ in _installed()}))
         text = f"There is no workflow {name!r}; there are {names}, or give the path of a .toml file."
         raise ConfigurationError(text, workflow=name)
     if len(found) > 1:

@@ -161,9 +161,9 @@ class BodyFollower:
             raise entered
 
 
-def _twist(way: Transform) -> Floats:
+def _twist(transform: Transform) -> Floats:
     """Return the translation (m) and the rotation vector (rad) of a transform, (6,)."""
-    return np.concatenate((way.translation, way.rotvec))
+    return np.concatenate((transform.translation, transform.rotvec))
 
 
 Activity = AnyActivity[Cell, PlacementData]
@@ -193,9 +193,9 @@ async def follow_head(act: Activity) -> None:
     """
     cell, clock = act.cell, act.clock
     await cell.poses.collect(BODIES, FIRST_FRAMES, timeout=FIRST_TIME)
-    known = cell.poses.frames_after(0, BODIES)[-FIRST_FRAMES:]
-    number = known[-1]["coil"].frame_number
-    follower, watch = BodyFollower(cell, act.data, known), AlignmentWatch(act)
+    frames = cell.poses.frames_after(0, BODIES)[-FIRST_FRAMES:]
+    number = frames[-1]["coil"].frame_number
+    follower, watch = BodyFollower(cell, act.data, frames), AlignmentWatch(act)
     async with cell.robot.servo() as stream:
         now = clock.monotonic()
         while True:

@@ -71,8 +71,8 @@ class _Guard:
         if self._refusal is not None:
             return
         self._place_body()
-        lost = None if self._visibility is None else self._visibility.refusal()
-        self._refusal = self._limits.violation(state.positions) or lost
+        not_seen = None if self._visibility is None else self._visibility.refusal()
+        self._refusal = self._limits.violation(state.positions) or not_seen
         if self._refusal is not None:
             self._holding = asyncio.get_running_loop().create_task(self._cell.robot.hold())
 

@@ -155,15 +155,15 @@ def check_only_grows(
         _check_only_grows(cell, _body_distances(cell, trajectory, centre), advice)
 
 
-def _check_only_grows(cell: Cell, way: Floats, advice: str) -> None:
-    shrinks = np.maximum.accumulate(way) - way
-    worst = int(np.argmax(np.where(way < cell.settings.placement.clearance, shrinks, 0.0)))
-    if way[worst] < cell.settings.placement.clearance and shrinks[worst] > TOLERANCE:
+def _check_only_grows(cell: Cell, distances: Floats, advice: str) -> None:
+    shrinks = np.maximum.accumulate(distances) - distances
+    worst = int(np.argmax(np.where(distances < cell.settings.placement.clearance, shrinks, 0.0)))
+    if distances[worst] < cell.settings.placement.clearance and shrinks[worst] > TOLERANCE:
         text = (
-            f"The path leads back towards the body: to {way[worst] * 1000:.0f} mm from its middle after "
-            f"{(way[worst] + shrinks[worst]) * 1000:.0f} mm. {advice}"
+            f"The path leads back towards the body: to {distances[worst] * 1000:.0f} mm from its middle after "
+            f"{(distances[worst] + shrinks[worst]) * 1000:.0f} mm. {advice}"
         )
-        raise RefusalError("distance_shrinks", text, distance=float(way[worst]), shrinks=float(shrinks[worst]))
+        raise RefusalError("distance_shrinks", text, distance=float(distances[worst]), shrinks=float(shrinks[worst]))
 
 
 def check_passes_clear(cell: Cell, trajectory: JointTrajectory, data: PlacementData) -> None:
@@ -177,8 +177,8 @@ def check_passes_clear(cell: Cell, trajectory: JointTrajectory, data: PlacementD
     Raises:
         RefusalError: It comes nearer by more than 10 mm.
     """
-    way = _body_distances(cell, trajectory, body_centre(cell, data))
-    nearest, end = float(way.min()), float(min(way[0], way[-1]))
+    distances = _body_distances(cell, trajectory, body_centre(cell, data))
+    nearest, end = float(distances.min()), float(min(distances[0], distances[-1]))
     if nearest < end - 0.010:
         text = (
             f"The path to the standoff passes the body at {nearest * 1000:.0f} mm from its middle, nearer than its "

@@ -172,9 +172,9 @@ def nudge_transform(translation: Point, rotation_zyx: Point) -> Transform:
 
 def accumulated_nudges(run: Run) -> tuple[Point, Point]:
     """Return the sums of nudges, including the requested one: translation in m and rotations in rad."""
-    data, asked = run.data, run.payload
-    x, y, z = np.add(data.nudge_translation, asked.translation).tolist()
-    rz, ry, rx = np.add(data.nudge_rotation_zyx, asked.rotation_zyx).tolist()
+    data, request = run.data, run.payload
+    x, y, z = np.add(data.nudge_translation, request.translation).tolist()
+    rz, ry, rx = np.add(data.nudge_rotation_zyx, request.rotation_zyx).tolist()
     return (x, y, z), (rz, ry, rx)
 
 
@@ -182,12 +182,12 @@ def _plan_approach(run: Run, posture: Floats) -> JointTrajectory:
     """Plan the path to a posture at the standoff from which the target can be reached."""
     cell = run.cell
     base_from_image = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE)
-    way = plan_joint_path(run, cell.posture(), posture)
-    check_passes_clear(cell, way, run.data)
+    path = plan_joint_path(run, cell.posture(), posture)
+    check_passes_clear(cell, path, run.data)
     base_from_target = base_from_image @ planned(run.data)
-    check_towards(cell, run.data, way, base_from_target)
+    check_towards(cell, run.data, path, base_from_target)
     _plan_line(run, posture, base_from_target @ along_axis(cell.settings.placement.confirm_offset), base_from_target)
-    return way
+    return path
 
 
 def _plan_straight_to(run: Run, image_from_coil: Transform) -> JointTrajectory:
@@ -199,18 +199,18 @@ def _plan_straight_to(run: Run, image_from_coil: Transform) -> JointTrajectory:
 
 def _plan_line(run: Run, start: Floats, base_from_coil: Transform, base_from_target: Transform) -> JointTrajectory:
     """Plan the straight path of the coil from joint positions to a pose near the target of the plan."""
-    way = plan_linear_path(run, start, base_from_coil, near=True)
-    check_towards(run.cell, run.data, way, base_from_target)
-    return way
+    path = plan_linear_path(run, start, base_from_coil, near=True)
+    check_towards(run.cell, run.data, path, base_from_target)
+    return path
 
 
 def _plan_retreat(run: Run, posture: list[float]) -> JointTrajectory:
     """Plan a retreat along the axis if the tool is at the body, and then a motion of the joints to a posture."""
     cell = run.cell
-    way = None if run.states["placement"] == "retracted" else _plan_back_off(run)[0]
-    start = cell.posture() if way is None else way.positions[-1]
+    path = None if run.states["placement"] == "retracted" else _plan_back_off(run)[0]
+    start = cell.posture() if path is None else path.positions[-1]
     trajectory = plan_joint_path(run, start, posture)
-    trajectory = trajectory if way is None else concatenate(way, trajectory)
+    trajectory = trajectory if path is None else concatenate(path, trajectory)
     check_confirmed(run, trajectory)
     check_only_grows(cell, trajectory, run.data)
     check_ends_clear(cell, trajectory, run.data)
@@ -257,8 +257,8 @@ def _plan_straight_away(run: Run, length: float) -> JointTrajectory:
 def _retreat_length(run: Run) -> float:
     """Return the distance to the tool's standoff if it is on its axis; otherwise the distance until it is clear, m."""
     try:
-        way = _distance_to_standoff(run)
-        return distance_until_clear(run.cell, run.data) if way is None else way
+        distance = _distance_to_standoff(run)
+        return distance_until_clear(run.cell, run.data) if distance is None else distance
     except RefusalError:  # neither tool nor body is seen, nor has been
         return run.cell.settings.placement.standoff
 

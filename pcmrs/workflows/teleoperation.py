@@ -74,8 +74,8 @@ class GuidanceSession:
         self._admission = SetpointAdmission(user, now, self._settings)
         self._last_setpoint_at = now + FIRST_SETPOINT_TIME
         self._body = BodyTrack(cell.settings.following)
-        known = cell.poses.frames_after(0, BODIES)[-FIRST_FRAMES:]
-        self._frame_number = known[0]["coil"].frame_number - 1 if known else 0
+        frames = cell.poses.frames_after(0, BODIES)[-FIRST_FRAMES:]
+        self._frame_number = frames[0]["coil"].frame_number - 1 if frames else 0
         self.guide.begin()
 
     def release(self) -> None:

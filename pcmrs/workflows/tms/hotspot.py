@@ -37,14 +37,14 @@ class AskedSearch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def search_possible(run: Run) -> None:
     """Prepare a search on the body's surface, or refuse if there is no surface or the centre does not fit it."""
-    asked, settings = run.payload, run.cell.settings.stimulation.hotspot
-    given = {"method": asked.method, "rings": asked.rings, "max_pulses": asked.max_pulses}
+    arguments, settings = run.payload, run.cell.settings.stimulation.hotspot
+    given = {"method": arguments.method, "rings": arguments.rings, "max_pulses": arguments.max_pulses}
     chosen = {key: value for key, value in given.items() if value is not None}
     try:
         changed = msgspec.convert(msgspec.to_builtins(settings) | chosen, HotspotSettings)
     except msgspec.ValidationError as error:
         raise RefusalError("bad_arguments", f"hotspot.begin: {error}.") from None
-    centre = planned(run.data) if asked.centre is None else pose_of(asked.centre)
+    centre = planned(run.data) if arguments.centre is None else pose_of(arguments.centre)
     run.prepared = HotspotSearch.begin(changed, _scalp(run).closest, centre)
 
 
