@@ -88,6 +88,7 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     def content_hash(self) -> str:
         """Return the SHA-256 of everything but `sha256`: of the values, not of their notation in the file."""
+        # Keys are sorted below, so that their order in the file does not matter.
         content = msgspec.structs.replace(self, sha256="")
         return hashlib.sha256(msgspec.json.encode(content, order="sorted")).hexdigest()
 
@@ -128,6 +129,7 @@ def write_calibration(path: Path, calibration: Calibration) -> Calibration:
     partial = path.with_name(f".{path.name}.part")
     try:
         partial.write_text(HEADER + tomli_w.dumps(msgspec.to_builtins(hashed, builtin_types=(datetime,))), "utf-8")
+        # An atomic replacement: a crash leaves the old file or the new one, never a part.
         partial.replace(path)
     except OSError as error:
         raise FileFormatError(f"{path} cannot be written: {error.strerror}.", file=str(path)) from None

@@ -76,6 +76,7 @@ def hull(points: npt.ArrayLike) -> Solid:
         text = f"{len(points)} points have no convex hull that encloses anything; give a closed surface."
         raise GeometryError(text, points=len(points)) from None
     corners, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    # The hull drops inner points, so that its triangles need new numbers of their corners.
     number = {int(vertex): index for index, vertex in enumerate(found.vertices)}
     for vertex in found.vertices:
         corners.append(points[vertex])

@@ -35,6 +35,7 @@ def solve(
         UnreachableError: No posture was found.
     """
     lower, upper = arm.lower + joint_margin, arm.upper - joint_margin
+    # A fixed seed, so that the same arguments always give the same answer.
     restarts = np.random.default_rng(0).uniform(lower, upper, (_RESTARTS, arm.joints))
     found: list[tuple[float, Floats]] = []
     least_error = np.full(6, np.inf)

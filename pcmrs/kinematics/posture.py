@@ -35,6 +35,7 @@ def cost(arm: ArmModel, q: Floats, seed: Floats, keep_away: Floats | None = None
     short = float(comfort_penalty(np.minimum(q - arm.lower, arm.upper - q), LIMIT_COMFORT).sum())
     short += float(_near_singular(arm, q).sum())
     if keep_away is not None:
+        # The joint frames from the elbow to the wrist.
         forearm = arm.joint_origins(q)[-4:-1]
         short += float(
             comfort_penalty(sphere_distances(forearm[:-1], forearm[1:], keep_away).min(axis=0), KEEP_AWAY_COMFORT).sum()

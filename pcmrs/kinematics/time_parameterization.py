@@ -220,6 +220,7 @@ def time_parameterize(places: Floats, path_lengths: Floats, allowed: Floats, bou
     levels = np.minimum(allowed[1:], allowed[:-1])
     rates = np.maximum(path_lengths, np.finfo(float).tiny) / np.diff(places)
     speeds = np.minimum(bounds.velocity, levels / rates)
+    # Successive intervals with the same limit form one section, whose progress is limited by its slowest interval.
     starts = np.concatenate(((0,), 1 + np.flatnonzero(np.diff(levels))))
     lengths = np.diff(np.append(places[starts], 1.0))
     limits = np.minimum.reduceat(speeds, starts)
@@ -235,8 +236,10 @@ def time_parameterize(places: Floats, path_lengths: Floats, allowed: Floats, bou
 def _border_speeds(lengths: Floats, limits: Floats, bounds: ProgressLimits) -> Floats:
     """Return the greatest speeds at the borders of sections, 1/s, (S + 1,), 0 at both ends."""
     speeds = np.concatenate(((0.0,), np.minimum(limits[1:], limits[:-1]), (0.0,)))
+    # Forward: no border is faster than can be reached from the previous one.
     for number, length in enumerate(lengths[:-1]):
         speeds[number + 1] = min(speeds[number + 1], _reachable_speed(speeds[number], float(length), bounds))
+    # Backward: no border is so fast that the next one is missed.
     for number in range(len(lengths) - 1, 0, -1):
         speeds[number] = min(speeds[number], _reachable_speed(speeds[number + 1], float(lengths[number]), bounds))
     return speeds * (1.0 - _SPEED_RESERVE)

@@ -87,5 +87,6 @@ def _step(jacobian: Floats, error: Floats, square: float, at_lower: _Bools, at_u
 
 
 def _solve(jacobian: Floats, error: Floats, square: float) -> Floats:
+    # The constant keeps the matrix invertible when the error, and with it the damping, vanishes.
     step: Floats = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + (_DAMPING * square + 1e-12) * _IDENTITY, error)
     return step

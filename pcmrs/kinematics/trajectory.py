@@ -75,6 +75,7 @@ def joint_motion(
     progress = time_parameterize(places, path_lengths, speeds, _joint_bounds(arm, np.abs(end - begin), limits))
     parts = progress.at(sample_times(progress.duration, 1.0, period))
     positions = begin + parts[:, None] * (end - begin)
+    # Exactly, without the rounding of the progress.
     positions[-1] = end
     return JointTrajectory(period=period, positions=positions.tolist())
 
@@ -124,7 +125,9 @@ def brake(
     """
     joints = len(limits.joint_velocity)
     velocity = joint_array(velocities, joints)
+    # An arm that is faster than its limit must be braked, too.
     request = joint_request(np.maximum(limits.joint_velocity, np.abs(velocity)), limits)
+    # A target velocity without a target position, and each joint on its own: nothing delays the stop.
     request.control_interface = ControlInterface.Velocity
     request.synchronization = Synchronization.No
     request.current_position = joint_array(positions, joints).tolist()

@@ -216,6 +216,7 @@ class ZoneModel:
 
         These are the pairs that are more than `radius` (m) apart in the zero posture.
         """
+        # The last link, the mount and the tool move as one body.
         rigid = self.links[-3:]
         pairs = [pair for pair in combinations(self.links, 2) if not set(pair) <= set(rigid)]
         for pair in pairs:
@@ -228,6 +229,7 @@ class ZoneModel:
         return separated
 
     def _zone_limits(self, zones: Sequence[Zone]) -> dict[tuple[str, str], float]:
+        # The base does not move, so that it cannot avoid anything.
         moving = self.links[1:]
         pair_limits: dict[tuple[str, str], float] = {}
         for zone in zones:

@@ -83,6 +83,7 @@ class TriangleSurface:
         ray = direction / np.linalg.norm(direction)
         sides = self._corners[:, 1:] - self._corners[:, :1]
         normals = np.cross(sides[:, 0], sides[:, 1])
+        # A ray can only leave through triangles that face along it.
         out = normals @ ray > _EDGE * np.linalg.norm(normals, axis=1)
         first, second = sides[out].transpose(1, 0, 2)
         volumes, offsets = normals[out] @ ray, self._corners[out, 0] - start

@@ -252,6 +252,7 @@ def trusted_transform(rotation: Floats, translation: Floats) -> Transform:
 
 
 def _fill(transform: Transform, rotation: Floats, translation: Floats) -> None:
+    # The dataclass is frozen, so its fields are set past its guard.
     rotation.flags.writeable = translation.flags.writeable = False
     object.__setattr__(transform, "rotation", rotation)
     object.__setattr__(transform, "translation", translation)

@@ -79,7 +79,9 @@ def next_pose(patch: ScalpPatch, pulses: tuple[MapPulse, ...]) -> Transform:
         return patch.places[0]
     drawn = _draw(patch, pulses)
     deviations = drawn.values - (drawn.values @ drawn.weights)[:, None]
+    # Covariance of the amplitude at every candidate with the place of the peak, over the draws.
     shared = deviations @ (drawn.weights[:, None] * (drawn.peaks - drawn.weights @ drawn.peaks))
+    # Reduction of the variance of a linear estimate of the peak by one noisy amplitude at each candidate.
     information = np.sum(shared**2, axis=1) / (drawn.variances + NOISE_DECADES**2)
     return patch.poses[int(np.argmax(information))]
 
@@ -150,6 +152,7 @@ def _weights(patch: ScalpPatch, peaks: Floats) -> Floats:
     place, heading = patch.settings.prior_mm / 1e3 / LENGTH, math.radians(patch.settings.prior_deg) / HEADING_LENGTH
     deviations = (peaks - _features(patch, patch.places[:1])) / np.array((place, place, place, heading))
     squared = np.sum(deviations**2, axis=1)
+    # The common factor cancels. Without the subtraction all weights could underflow.
     weights: Floats = np.exp(-0.5 * (squared - squared.min()))
     weights /= weights.sum()
     return weights

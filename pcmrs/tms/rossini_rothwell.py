@@ -58,8 +58,10 @@ def _protocol(settings: ThresholdSettings) -> Protocol:
     intensity = min(round(settings.start), ceiling)
     while not (yield from _all_responded(intensity)) and intensity < ceiling:
         intensity = min(intensity + RISE, ceiling)
+    # At the ceiling a muscle that does not always respond may still respond to half of the pulses.
     while intensity >= settings.floor and (yield from _half_responded(intensity)):
         intensity -= 1
+    # The last intensity was too low, or reached the floor.
     return intensity + 1
 
 

@@ -151,6 +151,7 @@ def update_collision_scene(cell: Cell, data: PlacementData) -> None:
         cell: Cell with zones and tracked poses.
         data: Data of the procedure.
     """
+    # What is not seen stays where it was seen last.
     with suppress(RefusalError):
         cell.frames(data)
     if data.registered is not None:

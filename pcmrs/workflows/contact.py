@@ -52,6 +52,7 @@ def press_possible(run: Run) -> None:
     base_from_target = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE) @ planned(run.data)
     base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
     travel = _allowed_travel(cell, float((base_from_target.inverse() @ base_from_coil.translation)[2]))
+    # The travel becomes a nudge afterwards, so its sum is checked in advance.
     check_nudges(run, _nudged_by(run.data, travel), run.data.nudge_rotation_zyx)
     path = plan_linear_path(run, cell.posture(), base_from_coil @ along_axis(-travel), near=True)
     check_towards(cell, run.data, path, base_from_target)

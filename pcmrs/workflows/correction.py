@@ -79,6 +79,7 @@ def _size_text(shift_mm: float, turn_deg: float) -> str:
 
 def _converged(rounds: list[dict[str, float]], limits: PlacementSettings) -> bool:
     """Return True if the tool is within tolerance. Raises `RefusalError` if another round is not worthwhile."""
+    # In the first round, both are the same.
     last, before = rounds[-1], rounds[-2:][0]
     if last["shift_mm"] <= limits.tolerance_mm and last["turn_deg"] <= limits.tolerance_deg:
         return True

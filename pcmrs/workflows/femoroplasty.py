@@ -79,6 +79,7 @@ def guide_pose(entry: Floats, target: Floats) -> Transform:
         target: Target in the image, m, (3,).
     """
     z = (entry - target) / np.linalg.norm(entry - target)
+    # A superior trajectory leaves the direction of +y undefined.
     up = SUPERIOR if abs(z @ SUPERIOR) < NEARLY_PARALLEL else ANTERIOR
     x = np.cross(up, z)
     x /= np.linalg.norm(x)

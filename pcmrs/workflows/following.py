@@ -106,6 +106,7 @@ class BodyFollower:
         tracker_from_body_ref = self._body.pose(stamp)
         self._check_range(tracker_from_body_ref)
         base_from_body_ref = self._base_from_tracker @ tracker_from_body_ref
+        # The body's motion during this step. The tool makes it too, and catches up in addition.
         earlier = self._base_from_tracker @ self._body.pose(stamp - elapsed)
         self._move_tool(self._goal(earlier), self._goal(base_from_body_ref), elapsed)
         before, self.positions = self.positions, self._track()

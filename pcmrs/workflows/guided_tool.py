@@ -68,6 +68,7 @@ class PlanLimits:
         velocity = _slowed(velocity, _direction(plan_from_tool.translation), fastest)
         fastest = _brakes_within(height, settings.linear_acceleration, period)
         velocity = _slowed(velocity, np.array((0.0, 0.0, -1.0)), fastest)
+        # A rotation vector is the same in the frame of the plan and in that of the tool.
         fastest = _brakes_within(turn, settings.angular_acceleration, period)
         spin = _slowed(twist[3:], _direction(plan_from_tool.rotvec), fastest)
         return np.concatenate((plan_from_tool.rotation.T @ velocity, spin))
@@ -79,6 +80,7 @@ class PlanLimits:
             before: Present pose of the tool in the frame of the plan.
             after: Next pose of the tool in the frame of the plan.
         """
+        # Beyond a bound the margin is negative, and may only grow.
         lowest = np.minimum(self.margins(before), 0.0)
         return bool(np.all(self.margins(after) >= lowest - 1e-9))
 
@@ -126,6 +128,8 @@ class GuidedTool:
         self._limits = PlanLimits(self._settings)
         self.positions = cell.posture()
         self._base_from_tool = cell.arm.forward(self.positions) @ cell.flange_from_coil
+        # Pairs that may touch the body are limited by their distances at the planned contact, which the arm must be
+        # able to reach from here.
         contact = track(cell.arm, cell.flange_for(base_from_plan), self.positions)
         self._at_contact = cell.zones.model.distances(contact)
         self._touching = np.array([pair in ((TOOL, BODY), (MOUNT, BODY)) for pair in cell.zones.model.pairs])
@@ -193,6 +197,7 @@ class GuidedTool:
         limits = zones.limits_towards(self._base_from_plan, base_from_tool.translation[None])[0]
         limits = self._with_contact(limits)
         before, after = zones.model.distances(self.positions), zones.model.distances(positions)
+        # A pair below its limit may move apart, so that the tool can leave a zone.
         nearer = bool(np.any((after < limits) & (after < before)))
         return "zone" if nearer or self._leaves_cone(base_from_tool) else None
 

@@ -81,6 +81,7 @@ async def measure_placement(run: Run) -> None:
     z axis. The rotation error is the angle of R_pᵀR_m. Intended nudges are part of the plan here.
     """
     offset = run.cell.settings.placement.confirm_offset
+    # The errors account for the offset, so that the expected pose is that of the contact.
     measured, plan = await measure_coil(run), target(run.data, offset) @ along_axis(-offset)
     extra = {"planned": pose_result(planned(run.data)), "confirm_offset": offset}
     run.result |= {**extra, **placement_errors(measured, plan, offset)}

@@ -156,6 +156,7 @@ def check_only_grows(
 
 
 def _check_only_grows(cell: Cell, distances: Floats, advice: str) -> None:
+    # The loss of distance against the farthest point so far.
     shrinks = np.maximum.accumulate(distances) - distances
     worst = int(np.argmax(np.where(distances < cell.settings.placement.clearance, shrinks, 0.0)))
     if distances[worst] < cell.settings.placement.clearance and shrinks[worst] > TOLERANCE:

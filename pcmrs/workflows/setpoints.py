@@ -179,6 +179,7 @@ class SetpointAdmission:
             return "other_user"
         if not all(map(math.isfinite, (setpoint.sent, setpoint.seen, setpoint.ttl, *setpoint.twist))):
             return "not_finite"
+        # No sender can have seen a status of the future.
         if setpoint.seen > arrived:
             return "from_the_future"
         if setpoint.seen < self._started_at:

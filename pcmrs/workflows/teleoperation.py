@@ -72,9 +72,11 @@ class GuidanceSession:
         act, cell = self._act, self._act.cell
         now = act.clock.monotonic()
         self._admission = SetpointAdmission(user, now, self._settings)
+        # The teleoperator must see a status of this engagement before the first set point can be admitted.
         self._last_setpoint_at = now + FIRST_SETPOINT_TIME
         self._body = BodyTrack(cell.settings.following)
         frames = cell.poses.frames_after(0, BODIES)[-FIRST_FRAMES:]
+        # The new track takes these frames again, so that it starts with the body's velocity.
         self._frame_number = frames[0]["coil"].frame_number - 1 if frames else 0
         self.guide.begin()
 

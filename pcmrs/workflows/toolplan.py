@@ -110,6 +110,7 @@ def standoff_postures(run: AnyRun[Cell, P], image_from_coil: Transform) -> Itera
     for seed in _seeds(cell):
         try:
             posture = inverse(cell.arm, standoff, seed, keep_away=body)
+            # The posture at the target is solved from that at the standoff, where the straight path begins.
             check_postures(cell, posture, inverse(cell.arm, target, posture, keep_away=body))
         except (UnreachableError, RefusalError) as error:
             refused.append(error)

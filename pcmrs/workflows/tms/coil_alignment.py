@@ -60,6 +60,7 @@ def check_coil_alignment(cell: Cell, data: Data) -> CoilAlignment:
         raise RefusalError("no_plan", "There is no registration and plan to stimulate by.")
     frames = _fresh_frames(cell, settings)
     error_mm, error_deg = size_of(measured_from_desired(frames[-1], desired))
+    # Negated comparisons here and below refuse nan, too.
     if not (error_mm <= settings.tolerance_mm and error_deg <= settings.tolerance_deg):
         text = (
             f"The coil is {error_mm:.2f} mm and {error_deg:.2f}° from its planned pose; for a pulse the limits are "

@@ -76,6 +76,7 @@ def plan_is_of_search(run: Run) -> None:
     """Refuse a pulse if the plan in force is neither the next pose of the search nor a neighbour of it."""
     settings, proposed, plan = _search_of(run).settings, _pose_of(run), planned(run.data)
     shift_mm, turn_deg = size_of(proposed.inverse() @ plan)
+    # A neighbour is accepted, because the arm may not reach the proposed pose.
     if shift_mm > settings.spacing_mm or turn_deg > settings.heading_step_deg:
         text = (
             f"The plan in force is {shift_mm:.1f} mm and {turn_deg:.0f}° from the pose that the search proposes; the "

@@ -89,6 +89,7 @@ async def fire_pulse(run: Run) -> None:
     _check_state(run.data, await _ready(run, stimulator))
     alignment, number = check_coil_alignment(run.cell, run.data), run.data.pulse + 1
     fired = await _fire(stimulator, number)
+    # Only a confirmed pulse is counted here. After an unknown outcome, arming adopts the stimulator's own count.
     run.keep(pulse=number, given=run.data.given + 1, last_pulse=run.clock.monotonic())
     run.prepared = Response(
         pulse=number,
