@@ -23,7 +23,7 @@ ToolType = Literal["coil", "drill_guide"]
 TRANSFORM: dict[Kind, str] = {"tool": "flange_from_coil", "pointer": "pointer_from_tip"}
 """Transform that a calibration of each kind must hold; the frames are those of `pcmrs.spatial.Frame`."""
 
-HEADER = "# A calibration of PCMRS. The hash covers every value: what is changed by hand is refused; calibrate anew.\n"
+HEADER = "# A calibration of PCMRS. The hash covers every value: what is changed by hand is refused; calibrate again.\n"
 
 Label = Annotated[str, msgspec.Meta(max_length=200, pattern=r"\A[^\x00-\x1f\x7f]*\Z")]
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]

@@ -324,7 +324,7 @@ def _check_rotation(rotation: Floats) -> None:
     determinant = _dot(three, (b * f - c * e, c * d - a * f, a * e - b * d))
     if deviation > ORTHONORMAL_TOLERANCE or determinant < 0.0:
         raise GeometryError(
-            f"The matrix is no rotation: R R^T differs from I by {deviation:.3g} (limit {ORTHONORMAL_TOLERANCE:g}), "
+            f"The matrix is not a rotation: R R^T differs from I by {deviation:.3g} (limit {ORTHONORMAL_TOLERANCE:g}), "
             f"determinant {determinant:.3g} (must be +1); orthonormalize it or check its handedness.",
             deviation=deviation,
             determinant=determinant,

@@ -80,7 +80,7 @@ class ClearanceLimits:
         found = self._model.clearance(distances, pair)
         text = (
             f"{found.link} came within {found.distance * 1000:.0f} mm of {found.zone}, nearer than {floor * 1000:.0f} "
-            "mm, and the arm was held. Look at the cell, then back off."
+            "mm, and the arm was held. Check the cell, then back off."
         )
         fields = {"link": found.link, "zone": found.zone, "distance": found.distance, "limit": floor}
         return RefusalError("zone_entered", text, **fields)

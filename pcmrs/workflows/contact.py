@@ -28,9 +28,9 @@ ROUNDING = 1e-4
 
 REFUSAL_TEXTS = {
     "no_contact": "The tool met nothing within {travel:.1f} mm. Plan or nudge it nearer to the body.",
-    "travel_limit": "After {travel:.1f} mm the force was {force:.1f} N, not {asked:g} N. Look at what gives way.",
-    "timeout": "At the time limit the force was {force:.1f} N, not steadily {asked:g} N. Look at the tool.",
-    "force_limit": "The force on the tool exceeded the robot's limit, and the arm was held. Look at the tool.",
+    "travel_limit": "After {travel:.1f} mm the force was {force:.1f} N, not {asked:g} N. Check what gives way.",
+    "timeout": "At the time limit the force was {force:.1f} N, not steadily {asked:g} N. Check the tool.",
+    "force_limit": "The force on the tool exceeded the robot's limit, and the arm was held. Check the tool.",
 }
 """Texts of the refusal of a press that failed, by the robot's reason."""
 

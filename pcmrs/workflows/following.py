@@ -56,7 +56,9 @@ class BodyFollower:
         self._cell, self._settings = cell, cell.settings.following
         desired = desired_in_body_ref(cell, data)
         if desired is None or data.registered is None:
-            raise RefusalError("not_registered", "There is no registration and plan to follow the body by.")
+            raise RefusalError(
+                "not_registered", "There is no registration or no plan, so the tool cannot follow the body."
+            )
         self._desired = desired
         graph = cell.frames(data)
         update_collision_scene(cell, data)

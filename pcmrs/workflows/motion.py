@@ -118,7 +118,7 @@ async def measure_coil(run: AnyRun[Cell, P]) -> Transform:
     cell, placement = run.cell, run.cell.settings.placement
     registered = run.data.registered
     if registered is None:
-        raise RefusalError("not_registered", "There is no registration to measure the tool in the image by.")
+        raise RefusalError("not_registered", "There is no registration, so the tool cannot be measured in the image.")
     frames = await cell.poses.collect(["coil", "body_ref"], placement.frames, timeout=MEASURING_TIME)
     image_from_body_ref = as_transform(registered.body_ref_from_image).inverse()
     return mean_transform([image_from_body_ref @ frame["body_ref"].inverse() @ frame["coil"] for frame in frames])

@@ -67,7 +67,7 @@ def _open(files: WorkflowFiles) -> Workflow[Cell, PlacementData]:
     except BlueprintError as error:
         if "findings" in error.fields:
             raise BlueprintError(f"{files.blueprint}: {error.text}", **error.fields) from None
-        text = f"{files.blueprint}: {error.text}; PCMRS has none of that name, nor does {files.code} register one."
+        text = f"{files.blueprint}: {error.text}; neither PCMRS nor {files.code} registers this name."
         raise BlueprintError(text, **error.fields) from None
 
 

@@ -134,7 +134,7 @@ def _surface(run: Run) -> Mesh:
             except ConfigurationError as error:
                 raise RefusalError("unknown_surface", error.text, **error.fields) from None
     if mesh is None:
-        text = "There is no surface of the body to refine by: set procedure.body.surface, or name one."
+        text = "There is no surface of the body: set procedure.body.surface, or name one."
         raise RefusalError("unknown_surface", text)
     return mesh
 

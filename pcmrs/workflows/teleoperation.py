@@ -133,7 +133,7 @@ class GuidanceSession:
         if silence > limit:
             text = (
                 f"No set point of {admission.user} was admitted for {silence:.3f} s, the limit is {limit:g} s "
-                f"(refused: {dict(admission.refused) or 'none'}). Look at the cell, acknowledge there, then back off."
+                f"(refused: {dict(admission.refused) or 'none'}). Check the cell, acknowledge there, then back off."
             )
             raise RefusalError("teleoperator_lost", text, user=admission.user, silence=silence, limit=limit)
 
@@ -160,7 +160,7 @@ def planned_in_body_ref(cell: Cell, data: PlacementData) -> Transform:
     """
     planned = desired_in_body_ref(cell, data)
     if planned is None:
-        raise RefusalError("not_registered", "There is no registration and plan to guide the tool near.")
+        raise RefusalError("not_registered", "There is no registration or no plan: both are needed to guide the tool.")
     return planned
 
 

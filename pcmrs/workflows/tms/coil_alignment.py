@@ -57,7 +57,7 @@ def check_coil_alignment(cell: Cell, data: Data) -> CoilAlignment:
     settings = cell.settings.stimulation
     desired = desired_in_body_ref(cell, data)
     if desired is None or data.registered is None:
-        raise RefusalError("no_plan", "There is no registration and plan to stimulate by.")
+        raise RefusalError("no_plan", "There is no registration or no plan: both are needed for a pulse.")
     frames = _fresh_frames(cell, settings)
     error_mm, error_deg = size_of(measured_from_desired(frames[-1], desired))
     # Negated comparisons here and below refuse nan, too.

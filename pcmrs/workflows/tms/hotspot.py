@@ -80,8 +80,8 @@ def plan_is_of_search(run: Run) -> None:
     if shift_mm > settings.spacing_mm or turn_deg > settings.heading_step_deg:
         text = (
             f"The plan in force is {shift_mm:.1f} mm and {turn_deg:.0f}° from the pose that the search proposes; the "
-            f"limits are {settings.spacing_mm:g} mm and {settings.heading_step_deg:g}°. Ask for toolplan.aim_hotspot; "
-            "where the arm cannot reach that pose, plan one beside it. Then approach."
+            f"limits are {settings.spacing_mm:g} mm and {settings.heading_step_deg:g}°. Send toolplan.aim_hotspot; "
+            "if the arm cannot reach that pose, plan one beside it. Then approach."
         )
         raise RefusalError("other_pose_planned", text, shift_mm=shift_mm, turn_deg=turn_deg)
 
