@@ -15,7 +15,7 @@ COMMAND = {"tool": "pcmrs calibrate hand-eye", "pointer": "pcmrs calibrate pivot
 
 
 @dataclass(frozen=True, slots=True)
-class Expected:
+class ExpectedCalibration:
     """Cell, tool type and serial number for which a calibration must have been made.
 
     Attributes:
@@ -29,7 +29,7 @@ class Expected:
     serial: str = ""
 
 
-def check_valid(calibration: Calibration, expected: Expected, now: float) -> None:
+def check_valid(calibration: Calibration, expected: ExpectedCalibration, now: float) -> None:
     """Raise an error if a calibration must not be used.
 
     Args:
@@ -55,7 +55,7 @@ def _check_unchanged(calibration: Calibration) -> None:
         raise RefusalError("calibration_changed", text, name=calibration.name, recorded=calibration.sha256)
 
 
-def _check_matches(calibration: Calibration, expected: Expected) -> None:
+def _check_matches(calibration: Calibration, expected: ExpectedCalibration) -> None:
     fields = {
         "cell": (calibration.cell, expected.cell if calibration.cell else ""),
         "type": (calibration.type, expected.tool_type if calibration.kind == "tool" else ""),

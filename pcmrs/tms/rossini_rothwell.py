@@ -21,7 +21,7 @@ ALL_RESPONSES = 3
 MIN_RESPONSES, TRIALS = 5, 10
 """Number of responses, and of pulses, that define the threshold."""
 
-Protocol = Generator[int, bool, int]
+_Protocol = Generator[int, bool, int]
 """Generator that yields intensities, receives responses, and returns a threshold."""
 
 
@@ -53,7 +53,7 @@ def estimator_state(settings: ThresholdSettings, pulses: Sequence[Pulse]) -> Est
     )
 
 
-def _protocol(settings: ThresholdSettings) -> Protocol:
+def _protocol(settings: ThresholdSettings) -> _Protocol:
     ceiling = math.floor(settings.ceiling)
     intensity = min(round(settings.start), ceiling)
     while not (yield from _all_responded(intensity)) and intensity < ceiling:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcmrs.calibration import Expected, check_valid
+from pcmrs.calibration import ExpectedCalibration, check_valid
 from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
@@ -29,7 +29,7 @@ def calibration_valid(run: Run) -> None:
     serials = {"tool": settings.calibration.tool_serial, "pointer": settings.calibration.pointer_serial}
     for calibration in (cell.tool_calibration, cell.pointer_calibration):
         if calibration is not None:
-            expected = Expected(cell.name, settings.tool, serials[calibration.kind])
+            expected = ExpectedCalibration(cell.name, settings.tool, serials[calibration.kind])
             check_valid(calibration, expected, run.clock.wall())
 
 

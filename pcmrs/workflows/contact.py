@@ -15,7 +15,7 @@ from pcmrs.workflows.collision_checks import check_towards, plan_linear_path
 from pcmrs.workflows.data import PlacementData, Point, as_point
 from pcmrs.workflows.guard import guarded
 from pcmrs.workflows.paths import along_axis
-from pcmrs.workflows.placement import check_at_present_plan, check_nudges, nudge_transform, planned
+from pcmrs.workflows.placement import check_at_present_plan, check_nudges, nudge_transform, planned_pose
 from pcmrs.workflows.settings import PressForce
 
 Run = AnyRun[Cell, PlacementData]
@@ -49,7 +49,7 @@ def press_possible(run: Run) -> None:
     """Prepare a press, or refuse it if its whole travel would pass a zone or exceed the limit of the nudges."""
     check_at_present_plan(run.data)
     cell, contact = run.cell, run.cell.settings.contact
-    base_from_target = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE) @ planned(run.data)
+    base_from_target = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE) @ planned_pose(run.data)
     base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
     travel = _allowed_travel(cell, float((base_from_target.inverse() @ base_from_coil.translation)[2]))
     # The travel becomes a nudge afterwards, so its sum is checked in advance.

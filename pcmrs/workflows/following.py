@@ -21,7 +21,7 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.collision_checks import ClearanceLimits, place_body, update_collision_scene
 from pcmrs.workflows.correction import check_correctable
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.placement import confirm_possible, target
+from pcmrs.workflows.placement import confirm_possible, target_pose
 from pcmrs.workflows.setpoints import limit_twist
 
 MAX_ERROR, MAX_ERROR_ANGLE = 5e-4, float(np.radians(0.25))
@@ -182,7 +182,7 @@ def follow_possible(run: Run) -> None:
     """Plan the straight path to the body's present place, and refuse one that is too long for a small correction."""
     cell = run.cell
     image_from_coil = cell.frames(run.data).get(Frame.IMAGE, Frame.COIL)
-    desired = target(run.data, cell.settings.placement.confirm_offset)
+    desired = target_pose(run.data, cell.settings.placement.confirm_offset)
     check_correctable(image_from_coil.inverse() @ desired, cell.settings.placement)
     confirm_possible(run)
 

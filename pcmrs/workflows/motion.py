@@ -21,8 +21,8 @@ from pcmrs.workflows.placement import (
     NO_NUDGE,
     accumulated_nudges,
     at_present_plan,
-    planned,
-    target,
+    planned_pose,
+    target_pose,
 )
 
 Run = AnyRun[Cell, PlacementData]
@@ -82,8 +82,8 @@ async def measure_placement(run: Run) -> None:
     """
     offset = run.cell.settings.placement.confirm_offset
     # The errors account for the offset, so that the expected pose is that of the contact.
-    measured, plan = await measure_coil(run), target(run.data, offset) @ along_axis(-offset)
-    extra = {"planned": pose_result(planned(run.data)), "confirm_offset": offset}
+    measured, plan = await measure_coil(run), target_pose(run.data, offset) @ along_axis(-offset)
+    extra = {"planned": pose_result(planned_pose(run.data)), "confirm_offset": offset}
     run.result |= {**extra, **placement_errors(measured, plan, offset)}
 
 
@@ -155,7 +155,10 @@ def _at_standoff(run: Run) -> bool:
         measured = run.cell.frames(data).get(Frame.IMAGE, Frame.COIL)
     except RefusalError:
         return False
-    return distance(planned(data) @ along_axis(placement.standoff), measured) * 1000 <= placement.standoff_tolerance_mm
+    return (
+        distance(planned_pose(data) @ along_axis(placement.standoff), measured) * 1000
+        <= placement.standoff_tolerance_mm
+    )
 
 
 def pose_result(pose: Transform) -> dict[str, list[float]]:

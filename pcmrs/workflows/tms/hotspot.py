@@ -11,9 +11,9 @@ from pcmrs.spatial import Transform
 from pcmrs.tms.hotspot import HotspotSearch
 from pcmrs.tms.settings import Count, HotspotMethod, HotspotSettings
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.correction import size_of
+from pcmrs.workflows.correction import size_mm_deg
 from pcmrs.workflows.data import PlacementData, as_transform
-from pcmrs.workflows.placement import planned
+from pcmrs.workflows.placement import planned_pose
 from pcmrs.workflows.tms.data import Response, Run
 from pcmrs.workflows.tms.intensity import known_intensity
 from pcmrs.workflows.toolplan import ToolPose, accept_pose, pose_of
@@ -44,7 +44,7 @@ def search_possible(run: Run) -> None:
         changed = msgspec.convert(msgspec.to_builtins(settings) | chosen, HotspotSettings)
     except msgspec.ValidationError as error:
         raise RefusalError("bad_arguments", f"hotspot.begin: {error}.") from None
-    centre = planned(run.data) if arguments.centre is None else pose_of(arguments.centre)
+    centre = planned_pose(run.data) if arguments.centre is None else pose_of(arguments.centre)
     run.prepared = HotspotSearch.begin(changed, _scalp(run).closest, centre)
 
 
@@ -74,8 +74,8 @@ def search_pose_reachable(run: Run) -> None:
 
 def plan_is_of_search(run: Run) -> None:
     """Refuse a pulse if the plan in force is neither the next pose of the search nor a neighbour of it."""
-    settings, proposed, plan = _search_of(run).settings, _pose_of(run), planned(run.data)
-    shift_mm, turn_deg = size_of(proposed.inverse() @ plan)
+    settings, proposed, plan = _search_of(run).settings, _pose_of(run), planned_pose(run.data)
+    shift_mm, turn_deg = size_mm_deg(proposed.inverse() @ plan)
     # A neighbour is accepted, because the arm may not reach the proposed pose.
     if shift_mm > settings.spacing_mm or turn_deg > settings.heading_step_deg:
         text = (
