@@ -21,6 +21,11 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_transform
 from pcmrs.workflows.earlier_body import earlier_registration
 
+P = TypeVar("P", bound=PlacementData)
+
+OTHER_PATH_ADVICE = "Go home first, or plan another pose."
+MANUAL_ADVICE = "Bring the arm away by hand, with the robot's own controls."
+
 SAMPLES_PER_PART = 32
 """Number of samples of a motion whose clearance is computed without a pause: it takes about a millisecond."""
 
@@ -86,12 +91,6 @@ class ClearanceLimits:
         return RefusalError("zone_entered", text, **fields)
 
 
-P = TypeVar("P", bound=PlacementData)
-
-OTHER_PATH_ADVICE = "Go home first, or plan another pose."
-MANUAL_ADVICE = "Bring the arm away by hand, with the robot's own controls."
-
-
 def check_towards(cell: Cell, data: PlacementData, trajectory: JointTrajectory, base_from_target: Transform) -> None:
     """Refuse a path to the body that passes a zone or leaves the approach cone.
 
@@ -151,7 +150,7 @@ def update_collision_scene(cell: Cell, data: PlacementData) -> None:
         cell: Cell with zones and tracked poses.
         data: Data of the procedure.
     """
-    # What is not seen stays where it was seen last.
+    # If tool or body are not seen now, their last poses stay.
     with suppress(RefusalError):
         cell.frames(data)
     if data.registered is not None:

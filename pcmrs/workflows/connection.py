@@ -17,6 +17,9 @@ from pcmrs.workflows.paths import distance_from_body
 
 Run = AnyRun[Cell, PlacementData]
 
+FRAMES_TO_LOCATE = 5
+"""Number of tracker frames that must show the tool and the body before the arm is located."""
+
 
 def calibration_valid(run: Run) -> None:
     """Refuse if a configured calibration file must not be used. Poses in the configuration do not expire.
@@ -31,14 +34,6 @@ def calibration_valid(run: Run) -> None:
         if calibration is not None:
             expected = ExpectedCalibration(cell.name, settings.tool, serials[calibration.kind])
             check_valid(calibration, expected, run.clock.wall())
-
-
-def register_calibration_checks(registry: Registry[Cell, PlacementData]) -> None:
-    """Register the name that blueprints use for this check."""
-    registry.check(calibration_valid)
-
-
-FRAMES_TO_LOCATE = 5
 
 
 async def connect_robot(run: Run) -> None:
@@ -82,6 +77,7 @@ def clear_state(run: Run) -> str:
 
 
 def register_connection_operations(registry: Registry[Cell, PlacementData]) -> None:
-    """Register the names that blueprints use for these steps."""
+    """Register the names that blueprints use for this check and these steps."""
+    registry.check(calibration_valid)
     for step in (connect_robot, disconnect_robot, locate_arm):
         registry.world_step(step)

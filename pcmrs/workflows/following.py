@@ -24,6 +24,14 @@ from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.placement import confirm_possible, target_pose
 from pcmrs.workflows.setpoints import limit_twist
 
+Activity = AnyActivity[Cell, PlacementData]
+Run = AnyRun[Cell, PlacementData]
+
+FIRST_FRAMES = 10
+"""Number of frames that must show tool and body before anything moves."""
+FIRST_TIME = 5.0
+"""Longest wait for these frames, s."""
+
 MAX_ERROR, MAX_ERROR_ANGLE = 5e-4, float(np.radians(0.25))
 """Largest error that the integrator takes as the arm's, m and rad. A larger one is lag behind a fast body."""
 
@@ -167,15 +175,6 @@ class BodyFollower:
 def _twist(transform: Transform) -> Floats:
     """Return the translation (m) and the rotation vector (rad) of a transform, (6,)."""
     return np.concatenate((transform.translation, transform.rotvec))
-
-
-Activity = AnyActivity[Cell, PlacementData]
-Run = AnyRun[Cell, PlacementData]
-
-FIRST_FRAMES = 10
-"""Number of frames that must show tool and body before anything moves."""
-FIRST_TIME = 5.0
-"""Longest wait for these frames, s."""
 
 
 def follow_possible(run: Run) -> None:
