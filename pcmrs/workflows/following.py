@@ -41,7 +41,7 @@ of frames taken while the tool was catching up."""
 
 
 class BodyFollower:
-    """Computes the next joint positions for the tool to follow the body. It moves nothing itself.
+    """Computation of the joint positions with which the tool follows the body. It moves nothing itself.
 
     The tracker's pose is chosen so that the tool's pose by the joints agrees with the tracked one, which includes the
     error of the arm's geometry at the start. The remaining error, and the error that arises as the arm moves on, is
