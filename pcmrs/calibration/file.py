@@ -23,7 +23,7 @@ ToolType = Literal["coil", "drill_guide"]
 TRANSFORM: dict[Kind, str] = {"tool": "flange_from_coil", "pointer": "pointer_from_tip"}
 """Transform that a calibration of each kind must hold; the frames are those of `pcmrs.spatial.Frame`."""
 
-HEADER = "# A calibration of PCMRS. The hash covers every value: what is changed by hand is refused; calibrate anew.\n"
+HEADER = "# A calibration of PCMRS. The hash covers every value: what is changed by hand is refused; calibrate again.\n"
 
 Label = Annotated[str, msgspec.Meta(max_length=200, pattern=r"\A[^\x00-\x1f\x7f]*\Z")]
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
@@ -88,6 +88,7 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     def content_hash(self) -> str:
         """Return the SHA-256 of everything but `sha256`: of the values, not of their notation in the file."""
+        # Keys are sorted below, so that their order in the file does not matter.
         content = msgspec.structs.replace(self, sha256="")
         return hashlib.sha256(msgspec.json.encode(content, order="sorted")).hexdigest()
 
@@ -125,10 +126,11 @@ def write_calibration(path: Path, calibration: Calibration) -> Calibration:
         FileFormatError: The file cannot be written.
     """
     hashed = msgspec.structs.replace(calibration, sha256=calibration.content_hash())
-    beside = path.with_name(f".{path.name}.part")
+    partial = path.with_name(f".{path.name}.part")
     try:
-        beside.write_text(HEADER + tomli_w.dumps(msgspec.to_builtins(hashed, builtin_types=(datetime,))), "utf-8")
-        beside.replace(path)
+        partial.write_text(HEADER + tomli_w.dumps(msgspec.to_builtins(hashed, builtin_types=(datetime,))), "utf-8")
+        # An atomic replacement: a crash leaves the old file or the new one, never a part.
+        partial.replace(path)
     except OSError as error:
         raise FileFormatError(f"{path} cannot be written: {error.strerror}.", file=str(path)) from None
     return hashed

@@ -23,7 +23,7 @@ class PoseCollection:
     def __init__(self, count: int, spread: float, step: float) -> None:
         self.poses: list[Transform] = []
         self._count = count
-        self._wanted = spread
+        self._required_spread = spread
         self._step = step
 
     @property
@@ -35,12 +35,12 @@ class PoseCollection:
     @property
     def progress(self) -> float:
         """Progress from 0 to 1, which is reached when there are enough poses and they turn enough."""
-        return min(1.0, len(self.poses) / self._count, self.spread / self._wanted)
+        return min(1.0, len(self.poses) / self._count, self.spread / self._required_spread)
 
     def is_new(self, pose: Transform) -> bool:
         """Return True if the pose is turned far enough from every collected one."""
-        return all(rotation_angle(pose, known) >= self._step for known in self.poses)
+        return all(rotation_angle(pose, stored) >= self._step for stored in self.poses)
 
     def __str__(self) -> str:
-        turned, wanted = np.degrees(self.spread), np.degrees(self._wanted)
-        return f"{len(self.poses)} of {self._count} poses, turned {turned:.0f}° of {wanted:.0f}° about every axis"
+        turned, required = np.degrees(self.spread), np.degrees(self._required_spread)
+        return f"{len(self.poses)} of {self._count} poses, turned {turned:.0f}° of {required:.0f}° about every axis"

@@ -64,6 +64,7 @@ def write_poses(path: Path, names: Sequence[str], poses: Sequence[Sequence[Trans
         OSError: The file cannot be written.
     """
     rows = [
+        # Nine digits are 1 nm in 1 m, far below the noise of any tracker.
         ",".join(f"{value:.9g}" for pose in row for value in (*pose.translation, *pose.quat_xyzw))
         for row in zip(*poses, strict=True)
     ]

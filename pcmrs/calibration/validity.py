@@ -15,7 +15,7 @@ COMMAND = {"tool": "pcmrs calibrate hand-eye", "pointer": "pcmrs calibrate pivot
 
 
 @dataclass(frozen=True, slots=True)
-class Expected:
+class ExpectedCalibration:
     """Cell, tool type and serial number for which a calibration must have been made.
 
     Attributes:
@@ -29,7 +29,7 @@ class Expected:
     serial: str = ""
 
 
-def check_valid(calibration: Calibration, expected: Expected, now: float) -> None:
+def check_valid(calibration: Calibration, expected: ExpectedCalibration, now: float) -> None:
     """Raise an error if a calibration must not be used.
 
     Args:
@@ -42,7 +42,7 @@ def check_valid(calibration: Calibration, expected: Expected, now: float) -> Non
             ``calibration_expired``.
     """
     _check_unchanged(calibration)
-    _check_own(calibration, expected)
+    _check_matches(calibration, expected)
     _check_date(calibration, datetime.fromtimestamp(now, UTC))
 
 
@@ -55,13 +55,13 @@ def _check_unchanged(calibration: Calibration) -> None:
         raise RefusalError("calibration_changed", text, name=calibration.name, recorded=calibration.sha256)
 
 
-def _check_own(calibration: Calibration, expected: Expected) -> None:
-    wanted = {
+def _check_matches(calibration: Calibration, expected: ExpectedCalibration) -> None:
+    fields = {
         "cell": (calibration.cell, expected.cell if calibration.cell else ""),
         "type": (calibration.type, expected.tool_type if calibration.kind == "tool" else ""),
         "serial": (calibration.serial, expected.serial or calibration.serial),
     }
-    for field, (found, needed) in wanted.items():
+    for field, (found, needed) in fields.items():
         if found != needed:
             text = (
                 f"The {calibration.kind} {calibration.title()} is calibrated for {field} {found!r}, but {needed!r} is "
@@ -71,6 +71,7 @@ def _check_own(calibration: Calibration, expected: Expected) -> None:
 
 
 def _check_date(calibration: Calibration, now: datetime) -> None:
+    """Raise `RefusalError` if a calibration is dated in the future or has expired."""
     date, over = calibration.date.isoformat(), now - calibration.date - timedelta(days=calibration.valid_days)
     if calibration.date > now + CLOCK_TOLERANCE:
         text = (

@@ -42,6 +42,6 @@ class ApproachCone:
             Distances outside the cone, m, (N,); 0 inside it and beyond its height.
         """
         x, y, z = (base_from_target.inverse() @ np.atleast_2d(np.asarray(points, dtype=float))).T
-        beside = np.hypot(x, y) - self.radius - np.maximum(z, 0.0) * tan(self.half_angle)
-        outside = np.maximum(np.maximum(beside, -z - self.depth), 0.0)
+        lateral = np.hypot(x, y) - self.radius - np.maximum(z, 0.0) * tan(self.half_angle)
+        outside = np.maximum(np.maximum(lateral, -z - self.depth), 0.0)
         return np.where(np.sqrt(x * x + y * y + z * z) < self.height, outside, 0.0)

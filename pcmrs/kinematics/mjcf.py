@@ -60,6 +60,8 @@ def _add_capsule(body: Element, end: Sequence[float], radius: float) -> None:
     if hypot(*end) < _NO_LENGTH:
         return
     shape = {"type": "capsule", "size": repr(radius), "fromto": _text((0.0, 0.0, 0.0, *end))}
+    # Two shapes collide if the type of one matches the affinity of the other. Links have no affinity, so they never
+    # collide with each other.
     SubElement(body, "geom", {**shape, "contype": "1", "conaffinity": "0"})
 
 

@@ -35,13 +35,14 @@ def solve(
         UnreachableError: No posture was found.
     """
     lower, upper = arm.lower + joint_margin, arm.upper - joint_margin
+    # A fixed seed, so that the same arguments always give the same answer.
     restarts = np.random.default_rng(0).uniform(lower, upper, (_RESTARTS, arm.joints))
     found: list[tuple[float, Floats]] = []
-    least = np.full(6, np.inf)
+    least_error = np.full(6, np.inf)
     comfortable_seed = np.clip(seed, lower + LIMIT_COMFORT, upper - LIMIT_COMFORT)
     for start in (seed, comfortable_seed, *restarts):
         q, error = damped_least_squares(arm, base_from_flange, start, lower, upper)
-        least = min(least, error, key=np.linalg.norm)
+        least_error = min(least_error, error, key=np.linalg.norm)
         if error @ error <= TOLERANCE**2:
             q = _unwrapped(q, seed, lower, upper)
             found.append((cost(arm, q, seed, keep_away), q))
@@ -49,7 +50,7 @@ def solve(
             if comfortable or len(found) == _SOLUTIONS:
                 break
     if not found:
-        raise _error(arm, least, joint_margin)
+        raise _error(arm, least_error, joint_margin)
     return min(found, key=lambda pair: pair[0])[1]
 
 
@@ -61,8 +62,8 @@ def _unwrapped(q: Floats, seed: Floats, lower: Floats, upper: Floats) -> Floats:
     return unwrapped
 
 
-def _error(arm: ArmModel, least: Floats, joint_margin: float) -> UnreachableError:
-    gap, turn = float(np.linalg.norm(least[:3])), float(np.linalg.norm(least[3:]))
+def _error(arm: ArmModel, least_error: Floats, joint_margin: float) -> UnreachableError:
+    gap, turn = float(np.linalg.norm(least_error[:3])), float(np.linalg.norm(least_error[3:]))
     return UnreachableError(
         f"No posture of {arm.facts.name} was found that reaches the pose with a margin of "
         f"{np.degrees(joint_margin):.1f} deg from every joint limit; the nearest of {_RESTARTS + 2} tries stayed "

@@ -35,6 +35,7 @@ def cost(arm: ArmModel, q: Floats, seed: Floats, keep_away: Floats | None = None
     short = float(comfort_penalty(np.minimum(q - arm.lower, arm.upper - q), LIMIT_COMFORT).sum())
     short += float(_near_singular(arm, q).sum())
     if keep_away is not None:
+        # The joint frames from the elbow to the wrist.
         forearm = arm.joint_origins(q)[-4:-1]
         short += float(
             comfort_penalty(sphere_distances(forearm[:-1], forearm[1:], keep_away).min(axis=0), KEEP_AWAY_COMFORT).sum()
@@ -60,12 +61,12 @@ def sphere_distances(start: Floats, end: Floats, spheres: Floats) -> Floats:
         end: Second ends of the links, m, (N, 3).
         spheres: Centres x, y, z and radii, m, (M, 4).
     """
-    way = (end - start)[:, None]
+    segment = (end - start)[:, None]
     offset = spheres[None, :, :3] - start[:, None]
-    length = np.maximum(np.sum(way * way, axis=-1), 1e-12)  # a link without length is a point
-    share = np.clip(np.sum(offset * way, axis=-1) / length, 0.0, 1.0)
-    away: Floats = np.linalg.norm(offset - share[..., None] * way, axis=-1) - spheres[:, 3]
-    return away
+    length = np.maximum(np.sum(segment * segment, axis=-1), 1e-12)  # a link without length is a point
+    share = np.clip(np.sum(offset * segment, axis=-1) / length, 0.0, 1.0)
+    clearances: Floats = np.linalg.norm(offset - share[..., None] * segment, axis=-1) - spheres[:, 3]
+    return clearances
 
 
 def sphere_array(keep_away: npt.ArrayLike) -> Floats:

@@ -73,9 +73,9 @@ class SampledClearance:
         if not len(samples):
             return None
         sample = int(samples[0])
-        distances, wanted = self.distances[sample], np.broadcast_to(limits, self.distances.shape)[sample]
-        pair = int(np.argmin(np.where(broken[sample], distances - wanted, np.inf)))
-        clearance = Clearance(*zones.pairs[pair], float(distances[pair]), float(wanted[pair]))
+        distances, required = self.distances[sample], np.broadcast_to(limits, self.distances.shape)[sample]
+        pair = int(np.argmin(np.where(broken[sample], distances - required, np.inf)))
+        clearance = Clearance(*zones.pairs[pair], float(distances[pair]), float(required[pair]))
         return Violation(clearance, self.postures[sample])
 
 

@@ -76,38 +76,39 @@ def solve(
     for scan, count in enumerate(_SCANS):
         angles = center + np.linspace(-step, step, 2 * count + 1)
         elbow = circle.center + circle.radius * (np.array((np.cos(angles), np.sin(angles))).T @ circle.axes)
-        own = _postures(circle, elbow.T, base_from_flange.rotation, seed)
-        both = np.concatenate((own, _flipped(own)))
-        score = _scores(arm, both, seed, joint_margin, DETOUR * _shared(arm, own, elbow, circle.wrist, keep_away))
+        postures = _postures(circle, elbow.T, base_from_flange.rotation, seed)
+        candidates = np.concatenate((postures, _flipped(postures)))
+        shared = DETOUR * _shared(arm, postures, elbow, circle.wrist, keep_away)
+        score = _scores(arm, candidates, seed, joint_margin, shared)
         branch, column = divmod(int(np.argmin(score)), len(angles))
         center, step = float(angles[column]), step / count
         allowed = score[branch, column] < _FORBIDDEN
         if scan and allowed:  # the last, finer scans only search for a narrow interval between the limits
             break
-    best: Floats = np.where(_FLIPPED[branch], both[7:, column], both[:7, column])
+    best: Floats = np.where(_FLIPPED[branch], candidates[7:, column], candidates[:7, column])
     if not allowed:
         raise _limit_error(arm, best, joint_margin)
     return best
 
 
-def _scores(arm: ArmModel, both: Floats, seed: Floats, joint_margin: float, shared: Floats) -> Floats:
+def _scores(arm: ArmModel, candidates: Floats, seed: Floats, joint_margin: float, shared: Floats) -> Floats:
     """Return the cost of every branch at every arm angle, (8, N).
 
     Beyond the limits it is `_FORBIDDEN` plus the sum of the excess, rad.
     """
     lower, upper, near = np.tile((arm.lower, arm.upper, seed), 2)[..., None]
-    slack = np.minimum(both - lower, upper - both)
+    slack = np.minimum(candidates - lower, upper - candidates)
     scores: Floats = (
-        np.sqrt(_SUM @ np.square(both - near)) + DETOUR * (_SUM @ comfort_penalty(slack, LIMIT_COMFORT)) + shared
+        np.sqrt(_SUM @ np.square(candidates - near)) + DETOUR * (_SUM @ comfort_penalty(slack, LIMIT_COMFORT)) + shared
     )
     beyond = _SUM @ np.maximum(0.0, joint_margin - slack)
     scores[beyond > 0.0] = _FORBIDDEN + beyond[beyond > 0.0]
     return scores
 
 
-def _shared(arm: ArmModel, own: Floats, elbow: Floats, wrist: Floats, keep_away: Floats | None) -> Floats:
+def _shared(arm: ArmModel, postures: Floats, elbow: Floats, wrist: Floats, keep_away: Floats | None) -> Floats:
     """Return the penalties that all branches share, (N,): at singularities, and of the forearm near the spheres."""
-    short: Floats = comfort_penalty(np.abs(own[1::2]), SINGULAR_COMFORT).sum(axis=0)
+    short: Floats = comfort_penalty(np.abs(postures[1::2]), SINGULAR_COMFORT).sum(axis=0)
     if keep_away is not None:
         shoulder = np.array((0.0, 0.0, arm.heights[1]))
         ends = np.broadcast_to(wrist + shoulder, elbow.shape)
@@ -116,6 +117,11 @@ def _shared(arm: ArmModel, own: Floats, elbow: Floats, wrist: Floats, keep_away:
 
 
 def _elbow_circle(arm: ArmModel, base_from_flange: Transform, bend_limit: float) -> _ElbowCircle:
+    """Return the circle of the elbow for a flange pose.
+
+    Raises:
+        UnreachableError: The wrist is too far from the shoulder, or so near that the elbow would bend beyond its limit.
+    """
     _, shoulder, _, elbow, _, hand, _, flange = arm.heights.tolist()
     upper_arm, forearm = elbow - shoulder, hand - elbow
     wrist = base_from_flange @ np.array((0.0, 0.0, hand - flange)) - np.array((0.0, 0.0, shoulder))
@@ -192,10 +198,10 @@ def _azimuth(x: Floats, y: Floats, if_upright: float) -> tuple[Floats, Floats]:
     return np.where(length > _SINGULAR, np.arctan2(y, x), if_upright), length
 
 
-def _flipped(own: Floats) -> Floats:
+def _flipped(postures: Floats) -> Floats:
     """Return each joint position as it is if the joint or its neighbour turns the other way, (7, N)."""
-    turned = -own
-    turned[::2] = np.where(own[::2] > 0.0, own[::2] - pi, own[::2] + pi)
+    turned = -postures
+    turned[::2] = np.where(postures[::2] > 0.0, postures[::2] - pi, postures[::2] + pi)
     return turned
 
 

@@ -24,7 +24,7 @@ from pcmrs.kinematics.track import track
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform
 
-_NO_WAY = 1e-12  # s; a shorter motion counts as none
+_NO_MOTION = 1e-12  # s; a shorter motion counts as none
 _KNOT_DISTANCE = 0.002  # m
 _KNOT_ANGLE = 0.005  # rad
 _FEWEST_KNOTS = 5
@@ -83,29 +83,29 @@ class _Line:
 
     def __init__(self, start: Transform, goal: Transform, flange_from_tool: Transform) -> None:
         self._start = start
-        self._way = goal.translation - start.translation
+        self._translation = goal.translation - start.translation
         self._turn = Transform(start.rotation.T @ goal.rotation, np.zeros(3)).rotvec
         self._tool_from_flange = flange_from_tool.inverse()
 
     def base_from_flange(self, parameter: float) -> Transform:
         """Return the pose of the flange in the robot's base at a parameter from 0 to 1."""
         tool = self._start @ Transform.from_rotvec(np.zeros(3), parameter * self._turn)
-        return Transform(tool.rotation, tool.translation + parameter * self._way) @ self._tool_from_flange
+        return Transform(tool.rotation, tool.translation + parameter * self._translation) @ self._tool_from_flange
 
     def knots(self) -> int:
         """Return the number of postures that describe the line.
 
         There are so many that a cubic between them deviates from the line by less than a nanometre.
         """
-        length, angle = float(np.linalg.norm(self._way)), float(np.linalg.norm(self._turn))
+        length, angle = float(np.linalg.norm(self._translation)), float(np.linalg.norm(self._turn))
         return max(_FEWEST_KNOTS, 1 + ceil(max(length / _KNOT_DISTANCE, angle / _KNOT_ANGLE)))
 
     def bounds(self, limits: MotionLimits) -> ProgressLimits | None:
         """Return the limits of the parameter that follow from those of the tool; None if there is no motion."""
-        length, angle = float(np.linalg.norm(self._way)), float(np.linalg.norm(self._turn))
+        length, angle = float(np.linalg.norm(self._translation)), float(np.linalg.norm(self._turn))
         angular_jerk = limits.linear_jerk / limits.linear_acceleration * limits.angular_acceleration
         shortest_time = max(length / limits.linear_velocity, angle / limits.angular_velocity)
-        if shortest_time < _NO_WAY:
+        if shortest_time < _NO_MOTION:
             return None
         slowest = max(length / limits.linear_acceleration, angle / limits.angular_acceleration)
         gentlest = max(length / limits.linear_jerk, angle / angular_jerk)

@@ -62,15 +62,15 @@ class CubicSpline:
         """
         places = np.asarray(places, dtype=float)
         left = np.clip(np.searchsorted(self.places, places, side="right") - 1, 0, len(self._steps) - 1)
-        step, away = self._steps[left, None], (places - self.places[left])[:, None]
+        step, offset = self._steps[left, None], (places - self.places[left])[:, None]
         start, slope = self._rows[left], self._slopes[left]
         chord = (self._rows[left + 1] - start) / step
         excess = (slope + self._slopes[left + 1] - 2.0 * chord) / step
         third, second = excess / step, (chord - slope) / step - excess
         value: Floats = (
-            start + away * (slope + away * (second + away * third)),
-            slope + away * (2.0 * second + away * 3.0 * third),
-            2.0 * second + away * 6.0 * third,
+            start + offset * (slope + offset * (second + offset * third)),
+            slope + offset * (2.0 * second + offset * 3.0 * third),
+            2.0 * second + offset * 6.0 * third,
         )[order]
         return value
 
@@ -227,18 +227,19 @@ def tool_path_lengths(arm: ArmModel, postures: Floats, flange_from_tool: Transfo
     return np.asarray(np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1))
 
 
-def time_parameterize(places: Floats, ways: Floats, allowed: Floats, bounds: ProgressLimits) -> Progress:
+def time_parameterize(places: Floats, path_lengths: Floats, allowed: Floats, bounds: ProgressLimits) -> Progress:
     """Return the fastest progress that keeps its own bounds and the speed limit at each place.
 
     Args:
         places: Ascending progress from 0 to 1, (K,).
-        ways: Distance that the tool moves from each place to the next, m, (K - 1,).
+        path_lengths: Distance that the tool moves from each place to the next, m, (K - 1,).
         allowed: Greatest speed of the tool at each place, m/s, (K,).
         bounds: Limits of the progress that hold everywhere.
     """
     levels = np.minimum(allowed[1:], allowed[:-1])
-    rates = np.maximum(ways, np.finfo(float).tiny) / np.diff(places)
+    rates = np.maximum(path_lengths, np.finfo(float).tiny) / np.diff(places)
     speeds = np.minimum(bounds.velocity, levels / rates)
+    # Successive intervals with the same limit form one section, whose progress is limited by its slowest interval.
     starts = np.concatenate(((0,), 1 + np.flatnonzero(np.diff(levels))))
     lengths = np.diff(np.append(places[starts], 1.0))
     limits = np.minimum.reduceat(speeds, starts)
@@ -254,8 +255,10 @@ def time_parameterize(places: Floats, ways: Floats, allowed: Floats, bounds: Pro
 def _border_speeds(lengths: Floats, limits: Floats, bounds: ProgressLimits) -> Floats:
     """Return the greatest speeds at the borders of sections, 1/s, (S + 1,), 0 at both ends."""
     speeds = np.concatenate(((0.0,), np.minimum(limits[1:], limits[:-1]), (0.0,)))
+    # Forward: no border is faster than can be reached from the previous one.
     for number, length in enumerate(lengths[:-1]):
         speeds[number + 1] = min(speeds[number + 1], _reachable_speed(speeds[number], float(length), bounds))
+    # Backward: no border is so fast that the next one is missed.
     for number in range(len(lengths) - 1, 0, -1):
         speeds[number] = min(speeds[number], _reachable_speed(speeds[number + 1], float(lengths[number]), bounds))
     return speeds * (1.0 - _SPEED_RESERVE)

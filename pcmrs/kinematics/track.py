@@ -16,7 +16,7 @@ _PATIENCE = 6  # steps without a reduction of the squared error by a tenth, afte
 _DAMPING = 0.1  # share of the squared error; a fifth of Sugihara's value halves the number of steps to random targets
 _IDENTITY = np.eye(6)
 
-Bools = npt.NDArray[np.bool_]
+_Bools = npt.NDArray[np.bool_]
 
 
 def track(arm: ArmModel, base_from_flange: Transform, seed: npt.ArrayLike) -> Floats:
@@ -76,7 +76,7 @@ def damped_least_squares(
     return q, error
 
 
-def _step(jacobian: Floats, error: Floats, square: float, at_lower: Bools, at_upper: Bools) -> Floats:
+def _step(jacobian: Floats, error: Floats, square: float, at_lower: _Bools, at_upper: _Bools) -> Floats:
     """Return the damped step, rad, (n,). Joints that would leave their limits stay, and the others take over."""
     step = _solve(jacobian, error, square)
     blocked = (at_lower & (step < 0.0)) | (at_upper & (step > 0.0))
@@ -87,5 +87,6 @@ def _step(jacobian: Floats, error: Floats, square: float, at_lower: Bools, at_up
 
 
 def _solve(jacobian: Floats, error: Floats, square: float) -> Floats:
+    # The constant keeps the matrix invertible when the error, and with it the damping, vanishes.
     step: Floats = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + (_DAMPING * square + 1e-12) * _IDENTITY, error)
     return step

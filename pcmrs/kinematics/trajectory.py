@@ -70,21 +70,22 @@ def joint_motion(
         return JointTrajectory(period=period, positions=[begin.tolist()])
     places = np.linspace(0.0, 1.0, 1 + ceil(farthest / _PLACE_DISTANCE))
     postures = begin + places[:, None] * (end - begin)
-    ways = tool_path_lengths(arm, postures, flange_from_tool or Transform.identity())
+    path_lengths = tool_path_lengths(arm, postures, flange_from_tool or Transform.identity())
     speeds = speed_limits_at(postures, limits, speed_limit_at)
-    progress = time_parameterize(places, ways, speeds, _joint_bounds(arm, np.abs(end - begin), limits))
+    progress = time_parameterize(places, path_lengths, speeds, _joint_bounds(arm, np.abs(end - begin), limits))
     parts = progress.at(sample_times(progress.duration, 1.0, period))
     positions = begin + parts[:, None] * (end - begin)
+    # Exactly, without the rounding of the progress.
     positions[-1] = end
     return JointTrajectory(period=period, positions=positions.tolist())
 
 
-def _joint_bounds(arm: ArmModel, way: Floats, limits: MotionLimits) -> ProgressLimits:
+def _joint_bounds(arm: ArmModel, travel: Floats, limits: MotionLimits) -> ProgressLimits:
     """Return the limits of the progress along a straight way in joint space, rad, (n,), set by the joints."""
     velocity = np.minimum(limits.joint_velocity, arm.velocity)
     values = np.array((velocity, limits.joint_acceleration, limits.joint_jerk))
-    moving = way > _NO_PART * way.max()
-    return ProgressLimits(*(values[:, moving] / way[moving]).min(axis=1).tolist())
+    moving = travel > _NO_PART * travel.max()
+    return ProgressLimits(*(values[:, moving] / travel[moving]).min(axis=1).tolist())
 
 
 def concatenate(a: JointTrajectory, b: JointTrajectory) -> JointTrajectory:
@@ -124,7 +125,9 @@ def brake(
     """
     joints = len(limits.joint_velocity)
     velocity = joint_array(velocities, joints)
+    # An arm that is faster than its limit must be braked, too.
     request = joint_request(np.maximum(limits.joint_velocity, np.abs(velocity)), limits)
+    # A target velocity without a target position, and each joint on its own: nothing delays the stop.
     request.control_interface = ControlInterface.Velocity
     request.synchronization = Synchronization.No
     request.current_position = joint_array(positions, joints).tolist()

@@ -8,7 +8,7 @@ from math import atan2, cos, hypot, sin
 import numpy as np
 
 from pcmrs.kinematics.arms import ArmFacts, JointFacts, Triple
-from pcmrs.kinematics.urdf_tree import Body, UrdfJoint, UrdfTree, merge_bodies
+from pcmrs.kinematics.urdf_tree import MassProperties, UrdfJoint, UrdfTree, merge_bodies
 from pcmrs.spatial import Floats, Transform
 
 STIFFNESS = 2000.0
@@ -86,7 +86,7 @@ def _turn_of_z_to(axis: Floats) -> Transform:
     return Transform.from_rotvec(np.zeros(3), angle * sine / np.linalg.norm(sine))
 
 
-def _body(tree: UrdfTree, joint: UrdfJoint, axis_from_joint: Transform, stops: set[str]) -> Body:
+def _body(tree: UrdfTree, joint: UrdfJoint, axis_from_joint: Transform, stops: set[str]) -> MassProperties:
     """Return everything that moves with a joint but not with the next one, in the joint's turned frame."""
     bodies = [body.expressed_in(axis_from_joint) for body in tree.bodies_on(joint.child, stops)]
     if sum(body.mass for body in bodies) <= 0.0:
@@ -94,7 +94,7 @@ def _body(tree: UrdfTree, joint: UrdfJoint, axis_from_joint: Transform, stops: s
     return merge_bodies(bodies)
 
 
-def _facts(tree: UrdfTree, joint: UrdfJoint, parent_from_joint: Transform, body: Body) -> JointFacts:
+def _facts(tree: UrdfTree, joint: UrdfJoint, parent_from_joint: Transform, body: MassProperties) -> JointFacts:
     if joint.kind != "revolute":
         raise tree.error(f"the joint {joint.name} is {joint.kind}", "only arms of revolute joints with limits are used")
     lower, upper, velocity, effort = tree.limits(joint)

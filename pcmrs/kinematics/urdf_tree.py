@@ -13,7 +13,7 @@ from pcmrs.spatial import Floats, Transform
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class MassProperties:
     """Mass properties of a rigid body in some frame.
 
     Attributes:
@@ -26,13 +26,13 @@ class Body:
     com: Floats
     inertia: Floats
 
-    def expressed_in(self, frame_from_own: Transform) -> Body:
+    def expressed_in(self, frame_from_own: Transform) -> MassProperties:
         """Return the mass properties in another frame, given the pose of the present one in it."""
         turn = frame_from_own.rotation
-        return Body(self.mass, frame_from_own @ self.com, turn @ self.inertia @ turn.T)
+        return MassProperties(self.mass, frame_from_own @ self.com, turn @ self.inertia @ turn.T)
 
 
-def merge_bodies(bodies: Sequence[Body]) -> Body:
+def merge_bodies(bodies: Sequence[MassProperties]) -> MassProperties:
     """Return bodies that are fixed to each other as one body, by the parallel axis theorem.
 
     All bodies are in one frame, and their total mass must be positive.
@@ -40,7 +40,7 @@ def merge_bodies(bodies: Sequence[Body]) -> Body:
     mass = sum(body.mass for body in bodies)
     com = sum((body.mass * body.com for body in bodies), np.zeros(3)) / mass
     inertia = sum((body.inertia + _of_point(body.mass, body.com - com) for body in bodies), np.zeros((3, 3)))
-    return Body(mass, com, inertia)
+    return MassProperties(mass, com, inertia)
 
 
 def _of_point(mass: float, offset: Floats) -> Floats:
@@ -132,7 +132,7 @@ class UrdfTree:
             raise self.error(f"the limits of the joint {joint.name} leave it no motion ({text})", "correct them")
         return lower, upper, velocity, effort
 
-    def bodies_on(self, link: str, stops: Collection[str]) -> Iterator[Body]:
+    def bodies_on(self, link: str, stops: Collection[str]) -> Iterator[MassProperties]:
         """Yield the bodies of a link and of everything joined to it with all joints at 0, in the link's frame.
 
         Args:
@@ -145,7 +145,8 @@ class UrdfTree:
                 for body in self.bodies_on(joint.child, stops):
                     yield body.expressed_in(joint.parent_from_joint)
 
-    def _own_body(self, link: str) -> Iterator[Body]:
+    def _own_body(self, link: str) -> Iterator[MassProperties]:
+        """Yield the body of a link in its own frame, or nothing if the link has no inertial element."""
         element = self.links[link].find("inertial") if link in self.links else None
         if element is None:
             return
@@ -153,7 +154,7 @@ class UrdfTree:
         xx, yy, zz, xy, xz, yz = (
             float(self._numbers(inertia, key, "0", link)[0]) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
         )
-        own = Body(
+        own = MassProperties(
             float(self._numbers(mass, "value", "0", link)[0]),
             np.zeros(3),
             np.array(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))),

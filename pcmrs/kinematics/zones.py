@@ -123,11 +123,11 @@ class ZoneModel:
             self._add(sight, 0, capsule(np.zeros(3), np.zeros(3), sight_radius))
         for name in (*self._zones, SIGHT_OF_TOOL, SIGHT_OF_BODY):
             self._shape(name).placement = FAR_AWAY
-        wanted = dict.fromkeys(self._separated_links(facts.link_radius), link_margin) | self._zone_limits(zones)
-        for pair in wanted:
+        pair_limits = dict.fromkeys(self._separated_links(facts.link_radius), link_margin) | self._zone_limits(zones)
+        for pair in pair_limits:
             self._geometry.addCollisionPair(pinocchio.CollisionPair(*(self._number[name] for name in pair)))
-        self.pairs = tuple(wanted)
-        self.limits = np.array(list(wanted.values()))
+        self.pairs = tuple(pair_limits)
+        self.limits = np.array(list(pair_limits.values()))
         self._distances = self._geometry.createData()
         self._sights = {
             name: (self._shape(name).geometry, self._shape(name)) for name in (SIGHT_OF_TOOL, SIGHT_OF_BODY)
@@ -216,25 +216,28 @@ class ZoneModel:
 
         These are the pairs that are more than `radius` (m) apart in the zero posture.
         """
+        # The last link, the mount and the tool move as one body.
         rigid = self.links[-3:]
         pairs = [pair for pair in combinations(self.links, 2) if not set(pair) <= set(rigid)]
         for pair in pairs:
             self._geometry.addCollisionPair(pinocchio.CollisionPair(*(self._number[name] for name in pair)))
         data = self._geometry.createData()
         pinocchio.computeDistances(self._model, self._data, self._geometry, data, np.zeros(self._joints))
-        apart = [pair for pair, found in zip(pairs, data.distanceResults, strict=True) if found.min_distance > radius]
+        results = zip(pairs, data.distanceResults, strict=True)
+        separated = [pair for pair, result in results if result.min_distance > radius]
         self._geometry.removeAllCollisionPairs()
-        return apart
+        return separated
 
     def _zone_limits(self, zones: Sequence[Zone]) -> dict[tuple[str, str], float]:
+        # The base does not move, so that it cannot avoid anything.
         moving = self.links[1:]
-        kept: dict[tuple[str, str], float] = {}
+        pair_limits: dict[tuple[str, str], float] = {}
         for zone in zones:
             for link in moving:
                 touching = zone.tool_may_touch and link in (TOOL, MOUNT)
-                kept[link, zone.name] = -np.inf if touching else zone.margin
-        kept |= {(link, SIGHT_OF_BODY): 0.0 for link in moving}
-        return kept | {(link, SIGHT_OF_TOOL): 0.0 for link in moving if link not in (TOOL, MOUNT)}
+                pair_limits[link, zone.name] = -np.inf if touching else zone.margin
+        pair_limits |= {(link, SIGHT_OF_BODY): 0.0 for link in moving}
+        return pair_limits | {(link, SIGHT_OF_TOOL): 0.0 for link in moving if link not in (TOOL, MOUNT)}
 
     def _place_sight_line(self, sight: str, tracker: Floats, end: Floats) -> None:
         """Place a line of sight from the tracker to its other end, (3,) each, m, in the robot's base."""

@@ -48,6 +48,7 @@ def predict_tre(
     targets = np.atleast_2d(np.asarray(targets, dtype=float))
     if targets.shape[1:] != (3,) or not np.isfinite(targets).all():
         raise GeometryError(f"The targets have shape {targets.shape}; give finite points (M, 3).", shape=targets.shape)
+    # About the centroid, rotation and translation are decoupled, which keeps the digits.
     centre = fiducials.mean(axis=0)
     motion = _motion_covariance(fiducials - centre, covariances, precisions)
     jacobians = motion_jacobians(targets - centre)

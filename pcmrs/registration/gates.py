@@ -185,7 +185,7 @@ def tre_gate(tre: float, limits: RegistrationLimits, *, at_centroid: bool) -> Ga
     where = "the centroid of the landmarks, since no target is known yet" if at_centroid else "the target"
     text = (
         f"The predicted target registration error is {tre * 1e3:.2f} mm rms at {where}; the limit is "
-        f"{limits.tre * 1e3:.2f} mm (Fitzpatrick, West, Maurer 1998; the residual says nothing of it)."
+        f"{limits.tre * 1e3:.2f} mm (Fitzpatrick, West, Maurer 1998; the residual does not show it)."
     )
     if not accepted:
         text += " Plan more landmarks, or some farther apart and around the target."

@@ -138,6 +138,7 @@ def closed_form(a: Sequence[Transform], b: Sequence[Transform]) -> tuple[Transfo
 def _nearest_rotation(vector: Floats) -> Floats:
     """Return the rotation nearest to a matrix given column by column, (9,), up to a factor of either sign."""
     matrix = vector.reshape(3, 3).T
+    # A singular vector has either sign, but a rotation has a positive determinant.
     u, _, vt = np.linalg.svd(matrix * np.sign(np.linalg.det(matrix)))
     nearest: Floats = u @ np.diag((1.0, 1.0, np.linalg.det(u @ vt))) @ vt
     return nearest
@@ -157,6 +158,7 @@ def _fit(a: Sequence[Transform], b: Sequence[Transform]) -> _Fit:
 def _covariance(fit: _Fit) -> Floats:
     """Return the covariance of the parameters of X, (6, 6), from the mean squares of rotations and of translations."""
     rows = fit.residuals.reshape(-1, 2, 3)
+    # Half of the 12 parameters are rotations, and half are translations.
     found = np.sqrt(np.sum(rows**2, axis=(0, 2)) / (3 * len(rows) - 6))
     weights = np.repeat(np.maximum(found, fit.smallest_noise), 3)
     jacobian = fit.jacobian / weights[:, None]

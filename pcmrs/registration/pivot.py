@@ -81,6 +81,7 @@ def calibrate_pivot(tracker_from_pointer: Sequence[Transform]) -> PivotCalibrati
     tip, pivot = fit.solution[:3], fit.solution[3:]
     distances = np.linalg.norm(rotations @ tip + positions - pivot, axis=1)
     flat = fit.jacobian.reshape(-1, 6)
+    # The fit has 6 parameters: tip and pivot.
     variance = np.sum(fit.residuals**2) / (len(flat) - 6)
     return PivotCalibration(
         tip_in_pointer=tip,

@@ -198,6 +198,7 @@ def _check_spread(centred: Floats, weights: Floats | None, which: str) -> Floats
     """
     count = len(centred)
     if weights is not None:
+        # Weights are scaled to a mean of 1, so that the limits do not depend on their scale.
         centred = centred * np.sqrt(weights * (count / weights.sum()))[:, None]
     values: Floats = np.asarray(np.linalg.svd(centred, compute_uv=False), dtype=float)
     first, second, _ = values.tolist()
@@ -224,6 +225,8 @@ def _check_mirror(fit: RigidFit, squares: Floats, weights: Floats | None, singul
     total = len(squares) if weights is None else float(weights.sum())
     sum_of_squares = float(np.add.reduce(squares) if weights is None else weights @ squares)
     rms = math.sqrt(sum_of_squares / total)
+    # The best reflection differs from the best rotation in the sign of the smallest singular value only; see
+    # `RigidFit`.
     mirrored_rms = math.sqrt(max(sum_of_squares + 4.0 * fit.smallest, 0.0) / total)
     ratio = rms / max(mirrored_rms, MIRROR_FLOOR)
     if ratio > MIRROR_RATIO:

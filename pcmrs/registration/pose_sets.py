@@ -157,8 +157,8 @@ def _worst(fit: Fit) -> tuple[int, float]:
     normal = np.linalg.inv(np.einsum("nkp,nkq->pq", jacobian, jacobian))
     hats = np.einsum("nkp,pq,nlq->nkl", jacobian, normal, jacobian)
     # A pose that alone determines a direction leaves no residual in it and cannot be tested there: pinv, not inv.
-    apart = np.linalg.pinv(np.eye(rows) - hats, rcond=SMALLEST_SHARE, hermitian=True)
-    falls = np.einsum("nk,nkl,nl->n", residuals, apart, residuals)
+    inverses = np.linalg.pinv(np.eye(rows) - hats, rcond=SMALLEST_SHARE, hermitian=True)
+    falls = np.einsum("nk,nkl,nl->n", residuals, inverses, residuals)
     worst, floor = int(np.argmax(falls)), fit.smallest_noise**2
     by_others = max((float(np.sum(residuals**2)) - falls[worst]) / free, floor)
     by_median = max(float(np.median(falls)) / stats.chi2.median(rows), floor)

@@ -138,6 +138,7 @@ def refine_with_surface(
 def _check_near(problem: _Problem, registration: Transform, covariance: Floats) -> None:
     points = problem.points_body_ref
     jacobians = motion_jacobians(points)
+    # A third of the trace is the mean variance along one direction, such as the normal.
     variances = np.einsum("kij,jl,kil->k", jacobians, covariance, jacobians) / 3.0 + problem.sigma_surface**2
     checks.check_near(problem.surface.distance_bounds(registration.inverse() @ points), np.sqrt(variances))
 
@@ -147,6 +148,7 @@ def _iterate(problem: _Problem, registration: Transform) -> tuple[Transform, int
     refined = registration
     for iteration in range(1, MAX_ITERATIONS + 1):
         linearized = _linearize(problem, refined)
+        # In every iteration, because the inliers change.
         checks.check_curvature(linearized.normals)
         step = np.linalg.solve(linearized.landmark_information + linearized.surface_information, linearized.gradient)
         moved = Transform.from_rotvec(step[3:], step[:3]) @ refined
@@ -159,6 +161,7 @@ def _iterate(problem: _Problem, registration: Transform) -> tuple[Transform, int
 
 
 def _linearize(problem: _Problem, registration: Transform) -> _Linearized:
+    """Return the least-squares problem about a registration, with its nearest points and inliers."""
     points = problem.points_body_ref
     closest_image, normals_image = problem.surface.closest(registration.inverse() @ points)
     closest = registration @ closest_image

@@ -84,6 +84,7 @@ class TriangleSurface:
         ray = direction / np.linalg.norm(direction)
         sides = self._corners[:, 1:] - self._corners[:, :1]
         normals = np.cross(sides[:, 0], sides[:, 1])
+        # A ray can only leave through triangles that face along it.
         out = normals @ ray > _EDGE * np.linalg.norm(normals, axis=1)
         first, second = sides[out].transpose(1, 0, 2)
         volumes, offsets = normals[out] @ ray, self._corners[out, 0] - start
@@ -156,6 +157,7 @@ def _barycentric(points: Floats, corners: Floats) -> Floats:
 
 
 def _corners(vertices: Floats, faces: npt.NDArray[np.generic]) -> Floats:
+    """Return the corners of all triangles, m, (F, 3, 3). Raises `GeometryError` if the surface is malformed."""
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
         raise GeometryError(
             f"A surface needs vertices (V, 3) and faces (F, 3), not {vertices.shape} and {faces.shape}.",

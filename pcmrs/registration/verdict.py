@@ -101,6 +101,7 @@ def judge(
         return RegistrationVerdict(None, (unit, failed_mirror_gate(error)))
     permutation = detect_order(planned, digitized, sigma, limits.false_alarm)
     order = order_gate(permutation, registration.residual, names)
+    # The later gates would only repeat the wrong order in other words.
     if permutation is not None:
         return RegistrationVerdict(registration, (unit, mirror_gate(registration), order), permutation=permutation)
     testable = len(planned) >= MIN_POINTS

@@ -61,6 +61,7 @@ class VelocityFilter:
             density: Power spectral density of the acceleration, unit squared / s^3.
         """
         step = np.array(((1.0, elapsed), (0.0, 1.0)))
+        # White-noise acceleration of unit density, integrated over the step.
         spread = np.array(((elapsed**3 / 3.0, elapsed**2 / 2.0), (elapsed**2 / 2.0, elapsed)))
         covariance: Floats = step @ self._covariance @ step.T + density * spread
         return covariance
@@ -87,6 +88,8 @@ class VelocityFilter:
             Correction to add to the predicted value, unit, (3,).
         """
         expected, variance = self.predicted_covariance(elapsed, self.noise.rest), self.noise.measurement**2
+        # A body at rest is smoothed strongly, because its noise shakes an arm that follows. A body in motion is
+        # followed fast.
         if innovation @ innovation > MOTION_THRESHOLD * (expected[0, 0] + variance):
             expected = self.predicted_covariance(elapsed, self.noise.motion)
         gain = expected[:, 0] / (expected[0, 0] + variance)

@@ -75,6 +75,7 @@ class FrameGraph:
 
     def _path(self, start: Frame, end: Frame) -> list[Frame] | None:
         """Return the frames from `start` to `end`, both included, or None if no path joins them."""
+        # The order of the search does not matter, because a forest has at most one path.
         paths = [[start]]
         while paths:
             path = paths.pop()

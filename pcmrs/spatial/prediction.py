@@ -97,6 +97,7 @@ class PosePredictor:
         self._raise_if_jumped()
         if self._pose is None:
             raise RefusalError("pose_missing", "No pose has been seen: wait for the tracker before predicting.")
+        # Outliers move the prediction on, but do not extend the time for which it is valid.
         age = time - self._last_used_at
         if age > HORIZON:
             text = f"The last pose is {age:.3f} s old, the limit is {HORIZON:g} s: hold until the body is seen again."

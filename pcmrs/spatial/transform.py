@@ -252,6 +252,7 @@ def trusted_transform(rotation: Floats, translation: Floats) -> Transform:
 
 
 def _fill(transform: Transform, rotation: Floats, translation: Floats) -> None:
+    # The dataclass is frozen, so its fields are set past its guard.
     rotation.flags.writeable = translation.flags.writeable = False
     object.__setattr__(transform, "rotation", rotation)
     object.__setattr__(transform, "translation", translation)
@@ -315,6 +316,7 @@ def _dot(one: Sequence[float], other: Sequence[float]) -> float:
 
 
 def _check_rotation(rotation: Floats) -> None:
+    """Raise `GeometryError` unless a matrix (3, 3) is a rotation. Plain floats are faster here than numpy."""
     one, two, three = rotation.tolist()
     lengths = (abs(_dot(row, row) - 1.0) for row in (one, two, three))
     deviation = max(*lengths, abs(_dot(one, two)), abs(_dot(two, three)), abs(_dot(three, one)))
@@ -322,7 +324,7 @@ def _check_rotation(rotation: Floats) -> None:
     determinant = _dot(three, (b * f - c * e, c * d - a * f, a * e - b * d))
     if deviation > ORTHONORMAL_TOLERANCE or determinant < 0.0:
         raise GeometryError(
-            f"The matrix is no rotation: R R^T differs from I by {deviation:.3g} (limit {ORTHONORMAL_TOLERANCE:g}), "
+            f"The matrix is not a rotation: R R^T differs from I by {deviation:.3g} (limit {ORTHONORMAL_TOLERANCE:g}), "
             f"determinant {determinant:.3g} (must be +1); orthonormalize it or check its handedness.",
             deviation=deviation,
             determinant=determinant,

@@ -52,7 +52,7 @@ JITTER = 1e-6
 """Variance added to the diagonal so that rounding does not make a covariance indefinite, decades squared."""
 
 
-class Peaks(NamedTuple):
+class _Peaks(NamedTuple):
     """Functions drawn from the posterior after the pulses so far, and their peaks.
 
     Attributes:
@@ -79,7 +79,9 @@ def next_pose(patch: ScalpPatch, pulses: tuple[MapPulse, ...]) -> Transform:
         return patch.places[0]
     drawn = _draw(patch, pulses)
     deviations = drawn.values - (drawn.values @ drawn.weights)[:, None]
+    # Covariance of the amplitude at every candidate with the place of the peak, over the draws.
     shared = deviations @ (drawn.weights[:, None] * (drawn.peaks - drawn.weights @ drawn.peaks))
+    # Reduction of the variance of a linear estimate of the peak by one noisy amplitude at each candidate.
     information = np.sum(shared**2, axis=1) / (drawn.variances + NOISE_DECADES**2)
     return patch.poses[int(np.argmax(information))]
 
@@ -134,7 +136,7 @@ def posterior(candidates: Floats, inputs: Floats, outputs: Floats) -> tuple[Floa
 
 
 @lru_cache(maxsize=4)
-def _draw(patch: ScalpPatch, pulses: tuple[MapPulse, ...]) -> Peaks:
+def _draw(patch: ScalpPatch, pulses: tuple[MapPulse, ...]) -> _Peaks:
     """Return draws from the posterior. They are the same for the same pulses, so that a search can be replayed."""
     candidates = _candidates(patch)
     normals = np.random.default_rng((SEED, len(pulses))).normal(size=(len(candidates), DRAWS))
@@ -142,7 +144,7 @@ def _draw(patch: ScalpPatch, pulses: tuple[MapPulse, ...]) -> Peaks:
         mean, covariance = posterior(candidates, *_data(patch, pulses))
         values = mean[:, None] + cholesky(covariance + JITTER * np.eye(len(candidates)), lower=True) @ normals
     peaks = candidates[np.argmax(values, axis=0)]
-    return Peaks(values, peaks, _weights(patch, peaks), np.maximum(np.diag(covariance), 0.0))
+    return _Peaks(values, peaks, _weights(patch, peaks), np.maximum(np.diag(covariance), 0.0))
 
 
 def _weights(patch: ScalpPatch, peaks: Floats) -> Floats:
@@ -150,6 +152,7 @@ def _weights(patch: ScalpPatch, peaks: Floats) -> Floats:
     place, heading = patch.settings.prior_mm / 1e3 / LENGTH, math.radians(patch.settings.prior_deg) / HEADING_LENGTH
     deviations = (peaks - _features(patch, patch.places[:1])) / np.array((place, place, place, heading))
     squared = np.sum(deviations**2, axis=1)
+    # The common factor cancels. Without the subtraction all weights could underflow.
     weights: Floats = np.exp(-0.5 * (squared - squared.min()))
     weights /= weights.sum()
     return weights

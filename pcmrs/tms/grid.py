@@ -60,8 +60,8 @@ def rows_on_scalp(
             axis points into the head.
     """
     if not (math.isfinite(spacing) and spacing > 0.0) or not (1 <= rows <= MAX_ROWS and 1 <= columns <= MAX_ROWS):
-        asked = f"{spacing:g} m, {rows} and {columns}"
-        text = f"A grid has a positive spacing and 1 to {MAX_ROWS} rows and columns, not {asked}."
+        given = f"{spacing:g} m, {rows} and {columns}"
+        text = f"A grid has a positive spacing and 1 to {MAX_ROWS} rows and columns, not {given}."
         raise GeometryError(text, spacing=spacing, rows=rows, columns=columns)
     x, y = np.arange(columns) - (columns - 1) / 2.0, (rows - 1) / 2.0 - np.arange(rows)
     places = [(each, row) for number, row in enumerate(y) for each in (x if number % 2 == 0 else x[::-1])]

@@ -60,6 +60,7 @@ class HotspotSearch(msgspec.Struct, frozen=True):
         if self.finished:
             text = f"The search ended after {len(self.pulses)} pulses. Start a new search to go on."
             raise RefusalError("search_finished", text, pulses=len(self.pulses))
+        # Only complete groups count, so that all pulses of one place have the same pose.
         completed = self.pulses[: len(self.pulses) - len(self.pulses) % self.settings.pulses_per_place]
         if self.settings.method == "grid":
             return as_message(mapping.next_pose(self._patch, completed))

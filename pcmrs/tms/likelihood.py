@@ -51,6 +51,7 @@ def estimator_state(settings: ThresholdSettings, pulses: tuple[Pulse, ...]) -> E
     ceiling = math.floor(settings.ceiling)
     certain = high - low <= settings.interval * estimate
     refusal = None
+    # The prior alone must not refuse a hunt.
     if pulses and (low > ceiling or (certain and estimate > ceiling)):
         refusal = "above_ceiling"
     elif pulses and (high < settings.floor or (certain and estimate <= settings.floor)):
@@ -80,10 +81,10 @@ def _log_joint(settings: ThresholdSettings, pulses: tuple[Pulse, ...]) -> Floats
     if not pulses:
         deviations = (THRESHOLDS - settings.prior_mean) / settings.prior_sd
         return np.repeat(-0.5 * deviations**2, len(SLOPES), axis=1)
-    return _log_joint(settings, pulses[:-1]) + log_likelihood(settings, pulses[-1])
+    return _log_joint(settings, pulses[:-1]) + _log_likelihood(settings, pulses[-1])
 
 
-def log_likelihood(settings: ThresholdSettings, pulse: Pulse) -> Floats:
+def _log_likelihood(settings: ThresholdSettings, pulse: Pulse) -> Floats:
     """Return the log-likelihood of one pulse up to a constant, for every threshold and slope, (T, S) or (T, 1).
 
     Args:
@@ -91,13 +92,16 @@ def log_likelihood(settings: ThresholdSettings, pulse: Pulse) -> Floats:
         pulse: Pulse with its response.
     """
     deviation = (pulse.intensity - THRESHOLDS) / (SPREAD * THRESHOLDS)
+    # Only yes or no is known: the likelihood of Awiszus.
     if pulse.amplitude is None:
         return np.asarray(log_ndtr(deviation if pulse.responded else -deviation))
-    least, top = settings.noise_uv / settings.response_uv, TOP
+    floor, top = settings.noise_uv / settings.response_uv, TOP
     size = pulse.amplitude * 1e6 / settings.response_uv
-    above = math.log10(min(max(size, least), top)) / SLOPES - deviation
-    if size <= least:
+    above = math.log10(min(max(size, floor), top)) / SLOPES - deviation
+    # Within the noise, the amplitude is only known to be below it.
+    if size <= floor:
         return np.asarray(log_ndtr(above))
+    # Beyond the linear range, the amplitude is only known to be above it.
     if size >= top:
         return np.asarray(log_ndtr(-above))
     return np.asarray(-0.5 * above**2 - np.log(SLOPES))

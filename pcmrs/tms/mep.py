@@ -78,6 +78,7 @@ def judge_mep(epoch: Epoch, settings: MepSettings) -> Mep:
             plausible; ``epoch_too_short``: baseline or window lie outside; ``emg_dead``: every sample is the same.
     """
     times, signal = waveform(epoch, settings)
+    # Saturation is visible in the raw samples only, because the removal of the hum bends a rail.
     raw = np.asarray(epoch.samples)
     baseline = _part(times, settings.baseline_start, settings.baseline_end, "baseline")
     window = _part(times, settings.window_start, settings.window_end, "window")
@@ -154,6 +155,7 @@ def _checked(epoch: Epoch) -> tuple[Floats, Floats]:
 
 def _part(times: Floats, start: float, end: float, name: str) -> slice:
     """Return the slice of samples from `start` to `end`, s since the pulse. Raises `RefusalError`."""
+    # Half a period of tolerance, so that rounding of the times does not exclude a limit.
     half = 0.5 * (times[1] - times[0]) if len(times) > 1 else 0.0
     first, last = (int(index) for index in np.searchsorted(times, (start - half, end + half)))
     if times[0] > start + half or times[-1] < end - half or last - first < 3:
@@ -185,5 +187,6 @@ def _longest_run(flags: np.typing.NDArray[np.bool_]) -> int:
 
 def _onset(times: Floats, signal: Floats, rms: float) -> float:
     """Return the time at which the response begins, s; the signal exceeds the limit somewhere within the window."""
+    # The noise of a restless baseline must not raise the limit above the response itself.
     limit = max(ONSET_SHARE * float(np.ptp(signal)), min(ONSET_SIGMA * rms, 0.5 * float(np.ptp(signal))))
     return float(times[np.argmax(np.abs(signal) >= limit)])

@@ -21,7 +21,7 @@ ALL_RESPONSES = 3
 MIN_RESPONSES, TRIALS = 5, 10
 """Number of responses, and of pulses, that define the threshold."""
 
-Protocol = Generator[int, bool, int]
+_Protocol = Generator[int, bool, int]
 """Generator that yields intensities, receives responses, and returns a threshold."""
 
 
@@ -53,13 +53,15 @@ def estimator_state(settings: ThresholdSettings, pulses: Sequence[Pulse]) -> Est
     )
 
 
-def _protocol(settings: ThresholdSettings) -> Protocol:
+def _protocol(settings: ThresholdSettings) -> _Protocol:
     ceiling = math.floor(settings.ceiling)
     intensity = min(round(settings.start), ceiling)
     while not (yield from _all_responded(intensity)) and intensity < ceiling:
         intensity = min(intensity + RISE, ceiling)
+    # At the ceiling a muscle that does not always respond may still respond to half of the pulses.
     while intensity >= settings.floor and (yield from _half_responded(intensity)):
         intensity -= 1
+    # The last intensity was too low, or reached the floor.
     return intensity + 1
 
 

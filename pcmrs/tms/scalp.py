@@ -61,6 +61,7 @@ class ScalpPatch:
             angle: Heading against the nearest place, rad.
         """
         distances = np.linalg.norm(self.positions - position, axis=1)
+        # A stable order, so that a replay finds the same places at equal distances.
         nearest = np.argsort(distances, kind="stable")[:NEIGHBOURS]
         place = self.places[nearest[0]]
         local = place.inverse() @ self.positions[nearest]
@@ -149,6 +150,7 @@ def along_scalp(closest: NearestPoints, start: Transform, offsets: npt.ArrayLike
     steps = np.asarray(offsets, dtype=float)
     if steps.ndim != 2 or steps.shape[1] != 2 or not np.isfinite(steps).all():
         raise GeometryError("Offsets along the scalp are pairs of finite numbers, (K, 2), m.", shape=steps.shape)
+    # All poses take the same number of steps, so that they are computed together.
     count = math.ceil(np.linalg.norm(steps, axis=1).max(initial=0.0) / STRIDE)
     points, frames = np.tile(start.translation, (len(steps), 1)), np.tile(start.rotation, (len(steps), 1, 1))
     points, frames = _projected(closest, points, frames)
@@ -169,9 +171,9 @@ def hand_area(closest: NearestPoints, vertex: npt.ArrayLike, side: Literal["righ
         side: Hemisphere of the brain. The hand is on the other side.
     """
     sign = 1.0 if side == "right" else -1.0
-    aside, ahead = HAND_AREA
+    lateral, forward = HAND_AREA
     upright = Transform(np.eye(3), np.asarray(vertex, dtype=float))
-    (pose,) = along_scalp(closest, upright, [[sign * aside, ahead]])
+    (pose,) = along_scalp(closest, upright, [[sign * lateral, forward]])
     return turned(pose, sign * HANDLE)
 
 
@@ -192,6 +194,7 @@ def heading(reference: Transform, pose: Transform) -> float:
         reference: Pose with heading 0.
         pose: Pose in the frame of the reference's parent.
     """
+    # The twist about z of a swing-twist decomposition.
     relative = reference.rotation.T @ pose.rotation
     return math.atan2(relative[1, 0] - relative[0, 1], relative[0, 0] + relative[1, 1])
 

@@ -83,7 +83,7 @@ class MotorThresholdEstimator(msgspec.Struct, frozen=True):
         if self.settings.method == "relative_frequency" and intensity != requested:
             raise RefusalError(
                 "bad_intensity",
-                f"A pulse of {intensity:g} % cannot count for relative frequency, which asked for {requested:g} %.",
+                f"A pulse of {intensity:g} % cannot count for relative frequency, which requested {requested:g} %.",
                 intensity=intensity,
                 asked=requested,
             )
@@ -129,6 +129,7 @@ class MotorThresholdEstimator(msgspec.Struct, frozen=True):
         raise RefusalError(code, f"No threshold after {pulses} pulses: {why}", pulses=pulses)
 
     def _refuse_contradiction(self, responded: bool, amplitude: float | None) -> None:
+        """Raise `RefusalError` if an amplitude is invalid or contradicts the response."""
         if amplitude is None:
             return
         least_uv = self.settings.response_uv
@@ -137,8 +138,8 @@ class MotorThresholdEstimator(msgspec.Struct, frozen=True):
         if responded != (amplitude * 1e6 >= least_uv):
             raise RefusalError(
                 "bad_amplitude",
-                f"{amplitude * 1e6:g} uV {'is' if responded else 'is not'} said to be a response, which begins at "
-                f"{least_uv:g} uV. Judge amplitudes and hunt with the same limit.",
+                f"{amplitude * 1e6:g} uV {'is' if responded else 'is not'} reported as a response, which begins at "
+                f"{least_uv:g} uV. Use the same limit for amplitudes and for the hunt.",
                 amplitude=amplitude,
                 response_uv=least_uv,
             )

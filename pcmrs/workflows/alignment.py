@@ -14,9 +14,9 @@ from pcmrs.errors import RefusalError
 from pcmrs.messages import Verdict
 from pcmrs.spatial import Transform
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.correction import size_of
+from pcmrs.workflows.correction import size_mm_deg
 from pcmrs.workflows.data import PlacementData, as_transform
-from pcmrs.workflows.placement import target
+from pcmrs.workflows.placement import target_pose
 from pcmrs.workflows.settings import AlignmentSettings
 
 Activity = AnyActivity[Cell, PlacementData]
@@ -102,7 +102,7 @@ class AlignmentWatch:
             frame: Frame of the tracker.
             measured_from_desired: Desired pose of the tool in its measured frame.
         """
-        self._error, self._seen_at = size_of(measured_from_desired), frame["coil"].captured
+        self._error, self._seen_at = size_mm_deg(measured_from_desired), frame["coil"].captured
 
     def evaluate(self, **values: Any) -> None:
         """Evaluate the gate now, and post an event if alignment has changed.
@@ -144,7 +144,7 @@ def desired_in_body_ref(cell: Cell, data: PlacementData) -> Transform | None:
     """
     if data.registered is None or data.plan is None:
         return None
-    return as_transform(data.registered.body_ref_from_image) @ target(data, cell.settings.placement.confirm_offset)
+    return as_transform(data.registered.body_ref_from_image) @ target_pose(data, cell.settings.placement.confirm_offset)
 
 
 def measured_from_desired(frame: TrackerFrame, body_ref_from_coil: Transform) -> Transform:

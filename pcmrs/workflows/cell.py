@@ -102,6 +102,8 @@ class Cell:
         self.tool_calibration = _calibration("tool", calibration.tool_file)
         self.pointer_calibration = _calibration("pointer", calibration.pointer_file)
         if self.tool_calibration is not None:
+            # A calibration file measures the coil on the flange. The mount stays as configured, and the coil in the
+            # mount follows.
             self.flange_from_coil = self.tool_calibration.transform()
             self.tool_from_coil = self.flange_from_tool.inverse() @ self.flange_from_coil
         if self.pointer_calibration is not None:
@@ -136,8 +138,10 @@ class Cell:
     def update_joints(self, state: JointState) -> None:
         """Take a newly measured joint state."""
         if state.moving:
+            # Each state of a moving arm postpones the rest, because earlier poses show the arm in motion.
             self.resting_since = self.clock.monotonic()
         self.joints = state
+        # A copy, because a watcher may be removed meanwhile.
         for watch in tuple(self.watchers):
             watch(state)
 
@@ -151,12 +155,14 @@ class Cell:
             PcmrsError: One of them has not confirmed.
         """
         robot, stimulator = self.robot, self.stimulator
-        asked: list[Awaitable[object]] = []
+        requests: list[Awaitable[object]] = []
         if self.uses_robot:
-            asked.append(robot.stop() if latch else robot.hold())
+            requests.append(robot.stop() if latch else robot.hold())
         if stimulator is not None:
-            asked.append(stimulator.stop() if latch else stimulator.disarm())
-        for answer in await asyncio.gather(*asked, return_exceptions=True):
+            requests.append(stimulator.stop() if latch else stimulator.disarm())
+        # Both requests must end before a failure is raised: the failure of one device must not leave the other one
+        # unsafe.
+        for answer in await asyncio.gather(*requests, return_exceptions=True):
             if isinstance(answer, BaseException):
                 raise answer
 
@@ -175,6 +181,7 @@ class Cell:
             UnknownOutcomeError: The robot does not answer.
         """
         if self.uses_robot and (stopped or self.robot.latched):
+            # The robot confirms its standstill before the latch is released.
             await self.robot.hold()
             await self.robot.release_latch()
         if self.stimulator is None:
@@ -207,6 +214,7 @@ class Cell:
             RefusalError: Tool and body are not seen together, or the joints are not known.
         """
         count = self.settings.placement.frames
+        # Earlier frames show the arm elsewhere than the joints.
         tracked = self.poses.recent(["coil", "body_ref"], count, since=self.resting_since)
         graph = FrameGraph()
         graph.set(Frame.ROBOT_BASE, Frame.FLANGE, self.arm.forward(self.posture()))
@@ -259,6 +267,7 @@ def calibration_id_of(settings: ProcedureSettings) -> str:
 
 def _identity(tool: Calibration | None, pointer: Calibration | None, settings: ProcedureSettings) -> str:
     explicit = settings.calibration
+    # The hash covers values, not paths: a renamed file does not invalidate registrations.
     used = (
         tool.content_hash() if tool is not None else (explicit.flange_from_tool, explicit.tool_from_coil),
         pointer.content_hash() if pointer is not None else explicit.pointer_from_tip,

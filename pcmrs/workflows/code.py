@@ -54,11 +54,11 @@ def load_code(files: WorkflowFiles) -> WorkflowCode:
         raise ConfigurationError(
             f"{files.code}: Data is not a subclass of PlacementData: make it one.", file=str(files.code)
         )
-    fits = getattr(module, "settle", settle)
-    if not callable(fits):
+    settle_function = getattr(module, "settle", settle)
+    if not callable(settle_function):
         text = f"{files.code}: settle is not a function settle(data, states, effects): make it one."
         raise ConfigurationError(text, file=str(files.code))
-    return WorkflowCode(register, data, fits)
+    return WorkflowCode(register, data, settle_function)
 
 
 def add_source_location(file: Path, function: Callable[..., Any], *arguments: Any) -> Any:

@@ -21,6 +21,11 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_transform
 from pcmrs.workflows.earlier_body import earlier_registration
 
+P = TypeVar("P", bound=PlacementData)
+
+OTHER_PATH_ADVICE = "Go home first, or plan another pose."
+MANUAL_ADVICE = "Bring the arm away by hand, with the robot's own controls."
+
 SAMPLES_PER_PART = 32
 """Number of samples of a motion whose clearance is computed without a pause: it takes about a millisecond."""
 
@@ -80,16 +85,10 @@ class ClearanceLimits:
         found = self._model.clearance(distances, pair)
         text = (
             f"{found.link} came within {found.distance * 1000:.0f} mm of {found.zone}, nearer than {floor * 1000:.0f} "
-            "mm, and the arm was held. Look at the cell, then back off."
+            "mm, and the arm was held. Check the cell, then back off."
         )
         fields = {"link": found.link, "zone": found.zone, "distance": found.distance, "limit": floor}
         return RefusalError("zone_entered", text, **fields)
-
-
-P = TypeVar("P", bound=PlacementData)
-
-OTHER_PATH_ADVICE = "Go home first, or plan another pose."
-MANUAL_ADVICE = "Bring the arm away by hand, with the robot's own controls."
 
 
 def check_towards(cell: Cell, data: PlacementData, trajectory: JointTrajectory, base_from_target: Transform) -> None:
@@ -151,6 +150,7 @@ def update_collision_scene(cell: Cell, data: PlacementData) -> None:
         cell: Cell with zones and tracked poses.
         data: Data of the procedure.
     """
+    # If tool or body are not seen now, their last poses stay.
     with suppress(RefusalError):
         cell.frames(data)
     if data.registered is not None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcmrs.calibration import Expected, check_valid
+from pcmrs.calibration import ExpectedCalibration, check_valid
 from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
@@ -16,6 +16,9 @@ from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.paths import distance_from_body
 
 Run = AnyRun[Cell, PlacementData]
+
+FRAMES_TO_LOCATE = 5
+"""Number of tracker frames that must show the tool and the body before the arm is located."""
 
 
 def calibration_valid(run: Run) -> None:
@@ -29,16 +32,8 @@ def calibration_valid(run: Run) -> None:
     serials = {"tool": settings.calibration.tool_serial, "pointer": settings.calibration.pointer_serial}
     for calibration in (cell.tool_calibration, cell.pointer_calibration):
         if calibration is not None:
-            expected = Expected(cell.name, settings.tool, serials[calibration.kind])
+            expected = ExpectedCalibration(cell.name, settings.tool, serials[calibration.kind])
             check_valid(calibration, expected, run.clock.wall())
-
-
-def register_calibration_checks(registry: Registry[Cell, PlacementData]) -> None:
-    """Register the name that blueprints use for this check."""
-    registry.check(calibration_valid)
-
-
-FRAMES_TO_LOCATE = 5
 
 
 async def connect_robot(run: Run) -> None:
@@ -82,6 +77,7 @@ def clear_state(run: Run) -> str:
 
 
 def register_connection_operations(registry: Registry[Cell, PlacementData]) -> None:
-    """Register the names that blueprints use for these steps."""
+    """Register the names that blueprints use for this check and these steps."""
+    registry.check(calibration_valid)
     for step in (connect_robot, disconnect_robot, locate_arm):
         registry.world_step(step)

@@ -15,7 +15,7 @@ from pcmrs.workflows.collision_checks import check_towards, plan_linear_path
 from pcmrs.workflows.data import PlacementData, Point, as_point
 from pcmrs.workflows.guard import guarded
 from pcmrs.workflows.paths import along_axis
-from pcmrs.workflows.placement import check_at_present_plan, check_nudges, nudge_transform, planned
+from pcmrs.workflows.placement import check_at_present_plan, check_nudges, nudge_transform, planned_pose
 from pcmrs.workflows.settings import PressForce
 
 Run = AnyRun[Cell, PlacementData]
@@ -28,9 +28,9 @@ ROUNDING = 1e-4
 
 REFUSAL_TEXTS = {
     "no_contact": "The tool met nothing within {travel:.1f} mm. Plan or nudge it nearer to the body.",
-    "travel_limit": "After {travel:.1f} mm the force was {force:.1f} N, not {asked:g} N. Look at what gives way.",
-    "timeout": "At the time limit the force was {force:.1f} N, not steadily {asked:g} N. Look at the tool.",
-    "force_limit": "The force on the tool exceeded the robot's limit, and the arm was held. Look at the tool.",
+    "travel_limit": "After {travel:.1f} mm the force was {force:.1f} N, not {asked:g} N. Check what gives way.",
+    "timeout": "At the time limit the force was {force:.1f} N, not steadily {asked:g} N. Check the tool.",
+    "force_limit": "The force on the tool exceeded the robot's limit, and the arm was held. Check the tool.",
 }
 """Texts of the refusal of a press that failed, by the robot's reason."""
 
@@ -49,12 +49,13 @@ def press_possible(run: Run) -> None:
     """Prepare a press, or refuse it if its whole travel would pass a zone or exceed the limit of the nudges."""
     check_at_present_plan(run.data)
     cell, contact = run.cell, run.cell.settings.contact
-    base_from_target = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE) @ planned(run.data)
+    base_from_target = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE) @ planned_pose(run.data)
     base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
     travel = _allowed_travel(cell, float((base_from_target.inverse() @ base_from_coil.translation)[2]))
+    # The travel becomes a nudge afterwards, so its sum is checked in advance.
     check_nudges(run, _nudged_by(run.data, travel), run.data.nudge_rotation_zyx)
-    way = plan_linear_path(run, cell.posture(), base_from_coil @ along_axis(-travel), near=True)
-    check_towards(cell, run.data, way, base_from_target)
+    path = plan_linear_path(run, cell.posture(), base_from_coil @ along_axis(-travel), near=True)
+    check_towards(cell, run.data, path, base_from_target)
     request = PressRequest(
         force=contact.force if run.payload.force is None else run.payload.force,
         direction_in_flange=as_point(-cell.flange_from_coil.rotation[:, 2]),
@@ -62,7 +63,7 @@ def press_possible(run: Run) -> None:
         speed=contact.speed,
         timeout=contact.timeout,
     )
-    run.prepared = request, way
+    run.prepared = request, path
 
 
 async def press_gently(run: Run) -> None:
@@ -74,10 +75,10 @@ async def press_gently(run: Run) -> None:
         RefusalError: There was no contact, or the force was not reached or too large.
     """
     cell = run.cell
-    request, way = run.prepared
-    async with guarded(cell, way, towards_body=True):
+    request, path = run.prepared
+    async with guarded(cell, path, towards_body=True):
         ended = await cell.robot.press(request)
-    travel = _travel(cell, way, ended)
+    travel = _travel(cell, path, ended)
     run.result |= {"force": ended.force, "asked": request.force, "travel": travel}
     if ended.outcome != "done":
         raise _not_pressed(request, ended, travel)
@@ -91,14 +92,14 @@ def _allowed_travel(cell: Cell, height: float) -> float:
     It is the configured travel, or the distance to the depth limit if that is shorter.
     """
     contact, limit = cell.settings.contact, cell.settings.zones.depth_limit
-    left = height + limit - ROUNDING
-    if left < MIN_TRAVEL:
+    remaining = height + limit - ROUNDING
+    if remaining < MIN_TRAVEL:
         text = (
             f"The tool is {-height * 1000:.1f} mm beyond the target, and may go no deeper than {limit * 1000:g} mm. "
             "Nudge it away from the body, or plan another pose."
         )
         raise RefusalError("too_deep", text, height=height, limit=limit)
-    return min(contact.travel, left)
+    return min(contact.travel, remaining)
 
 
 def _nudged_by(data: PlacementData, travel: float) -> Point:
@@ -106,9 +107,9 @@ def _nudged_by(data: PlacementData, travel: float) -> Point:
     return as_point(nudge_transform(data.nudge_translation, data.nudge_rotation_zyx) @ np.array([0.0, 0.0, -travel]))
 
 
-def _travel(cell: Cell, way: JointTrajectory, ended: MotionResult) -> float:
+def _travel(cell: Cell, path: JointTrajectory, ended: MotionResult) -> float:
     """Return the travel of the tool along its axis towards the body, computed from the joints, m."""
-    before = cell.arm.forward(way.positions[0]) @ cell.flange_from_coil
+    before = cell.arm.forward(path.positions[0]) @ cell.flange_from_coil
     after = cell.arm.forward(ended.positions) @ cell.flange_from_coil
     return -float((before.inverse() @ after.translation)[2])
 

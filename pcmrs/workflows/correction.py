@@ -14,7 +14,7 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.collision_checks import plan_linear_path
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.motion import follow, measure_coil
-from pcmrs.workflows.placement import target
+from pcmrs.workflows.placement import target_pose
 from pcmrs.workflows.settings import PlacementSettings
 
 Run = AnyRun[Cell, PlacementData]
@@ -35,8 +35,8 @@ async def correct_from_tracker(run: Run) -> None:
     run.result["corrections"] = rounds
     while True:
         image_from_measured = await measure_coil(run)
-        measured_from_desired = image_from_measured.inverse() @ target(run.data, limits.confirm_offset)
-        shift_mm, turn_deg = size_of(measured_from_desired)
+        measured_from_desired = image_from_measured.inverse() @ target_pose(run.data, limits.confirm_offset)
+        shift_mm, turn_deg = size_mm_deg(measured_from_desired)
         rounds.append({"shift_mm": shift_mm, "turn_deg": turn_deg})
         check_correctable(measured_from_desired, limits)
         if _converged(rounds, limits):
@@ -57,7 +57,7 @@ def check_correctable(measured_from_desired: Transform, limits: PlacementSetting
     Raises:
         RefusalError: ``correction_too_large``.
     """
-    shift_mm, turn_deg = size_of(measured_from_desired)
+    shift_mm, turn_deg = size_mm_deg(measured_from_desired)
     if shift_mm > limits.correction_limit_mm or turn_deg > limits.correction_limit_deg:
         text = (
             f"The tracker sees the tool {_size_text(shift_mm, turn_deg)} from where it should be; the limits are "
@@ -67,7 +67,7 @@ def check_correctable(measured_from_desired: Transform, limits: PlacementSetting
         raise RefusalError("correction_too_large", text, shift_mm=shift_mm, turn_deg=turn_deg)
 
 
-def size_of(measured_from_desired: Transform) -> tuple[float, float]:
+def size_mm_deg(measured_from_desired: Transform) -> tuple[float, float]:
     """Return the translation of a transform in mm and its rotation in deg."""
     shift, turn = np.linalg.norm(measured_from_desired.translation), np.linalg.norm(measured_from_desired.rotvec)
     return float(shift) * 1000.0, math.degrees(float(turn))
@@ -79,6 +79,7 @@ def _size_text(shift_mm: float, turn_deg: float) -> str:
 
 def _converged(rounds: list[dict[str, float]], limits: PlacementSettings) -> bool:
     """Return True if the tool is within tolerance. Raises `RefusalError` if another round is not worthwhile."""
+    # In the first round, both are the same.
     last, before = rounds[-1], rounds[-2:][0]
     if last["shift_mm"] <= limits.tolerance_mm and last["turn_deg"] <= limits.tolerance_deg:
         return True

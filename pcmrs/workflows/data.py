@@ -171,6 +171,7 @@ def settle(data: PlacementData, states: Mapping[str, str], effects: Sequence[Eff
         effects: Effects of the commit.
     """
     changes: dict[str, object] = {}
+    # The digits of this branch: landmarks are planned, digitized, registered.
     registration = states.get("registration", "111")
     if registration == "000":
         changes |= {"landmarks": (), "digitized": (), "reference": None}

@@ -19,7 +19,7 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Point, as_message, as_transform
 from pcmrs.workflows.data import settle as settle_placement
 from pcmrs.workflows.motion import measure_coil, placement_errors, pose_result
-from pcmrs.workflows.placement import planned
+from pcmrs.workflows.placement import planned_pose
 from pcmrs.workflows.toolplan import accept_pose
 
 MIN_LENGTH = 0.005
@@ -79,6 +79,7 @@ def guide_pose(entry: Floats, target: Floats) -> Transform:
         target: Target in the image, m, (3,).
     """
     z = (entry - target) / np.linalg.norm(entry - target)
+    # A superior trajectory leaves the direction of +y undefined.
     up = SUPERIOR if abs(z @ SUPERIOR) < NEARLY_PARALLEL else ANTERIOR
     x = np.cross(up, z)
     x /= np.linalg.norm(x)
@@ -111,7 +112,7 @@ async def check_guide_on_plan(run: Run) -> None:
     Raises:
         RefusalError: An error is over its limit, or the guide is not seen.
     """
-    plan, offset = planned(run.data), run.cell.settings.placement.confirm_offset
+    plan, offset = planned_pose(run.data), run.cell.settings.placement.confirm_offset
     run.prepared = measured = await measure_coil(run)
     run.result |= {"planned": pose_result(plan), **placement_errors(measured, plan, offset)}
     advice = "Back off and place it again, or plan another trajectory."

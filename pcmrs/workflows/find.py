@@ -57,10 +57,10 @@ def find_installed(name: str) -> WorkflowFiles:
     Raises:
         ConfigurationError: There is no such workflow, or more than one; the text lists the known ones.
     """
-    found = [files for known, files in _installed() if known == name]
+    found = [files for installed, files in _installed() if installed == name]
     if not found:
         _refuse_incomplete(name)
-        names = ", ".join(sorted({known for known, _ in _installed()}))
+        names = ", ".join(sorted({installed for installed, _ in _installed()}))
         text = f"There is no workflow {name!r}; there are {names}, or give the path of a .toml file."
         raise ConfigurationError(text, workflow=name)
     if len(found) > 1:
@@ -94,7 +94,7 @@ def _installed() -> Iterator[tuple[str, WorkflowFiles]]:
 
 
 def _spec_of(module: str) -> ModuleSpec | None:
-    """Finds a module without running it or the packages around it, as `importlib.util.find_spec` would."""
+    """Find a module without running it or its packages, unlike `importlib.util.find_spec`."""
     parts, spec, path = module.split("."), None, None
     for depth in range(1, len(parts) + 1):
         found = (finder.find_spec(".".join(parts[:depth]), path, None) for finder in sys.meta_path)

@@ -21,8 +21,16 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.collision_checks import ClearanceLimits, place_body, update_collision_scene
 from pcmrs.workflows.correction import check_correctable
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.placement import confirm_possible, target
+from pcmrs.workflows.placement import confirm_possible, target_pose
 from pcmrs.workflows.setpoints import limit_twist
+
+Activity = AnyActivity[Cell, PlacementData]
+Run = AnyRun[Cell, PlacementData]
+
+FIRST_FRAMES = 10
+"""Number of frames that must show tool and body before anything moves."""
+FIRST_TIME = 5.0
+"""Longest wait for these frames, s."""
 
 MAX_ERROR, MAX_ERROR_ANGLE = 5e-4, float(np.radians(0.25))
 """Largest error that the integrator takes as the arm's, m and rad. A larger one is lag behind a fast body."""
@@ -33,7 +41,7 @@ of frames taken while the tool was catching up."""
 
 
 class BodyFollower:
-    """Computes the next joint positions for the tool to follow the body. It moves nothing itself.
+    """Computation of the joint positions with which the tool follows the body. It moves nothing itself.
 
     The tracker's pose is chosen so that the tool's pose by the joints agrees with the tracked one, which includes the
     error of the arm's geometry at the start. The remaining error, and the error that arises as the arm moves on, is
@@ -56,7 +64,9 @@ class BodyFollower:
         self._cell, self._settings = cell, cell.settings.following
         desired = desired_in_body_ref(cell, data)
         if desired is None or data.registered is None:
-            raise RefusalError("not_registered", "There is no registration and plan to follow the body by.")
+            raise RefusalError(
+                "not_registered", "There is no registration or no plan, so the tool cannot follow the body."
+            )
         self._desired = desired
         graph = cell.frames(data)
         update_collision_scene(cell, data)
@@ -106,6 +116,7 @@ class BodyFollower:
         tracker_from_body_ref = self._body.pose(stamp)
         self._check_range(tracker_from_body_ref)
         base_from_body_ref = self._base_from_tracker @ tracker_from_body_ref
+        # The body's motion during this step. The tool makes it too, and catches up in addition.
         earlier = self._base_from_tracker @ self._body.pose(stamp - elapsed)
         self._move_tool(self._goal(earlier), self._goal(base_from_body_ref), elapsed)
         before, self.positions = self.positions, self._track()
@@ -154,32 +165,23 @@ class BodyFollower:
         return track(self._cell.arm, self._cell.flange_for(self._base_from_coil), self.positions)
 
     def _keep_out(self, base_from_body_ref: Transform) -> None:
-        """Places what moves with the body, and raises `RefusalError` where the arm would come too near to a zone."""
+        """Place the zones that move with the body. Raises `RefusalError` if the arm would be too near to a zone."""
         place_body(self._cell, self._base_from_tracker, base_from_body_ref)
         entered = self._limits.violation(self.positions)
         if entered is not None:
             raise entered
 
 
-def _twist(way: Transform) -> Floats:
-    """Translation (m) before rotation vector (rad), (6,)."""
-    return np.concatenate((way.translation, way.rotvec))
-
-
-Activity = AnyActivity[Cell, PlacementData]
-Run = AnyRun[Cell, PlacementData]
-
-FIRST_FRAMES = 10
-"""Number of frames that must show tool and body before anything moves."""
-FIRST_TIME = 5.0
-"""Longest wait for these frames, s."""
+def _twist(transform: Transform) -> Floats:
+    """Return the translation (m) and the rotation vector (rad) of a transform, (6,)."""
+    return np.concatenate((transform.translation, transform.rotvec))
 
 
 def follow_possible(run: Run) -> None:
     """Plan the straight path to the body's present place, and refuse one that is too long for a small correction."""
     cell = run.cell
     image_from_coil = cell.frames(run.data).get(Frame.IMAGE, Frame.COIL)
-    desired = target(run.data, cell.settings.placement.confirm_offset)
+    desired = target_pose(run.data, cell.settings.placement.confirm_offset)
     check_correctable(image_from_coil.inverse() @ desired, cell.settings.placement)
     confirm_possible(run)
 
@@ -193,9 +195,9 @@ async def follow_head(act: Activity) -> None:
     """
     cell, clock = act.cell, act.clock
     await cell.poses.collect(BODIES, FIRST_FRAMES, timeout=FIRST_TIME)
-    known = cell.poses.frames_after(0, BODIES)[-FIRST_FRAMES:]
-    number = known[-1]["coil"].frame_number
-    follower, watch = BodyFollower(cell, act.data, known), AlignmentWatch(act)
+    frames = cell.poses.frames_after(0, BODIES)[-FIRST_FRAMES:]
+    number = frames[-1]["coil"].frame_number
+    follower, watch = BodyFollower(cell, act.data, frames), AlignmentWatch(act)
     async with cell.robot.servo() as stream:
         now = clock.monotonic()
         while True:

@@ -114,6 +114,7 @@ def count_as_performed(run: Run) -> None:
 
 def count_as_skipped(run: Run) -> None:
     """Put on record that the point, stopped or not, was skipped, because a map of skipped points is not a mapping."""
+    # A stopped point is a separate state with the name of the point.
     run.result["point"] = point = run.states["mapping"].removesuffix("_stopped")
     run.keep(skipped=(*run.data.skipped, point))
     _report_points(run)

@@ -71,9 +71,10 @@ class _Guard:
         if self._refusal is not None:
             return
         self._place_body()
-        lost = None if self._visibility is None else self._visibility.refusal()
-        self._refusal = self._limits.violation(state.positions) or lost
+        not_seen = None if self._visibility is None else self._visibility.refusal()
+        self._refusal = self._limits.violation(state.positions) or not_seen
         if self._refusal is not None:
+            # A watcher cannot wait, so the hold runs as a task until `wait_until_held`.
             self._holding = asyncio.get_running_loop().create_task(self._cell.robot.hold())
 
     async def wait_until_held(self) -> None:
@@ -113,6 +114,7 @@ class _BodyVisibility:
         """Return the refusal for an arm that must be held because the body is not seen; otherwise None."""
         cell, limit = self._cell, self._cell.settings.tracking.unseen
         now, captured = cell.clock.monotonic(), cell.poses.last_seen(BODY)
+        # A new frame resets the timer to the age of the frame.
         if captured > self._captured and now - captured <= limit:
             self._captured, self._unseen = captured, min(now - captured, MAX_CHECK_INTERVAL)
         else:

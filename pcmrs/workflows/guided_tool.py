@@ -45,13 +45,13 @@ class PlanLimits:
         They are in the order of `MARGIN_NAMES`.
         """
         place = plan_from_tool.translation
-        away, turned = np.linalg.norm(place), np.linalg.norm(plan_from_tool.rotvec)
-        return np.array((place[2], self._settings.range - away, self._turn - turned))
+        offset, turned = np.linalg.norm(place), np.linalg.norm(plan_from_tool.rotvec)
+        return np.array((place[2], self._settings.range - offset, self._turn - turned))
 
     def met(self, plan_from_tool: Transform) -> Limit | None:
         """Return the bound that the tool is at, if any."""
-        left = self.margins(plan_from_tool) - LIMIT_TOLERANCE
-        return next((name for name, margin in zip(MARGIN_NAMES, left, strict=True) if margin < 0.0), None)
+        remaining = self.margins(plan_from_tool) - LIMIT_TOLERANCE
+        return next((name for name, margin in zip(MARGIN_NAMES, remaining, strict=True) if margin < 0.0), None)
 
     def bounded(self, plan_from_tool: Transform, twist: Floats, period: float) -> Floats:
         """Return a twist in the tool's frame, (6,), without the parts that would lead over a bound.
@@ -68,6 +68,7 @@ class PlanLimits:
         velocity = _slowed(velocity, _direction(plan_from_tool.translation), fastest)
         fastest = _brakes_within(height, settings.linear_acceleration, period)
         velocity = _slowed(velocity, np.array((0.0, 0.0, -1.0)), fastest)
+        # A rotation vector is the same in the frame of the plan and in that of the tool.
         fastest = _brakes_within(turn, settings.angular_acceleration, period)
         spin = _slowed(twist[3:], _direction(plan_from_tool.rotvec), fastest)
         return np.concatenate((plan_from_tool.rotation.T @ velocity, spin))
@@ -79,8 +80,9 @@ class PlanLimits:
             before: Present pose of the tool in the frame of the plan.
             after: Next pose of the tool in the frame of the plan.
         """
-        least = np.minimum(self.margins(before), 0.0)
-        return bool(np.all(self.margins(after) >= least - 1e-9))
+        # Beyond a bound the margin is negative, and may only grow.
+        lowest = np.minimum(self.margins(before), 0.0)
+        return bool(np.all(self.margins(after) >= lowest - 1e-9))
 
 
 def _brakes_within(margin: float, acceleration: float, period: float) -> float:
@@ -126,6 +128,8 @@ class GuidedTool:
         self._limits = PlanLimits(self._settings)
         self.positions = cell.posture()
         self._base_from_tool = cell.arm.forward(self.positions) @ cell.flange_from_coil
+        # Pairs that may touch the body are limited by their distances at the planned contact, which the arm must be
+        # able to reach from here.
         contact = track(cell.arm, cell.flange_for(base_from_plan), self.positions)
         self._at_contact = cell.zones.model.distances(contact)
         self._touching = np.array([pair in ((TOOL, BODY), (MOUNT, BODY)) for pair in cell.zones.model.pairs])
@@ -157,10 +161,10 @@ class GuidedTool:
             elapsed: Time since the last call, s.
         """
         settings, pose = self._settings, self.plan_from_tool
-        wanted = scale * limit_twist(twist, settings.linear_velocity, settings.angular_velocity)
-        wanted = self._limits.bounded(pose, wanted, elapsed)
+        desired = scale * limit_twist(twist, settings.linear_velocity, settings.angular_velocity)
+        desired = self._limits.bounded(pose, desired, elapsed)
         max_change = settings.linear_acceleration * elapsed, settings.angular_acceleration * elapsed
-        changed = self._velocity + limit_twist(wanted - self._velocity, *max_change)
+        changed = self._velocity + limit_twist(desired - self._velocity, *max_change)
         self._velocity = self._limits.bounded(pose, changed, elapsed)
         self.limit = self._limits.met(pose) if np.any(twist) else None
         before = self.positions
@@ -168,9 +172,9 @@ class GuidedTool:
             self._step(self._velocity * elapsed)
         return np.asarray((self.positions - before) / elapsed)
 
-    def _step(self, way: Floats) -> None:
+    def _step(self, step: Floats) -> None:
         """Move by a step (6,), m and rad, if nothing blocks it; otherwise stop."""
-        base_from_tool = self._base_from_tool @ Transform.from_rotvec(way[:3], way[3:])
+        base_from_tool = self._base_from_tool @ Transform.from_rotvec(step[:3], step[3:])
         positions, blocked_by = self._solve(base_from_tool)
         if blocked_by is None:
             self._base_from_tool, self.positions = base_from_tool, positions
@@ -192,15 +196,16 @@ class GuidedTool:
         zones = self._cell.zones
         limits = zones.limits_towards(self._base_from_plan, base_from_tool.translation[None])[0]
         limits = self._with_contact(limits)
-        here, there = zones.model.distances(self.positions), zones.model.distances(positions)
-        nearer = bool(np.any((there < limits) & (there < here)))
+        before, after = zones.model.distances(self.positions), zones.model.distances(positions)
+        # A pair below its limit may move apart, so that the tool can leave a zone.
+        nearer = bool(np.any((after < limits) & (after < before)))
         return "zone" if nearer or self._leaves_cone(base_from_tool) else None
 
     def _leaves_cone(self, base_from_tool: Transform) -> bool:
         """Return True if the tool point leaves the approach cone, or goes farther out of it."""
         points = np.array((self._base_from_tool.translation, base_from_tool.translation))
-        here, there = self._cell.zones.cone.excess(self._base_from_plan, points).tolist()
-        return bool(there > 0.0 and there > here)
+        before, after = self._cell.zones.cone.excess(self._base_from_plan, points).tolist()
+        return bool(after > 0.0 and after > before)
 
     def _with_contact(self, limits: npt.NDArray[np.float64]) -> Floats:
         """Return the limits of all pairs, m, (P,).

@@ -146,6 +146,7 @@ async def _digitize(run: Run, index: int) -> None:
 
 
 def _keep_digitized(run: Run, points: tuple[Point | None, ...]) -> None:
+    """Store the points, and also as the previous digitization if they are complete."""
     run.keep(digitized=points)
     complete = run.data.complete_digitization()
     if complete:

@@ -21,8 +21,8 @@ from pcmrs.workflows.placement import (
     NO_NUDGE,
     accumulated_nudges,
     at_present_plan,
-    planned,
-    target,
+    planned_pose,
+    target_pose,
 )
 
 Run = AnyRun[Cell, PlacementData]
@@ -81,8 +81,9 @@ async def measure_placement(run: Run) -> None:
     z axis. The rotation error is the angle of R_pᵀR_m. Intended nudges are part of the plan here.
     """
     offset = run.cell.settings.placement.confirm_offset
-    measured, plan = await measure_coil(run), target(run.data, offset) @ along_axis(-offset)
-    extra = {"planned": pose_result(planned(run.data)), "confirm_offset": offset}
+    # The errors account for the offset, so that the expected pose is that of the contact.
+    measured, plan = await measure_coil(run), target_pose(run.data, offset) @ along_axis(-offset)
+    extra = {"planned": pose_result(planned_pose(run.data)), "confirm_offset": offset}
     run.result |= {**extra, **placement_errors(measured, plan, offset)}
 
 
@@ -117,7 +118,7 @@ async def measure_coil(run: AnyRun[Cell, P]) -> Transform:
     cell, placement = run.cell, run.cell.settings.placement
     registered = run.data.registered
     if registered is None:
-        raise RefusalError("not_registered", "There is no registration to measure the tool in the image by.")
+        raise RefusalError("not_registered", "There is no registration, so the tool cannot be measured in the image.")
     frames = await cell.poses.collect(["coil", "body_ref"], placement.frames, timeout=MEASURING_TIME)
     image_from_body_ref = as_transform(registered.body_ref_from_image).inverse()
     return mean_transform([image_from_body_ref @ frame["body_ref"].inverse() @ frame["coil"] for frame in frames])
@@ -154,7 +155,10 @@ def _at_standoff(run: Run) -> bool:
         measured = run.cell.frames(data).get(Frame.IMAGE, Frame.COIL)
     except RefusalError:
         return False
-    return distance(planned(data) @ along_axis(placement.standoff), measured) * 1000 <= placement.standoff_tolerance_mm
+    return (
+        distance(planned_pose(data) @ along_axis(placement.standoff), measured) * 1000
+        <= placement.standoff_tolerance_mm
+    )
 
 
 def pose_result(pose: Transform) -> dict[str, list[float]]:

@@ -11,7 +11,7 @@ from pcmrs.fsm import load_blueprint
 from pcmrs.workflows.alignment import register_alignment
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.code import WorkflowCode, add_source_location, load_code
-from pcmrs.workflows.connection import register_calibration_checks, register_connection_operations
+from pcmrs.workflows.connection import register_connection_operations
 from pcmrs.workflows.contact import register_contact_operations
 from pcmrs.workflows.correction import register_correction_steps
 from pcmrs.workflows.data import PlacementData
@@ -67,7 +67,7 @@ def _open(files: WorkflowFiles) -> Workflow[Cell, PlacementData]:
     except BlueprintError as error:
         if "findings" in error.fields:
             raise BlueprintError(f"{files.blueprint}: {error.text}", **error.fields) from None
-        text = f"{files.blueprint}: {error.text}; PCMRS has none of that name, nor does {files.code} register one."
+        text = f"{files.blueprint}: {error.text}; neither PCMRS nor {files.code} registers this name."
         raise BlueprintError(text, **error.fields) from None
 
 
@@ -92,7 +92,6 @@ def _registry_with(files: WorkflowFiles, code: WorkflowCode) -> Registry[Cell, P
 def placement_registry() -> Registry[Cell, PlacementData]:
     """Return the registry of checks and steps of the procedures that place a tool on a registered body."""
     registry: Registry[Cell, PlacementData] = Registry()
-    register_calibration_checks(registry)
     register_landmark_operations(registry)
     register_registration_operations(registry)
     register_refinement_operations(registry)

@@ -48,7 +48,7 @@ def body_centre(cell: Cell, data: PlacementData) -> Floats:
     return cell.base_from_body_ref @ cell.middle_in_body_ref
 
 
-def body_centres(cell: Cell, data: PlacementData) -> list[Floats]:
+def _body_centres(cell: Cell, data: PlacementData) -> list[Floats]:
     """Return all points to keep away from, in the robot's base, m, (3,) each: `body_centre` and an earlier one.
 
     Args:
@@ -65,7 +65,7 @@ def body_centres(cell: Cell, data: PlacementData) -> list[Floats]:
 
 
 def distance_from_body(cell: Cell, data: PlacementData) -> float:
-    """Return the present distance of the coil from the nearest of `body_centres`, m.
+    """Return the present distance of the coil from the nearest of `_body_centres`, m.
 
     Args:
         cell: Cell with the tracked poses.
@@ -75,7 +75,7 @@ def distance_from_body(cell: Cell, data: PlacementData) -> float:
         RefusalError: Tool and body are not seen together.
     """
     base_from_coil = cell.frames(data).get(Frame.ROBOT_BASE, Frame.COIL)
-    offsets = [base_from_coil.translation - centre for centre in body_centres(cell, data)]
+    offsets = [base_from_coil.translation - centre for centre in _body_centres(cell, data)]
     return float(min(np.linalg.norm(offset) for offset in offsets))
 
 
@@ -91,7 +91,7 @@ def distance_until_clear(cell: Cell, data: PlacementData) -> float:
     """
     base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
     radius = cell.settings.placement.clearance + CLEARANCE_RESERVE
-    return max(_distance_until_clear(base_from_coil, centre, radius) for centre in body_centres(cell, data))
+    return max(_distance_until_clear(base_from_coil, centre, radius) for centre in _body_centres(cell, data))
 
 
 def _distance_until_clear(base_from_coil: Transform, centre: Floats, radius: float) -> float:
@@ -114,7 +114,7 @@ def check_ends_clear(cell: Cell, trajectory: JointTrajectory, data: PlacementDat
     Raises:
         RefusalError: ``not_clear``.
     """
-    end = min(float(body_distances(cell, trajectory, centre)[-1]) for centre in body_centres(cell, data))
+    end = min(float(_body_distances(cell, trajectory, centre)[-1]) for centre in _body_centres(cell, data))
     clearance = cell.settings.placement.clearance
     if end <= clearance:
         text = (
@@ -124,7 +124,7 @@ def check_ends_clear(cell: Cell, trajectory: JointTrajectory, data: PlacementDat
         raise RefusalError("not_clear", text, distance=end, limit=clearance)
 
 
-def body_distances(cell: Cell, trajectory: JointTrajectory, centre: Floats) -> Floats:
+def _body_distances(cell: Cell, trajectory: JointTrajectory, centre: Floats) -> Floats:
     """Return the distance of the coil from a point along a trajectory, m, (K,).
 
     Args:
@@ -151,19 +151,20 @@ def check_only_grows(
     Raises:
         RefusalError: The path comes nearer than `clearance`, and by more than `TOLERANCE`.
     """
-    for centre in body_centres(cell, data):
-        _check_only_grows(cell, body_distances(cell, trajectory, centre), advice)
+    for centre in _body_centres(cell, data):
+        _check_only_grows(cell, _body_distances(cell, trajectory, centre), advice)
 
 
-def _check_only_grows(cell: Cell, way: Floats, advice: str) -> None:
-    shrinks = np.maximum.accumulate(way) - way
-    worst = int(np.argmax(np.where(way < cell.settings.placement.clearance, shrinks, 0.0)))
-    if way[worst] < cell.settings.placement.clearance and shrinks[worst] > TOLERANCE:
+def _check_only_grows(cell: Cell, distances: Floats, advice: str) -> None:
+    # The loss of distance against the farthest point so far.
+    shrinks = np.maximum.accumulate(distances) - distances
+    worst = int(np.argmax(np.where(distances < cell.settings.placement.clearance, shrinks, 0.0)))
+    if distances[worst] < cell.settings.placement.clearance and shrinks[worst] > TOLERANCE:
         text = (
-            f"The path leads back towards the body: to {way[worst] * 1000:.0f} mm from its middle after "
-            f"{(way[worst] + shrinks[worst]) * 1000:.0f} mm. {advice}"
+            f"The path leads back towards the body: to {distances[worst] * 1000:.0f} mm from its middle after "
+            f"{(distances[worst] + shrinks[worst]) * 1000:.0f} mm. {advice}"
         )
-        raise RefusalError("distance_shrinks", text, distance=float(way[worst]), shrinks=float(shrinks[worst]))
+        raise RefusalError("distance_shrinks", text, distance=float(distances[worst]), shrinks=float(shrinks[worst]))
 
 
 def check_passes_clear(cell: Cell, trajectory: JointTrajectory, data: PlacementData) -> None:
@@ -177,8 +178,8 @@ def check_passes_clear(cell: Cell, trajectory: JointTrajectory, data: PlacementD
     Raises:
         RefusalError: It comes nearer by more than 10 mm.
     """
-    way = body_distances(cell, trajectory, body_centre(cell, data))
-    nearest, end = float(way.min()), float(min(way[0], way[-1]))
+    distances = _body_distances(cell, trajectory, body_centre(cell, data))
+    nearest, end = float(distances.min()), float(min(distances[0], distances[-1]))
     if nearest < end - 0.010:
         text = (
             f"The path to the standoff passes the body at {nearest * 1000:.0f} mm from its middle, nearer than its "

@@ -62,9 +62,9 @@ def approach_possible(run: Run) -> None:
     It is refused if the registration is not accurate enough there, each path passes a zone or the body, or the target
     is out of reach.
     """
-    check_tre(run.cell, run.data, planned(run.data).translation)
+    check_tre(run.cell, run.data, planned_pose(run.data).translation)
     refused: list[PcmrsError] = []
-    for posture in islice(standoff_postures(run, planned(run.data)), MAX_POSTURES):
+    for posture in islice(standoff_postures(run, planned_pose(run.data)), MAX_POSTURES):
         try:
             run.prepared = _plan_approach(run, posture)
             return
@@ -76,7 +76,7 @@ def approach_possible(run: Run) -> None:
 def confirm_possible(run: Run) -> None:
     """Plan the straight path along the tool's axis to the target."""
     check_at_present_plan(run.data)
-    run.prepared = _plan_straight_to(run, target(run.data, run.cell.settings.placement.confirm_offset))
+    run.prepared = _plan_straight_to(run, target_pose(run.data, run.cell.settings.placement.confirm_offset))
 
 
 def nudge_possible(run: Run) -> None:
@@ -87,7 +87,7 @@ def nudge_possible(run: Run) -> None:
     check_nudges(run, translation, rotation)
     height = limits.standoff if run.states["placement"] == "standoff" else limits.confirm_offset
     nudged = msgspec.structs.replace(run.data, nudge_translation=translation, nudge_rotation_zyx=rotation)
-    run.prepared = _plan_straight_to(run, target(nudged, height))
+    run.prepared = _plan_straight_to(run, target_pose(nudged, height))
 
 
 def check_nudges(run: Run, translation: Point, rotation_zyx: Point) -> None:
@@ -139,14 +139,14 @@ def initial_grows_distance(run: Run) -> None:
     run.prepared = _plan_retreat(run, run.cell.initial_joints or list(run.cell.home))
 
 
-def planned(data: PlacementData) -> Transform:
+def planned_pose(data: PlacementData) -> Transform:
     """Return ``image_from_coil`` of the plan in force. Raises `RefusalError` if there is none."""
     if data.plan is None:
         raise RefusalError("no_plan", "No tool pose is planned: plan one first.")
     return as_transform(data.plan)
 
 
-def target(data: PlacementData, height: float) -> Transform:
+def target_pose(data: PlacementData, height: float) -> Transform:
     """Return ``image_from_coil`` of the plan with all nudges, shifted along the tool's axis.
 
     Args:
@@ -156,7 +156,7 @@ def target(data: PlacementData, height: float) -> Transform:
     Raises:
         RefusalError: There is no plan.
     """
-    return planned(data) @ along_axis(height) @ nudge_transform(data.nudge_translation, data.nudge_rotation_zyx)
+    return planned_pose(data) @ along_axis(height) @ nudge_transform(data.nudge_translation, data.nudge_rotation_zyx)
 
 
 @lru_cache(maxsize=64)
@@ -172,9 +172,9 @@ def nudge_transform(translation: Point, rotation_zyx: Point) -> Transform:
 
 def accumulated_nudges(run: Run) -> tuple[Point, Point]:
     """Return the sums of nudges, including the requested one: translation in m and rotations in rad."""
-    data, asked = run.data, run.payload
-    x, y, z = np.add(data.nudge_translation, asked.translation).tolist()
-    rz, ry, rx = np.add(data.nudge_rotation_zyx, asked.rotation_zyx).tolist()
+    data, request = run.data, run.payload
+    x, y, z = np.add(data.nudge_translation, request.translation).tolist()
+    rz, ry, rx = np.add(data.nudge_rotation_zyx, request.rotation_zyx).tolist()
     return (x, y, z), (rz, ry, rx)
 
 
@@ -182,35 +182,35 @@ def _plan_approach(run: Run, posture: Floats) -> JointTrajectory:
     """Plan the path to a posture at the standoff from which the target can be reached."""
     cell = run.cell
     base_from_image = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE)
-    way = plan_joint_path(run, cell.posture(), posture)
-    check_passes_clear(cell, way, run.data)
-    base_from_target = base_from_image @ planned(run.data)
-    check_towards(cell, run.data, way, base_from_target)
+    path = plan_joint_path(run, cell.posture(), posture)
+    check_passes_clear(cell, path, run.data)
+    base_from_target = base_from_image @ planned_pose(run.data)
+    check_towards(cell, run.data, path, base_from_target)
     _plan_line(run, posture, base_from_target @ along_axis(cell.settings.placement.confirm_offset), base_from_target)
-    return way
+    return path
 
 
 def _plan_straight_to(run: Run, image_from_coil: Transform) -> JointTrajectory:
     """Plan the straight path of the coil from its present pose to a pose in the image."""
     base_from_image = run.cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE)
-    base_from_target = base_from_image @ planned(run.data)
+    base_from_target = base_from_image @ planned_pose(run.data)
     return _plan_line(run, run.cell.posture(), base_from_image @ image_from_coil, base_from_target)
 
 
 def _plan_line(run: Run, start: Floats, base_from_coil: Transform, base_from_target: Transform) -> JointTrajectory:
     """Plan the straight path of the coil from joint positions to a pose near the target of the plan."""
-    way = plan_linear_path(run, start, base_from_coil, near=True)
-    check_towards(run.cell, run.data, way, base_from_target)
-    return way
+    path = plan_linear_path(run, start, base_from_coil, near=True)
+    check_towards(run.cell, run.data, path, base_from_target)
+    return path
 
 
 def _plan_retreat(run: Run, posture: list[float]) -> JointTrajectory:
     """Plan a retreat along the axis if the tool is at the body, and then a motion of the joints to a posture."""
     cell = run.cell
-    way = None if run.states["placement"] == "retracted" else _plan_back_off(run)[0]
-    start = cell.posture() if way is None else way.positions[-1]
+    path = None if run.states["placement"] == "retracted" else _plan_back_off(run)[0]
+    start = cell.posture() if path is None else path.positions[-1]
     trajectory = plan_joint_path(run, start, posture)
-    trajectory = trajectory if way is None else concatenate(way, trajectory)
+    trajectory = trajectory if path is None else concatenate(path, trajectory)
     check_confirmed(run, trajectory)
     check_only_grows(cell, trajectory, run.data)
     check_ends_clear(cell, trajectory, run.data)
@@ -257,8 +257,8 @@ def _plan_straight_away(run: Run, length: float) -> JointTrajectory:
 def _retreat_length(run: Run) -> float:
     """Return the distance to the tool's standoff if it is on its axis; otherwise the distance until it is clear, m."""
     try:
-        way = _distance_to_standoff(run)
-        return distance_until_clear(run.cell, run.data) if way is None else way
+        distance = _distance_to_standoff(run)
+        return distance_until_clear(run.cell, run.data) if distance is None else distance
     except RefusalError:  # neither tool nor body is seen, nor has been
         return run.cell.settings.placement.standoff
 
@@ -267,7 +267,7 @@ def _distance_to_standoff(run: Run) -> float | None:
     placement, data = run.cell.settings.placement, run.data
     if data.plan is None or data.registered is None or not at_present_plan(data):
         return None
-    x, y, height = (planned(data).inverse() @ run.cell.image_from_coil(data)).translation
+    x, y, height = (planned_pose(data).inverse() @ run.cell.image_from_coil(data)).translation
     tolerance = placement.standoff_tolerance_mm / 1000.0
     if math.hypot(x, y) > tolerance or height > placement.standoff + tolerance:
         return None

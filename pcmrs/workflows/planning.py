@@ -138,7 +138,7 @@ def apply_answer(run: Run, request: PlanRequest, answer: PlanAnswer) -> Reason |
 def _check_stood_still(run: Run, request: PlanRequest) -> None:
     """Refuse a motion that was planned for an arm at rest that has moved since. Raises `RefusalError`."""
     before = request.cell["joints"]
-    if run.motion == "none" or before is None or before.moving:  # a step plans anew for an arm that was moving
+    if run.motion == "none" or before is None or before.moving:  # a step plans again for an arm that was moving
         return
     moved = float(np.abs(run.cell.posture() - np.array(before.positions)).max())
     if moved > MAX_JOINT_DRIFT:

@@ -10,7 +10,7 @@ from pcmrs.workflows.tms.coil_alignment import register_coil_alignment
 from pcmrs.workflows.tms.data import Data, register_device_checks, settle
 from pcmrs.workflows.tms.hotspot import register_hotspot
 from pcmrs.workflows.tms.intensity import register_intensity
-from pcmrs.workflows.tms.pulse import register_pulse, register_response
+from pcmrs.workflows.tms.pulse import register_pulse
 from pcmrs.workflows.tms.threshold import register_threshold
 
 __all__ = ["Data", "register", "settle"]
@@ -23,6 +23,5 @@ def register(registry: Registry[Cell, PlacementData]) -> None:
     register_arming(registry)
     register_coil_alignment(registry)
     register_pulse(registry)
-    register_response(registry)
     register_hotspot(registry)
     register_threshold(registry)

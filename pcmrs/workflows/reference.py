@@ -98,6 +98,7 @@ def detected_shift(cell: Cell, data: PlacementData) -> ReferenceShift | None:
         return None
     baseline = as_transform(data.reference)
     shifts: list[ReferenceShift] = []
+    # The newest first, because a frame without a shift ends the loop.
     for frame in reversed(frames):
         shifts.append(_shift(baseline, frame["body_ref"].inverse() @ frame["witness"]))
         if not shifts[-1].exceeds(settings):

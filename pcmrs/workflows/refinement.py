@@ -122,11 +122,11 @@ def _surface(run: Run) -> Mesh:
 
     A path from a client is one of its own machine, Windows or not, so that only the base name has a meaning here.
     """
-    settings, asked, mesh = run.cell.settings, run.payload.surface, run.cell.surface
-    if asked is not None:
-        name = PureWindowsPath(asked).name
+    settings, requested, mesh = run.cell.settings, run.payload.surface, run.cell.surface
+    if requested is not None:
+        name = PureWindowsPath(requested).name
         if not name:
-            raise RefusalError("unknown_surface", f"{asked!r} names no file of a surface.", surface=asked)
+            raise RefusalError("unknown_surface", f"{requested!r} names no file of a surface.", surface=requested)
         if name != PureWindowsPath(settings.body.surface).name:
             body = msgspec.structs.replace(settings.body, surface=name)
             try:
@@ -134,7 +134,7 @@ def _surface(run: Run) -> Mesh:
             except ConfigurationError as error:
                 raise RefusalError("unknown_surface", error.text, **error.fields) from None
     if mesh is None:
-        text = "There is no surface of the body to refine by: set procedure.body.surface, or name one."
+        text = "There is no surface of the body: set procedure.body.surface, or name one."
         raise RefusalError("unknown_surface", text)
     return mesh
 

@@ -174,10 +174,12 @@ class SetpointAdmission:
         )
 
     def _rejection_code(self, user: str, setpoint: TeleopSetpoint, arrived: float) -> str | None:
+        """Return the code for which a set point is refused; None to admit it."""
         if user != self.user:
             return "other_user"
         if not all(map(math.isfinite, (setpoint.sent, setpoint.seen, setpoint.ttl, *setpoint.twist))):
             return "not_finite"
+        # No sender can have seen a status of the future.
         if setpoint.seen > arrived:
             return "from_the_future"
         if setpoint.seen < self._started_at:

@@ -72,10 +72,12 @@ class GuidanceSession:
         act, cell = self._act, self._act.cell
         now = act.clock.monotonic()
         self._admission = SetpointAdmission(user, now, self._settings)
+        # The teleoperator must see a status of this engagement before the first set point can be admitted.
         self._last_setpoint_at = now + FIRST_SETPOINT_TIME
         self._body = BodyTrack(cell.settings.following)
-        known = cell.poses.frames_after(0, BODIES)[-FIRST_FRAMES:]
-        self._frame_number = known[0]["coil"].frame_number - 1 if known else 0
+        frames = cell.poses.frames_after(0, BODIES)[-FIRST_FRAMES:]
+        # The new track takes these frames again, so that it starts with the body's velocity.
+        self._frame_number = frames[0]["coil"].frame_number - 1 if frames else 0
         self.guide.begin()
 
     def release(self) -> None:
@@ -131,7 +133,7 @@ class GuidanceSession:
         if silence > limit:
             text = (
                 f"No set point of {admission.user} was admitted for {silence:.3f} s, the limit is {limit:g} s "
-                f"(refused: {dict(admission.refused) or 'none'}). Look at the cell, acknowledge there, then back off."
+                f"(refused: {dict(admission.refused) or 'none'}). Check the cell, acknowledge there, then back off."
             )
             raise RefusalError("teleoperator_lost", text, user=admission.user, silence=silence, limit=limit)
 
@@ -158,7 +160,7 @@ def planned_in_body_ref(cell: Cell, data: PlacementData) -> Transform:
     """
     planned = desired_in_body_ref(cell, data)
     if planned is None:
-        raise RefusalError("not_registered", "There is no registration and plan to guide the tool near.")
+        raise RefusalError("not_registered", "There is no registration or no plan: both are needed to guide the tool.")
     return planned
 
 

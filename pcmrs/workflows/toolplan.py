@@ -50,14 +50,14 @@ def plan_reachable(run: Run) -> None:
     accept_pose(run, pose_of(run.payload))
 
 
-def pose_of(asked: ToolPose) -> Transform:
+def pose_of(requested: ToolPose) -> Transform:
     """Return the requested ``image_from_coil``.
 
     Raises:
         GeometryError: The pose is invalid.
         RefusalError: The pose is too far away to be in m.
     """
-    pose = Transform.from_quat_xyzw(asked.position, asked.quat_xyzw)
+    pose = Transform.from_quat_xyzw(requested.position, requested.quat_xyzw)
     check_metres(pose.translation)
     return pose
 
@@ -110,6 +110,7 @@ def standoff_postures(run: AnyRun[Cell, P], image_from_coil: Transform) -> Itera
     for seed in _seeds(cell):
         try:
             posture = inverse(cell.arm, standoff, seed, keep_away=body)
+            # The posture at the target is solved from that at the standoff, where the straight path begins.
             check_postures(cell, posture, inverse(cell.arm, target, posture, keep_away=body))
         except (UnreachableError, RefusalError) as error:
             refused.append(error)
@@ -129,10 +130,10 @@ def _body_sphere(cell: Cell) -> Floats | None:
 
 def _seeds(cell: Cell) -> Iterator[Floats]:
     present = cell.posture()
-    aside = np.zeros(len(present))
-    aside[[0, 2]] = 1.0, -1.0
+    swing = np.zeros(len(present))
+    swing[[0, 2]] = 1.0, -1.0
     for turn in SEED_TURNS:
-        yield np.clip(present + turn * aside, cell.arm.lower, cell.arm.upper)
+        yield np.clip(present + turn * swing, cell.arm.lower, cell.arm.upper)
 
 
 def keep_plan(run: Run) -> None:

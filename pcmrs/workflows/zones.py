@@ -94,6 +94,7 @@ class CellZones:
         if not self._of_body.any():
             return np.zeros(len(postures), dtype=bool)
         nearest = np.array([self.model.distances(q)[self._of_body].min() for q in postures])
+        # Between two samples, the arm may come nearer by the bound.
         return nearest - BOUND < distance
 
 

@@ -9,14 +9,14 @@ import msgspec
 import pytest
 from calibrations import DATE, a_pointer, a_tool
 
-from pcmrs.calibration import Calibration, Expected, check_valid
+from pcmrs.calibration import Calibration, ExpectedCalibration, check_valid
 from pcmrs.errors import RefusalError
 
-HERE = Expected(cell="lab/cell1", tool_type="coil")
+HERE = ExpectedCalibration(cell="lab/cell1", tool_type="coil")
 NOW = DATE + timedelta(days=10)
 
 
-def refused(calibration: Calibration, expected: Expected = HERE, days: float = 10.0) -> RefusalError:
+def refused(calibration: Calibration, expected: ExpectedCalibration = HERE, days: float = 10.0) -> RefusalError:
     with pytest.raises(RefusalError) as refusal:
         check_valid(calibration, expected, (DATE + timedelta(days=days)).timestamp())
     return refusal.value
@@ -29,8 +29,8 @@ def test_own_present_and_unchanged_it_may_be_used(make: Any, given: dict[str, st
 
 
 def test_the_mounted_serial_must_be_the_calibrated_one() -> None:
-    check_valid(a_tool(serial="17"), Expected("lab/cell1", "coil", serial="17"), NOW.timestamp())
-    error = refused(a_tool(serial="17"), Expected("lab/cell1", "coil", serial="18"))
+    check_valid(a_tool(serial="17"), ExpectedCalibration("lab/cell1", "coil", serial="17"), NOW.timestamp())
+    error = refused(a_tool(serial="17"), ExpectedCalibration("lab/cell1", "coil", serial="18"))
     assert (error.refusal_code, error.fields["field"]) == ("calibration_foreign", "serial")
 
 
@@ -44,7 +44,7 @@ def test_of_another_cell_or_type_it_is_refused(given: dict[str, str], field: str
 
 
 def test_a_pointer_serves_every_workflow() -> None:
-    check_valid(a_pointer(), Expected("lab/cell1", "drill_guide"), NOW.timestamp())
+    check_valid(a_pointer(), ExpectedCalibration("lab/cell1", "drill_guide"), NOW.timestamp())
 
 
 def test_it_expires_to_the_second() -> None:

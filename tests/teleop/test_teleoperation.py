@@ -309,7 +309,7 @@ async def test_nothing_moves_while_the_clutch_is_open(alice: Teleoperator) -> No
 async def test_no_tool_is_guided_without_a_registration_and_a_plan(alice: Teleoperator, missing: str) -> None:
     """A blueprint may let it be guided: from a place that means nothing it is not."""
     data = msgspec.structs.replace(alice.bench.data, **{missing: None})
-    with pytest.raises(RefusalError, match="no registration and plan to guide") as refused:
+    with pytest.raises(RefusalError, match="needed to guide") as refused:
         GuidanceSession(activity(alice.bench, data))
     assert refused.value.refusal_code == "not_registered"
 

@@ -188,7 +188,7 @@ def test_pulses_that_cannot_be_are_refused(intensity: float) -> None:
 
 def test_relative_frequency_counts_only_what_it_asked_for() -> None:
     hunt = MotorThresholdEstimator.begin(ThresholdSettings(method="relative_frequency"))
-    with pytest.raises(RefusalError, match="asked for 35 %"):
+    with pytest.raises(RefusalError, match="requested 35 %"):
         hunt.after(36.0, responded=True)
 
 

@@ -335,6 +335,6 @@ async def test_nothing_is_followed_without_a_registration_and_a_plan(bench: Work
     await bench.to_placed()
     frames = bench.cell.poses.frames_after(0, BODIES)[-10:]
     assert BodyFollower(bench.cell, bench.data, frames).moved == 0.0
-    with pytest.raises(RefusalError, match="no registration and plan to follow") as refused:
+    with pytest.raises(RefusalError, match="cannot follow the body") as refused:
         BodyFollower(bench.cell, msgspec.structs.replace(bench.data, **{missing: None}), frames)
     assert refused.value.refusal_code == "not_registered"

@@ -23,7 +23,7 @@ from pcmrs.messages import JointState, Verdict
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.paths import along_axis
-from pcmrs.workflows.placement import planned
+from pcmrs.workflows.placement import planned_pose
 from pcmrs.workflows.settings import ProcedureSettings
 from pcmrs.workflows.surface import read_surface
 from pcmrs.workflows.toolplan import ToolPose, pose_of, standoff_postures
@@ -364,6 +364,6 @@ async def test_nearest_of_all_refused_postures_gives_the_reason() -> None:
         await bench.register()
         await bench.accept("toolplan.plan", **POSES[6])
         run = bench.run("placement.approach")
-        (posture,) = standoff_postures(run, planned(bench.data))
+        (posture,) = standoff_postures(run, planned_pose(bench.data))
         assert np.abs(posture - postures[0]).max() < 0.02
         await bench.refuse("placement.approach", "outside_cone")

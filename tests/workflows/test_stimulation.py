@@ -458,7 +458,7 @@ async def test_no_pulse_without_a_registration_and_a_plan(armed: StimulationBenc
     run = armed.bench.run("stimulation.fire")
     coil_on_target(run)
     run.keep(**{missing: None})
-    with pytest.raises(RefusalError, match="no registration and plan") as refused:
+    with pytest.raises(RefusalError, match="both are needed for a pulse") as refused:
         coil_on_target(run)
     assert refused.value.refusal_code == "no_plan"
 

@@ -41,7 +41,7 @@ async def arm_stimulator(run: Run) -> None:
 
 def _check_armed(state: StimulatorState) -> None:
     if not state.armed:
-        raise RefusalError("not_armed", "The stimulator was commanded to arm, but is not armed: look at it.")
+        raise RefusalError("not_armed", "The stimulator was commanded to arm, but is not armed: check it.")
 
 
 def _adopt_pulse_count(run: Run, state: StimulatorState) -> None:

@@ -11,7 +11,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.spatial import Transform
 from pcmrs.workflows.alignment import BODIES, TrackerFrame, desired_in_body_ref, measured_from_desired
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.correction import size_of
+from pcmrs.workflows.correction import size_mm_deg
 from pcmrs.workflows.data import PlacementData, as_transform
 from pcmrs.workflows.settings import StimulationSettings
 from pcmrs.workflows.tms.data import Data, Run
@@ -57,9 +57,10 @@ def check_coil_alignment(cell: Cell, data: Data) -> CoilAlignment:
     settings = cell.settings.stimulation
     desired = desired_in_body_ref(cell, data)
     if desired is None or data.registered is None:
-        raise RefusalError("no_plan", "There is no registration and plan to stimulate by.")
+        raise RefusalError("no_plan", "There is no registration or no plan: both are needed for a pulse.")
     frames = _fresh_frames(cell, settings)
-    error_mm, error_deg = size_of(measured_from_desired(frames[-1], desired))
+    error_mm, error_deg = size_mm_deg(measured_from_desired(frames[-1], desired))
+    # Negated comparisons here and below refuse nan, too.
     if not (error_mm <= settings.tolerance_mm and error_deg <= settings.tolerance_deg):
         text = (
             f"The coil is {error_mm:.2f} mm and {error_deg:.2f}° from its planned pose; for a pulse the limits are "

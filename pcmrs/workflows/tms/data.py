@@ -25,38 +25,6 @@ from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.data import settle as settle_placement
 
 
-def stimulator_of(cell: Cell) -> Stimulator:
-    """Return the cell's stimulator. Raises `RefusalError` if there is none."""
-    if cell.stimulator is None:
-        text = "There is no stimulator: set stimulator.driver, such as sim or trigger, and restart the daemon."
-        raise RefusalError("no_stimulator", text)
-    return cell.stimulator
-
-
-def emg_of(cell: Cell) -> Emg:
-    """Return the cell's electromyograph. Raises `RefusalError` if there is none."""
-    if cell.emg is None:
-        text = "There is no electromyograph: set emg.driver, such as sim or lsl, and restart the daemon."
-        raise RefusalError("no_emg", text)
-    return cell.emg
-
-
-def stimulator_there(run: Run) -> None:
-    """Refuse without a stimulator."""
-    stimulator_of(run.cell)
-
-
-def emg_there(run: Run) -> None:
-    """Refuse without an electromyograph, because nothing could be learned from the pulse."""
-    emg_of(run.cell)
-
-
-def register_device_checks(registry: Registry[Cell, PlacementData]) -> None:
-    """Register the names that blueprints use for these checks."""
-    for check in (stimulator_there, emg_there):
-        registry.check(check)
-
-
 class Ceiling(msgspec.Struct, frozen=True):
     """Greatest permitted intensity.
 
@@ -159,3 +127,35 @@ def settle(data: Data, states: Mapping[str, str], effects: Sequence[Effect]) -> 
         changes |= {"hunt": None, "threshold": None}
     fitted = msgspec.structs.replace(data, **changes) if changes else data
     return settle_placement(fitted, states, effects)
+
+
+def stimulator_of(cell: Cell) -> Stimulator:
+    """Return the cell's stimulator. Raises `RefusalError` if there is none."""
+    if cell.stimulator is None:
+        text = "There is no stimulator: set stimulator.driver, such as sim or trigger, and restart the daemon."
+        raise RefusalError("no_stimulator", text)
+    return cell.stimulator
+
+
+def emg_of(cell: Cell) -> Emg:
+    """Return the cell's electromyograph. Raises `RefusalError` if there is none."""
+    if cell.emg is None:
+        text = "There is no electromyograph: set emg.driver, such as sim or lsl, and restart the daemon."
+        raise RefusalError("no_emg", text)
+    return cell.emg
+
+
+def stimulator_there(run: Run) -> None:
+    """Refuse without a stimulator."""
+    stimulator_of(run.cell)
+
+
+def emg_there(run: Run) -> None:
+    """Refuse without an electromyograph, because nothing could be learned from the pulse."""
+    emg_of(run.cell)
+
+
+def register_device_checks(registry: Registry[Cell, PlacementData]) -> None:
+    """Register the names that blueprints use for these checks."""
+    for check in (stimulator_there, emg_there):
+        registry.check(check)

@@ -11,9 +11,9 @@ from pcmrs.spatial import Transform
 from pcmrs.tms.hotspot import HotspotSearch
 from pcmrs.tms.settings import Count, HotspotMethod, HotspotSettings
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.correction import size_of
+from pcmrs.workflows.correction import size_mm_deg
 from pcmrs.workflows.data import PlacementData, as_transform
-from pcmrs.workflows.placement import planned
+from pcmrs.workflows.placement import planned_pose
 from pcmrs.workflows.tms.data import Response, Run
 from pcmrs.workflows.tms.intensity import known_intensity
 from pcmrs.workflows.toolplan import ToolPose, accept_pose, pose_of
@@ -37,14 +37,14 @@ class AskedSearch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def search_possible(run: Run) -> None:
     """Prepare a search on the body's surface, or refuse if there is no surface or the centre does not fit it."""
-    asked, settings = run.payload, run.cell.settings.stimulation.hotspot
-    given = {"method": asked.method, "rings": asked.rings, "max_pulses": asked.max_pulses}
+    arguments, settings = run.payload, run.cell.settings.stimulation.hotspot
+    given = {"method": arguments.method, "rings": arguments.rings, "max_pulses": arguments.max_pulses}
     chosen = {key: value for key, value in given.items() if value is not None}
     try:
         changed = msgspec.convert(msgspec.to_builtins(settings) | chosen, HotspotSettings)
     except msgspec.ValidationError as error:
         raise RefusalError("bad_arguments", f"hotspot.begin: {error}.") from None
-    centre = planned(run.data) if asked.centre is None else pose_of(asked.centre)
+    centre = planned_pose(run.data) if arguments.centre is None else pose_of(arguments.centre)
     run.prepared = HotspotSearch.begin(changed, _scalp(run).closest, centre)
 
 
@@ -74,13 +74,14 @@ def search_pose_reachable(run: Run) -> None:
 
 def plan_is_of_search(run: Run) -> None:
     """Refuse a pulse if the plan in force is neither the next pose of the search nor a neighbour of it."""
-    settings, proposed, plan = search_of(run).settings, _pose_of(run), planned(run.data)
-    shift_mm, turn_deg = size_of(proposed.inverse() @ plan)
+    settings, proposed, plan = _search_of(run).settings, _pose_of(run), planned_pose(run.data)
+    shift_mm, turn_deg = size_mm_deg(proposed.inverse() @ plan)
+    # A neighbour is accepted, because the arm may not reach the proposed pose.
     if shift_mm > settings.spacing_mm or turn_deg > settings.heading_step_deg:
         text = (
             f"The plan in force is {shift_mm:.1f} mm and {turn_deg:.0f}° from the pose that the search proposes; the "
-            f"limits are {settings.spacing_mm:g} mm and {settings.heading_step_deg:g}°. Ask for toolplan.aim_hotspot; "
-            "where the arm cannot reach that pose, plan one beside it. Then approach."
+            f"limits are {settings.spacing_mm:g} mm and {settings.heading_step_deg:g}°. Send toolplan.aim_hotspot; "
+            "if the arm cannot reach that pose, plan one beside it. Then approach."
         )
         raise RefusalError("other_pose_planned", text, shift_mm=shift_mm, turn_deg=turn_deg)
 
@@ -94,13 +95,13 @@ def intensity_is_of_search(run: Run) -> None:
 
 
 def _pose_of(run: Run) -> Transform:
-    return as_transform(search_of(run).next() if run.data.hotspot is None else run.data.hotspot)
+    return as_transform(_search_of(run).next() if run.data.hotspot is None else run.data.hotspot)
 
 
 def learn_place(run: Run) -> None:
     """Add the response to the search. A pulse without a valid response is repeated at the same place."""
     response: Response = run.prepared
-    search = search_of(run)
+    search = _search_of(run)
     if response.mep is not None and not response.problem:
         search = search.after(response.coil, response.mep.peak_to_peak)
         run.keep(search=search)
@@ -114,17 +115,17 @@ def learn_place(run: Run) -> None:
 
 def place_known(run: Run) -> None:
     """Refuse to conclude a search without any result."""
-    _ = search_of(run).estimate
+    _ = _search_of(run).estimate
 
 
 def keep_hotspot(run: Run) -> None:
     """Put the best present estimate of the hot-spot on record."""
-    found = search_of(run).estimate
+    found = _search_of(run).estimate
     run.keep(hotspot=found.image_from_coil)
     run.result["hotspot"] = msgspec.to_builtins(found)
 
 
-def search_of(run: Run) -> HotspotSearch:
+def _search_of(run: Run) -> HotspotSearch:
     """Return the active search. Raises `RefusalError` if there is none."""
     if run.data.search is None:
         raise RefusalError("no_search", "There is no search for a hot-spot: send hotspot.begin first.")

@@ -81,6 +81,7 @@ def check_intensity(data: Data, percent: float) -> None:
     if data.ceiling is None:
         text = "No ceiling of the intensity has been set: an operator must send stimulation.set_ceiling."
         raise RefusalError("no_ceiling", text)
+    # The negated comparison refuses nan, too.
     if not percent <= data.ceiling.percent:
         text = (
             f"{percent:g} % is above the ceiling of {data.ceiling.percent:g} %, set by {data.ceiling.operator}. Choose "

@@ -29,39 +29,6 @@ PROBLEMS = {
 }
 """Texts by the flag of an invalid measurement, the worst first."""
 
-
-async def read_response(run: Run) -> None:
-    """Read and evaluate the signal around the pulse. Failures are reported in the response, not raised."""
-    fired: Response = run.prepared
-    settings = run.cell.settings.stimulation
-    run.keep(epoch=None)
-    try:
-        epoch = await emg_of(run.cell).epoch(fired.pulse, settings.epoch_before, settings.epoch_after)
-        run.keep(epoch=epoch)
-        run.prepared = _judged(fired, judge_mep(epoch, settings.mep))
-    except PcmrsError as error:
-        reason = reason_of(error)
-        run.prepared = msgspec.structs.replace(fired, problem=reason.code, problem_text=reason.text)
-
-
-def _judged(fired: Response, mep: Mep) -> Response:
-    problem = next((flag for flag in PROBLEMS if getattr(mep, flag)), "")
-    return msgspec.structs.replace(fired, mep=mep, problem=problem, problem_text=PROBLEMS.get(problem, ""))
-
-
-def keep_response(run: Run) -> None:
-    """Put the response on record and in the result."""
-    response: Response = run.prepared
-    run.keep(response=response)
-    run.result |= {**msgspec.to_builtins(response), "counted": not response.problem}
-
-
-def register_response(registry: Registry[Cell, PlacementData]) -> None:
-    """Register the names that blueprints use for these steps."""
-    registry.world_step(read_response)
-    registry.step(keep_response)
-
-
 POLL_INTERVAL = 0.02
 """Time between two queries of a stimulator that charges, s."""
 
@@ -89,6 +56,7 @@ async def fire_pulse(run: Run) -> None:
     _check_state(run.data, await _ready(run, stimulator))
     alignment, number = check_coil_alignment(run.cell, run.data), run.data.pulse + 1
     fired = await _fire(stimulator, number)
+    # Only a confirmed pulse is counted here. After an unknown outcome, arming adopts the stimulator's own count.
     run.keep(pulse=number, given=run.data.given + 1, last_pulse=run.clock.monotonic())
     run.prepared = Response(
         pulse=number,
@@ -137,7 +105,35 @@ async def _fire(stimulator: Stimulator, number: int) -> FiredPulse:
         raise
 
 
+async def read_response(run: Run) -> None:
+    """Read and evaluate the signal around the pulse. Failures are reported in the response, not raised."""
+    fired: Response = run.prepared
+    settings = run.cell.settings.stimulation
+    run.keep(epoch=None)
+    try:
+        epoch = await emg_of(run.cell).epoch(fired.pulse, settings.epoch_before, settings.epoch_after)
+        run.keep(epoch=epoch)
+        run.prepared = _judged(fired, judge_mep(epoch, settings.mep))
+    except PcmrsError as error:
+        reason = reason_of(error)
+        run.prepared = msgspec.structs.replace(fired, problem=reason.code, problem_text=reason.text)
+
+
+def _judged(fired: Response, mep: Mep) -> Response:
+    problem = next((flag for flag in PROBLEMS if getattr(mep, flag)), "")
+    return msgspec.structs.replace(fired, mep=mep, problem=problem, problem_text=PROBLEMS.get(problem, ""))
+
+
+def keep_response(run: Run) -> None:
+    """Put the response on record and in the result."""
+    response: Response = run.prepared
+    run.keep(response=response)
+    run.result |= {**msgspec.to_builtins(response), "counted": not response.problem}
+
+
 def register_pulse(registry: Registry[Cell, PlacementData]) -> None:
-    """Register the names that blueprints use for this check and step."""
+    """Register the names that blueprints use for this check and these steps."""
     registry.check(pulse_allowed_now)
     registry.world_step(fire_pulse, affects_patient=True)
+    registry.world_step(read_response)
+    registry.step(keep_response)

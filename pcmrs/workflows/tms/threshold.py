@@ -48,7 +48,7 @@ def begin_hunt(run: Run) -> None:
 
 def hunted_intensity_allowed(run: Run) -> None:
     """Refuse an intensity above a ceiling that was lowered since, or one that the operator has not dialled yet."""
-    percent = hunt_of(run).next_intensity()
+    percent = _hunt_of(run).next_intensity()
     check_intensity(run.data, percent)
     if run.cell.settings.stimulation.dialled and run.data.intensity != percent:
         text = f"The hunt needs {percent:g} %: turn the dial to it, and report it by stimulation.set_intensity."
@@ -57,13 +57,13 @@ def hunted_intensity_allowed(run: Run) -> None:
 
 async def set_hunted_intensity(run: Run) -> None:
     """Set the intensity that the hunt needs next."""
-    await set_intensity(run, hunt_of(run).next_intensity())
+    await set_intensity(run, _hunt_of(run).next_intensity())
 
 
 def learn_threshold(run: Run) -> None:
     """Add the response to the hunt, and decide its outcome. A pulse without a valid response is repeated."""
     response: Response = run.prepared
-    hunt = hunt_of(run)
+    hunt = _hunt_of(run)
     if response.mep is not None and not response.problem:
         amplitude = response.mep.peak_to_peak
         responded = amplitude * 1e6 >= hunt.settings.response_uv
@@ -85,7 +85,7 @@ def _outcome(hunt: MotorThresholdEstimator) -> str:
     return "hunting" if hunt.refusal is None else "none"
 
 
-def hunt_of(run: Run) -> MotorThresholdEstimator:
+def _hunt_of(run: Run) -> MotorThresholdEstimator:
     """Return the active hunt. Raises `RefusalError` if there is none."""
     if run.data.hunt is None:
         raise RefusalError("no_hunt", "There is no hunt for a threshold: send threshold.begin first.")

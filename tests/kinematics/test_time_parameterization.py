@@ -1,4 +1,4 @@
-"""Motions that are slower at some places."""
+"""Motions whose speed limit depends on the place."""
 
 from __future__ import annotations
 
