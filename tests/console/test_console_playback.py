@@ -17,7 +17,7 @@ from test_console_geometry import body, setup, some_pose
 
 from pcmrs.bus.codec import pack
 from pcmrs.console.cell_view_model import EPOCHS, NOTHING
-from pcmrs.console.playback import RATE_HZ, Playback, Recorded, read_recorded
+from pcmrs.console.playback import RATE_HZ, Playback, RecordedSession, read_recorded
 from pcmrs.errors import FileFormatError
 from pcmrs.fsm import Blueprint
 from pcmrs.messages import BlueprintTag, DeviceEvent, Epoch, JointState, Snapshot, Target, Verdict
@@ -99,7 +99,7 @@ def write(path: Path, messages: list[tuple[float, str, Any]]) -> Path:
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> RecordedSession:
     shares: list[float] = []
     found = read_recorded([write(tmp_path_factory.mktemp("r") / "run.mcap", said())], shares.append)
     assert shares == sorted(shares)
@@ -107,12 +107,12 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
 
 
 @pytest.fixture
-def played(recorded: Recorded) -> Callable[[], Playback]:
+def played(recorded: RecordedSession) -> Callable[[], Playback]:
     return lambda: Playback(recorded, setup(), BLUEPRINT)
 
 
 def shown(playback: Playback) -> tuple[Any, ...]:
-    told = playback.snapshot, playback.data, playback.joints, dict(playback.poses), dict(playback.heard)
+    told = playback.snapshot, playback.data, playback.joints, dict(playback.poses), dict(playback.received)
     return *told, list(playback.events), list(playback.epochs), playback.health
 
 
@@ -145,8 +145,8 @@ def test_it_is_what_had_come_until_then(played: Callable[[], Playback], moment: 
     assert age is None if moment < 3.0 else age == pytest.approx(moment - (9.0 if moment >= 9.0 else 3.0))
 
 
-def test_times_are_those_of_the_session(recorded: Recorded, played: Callable[[], Playback]) -> None:
-    assert (recorded.begun, recorded.duration, recorded.damage) == (1_700_000_000.0, LENGTH, "")
+def test_times_are_those_of_the_session(recorded: RecordedSession, played: Callable[[], Playback]) -> None:
+    assert (recorded.started_at, recorded.duration, recorded.damage) == (1_700_000_000.0, LENGTH, "")
     assert len(recorded.tracks["state/joints"].times) <= LENGTH * RATE_HZ + 1
     playback = played()
     playback.seek(1.0)
@@ -213,4 +213,4 @@ def test_numbered_files_are_one_recording(tmp_path: Path) -> None:
     alone = write(tmp_path / "alone.mcap", messages)
     assert recordings_in(tmp_path) == {"alone": [alone], "run": [first, second]}
     joined, whole = (read_recorded(files, lambda _: None) for files in ([first, second], [alone]))
-    assert (joined.begun, joined.duration, joined.tracks) == (whole.begun, whole.duration, whole.tracks)
+    assert (joined.started_at, joined.duration, joined.tracks) == (whole.started_at, whole.duration, whole.tracks)
