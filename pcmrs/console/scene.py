@@ -49,7 +49,7 @@ with invisible changes."""
 
 
 def put(shape: Object3D, pose: Transform) -> None:
-    """Move a shape to a pose; the page is not told if it is nearly there already.
+    """Move a shape to a pose; nothing is sent to the page if it is nearly there already.
 
     Args:
         shape: The shape.

@@ -51,7 +51,7 @@ class TrackingView:
         stand = locator.base_from_tracker if wanted else None
         show(self._tracker, stand)
         for body, line in self._sights.items():
-            seen = locator.in_base(view.poses.get(body)) if is_seen(view, body) else None
+            seen = locator.in_base(view.poses.get(body)) if _is_seen(view, body) else None
             if stand is None or seen is None:
                 show(line, None)
             else:
@@ -80,13 +80,13 @@ class VisibilityRow:
             if body not in self._chips:
                 with self._row:
                     self._chips[body] = ui.badge().classes("text-body2")
-            seen, pose, chip = is_seen(view, body), view.poses[body], self._chips[body]
+            seen, pose, chip = _is_seen(view, body), view.poses[body], self._chips[body]
             why = "" if seen or pose.reason is None else f" ({pose.reason.replace('_', ' ')})"
             chip.set_text(f"{'●' if seen else '○'} {body}: {self._texts('seen' if seen else 'not_seen')}{why}")
             chip.props(f"color={'blue-9' if seen else 'deep-orange-10'}")
 
 
-def is_seen(view: CellViewModel, body: str) -> bool:
+def _is_seen(view: CellViewModel, body: str) -> bool:
     """Return true if the tracker sees a body now. Its last report is no longer true when it has stopped reporting.
 
     Args:

@@ -110,7 +110,7 @@ def test_points_of_another_space_are_refused_and_change_nothing() -> None:
     assert plan.landmarks == before
     with pytest.raises(GeometryError, match="limit is 80 mm"):
         plan.aim(np.array((0.0, 0.0, 0.3)))
-    with pytest.raises(GeometryError, match="turn the direction over"):
+    with pytest.raises(GeometryError, match="reverse the direction"):
         plan.aim(np.array((0.0, 0.0, 0.12)), np.array((0.0, 0.0, 1.0)))
     assert (plan.pose, plan.target) == (None, None)
 

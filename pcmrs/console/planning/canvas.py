@@ -1,4 +1,4 @@
-"""The image in three dimensions: the surface, and what is planned on it."""
+"""The image in three dimensions: the surface, and the plan on it."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ NEAR, TYPICAL = 0.030, 0.006
 """Largest distance of a landmark from the surface, and of half of them, m: landmarks farther away are of another image
 or space. A surface may lack a nose; on a head that is turned round, no single landmark is far off."""
 DEEPEST = 0.080
-"""No target for a coil lies deeper below the scalp, m."""
+"""Largest depth of a target for a coil below the scalp, m."""
 
 
 @dataclass
@@ -37,12 +37,12 @@ class Draft:
     """Points and poses in the image, m.
 
     Attributes:
-        surface: What is planned on; None where the cell has none.
-        cortex: Where targets lie; None unless it was loaded.
+        surface: Surface to plan on; None if the cell has none.
+        cortex: Surface with the targets; None unless it was loaded.
         pose: ``image_from_coil`` of the tool.
-        target: In the cortex.
-        entry: Where a drill enters the bone.
-        end: Where it is to end.
+        target: Target in the cortex.
+        entry: Point at which a drill enters the bone.
+        end: Planned end of the drilling.
     """
 
     surface: TriangleSurface | None = None
@@ -112,7 +112,7 @@ class Draft:
         else:
             point = surface.leaving(target, direction)
             if point is None:
-                text = "From the target in this direction there is no surface; turn the direction over."
+                text = "From the target in this direction there is no surface; reverse the direction."
                 raise GeometryError(text, direction=direction.tolist())
         self.place(point)
         self.target = target

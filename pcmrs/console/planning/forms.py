@@ -69,7 +69,7 @@ class DraftEditor:
         return button.props(f'data-testid="{name}"')
 
 
-def in_mm(point: npt.ArrayLike) -> str:
+def _in_mm(point: npt.ArrayLike) -> str:
     """Return a point, m, (3,), as text in mm."""
     x, y, z = 1000.0 * np.asarray(point, dtype=float)
     return f"{x:.1f} {y:.1f} {z:.1f} mm"
@@ -106,7 +106,7 @@ class LandmarkForm:
         self._list.clear()
         with self._list:
             for each in self._editor.draft.landmarks:
-                ui.label(f"{each.name}: {in_mm(each.planned)}")
+                ui.label(f"{each.name}: {_in_mm(each.planned)}")
 
 
 NUDGES = {
@@ -173,7 +173,7 @@ class ToolForm:
             return
         depth = draft.depth
         below = "" if depth is None else "   " + texts("depth", mm=1000.0 * depth)
-        self._shown.set_text(in_mm(draft.pose.translation) + below)
+        self._shown.set_text(_in_mm(draft.pose.translation) + below)
 
 
 class TrajectoryForm:
@@ -206,7 +206,7 @@ class TrajectoryForm:
         """Show the draft."""
         draft, texts = self._editor.draft, self._editor.texts
         named = {texts("entry"): draft.entry, texts("end"): draft.end}
-        parts = [f"{name}: {in_mm(point)}" for name, point in named.items() if point is not None]
+        parts = [f"{name}: {_in_mm(point)}" for name, point in named.items() if point is not None]
         if draft.entry is not None and draft.end is not None:
             parts.append(texts("length", mm=1000.0 * float(np.linalg.norm(draft.entry - draft.end))))
         self._shown.set_text("   ".join(parts))

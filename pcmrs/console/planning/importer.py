@@ -81,14 +81,14 @@ def main() -> None:
     request = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=Request)
     confine(request.memory, request.seconds)
     try:
-        answer = read_requested(request)
+        answer = _read_requested(request)
     except PcmrsError as error:
         answer = Refused(error.text)
     sys.stdout.buffer.write(msgspec.msgpack.encode(answer))
     sys.stdout.buffer.flush()
 
 
-def read_requested(request: Request) -> Answer:
+def _read_requested(request: Request) -> Answer:
     """Read the requested file.
 
     Raises:

@@ -32,7 +32,7 @@ NAMES: dict[Kind, tuple[str, str, str]] = {
 """Keys of its name and of its button's text, and the button's ``data-testid``."""
 
 
-class Form(Protocol):
+class _Form(Protocol):
     """One kind of plan."""
 
     def pick(self, point: Floats) -> None:
@@ -73,7 +73,7 @@ class PlanningPanel:
             on_change=self._changed,
         )
         self._mode.props("dense no-caps").props('data-testid="mode"')
-        self._forms: dict[Kind, Form] = {}
+        self._forms: dict[Kind, _Form] = {}
         self._sending: dict[Kind, ui.button] = {}
         for kind in self._operations:
             with ui.column().classes("w-full gap-1").bind_visibility_from(self._mode, "value", value=kind):
@@ -84,7 +84,7 @@ class PlanningPanel:
         UploadForm(editor, self._canvas)
         self._changed()
 
-    def _build(self, kind: Kind, editor: DraftEditor) -> Form:
+    def _build(self, kind: Kind, editor: DraftEditor) -> _Form:
         match kind:
             case "landmarks":
                 return LandmarkForm(editor)

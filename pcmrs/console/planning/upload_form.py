@@ -167,6 +167,6 @@ def _prepared(mesh: Mesh) -> tuple[TriangleSurface, bytes]:
     """Return the surface for nearest-point queries, and its STL for the browser.
 
     Raises:
-        GeometryError: It is no surface to plan on.
+        GeometryError: It is not a surface to plan on.
     """
     return TriangleSurface(mesh.vertices, mesh.faces), as_stl(mesh.vertices, mesh.faces)
