@@ -26,7 +26,7 @@ FacetsByState = dict[Joint, Facets]
 """The facets of an operation's answers in each joint state."""
 
 
-def facets_of(blueprint: Blueprint, common: Collection[str]) -> dict[str, FacetsByState]:
+def _facets_of(blueprint: Blueprint, common: Collection[str]) -> dict[str, FacetsByState]:
     """Return the facets of all answers of each operation; under "" every joint state that is reached.
 
     Args:
@@ -63,7 +63,7 @@ def _consequence(change: Change | None, common: Collection[str]) -> Hashable:
     return frozenset(effect for effect in change.effects if effect.branch in common)
 
 
-def differing_facets(
+def _differing_facets(
     was: Mapping[str, frozenset[Any]], now: Mapping[str, frozenset[Any]]
 ) -> Iterator[tuple[FacetKind, str]]:
     """Return the facets that differ, without those that only follow from another difference.
@@ -85,7 +85,7 @@ def differing_facets(
             yield "locks", "locks"
 
 
-def describe_facet(values: frozenset[Any], other: frozenset[Any]) -> str:
+def _describe_facet(values: frozenset[Any], other: frozenset[Any]) -> str:
     """Return a facet in words; of changes, only those that the other blueprint lacks.
 
     Args:
@@ -220,7 +220,7 @@ def _declaration(spec: OperationSpec) -> dict[str, Any]:
 
 def _answered(old: Blueprint, new: Blueprint) -> Iterator[Difference]:
     common = [branch for branch in old.branches if branch in new.branches]
-    before, after = facets_of(old, common), facets_of(new, common)
+    before, after = _facets_of(old, common), _facets_of(new, common)
     reached_before, reached_after = before.pop(""), after.pop("")
     gained = [joint for joint in reached_after if joint not in reached_before]
     lost = [joint for joint in reached_before if joint not in reached_after]
@@ -275,10 +275,10 @@ def _operation(operation: str, both: _Space, before: FacetsByState, after: Facet
     """Group the joint states in which an operation is answered differently by how it differs."""
     groups: dict[tuple[FacetKind, str], list[Joint]] = defaultdict(list)
     for joint in both.joints:
-        for difference in differing_facets(before[joint], after[joint]):
+        for difference in _differing_facets(before[joint], after[joint]):
             groups[difference].append(joint)
     for (kind, facet), joints in groups.items():
         subject = f"{operation}:{facet.removeprefix('ending ')}" if kind == "ending" else operation
         was, now = (seen[joints[0]].get(facet, frozenset()) for seen in (before, after))
-        values = ("", "") if facet == "accepted" else (describe_facet(was, now), describe_facet(now, was))
+        values = ("", "") if facet == "accepted" else (_describe_facet(was, now), _describe_facet(now, was))
         yield both.difference(kind, subject, joints, *values)

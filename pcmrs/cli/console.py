@@ -24,7 +24,7 @@ from pcmrs.recording.settings import FOLDER
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the web server.
-    from pcmrs.console.server import Place
+    from pcmrs.console.server import ListenAddress
     from pcmrs.settings import Settings
 
 
@@ -78,7 +78,7 @@ def console(
     Example: pcmrs console --endpoint tls/router.example.org:7449 --identity anna
     """
     try:
-        from pcmrs.console.server import Place  # loads the web server
+        from pcmrs.console.server import ListenAddress  # loads the web server
     except ModuleNotFoundError as error:
         text = f"The page is served by the package {error.name}, which is missing: "
         text += "install the extra console (docs/supply.md)."
@@ -98,7 +98,11 @@ def console(
         click.echo(msgspec.json.encode({"url": url}).decode() if as_json else f"open {url}")
         sys.stdout.flush()
 
-    run(_serve(address, Place(host, port, names), token, language, ready, uploads, recordings, lifeline=lifeline))
+    run(
+        _serve(
+            address, ListenAddress(host, port, names), token, language, ready, uploads, recordings, lifeline=lifeline
+        )
+    )
 
 
 def _address(settings: Settings) -> Address:
@@ -109,7 +113,7 @@ def _address(settings: Settings) -> Address:
 
 async def _serve(
     address: Address,
-    place: Place,
+    place: ListenAddress,
     token: str,
     language: str,
     ready: Callable[[str], None],

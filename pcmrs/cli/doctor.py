@@ -38,11 +38,11 @@ def doctor(as_json: bool, file: Path | None, overrides: tuple[str, ...]) -> None
     from pcmrs.settings import read_settings
 
     found = examine(read_settings(file, overrides))
-    print_report(found, doctor_table(found), as_json=as_json)
+    print_report(found, _table(found), as_json=as_json)
     sys.exit(STATUS[found.verdict])
 
 
-def doctor_table(found: Examination) -> Table:
+def _table(found: Examination) -> Table:
     """Return one row for each finding; below one that is not good, what to do."""
     table = Table(box=SIMPLE_HEAD)
     for name in ("check", "verdict"):

@@ -57,7 +57,7 @@ def replay(
             path or journal_of_cell(file, overrides),
             SystemClock(),
             blueprint,
-            lambda done, total: show("deciding anew", done, total),
+            lambda done, total: show("deciding again", done, total),
         )
     print_report(replayed, _table(replayed), as_json=as_json)
     if not replayed.is_same:

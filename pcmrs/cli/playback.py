@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pcmrs.cli.options import POSITIVE, Finite, json_option
+from pcmrs.cli.options import json_option
 from pcmrs.cli.printing import say_json
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import readable_errors, run
+from pcmrs.cli.values import POSITIVE, Finite
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the bus.

@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pcmrs.cli.lifeline import NICENESS, inherited
-from pcmrs.cli.options import POSITIVE, OutputFile, Size, config_options, json_option
+from pcmrs.cli.options import OutputFile, config_options, json_option
 from pcmrs.cli.printing import Terminal, say_json
 from pcmrs.cli.running import EXIT_FAILED, readable_errors, run
+from pcmrs.cli.values import POSITIVE, Size
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the robot's kinematics.

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from pcmrs.cli.options import POSITIVE, OutputFile, json_option, plot_option
+from pcmrs.cli.options import OutputFile, json_option, plot_option
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors
+from pcmrs.cli.values import POSITIVE
 from pcmrs.errors import ConfigurationError, DegeneratePointsError
 
 if TYPE_CHECKING:

@@ -1,1 +1,1 @@
-"""The operating room's view: one page that any browser opens, and a client of the bus like any other."""
+"""The operating room's view: one page for any browser, served by a client of the bus."""

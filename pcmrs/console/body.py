@@ -18,18 +18,18 @@ BALL, CUBE = 0.004, 0.006
 """Radius of a planned landmark, edge of a digitized one, m."""
 
 
-class BodyShown:
-    """What moves with the body's reference.
+class BodyView:
+    """Everything that moves with the body's reference.
 
     Args:
-        scene: To draw in.
-        told: What is shown.
-        setup: Of the cell.
-        surfaces: Where the page finds the surface.
+        scene: Scene to draw in.
+        view: State of the cell to show.
+        setup: Setup of the cell.
+        surfaces: Served surfaces of the body.
     """
 
-    def __init__(self, scene: ui.scene, told: CellViewModel, setup: Setup, surfaces: Surfaces) -> None:
-        self._scene, self._told, self._setup, self._surfaces = scene, told, setup, surfaces
+    def __init__(self, scene: ui.scene, view: CellViewModel, setup: Setup, surfaces: Surfaces) -> None:
+        self._scene, self._view, self._setup, self._surfaces = scene, view, setup, surfaces
         self._drawn: tuple[list[LandmarkShown], PoseMessage | None] = ([], None)
         self._landmarks: list[Object3D] = []
         self._plain: Object3D | None = None
@@ -45,8 +45,16 @@ class BodyShown:
         self._reference.with_name("body_ref").visible(False)
 
     def follow(self, base_from_body_ref: Transform | None, *, zone: bool) -> Transform | None:
-        """Put it where the tracker sees it; returns where the image is then, None while that is not known."""
-        registered = self._told.data.body_ref_from_image
+        """Move it to the pose that the tracker sees.
+
+        Args:
+            base_from_body_ref: Pose of the reference; None while unknown.
+            zone: Show the zone of the body.
+
+        Returns:
+            ``base_from_image``; None while unknown.
+        """
+        registered = self._view.data.body_ref_from_image
         image = None
         if registered is not None and base_from_body_ref is not None:
             image = base_from_body_ref @ as_transform(registered)
@@ -54,15 +62,15 @@ class BodyShown:
         show(self._reference, base_from_body_ref)
         if self._zone is not None:
             self._zone.visible(zone)
-        data = self._told.data
+        data = self._view.data
         if (data.landmarks, data.body_ref_from_image) != self._drawn:
             self._drawn = data.landmarks, data.body_ref_from_image
             self._draw_landmarks()
         return image
 
     async def colour(self, *, wanted: bool) -> None:
-        """Colours the surface by the predicted error, or shows it plain again."""
-        where = await self._surfaces.error(self._setup, self._told.data) if wanted else None
+        """Colour the surface by the predicted error, or show it plain."""
+        where = await self._surfaces.error(self._setup, self._view.data) if wanted else None
         if where == (None if self._coloured is None else self._coloured[0]):
             return
         if self._coloured is not None:
@@ -75,11 +83,11 @@ class BodyShown:
             self._plain.visible(where is None)
 
     def _draw_landmarks(self) -> None:
-        """Planned ones as balls, digitized ones as cubes; both by how far they are from each other."""
+        """Draw planned landmarks as balls, digitized ones as cubes, both coloured by their distance."""
         for each in self._landmarks:
             each.delete()
         self._landmarks = []
-        for landmark, residual in zip(self._told.data.landmarks, residuals(self._told.data), strict=True):
+        for landmark, residual in zip(self._view.data.landmarks, residuals(self._view.data), strict=True):
             colour = OPEN if residual is None else GOOD if residual <= self._setup.residual_limit else POOR
             with self._scene, self._image:
                 ball = self._scene.sphere(BALL, 8, 5).material(colour).with_name(f"landmark {landmark.name}")

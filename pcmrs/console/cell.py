@@ -6,14 +6,14 @@ import numpy as np
 from nicegui import ui
 from nicegui.elements.scene.scene_object3d import Object3D
 
-from pcmrs.console.body import BodyShown
+from pcmrs.console.body import BodyView
 from pcmrs.console.cell_view_model import CellViewModel
-from pcmrs.console.geometry import Sight, along
+from pcmrs.console.geometry import TrackerLocator, along
 from pcmrs.console.residuals import gradient
 from pcmrs.console.scene import ARM, BACKGROUND, BOX, MEASURED, PLANNED, fit, put, show, tool
 from pcmrs.console.surfaces import Surfaces
 from pcmrs.console.texts import Texts
-from pcmrs.console.tracking import TrackingShown, VisibilityRow
+from pcmrs.console.tracking import TrackingView, VisibilityRow
 from pcmrs.messages.setup import Setup
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.data import as_transform
@@ -23,28 +23,28 @@ RATE = 30.0
 
 
 class CellPanel:
-    """Follows the cell for as long as its page is open.
+    """Scene of the cell, updated while its page is open.
 
     Args:
-        told: What is shown.
-        setup: Of the cell.
-        texts: Of the page's language.
-        surfaces: Where the page finds the body's surface.
+        view: State of the cell to show.
+        setup: Setup of the cell.
+        texts: Texts in the language of the page.
+        surfaces: Served surfaces of the body.
     """
 
-    def __init__(self, told: CellViewModel, setup: Setup, texts: Texts, surfaces: Surfaces) -> None:
-        self._told, self._setup = told, setup
-        self._sight = Sight(setup)
+    def __init__(self, view: CellViewModel, setup: Setup, texts: Texts, surfaces: Surfaces) -> None:
+        self._view, self._setup = view, setup
+        self._locator = TrackerLocator(setup)
         with ui.element("div").classes("relative w-full h-full"):
-            # The browser waits for its next frame and then for 1/fps: only so it draws RATE of them.
+            # The browser waits for its next frame and then for 1/fps: only this value makes it draw RATE of them.
             with ui.scene(width=10, height=10, grid=False, fps=int(2 * RATE), background_color=BACKGROUND) as scene:
                 self.scene = scene.classes("w-full h-full").props('aria-label="Scene"')
-                self._links = [self._link(span) for span in self._sight.arm.spans]
+                self._links = [self._link(span) for span in self._locator.arm.spans]
                 self._boxes = [self._box(name, size, pose) for name, size, pose in _boxes(setup)]
                 self._planned = tool(scene, setup, PLANNED, 0.55).with_name("planned").visible(False)
                 self._measured = tool(scene, setup, MEASURED, 0.85).with_name("measured").visible(False)
-            self._tracking = TrackingShown(scene, setup)
-            self._body = BodyShown(scene, told, setup, surfaces)
+            self._tracking = TrackingView(scene, setup)
+            self._body = BodyView(scene, view, setup, surfaces)
             with ui.column().classes("absolute top-2 left-2 gap-0"):
                 self._seen = VisibilityRow(texts)
             with ui.row().classes("absolute bottom-0 left-2 items-center gap-2 w-full"):
@@ -57,7 +57,7 @@ class CellPanel:
         ui.timer(0.5, self._colour)
 
     def _legend(self, texts: Texts) -> None:
-        """Of the predicted error, while it is shown."""
+        """Add the legend of the predicted error, which is visible while the error is shown."""
         with ui.row().classes("items-center gap-1 no-wrap text-caption").bind_visibility_from(self._error, "value"):
             ui.label("0")
             ui.element("div").style(f"width: 90px; height: 12px; background: {gradient()}")
@@ -65,8 +65,8 @@ class CellPanel:
             ui.label(limit).props('data-testid="legend"')
 
     def _link(self, span: Floats) -> Object3D:
-        """A group with a ball at a joint and a bar to the next."""
-        radius = self._sight.arm.radius
+        """Return a group with a ball at a joint and a bar to the next."""
+        radius = self._locator.arm.radius
         with self.scene.group() as group:
             self.scene.sphere(radius, 12, 8).material(ARM)
             length = float(np.linalg.norm(span))
@@ -81,20 +81,20 @@ class CellPanel:
         return shape
 
     def _follow(self) -> None:
-        told = self._told
-        self._seen.follow(told)
-        if told.joints is None:
+        view = self._view
+        self._seen.follow(view)
+        if view.joints is None:
             return
-        coil, body_ref = told.poses.get("coil"), told.poses.get("body_ref")
-        frames = self._sight.see(told.joints.positions, coil, moving=told.joints.moving)
+        coil, body_ref = view.poses.get("coil"), view.poses.get("body_ref")
+        frames = self._locator.see(view.joints.positions, coil, moving=view.joints.moving)
         for link, frame in zip(self._links, frames, strict=False):
             put(link, frame)
         for box in self._boxes:
             box.visible(self._wanted["zones"].value)
-        self._tracking.follow(told, self._sight, wanted=self._wanted["tracker"].value)
-        show(self._measured, self._sight.in_base(coil))
-        image = self._body.follow(self._sight.in_base(body_ref), zone=self._wanted["zones"].value)
-        plan = told.data.plan
+        self._tracking.follow(view, self._locator, wanted=self._wanted["tracker"].value)
+        show(self._measured, self._locator.in_base(coil))
+        image = self._body.follow(self._locator.in_base(body_ref), zone=self._wanted["zones"].value)
+        plan = view.data.plan
         show(self._planned, None if image is None or plan is None else image @ as_transform(plan))
 
     async def _colour(self) -> None:

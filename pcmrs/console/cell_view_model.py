@@ -1,4 +1,4 @@
-"""What is known of a cell at one moment, and what panels show: the cell's own of now, or a recording's of then."""
+"""State of a cell at one moment, as panels show it: the present state, or that of a recording."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from pcmrs.messages.health import Health
 from pcmrs.messages.setup import ProcedureDataView
 
 EVENTS = 500
-"""So many of the newest decisions and events are kept."""
+"""Number of the newest decisions and events that are kept."""
 EPOCHS = 5
-"""So many of the newest signals of a muscle are kept."""
+"""Number of the newest signals of a muscle that are kept."""
 
 NOTHING = ProcedureDataView(landmarks=[])
 
 
 class CellViewModel(ABC):
-    """The newest of everything.
+    """Newest state of everything.
 
     Attributes:
-        snapshot: None before the first.
-        data: What the procedure had gathered at the last snapshot.
-        joints: None before the first.
-        poses: By body.
-        heard: When joints and bodies were heard last, s of `now`.
+        snapshot: Newest snapshot; None before the first.
+        data: Data of the procedure at the last snapshot.
+        joints: Newest joints; None before the first.
+        poses: Body to its newest pose.
+        received: Time of the last message of the joints and of each body, s of `now`.
         events: Decisions and device events with their wall time, oldest first.
-        epochs: What a muscle answered to the last pulses, oldest first.
-        health: What the daemon found of itself; None where it does not say.
-        version: Grows with everything that changes what a page says in words.
+        epochs: Signals of a muscle after the last pulses, oldest first.
+        health: Health of the daemon; None if it is not reported.
+        version: Number that grows with every change of the texts on a page.
     """
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class CellViewModel(ABC):
         self.data = NOTHING
         self.joints: JointState | None = None
         self.poses: dict[str, BodyPose] = {}
-        self.heard: dict[str, float] = {}
+        self.received: dict[str, float] = {}
         self.events: deque[tuple[float, Verdict | DeviceEvent]] = deque(maxlen=EVENTS)
         self.epochs: deque[Epoch] = deque(maxlen=EPOCHS)
         self.health: Health | None = None
@@ -46,8 +46,8 @@ class CellViewModel(ABC):
     @property
     @abstractmethod
     def now(self) -> float:
-        """The moment, s of a clock that only this knows."""
+        """The moment, s of this object's own clock."""
 
     def age(self, what: str) -> float | None:
-        """Seconds since a body or the joints were heard; None if never."""
-        return self.now - self.heard[what] if what in self.heard else None
+        """Return the seconds since a body or the joints were received; None if never."""
+        return self.now - self.received[what] if what in self.received else None

@@ -10,7 +10,7 @@ from pcmrs.messages import Snapshot
 
 
 class ChartPanel:
-    """Drawn again when a state has changed.
+    """State chart, drawn again when a state has changed.
 
     Args:
         blueprint: The workflow.

@@ -1,4 +1,4 @@
-"""What may be asked for now, and of everything else why not. Pure; the daemon decides all the same."""
+"""Operations that may be asked for now, with reasons for all others. Pure; only the daemon decides."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pcmrs.messages.setup import Setup
 
 
 def latch_of(shown: Snapshot | None) -> str | None:
-    """Name of the text that says whether a latched Stop is confirmed; None where Stop is not latched."""
+    """Return the name of the text on a latched Stop; None if Stop is not latched."""
     if shown is None or not shown.latched:
         return None
     return "latched_standing" if shown.stop.confirmed else "latched_unconfirmed"
@@ -19,14 +19,14 @@ def latch_of(shown: Snapshot | None) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """One operation for a person to ask for.
+    """One operation that a person may ask for.
 
     Attributes:
-        title: In the workflow's words, or its name.
-        why_not: Why it would be rejected now; empty if it would not, as far as a console can tell.
+        title: Its title in the workflow, or its name.
+        why_not: Reason why it would be rejected now; empty if it would not, as far as a console can tell.
         payload: Registered name of its arguments' type; ``none`` for none.
-        moves: Whether it moves the robot.
-        stop: Number of the Stop that an acknowledgement answers: the one that the person was shown. None of others.
+        moves: It moves the robot.
+        stop: For an acknowledgement, the number of the Stop that the person was shown; None for other operations.
     """
 
     branch: str
@@ -54,7 +54,12 @@ class Choices:
         self._engine = Engine(blueprint)
 
     def all(self, shown: Snapshot, setup: Setup) -> dict[str, Choice]:
-        """By name, what people may ask for, in the blueprint's order."""
+        """Return all operations that people may ask for, by name, in the blueprint's order.
+
+        Args:
+            shown: The present snapshot.
+            setup: Setup of the cell.
+        """
         self._engine.place(shown.branches)
         found = (
             self._choice(name, operation, spec, shown, setup)

@@ -1,4 +1,4 @@
-"""Asks the daemon on behalf of a page, and tells the person what came of it."""
+"""Sends commands to the daemon on behalf of a page, and reports the results to the person."""
 
 from __future__ import annotations
 
@@ -15,18 +15,23 @@ from pcmrs.messages import Verdict
 
 
 class CommandSender:
-    """One per page; the connection is the console's.
+    """Sender of one page; all pages share the console's connection.
 
     Args:
-        feed: Has the client.
-        texts: Of the page's language.
+        feed: Feed with the client.
+        texts: Texts in the language of the page.
     """
 
     def __init__(self, feed: Feed, texts: Texts) -> None:
         self._feed, self._texts = feed, texts
 
     async def ask(self, name: str, arguments: Mapping[str, Any]) -> Verdict | None:
-        """Ask for an operation; None where no verdict came. It goes on when the page is closed meanwhile."""
+        """Send a command and return its verdict; None if none came. It continues if the page is closed.
+
+        Args:
+            name: ``branch.operation``.
+            arguments: Arguments of the operation.
+        """
         client = self._reached()
         if client is None:
             return None
@@ -46,7 +51,7 @@ class CommandSender:
         return verdict
 
     async def hold(self, operation: str) -> None:
-        """Take, takes over or releases the lease."""
+        """Take, take over or release the lease."""
         try:
             await self._feed.hold(operation)
         except PcmrsError as error:

@@ -1,4 +1,4 @@
-"""What the cell tells, kept for all open pages: one client of the bus, dialled again when the daemon is gone."""
+"""State of the cell for all open pages: one client of the bus, which reconnects when the daemon is gone."""
 
 from __future__ import annotations
 
@@ -9,31 +9,31 @@ from contextlib import AbstractAsyncContextManager, AsyncExitStack, aclosing, su
 from pcmrs.client import Client, Event
 from pcmrs.clock import SystemClock
 from pcmrs.console.cell_view_model import CellViewModel
-from pcmrs.console.history import HISTORIANS, History
+from pcmrs.console.history import JOURNAL_READERS, History
 from pcmrs.errors import CommandRefusedError, PcmrsError, UnknownOutcomeError
 from pcmrs.messages import BodyPose, Epoch, JointState, Snapshot
 from pcmrs.messages.setup import Setup
 
-DIALLED_AGAIN = 1.0
-"""Between two tries to reach the daemon, s."""
-LOOKED_AFTER = 2.0
-"""So often it is asked whether it is still there, s."""
-RENEWED = 1.0
-"""Between two renewals of the lease, s."""
+RECONNECT_PERIOD = 1.0
+"""Period of attempts to reach the daemon, s."""
+CHECK_PERIOD = 2.0
+"""Period of checks that the daemon still answers, s."""
+RENEW_PERIOD = 1.0
+"""Period of renewals of the lease, s."""
 Dial = Callable[[], AbstractAsyncContextManager[Client]]
 
 
 class Feed(CellViewModel):
-    """The newest of everything, as it comes.
+    """Newest state of the cell, as it arrives.
 
     Args:
-        dial: Reaches the daemon.
+        dial: Connects to the daemon.
 
     Attributes:
-        client: None while the daemon is not there.
-        trouble: Why not.
-        setup: Of the cell, from the last time it was reached.
-        history: The journal, as far as it was read.
+        client: Client of the daemon; None while it cannot be reached.
+        trouble: Reason why it cannot be reached.
+        setup: Setup of the cell, from the last time it was reached.
+        history: The part of the journal that has been read.
     """
 
     def __init__(self, dial: Dial) -> None:
@@ -52,7 +52,7 @@ class Feed(CellViewModel):
         return self._clock.monotonic()
 
     async def run(self) -> None:
-        """Keep up with the cell until it is cancelled."""
+        """Follow the cell until cancelled."""
         while True:
             try:
                 async with self._dial() as client:
@@ -61,13 +61,13 @@ class Feed(CellViewModel):
                 self.trouble = "; ".join(error.text for error in errors.exceptions if isinstance(error, PcmrsError))
             self.client = self.health = None
             self.version += 1
-            await self._clock.sleep(DIALLED_AGAIN)
+            await self._clock.sleep(RECONNECT_PERIOD)
 
     async def hold(self, operation: str) -> None:
-        """Ask for the lease, ``acquire`` or ``take_over``, and renews it from then on; or ``release``.
+        """Send ``acquire`` or ``take_over`` for the lease, and renew it from then on; or send ``release``.
 
         Raises:
-            CommandRefusedError: It was not accepted.
+            CommandRefusedError: The request was not accepted.
             UnknownOutcomeError: The daemon is silent or gone.
         """
         if self.client is None:
@@ -77,7 +77,7 @@ class Feed(CellViewModel):
 
     async def _keep_up(self, client: Client) -> None:
         self.setup = await client.setup()
-        self.epochs.clear()  # those that count are told again
+        self.epochs.clear()  # the valid ones are published again
         async with AsyncExitStack() as stack, asyncio.TaskGroup() as group:
             for end in (
                 client.listen("state/joints", JointState, self._take_joints),
@@ -89,12 +89,16 @@ class Feed(CellViewModel):
             group.create_task(self._gather(client))
             group.create_task(self._renew(client))
             async with aclosing(client.watch()) as events:
-                group.create_task(self._look_after(client))
+                group.create_task(self._check_daemon(client))
                 async for event in events:
                     self._take(event)
 
-    async def _look_after(self, client: Client) -> None:
-        """Raise `UnknownOutcomeError` when the daemon has fallen silent twice."""
+    async def _check_daemon(self, client: Client) -> None:
+        """Check regularly that the daemon answers.
+
+        Raises:
+            UnknownOutcomeError: It has not answered twice.
+        """
         silent = False
         while True:
             try:
@@ -104,19 +108,21 @@ class Feed(CellViewModel):
                 if silent:
                     raise
                 self.health, silent = None, True
-            await self._clock.sleep(LOOKED_AFTER)
+            await self._clock.sleep(CHECK_PERIOD)
 
     async def _renew(self, client: Client) -> None:
         while True:
-            await self._clock.sleep(RENEWED)
+            await self._clock.sleep(RENEW_PERIOD)
             holder = None if self.snapshot is None or self.snapshot.lease is None else self.snapshot.lease.holder
             if self._holds and holder == client.user:
-                with suppress(CommandRefusedError, UnknownOutcomeError):  # it may be in time yet, or the page shows it
+                with suppress(
+                    CommandRefusedError, UnknownOutcomeError
+                ):  # the next renewal may be in time; if not, the page shows it
                     await client.lease("renew")
 
     async def _gather(self, client: Client) -> None:
-        """Ask for what was gathered, and for what was journalled, whenever the state has changed."""
-        may_read = self.setup is not None and self.setup.role in HISTORIANS
+        """Request the gathered data and the journal whenever the state has changed."""
+        may_read = self.setup is not None and self.setup.role in JOURNAL_READERS
         while True:
             self._renewed.clear()
             self.data = await client.gathered()
@@ -135,7 +141,7 @@ class Feed(CellViewModel):
 
     def _take_joints(self, joints: JointState) -> None:
         self.joints = joints
-        self.heard["joints"] = self.now
+        self.received["joints"] = self.now
 
     def _take_epoch(self, epoch: Epoch) -> None:
         self.epochs.append(epoch)
@@ -143,4 +149,4 @@ class Feed(CellViewModel):
 
     def _take_pose(self, pose: BodyPose) -> None:
         self.poses[pose.body] = pose
-        self.heard[pose.body] = self.now
+        self.received[pose.body] = self.now

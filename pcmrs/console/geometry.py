@@ -1,4 +1,4 @@
-"""Where everything is that the scene shows, in the robot's base. Pure."""
+"""Positions, in the robot's base, of everything that the scene shows. Pure."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from pcmrs.spatial import Floats, Transform, distance, rotation_angle
 from pcmrs.workflows.data import as_transform
 
 SHIFTED, TURNED = 0.02, 0.01
-"""Farther than noise would have it, m and rad: the tracker was moved."""
+"""Deviation larger than noise, m and rad: the tracker was moved."""
 SHARE = 0.05
-"""Of a new sight of the tracker's stand in what is believed of it."""
+"""Weight of a new measurement in the estimated pose of the tracker."""
 
 FACES = 2500
-"""Of a surface that is looked at, not measured on."""
+"""Largest number of faces of a surface for display."""
 
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """How far the tool is from its plan: the measured pose in the planned one.
+    """Deviation of the tool from its plan: the measured pose in the planned one.
 
     Attributes:
-        mm: Distance of the tool points, and its parts along the axes of the planned tool, (4,).
-        degrees: Angle between both.
+        mm: Distance of the tool points, and its components along the axes of the planned tool, mm, (4,).
+        degrees: Angle between both, degrees.
     """
 
     mm: tuple[float, float, float, float]
@@ -37,14 +37,14 @@ class Placement:
 
 
 def vertices_of(surface: SurfaceShown) -> tuple[Floats, npt.NDArray[np.int64]]:
-    """Corners, m, (V, 3), and faces, (F, 3)."""
+    """Return the vertices, m, (V, 3), and the faces, (F, 3)."""
     vertices = np.frombuffer(surface.vertices, "<f4").reshape(-1, 3).astype(float)
     return vertices, np.frombuffer(surface.faces, "<u4").reshape(-1, 3).astype(np.int64)
 
 
 @lru_cache(maxsize=1)
 def lighter(surface: SurfaceShown) -> SurfaceShown:
-    """A surface of at most `FACES`, to be looked at: a browser without a graphics card draws no more in time."""
+    """Return a surface of at most `FACES` for display: a browser without a graphics card cannot draw more in time."""
     vertices, faces = vertices_of(surface)
     if len(faces) <= FACES:
         return surface
@@ -57,15 +57,25 @@ def lighter(surface: SurfaceShown) -> SurfaceShown:
 
 
 def as_stl(vertices: Floats, faces: npt.NDArray[np.int64]) -> bytes:
-    """A mesh as binary STL, for the browser: corners (V, 3), m, and faces (F, 3)."""
-    from trimesh import Trimesh  # takes longer than all else here, and is needed once for a page
+    """Return a mesh as binary STL for the browser.
+
+    Args:
+        vertices: Vertices, m, (V, 3).
+        faces: Indices of the corners of each triangle, (F, 3).
+    """
+    from trimesh import Trimesh  # loads slowly, and is needed once for a page
     from trimesh.exchange.stl import export_stl
 
     return export_stl(Trimesh(vertices, faces, process=False))
 
 
 def as_zone(vertices: Floats, margin: float) -> bytes:
-    """What the arm keeps out of around corners (V, 3), m: all within `margin` of their convex hull, as binary STL."""
+    """Return the zone that the arm avoids around a body, as binary STL: the convex hull, widened by a margin.
+
+    Args:
+        vertices: Vertices of the body, m, (V, 3).
+        margin: Distance from the hull, m.
+    """
     from trimesh.convex import convex_hull
     from trimesh.creation import icosphere
     from trimesh.exchange.stl import export_stl
@@ -76,18 +86,20 @@ def as_zone(vertices: Floats, margin: float) -> bytes:
 
 
 def along(axis: Floats) -> Floats:
-    """A rotation (3, 3) that takes y to a unit vector (3,)."""
+    """Return a rotation (3, 3) that takes y to a unit vector (3,)."""
     x, y, z = axis.tolist()
     sine, angle = math.hypot(x, z), math.atan2(math.hypot(x, z), y)
-    turn = (angle / sine * z, 0.0, -angle / sine * x) if sine else (angle, 0.0, 0.0)  # half a turn about any axis
+    turn = (
+        (angle / sine * z, 0.0, -angle / sine * x) if sine else (angle, 0.0, 0.0)
+    )  # half a turn about any perpendicular axis
     return Transform.from_rotvec((0.0, 0.0, 0.0), turn).rotation
 
 
 class Arm:
-    """The arm's joints as frames.
+    """Frames of the arm's joints.
 
     Args:
-        shown: The arm, as the daemon describes it.
+        shown: Description of the arm from the daemon.
     """
 
     def __init__(self, shown: ArmShown) -> None:
@@ -97,11 +109,14 @@ class Arm:
 
     @property
     def spans(self) -> list[Floats]:
-        """From each joint's origin to the next, and from the last to the flange, in its own frame, m, (n, 3)."""
+        """Return the vectors from each joint's origin to the next, and from the last to the flange, m, (n, 3).
+
+        Each is in the frame of its joint.
+        """
         return [each.translation for each in (*self._fixed[1:], self._flange)]
 
     def frames(self, positions: npt.ArrayLike) -> list[Transform]:
-        """``base_from_joint`` of all joints, and of the flange at the end, at joint positions rad, (n,)."""
+        """Return ``base_from_joint`` of all joints, and of the flange at the end, at joint positions rad, (n,)."""
         found: list[Transform] = []
         pose = Transform.identity()
         for fixed, angle in zip(self._fixed, np.asarray(positions, dtype=float).tolist(), strict=True):
@@ -110,16 +125,16 @@ class Arm:
         return [*found, pose @ self._flange]
 
 
-class Sight:
-    """Joins what the joints say and what the tracker sees.
+class TrackerLocator:
+    """Relates the joints of the arm to the tracker, by the tool, whose pose both of them know.
 
-    The tracker's place comes from the tool, which both know of; it is kept while the tool is not seen.
+    The estimate is kept while the tool is not seen.
 
     Args:
-        setup: Of the cell.
+        setup: Setup of the cell.
 
     Attributes:
-        base_from_tracker: None until tool and joints were known together.
+        base_from_tracker: Estimate; None until tool and joints were known together.
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -128,14 +143,23 @@ class Sight:
         self.base_from_tracker: Transform | None = None
 
     def see(self, positions: npt.ArrayLike, coil: BodyPose | None, *, moving: bool) -> list[Transform]:
-        """Take the present joints, rad, (n,), and pose of the tool; returns `Arm.frames`."""
+        """Take the present joints and pose of the tool, and return `Arm.frames`.
+
+        Args:
+            positions: Joint positions, rad, (n,).
+            coil: Pose of the tool in the tracker; None if it is not seen.
+            moving: The arm moves, so that joints and pose are of different moments.
+        """
         frames = self.arm.frames(positions)
         if coil is not None and coil.valid and not moving:
             self._stand(frames[-1] @ self._flange_from_coil @ as_transform(coil).inverse())
         return frames
 
     def _stand(self, found: Transform) -> None:
-        """Take in where the tracker seems to stand: over its distance the noise of an angle is millimetres."""
+        """Update the estimated pose of the tracker.
+
+        The estimate is filtered: over the tracker's distance, the noise of an angle is millimetres.
+        """
         kept = self.base_from_tracker
         if kept is None or distance(kept, found) > SHIFTED or rotation_angle(kept, found) > TURNED:
             self.base_from_tracker = found
@@ -144,14 +168,20 @@ class Sight:
         self.base_from_tracker = kept @ Transform.from_rotvec(SHARE * rest.translation, SHARE * rest.rotvec)
 
     def in_base(self, body: BodyPose | None) -> Transform | None:
-        """Where a body is that the tracker sees."""
+        """Return the pose, in the robot's base, of a body that the tracker sees."""
         if body is None or not body.valid or self.base_from_tracker is None:
             return None
         return self.base_from_tracker @ as_transform(body)
 
 
 def placement(data: ProcedureDataView, coil: BodyPose | None, body_ref: BodyPose | None) -> Placement | None:
-    """How far the tool is from its plan, as the tracker sees it; None while that is not known."""
+    """Return the deviation of the tool from its plan, as the tracker sees it; None while unknown.
+
+    Args:
+        data: Data of the procedure, with plan and registration.
+        coil: Pose of the tool in the tracker.
+        body_ref: Pose of the reference in the tracker.
+    """
     if data.plan is None or data.body_ref_from_image is None:
         return None
     if coil is None or body_ref is None or not (coil.valid and body_ref.valid):
@@ -165,7 +195,7 @@ def placement(data: ProcedureDataView, coil: BodyPose | None, body_ref: BodyPose
 
 
 def residuals(data: ProcedureDataView) -> list[float | None]:
-    """How far each landmark is from where it was digitized, by the registration in force, m."""
+    """Return the distance of each landmark from its digitized point, by the registration in force, m."""
     if data.body_ref_from_image is None:
         return [None] * len(data.landmarks)
     registered = as_transform(data.body_ref_from_image)

@@ -1,4 +1,4 @@
-"""Who may open the page: whoever has the token, from a page of this console; everybody else gets nothing."""
+"""Access control of the page: a request needs the token and must come from a page of this console."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from urllib.parse import parse_qs
 from pcmrs.errors import ConfigurationError
 
 SHORTEST = 20
-"""Characters of the shortest token that is taken: one of `secrets.token_urlsafe` has more."""
+"""Characters of the shortest accepted token: one of `secrets.token_urlsafe` has more."""
 
 Scope = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
@@ -20,32 +20,32 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 
 class Guard:
-    """Stands before the whole application, WebSockets too.
+    """Middleware in front of the whole application, also for WebSockets.
 
-    The token comes once with the address, ``/?token=...``, and is a cookie from then on. The names under which the
-    console is reached are fixed, so that a name that somebody else has pointed here (DNS rebinding) opens nothing, and
-    pages of others can neither connect nor post.
+    The token comes once with the address, ``/?token=...``, and is then stored as a cookie. The names under which the
+    console is reached are fixed, so that a foreign name that points here (DNS rebinding) opens nothing, and
+    foreign pages can neither connect nor post.
 
     Args:
-        app: What is behind it.
-        token: Whoever has it is let in.
+        app: Application behind it.
+        token: Token that a request needs.
         hosts: ``host:port`` of the addresses at which the console is reached.
 
     Raises:
-        ConfigurationError: The token is so short that it could be guessed, or empty.
+        ConfigurationError: The token is empty, or so short that it could be guessed.
     """
 
     def __init__(self, app: App, token: str, hosts: Iterable[str]) -> None:
         if len(token) < SHORTEST:
-            text = f"The console's token has {len(token)} characters, the limit is {SHORTEST}: anybody could guess it. "
-            text += "Delete the file, and the daemon makes a new one; or write a longer one into it."
+            text = f"The console's token has {len(token)} characters, the minimum is {SHORTEST}: it could be guessed. "
+            text += "Delete the file, so that the daemon makes a new one, or write a longer one into it."
             raise ConfigurationError(text, characters=len(token), limit=SHORTEST)
         self._app = app
         self._token = token.encode()
         self._hosts = frozenset(hosts)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let a request through, or answers it here."""
+        """Let a request through, or answer it here."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
@@ -60,12 +60,12 @@ class Guard:
             await answer(send, status, text, more)
 
     def _refusal(self, scope: Scope, headers: dict[str, str]) -> tuple[int, str, dict[str, str]] | None:
-        """Status, text and headers of the answer to a request that does not get through."""
+        """Return status, text and headers of the answer to a refused request; None if it may pass."""
         host, origin = headers.get("host", ""), headers.get("origin")
         if host not in self._hosts:
-            return 421, "This console does not go by that name.", {}
+            return 421, "This console does not have that name.", {}
         if (origin is not None or scope["type"] == "websocket") and origin not in (f"http://{host}", f"https://{host}"):
-            return 403, "Pages of others may not talk to this console.", {}
+            return 403, "Pages of other sites may not use this console.", {}
         name = cookie_name(host)
         if self._is_token(_cookie(headers.get("cookie", ""), name)):
             return None
@@ -73,14 +73,21 @@ class Guard:
         if scope["type"] == "http" and scope["method"] == "GET" and self._is_token(given):
             cookie = f"{name}={given}; Path=/; HttpOnly; SameSite=Strict"
             return 303, "", {"location": scope["path"], "set-cookie": cookie}
-        return 401, "Open the address with its token: the console has printed it, or the cell's folder has it.", {}
+        return (
+            401,
+            "Open the address with its token, which the console has printed, or which is in the cell's folder.",
+            {},
+        )
 
     def _is_token(self, given: str) -> bool:
         return hmac.compare_digest(given.encode(), self._token)
 
 
 def cookie_name(host: str) -> str:
-    """Of the cookie at ``host:port``: browsers send a host's cookies to all its ports, so the name has the port."""
+    """Return the name of the cookie at ``host:port``.
+
+    The name has the port, because browsers send a host's cookies to all its ports.
+    """
     port = host.rpartition(":")[2]
     return f"pcmrs_console_{port}" if port.isdecimal() else "pcmrs_console"
 
@@ -94,7 +101,14 @@ def _cookie(header: str, name: str) -> str:
 
 
 async def answer(send: Send, status: int, text: str, more: dict[str, str]) -> None:
-    """Answers a request with a text; `more` are further headers."""
+    """Answer a request with a text.
+
+    Args:
+        send: Sends the parts of the answer.
+        status: HTTP status.
+        text: The text.
+        more: Further headers.
+    """
     headers = {"content-type": "text/plain; charset=utf-8", "cache-control": "no-store", **more}
     listed = [(name.encode(), value.encode("latin-1")) for name, value in headers.items()]
     await send({"type": "http.response.start", "status": status, "headers": listed})

@@ -1,4 +1,4 @@
-"""The journal as the page tells it: read backwards from its end, a page at a time, and followed from then on."""
+"""The journal for the page: read backwards from its end, a page of rows at a time, and then followed."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pcmrs.messages import JournalQuery, Verdict
 from pcmrs.messages.device import DeviceEvent
 from pcmrs.messages.identity import Role
 
-HISTORIANS: tuple[Role, ...] = ("operator", "viewer")
-"""Who may ask for the journal."""
+JOURNAL_READERS: tuple[Role, ...] = ("operator", "viewer")
+"""Roles that may read the journal."""
 PAGE = 200
-"""Rows that are asked for at once."""
+"""Rows per request."""
 AT_FIRST = 2000
-"""Of a longer session only so many entries are read before somebody asks for more."""
+"""Entries of a longer session that are read before the user asks for more."""
 NEWEST = 2**62
 """Larger than the sequence of any row."""
 KINDS = {
@@ -28,22 +28,22 @@ KINDS = {
     "config": "kind_config",
     "activity": "kind_activity",
 }
-"""Kinds of entries, and the text for each. Rows of other kinds say nothing by themselves: an intent has its outcome, a
-snapshot what led to it."""
+"""Kinds of entries, and the text for each. Rows of other kinds are not shown: an intent has its outcome, a
+snapshot the decision before it."""
 ACTIVITY = "activity:"
-"""Begins the source of what nobody has asked for, which goes on all the time."""
+"""Prefix of the source of activities, which nobody has asked for and which run all the time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One row, in words.
+    """One row of the journal, in words.
 
     Attributes:
-        sequence: Of the row.
-        wall: Unix seconds.
-        session: Id of the session.
-        who: User who asked; empty where nobody did.
-        what: The operation with what was decided, or the event.
+        sequence: Sequence number of the row.
+        wall: Wall time, Unix s.
+        session: Identity of the session.
+        who: User who asked; empty if nobody did.
+        what: The operation with its decision, or the event.
         result: The reason, or the text.
     """
 
@@ -57,11 +57,11 @@ class Entry:
 
 
 class History:
-    """What was read of the journal.
+    """The part of the journal that has been read.
 
     Attributes:
-        entries: Oldest first.
-        whole: Nothing is before the oldest.
+        entries: Entries, oldest first.
+        whole: No row is before the oldest.
     """
 
     def __init__(self) -> None:
@@ -70,15 +70,15 @@ class History:
         self._first, self._last = NEWEST, 0
 
     async def follow(self, client: Client) -> None:
-        """Read what is new; the first time, the session so far.
+        """Read new rows; the first time, the session so far.
 
         Raises:
             UnknownOutcomeError: The daemon did not answer.
         """
         if not self._last:
-            await self.reach_back(client)
+            await self.read_older(client)
             while self._within_a_session() and not self.whole and len(self.entries) < AT_FIRST:
-                await self.reach_back(client)
+                await self.read_older(client)
             return
         rows: list[dict[str, Any]] = [{}]
         while rows:
@@ -86,8 +86,8 @@ class History:
             self.entries.extend(_entries(rows))
             self._last = max([self._last, *(row["sequence"] for row in rows)])
 
-    async def reach_back(self, client: Client) -> None:
-        """Read the page before what was read.
+    async def read_older(self, client: Client) -> None:
+        """Read the page before the rows that were read.
 
         Raises:
             UnknownOutcomeError: The daemon did not answer.
@@ -96,14 +96,14 @@ class History:
         self.entries.extendleft(reversed(list(_entries(rows))))
         sequences = [row["sequence"] for row in rows]
         self._first, self._last = min([self._first, *sequences]), max([self._last, *sequences])
-        self.whole = not rows or self._first == 1  # a page ends early where its rows are long
+        self.whole = not rows or self._first == 1  # a page of long rows is shorter
 
     def _within_a_session(self) -> bool:
         return not self.entries or self.entries[0].session == self.entries[-1].session
 
 
-def heard_only(events: Iterable[tuple[float, Verdict | DeviceEvent]]) -> list[Entry]:
-    """What was heard as if it had been journalled, for whoever may not read the journal; in the same order."""
+def entries_from_events(events: Iterable[tuple[float, Verdict | DeviceEvent]]) -> list[Entry]:
+    """Return received events as entries, in the same order, for users who may not read the journal."""
     return [
         Entry(number, wall, "outcome" if isinstance(event, Verdict) else "device", "", "", heading(event), why(event))
         for number, (wall, event) in enumerate(events)
@@ -111,7 +111,14 @@ def heard_only(events: Iterable[tuple[float, Verdict | DeviceEvent]]) -> list[En
 
 
 def matching(entries: Iterable[Entry], text: str, kinds: Iterable[str], most: int) -> list[Entry]:
-    """The first `most` entries of these kinds that have `text` anywhere, whatever its case; no kinds are all kinds."""
+    """Return the first entries that match a filter.
+
+    Args:
+        entries: All entries.
+        text: Text that they contain, in upper or lower case.
+        kinds: Kinds of entries; none for all kinds.
+        most: Largest number of entries.
+    """
     wanted, words = set(kinds), text.casefold()
     found = (
         each
@@ -122,24 +129,24 @@ def matching(entries: Iterable[Entry], text: str, kinds: Iterable[str], most: in
 
 
 def heading(event: Verdict | DeviceEvent) -> str:
-    """What was decided or reported, in a few words."""
+    """Return the decision or report in a few words."""
     if isinstance(event, Verdict):
         return f"{event.branch}.{event.operation}: {event.decision}"
     return f"{event.device}: {event.code}"
 
 
 def why(event: Verdict | DeviceEvent) -> str:
-    """The text that goes with it; empty where there is none."""
+    """Return the text that goes with it; empty if there is none."""
     if isinstance(event, DeviceEvent):
         return event.text
     return "" if event.reason is None else event.reason.text
 
 
 def _entries(rows: Iterable[dict[str, Any]]) -> Iterator[Entry]:
-    for stored in rows:
-        row = stored["row"]
+    for store_upload in rows:
+        row = store_upload["row"]
         if row["kind"] in KINDS:
-            yield _entry(stored["sequence"], row)
+            yield _entry(store_upload["sequence"], row)
 
 
 def _entry(sequence: int, row: dict[str, Any]) -> Entry:

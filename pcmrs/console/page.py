@@ -1,4 +1,4 @@
-"""The page: Stop above all, the cell to the left, what can be done to the right."""
+"""The page: Stop on top, the cell on the left, operations on the right."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from pcmrs.fsm import Blueprint
 from pcmrs.messages import Snapshot
 from pcmrs.messages.setup import Setup
 
-REFRESHED = 0.1
-"""Between two looks at what has changed, s."""
+REFRESH_PERIOD = 0.1
+"""Period of refreshing the page, s."""
 STYLE = """
 .state-chart svg { max-width: 100%; height: auto; }
 .replay { background: repeating-linear-gradient(135deg, #ede7f6 0 18px, #d1c4e9 18px 36px); min-height: 52px; }
@@ -49,22 +49,22 @@ body { --head: 64px; touch-action: pan-x pan-y; }
   .halves > .q-splitter__separator > div { inset: 0; }
 }
 """
-"""Two fingers do not enlarge the page: that would move Stop out of sight. Where it is narrow, its head has two rows."""
+"""Two fingers do not zoom the page: that would move Stop out of sight. A narrow page has two rows in its head."""
 IS_NARROW = "Quasar.Screen.lt.md"
-"""The browser tells: it has less than 1024 pixels across. A tablet upright has its halves one above the other."""
+"""The browser reports a width below 1024 pixels. An upright tablet has the halves one above the other."""
 
 
 class Page:
     """One open browser page.
 
     Args:
-        feed: What the cell tells.
-        setup: Of the cell.
-        blueprint: Its workflow.
-        texts: Of the page's language.
-        surfaces: Where it finds the body's surface.
-        recordings: To choose from.
-        playback: A recording and its name, to be shown in place of what the cell tells; nothing but Stop is sent then.
+        feed: State of the cell.
+        setup: Setup of the cell.
+        blueprint: Workflow of the cell.
+        texts: Texts in the language of the page.
+        surfaces: Served surfaces of the body.
+        recordings: Recordings to choose from.
+        playback: Name and playback of a recording to show instead of the cell; then only Stop is sent.
     """
 
     def __init__(
@@ -78,8 +78,8 @@ class Page:
         playback: tuple[str, Playback] | None = None,
     ) -> None:
         self._feed, self._setup, self._blueprint, self._texts = feed, setup, blueprint, texts
-        self._told: CellViewModel = feed if playback is None else playback[1]
-        self._asking, self._choices = CommandSender(feed, texts), Choices(blueprint)
+        self._view: CellViewModel = feed if playback is None else playback[1]
+        self._sender, self._choices = CommandSender(feed, texts), Choices(blueprint)
         self._versions = (-1, -1)
         ui.add_css(STYLE)
         ui.colors(primary="#0b5394")
@@ -95,16 +95,16 @@ class Page:
                 self._left(surfaces)
             with halves.after, ui.column().classes("w-full gap-0 q-pa-xs"):
                 self._right(recordings)
-        ui.timer(REFRESHED, self._refresh)
+        ui.timer(REFRESH_PERIOD, self._refresh)
 
     @property
     def _is_playback(self) -> bool:
-        return self._told is not self._feed
+        return self._view is not self._feed
 
     def _header(self) -> None:
         texts = self._texts
         with ui.header().classes("items-center no-wrap q-py-none gap-x-2 gap-y-0 bg-blue-grey-10 head"):
-            stop = ui.button(f"{texts('stop')} ({texts('stop_key')})", on_click=self._asking.stop, color="red-9")
+            stop = ui.button(f"{texts('stop')} ({texts('stop_key')})", on_click=self._sender.stop, color="red-9")
             stop.props("size=md no-caps unelevated").classes("text-weight-bold").style("min-height: 48px")
             stop.props('data-testid="stop"')
             self._latched = ui.badge(color="red-9").props('data-testid="latched"')
@@ -135,7 +135,7 @@ class Page:
             ui.tab("chart", texts("chart"))
         with ui.tab_panels(tabs, value="scene", animated=False, keep_alive=True).classes("w-full left-panels"):
             with ui.tab_panel("scene").classes("p-0").style("overflow: hidden"):
-                CellPanel(self._told, self._setup, texts, surfaces)
+                CellPanel(self._view, self._setup, texts, surfaces)
             with ui.tab_panel("chart").classes("p-0"):
                 self._chart = ChartPanel(self._blueprint)
 
@@ -150,31 +150,31 @@ class Page:
         self._planning: PlanningPanel | None = None
         with ui.tab_panels(tabs, value="workflow", animated=False, keep_alive=True).classes("w-full"):
             with ui.tab_panel("workflow").classes("p-1"):
-                self._workflow = WorkflowPanel(self._told, setup, self._blueprint, texts, self._asking)
+                self._workflow = WorkflowPanel(self._view, setup, self._blueprint, texts, self._sender)
             if not self._is_playback:
                 with ui.tab_panel("planning").classes("p-1"):
-                    self._planning = PlanningPanel(feed, setup, self._blueprint, texts, self._asking)
+                    self._planning = PlanningPanel(feed, setup, self._blueprint, texts, self._sender)
             with ui.tab_panel("signals").classes("p-1"):
-                SignalsPanel(self._told, setup, texts, lambda: tabs.value == "signals")
+                SignalsPanel(self._view, setup, texts, lambda: tabs.value == "signals")
             with ui.tab_panel("session").classes("p-1"):
                 choose_recording(recordings, texts)
-                self._timeline = TimelinePanel(feed, self._told, setup, texts)
+                self._timeline = TimelinePanel(feed, self._view, setup, texts)
         self._right_tabs = tabs
         tabs.on_value_change(self._timeline.refresh)
 
     def _refresh(self) -> None:
-        feed, told = self._feed, self._told
-        found = placement(told.data, told.poses.get("coil"), told.poses.get("body_ref"))
+        feed, view = self._feed, self._view
+        found = placement(view.data, view.poses.get("coil"), view.poses.get("body_ref"))
         self._error.set_text(
             self._texts("unknown") if found is None else f"{found.mm[0]:.2f} mm   {found.degrees:.2f}°"
         )
-        if (feed.version, told.version) == self._versions:
+        if (feed.version, view.version) == self._versions:
             return
-        self._versions = (feed.version, told.version)
+        self._versions = (feed.version, view.version)
         self._trouble.set_visibility(feed.client is None)
         self._trouble.set_text(self._texts("unreachable", why=feed.trouble))
         self._show_holder(feed.snapshot)
-        shown = told.snapshot
+        shown = view.snapshot
         if shown is None:
             return
         self._chart.refresh(shown)
@@ -186,7 +186,7 @@ class Page:
             self._timeline.refresh()
 
     def _show_holder(self, shown: Snapshot | None) -> None:
-        """Of the cell as it is now, whatever is shown otherwise: Stop goes there."""
+        """Show the present holder of the cell, also during a replay: Stop goes to the cell."""
         latch = latch_of(shown)
         self._latched.set_visibility(latch is not None)
         if latch is not None:
@@ -210,13 +210,13 @@ class Page:
             return
         holder = None if shown.lease is None else shown.lease.holder
         operation = "release" if holder == self._setup.user else "acquire" if holder is None else "take_over"
-        await self._asking.hold(operation)
+        await self._sender.hold(operation)
 
     async def _key(self, event: events.KeyEventArguments) -> None:
         if not event.action.keydown:
             return
         if event.key.name == "Escape":
-            await self._asking.stop()
+            await self._sender.stop()
         elif self._planning is not None:
             self._planning.key(event.key.name)
 

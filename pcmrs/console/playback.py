@@ -1,4 +1,4 @@
-"""A recorded session, to be looked at: at any moment of it, everything that was known then. It publishes nothing."""
+"""Playback of a recorded session: everything that was known at any moment of it. It publishes nothing."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pcmrs.messages.setup import ProcedureDataView, Setup
 from pcmrs.recording.reader import RecordingReader
 
 RATE_HZ = 10.0
-"""Of joints and poses so many are kept: more than an eye follows, and an hour of them fits into memory."""
+"""Rate of the stored joints and poses: faster than the eye, and an hour of them fits into memory."""
 THINNED = ("state/joints", "state/pose/")
 WHOLE = ("state/fsm", "state/event", "state/target", "state/data", "state/epoch", "state/health")
 _SECOND = 1e9
@@ -28,47 +28,52 @@ T = TypeVar("T")
 
 @dataclass
 class Track:
-    """What came on one key, in order: s since the beginning, and the payloads."""
+    """Messages of one key, in order: times, s since the beginning, and payloads."""
 
     times: list[float] = field(default_factory=list)
     payloads: list[bytes] = field(default_factory=list)
 
     def add(self, at: float, payload: bytes) -> None:
-        """Take one more; the recorder's times never go back."""
+        """Add a message; the recorder's times never decrease.
+
+        Args:
+            at: Time, s since the beginning.
+            payload: Payload of the message.
+        """
         self.times.append(at)
         self.payloads.append(payload)
 
     def until(self, at: float) -> int:
-        """How many there were at a moment."""
+        """Return the number of messages up to a moment."""
         return bisect_right(self.times, at)
 
 
 @dataclass(frozen=True, slots=True)
 class LoadedRecording:
-    """What was read of a recording.
+    """Content of a recording.
 
     Attributes:
-        begun: When it begins, Unix seconds.
-        duration: s.
-        tracks: By key.
-        damage: What could not be read; empty where all could.
+        started_at: Start of the recording, Unix s.
+        duration: Duration, s.
+        tracks: Key to its messages.
+        damage: Description of the unreadable part; empty if there is none.
     """
 
-    begun: float
+    started_at: float
     duration: float
     tracks: dict[str, Track]
     damage: str
 
 
 def load_recording(files: Sequence[Path], progress: Callable[[float], None]) -> LoadedRecording:
-    """Read a recording, thinned; takes a while, so not in an event loop.
+    """Read a recording, thinned. It takes long, so do not call it in an event loop.
 
     Args:
-        files: Of one recording, oldest first.
-        progress: Told the share that has been read.
+        files: Files of one recording, oldest first.
+        progress: Called with the share that has been read.
 
     Raises:
-        FileFormatError: One is no recording of PCMRS, or nothing is in them.
+        FileFormatError: One is not a recording of PCMRS, or they are empty.
         OSError: One cannot be read.
     """
     readings = [RecordingReader(path) for path in files]
@@ -76,14 +81,14 @@ def load_recording(files: Sequence[Path], progress: Callable[[float], None]) -> 
     tracks: dict[str, Track] = defaultdict(Track)
     first = last = None
     for reading in readings:
-        for at_ns, heard in reading.bus_messages():
+        for at_ns, received in reading.bus_messages():
             first = at_ns if first is None else first
             last = at_ns
-            _keep(tracks, heard.key, (at_ns - first) / _SECOND, heard.payload)
+            _keep(tracks, received.key, (at_ns - first) / _SECOND, received.payload)
             progress((before + reading.whole) / total)
         before += reading.size
     if first is None or last is None:
-        raise FileFormatError(f"{files[0]} holds nothing that a cell has said.", file=str(files[0]))
+        raise FileFormatError(f"{files[0]} holds no message of a cell.", file=str(files[0]))
     damage = "; ".join(f"{each.path.name}: {each.damage}" for each in readings if each.damage)
     return LoadedRecording(first / _SECOND, (last - first) / _SECOND, dict(tracks), damage)
 
@@ -92,13 +97,13 @@ class Playback(CellViewModel):
     """A recording at one moment.
 
     Args:
-        recorded: What was read of it.
-        setup: Of the cell that shows it.
-        blueprint: Of that cell.
+        recorded: The recording.
+        setup: Setup of the cell that shows it.
+        blueprint: Workflow of that cell.
 
     Attributes:
-        position: The moment, s since the beginning.
-        trouble: Why something of it is not shown; empty where all is.
+        position: The present moment, s since the beginning.
+        trouble: Reason why a part of it is not shown; empty if all is.
 
     Raises:
         FileFormatError: It is of another workflow, or another arm.
@@ -109,7 +114,7 @@ class Playback(CellViewModel):
         self.recorded = recorded
         self.position = 0.0
         self.trouble = recorded.damage
-        self._all_events = [(recorded.begun + at, event) for at, event in self._events()]
+        self._all_events = [(recorded.started_at + at, event) for at, event in self._events()]
         self._shown: dict[str, int] = {}
         self._check(setup, blueprint)
         self.seek(0.0)
@@ -119,7 +124,7 @@ class Playback(CellViewModel):
         return self.position
 
     def seek(self, position: float) -> None:
-        """Go to a moment, s since the beginning; before it and after the end, to these."""
+        """Go to a moment, s since the beginning, limited to the recording."""
         self.position = min(max(position, 0.0), self.recorded.duration)
         for key, track in self.recorded.tracks.items():
             count = track.until(self.position)
@@ -128,7 +133,7 @@ class Playback(CellViewModel):
                 self._take(key, track, count)
 
     def _take(self, key: str, track: Track, count: int) -> None:
-        """Show the newest of the first `count` messages; nothing where there was none yet."""
+        """Show the newest of the first `count` messages, or nothing if there is none yet."""
         try:
             self._show(key, track, count)
         except PcmrsError as error:
@@ -142,7 +147,7 @@ class Playback(CellViewModel):
             self.snapshot = _read(payload, Snapshot)
         elif key == "state/data":
             self.data = _read(payload, ProcedureDataView) or NOTHING
-        elif key == "state/target" and "state/data" not in self.recorded.tracks:  # older than that
+        elif key == "state/target" and "state/data" not in self.recorded.tracks:  # a recording from before that key
             target = _read(payload, Target) or Target()
             self.data = ProcedureDataView(
                 landmarks=[], plan=target.pose, body_ref_from_image=target.body_ref_from_image
@@ -166,9 +171,9 @@ class Playback(CellViewModel):
             self._hear(body, track, count)
 
     def _hear(self, what: str, track: Track, count: int) -> None:
-        self.heard.pop(what, None)
+        self.received.pop(what, None)
         if count:
-            self.heard[what] = track.times[count - 1]
+            self.received[what] = track.times[count - 1]
 
     def _events(self) -> list[tuple[float, Verdict | DeviceEvent]]:
         track = self.recorded.tracks.get("state/event", Track())
@@ -177,7 +182,7 @@ class Playback(CellViewModel):
         ]
 
     def _check(self, setup: Setup, blueprint: Blueprint) -> None:
-        """Refuse what this cell's page cannot show truly."""
+        """Refuse a recording that this cell's page cannot show correctly."""
         states = self.recorded.tracks.get("state/fsm", Track())
         for payload in states.payloads[:1]:
             found = unpack(payload, Snapshot)

@@ -1,4 +1,4 @@
-"""A recorded session on the page: the bar with its slider, and the list to choose from."""
+"""Replay of a recorded session on the page: the bar with its slider, and the list of recordings."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from pcmrs.console.recordings import Recordings
 from pcmrs.console.texts import Texts
 
 PERIOD = 0.1
-"""Between two moments while it plays, s."""
+"""Period of steps while it plays, s."""
 SPEEDS = {1: "1×", 4: "4×", 16: "16×"}
 
 
 class PlaybackBar:
-    """Goes through a recording.
+    """Controls for a recording.
 
     Args:
         playback: The recording.
-        name: Of it.
-        texts: Of the page's language.
+        name: Its name.
+        texts: Texts in the language of the page.
     """
 
     def __init__(self, playback: Playback, name: str, texts: Texts) -> None:
@@ -64,13 +64,18 @@ class PlaybackBar:
             self._press()
 
     def _tell(self) -> None:
-        at = datetime.fromtimestamp(self._playback.recorded.begun + self._playback.position)
+        at = datetime.fromtimestamp(self._playback.recorded.started_at + self._playback.position)
         whole = self._playback.recorded.duration
         self._time.set_text(f"{at:%Y-%m-%d %H:%M:%S}   {self._playback.position:.1f} / {whole:.0f} s")
 
 
 def choose_recording(recordings: Recordings, texts: Texts) -> None:
-    """A list that leads to the replay of one; nothing where there are none."""
+    """Show a list of recordings, each with a link to its replay; nothing if there are none.
+
+    Args:
+        recordings: The recordings.
+        texts: Texts in the language of the page.
+    """
     names = recordings.names()
     if not names:
         return
@@ -83,7 +88,12 @@ def choose_recording(recordings: Recordings, texts: Texts) -> None:
 
 
 def wait_for_recording(recordings: Recordings, texts: Texts) -> None:
-    """While it is read: how far that is; or why it cannot be."""
+    """Show the progress of reading a recording, or why it cannot be read.
+
+    Args:
+        recordings: The recordings.
+        texts: Texts in the language of the page.
+    """
     ui.label(texts("reading")).classes("text-h5")
     bar = ui.linear_progress(show_value=False).props("instant-feedback")
     why = ui.label().props('data-testid="trouble"')
@@ -99,6 +109,11 @@ def wait_for_recording(recordings: Recordings, texts: Texts) -> None:
 
 
 def refuse_recording(why: str, texts: Texts) -> None:
-    """Say why a recording that could be read is not shown."""
+    """Show why a readable recording is not replayed.
+
+    Args:
+        why: The reason.
+        texts: Texts in the language of the page.
+    """
     ui.label(why).props('data-testid="trouble"')
     ui.button(texts("to_cell"), on_click=lambda: ui.navigate.to("/")).props("no-caps")

@@ -1,4 +1,4 @@
-"""The recordings that may be looked at, read once for all pages, in a thread."""
+"""The recordings that can be replayed, each read once for all pages, in a thread."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from pcmrs.recording.series import recordings_in
 
 
 class Recordings:
-    """Those in a folder; one is kept in memory.
+    """Recordings in a folder; one of them is kept in memory.
 
     Args:
-        folder: Where they lie; None for none.
+        folder: Their folder; None for none.
 
     Attributes:
-        progress: Share of the one that is being read.
-        trouble: Why the last one could not be read; empty where it could.
+        progress: Share of the present recording that has been read.
+        trouble: Reason why the last one could not be read; empty if it could.
     """
 
     def __init__(self, folder: Path | None) -> None:
@@ -32,11 +32,11 @@ class Recordings:
         self.trouble = ""
 
     def names(self) -> list[str]:
-        """Newest first, where their names begin with their date."""
+        """Return the names, newest first if they begin with their date."""
         return [] if self._folder is None else sorted(recordings_in(self._folder), reverse=True)
 
     def get(self, name: str) -> LoadedRecording | None:
-        """One of `names`; None while it is being read, which begins now, and where that failed."""
+        """Return one of `names`; None while it is being read, which starts now, and if that failed."""
         if name != self._name or self.trouble:
             if self._reading is not None:
                 self._reading.cancel()
@@ -46,7 +46,7 @@ class Recordings:
 
     @property
     def is_read(self) -> bool:
-        """Whether the one that was asked for last is there."""
+        """The recording that was requested last is available."""
         return self._read is not None
 
     async def _open(self, name: str) -> None:

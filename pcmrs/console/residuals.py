@@ -1,7 +1,4 @@
-"""How well the registration in force fits: the mean of its landmarks and each of them, against the limit, in words.
-
-How far a registration is predicted to be off, as a colour on the body's surface. Pure.
-"""
+"""Quality of the registration: residuals in words, and the predicted error as colours on the surface."""
 
 from __future__ import annotations
 
@@ -22,27 +19,33 @@ from pcmrs.workflows.accuracy import tre_over
 from pcmrs.workflows.data import as_transform
 
 STOPS = 9
-"""Of the legend's colours."""
+"""Number of colours in the legend."""
 
 
 def predicted(data: ProcedureDataView, points: Floats) -> Floats | None:
-    """Rms error at points in the image (M, 3), m, (M,); None while nothing is registered.
+    """Return the predicted rms error at points in the image, m, (M,); None while nothing is registered.
 
     Args:
-        data: With the registration in force.
-        points: m.
+        data: Data of the procedure, with the registration in force.
+        points: Points in the image, m, (M, 3).
     """
     if data.body_ref_from_image is None or data.sigma is None:
         return None
     landmarks = np.array([each.planned for each in data.landmarks]).reshape(-1, 3)
     try:
         return tre_over(landmarks, as_transform(data.body_ref_from_image), data.covariance, data.sigma, points)
-    except GeometryError:  # landmarks that no registration in force can be of: they are being planned anew
+    except GeometryError:  # the landmarks do not belong to the registration: they are being planned again
         return None
 
 
 def coloured(surface: SurfaceShown, data: ProcedureDataView, limit: float) -> bytes | None:
-    """The lighter surface as GLB, its corners coloured from no error to `limit`, m, and beyond; None as `predicted`."""
+    """Return the lighter surface as GLB, with vertices coloured by the predicted error; None as `predicted`.
+
+    Args:
+        surface: Surface of the body.
+        data: Data of the procedure, with the registration in force.
+        limit: Error of the last colour, m.
+    """
     vertices, faces = vertices_of(lighter(surface))
     errors = predicted(data, vertices)
     if errors is None:
@@ -56,13 +59,13 @@ def coloured(surface: SurfaceShown, data: ProcedureDataView, limit: float) -> by
 
 
 def colours(shares: Floats) -> Floats:
-    """Cividis, which looks the same to everybody: sRGB of shares from 0 to 1, (M, 3)."""
+    """Return colours of Cividis, which looks the same to everybody: sRGB of shares from 0 to 1, (M, 3)."""
     found: Floats = np.asarray(_cividis()(np.clip(shares, 0.0, 1.0)))[:, :3]
     return found
 
 
 def gradient() -> str:
-    """The legend, left to right, as CSS."""
+    """Return the legend, left to right, as CSS."""
     stops = (f"rgb({r:.0f}, {g:.0f}, {b:.0f})" for r, g, b in 255.0 * colours(np.linspace(0.0, 1.0, STOPS)))
     return f"linear-gradient(to right, {', '.join(stops)})"
 
@@ -75,29 +78,29 @@ def _cividis() -> Any:
 
 
 def _linear(srgb: Floats) -> Any:
-    """As GLB has colours: linear, 8 bits, opaque, (M, 4). IEC 61966-2-1."""
+    """Return colours as GLB has them: linear, 8 bits, opaque, (M, 4). IEC 61966-2-1."""
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     return np.column_stack((np.round(255.0 * linear), np.full(len(srgb), 255.0))).astype(np.uint8)
 
 
 def _dull(tree: dict[str, Any]) -> None:
-    """Without a material the format means metal, which is black where it mirrors nothing."""
+    """Set a material without reflection: by default the format means metal, which looks black."""
     tree["materials"] = [{"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}]
     for primitive in (each for mesh in tree["meshes"] for each in mesh["primitives"]):
         primitive["material"] = 0
 
 
-class ResidualsShown:
+class ResidualsView:
     """A line and one chip for each landmark; nothing while nothing is registered.
 
     Args:
-        told: What is shown.
-        setup: Of the cell.
-        texts: Of the page's language.
+        view: State of the cell to show.
+        setup: Setup of the cell.
+        texts: Texts in the language of the page.
     """
 
-    def __init__(self, told: CellViewModel, setup: Setup, texts: Texts) -> None:
-        self._told, self._limit, self._texts = told, setup.residual_limit, texts
+    def __init__(self, view: CellViewModel, setup: Setup, texts: Texts) -> None:
+        self._view, self._limit, self._texts = view, setup.residual_limit, texts
         self._drawn = NOTHING
         with ui.column().classes("gap-1") as self._whole:
             self._mean = ui.label().props('data-testid="residual"')
@@ -105,8 +108,8 @@ class ResidualsShown:
         self._whole.set_visibility(False)
 
     def refresh(self) -> None:
-        """Show what is now."""
-        data = self._told.data
+        """Show the present residuals."""
+        data = self._view.data
         if data == self._drawn:
             return
         self._drawn = data
@@ -119,14 +122,26 @@ class ResidualsShown:
 
 
 def mean_in_words(data: ProcedureDataView, limit: float, texts: Texts) -> str:
-    """The mean of all landmarks against its limit, m; empty while nothing is registered."""
+    """Return the mean of all residuals against its limit; empty while nothing is registered.
+
+    Args:
+        data: Data of the procedure.
+        limit: Limit of the mean, m.
+        texts: Texts in the language of the page.
+    """
     if data.residual is None:
         return ""
     return texts("residual", mm=1000.0 * data.residual, limit=1000.0 * limit)
 
 
 def each_in_words(data: ProcedureDataView, limit: float, texts: Texts) -> list[tuple[str, bool]]:
-    """Each landmark that has a residual, in the order of the plan, and whether that is within the limit, m."""
+    """Return each landmark that has a residual, in the order of the plan, and whether it is within the limit.
+
+    Args:
+        data: Data of the procedure.
+        limit: Limit of the mean, m.
+        texts: Texts in the language of the page.
+    """
     return [
         (
             texts(

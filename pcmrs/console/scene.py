@@ -1,4 +1,4 @@
-"""How something is put into a scene, and the colours that mean the same in all of them."""
+"""Shapes in a scene, and the colours that have the same meaning in all scenes."""
 
 from __future__ import annotations
 
@@ -34,22 +34,27 @@ UNDRAGGED = """() => {{
 
 
 def fit(scene: ui.scene) -> None:
-    """Draw a scene as large as its place, not at all in a hidden tab: by itself it looks at the window only."""
+    """Make a scene fill its container, and not draw in a hidden tab; by itself it follows the window only."""
     scene.on("init", js_handler=FITTED.format(id=scene.id))
 
 
 def ignore_drags(scene: ui.scene) -> None:
-    """A mouse that turns the scene has clicked nothing: browsers tell of a click at the end of a drag, too."""
+    """Ignore clicks at the end of a drag, which browsers report, too."""
     scene.on("init", js_handler=UNDRAGGED.format(id=scene.id))
 
 
 STILL, STRAIGHT = 2e-4, 1e-3
-"""What moves by less, m, or turns by less, rad, stays where it is shown: noise of the tracker would keep a browser busy
-that draws for nobody's eye."""
+"""Smaller motions, m, and turns, rad, are not shown: the noise of the tracker would keep a browser busy
+with invisible changes."""
 
 
 def put(shape: Object3D, pose: Transform) -> None:
-    """Put a shape at a pose; says nothing to the page where it is about there already."""
+    """Move a shape to a pose; nothing is sent to the page if it is nearly there already.
+
+    Args:
+        shape: The shape.
+        pose: Its pose in the scene.
+    """
     if np.abs(pose.translation - (shape.x, shape.y, shape.z)).max() > STILL:
         shape.move(*np.round(pose.translation, 5).tolist())
     if np.abs(pose.rotation - np.array(shape.R)).max() > STRAIGHT:
@@ -57,7 +62,14 @@ def put(shape: Object3D, pose: Transform) -> None:
 
 
 def tool(scene: ui.scene, setup: Setup, colour: str, opacity: float) -> Object3D:
-    """A disc or rod about its z axis, with its handle along -y."""
+    """Return a disc or rod about its z axis, with its handle along -y.
+
+    Args:
+        scene: Scene to draw in.
+        setup: Setup of the cell.
+        colour: Colour of the tool.
+        opacity: 0 to 1.
+    """
     radius, half = setup.tool_radius, setup.tool_half_length
     with scene.group() as group:
         disc = scene.cylinder(radius, radius, 2.0 * half, 24).material(colour, opacity)
@@ -68,7 +80,12 @@ def tool(scene: ui.scene, setup: Setup, colour: str, opacity: float) -> Object3D
 
 
 def show(shape: Object3D, pose: Transform | None) -> None:
-    """Put a shape at a pose, or hides it."""
+    """Move a shape to a pose, or hide it.
+
+    Args:
+        shape: The shape.
+        pose: Its pose in the scene; None hides it.
+    """
     if shape.visible_ != (pose is not None):
         shape.visible(pose is not None)
     if pose is not None:

@@ -1,4 +1,4 @@
-"""The console's web server, in an event loop of its own process: never in the one that controls."""
+"""The console's web server, in the event loop of its own process: never in the process that controls."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ from pcmrs.console.playback_bar import refuse_recording, wait_for_recording
 from pcmrs.console.recordings import Recordings
 from pcmrs.console.surfaces import Surfaces
 from pcmrs.console.texts import Texts
-from pcmrs.console.uploads import UploadLimit, keep_temporary_files
+from pcmrs.console.uploads import UploadLimit, use_temporary_folder
 from pcmrs.errors import BusError, PcmrsError
 from pcmrs.fsm import Blueprint, parse_blueprint
 
-FORM = 2**20
-"""Bytes that a form may add to the files of an upload."""
+FORM_BYTES = 2**20
+"""Limit of the bytes that a form adds to the files of an upload."""
 LARGEST = 2**20
-"""Bytes of a message of a browser."""
-AWAY, REMEMBERED = 60.0, 10_000
-"""A page that was cut off for so long, s, and missed no more messages, goes on; later it is loaded anew, and forgets
-what was planned on it and not sent."""
-ENDING_TIME = 1
-"""Open pages keep the server so long from ending, s."""
+"""Limit of a message from a browser, bytes."""
+RECONNECT_TIMEOUT, MESSAGE_HISTORY = 60.0, 10_000
+"""A page continues after a disconnection of at most so long, s, and so many missed messages. Later it is reloaded, and
+loses plans that were not sent."""
+SHUTDOWN_TIMEOUT = 1
+"""Longest delay of the server's end by open pages, s."""
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """Where the console listens, and under which names it is reached.
+class ListenAddress:
+    """Address at which the console listens, and its names.
 
     Attributes:
-        port: 0 takes a free one.
-        names: Further ``host:port`` under which it is reached, as behind a proxy.
+        port: Port; 0 for any free one.
+        names: Further ``host:port`` that reach it, as behind a proxy.
     """
 
     host: str = "127.0.0.1"
@@ -53,7 +53,7 @@ class Place:
 
 async def serve_console(
     dial: Dial,
-    place: Place,
+    place: ListenAddress,
     token: str,
     language: str,
     ready: Callable[[str], None],
@@ -61,47 +61,51 @@ async def serve_console(
     uploads: Path,
     recordings: Path | None = None,
 ) -> None:
-    """Serve the page until it is told to end.
+    """Serve the page until `ended` is set.
 
     Args:
-        dial: Reaches the daemon; the page is served while it does not answer, too.
-        place: Where.
-        token: Whoever has it is let in.
-        language: Of whoever asks for none.
+        dial: Connects to the daemon; the page is also served while it does not answer.
+        place: Address at which to listen.
+        token: Token that a request needs.
+        language: Language of pages that ask for none.
         ready: Called with the address, token included, as soon as it can be opened.
         ended: Set to end it.
-        uploads: Folder for what is uploaded, as long as it is read. What consoles that have ended left is removed.
-        recordings: Folder with those that may be looked at; None for none.
+        uploads: Folder for uploaded files while they are read. Files of consoles that have ended are removed.
+        recordings: Folder with recordings that can be replayed; None for none.
 
     Raises:
-        BusError: The port is taken, or the address is not ours.
+        BusError: The port is taken, or the address is not one of this machine.
         ConfigurationError: The folder for uploads cannot be made, or the token is too short.
     """
     feed = Feed(dial)
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     _build(app, feed, language, Recordings(recordings))
     ui.run_with(
-        app, title="PCMRS", show_welcome_message=False, reconnect_timeout=AWAY, message_history_length=REMEMBERED
+        app,
+        title="PCMRS",
+        show_welcome_message=False,
+        reconnect_timeout=RECONNECT_TIMEOUT,
+        message_history_length=MESSAGE_HISTORY,
     )
     listening = _listen(place)
     host, port = listening.getsockname()[:2]
-    keep_temporary_files(uploads)
+    use_temporary_folder(uploads)
     names = {f"{name}:{port}" for name in (host, "127.0.0.1", "localhost")} | {*place.names}
-    guarded = Guard(UploadLimit(app, LARGEST_UPLOAD + FORM), token, names)
+    guarded = Guard(UploadLimit(app, LARGEST_UPLOAD + FORM_BYTES), token, names)
     server = _Server(
         uvicorn.Config(
             guarded,
             log_level="warning",
             access_log=False,
             ws_max_size=LARGEST,
-            ws_ping_interval=None,  # the page has pings of its own, which are more patient
-            timeout_graceful_shutdown=ENDING_TIME,
+            ws_ping_interval=None,  # the page has its own pings, with a longer timeout
+            timeout_graceful_shutdown=SHUTDOWN_TIMEOUT,
         )
     )
     async with asyncio.TaskGroup() as group:
         following = group.create_task(feed.run())
         serving = group.create_task(server.serve(sockets=[listening]))
-        await server.begun.wait()
+        await server.serving.wait()
         ready(f"http://{host}:{port}/?token={token}")
         await ended.wait()
         server.should_exit = True
@@ -110,23 +114,23 @@ async def serve_console(
 
 
 class _Server(uvicorn.Server):
-    """Tells when it has begun to serve."""
+    """Server that reports when it serves."""
 
     def __init__(self, config: uvicorn.Config) -> None:
         super().__init__(config)
-        self.begun = asyncio.Event()
+        self.serving = asyncio.Event()
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Leave signals to whoever serves."""
+        """Leave signals to the caller."""
         yield
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
-        self.begun.set()
+        self.serving.set()
 
 
-def _listen(place: Place) -> socket.socket:
+def _listen(place: ListenAddress) -> socket.socket:
     try:
         return socket.create_server((place.host, place.port))
     except OSError as error:
@@ -135,7 +139,7 @@ def _listen(place: Place) -> socket.socket:
 
 
 def _build(app: FastAPI, feed: Feed, language: str, recordings: Recordings) -> None:
-    """Declare what the server answers."""
+    """Declare the pages that the server answers."""
     workflows: dict[str, Blueprint] = {}
     surfaces = Surfaces(feed)
     surfaces.declare(app)
@@ -163,7 +167,7 @@ def _build(app: FastAPI, feed: Feed, language: str, recordings: Recordings) -> N
 
 
 def _wait(feed: Feed, texts: Texts) -> None:
-    """Until the daemon was reached for the first time."""
+    """Show a page until the daemon was reached for the first time."""
     ui.label(texts("title")).classes("text-h5")
     why = ui.label().props('data-testid="trouble"')
 

@@ -1,4 +1,4 @@
-"""How the daemon serves the page."""
+"""Settings of the page that the daemon serves."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ import msgspec
 
 HOST: Final = "127.0.0.1"
 TOKEN: Final = "console.token"  # noqa: S105  # the name of a file
-"""File in the cell's folder that has what opens the page; only its owner may read it."""
+"""File in the cell's folder with the token of the page; only its owner may read it."""
 UPLOADS: Final = "uploads"
-"""Folder in the cell's folder, for files of patients as long as they are read."""
+"""Folder in the cell's folder for uploaded files of patients, while they are read."""
 
 
 class ConsoleSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The page that the daemon serves on its own machine, by a process of its own.
+    """The page that the daemon serves on its own machine, in a separate process.
 
     Attributes:
-        enabled: Whether it does; not without the extra ``console``.
-        port: Where on loopback.
-        language: Of whoever asks for none.
+        enabled: Serve it; this needs the extra ``console``.
+        port: Port on loopback.
+        language: Language of pages that ask for none.
     """
 
     enabled: bool = True

@@ -1,4 +1,4 @@
-"""The body's surface as browsers load it: whole, lighter to be looked at, and that coloured by the predicted error."""
+"""The body's surface for browsers: whole, lighter for display, and coloured by the predicted error."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from pcmrs.console.residuals import coloured
 from pcmrs.console.scene import SURFACE
 from pcmrs.messages.setup import ProcedureDataView, Setup, SurfaceShown
 
-KEPT = 4
-"""Coloured surfaces: pages of one cell ask for the same one."""
+MAX_COLOURED = 4
+"""Number of stored coloured surfaces: pages of one cell ask for the same one."""
 LIGHTER = "/lighter.stl"
 ZONE = "/zone.stl"
 COLOURED = "/error/{key}.glb"
 
 
 class Surfaces:
-    """What is served of the surface.
+    """Served surfaces of the body.
 
     Args:
-        feed: Of the cell.
+        feed: State of the cell.
     """
 
     def __init__(self, feed: Feed) -> None:
@@ -35,7 +35,7 @@ class Surfaces:
         self._coloured: OrderedDict[str, bytes] = OrderedDict()
 
     def declare(self, app: FastAPI) -> None:
-        """Declare where it is found."""
+        """Declare the addresses of the surfaces."""
 
         @app.get(SURFACE)
         def surface() -> Response:
@@ -56,7 +56,12 @@ class Surfaces:
             return Response(self._coloured[key], media_type="model/gltf-binary")
 
     async def error(self, setup: Setup, data: ProcedureDataView) -> str | None:
-        """Where the surface is found with the predicted error of what is registered now; None where that is unknown."""
+        """Return the address of the surface coloured by the present predicted error; None while that is unknown.
+
+        Args:
+            setup: Setup of the cell.
+            data: Data of the procedure, with the registration in force.
+        """
         if setup.surface is None:
             return None
         rests_on = (data.body_ref_from_image, [each.planned for each in data.landmarks], data.sigma, data.covariance)
@@ -66,7 +71,7 @@ class Surfaces:
             if made is None:
                 return None
             self._coloured[key] = made
-            while len(self._coloured) > KEPT:
+            while len(self._coloured) > MAX_COLOURED:
                 self._coloured.popitem(last=False)
         return COLOURED.format(key=key)
 

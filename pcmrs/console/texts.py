@@ -1,4 +1,4 @@
-"""What the page says, in the languages of `texts.toml`."""
+"""Texts of the page, in the languages of `texts.toml`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _FILE = Path(__file__).with_name("texts.toml")
 
 @cache
 def languages() -> tuple[str, ...]:
-    """The languages there are, the first one for whoever says nothing."""
+    """Return all languages; the first is the default."""
     return tuple(_texts())
 
 
@@ -24,7 +24,7 @@ class Texts:
     """The texts of one language.
 
     Args:
-        language: One of `languages`; the first one in place of any other.
+        language: One of `languages`; the first one instead of any other.
     """
 
     def __init__(self, language: str) -> None:
@@ -32,5 +32,5 @@ class Texts:
         self._texts = _texts()[self.language]
 
     def __call__(self, key: str, **values: object) -> str:
-        """The text of `key`, with `values` in it."""
+        """Return the text of `key`, with `values` in it."""
         return self._texts[key].format(**values)

@@ -1,4 +1,4 @@
-"""The session: whose it is, and what was decided and reported, newest first, with a filter."""
+"""The session: its patient and operator, and its decisions and reports, newest first, with a filter."""
 
 from __future__ import annotations
 
@@ -9,30 +9,30 @@ from nicegui import ui
 
 from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.feed import Feed
-from pcmrs.console.history import HISTORIANS, KINDS, Entry, heard_only, matching
+from pcmrs.console.history import JOURNAL_READERS, KINDS, Entry, entries_from_events, matching
 from pcmrs.console.texts import Texts
 from pcmrs.errors import PcmrsError
 from pcmrs.messages.setup import Setup
 
 ROWS = 100
-"""So many of those that the filter lets through are shown."""
+"""Largest number of rows that are shown."""
 AT_FIRST = [kind for kind in KINDS if kind != "activity"]
 COLUMNS = {"time": "nowrap", "who": "nowrap", "what": "normal", "result": "normal"}
 
 
 class TimelinePanel:
-    """A table of the journal, or for whoever may not read it, of what was heard.
+    """Table of the journal or, for users who may not read it, of the received events.
 
     Args:
-        feed: What the cell tells.
-        told: What is shown: the feed, or a recording, whose own decisions and events these are then.
-        setup: Of the cell.
-        texts: Of the page's language.
+        feed: State of the cell.
+        view: State to show: the feed, or a recording, which has its own decisions and events.
+        setup: Setup of the cell.
+        texts: Texts in the language of the page.
     """
 
-    def __init__(self, feed: Feed, told: CellViewModel, setup: Setup, texts: Texts) -> None:
-        self._feed, self._told = feed, told
-        self._may_read = setup.role in HISTORIANS and told is feed
+    def __init__(self, feed: Feed, view: CellViewModel, setup: Setup, texts: Texts) -> None:
+        self._feed, self._view = feed, view
+        self._may_read = setup.role in JOURNAL_READERS and view is feed
         ui.label(f"{texts('patient')}: {setup.patient or texts('unknown')}").props('data-testid="patient"')
         ui.label(f"{texts('operator')}: {setup.operator or texts('unknown')}")
         if not self._may_read:
@@ -53,10 +53,10 @@ class TimelinePanel:
         self._table.props('data-testid="timeline"')
 
     def refresh(self) -> None:
-        """Show what has been added, or what the filter lets through now."""
+        """Show new entries, or those that match a new filter."""
         history = self._feed.history
         self._earlier.set_visibility(self._may_read and not history.whole)
-        entries = history.entries if self._may_read else heard_only(self._told.events)
+        entries = history.entries if self._may_read else entries_from_events(self._view.events)
         rows = _rows(matching(reversed(entries), self._text.value or "", self._kinds.value or (), ROWS))
         if rows != self._table.rows:
             self._table.rows = rows
@@ -65,7 +65,7 @@ class TimelinePanel:
         if self._feed.client is None:
             return
         try:
-            await self._feed.history.reach_back(self._feed.client)
+            await self._feed.history.read_older(self._feed.client)
         except PcmrsError as error:
             ui.notify(error.text, type="warning", position="bottom-left")
         self.refresh()

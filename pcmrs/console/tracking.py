@@ -1,4 +1,4 @@
-"""What the tracker sees, in the scene: its measuring volume, its lines of sight, and which bodies it does not see."""
+"""The tracker in the scene: its measuring volume, its lines of sight, and the bodies that it does not see."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from nicegui.elements.scene.scene_object3d import Object3D
 
 from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.colours import BLUE, GREY, SKY
-from pcmrs.console.geometry import Sight, along
+from pcmrs.console.geometry import TrackerLocator, along
 from pcmrs.console.scene import STILL, put, show
 from pcmrs.console.texts import Texts
 from pcmrs.messages.setup import Setup, SliceShown
 from pcmrs.spatial import Floats, Transform
 
 BODIES = ("coil", "body_ref", "witness", "pointer")
-"""Those with a line of sight, where the tracker tells of them."""
-OLD = 0.5
-"""What was heard so long ago is not seen any more, s."""
+"""Bodies with a line of sight, if the tracker reports them."""
+MAX_AGE = 0.5
+"""Age of a pose from which a body is not seen any more, s."""
 
 
-class TrackingShown:
-    """The tracker with what it measures; hidden until it is known where it stands.
+class TrackingView:
+    """The tracker with its lines of sight; hidden until its pose is known.
 
     Args:
-        scene: To draw in.
-        setup: Of the cell.
+        scene: Scene to draw in.
+        setup: Setup of the cell.
     """
 
     def __init__(self, scene: ui.scene, setup: Setup) -> None:
@@ -38,20 +38,26 @@ class TrackingShown:
                 scene.line(start.tolist(), end.tolist()).material(BLUE)
         self._tracker.with_name("tracker").visible(False)
         with scene:
-            self._sights = {body: self._sight(body) for body in BODIES}
+            self._sights = {body: self._line_of_sight(body) for body in BODIES}
 
-    def follow(self, told: CellViewModel, sight: Sight, *, wanted: bool) -> None:
-        """Show where the tracker stands, and a line to each body that it sees."""
-        stand = sight.base_from_tracker if wanted else None
+    def follow(self, view: CellViewModel, locator: TrackerLocator, *, wanted: bool) -> None:
+        """Show the pose of the tracker, and a line to each body that it sees.
+
+        Args:
+            view: State of the cell to show.
+            locator: Locates the tracker.
+            wanted: Show it at all.
+        """
+        stand = locator.base_from_tracker if wanted else None
         show(self._tracker, stand)
         for body, line in self._sights.items():
-            seen = sight.in_base(told.poses.get(body)) if is_seen(told, body) else None
+            seen = locator.in_base(view.poses.get(body)) if _is_seen(view, body) else None
             if stand is None or seen is None:
                 show(line, None)
             else:
                 _stretch(line, stand.translation, seen.translation)
 
-    def _sight(self, body: str) -> Object3D:
+    def _line_of_sight(self, body: str) -> Object3D:
         line = self._scene.cylinder(0.002, 0.002, 1.0, 8).material(SKY, 0.6)
         return line.with_name(f"sight of {body}").visible(False)
 
@@ -60,7 +66,7 @@ class VisibilityRow:
     """One word for each body: seen, or not and why.
 
     Args:
-        texts: Of the page's language.
+        texts: Texts in the language of the page.
     """
 
     def __init__(self, texts: Texts) -> None:
@@ -68,26 +74,31 @@ class VisibilityRow:
         self._row = ui.row().classes("gap-1").props('data-testid="visibility"')
         self._chips: dict[str, ui.badge] = {}
 
-    def follow(self, told: CellViewModel) -> None:
-        """Show what is seen now."""
-        for body in told.poses:
+    def follow(self, view: CellViewModel) -> None:
+        """Show the present visibility."""
+        for body in view.poses:
             if body not in self._chips:
                 with self._row:
                     self._chips[body] = ui.badge().classes("text-body2")
-            seen, pose, chip = is_seen(told, body), told.poses[body], self._chips[body]
+            seen, pose, chip = _is_seen(view, body), view.poses[body], self._chips[body]
             why = "" if seen or pose.reason is None else f" ({pose.reason.replace('_', ' ')})"
             chip.set_text(f"{'●' if seen else '○'} {body}: {self._texts('seen' if seen else 'not_seen')}{why}")
             chip.props(f"color={'blue-9' if seen else 'deep-orange-10'}")
 
 
-def is_seen(told: CellViewModel, body: str) -> bool:
-    """Whether the tracker sees a body now: what it said of it last is no longer true when it has fallen silent."""
-    pose, age = told.poses.get(body), told.age(body)
-    return pose is not None and pose.valid and age is not None and age <= OLD
+def _is_seen(view: CellViewModel, body: str) -> bool:
+    """Return true if the tracker sees a body now. Its last report is no longer true when it has stopped reporting.
+
+    Args:
+        view: State of the cell.
+        body: Name of the body.
+    """
+    pose, age = view.poses.get(body), view.age(body)
+    return pose is not None and pose.valid and age is not None and age <= MAX_AGE
 
 
 def edges(volume: list[SliceShown]) -> list[tuple[Floats, Floats]]:
-    """The edges of a measuring volume in the tracker's frame, (3,) and (3,) each, m."""
+    """Return the edges of a measuring volume in the tracker's frame, (3,) and (3,) each, m."""
     rings = [
         np.array([(x * each.width / 2.0, y * each.height / 2.0, -each.distance) for x, y in _CORNERS])
         for each in volume
@@ -101,7 +112,7 @@ _CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
 
 
 def _stretch(line: Object3D, start: Floats, end: Floats) -> None:
-    """Lay a cylinder of length 1 m between two points, (3,) each."""
+    """Stretch a cylinder of length 1 m between two points, (3,) each."""
     length = float(np.linalg.norm(end - start))
     if length > 0.0:
         if abs(length - line.sy) > STILL:

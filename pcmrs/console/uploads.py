@@ -1,6 +1,6 @@
-"""No request has a longer body than an upload may have: the browser's own check binds nobody who sends by himself.
+"""Limits of uploads on the server, since a browser's own check binds no other client; and temporary files.
 
-Temporary files of the console: a patient's files are among them, so that what a killed one has left is removed.
+Temporary files may hold data of patients, so the files of a killed console are removed.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.files import make_private
 
 
-def keep_temporary_files(folder: Path) -> None:
-    """Have all temporary files of this process, those of the web server too, lie in a folder of its own below this one.
+def use_temporary_folder(folder: Path) -> None:
+    """Put all temporary files of this process, also those of the web server, into its own folder below this one.
 
-    Those of processes that have ended are removed: the kernel ends the lock on a folder with the process that holds it.
+    Folders of processes that have ended are removed: the kernel releases the lock on a folder with its process.
 
     Raises:
         ConfigurationError: The folder cannot be made.
@@ -33,7 +33,7 @@ def keep_temporary_files(folder: Path) -> None:
                 if _is_left(left):
                     shutil.rmtree(left, ignore_errors=True)
             own = tempfile.mkdtemp(dir=folder)
-            fcntl.flock(os.open(own, os.O_RDONLY), fcntl.LOCK_EX)  # as long as this process lives
+            fcntl.flock(os.open(own, os.O_RDONLY), fcntl.LOCK_EX)  # locked until this process ends
     except OSError as error:
         text = f"The folder for uploads, {folder}, cannot be made: {error.strerror}."
         raise ConfigurationError(text, folder=str(folder)) from None
@@ -42,7 +42,7 @@ def keep_temporary_files(folder: Path) -> None:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """Let one process at a time look at what others have left, and make its own."""
+    """Let one process at a time check the files that others have left, and make its own folder."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
@@ -52,7 +52,7 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 def _is_left(folder: Path) -> bool:
-    """Whether the process that it was made for has ended."""
+    """Return true if the process that made it has ended."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -64,13 +64,13 @@ def _is_left(folder: Path) -> bool:
 
 
 class UploadLimit:
-    """Stands before the application and refuses a request whose body is too long, or of unknown length, unread.
+    """Middleware that refuses, unread, a request whose body is too long, or of unknown length.
 
-    The server in front reads no more of a body than its ``content-length`` says.
+    The server before it reads no more of a body than its ``content-length``.
 
     Args:
-        app: What is behind it.
-        largest: Bytes of a body, those that a form adds included.
+        app: Application behind it.
+        largest: Limit of a body, bytes, with the bytes that a form adds.
     """
 
     def __init__(self, app: App, largest: int) -> None:
@@ -78,11 +78,11 @@ class UploadLimit:
         self._largest = largest
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let a request through as long as it is short enough."""
+        """Let a request through if it is short enough."""
         headers = dict(scope["headers"]) if scope["type"] == "http" else {}
         length = headers.get(b"content-length", b"")
         if b"transfer-encoding" in headers:
-            await answer(send, 411, "A request says how long its body is: Content-Length.", {"connection": "close"})
+            await answer(send, 411, "A request needs the length of its body: Content-Length.", {"connection": "close"})
         elif length.isdigit() and int(length) > self._largest:
             await answer(send, 413, f"The limit is {self._largest} bytes.", {"connection": "close"})
         else:

@@ -1,4 +1,4 @@
-"""The workflow: what may be asked for now, what runs, what was refused and why."""
+"""The workflow: possible operations, running ones, and refusals with their reasons."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.choices import Choice
 from pcmrs.console.command_sender import CommandSender
 from pcmrs.console.history import heading, why
-from pcmrs.console.residuals import ResidualsShown
+from pcmrs.console.residuals import ResidualsView
 from pcmrs.console.texts import Texts
 from pcmrs.fsm import Blueprint
 from pcmrs.messages import DeviceEvent, Snapshot, Verdict
 from pcmrs.messages.setup import Setup
 
 REFUSED = 4
-"""So many of the last refusals are shown."""
+"""Number of the last refusals that are shown."""
 
 
 class WorkflowPanel:
     """Buttons by branch, the running operation and the last refusals.
 
     Args:
-        told: What is shown.
-        setup: Of the cell.
-        blueprint: Its workflow.
-        texts: Of the page's language.
-        asking: Asks the daemon.
+        view: State of the cell to show.
+        setup: Setup of the cell.
+        blueprint: Workflow of the cell.
+        texts: Texts in the language of the page.
+        sender: Sends commands to the daemon.
     """
 
     def __init__(
-        self, told: CellViewModel, setup: Setup, blueprint: Blueprint, texts: Texts, asking: CommandSender
+        self, view: CellViewModel, setup: Setup, blueprint: Blueprint, texts: Texts, sender: CommandSender
     ) -> None:
-        self._told, self._blueprint, self._texts, self._asking = told, blueprint, texts, asking
+        self._view, self._blueprint, self._texts, self._sender = view, blueprint, texts, sender
         self._choices: Mapping[str, Choice] = {}
         self._buttons: dict[str, tuple[ui.button, ui.tooltip]] = {}
         self._states: dict[str, ui.label] = {}
@@ -45,7 +45,7 @@ class WorkflowPanel:
             self._spinner = ui.spinner(size="sm")
             self._running = ui.label().classes("text-weight-medium").props('data-testid="running"')
         self._progress = ui.linear_progress(show_value=False).props("instant-feedback")
-        self._residuals = ResidualsShown(told, setup, texts)
+        self._residuals = ResidualsView(view, setup, texts)
         self._unknown = ui.column().classes("w-full gap-0")
         for name, branch in blueprint.branches.items():
             with ui.card().classes("w-full q-pa-sm gap-1").props("flat bordered"):
@@ -70,7 +70,12 @@ class WorkflowPanel:
             self._buttons[name] = (button, tooltip)
 
     def refresh(self, shown: Snapshot, choices: Mapping[str, Choice]) -> None:
-        """Show what is now, and what may be asked for."""
+        """Show the present state, and enable the possible operations.
+
+        Args:
+            shown: The present snapshot.
+            choices: Operations by name.
+        """
         self._choices = choices
         for branch, state in shown.branches.items():
             meaning = self._blueprint.branches[branch].states[state]
@@ -96,7 +101,7 @@ class WorkflowPanel:
 
     def _show_refused(self) -> None:
         self._refused.clear()
-        bad = [event for _, event in self._told.events if self._is_bad(event)][-REFUSED:]
+        bad = [event for _, event in self._view.events if self._is_bad(event)][-REFUSED:]
         with self._refused:
             for event in reversed(bad):
                 with ui.card().classes("w-full q-pa-xs gap-0 bg-orange-1").props("flat bordered"):
@@ -106,7 +111,7 @@ class WorkflowPanel:
                         ui.label(self._texts("allowed", names=", ".join(event.allowed))).classes("text-grey-8")
 
     def _is_bad(self, event: Verdict | DeviceEvent) -> bool:
-        """Whether somebody asked in vain, or a device is in danger; what activities ask for is nobody's."""
+        """Return true for a refused command of a person, or a danger of a device; activities belong to nobody."""
         if isinstance(event, DeviceEvent):
             return event.danger
         spec = self._blueprint.find(event.branch, event.operation)
@@ -120,18 +125,18 @@ class WorkflowPanel:
             ui.notify(choice.why_not, type="warning", multi_line=True, position="bottom-left")
             return
         if choice.payload == "none":
-            await self._asking.ask(name, {"stop": choice.stop} if choice.stop is not None else {})
+            await self._sender.ask(name, {"stop": choice.stop} if choice.stop is not None else {})
             return
         if choice.payload == "retreat":
             await self._bring_away(name)
             return
         arguments = await self._arguments(choice)
         if arguments is not None:
-            await self._asking.ask(name, arguments)
+            await self._sender.ask(name, arguments)
 
     async def _bring_away(self, name: str) -> None:
-        """Ask for a retreat; where somebody has to look at the way first, asks the person whether they have."""
-        verdict, texts = await self._asking.ask(name, {}), self._texts
+        """Send a retreat. If the way must be checked first, ask the person whether it is clear."""
+        verdict, texts = await self._sender.ask(name, {}), self._texts
         if verdict is None or verdict.reason is None or verdict.reason.code != "body_not_registered":
             return
         with ui.dialog() as dialog, ui.card().classes("w-96"):
@@ -141,12 +146,12 @@ class WorkflowPanel:
                 ui.button(texts("cancel"), on_click=lambda: dialog.submit(False)).props("flat")
         try:
             if await dialog:
-                await self._asking.ask(name, {"confirm": True})
+                await self._sender.ask(name, {"confirm": True})
         finally:
             dialog.delete()
 
     async def _arguments(self, choice: Choice) -> dict[str, Any] | None:
-        """Ask the person for the arguments, as JSON; None if they think better of it."""
+        """Ask the person for the arguments, as JSON; None if they cancel."""
         texts = self._texts
         with ui.dialog() as dialog, ui.card().classes("w-96"):
             ui.label(f"{choice.title} ({choice.payload})").classes("text-weight-bold")

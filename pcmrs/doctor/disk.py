@@ -42,7 +42,7 @@ def disk(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> Iterator[Fin
     else:
         yield good("journal's disk", f"{folder} is on {kind or 'a disk'}")
     try:
-        times = sync_times(existing)
+        times = _sync_times(existing)
     except OSError as error:
         remedy = f"Let the user who runs the daemon write in {existing}, or give another cell.folder."
         yield bad("time of fsync", f"{existing} cannot be written: {error.strerror}", remedy)
@@ -62,7 +62,7 @@ def assess_times(times: list[float]) -> Finding:
     return good("time of fsync", shown)
 
 
-def sync_times(folder: Path) -> list[float]:
+def _sync_times(folder: Path) -> list[float]:
     """Return the durations of appending 4 KiB and waiting for the disk, s each.
 
     Raises:

@@ -35,7 +35,7 @@ def scheduling(root: Path = ROOT) -> Iterator[Finding]:
     """Check that threads may take the policy SCHED_RR, and the share that the kernel leaves to others."""
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     allowed = f"RLIMIT_RTPRIO is {UNLIMITED.get(limit, limit)}"
-    refusal = try_real_time()
+    refusal = _real_time_refusal()
     if refusal:
         yield warning("real-time policy", f"SCHED_RR is refused ({refusal}); {allowed}", PERMIT)
     else:
@@ -49,7 +49,7 @@ def scheduling(root: Path = ROOT) -> Iterator[Finding]:
         yield good("real-time share", f"{int(runtime) / int(period):.0%} at most")
 
 
-def try_real_time() -> str:
+def _real_time_refusal() -> str:
     """Return why a thread may not take SCHED_RR with the highest priority that PCMRS gives; empty if it may.
 
     The thread that tries ends at once: this process stays as it was.

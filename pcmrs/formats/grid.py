@@ -65,7 +65,7 @@ def check_size(path: Path, shape: Sequence[int]) -> None:
         shape: Number of voxels along each axis.
 
     Raises:
-        FileFormatError: It is no volume of several slices, or too large.
+        FileFormatError: It is not a volume of several slices, or too large.
     """
     if len(shape) != 3 or min(shape) < 2:
         refuse(path, f"has {' x '.join(map(str, shape))} voxels: give one volume of at least two slices.")

@@ -19,7 +19,7 @@ MAX_JOINT_STATES = 20_000
 
 
 def operations(blueprint: Blueprint) -> Iterator[tuple[str, str, OperationSpec]]:
-    """Branch, name and declaration of every operation, including those that nobody may ask for."""
+    """Branch, name and declaration of every operation, including those that users may not ask for."""
     for branch, spec in blueprint.branches.items():
         for operation, declared in spec.operations.items():
             yield branch, operation, declared

@@ -76,7 +76,7 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
             forbidden, and nothing else unless it says so.
         irreversible: Its effect cannot be undone: it is not accepted again before an operation that allows that.
         allows_again: Irreversible operations of the branch that may be done again after this one.
-        confirm: Somebody has to confirm it each time before it is accepted, in a branch that
+        confirm: A user must confirm it each time before it is accepted, in a branch that
             `pcmrs.fsm.files.confirming` makes from this. False once that is made.
         rio: It is the branch's re-initiation operation (RIO).
         iio: It is called by a child branch only (IIO).
@@ -329,7 +329,7 @@ class Blueprint(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, dic
         id: Name of the workflow.
         version: Its version, which journals and snapshots carry.
         goal: Joint states that must stay within reach: the purpose of the procedure.
-        properties: What it promises.
+        properties: Promises of the workflow.
         migrations: Older blueprints whose journals may be continued.
         defaults: Changes to the defaults of the configuration, such as limits.
         hash: SHA-256 of its content, hexadecimal, whatever its comments, layout and migrations; filled when it is read.

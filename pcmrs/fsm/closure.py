@@ -92,7 +92,7 @@ Ask = Callable[[str, str, str], Answer]
 """Asks a state for an operation: (branch, state, operation) → its answer."""
 
 
-def as_declared(blueprint: Blueprint) -> Ask:
+def _as_declared(blueprint: Blueprint) -> Ask:
     """Return a function that answers as the blueprint declares."""
 
     def ask(branch: str, state: str, operation: str) -> Answer:
@@ -120,7 +120,7 @@ def close(
     Returns:
         The closure, or why the branch's state or some other part of it does not allow it.
     """
-    ask = ask or as_declared(blueprint)
+    ask = ask or _as_declared(blueprint)
     spec = ask(branch, states[branch], operation)
     if isinstance(spec, Denial):
         return spec

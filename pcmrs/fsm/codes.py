@@ -4,8 +4,8 @@ from __future__ import annotations
 
 READING = {
     "cannot_be_read": "There is no such file or workflow, or it cannot be opened.",
-    "too_large": "A file is larger than what is read.",
-    "too_deep": "A file is nested deeper than what is read.",
+    "too_large": "A file is too large.",
+    "too_deep": "A file is nested too deeply.",
     "not_utf8": "A text file is not in UTF-8.",
     "not_toml": "A file is not TOML.",
     "bad_value": "A key is unknown or missing, or a value has the wrong type.",
@@ -38,7 +38,7 @@ VERIFICATION = {
     "endless_cascade": "A command triggers changes that trigger changes without an end.",
     "no_outcome": "An operation is accepted where it cannot end in any declared way.",
     "ambiguous_revocation": "Two revocations of a branch hold at once and lead to different states.",
-    "order_dependent": "What a command does depends on the order of the branches in the file.",
+    "order_dependent": "The effect of a command depends on the order of the branches in the file.",
     "unreachable_state": "No command leads to a state.",
     "never_accepted": "An operation is accepted in no joint state.",
     "never_called": "An operation that only children call is called by none.",
@@ -47,7 +47,7 @@ VERIFICATION = {
     "goal_lost": "The goal can no longer be reached.",
     "no_way_back": "No operation leads back to a safe state.",
     "repeatable": "An irreversible operation can be done again without an operation that allows it.",
-    "activity_stuck": "Where an activity may end by itself, the operation for that is denied.",
+    "activity_stuck": "An activity may end by itself where the operation for that is denied.",
     "cannot_conclude": "An operation that runs can be found where none of its endings is allowed.",
     "property_violated": "A property does not hold.",
     "vacuous_property": "The `when` of a property holds at no reachable moment.",

@@ -8,7 +8,7 @@ from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, Requiremen
 
 
 class Exposure:
-    """States of a workflow in which nobody may leave the patient alone.
+    """States of a workflow in which the patient must not be left alone.
 
     A state exposes the patient if a motion towards the body leads to it, or if an activity moves the robot in it. So
     does one to which an operation leads that affects the patient. If such an operation needs the tool at the body, and

@@ -36,7 +36,6 @@ async def copy_for_ros2(
         ended: Ends it.
 
     Returns:
-        Topic to how many messages were published there.
         Topic to the number of messages published there.
 
     Raises:

@@ -10,7 +10,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.console.geometry import Arm, Sight, as_stl, placement, residuals
+from pcmrs.console.geometry import Arm, TrackerLocator, as_stl, placement, residuals
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import BodyPose, PoseMessage
@@ -69,31 +69,31 @@ def test_the_flange_is_where_the_kinematics_have_it(name: str) -> None:
 
 @given(st.integers(0, 10_000))
 def test_tool_and_body_are_shown_by_one_tracker(seed: int) -> None:
-    sight, q = Sight(setup()), np.random.default_rng(seed).uniform(-1.5, 1.5, 7)
+    locator, q = TrackerLocator(setup()), np.random.default_rng(seed).uniform(-1.5, 1.5, 7)
     base_from_tracker, base_from_body = some_pose(seed), some_pose(seed + 1)
-    base_from_coil = sight.arm.frames(q)[-1] @ FLANGE_FROM_COIL
+    base_from_coil = locator.arm.frames(q)[-1] @ FLANGE_FROM_COIL
     coil = body("coil", base_from_tracker.inverse() @ base_from_coil)
     ref = body("body_ref", base_from_tracker.inverse() @ base_from_body)
-    assert sight.in_base(ref) is None, "nobody knows yet where the tracker is"
-    sight.see(q, coil, moving=True)
-    assert sight.in_base(ref) is None, "in motion joints and tracker do not speak of one moment"
-    sight.see(q, coil, moving=False)
-    found = sight.in_base(ref)
+    assert locator.in_base(ref) is None, "nobody knows yet where the tracker is"
+    locator.see(q, coil, moving=True)
+    assert locator.in_base(ref) is None, "in motion joints and tracker do not speak of one moment"
+    locator.see(q, coil, moving=False)
+    found = locator.in_base(ref)
     assert found is not None
     assert distance(found, base_from_body) < 1e-6
-    assert sight.in_base(body("body_ref", base_from_body, valid=False)) is None
+    assert locator.in_base(body("body_ref", base_from_body, valid=False)) is None
 
 
 def test_tracker_noise_is_smoothed_and_motion_followed_at_once() -> None:
-    sight, q, random = Sight(setup()), np.zeros(7), np.random.default_rng(1)
-    base_from_coil = sight.arm.frames(q)[-1] @ FLANGE_FROM_COIL
+    locator, q, random = TrackerLocator(setup()), np.zeros(7), np.random.default_rng(1)
+    base_from_coil = locator.arm.frames(q)[-1] @ FLANGE_FROM_COIL
     for base_from_tracker in (some_pose(1), some_pose(2)):
         errors = []
         for _ in range(400):
             noise = Transform.from_rotvec(random.normal(0.0, 5e-5, 3), random.normal(0.0, 7e-4, 3))
-            sight.see(q, body("coil", base_from_tracker.inverse() @ base_from_coil @ noise), moving=False)
-            assert sight.base_from_tracker is not None
-            errors.append(distance(sight.base_from_tracker, base_from_tracker))
+            locator.see(q, body("coil", base_from_tracker.inverse() @ base_from_coil @ noise), moving=False)
+            assert locator.base_from_tracker is not None
+            errors.append(distance(locator.base_from_tracker, base_from_tracker))
         assert max(errors) < 0.02
         assert np.median(errors[100:]) < 0.35 * errors[0] or np.median(errors[100:]) < 5e-4
 

@@ -106,4 +106,4 @@ def test_a_token_that_could_be_guessed_opens_no_console(tmp_path: Path, token: s
     words = ["--endpoint", f"tcp/127.0.0.1:{free_port()}", "--port", "0", "--token-file", str(file)]
     ended = subprocess.run([sys.executable, "-m", "pcmrs.cli", "console", *words], capture_output=True, text=True)
     assert ended.returncode == EXIT_BAD_CONFIGURATION
-    assert "limit is 20" in ended.stderr
+    assert "minimum is 20" in ended.stderr

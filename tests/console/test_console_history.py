@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from pcmrs.console import history
-from pcmrs.console.history import History, heard_only, matching
+from pcmrs.console.history import History, entries_from_events, matching
 from pcmrs.journal import Journal, JournalRow
 from pcmrs.messages import BlueprintTag, DeviceEvent, JournalPage, JournalQuery, Reason, Verdict
 from pcmrs.service.publishing import journal_page
@@ -57,7 +57,7 @@ async def test_session_is_read_first_then_new_rows_then_older_ones(tmp_path: Pat
     await told.follow(asked)
     await told.follow(asked)
     while not told.whole:
-        await told.reach_back(asked)
+        await told.read_older(asked)
     assert [each.sequence for each in told.entries] == list(range(1, 39))
     await journal.close()
 
@@ -100,6 +100,6 @@ async def test_rows_say_who_what_and_why(tmp_path: Path) -> None:
 def test_role_without_the_journal_sees_received_messages() -> None:
     verdict = Verdict(id="1", branch="robot", operation="connect", decision="accepted", state="1", sequence=1)
     event = DeviceEvent(device="robot", code="link_lost", text="Gone.")
-    decided, lost = heard_only([(1.0, verdict), (2.0, event)])
+    decided, lost = entries_from_events([(1.0, verdict), (2.0, event)])
     assert (decided.wall, decided.what, decided.result) == (1.0, "robot.connect: accepted", "")
     assert (lost.kind, lost.what, lost.result) == ("device", "robot: link_lost", "Gone.")

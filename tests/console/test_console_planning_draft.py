@@ -12,7 +12,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.console.planning.checking import BAD, GOOD, OPEN, said
+from pcmrs.console.planning.checking import BAD, GOOD, OPEN, describe_results
 from pcmrs.console.planning.draft import MOVES, TURN, TURNS, Draft, Kind, typed_point
 from pcmrs.console.planning.panel import operations
 from pcmrs.console.texts import Texts
@@ -100,17 +100,17 @@ def test_points_of_another_space_are_refused_and_change_nothing() -> None:
     plan = draft()
     on_it = RADIUS * np.array([direction(seed) for seed in range(4)])
     names = ["a", "b", "c", "d"]
-    plan.take_landmarks(names, on_it)
+    plan.load_landmarks(names, on_it)
     before = list(plan.landmarks)
     for points in (on_it * 1000.0, on_it + np.array((0.0, 0.0, 0.05)), np.vstack((on_it[:3], on_it[3:] * 0.5))):
         with pytest.raises(GeometryError, match="from the surface; the limit is 30 mm"):
-            plan.take_landmarks(names, points)
+            plan.load_landmarks(names, points)
     with pytest.raises(GeometryError, match="already"):
-        plan.take_landmarks(["a", "a", "b", "c"], on_it)
+        plan.load_landmarks(["a", "a", "b", "c"], on_it)
     assert plan.landmarks == before
     with pytest.raises(GeometryError, match="limit is 80 mm"):
         plan.aim(np.array((0.0, 0.0, 0.3)))
-    with pytest.raises(GeometryError, match="turn the direction over"):
+    with pytest.raises(GeometryError, match="reverse the direction"):
         plan.aim(np.array((0.0, 0.0, 0.12)), np.array((0.0, 0.0, 1.0)))
     assert (plan.pose, plan.target) == (None, None)
 
@@ -121,9 +121,9 @@ def test_phantom_landmarks_are_taken_and_turned_ones_are_refused() -> None:
         planned = read_landmarks(EXAMPLES / f"{name}_plan.json")
         plan = Draft(surface=TriangleSurface(mesh.vertices, mesh.faces))
         with pytest.raises(GeometryError, match="LPS"):  # as if LPS had been written into a file of RAS
-            plan.take_landmarks(planned.names, planned.points * np.array((-1.0, -1.0, 1.0)))
+            plan.load_landmarks(planned.names, planned.points * np.array((-1.0, -1.0, 1.0)))
         assert plan.landmarks == []
-        plan.take_landmarks(planned.names, planned.points)
+        plan.load_landmarks(planned.names, planned.points)
         assert len(plan.landmarks) == len(planned.names)
 
 
@@ -169,10 +169,10 @@ def test_the_line_says_what_the_daemon_would_say() -> None:
     good = DryRunResult(result={"tre": 0.0012})
     bad = DryRunResult(reason=Reason(code="unreachable", text="Too far."))
     open_ = DryRunResult(undecided=["Whether the arm reaches it is not known before a registration."])
-    assert said([good], texts)[1] == GOOD
-    assert "1.20 mm" in said([good], texts)[0]
-    assert said([DryRunResult()], texts)[1] == GOOD
-    assert "eachable" not in said([DryRunResult()], texts)[0], "nobody has looked at its reach"
-    assert said([open_], texts) == (f"? {open_.undecided[0]}", OPEN)
-    assert said([bad], texts) == ("✗ Too far.", BAD)
-    assert said([DryRunResult(), good, bad], texts) == ("✗ Point 2: Too far.", BAD)
+    assert describe_results([good], texts)[1] == GOOD
+    assert "1.20 mm" in describe_results([good], texts)[0]
+    assert describe_results([DryRunResult()], texts)[1] == GOOD
+    assert "eachable" not in describe_results([DryRunResult()], texts)[0], "nobody has looked at its reach"
+    assert describe_results([open_], texts) == (f"? {open_.undecided[0]}", OPEN)
+    assert describe_results([bad], texts) == ("✗ Too far.", BAD)
+    assert describe_results([DryRunResult(), good, bad], texts) == ("✗ Point 2: Too far.", BAD)

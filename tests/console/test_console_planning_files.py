@@ -16,7 +16,7 @@ from nicegui.elements.upload_files import SmallFileUpload
 
 from pcmrs.console.planning import files, importer
 from pcmrs.console.planning.files import read_points, read_surface
-from pcmrs.console.planning.upload_form import stored
+from pcmrs.console.planning.upload_form import store_upload
 from pcmrs.errors import FileFormatError
 
 BALL = trimesh.creation.icosphere(subdivisions=4, radius=90.0)
@@ -48,9 +48,9 @@ def test_points_come_in_ras_and_metres(tmp_path: Path) -> None:
 
 def test_invalid_plan_file_is_refused_with_the_reason(tmp_path: Path) -> None:
     BALL.export(tmp_path / "head.ply")
-    with pytest.raises(FileFormatError, match="Give its other unit"):
+    with pytest.raises(FileFormatError, match="Change the unit"):
         importer.read_surface(tmp_path / "head.ply", "m", "RAS", None)
-    with pytest.raises(FileFormatError, match="no volume"):
+    with pytest.raises(FileFormatError, match="not a volume"):
         importer.read_surface(tmp_path / "head.vtk", "mm", "RAS", None)
     for changed in ({"coordinateSystem": "IJK"}, {"coordinateUnits": "inch"}, {"type": "Curve"}):
         with pytest.raises(FileFormatError, match=r"F\.mrk\.json"):
@@ -75,10 +75,10 @@ def answering(monkeypatch: pytest.MonkeyPatch, program: str) -> None:
     ("program", "word"),
     [
         ("os._exit(1)", "ended the process"),
-        ("sys.stdout.buffer.write(b'nonsense')", "no surface and no points"),
-        ("import pickle; sys.stdout.buffer.write(pickle.dumps(print))", "no surface and no points"),
+        ("sys.stdout.buffer.write(b'nonsense')", "neither a surface nor points"),
+        ("import pickle; sys.stdout.buffer.write(pickle.dumps(print))", "neither a surface nor points"),
         ("import msgspec; sys.stdout.buffer.write(msgspec.msgpack.encode({'type': 'refused', 'text': 'so'}))", "so"),
-        ("while True: sys.stdout.buffer.write(bytes(1 << 20))", "no surface and no points"),
+        ("while True: sys.stdout.buffer.write(bytes(1 << 20))", "neither a surface nor points"),
     ],
 )
 async def test_whatever_the_reader_says_is_only_data(
@@ -102,9 +102,9 @@ async def test_whatever_the_reader_says_is_only_data(
 )
 def test_invalid_surface_is_refused(vertices: list[list[float]], faces: list[list[int]]) -> None:
     answer = importer.SurfaceAnswer(np.array(vertices).tobytes(), np.array(faces, dtype=np.int64).tobytes())
-    with pytest.raises(FileFormatError, match="no surface"):
+    with pytest.raises(FileFormatError, match="neither a surface"):
         files.surface_in(Path("a.stl"), answer)
-    with pytest.raises(FileFormatError, match="no surface"):
+    with pytest.raises(FileFormatError, match="neither a surface"):
         files.surface_in(Path("a.stl"), importer.PointsAnswer((), (), None))
 
 
@@ -146,7 +146,7 @@ def test_reader_has_no_network_no_programs_and_little_memory(how: str, tmp_path:
 async def test_reader_without_memory_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     BALL.export(tmp_path / "head.stl")
     monkeypatch.setattr(files, "MEMORY", 2**20)
-    with pytest.raises(FileFormatError, match="for want of memory"):
+    with pytest.raises(FileFormatError, match="for lack of memory"):
         await read_surface(tmp_path / "head.stl", "mm", "RAS", None)
 
 
@@ -163,7 +163,7 @@ DIGITIZED = "DIGITIZED:\n  p0: {x: 0.1, y: 0.2, z: 0.3}\n"
 def test_a_file_stays_in_the_folder_it_is_put_into(name: str, tmp_path: Path) -> None:
     folder = tmp_path / "upload"
     folder.mkdir()
-    path = asyncio.run(stored([SmallFileUpload(name, "", b"evil")], folder))
+    path = asyncio.run(store_upload([SmallFileUpload(name, "", b"evil")], folder))
     assert path.read_bytes() == b"evil"
     assert {*tmp_path.rglob("*")} == {folder, path}
     assert path.parent == folder

@@ -112,7 +112,7 @@ def played(recorded: LoadedRecording) -> Callable[[], Playback]:
 
 
 def shown(playback: Playback) -> tuple[Any, ...]:
-    told = playback.snapshot, playback.data, playback.joints, dict(playback.poses), dict(playback.heard)
+    told = playback.snapshot, playback.data, playback.joints, dict(playback.poses), dict(playback.received)
     return *told, list(playback.events), list(playback.epochs), playback.health
 
 
@@ -146,7 +146,7 @@ def test_it_is_what_had_come_until_then(played: Callable[[], Playback], moment: 
 
 
 def test_times_are_those_of_the_session(recorded: LoadedRecording, played: Callable[[], Playback]) -> None:
-    assert (recorded.begun, recorded.duration, recorded.damage) == (1_700_000_000.0, LENGTH, "")
+    assert (recorded.started_at, recorded.duration, recorded.damage) == (1_700_000_000.0, LENGTH, "")
     assert len(recorded.tracks["state/joints"].times) <= LENGTH * RATE_HZ + 1
     playback = played()
     playback.seek(1.0)
@@ -213,4 +213,4 @@ def test_numbered_files_are_one_recording(tmp_path: Path) -> None:
     alone = write(tmp_path / "alone.mcap", messages)
     assert recordings_in(tmp_path) == {"alone": [alone], "run": [first, second]}
     joined, whole = (load_recording(files, lambda _: None) for files in ([first, second], [alone]))
-    assert (joined.begun, joined.duration, joined.tracks) == (whole.begun, whole.duration, whole.tracks)
+    assert (joined.started_at, joined.duration, joined.tracks) == (whole.started_at, whole.duration, whole.tracks)

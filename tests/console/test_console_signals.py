@@ -11,7 +11,7 @@ import pytest
 from test_console_geometry import body
 
 from pcmrs.console.cell_view_model import CellViewModel
-from pcmrs.console.signals.responses import hunted, responses, waves
+from pcmrs.console.signals.responses import estimator_history, responses, waves
 from pcmrs.console.signals.traces import SHOWN, Traces
 from pcmrs.messages import Epoch, Verdict
 from pcmrs.spatial import Transform
@@ -60,7 +60,7 @@ def test_a_hunt_is_drawn_as_it_went() -> None:
     while not hunt.finished:
         asked = hunt.next_intensity()
         hunt = hunt.after(asked, asked >= 55.0)
-    shown = hunted(msgspec.to_builtins(hunt))
+    shown = estimator_history(msgspec.to_builtins(hunt))
     assert shown is not None
     assert shown.finished
     assert shown.best == hunt.estimate.threshold
@@ -71,13 +71,13 @@ def test_a_hunt_is_drawn_as_it_went() -> None:
     assert hunt.estimate.high is not None
     assert shown.low[-1] == [last, hunt.estimate.low]
     assert shown.width[-1] == [last, pytest.approx(hunt.estimate.high - hunt.estimate.low)]
-    assert hunted(None) is None
+    assert estimator_history(None) is None
 
 
 def test_hunt_without_interval_has_gaps_and_without_pulses_none() -> None:
     hunt = MotorThresholdEstimator.begin(ThresholdSettings(method="relative_frequency"))
-    assert hunted(msgspec.to_builtins(hunt)).estimates == []  # type: ignore[union-attr]
-    shown = hunted(msgspec.to_builtins(hunt.after(35.0, responded=False)))
+    assert estimator_history(msgspec.to_builtins(hunt)).estimates == []  # type: ignore[union-attr]
+    shown = estimator_history(msgspec.to_builtins(hunt.after(35.0, responded=False)))
     assert shown is not None
     assert (shown.low, shown.width) == ([[1, None]], [[1, None]])
 

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.console.uploads import keep_temporary_files
+from pcmrs.console.uploads import use_temporary_folder
 from pcmrs.errors import ConfigurationError
 
 HOLDER = """
 import pathlib, sys, tempfile
-from pcmrs.console.uploads import keep_temporary_files
-keep_temporary_files(pathlib.Path(sys.argv[1]))
+from pcmrs.console.uploads import use_temporary_folder
+use_temporary_folder(pathlib.Path(sys.argv[1]))
 file = tempfile.NamedTemporaryFile(prefix="patient")
 folder = tempfile.mkdtemp()
 print(file.name, flush=True)
@@ -34,19 +34,19 @@ def test_files_of_a_killed_process_are_removed_and_others_kept(uploads: Path) ->
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as holder:
         assert holder.stdout is not None
         file = Path(holder.stdout.readline().strip())
-        keep_temporary_files(uploads)
+        use_temporary_folder(uploads)
         assert file.exists()
         holder.kill()
     assert file.exists(), "nobody has removed it"
 
-    keep_temporary_files(uploads)
+    use_temporary_folder(uploads)
 
     assert not file.exists()
     assert [path for path in uploads.rglob("*") if path.is_file()] == []
 
 
 def test_all_temporary_files_are_its_own_and_its_owners_alone(uploads: Path) -> None:
-    keep_temporary_files(uploads)
+    use_temporary_folder(uploads)
     with tempfile.NamedTemporaryFile() as file, tempfile.TemporaryDirectory() as own:
         (folder,) = uploads.iterdir()
         assert {Path(file.name), Path(own)} == {*folder.iterdir()}
@@ -56,4 +56,4 @@ def test_all_temporary_files_are_its_own_and_its_owners_alone(uploads: Path) -> 
 def test_folder_that_cannot_be_made_is_an_error(uploads: Path) -> None:
     uploads.touch()
     with pytest.raises(ConfigurationError, match="cannot be made"):
-        keep_temporary_files(uploads)
+        use_temporary_folder(uploads)

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pcmrs.cli.options import POSITIVE, OutputFile
+from pcmrs.cli.options import OutputFile
+from pcmrs.cli.values import POSITIVE
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the experiments.

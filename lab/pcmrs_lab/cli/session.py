@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pcmrs.cli.options import POSITIVE, Finite, json_option, refuse_given
+from pcmrs.cli.options import json_option, refuse_given
 from pcmrs.cli.printing import print_report
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
+from pcmrs.cli.values import POSITIVE, Finite
 from pcmrs_lab.cli.experiment_options import DEFAULT_RATE
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ HEAD = 9.0
 """Length of an arrowhead in px."""
 
 
-class Stroke(NamedTuple):
+class _Stroke(NamedTuple):
     """Style of a kind of line: colour, dashes, width in px, and whether its head is filled."""
 
     colour: str
@@ -28,12 +28,12 @@ class Stroke(NamedTuple):
     filled: bool
 
 
-STROKES: dict[Kind, Stroke] = {
-    "transition": Stroke(INK, "", 1.3, True),
-    "failure": Stroke("#6b6b6b", "5 3", 1.2, False),
-    "signal": Stroke("#0072b2", "1.5 2.5", 1.7, False),
-    "call": Stroke("#00805f", "8 2.5 1.5 2.5", 1.5, True),
-    "revocation": Stroke("#c04a00", "11 4", 1.6, True),
+STROKES: dict[Kind, _Stroke] = {
+    "transition": _Stroke(INK, "", 1.3, True),
+    "failure": _Stroke("#6b6b6b", "5 3", 1.2, False),
+    "signal": _Stroke("#0072b2", "1.5 2.5", 1.7, False),
+    "call": _Stroke("#00805f", "8 2.5 1.5 2.5", 1.5, True),
+    "revocation": _Stroke("#c04a00", "11 4", 1.6, True),
 }
 
 

@@ -39,7 +39,7 @@ TITLE_LINE = 16.0
 _GAP, _BESIDE, _INDENT = 16.0, 14.0, 8.0
 
 
-class PanelColumns(NamedTuple):
+class _PanelColumns(NamedTuple):
     """Positions of the parts of a panel, from left to right, in px.
 
     Attributes:
@@ -84,7 +84,7 @@ class Panel:
     y: float
     width: float
     height: float
-    columns: PanelColumns
+    columns: _PanelColumns
     gutter: dict[Link, float]
     bars: dict[Link, float]
     children: list[Panel]
@@ -125,14 +125,14 @@ def _tracks(links: Iterable[Link], begin: float) -> dict[Link, float]:
     return {link: begin + PITCH * (number + 0.5) for number, link in enumerate(links)}
 
 
-def _columns(here: Column, labels: float) -> PanelColumns:
+def _columns(here: Column, labels: float) -> _PanelColumns:
     boxes = labels + widest(port.width + _BESIDE + PAD for port in _captions(here, "left"))
     captions = (line for _, lines in here.straight.values() for line in lines)
     straight = widest(STRAIGHT_X + _INDENT + mono_width(line, LABEL) for line in captions)
     width = max(straight, widest(row.width for row in here.rows.values()))
     lanes = boxes + width + _BESIDE + PITCH + widest(port.width for port in _captions(here, "right"))
     count = max((lane.number + 1 for lane in here.lanes), default=0)
-    return PanelColumns(labels, boxes, width, lanes, lanes + PITCH * count if count else boxes + width)
+    return _PanelColumns(labels, boxes, width, lanes, lanes + PITCH * count if count else boxes + width)
 
 
 def _heading(name: str, branch: BranchSpec) -> tuple[list[str], str]:

@@ -25,7 +25,7 @@ class ActionSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         moves: It moves the robot; ``"retreat"`` where it moves it away from the patient only.
         affects_patient: It acts on the patient without moving the robot.
         irreversible: Its effect cannot be undone.
-        confirm: Somebody has to confirm it each time.
+        confirm: A user must confirm it each time.
     """
 
     operation: str
@@ -105,7 +105,7 @@ class StepSpec(ActionSpec, frozen=True, kw_only=True, forbid_unknown_fields=True
         return self.title or self.name.replace("_", " ")
 
     def reopeners(self) -> list[ActionSpec]:
-        """Return the operations that take it back; unless another role is given, whoever may do it may take it back."""
+        """Return the operations that take it back; unless other roles are given, those of the step may take it back."""
         return [
             ActionSpec(operation=each, roles=self.roles) if isinstance(each, str) else each for each in self.reopened_by
         ]

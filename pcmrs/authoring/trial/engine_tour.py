@@ -20,7 +20,6 @@ def tour_engine(blueprint: Blueprint, tour: Tour) -> Iterator[tuple[Move, Deviat
         tour: Its tour.
 
     Yields:
-        Every command and what was not as it must be; a stretch that has left the tour is not gone on with.
         Every command and its deviation. A stretch ends as soon as it has left the tour.
     """
     for stretch in tour.stretches:

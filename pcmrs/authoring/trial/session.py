@@ -47,7 +47,7 @@ class Step(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         """Return its result in words: the reason for a rejection, or every effect."""
         if self.decision == "rejected":
             return [f"{self.code}: {self.text}"]
-        return [describe_effect(effect) for effect in self.effects] or ["nothing changes"]
+        return [_describe_effect(effect) for effect in self.effects] or ["nothing changes"]
 
 
 class SimulationSession:
@@ -77,7 +77,7 @@ class SimulationSession:
         """Give the command ``branch.operation`` or ``branch.operation:ending``, and move on if it is allowed.
 
         Raises:
-            RefusalError: There is no such command, or it does not say how the operation ends.
+            RefusalError: There is no such command, or it does not name the ending of the operation.
         """
         step = self._step(command)
         self._engine.place(step.states)
@@ -166,7 +166,7 @@ class SimulationSession:
         )
 
 
-def describe_effect(effect: Effect) -> str:
+def _describe_effect(effect: Effect) -> str:
     """Return an effect in words."""
     return WORDS[effect.kind].format(
         branch=effect.branch, operation=effect.operation, source=effect.source, target=effect.target

@@ -75,7 +75,7 @@ async def hand_eye_poses(address: Address, live: LiveOptions, robot: str) -> tup
         RefusalError: There are not enough poses, the reference has moved, or the arm is of another model.
     """
     clock = SystemClock()
-    arm, feed = RestingArm(ArmModel(find_arm(robot)), clock), PoseFeed(clock, MAX_AGE)
+    arm, feed = _RestingArm(ArmModel(find_arm(robot)), clock), PoseFeed(clock, MAX_AGE)
     collection, seen = PoseCollection(live.count, SPREAD, POSTURE_STEP), list[dict[str, Transform]]()
 
     async def another() -> None:
@@ -100,7 +100,7 @@ async def hand_eye_poses(address: Address, live: LiveOptions, robot: str) -> tup
     return collection.poses, [means["coil"] for means in seen]
 
 
-class RestingArm:
+class _RestingArm:
     """Pose of the flange while the arm stands still.
 
     Args:

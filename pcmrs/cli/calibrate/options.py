@@ -10,7 +10,8 @@ from typing import Any
 
 import click
 
-from pcmrs.cli.options import Address, Finite, OutputFile, address_options, json_option, plot_option, refuse_given
+from pcmrs.cli.options import Address, OutputFile, address_options, json_option, plot_option, refuse_given
+from pcmrs.cli.values import Finite
 
 Option = Callable[[Callable[..., Any]], Callable[..., Any]]
 

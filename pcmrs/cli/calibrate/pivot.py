@@ -9,8 +9,8 @@ import click
 import numpy as np
 
 from pcmrs.cli.calibrate.options import CalibrationRequest, calibration_options
-from pcmrs.cli.options import POSITIVE
 from pcmrs.cli.running import readable_errors
+from pcmrs.cli.values import POSITIVE
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the numerics.

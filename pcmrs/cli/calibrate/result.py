@@ -29,7 +29,7 @@ from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Floats, Transform
 
 
-def draw_residuals(result: CalibrationResult, path: Path) -> None:
+def _draw_residuals(result: CalibrationResult, path: Path) -> None:
     """Draw the residuals per pose as bars, the bad ones hatched, and their rms.
 
     Args:
@@ -140,7 +140,7 @@ def conclude(request: CalibrationRequest, solve: Callable[[], CalibrationResult]
     except (DegenerateMotionError, RefusalError) as error:
         _end_refused(request, error, {})
     if request.plot is not None:
-        draw_residuals(result, request.plot)
+        _draw_residuals(result, request.plot)
     try:
         result.check_limits()
     except RefusalError as error:

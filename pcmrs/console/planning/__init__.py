@@ -1,4 +1,4 @@
-"""Planning in the page: what is placed on the body's surface, looked at by the daemon, and sent when it is right.
+"""Planning in the page: plans on the body's surface, checked by the daemon, and sent when they are right.
 
-Imports nothing: processes that read files load a part of it only.
+This file imports nothing, so that processes that read files load only their part.
 """

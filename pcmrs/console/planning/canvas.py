@@ -1,4 +1,4 @@
-"""The image in three dimensions: the surface, and what is planned on it."""
+"""The image in three dimensions: the surface, and the plan on it."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ BALL = 0.004
 
 
 class Canvas:
-    """The scene of the planning.
+    """Scene of the planning.
 
     Args:
-        setup: Of the cell.
-        pick: Called with the point of the surface that was clicked, m, (3,).
+        setup: Setup of the cell.
+        pick: Called with a point of the surface that was clicked, m, (3,).
     """
 
     def __init__(self, setup: Setup, pick: Callable[[Floats], None]) -> None:
@@ -49,7 +49,7 @@ class Canvas:
             self._surface = None if url is None else self._scene.stl(url).material(SKIN, 1.0).with_name("surface")
 
     def show_cortex(self, url: str) -> None:
-        """Show the STL at an address as the cortex, and the surface so that one sees through it."""
+        """Show the STL at an address as the cortex, and make the surface transparent."""
         if self._cortex is not None:
             self._cortex.delete()
         with self._scene:
@@ -58,13 +58,18 @@ class Canvas:
             self._surface.material(SKIN, 0.4)
 
     def look_at(self, vertices: npt.NDArray[np.float64]) -> None:
-        """Bring corners, m, (V, 3), into view, from in front and above."""
+        """Bring vertices, m, (V, 3), into view, from the front and above."""
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         (x, y, z), size = (low + high) / 2.0, float((high - low).max())
         self._scene.move_camera(x + 0.3 * size, y + 1.1 * size, z + 0.5 * size, x, y, z, duration=0.0)
 
     def draw(self, draft: Draft, pose: Transform | None) -> None:
-        """Show a draft, and the tool at a pose."""
+        """Show a draft, and the tool at a pose.
+
+        Args:
+            draft: The draft.
+            pose: ``image_from_coil`` of the tool; None hides it.
+        """
         for ball in self._balls:
             ball.delete()
         points = [(np.array(each.planned), LANDMARK, f"landmark {each.name}") for each in draft.landmarks]

@@ -1,4 +1,4 @@
-"""What the daemon would say to the plan, while it is edited."""
+"""The daemon's answer to the plan, while it is edited."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from pcmrs.messages import DryRunResult
 from pcmrs.messages.identity import COMMANDING
 from pcmrs.messages.setup import Setup
 
-ASKED = 0.4
-"""Between two looks at whether there is something new to ask, s: each answer takes time of the daemon."""
+CHECK_PERIOD = 0.4
+"""Period of checking for a changed plan, s: each answer takes time of the daemon."""
 
 Requests = Sequence[tuple[str, Mapping[str, Any]]]
 
 
-class Checking:
-    """A line that says whether the plan would be accepted.
+class PlanCheck:
+    """A line that says whether the daemon would accept the plan.
 
     Args:
-        feed: Has the client.
-        setup: Of the cell: who may not plan does not ask.
-        texts: Of the page's language.
+        feed: Feed with the client.
+        setup: Setup of the cell: users who may not plan do not ask.
+        texts: Texts in the language of the page.
     """
 
     def __init__(self, feed: Feed, setup: Setup, texts: Texts) -> None:
@@ -35,10 +35,10 @@ class Checking:
         self._may_ask = setup.role in COMMANDING
         self._wanted: Requests | None = None
         self._line = ui.label().classes("w-full").props('data-testid="check"')
-        ui.timer(ASKED, self._look)
+        ui.timer(CHECK_PERIOD, self._look)
 
-    def of(self, requests: Requests) -> None:
-        """Have a plan looked at, one request after the other; none leaves the line empty."""
+    def check(self, requests: Requests) -> None:
+        """Check a plan, one request after the other; without requests the line is empty."""
         self._wanted = requests
 
     async def _look(self) -> None:
@@ -50,17 +50,17 @@ class Checking:
             self._line.set_text("")
             return
         try:
-            prospects = await self._answers(client, wanted)
+            results = await self._answers(client, wanted)
         except PcmrsError as error:
             text, colour = error.text, OPEN
         else:
-            text, colour = said(prospects, self._texts)
+            text, colour = describe_results(results, self._texts)
         if self._wanted is None:
             self._line.set_text(text)
             self._line.classes(replace=f"w-full {colour}")
 
     async def _answers(self, client: Client, wanted: Requests) -> list[DryRunResult]:
-        """Up to the first refusal, or until there is something newer."""
+        """Return the answers up to the first refusal, or until there is a newer plan."""
         found: list[DryRunResult] = []
         for name, arguments in wanted:
             found.append(await client.check(name, arguments))
@@ -72,16 +72,21 @@ class Checking:
 GOOD, OPEN, BAD = "text-green-9", "text-grey-9", "text-orange-10"
 
 
-def said(prospects: Sequence[DryRunResult], texts: Texts) -> tuple[str, str]:
-    """The line, and its colour. Of several prospects the first is of the whole, the others of its points in order."""
-    last = prospects[-1]
+def describe_results(results: Sequence[DryRunResult], texts: Texts) -> tuple[str, str]:
+    """Return the line and its colour.
+
+    Args:
+        results: Answers; of several, the first is of the whole plan, the others of its points in order.
+        texts: Texts in the language of the page.
+    """
+    last = results[-1]
     if last.reason is not None:
-        point = "" if len(prospects) < 2 else texts("check_point", number=len(prospects) - 1) + " "
+        point = "" if len(results) < 2 else texts("check_point", number=len(results) - 1) + " "
         return f"✗ {point}{last.reason.text}", BAD
-    undecided = [text for each in prospects for text in each.undecided]
+    undecided = [text for each in results for text in each.undecided]
     if undecided:
         return f"? {undecided[0]}", OPEN
-    errors = [each.result["tre"] for each in prospects if "tre" in each.result]
+    errors = [each.result["tre"] for each in results if "tre" in each.result]
     if not errors:
         return f"✓ {texts('check_good')}", GOOD
     return f"✓ {texts('check_reachable', mm=1000.0 * max(errors))}", GOOD

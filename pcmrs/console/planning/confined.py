@@ -1,4 +1,4 @@
-"""What a process gives up for good before it reads a file of somebody else's: memory, network, files, programs."""
+"""Confinement of a process before it reads an untrusted file: memory, network, files and programs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Final
 _LOAD, _IS, _AT_LEAST, _RETURN = 0x20, 0x15, 0x35, 0x06
 """Instructions of the kernel's filters: load a word, jump if equal, jump if greater or equal, return."""
 _NUMBER, _ARCHITECTURE = 0, 4
-"""Where a filter finds the number of a system call, and the architecture that it is made for."""
+"""Offsets of the number of a system call, and of its architecture, in a filter's data."""
 _ALLOW: Final = 0x7FFF0000
 _REFUSE: Final = 0x00050001
 """The call returns EPERM."""
@@ -28,21 +28,21 @@ _CALLS: Final = {
     "aarch64": (0xC00000B7, 277, (198, 221, 281, 117, 271, 425, 438)),
 }
 _FROM_HERE_OTHERS: Final = 0x40000000
-"""System calls from this number on are of another convention (x32)."""
+"""First number of the system calls of another convention (x32)."""
 
 
 def confine(memory: int, seconds: int) -> None:
-    """Give up all that reading a file does not need. Threads that run already are confined, too.
+    """Give up everything that reading a file does not need. Threads that already run are confined, too.
 
     Afterwards this process cannot open a socket, start a program, write to a file or another process, or leave a core
     dump, which would hold a patient's data. It ends when its parent does.
 
     Args:
-        memory: Address space that it may use, bytes.
-        seconds: Processor time that it may use.
+        memory: Limit of the address space, bytes.
+        seconds: Limit of processor time, s.
 
     Raises:
-        OSError: The kernel does not take the limits.
+        OSError: The kernel does not accept the limits.
         NotImplementedError: The system calls of this architecture are not known here.
     """
     for limit, value in (
@@ -68,7 +68,7 @@ def _filter_calls(libc: ctypes.CDLL) -> None:
     architecture, seccomp, refused = _CALLS[machine]
     checks = [(_IS, number) for number in refused] + [(_AT_LEAST, _FROM_HERE_OTHERS)]
     steps = [(_LOAD, 0, 0, _ARCHITECTURE), (_IS, 0, len(checks) + 2, architecture), (_LOAD, 0, 0, _NUMBER)]
-    # A jump counts the instructions that it passes over: all later checks, and the one that allows.
+    # A jump counts the instructions that it skips: all later checks, and the one that allows.
     steps += [(code, len(checks) - place, 0, value) for place, (code, value) in enumerate(checks)]
     steps += [(_RETURN, 0, 0, _ALLOW), (_RETURN, 0, 0, _REFUSE)]
     program = b"".join(struct.pack("HBBI", *step) for step in steps)

@@ -1,4 +1,4 @@
-"""What is planned on one page and not sent yet. Knows numbers only: no page, no daemon."""
+"""The plan on one page that has not been sent yet. Numbers only: it knows neither page nor daemon."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from pcmrs.tms.scalp import along_scalp, on_scalp, turned
 from pcmrs.workflows.femoroplasty import guide_pose
 
 Kind = Literal["landmarks", "tool_pose", "grid", "trajectory"]
-"""What is planned, by the registered name of the payload that takes it."""
+"""Kind of plan, by the registered name of its payload."""
 
 STEP, TURN = 0.001, math.radians(5.0)
-"""What a key moves the tool along the surface, m, or turns it about its axis, rad."""
+"""Step of a key along the surface, m, and its turn about the tool's axis, rad."""
 MOVES = {"ArrowRight": (STEP, 0.0), "ArrowLeft": (-STEP, 0.0), "ArrowUp": (0.0, STEP), "ArrowDown": (0.0, -STEP)}
 TURNS = {"[": TURN, "]": -TURN}
 
 NEAR, TYPICAL = 0.030, 0.006
-"""Landmarks of a file are at the surface, or they are of another image or space: so far away is none, and half of them
-nearer than this, m. A surface may lack a nose; a head turned about has none of them far off."""
+"""Largest distance of a landmark from the surface, and of half of them, m: landmarks farther away are of another image
+or space. A surface may lack a nose; on a head that is turned round, no single landmark is far off."""
 DEEPEST = 0.080
-"""No target for a coil lies deeper below the scalp, m."""
+"""Largest depth of a target for a coil below the scalp, m."""
 
 
 @dataclass
@@ -37,12 +37,12 @@ class Draft:
     """Points and poses in the image, m.
 
     Attributes:
-        surface: What is planned on; None where the cell has none.
-        cortex: Where targets lie; None unless it was loaded.
+        surface: Surface to plan on; None if the cell has none.
+        cortex: Surface with the targets; None unless it was loaded.
         pose: ``image_from_coil`` of the tool.
-        target: In the cortex.
-        entry: Where a drill enters the bone.
-        end: Where it is to end.
+        target: Target in the cortex.
+        entry: Point at which a drill enters the bone.
+        end: Planned end of the drilling.
     """
 
     surface: TriangleSurface | None = None
@@ -55,7 +55,15 @@ class Draft:
     end: Floats | None = None
 
     def add_landmark(self, point: Floats, name: str = "") -> None:
-        """Add a landmark, (3,), by the next free number where it has no name. Raises `GeometryError`."""
+        """Add a landmark.
+
+        Args:
+            point: Its position, m, (3,).
+            name: Its name; by default the next free number.
+
+        Raises:
+            GeometryError: The name is used already.
+        """
         taken = {each.name for each in self.landmarks}
         number = next(number for number in range(1, len(taken) + 2) if f"landmark_{number}" not in taken)
         name = name.strip() or f"landmark_{number}"
@@ -64,8 +72,12 @@ class Draft:
         x, y, z = point.tolist()
         self.landmarks.append(LandmarkShown(name=name, planned=(x, y, z)))
 
-    def take_landmarks(self, names: Sequence[str], points: Floats) -> None:
-        """Plan the landmarks of a file, (N, 3), in place of those there were.
+    def load_landmarks(self, names: Sequence[str], points: Floats) -> None:
+        """Replace the landmarks by those of a file.
+
+        Args:
+            names: Their names.
+            points: Their positions, m, (N, 3).
 
         Raises:
             GeometryError: They are not at the surface, or two have one name: then none is taken.
@@ -84,11 +96,11 @@ class Draft:
         self.landmarks = found.landmarks
 
     def aim(self, target: Floats, direction: Floats | None = None) -> None:
-        """Stand the tool on the surface over a target in the cortex, (3,).
+        """Place the tool on the surface over a target in the cortex.
 
         Args:
-            target: m, (3,).
-            direction: Along which the target is projected, (3,); None for the nearest point of the surface.
+            target: Target, m, (3,).
+            direction: Direction of the projection, (3,); None for the nearest point of the surface.
 
         Raises:
             GeometryError: The target is too far from the surface, or the surface is not met in that direction.
@@ -100,31 +112,42 @@ class Draft:
         else:
             point = surface.exit_point(target, direction)
             if point is None:
-                text = "From the target in this direction there is no surface; turn the direction over."
+                text = "From the target in this direction there is no surface; reverse the direction."
                 raise GeometryError(text, direction=direction.tolist())
         self.place(point)
         self.target = target
 
     @property
     def depth(self) -> float | None:
-        """Distance of the target from the tool, m; None without both."""
+        """Return the distance of the target from the tool, m; None without both."""
         if self.target is None or self.pose is None:
             return None
         return float(np.linalg.norm(self.pose.translation - self.target))
 
     def replace_surface(self, surface: TriangleSurface | None) -> None:
-        """Plan on another surface: what stood on the one before is gone; landmarks are points of the image."""
+        """Plan on another surface.
+
+        Everything that was placed on the old one is dropped. Landmarks are points of the image and stay.
+        """
         self.surface, self.pose, self.target, self.grid = surface, None, None, ()
 
     def normal_at(self, target: Floats) -> Floats:
-        """The outward normal of the cortex where it is nearest to a target, (3,). Raises `GeometryError`."""
+        """Return the outward normal of the cortex nearest to a target, (3,).
+
+        Raises:
+            GeometryError: There is no cortex.
+        """
         if self.cortex is None:
             raise GeometryError("Along the normal needs a surface of the cortex, or the direction as numbers.")
         normal: Floats = self.cortex.closest(target[None])[1][0]
         return normal
 
     def place(self, point: Floats) -> None:
-        """Stand the tool on the surface at a point, (3,), its handle as it was. Raises `GeometryError`."""
+        """Place the tool on the surface at a point, m, (3,), without turning its handle.
+
+        Raises:
+            GeometryError: There is no surface.
+        """
         surface = self._surface()
         z = surface.closest(point[None])[1][0]
         before = np.eye(3) if self.pose is None else self.pose.rotation
@@ -135,7 +158,11 @@ class Draft:
         self.pose = on_scalp(surface.closest, Transform(np.column_stack((np.cross(y, z), y, z)), point))
 
     def move(self, key: str) -> None:
-        """Moves the tool along the surface, or turns it; other keys do nothing. Raises `GeometryError`."""
+        """Move the tool along the surface, or turn it; other keys have no effect.
+
+        Raises:
+            GeometryError: There is no surface.
+        """
         if self.pose is None:
             return
         if key in TURNS:
@@ -144,20 +171,29 @@ class Draft:
             (self.pose,) = along_scalp(self._surface().closest, self.pose, [MOVES[key]])
 
     def lay_grid(self, spacing: float, rows: int, columns: int) -> None:
-        """Lay a grid around the tool, `spacing` in m. Raises `GeometryError`."""
+        """Make a grid around the tool.
+
+        Args:
+            spacing: Distance of neighbouring points, m.
+            rows: Number of rows.
+            columns: Number of columns.
+
+        Raises:
+            GeometryError: The tool is not placed, there is no surface, or the grid is not possible on it.
+        """
         if self.pose is None:
             raise GeometryError("The grid lies around the tool; place it first.")
         self.grid = rows_on_scalp(self._surface().closest, self.pose, spacing, rows, columns)
 
     @property
     def guide(self) -> Transform | None:
-        """``image_from_coil`` of a guide at the entry of the trajectory; None until that has a direction."""
+        """Return ``image_from_coil`` of a guide at the entry of the trajectory; None until it has a direction."""
         if self.entry is None or self.end is None or np.array_equal(self.entry, self.end):
             return None
         return guide_pose(self.entry, self.end)
 
     def arguments(self, kind: Kind) -> dict[str, Any] | None:
-        """Of the operation that takes what is planned; None where that is not whole yet."""
+        """Return the arguments of the operation that takes the plan; None while it is incomplete."""
         match kind:
             case "landmarks" if self.landmarks:
                 return {"landmarks": [{"name": each.name, "position": list(each.planned)} for each in self.landmarks]}
@@ -175,7 +211,11 @@ class Draft:
         return self.surface
 
     def _check_near(self, names: Sequence[str], points: Floats, limit: float) -> Floats:
-        """Distances of points (N, 3) from the surface, m, (N,). Raises `GeometryError` for one beyond a limit."""
+        """Return the distances of points (N, 3) from the surface, m, (N,).
+
+        Raises:
+            GeometryError: One is farther than the limit.
+        """
         nearest, _ = self._surface().closest(points)
         distances: Floats = np.linalg.norm(nearest - points, axis=1)
         worst = int(distances.argmax())
@@ -189,17 +229,25 @@ class Draft:
 
 
 def as_arguments(pose: Transform) -> dict[str, Any]:
-    """A pose as operations take it."""
+    """Return a pose as arguments of an operation."""
     return {"position": pose.translation.tolist(), "quat_xyzw": pose.quat_xyzw.tolist()}
 
 
 def typed_point(text: str | None) -> Floats:
-    """Three numbers of a person, mm, as m, (3,). Raises `GeometryError`."""
+    """Return three typed numbers, mm, as m, (3,).
+
+    Raises:
+        GeometryError: The text is not three numbers.
+    """
     return typed_numbers(text) / 1000.0
 
 
 def typed_numbers(text: str | None) -> Floats:
-    """Three numbers of a person, (3,). Raises `GeometryError`."""
+    """Return three typed numbers, (3,).
+
+    Raises:
+        GeometryError: The text is not three numbers.
+    """
     try:
         numbers = [float(word) for word in (text or "").replace(",", " ").split()]
     except ValueError:

@@ -1,7 +1,7 @@
-"""Files that a person gives to the page: read in a process of their own, so that the page goes on come what may.
+"""Files that a person uploads, each read in its own process, so that the page keeps running whatever happens.
 
-That process has limits and no network, and what it answers is checked as if a stranger had sent it: a file may have
-taken it over.
+That process has limits and no network, and its answer is checked as untrusted input: a file may have
+taken over the process.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from pcmrs.formats.reading import refuse
 from pcmrs.killing import kill_and_wait
 
 LARGEST = 1_000_000_000
-"""Of all files of one upload, bytes."""
+"""Limit of all files of one upload, bytes."""
 MOST_FILES = 900
-"""Of one upload; the library that takes uploads has its own limit at 1000."""
+"""Limit of files in one upload; the library for uploads has its own limit of 1000."""
 PATIENCE = 300.0
-"""For one file, s."""
+"""Longest time to read one file, s."""
 MEMORY = 8 * 2**30
-"""Address space of the process that reads one file, bytes: a volume of `LARGEST` and what is made of it."""
+"""Address space of the process that reads one file, bytes: for a volume of `LARGEST` and its surface."""
 
 _CHILD: Final = (sys.executable, "-m", "pcmrs.console.planning.importer")
 _LONGEST_ANSWER: Final = 2 * MOST_FACES * 3 * 8 + 2**20
@@ -47,23 +47,27 @@ _LONGEST_ANSWER: Final = 2 * MOST_FACES * 3 * 8 + 2**20
 
 
 async def read_surface(path: Path, unit: Unit, space: Space, threshold: float | None) -> Mesh:
-    """The surface in a mesh, or that of the body in a volume; a folder is a DICOM series.
+    """Return the surface in a mesh, or that of the body in a volume; a folder is a DICOM series.
 
     Args:
         path: File or folder.
-        unit: Of a mesh, which does not say it.
-        space: The same.
-        threshold: Grey value of the surface in a volume; None for one that is worked out.
+        unit: Unit of a mesh, which does not declare it.
+        space: Directions of a mesh, which does not declare them.
+        threshold: Grey value of the surface in a volume; None for a computed one.
 
     Raises:
-        PcmrsError: It cannot be read, or is no surface to plan on.
+        PcmrsError: It cannot be read, or is not a surface to plan on.
     """
     answer = await _ask(path, SurfaceRequest(str(path), MEMORY, int(PATIENCE), unit, space, threshold))
     return surface_in(path, answer)
 
 
 async def read_points(path: Path) -> Landmarks:
-    """The points of a file of landmarks. Raises `PcmrsError`."""
+    """Return the points of a file of landmarks.
+
+    Raises:
+        PcmrsError: It cannot be read, or has no points to plan with.
+    """
     answer = await _ask(path, PointsRequest(str(path), MEMORY, int(PATIENCE)))
     if not isinstance(answer, PointsAnswer):
         _refuse_answer(path)
@@ -74,7 +78,15 @@ async def read_points(path: Path) -> Landmarks:
 
 
 def surface_in(path: Path, answer: Answer) -> Mesh:
-    """The surface that an answer about `path` holds. Raises `FileFormatError` where it holds none."""
+    """Return the surface in an answer.
+
+    Args:
+        path: The file, for errors.
+        answer: Answer of the reading process.
+
+    Raises:
+        FileFormatError: It has no valid surface.
+    """
     if not isinstance(answer, SurfaceAnswer) or len(answer.vertices) % 24 or len(answer.faces) % 24:
         _refuse_answer(path)
     vertices = np.frombuffer(answer.vertices, dtype=np.float64).reshape(-1, 3)
@@ -86,19 +98,23 @@ def surface_in(path: Path, answer: Answer) -> Mesh:
 
 
 async def _ask(path: Path, request: Request) -> Answer:
-    """The answer of a process of its own, which ends with the call. Raises `PcmrsError`."""
+    """Return the answer of a new process, which ends with this call.
+
+    Raises:
+        PcmrsError: The file cannot be read.
+    """
     process = await asyncio.create_subprocess_exec(
         *_CHILD, stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE
     )
     try:
         async with asyncio.timeout(PATIENCE):
-            answer = await _told(process, msgspec.msgpack.encode(request))
+            answer = await _read_answer(process, msgspec.msgpack.encode(request))
     except TimeoutError:
         refuse(path, f"took more than {PATIENCE:g} s to read; give a smaller one.", limit=PATIENCE)
     finally:
         await kill_and_wait(process)
     if not answer:
-        refuse(path, "ended the process that read it, perhaps for want of memory; give a smaller one.")
+        refuse(path, "ended the process that read it, perhaps for lack of memory; give a smaller one.")
     try:
         found: Answer = msgspec.msgpack.decode(answer, type=Answer)
     except msgspec.MsgspecError:
@@ -108,9 +124,9 @@ async def _ask(path: Path, request: Request) -> Answer:
     return found
 
 
-async def _told(process: asyncio.subprocess.Process, request: bytes) -> bytes:
-    """What the process writes, up to a limit; nothing when it ends before."""
-    assert process.stdin is not None  # for mypy: they were asked for
+async def _read_answer(process: asyncio.subprocess.Process, request: bytes) -> bytes:
+    """Return the output of the process, up to a limit; nothing if it ends earlier."""
+    assert process.stdin is not None  # for mypy: they were requested
     assert process.stdout is not None
     process.stdin.write(request)
     process.stdin.close()
@@ -121,4 +137,4 @@ async def _told(process: asyncio.subprocess.Process, request: bytes) -> bytes:
 
 
 def _refuse_answer(path: Path) -> NoReturn:
-    refuse(path, "was answered by the process that read it with what is no surface and no points; look at the file.")
+    refuse(path, "gave neither a surface nor points when it was read; check the file.")

@@ -1,6 +1,4 @@
-"""A grid of poses around the tool.
-
-What the forms share: the draft, the words, and what happens when something is refused.
+"""Forms of the planning: landmarks, tool pose, trajectory and grid.
 
 Landmarks: by a click, or by name and numbers.
 
@@ -27,12 +25,12 @@ from pcmrs.tms.grid import MAX_ROWS
 
 
 @dataclass(frozen=True)
-class Editing:
-    """One per page.
+class DraftEditor:
+    """The draft of one page, and its widgets.
 
     Attributes:
-        draft: What is planned.
-        texts: Of the page's language.
+        draft: The plan.
+        texts: Texts in the language of the page.
         changed: Called when the draft has changed.
     """
 
@@ -41,7 +39,7 @@ class Editing:
     changed: Callable[[], None]
 
     def do(self, action: Callable[[], object]) -> None:
-        """Change the draft; a refusal is told, and leaves it as it was."""
+        """Change the draft; a refusal is shown, and leaves it unchanged."""
         try:
             action()
         except PcmrsError as error:
@@ -50,160 +48,180 @@ class Editing:
         self.changed()
 
     def field(self, label: str, name: str, value: str = "") -> ui.input:
-        """A short field of text, known to tests as `name`."""
+        """Return a short text field.
+
+        Args:
+            label: Key of its label.
+            name: Its ``data-testid``.
+            value: Its first content.
+        """
         return ui.input(self.texts(label), value=value).props("dense").classes("w-36").props(f'data-testid="{name}"')
 
     def button(self, label: str, name: str, action: Callable[[], object]) -> ui.button:
-        """A button that changes the draft, known to tests as `name`."""
+        """Return a button that changes the draft.
+
+        Args:
+            label: Key of its label.
+            name: Its ``data-testid``.
+            action: Changes the draft.
+        """
         button = ui.button(self.texts(label), on_click=lambda: self.do(action)).props("dense flat no-caps")
         return button.props(f'data-testid="{name}"')
 
 
-def in_mm(point: npt.ArrayLike) -> str:
-    """A point, m, (3,), for people."""
+def _in_mm(point: npt.ArrayLike) -> str:
+    """Return a point, m, (3,), as text in mm."""
     x, y, z = 1000.0 * np.asarray(point, dtype=float)
     return f"{x:.1f} {y:.1f} {z:.1f} mm"
 
 
 class LandmarkForm:
-    """The list, and a row to add to it.
+    """The list of landmarks, and a row to add one.
 
     Args:
-        editing: The draft.
+        editor: Editor of the draft.
     """
 
-    def __init__(self, editing: Editing) -> None:
-        self._editing = editing
-        ui.label(editing.texts("click_landmark")).classes("text-grey-8")
+    def __init__(self, editor: DraftEditor) -> None:
+        self._editor = editor
+        ui.label(editor.texts("click_landmark")).classes("text-grey-8")
         self._list = ui.column().classes("w-full gap-0").props('data-testid="landmarks"')
         with ui.row().classes("items-center gap-1"):
-            self._name = editing.field("landmark_name", "landmark-name")
-            self._point = editing.field("point", "landmark-point")
-            editing.button("add", "add-landmark", lambda: self.pick(typed_point(self._point.value)))
-            editing.button("clear", "clear-landmarks", lambda: editing.draft.landmarks.clear())
+            self._name = editor.field("landmark_name", "landmark-name")
+            self._point = editor.field("point", "landmark-point")
+            editor.button("add", "add-landmark", lambda: self.pick(typed_point(self._point.value)))
+            editor.button("clear", "clear-landmarks", lambda: editor.draft.landmarks.clear())
 
     def pick(self, point: Floats) -> None:
-        """Add a landmark by the name that is written down. Raises `GeometryError`."""
-        self._editing.draft.add_landmark(point, self._name.value or "")
+        """Add a landmark with the typed name.
+
+        Raises:
+            GeometryError: The name is used already.
+        """
+        self._editor.draft.add_landmark(point, self._name.value or "")
         self._name.set_value("")
 
     def refresh(self) -> None:
         """Show the draft."""
         self._list.clear()
         with self._list:
-            for each in self._editing.draft.landmarks:
-                ui.label(f"{each.name}: {in_mm(each.planned)}")
+            for each in self._editor.draft.landmarks:
+                ui.label(f"{each.name}: {_in_mm(each.planned)}")
 
 
 NUDGES = {
     "ArrowLeft": "arrow_back", "ArrowRight": "arrow_forward", "ArrowUp": "arrow_upward", "ArrowDown": "arrow_downward",
     "[": "rotate_left", "]": "rotate_right",
 }  # fmt: skip
-"""The keys that move the tool, and icons of buttons that do the same."""
+"""Keys that move the tool, and the icons of the corresponding buttons."""
 
 
 class ToolForm:
-    """Where the tool stands, and how to bring it elsewhere.
+    """The pose of the tool, and ways to change it.
 
     Args:
-        editing: The draft.
-        cortex: Whether targets may lie in a cortex.
+        editor: Editor of the draft.
+        cortex: Targets may be in a cortex.
     """
 
-    def __init__(self, editing: Editing, *, cortex: bool) -> None:
-        self._editing = editing
-        texts, draft = editing.texts, editing.draft
+    def __init__(self, editor: DraftEditor, *, cortex: bool) -> None:
+        self._editor = editor
+        texts, draft = editor.texts, editor.draft
         ui.label(texts("click_tool")).classes("text-grey-8")
         with ui.row().classes("items-center gap-1"):
-            self._point = editing.field("point", "tool-point")
-            editing.button("place", "place-tool", lambda: self.pick(typed_point(self._point.value)))
+            self._point = editor.field("point", "tool-point")
+            editor.button("place", "place-tool", lambda: self.pick(typed_point(self._point.value)))
             for key, icon in NUDGES.items():
-                button = ui.button(icon=icon, on_click=partial(editing.do, partial(draft.move, key)))
+                button = ui.button(icon=icon, on_click=partial(editor.do, partial(draft.move, key)))
                 button.props("flat dense").props(f'data-testid="nudge-{key}" aria-label="{key}"')
         if cortex:
             self._target_row()
         self._shown = ui.label().props('data-testid="tool-pose"')
 
     def _target_row(self) -> None:
-        editing, texts = self._editing, self._editing.texts
+        editor, texts = self._editor, self._editor.texts
         with ui.row().classes("items-center gap-1"):
-            self._target = editing.field("target_point", "target-point")
+            self._target = editor.field("target_point", "target-point")
             self._way = ui.toggle({"closest": texts("closest"), "normal": texts("along_normal")}, value="closest")
             self._way.props("dense no-caps size=sm").props('data-testid="target-way"')
-            self._normal = editing.field("normal", "target-normal").bind_visibility_from(
+            self._normal = editor.field("normal", "target-normal").bind_visibility_from(
                 self._way, "value", value="normal"
             )
-            editing.button("project", "project-target", self._aim)
+            editor.button("project", "project-target", self._aim)
 
     def _aim(self) -> None:
-        draft, target = self._editing.draft, typed_point(self._target.value)
+        draft, target = self._editor.draft, typed_point(self._target.value)
         draft.aim(target, self._direction(draft, target) if self._way.value == "normal" else None)
 
     def _direction(self, draft: Draft, target: Floats) -> Floats:
-        """As written down, or of the cortex."""
+        """Return the typed direction, or that of the cortex."""
         return typed_numbers(self._normal.value) if self._normal.value else draft.normal_at(target)
 
     def pick(self, point: Floats) -> None:
-        """Stand the tool at a point of the surface. Raises `GeometryError`."""
-        self._editing.draft.place(point)
+        """Place the tool at a point of the surface.
+
+        Raises:
+            GeometryError: There is no surface.
+        """
+        self._editor.draft.place(point)
 
     def refresh(self) -> None:
         """Show the draft."""
-        draft, texts = self._editing.draft, self._editing.texts
+        draft, texts = self._editor.draft, self._editor.texts
         if draft.pose is None:
             self._shown.set_text("")
             return
         depth = draft.depth
         below = "" if depth is None else "   " + texts("depth", mm=1000.0 * depth)
-        self._shown.set_text(in_mm(draft.pose.translation) + below)
+        self._shown.set_text(_in_mm(draft.pose.translation) + below)
 
 
 class TrajectoryForm:
-    """Two points, by clicks or numbers.
+    """Entry and end, by clicks or numbers.
 
     Args:
-        editing: The draft.
+        editor: Editor of the draft.
     """
 
-    def __init__(self, editing: Editing) -> None:
-        self._editing = editing
-        texts = editing.texts
+    def __init__(self, editor: DraftEditor) -> None:
+        self._editor = editor
+        texts = editor.texts
         ui.label(texts("click_trajectory")).classes("text-grey-8")
         self._which = ui.toggle({"entry": texts("entry"), "end": texts("end")}, value="entry")
         self._which.props("dense no-caps size=sm").props('data-testid="trajectory-which"')
         with ui.row().classes("items-center gap-1"):
-            self._point = editing.field("point", "trajectory-point")
-            editing.button("place", "place-trajectory", lambda: self.pick(typed_point(self._point.value)))
+            self._point = editor.field("point", "trajectory-point")
+            editor.button("place", "place-trajectory", lambda: self.pick(typed_point(self._point.value)))
         self._shown = ui.label().props('data-testid="trajectory"')
 
     def pick(self, point: Floats) -> None:
-        """Take a point as entry or end, whichever is chosen; after an entry comes the end."""
+        """Take a point as entry or end, whichever is chosen; after an entry, the end is chosen."""
         if self._which.value == "entry":
-            self._editing.draft.entry = point
+            self._editor.draft.entry = point
             self._which.set_value("end")
         else:
-            self._editing.draft.end = point
+            self._editor.draft.end = point
 
     def refresh(self) -> None:
         """Show the draft."""
-        draft, texts = self._editing.draft, self._editing.texts
+        draft, texts = self._editor.draft, self._editor.texts
         named = {texts("entry"): draft.entry, texts("end"): draft.end}
-        parts = [f"{name}: {in_mm(point)}" for name, point in named.items() if point is not None]
+        parts = [f"{name}: {_in_mm(point)}" for name, point in named.items() if point is not None]
         if draft.entry is not None and draft.end is not None:
             parts.append(texts("length", mm=1000.0 * float(np.linalg.norm(draft.entry - draft.end))))
         self._shown.set_text("   ".join(parts))
 
 
 class GridForm:
-    """Spacing and size.
+    """Spacing and size of the grid.
 
     Args:
-        editing: The draft.
+        editor: Editor of the draft.
     """
 
-    def __init__(self, editing: Editing) -> None:
-        self._editing = editing
-        texts = editing.texts
+    def __init__(self, editor: DraftEditor) -> None:
+        self._editor = editor
+        texts = editor.texts
         ui.label(texts("click_grid")).classes("text-grey-8")
         with ui.row().classes("items-center gap-1"):
             self._spacing = ui.number(texts("spacing"), value=10.0, min=1.0, max=50.0)
@@ -211,20 +229,24 @@ class GridForm:
             self._columns = ui.number(texts("columns"), value=3, min=1, max=MAX_ROWS, precision=0)
             for number, name in ((self._spacing, "spacing"), (self._rows, "rows"), (self._columns, "columns")):
                 number.props("dense").classes("w-24").props(f'data-testid="grid-{name}"')
-            editing.button("lay_grid", "lay-grid", self._lay)
+            editor.button("lay_grid", "lay-grid", self._lay)
         self._shown = ui.label().props('data-testid="grid"')
 
     def pick(self, point: Floats) -> None:
-        """Lay the grid around a point of the surface. Raises `GeometryError`."""
-        self._editing.draft.place(point)
+        """Place the grid around a point of the surface.
+
+        Raises:
+            GeometryError: The grid is not possible there, or its size is missing.
+        """
+        self._editor.draft.place(point)
         self._lay()
 
     def _lay(self) -> None:
         spacing, rows, columns = self._spacing.value, self._rows.value, self._columns.value
         if spacing is None or rows is None or columns is None:
             raise GeometryError("A grid needs spacing, rows and columns as numbers.")
-        self._editing.draft.lay_grid(spacing / 1000.0, int(rows), int(columns))
+        self._editor.draft.lay_grid(spacing / 1000.0, int(rows), int(columns))
 
     def refresh(self) -> None:
         """Show the draft."""
-        self._shown.set_text(self._editing.texts("grid_points", count=len(self._editing.draft.grid)))
+        self._shown.set_text(self._editor.texts("grid_points", count=len(self._editor.draft.grid)))

@@ -1,4 +1,4 @@
-"""The process that reads one file of an upload, and is trusted with nothing: see `pcmrs.console.planning.files`.
+"""The untrusted process that reads one uploaded file: see `pcmrs.console.planning.files`.
 
 The request comes on standard input, the answer goes to standard output, both as MessagePack, which carries values and
 never code.
@@ -23,16 +23,16 @@ from pcmrs.formats.skin import skin_of
 from pcmrs.formats.volume import read_volume
 
 MOST_FACES: Final = 300_000
-"""A browser shows no more in time."""
+"""Limit of faces that a browser can show in time."""
 MOST_POINTS: Final = 10_000
 LEAST_EXTENT, MOST_EXTENT = 0.02, 2.0
-"""Of a surface along its longest side, m: outside of these the unit is another one."""
+"""Limits of a surface's longest side, m: beyond them, the unit must be wrong."""
 
 Point = tuple[float, float, float]
 
 
 class SurfaceRequest(msgspec.Struct, frozen=True, tag="surface"):
-    """Read a surface; `memory` is in bytes, `seconds` of the processor."""
+    """Request to read a surface; `memory` is in bytes, `seconds` is processor time."""
 
     path: str
     memory: int
@@ -43,7 +43,7 @@ class SurfaceRequest(msgspec.Struct, frozen=True, tag="surface"):
 
 
 class PointsRequest(msgspec.Struct, frozen=True, tag="points"):
-    """Read points."""
+    """Request to read points."""
 
     path: str
     memory: int
@@ -66,7 +66,7 @@ class PointsAnswer(msgspec.Struct, frozen=True, tag="points"):
 
 
 class Refused(msgspec.Struct, frozen=True, tag="refused"):
-    """Why the file cannot be used."""
+    """Reason why the file cannot be used."""
 
     text: str
 
@@ -76,20 +76,24 @@ Answer = SurfaceAnswer | PointsAnswer | Refused
 
 
 def main() -> None:
-    """Answers the request on standard input."""
+    """Answer the request on standard input."""
     sys.dont_write_bytecode = True
     request = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=Request)
     confine(request.memory, request.seconds)
     try:
-        answer = answer_to(request)
+        answer = _read_requested(request)
     except PcmrsError as error:
         answer = Refused(error.text)
     sys.stdout.buffer.write(msgspec.msgpack.encode(answer))
     sys.stdout.buffer.flush()
 
 
-def answer_to(request: Request) -> Answer:
-    """Read the file. Raises `PcmrsError`."""
+def _read_requested(request: Request) -> Answer:
+    """Read the requested file.
+
+    Raises:
+        PcmrsError: It cannot be used.
+    """
     path = Path(request.path)
     if isinstance(request, PointsRequest):
         found = read_points(path)
@@ -99,20 +103,34 @@ def answer_to(request: Request) -> Answer:
 
 
 def read_surface(path: Path, unit: Unit, space: Space, threshold: float | None) -> Mesh:
-    """The surface in a mesh, or that of the body in a volume. Raises `PcmrsError`."""
+    """Return the surface in a mesh, or that of the body in a volume.
+
+    Args:
+        path: File or folder.
+        unit: Unit of a mesh.
+        space: Directions of a mesh.
+        threshold: Grey value of the surface in a volume; None for a computed one.
+
+    Raises:
+        PcmrsError: It cannot be read, or is too large.
+    """
     mesh = read_mesh(path, unit, space) if path.suffix.lower() in KINDS else skin_of(read_volume(path), threshold)
     if len(mesh.faces) > MOST_FACES:
         text = f"has {len(mesh.faces)} triangles; the limit is {MOST_FACES}. Simplify it, as in 3D Slicer or MeshLab."
         refuse(path, text, value=len(mesh.faces), limit=MOST_FACES)
     extent = float(np.ptp(mesh.vertices, axis=0).max())
     if not LEAST_EXTENT <= extent <= MOST_EXTENT:
-        text = f"would be {extent:.3g} m long; {LEAST_EXTENT:g} to {MOST_EXTENT:g} m are taken. Give its other unit."
+        text = f"would be {extent:.3g} m long; the limits are {LEAST_EXTENT:g} and {MOST_EXTENT:g} m. Change the unit."
         refuse(path, text, value=extent)
     return mesh
 
 
 def read_points(path: Path) -> Landmarks:
-    """The points of a file of landmarks. Raises `PcmrsError`."""
+    """Return the points of a file of landmarks.
+
+    Raises:
+        PcmrsError: It cannot be read, or has digitized landmarks, or too many.
+    """
     found = read_landmarks(path)
     if found.role == "digitized":
         refuse(path, "holds digitized landmarks, which are in body_ref; give planned ones, which are in the image.")

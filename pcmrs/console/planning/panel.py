@@ -1,4 +1,4 @@
-"""Planning on the body's surface: what is placed, looked at, and sent."""
+"""The panel for planning on the body's surface."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pcmrs.console.command_sender import CommandSender
 from pcmrs.console.feed import Feed
 from pcmrs.console.geometry import vertices_of
 from pcmrs.console.planning.canvas import Canvas
-from pcmrs.console.planning.checking import Checking, Requests
+from pcmrs.console.planning.checking import PlanCheck, Requests
 from pcmrs.console.planning.draft import Draft, Kind, as_arguments
-from pcmrs.console.planning.forms import Editing, GridForm, LandmarkForm, ToolForm, TrajectoryForm
+from pcmrs.console.planning.forms import DraftEditor, GridForm, LandmarkForm, ToolForm, TrajectoryForm
 from pcmrs.console.planning.upload_form import UploadForm
 from pcmrs.console.texts import Texts
 from pcmrs.fsm import Blueprint
@@ -29,39 +29,43 @@ NAMES: dict[Kind, tuple[str, str, str]] = {
     "grid": ("grid", "send_grid", "send-grid"),
     "trajectory": ("trajectory", "send_trajectory", "send-trajectory"),
 }
-"""What it is called, what its button says, and how tests know that."""
+"""Keys of its name and of its button's text, and the button's ``data-testid``."""
 
 
-class Form(Protocol):
+class _Form(Protocol):
     """One kind of plan."""
 
     def pick(self, point: Floats) -> None:
-        """Take a point of the surface that was clicked. Raises `GeometryError`."""
+        """Take a point of the surface that was clicked.
+
+        Raises:
+            GeometryError: It cannot be used.
+        """
 
     def refresh(self) -> None:
         """Show the draft."""
 
 
 class PlanningPanel:
-    """A scene in the image's frame, and what is planned there but not yet sent.
+    """A scene in the image's frame, with a plan that has not been sent yet.
 
     Args:
-        feed: What the cell tells.
-        setup: Of the cell.
-        blueprint: Its workflow: what can be planned is what it has operations for.
-        texts: Of the page's language.
-        asking: Asks the daemon.
+        feed: State of the cell.
+        setup: Setup of the cell.
+        blueprint: Workflow of the cell, whose operations define what can be planned.
+        texts: Texts in the language of the page.
+        sender: Sends commands to the daemon.
     """
 
-    def __init__(self, feed: Feed, setup: Setup, blueprint: Blueprint, texts: Texts, asking: CommandSender) -> None:
-        self._asking = asking
+    def __init__(self, feed: Feed, setup: Setup, blueprint: Blueprint, texts: Texts, sender: CommandSender) -> None:
+        self._sender = sender
         self._operations = operations(blueprint)
         draft = self._draft = Draft(
             surface=None if setup.surface is None else TriangleSurface(*vertices_of(setup.surface)),
             landmarks=list(feed.data.landmarks),
             pose=None if feed.data.plan is None else as_transform(feed.data.plan),
         )
-        editing = self._editing = Editing(draft, texts, self._changed)
+        editor = self._editor = DraftEditor(draft, texts, self._changed)
         self._canvas = Canvas(setup, self._pick)
         self._mode = ui.toggle(
             {kind: texts(NAMES[kind][0]) for kind in self._operations},
@@ -69,60 +73,60 @@ class PlanningPanel:
             on_change=self._changed,
         )
         self._mode.props("dense no-caps").props('data-testid="mode"')
-        self._forms: dict[Kind, Form] = {}
+        self._forms: dict[Kind, _Form] = {}
         self._sending: dict[Kind, ui.button] = {}
         for kind in self._operations:
             with ui.column().classes("w-full gap-1").bind_visibility_from(self._mode, "value", value=kind):
-                self._forms[kind] = self._build(kind, editing)
+                self._forms[kind] = self._build(kind, editor)
                 button = ui.button(texts(NAMES[kind][1]), on_click=self._send).props("no-caps")
                 self._sending[kind] = button.props(f'data-testid="{NAMES[kind][2]}"')
-        self._checking = Checking(feed, setup, texts)
-        UploadForm(editing, self._canvas)
+        self._checking = PlanCheck(feed, setup, texts)
+        UploadForm(editor, self._canvas)
         self._changed()
 
-    def _build(self, kind: Kind, editing: Editing) -> Form:
+    def _build(self, kind: Kind, editor: DraftEditor) -> _Form:
         match kind:
             case "landmarks":
-                return LandmarkForm(editing)
+                return LandmarkForm(editor)
             case "tool_pose":
-                return ToolForm(editing, cortex="trajectory" not in self._operations)
+                return ToolForm(editor, cortex="trajectory" not in self._operations)
             case "grid":
-                return GridForm(editing)
+                return GridForm(editor)
             case "trajectory":
-                return TrajectoryForm(editing)
+                return TrajectoryForm(editor)
 
     @property
     def _kind(self) -> Kind | None:
-        """What is being planned; None in a workflow that takes no plan."""
+        """Return the kind of plan being edited; None in a workflow that takes no plan."""
         kind: Kind | None = self._mode.value
         return kind
 
     def _pick(self, point: Floats) -> None:
         if self._kind is not None:
             form = self._forms[self._kind]
-            self._editing.do(lambda: form.pick(point))
+            self._editor.do(lambda: form.pick(point))
 
     def refresh(self, choices: Mapping[str, Choice]) -> None:
-        """Let be sent what may be asked for, and has the plan looked at anew: what decides on it may have changed."""
+        """Enable the operations that may be asked for, and check the plan again: its conditions may have changed."""
         for kind, button in self._sending.items():
             choice = choices.get(self._operations[kind])
             button.set_enabled(choice is not None and not choice.why_not)
-        self._checking.of(self._requests())
+        self._checking.check(self._requests())
 
     def key(self, key: str) -> None:
-        """Moves the tool along the surface, or turns it; other keys do nothing."""
+        """Move the tool along the surface, or turn it; other keys have no effect."""
         if self._kind == "tool_pose":
-            self._editing.do(lambda: self._draft.move(key))
+            self._editor.do(lambda: self._draft.move(key))
 
     def _changed(self) -> None:
         kind = self._kind
         self._canvas.draw(self._draft, self._draft.guide if kind == "trajectory" else self._draft.pose)
         if kind is not None:
             self._forms[kind].refresh()
-        self._checking.of(self._requests())
+        self._checking.check(self._requests())
 
     def _requests(self) -> Requests:
-        """What the daemon is asked about the plan: of a grid every pose, too."""
+        """Return the requests to check the plan; of a grid, one for every pose, too."""
         kind = self._kind
         arguments = None if kind is None else self._draft.arguments(kind)
         if kind is None or arguments is None:
@@ -136,18 +140,18 @@ class PlanningPanel:
         kind = self._kind
         arguments = None if kind is None else self._draft.arguments(kind)
         if kind is None or arguments is None:
-            ui.notify(self._editing.texts("nothing_planned"), type="warning")
+            ui.notify(self._editor.texts("nothing_planned"), type="warning")
             return
-        await self._asking.ask(self._operations[kind], arguments)
+        await self._sender.ask(self._operations[kind], arguments)
 
 
 def operations(blueprint: Blueprint) -> dict[Kind, str]:
-    """The operation that takes each kind of plan, in the order of `Kind`, for the kinds that a workflow has."""
+    """Return the operation for each kind of plan, in the order of `Kind`, for the kinds that a workflow has."""
     asked = [
         (spec.payload, f"{branch}.{name}")
         for branch, each in blueprint.branches.items()
         for name, spec in each.operations.items()
         if not (spec.iio or spec.event)
     ]
-    found = dict(reversed(asked))  # of two operations for one payload the first
+    found = dict(reversed(asked))  # the first of several operations for one payload
     return {kind: found[kind] for kind in get_args(Kind) if kind in found}

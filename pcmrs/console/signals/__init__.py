@@ -1,1 +1,1 @@
-"""What changes by itself: ages, joints, force, motion of tool and body, muscle, latency and what was dropped."""
+"""Values that change by themselves: ages, joints, force, motion of tool and body, muscle, latency, losses."""

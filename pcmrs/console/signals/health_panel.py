@@ -1,4 +1,4 @@
-"""How the daemon is: latencies, ages and what was dropped, as it has found itself; what is not told is not known."""
+"""Health of the daemon: latencies, ages and losses, as it reports them; missing values read "not known"."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from pcmrs.messages.health import Health
 Row = tuple[str, str]
 
 
-class WellbeingPanel:
-    """The verdict, its reasons, and a table.
+class HealthPanel:
+    """Verdict, its reasons, and a table.
 
     Args:
-        texts: Of the page's language.
+        texts: Texts in the language of the page.
     """
 
     def __init__(self, texts: Texts) -> None:
@@ -29,7 +29,7 @@ class WellbeingPanel:
         self._table.props('data-testid="counters"')
 
     def draw(self, health: Health | None) -> None:
-        """Show what the daemon said last; None while it does not answer, or where it has not been told."""
+        """Show the last reported health; None while the daemon does not answer, or in a recording without it."""
         texts = self._texts
         status = texts("unknown") if health is None else health.status
         self._status.set_text(f"{texts('daemon')}: {status}")

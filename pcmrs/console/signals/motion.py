@@ -1,4 +1,4 @@
-"""How old what the cell tells is, joints and force; motion of the tool against its plan, and of the body, over time."""
+"""Ages of the data, joints and force; motion of the tool against its plan, and of the body, over time."""
 
 from __future__ import annotations
 
@@ -17,42 +17,42 @@ class MotionPanel:
     """Numbers and two traces.
 
     Args:
-        told: What is shown.
-        texts: Of the page's language.
+        view: State of the cell to show.
+        texts: Texts in the language of the page.
     """
 
-    def __init__(self, told: CellViewModel, texts: Texts) -> None:
-        self._told, self._texts, self._traces = told, texts, Traces()
+    def __init__(self, view: CellViewModel, texts: Texts) -> None:
+        self._view, self._texts, self._traces = view, texts, Traces()
         self._ages = ui.column().classes("w-full gap-0").props('data-testid="ages"')
         self._joints = ui.label().classes("text-body2").props('data-testid="joints"')
         self._force = ui.label().classes("text-body2").props('data-testid="force"')
         self._tool = _chart(texts("error_now"))
         with ui.row().classes("items-center"):
-            ui.button(texts("from_here"), on_click=self._traces.begin_anew).props("flat no-caps dense")
+            ui.button(texts("from_here"), on_click=self._traces.restart).props("flat no-caps dense")
         self._body = _chart(texts("body_motion"))
 
     def look(self) -> None:
-        """Keep the present moment."""
-        self._traces.look(self._told)
+        """Store the present moment."""
+        self._traces.look(self._view)
 
     def draw(self) -> None:
-        """Show what was kept."""
+        """Show the stored moments."""
         moments = self._traces.moments
-        _draw(self._tool, [(each, each.tool) for each in moments], self._told.now)
-        _draw(self._body, [(each, each.body) for each in moments], self._told.now)
+        _draw(self._tool, [(each, each.tool) for each in moments], self._view.now)
+        _draw(self._body, [(each, each.body) for each in moments], self._view.now)
         self._show_ages()
-        joints, texts = self._told.joints, self._texts
+        joints, texts = self._view.joints, self._texts
         degrees = None if joints is None else "  ".join(f"{value:7.2f}" for value in np.degrees(joints.positions))
         self._joints.set_text(f"{texts('joints')}: {degrees or texts('unknown')}")
         force = None if joints is None or joints.flange_force is None else np.linalg.norm(joints.flange_force)
         self._force.set_text(f"{texts('force')}: {texts('unknown') if force is None else f'{force:.1f}'}")
 
     def _show_ages(self) -> None:
-        told, texts = self._told, self._texts
+        view, texts = self._view, self._texts
         self._ages.clear()
         with self._ages:
-            for what in ("joints", *sorted(told.poses)):
-                age, pose = told.age(what), told.poses.get(what)
+            for what in ("joints", *sorted(view.poses)):
+                age, pose = view.age(what), view.poses.get(what)
                 text = texts("unknown") if age is None else texts("age", ms=1000.0 * age)
                 if pose is not None:
                     text += f", {1000.0 * pose.error:.2f} mm" if pose.valid else f", {texts('not_seen')}"
@@ -81,7 +81,7 @@ _LINE: dict[str, Any] = {"type": "line", "showSymbol": False}
 
 
 def _draw(chart: ui.echart, moments: list[tuple[Moment, tuple[float, float] | None]], now: float) -> None:
-    """Millimetres and degrees over the time until now; a gap where nothing was known."""
+    """Draw millimetres and degrees over time until now, with a gap where nothing was known."""
     for number, (series, factor) in enumerate(zip(chart.options["series"], (1000.0, 180.0 / np.pi), strict=True)):
         series["data"] = [
             [round(moment.at - now, 2), None if value is None else round(factor * value[number], 3)]

@@ -1,4 +1,4 @@
-"""What a muscle answered: the signal of the last pulses with the window, their amplitudes, and the threshold's hunt."""
+"""Responses of a muscle: the signals of the last pulses, their amplitudes, and the motor threshold."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from nicegui import ui
 
 from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.colours import BLUE, GREY, ORANGE, VERMILION
-from pcmrs.console.signals.responses import hunted, responses, waves
+from pcmrs.console.signals.responses import estimator_history, responses, waves
 from pcmrs.console.texts import Texts
 from pcmrs.messages.setup import Setup, StimulationShown
 from pcmrs.tms.settings import MepSettings
 
 ARTEFACT = 4.0
-"""ms after a pulse that set no scale."""
+"""Time after a pulse that does not influence the scale, ms."""
 
 
 class MusclePanel:
-    """Three charts, hidden in a workflow that stimulates nothing.
+    """Three charts, hidden in a workflow without stimulation.
 
     Args:
-        told: What is shown.
-        setup: Of the cell.
-        texts: Of the page's language.
+        view: State of the cell to show.
+        setup: Setup of the cell.
+        texts: Texts in the language of the page.
     """
 
-    def __init__(self, told: CellViewModel, setup: Setup, texts: Texts) -> None:
-        self._told, self._texts = told, texts
+    def __init__(self, view: CellViewModel, setup: Setup, texts: Texts) -> None:
+        self._view, self._texts = view, texts
         self._settings = msgspec.convert(setup.mep, MepSettings)
         self._version = -1
         with ui.column().classes("w-full gap-0") as self._whole:
@@ -40,19 +40,19 @@ class MusclePanel:
             self._found = ui.label().props('data-testid="threshold"')
 
     def draw(self) -> None:
-        """Show what is new."""
-        if self._told.version == self._version:
+        """Show new responses."""
+        if self._view.version == self._version:
             return
-        self._version = self._told.version
-        shown = self._told.data.stimulation
-        given = responses(self._told.events)
+        self._version = self._view.version
+        shown = self._view.data.stimulation
+        given = responses(self._view.events)
         self._whole.set_visibility(shown is not None or bool(given))
         self._draw_amplitudes([each for each in given if each.microvolts is not None])
         if shown is not None:
             self._draw_standing(shown)
             self._draw_emg()
-            self._draw_hunt(shown)
-        self._emg.set_visibility(bool(self._told.epochs))
+            self._draw_estimates(shown)
+        self._emg.set_visibility(bool(self._view.epochs))
         self._hunt.set_visibility(shown is not None and shown.hunt is not None)
 
     def _draw_standing(self, shown: StimulationShown) -> None:
@@ -61,8 +61,8 @@ class MusclePanel:
         self._standing.set_text(self._texts("stimulation", **of))
 
     def _draw_emg(self) -> None:
-        """The newest signal above those before it; its window, and the pulse."""
-        settings, drawn = self._settings, [waves(each, self._settings) for each in self._told.epochs]
+        """Draw the newest signal above the earlier ones, with its window and the pulse."""
+        settings, drawn = self._settings, [waves(each, self._settings) for each in self._view.epochs]
         window = [{"xAxis": 1000.0 * settings.window_start}, {"xAxis": 1000.0 * settings.window_end}]
         marks = {"markArea": {"silent": True, "itemStyle": {"color": "#e69f0022"}, "data": [window]}}
         self._emg.options["series"] = [
@@ -94,8 +94,8 @@ class MusclePanel:
             text += f" {last.problem}"
         self._response.set_text(text)
 
-    def _draw_hunt(self, shown: StimulationShown) -> None:
-        found = hunted(shown.hunt)
+    def _draw_estimates(self, shown: StimulationShown) -> None:
+        found = estimator_history(shown.hunt)
         if found is None:
             self._found.set_text("")
             return

@@ -1,4 +1,4 @@
-"""What the charts of the muscle show: responses, signals and hunts as points. Pure."""
+"""Data of the muscle's charts: responses, signals and threshold estimates as points. Pure."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ Points = list[list[float | None]]
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """What one pulse evoked.
+    """Response to one pulse.
 
     Attributes:
-        microvolts: Peak to peak; None where there is no measurement.
-        latency: Until the response begins, s; None where there is none.
-        problem: Why it says nothing about the muscle; empty where it does.
+        microvolts: Amplitude, peak to peak; None without a measurement.
+        latency: Time until the response begins, s; None without a response.
+        problem: Reason why it cannot be used; empty if it can.
     """
 
     pulse: int
@@ -41,16 +41,16 @@ class Response:
 
 
 @dataclass(frozen=True, slots=True)
-class Hunted:
-    """A threshold's hunt over its pulses, numbered from 1.
+class EstimatorHistory:
+    """Estimates of a motor threshold over its pulses, numbered from 1.
 
     Attributes:
-        responded: Pulse and intensity, percent, of those that evoked a response.
-        silent: Of those that did not.
-        estimates: What was thought of the threshold after each.
-        low: Lower end of the interval of 95 %; a gap where the method states none.
-        width: Of the interval.
-        best: What is thought now, percent; None before the first pulse.
+        responded: Pulse and intensity, percent, of pulses with a response.
+        silent: Pulse and intensity, percent, of pulses without a response.
+        estimates: Estimated threshold after each pulse, percent.
+        low: Lower end of the 95 % interval; a gap if the method has none.
+        width: Width of the interval.
+        best: Present estimate, percent; None before the first pulse.
     """
 
     method: str
@@ -64,13 +64,18 @@ class Hunted:
 
 
 def responses(events: Iterable[tuple[float, Verdict | DeviceEvent]]) -> list[Response]:
-    """Of the pulses among what was decided, in order."""
+    """Return the responses to the pulses among the decisions, in order."""
     results = (event.result for _, event in events if isinstance(event, Verdict) and event.result is not None)
     return [_response(result) for result in results if "pulse" in result and "mep" in result]
 
 
 def waves(epoch: Epoch, settings: MepSettings) -> list[tuple[float, float]]:
-    """A signal less offset and hum: ms since the pulse, and µV; nothing where it cannot be judged."""
+    """Return a signal without offset and hum: ms since the pulse, and µV; nothing if it cannot be evaluated.
+
+    Args:
+        epoch: The signal.
+        settings: Settings of the evaluation.
+    """
     try:
         times, samples = waveform(epoch, settings)
     except RefusalError:
@@ -79,8 +84,8 @@ def waves(epoch: Epoch, settings: MepSettings) -> list[tuple[float, float]]:
     return list(zip(np.round(1e3 * times, 2).tolist(), microvolts, strict=True))
 
 
-def hunted(hunt: Mapping[str, Any] | None) -> Hunted | None:
-    """A hunt as the journal has it; None where none has begun."""
+def estimator_history(hunt: Mapping[str, Any] | None) -> EstimatorHistory | None:
+    """Return the history of an estimator from its journalled state; None if there is none."""
     if hunt is None:
         return None
     whole = msgspec.convert(hunt, MotorThresholdEstimator)
@@ -89,7 +94,7 @@ def hunted(hunt: Mapping[str, Any] | None) -> Hunted | None:
     ]
     numbered = list(enumerate(whole.pulses, start=1))
     bounds = [(n, e.low, e.high) for n, e in enumerate(after, start=1)]
-    return Hunted(
+    return EstimatorHistory(
         method=whole.settings.method,
         finished=whole.finished,
         best=_estimate(whole).threshold,
@@ -103,7 +108,7 @@ def hunted(hunt: Mapping[str, Any] | None) -> Hunted | None:
 
 @lru_cache(maxsize=256)
 def _estimate(hunt: MotorThresholdEstimator) -> Estimate:
-    """Once for each pulse of a hunt that is shown again and again."""
+    """Return the estimate, computed once for each pulse of an estimator that is shown again and again."""
     return hunt.estimate
 
 

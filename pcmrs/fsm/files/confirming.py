@@ -14,10 +14,10 @@ from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, Revocation
 
 OPEN, GIVEN = "open", "given"
 REFUSAL = "not_confirmed"
-"""Code of the rejection of an operation that nobody has confirmed."""
+"""Code of the rejection of an operation that has not been confirmed."""
 
 
-def confirmation_of(blueprint: Blueprint, branch: str, operation: str) -> str:
+def _confirmation_of(blueprint: Blueprint, branch: str, operation: str) -> str:
     """Return the name of the branch in which an operation is confirmed.
 
     Args:
@@ -40,7 +40,7 @@ def expand_confirmations(blueprint: Blueprint) -> Blueprint:
     """
     branches = dict(blueprint.branches)
     for name, key, operation in _confirmed(blueprint):
-        made = confirmation_of(blueprint, name, key)
+        made = _confirmation_of(blueprint, name, key)
         if made in branches or operation.iio or operation.event or operation.rio:
             continue
         operations = branches[name].operations | {key: _requiring(operation, made)}

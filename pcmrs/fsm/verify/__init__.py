@@ -57,7 +57,9 @@ def verify(blueprint: Blueprint, *, limit: int = MAX_JOINT_STATES, progress: Pro
         findings = [finding for check in ALWAYS_CHECKED for finding in check(space)]
         whole = not any(finding.code in structure.INCOMPLETE for finding in findings)
         findings += [finding for check in CHECKED_IF_COMPLETE if whole for finding in check(space)]
-        broken = {finding.path for finding in findings}  # of a broken operation, the order is no news
+        broken = {
+            finding.path for finding in findings
+        }  # the order of the effects of a broken operation does not matter
         findings += [finding for finding in structure.order(space) if finding.path not in broken]
         findings += check_properties(TimedOperations(space, progress)) if whole else ()
     except TooManyError as error:

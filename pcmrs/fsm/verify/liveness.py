@@ -93,7 +93,7 @@ def deadlocks(space: Space) -> Iterator[Finding]:
 def goals(space: Space) -> Iterator[Finding]:
     """Find a goal that cannot be reached from the start, or no longer from a joint state.
 
-    Only requests of users and declared endings count: nobody can rely on a fault, or wait for a device.
+    Only requests of users and declared endings count: users cannot rely on a fault, or wait for a device.
     """
     goal = space.blueprint.goal
     if not goal:

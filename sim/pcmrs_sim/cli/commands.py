@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from pcmrs.cli.options import POSITIVE
 from pcmrs.cli.running import readable_errors, run
+from pcmrs.cli.values import POSITIVE
 from pcmrs_sim.cli.options import host_option, world_options
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
-from pcmrs.cli.options import Finite
+from pcmrs.cli.values import Finite
 from pcmrs.config import merge_tables, set_values
 
 F = TypeVar("F", bound=Callable[..., Any])

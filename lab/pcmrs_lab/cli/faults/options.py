@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 import msgspec
 
-from pcmrs.cli.options import POSITIVE
 from pcmrs.cli.printing import Terminal, say_json
 from pcmrs.cli.running import EXIT_REJECTED
+from pcmrs.cli.values import POSITIVE
 from pcmrs.errors import ConfigurationError
 
 if TYPE_CHECKING:

@@ -7,9 +7,10 @@ from pathlib import Path
 
 import click
 
-from pcmrs.cli.options import POSITIVE, json_option, plot_option
+from pcmrs.cli.options import json_option, plot_option
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import readable_errors, run
+from pcmrs.cli.values import POSITIVE
 from pcmrs_lab.cli.faults.options import print_findings, seed_option
 
 

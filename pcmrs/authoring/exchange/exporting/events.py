@@ -31,7 +31,7 @@ class OperationEnding:
 
 def commands(blueprint: Blueprint) -> Iterator[OperationEnding]:
     """Return all commands that a user or device may give; operations that signal for a child are left out."""
-    events = event_names(blueprint)
+    events = _event_names(blueprint)
     for branch, spec in blueprint.branches.items():
         for name, operation in spec.operations.items():
             possible = [] if operation.iio else [*operation.endings, *operation.unconfirmed]
@@ -63,7 +63,7 @@ Key = tuple[str, str]
 EVENT = re.compile(r"(?!(?:done|error)\.)[\w-]+(?:\.[\w-]+)*")
 
 
-def event_names(blueprint: Blueprint) -> dict[Key, str]:
+def _event_names(blueprint: Blueprint) -> dict[Key, str]:
     """Return the event of each operation that a user or device may ask for, without its outcome.
 
     Titles are the events if an import would have made the names of all operations from them, and if no event

@@ -35,7 +35,6 @@ def blueprint_of(root: Node, findings: Findings) -> Blueprint | None:
         findings: Collects what cannot be converted.
 
     Returns:
-        None where there are findings.
         The blueprint, or None if there are findings.
     """
     nodes = root.by_id()

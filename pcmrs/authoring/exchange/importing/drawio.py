@@ -88,7 +88,7 @@ class Cell:
         return self.kind == "vertex" and not marker and not self.shape & TEXTS
 
 
-def read_cells(raw: bytes, origin: str) -> tuple[str, list[Cell]]:
+def _read_cells(raw: bytes, origin: str) -> tuple[str, list[Cell]]:
     """Return the name of the diagram and its cells, in the order of the file.
 
     Args:
@@ -96,7 +96,7 @@ def read_cells(raw: bytes, origin: str) -> tuple[str, list[Cell]]:
         origin: Name of the file in findings.
 
     Raises:
-        BlueprintError: It is no draw.io diagram, has several pages, or is too large when decompressed.
+        BlueprintError: It is not a draw.io diagram, has several pages, or is too large when decompressed.
     """
     document = read_xml(raw, origin)
     name, place, model = "", None, document
@@ -176,7 +176,7 @@ def from_drawio(raw: bytes, origin: str = "drawio") -> tuple[Blueprint | None, l
 
 
 def _read(raw: bytes, findings: Findings) -> Node:
-    name, cells = read_cells(raw, findings.origin)
+    name, cells = _read_cells(raw, findings.origin)
     return _Maker(cells, findings).chart(name)
 
 

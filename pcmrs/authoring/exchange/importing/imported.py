@@ -25,7 +25,6 @@ def blueprint_file(blueprint: Blueprint, chart: str, output: str) -> tuple[str, 
         output: Name of its file in findings.
 
     Returns:
-        The text, with what makes it unsound; an empty one where it would be too large to be read, said of the chart.
         The text, with the findings that make it unsound. An empty text, with a finding about the chart, if it would be
         too large to be read.
     """
@@ -47,7 +46,6 @@ def import_chart(
         read: Reads the chart; adds findings or raises `BlueprintError` with them.
 
     Returns:
-        The blueprint, or None and what is wrong.
         The blueprint, or None and the findings.
     """
     findings = Findings(origin)

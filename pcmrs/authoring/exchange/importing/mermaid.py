@@ -66,7 +66,7 @@ def read_lines(text: str, findings: Findings) -> list[RegionLines]:
         findings: Collects what is not supported.
 
     Raises:
-        BlueprintError: It is no state diagram, its braces do not match, or it is too deep.
+        BlueprintError: It is not a state diagram, its braces do not match, or it is too deep.
     """
     reader = _Lines(findings)
     lines = _statements(text)
