@@ -1,4 +1,4 @@
-"""Who may take part: a local certificate authority for the cells of one lab."""
+"""Local certificate authority for the identities of the cells of one lab."""
 
 from pcmrs.pki.authority import Authority, Issued
 from pcmrs.pki.own import check_registered, read_credentials

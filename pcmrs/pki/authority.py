@@ -1,4 +1,4 @@
-"""The certificate authority of a lab: a folder with its key, its certificate, and a register of who has one."""
+"""The certificate authority of a lab: a folder with its key, its certificate, and the register of identities."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ KEY: Final = "ca.key"
 CERTIFICATE: Final = "ca.pem"
 REGISTER: Final = "register.json"
 DAYS: Final = 30.0
-"""Validity of a certificate unless another one is asked for."""
+"""Default validity of a certificate, days."""
 MOST_DAYS: Final = 398.0
 
 
 class Issued(msgspec.Struct, frozen=True, kw_only=True):
-    """A new certificate and where its files are.
+    """A new certificate and its files.
 
     Attributes:
-        identity: Whose it is.
-        folder: Holds ``<name>.pem``, ``<name>.key`` and ``ca.pem``: what the machine that uses it needs.
+        identity: Identity that it certifies.
+        folder: Folder of ``<name>.pem``, ``<name>.key`` and ``ca.pem``, which the machine that uses it needs.
     """
 
     identity: Identity
@@ -38,13 +38,13 @@ class Issued(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Authority:
-    """An authority that exists; make one with `Authority.init`.
+    """An existing authority; create one with `Authority.init`.
 
     Args:
-        folder: Its own; nobody but its owner may read it.
+        folder: Folder of the authority, readable by its owner only.
 
     Raises:
-        ConfigurationError: There is none in the folder.
+        ConfigurationError: The folder holds no authority.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -56,15 +56,15 @@ class Authority:
 
     @classmethod
     def init(cls, folder: Path, site: str, now: float) -> Authority:
-        """Make an authority.
+        """Create an authority.
 
         Args:
-            folder: Made where it does not exist; it must hold no authority yet.
+            folder: Folder of the authority; it is created if it does not exist, and must hold no authority yet.
             site: Name of the lab.
-            now: Wall time, s.
+            now: Wall time, Unix seconds.
 
         Raises:
-            ConfigurationError: There is one already, or the site's name cannot be one.
+            ConfigurationError: There is one already, or the name of the lab is not allowed.
             OSError: The folder cannot be written.
         """
         check_name(site)
@@ -80,7 +80,7 @@ class Authority:
         return cls(folder)
 
     def identities(self) -> list[Identity]:
-        """Everybody who has been given a certificate, in the order in which that was.
+        """Return all identities that have a certificate, in the order of their issue.
 
         Raises:
             ConfigurationError: The register cannot be read.
@@ -99,21 +99,21 @@ class Authority:
         via: Sequence[str] = (),
         into: Path,
     ) -> Issued:
-        """Issue a certificate with a new key; a name that has one, and the same role, gets a newer one.
+        """Issue a certificate with a new key; an existing name with the same role gets a newer one.
 
         Args:
-            role: What it may do.
-            name: Never one that was revoked: the certificate of before would be valid again.
-            now: Wall time, s.
-            days: Validity.
-            hosts: Under which it is dialled; a router needs one, a daemon that is not dialled none, others have none.
-            cells: In which it may do that, as ``<site>/<cell>``.
-            via: Names of the routers that may carry what a person sends.
-            into: Folder in which a folder `name` with the files is made.
+            role: Role of the identity.
+            name: Name of the identity; not a revoked one, whose earlier certificate would become valid again.
+            now: Wall time, Unix seconds.
+            days: Validity, days.
+            hosts: Hosts at which others connect to it: required for a router, optional for a daemon, none for others.
+            cells: Cells in which the role applies, as ``<site>/<cell>``.
+            via: Names of the routers that may forward the messages of a person.
+            into: Folder in which the folder `name` with the files is created.
 
         Raises:
-            ConfigurationError: Name, role, days, hosts, cells or routers are wrong, or others may read the key of the
-                authority.
+            ConfigurationError: Name, role, days, hosts, cells or routers are not allowed, or others may read the key
+                of the authority.
             OSError: The files cannot be written.
         """
         self._check(role, name, days, hosts, via)
@@ -131,7 +131,7 @@ class Authority:
             )
             authority = x509.load_pem_x509_certificate((self.folder / CERTIFICATE).read_bytes())
             signed = certificate(identity, key.public_key(), hosts, authority, read_key(self.folder / KEY))
-            # First the register: a certificate that it does not know could not be revoked.
+            # The register first: a certificate that is not in it could not be revoked.
             self._write([*(each for each in known if each.name != name), identity])
         folder = into / name
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -141,10 +141,14 @@ class Authority:
         return Issued(identity=identity, folder=str(folder))
 
     def revoke(self, name: str, now: float) -> Identity:
-        """Take an identity's rights away, for good; returns it.
+        """Revoke an identity for good, and return it.
+
+        Args:
+            name: Name of the identity.
+            now: Wall time, Unix seconds.
 
         Raises:
-            ConfigurationError: Nobody has this name, or it is revoked already.
+            ConfigurationError: There is no such identity, or it is revoked already.
         """
         with self._register() as known:
             found = next((each for each in known if each.name == name), None)
@@ -171,9 +175,9 @@ class Authority:
 
     @contextmanager
     def _register(self) -> Iterator[list[Identity]]:
-        """The register, while nobody else changes it."""
+        """Lock the register and yield it."""
         with (self.folder / f"{REGISTER}.lock").open("w") as lock:
-            import fcntl  # who only reads an identity does so on Windows, too
+            import fcntl  # not on Windows, where identities can be read but not issued
 
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield self.identities()

@@ -1,4 +1,4 @@
-"""What to do about an operation that was not accepted."""
+"""Advice for an operation that was not accepted."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ ADVICE = {
     "stopped": "Acknowledge the Stop once its cause is gone, then ask again.",
     "unknown_operation": "Correct the name.",
 }
-"""By code, where the reason itself does not say it."""
+"""Advice by code, for reasons that do not contain it."""
 DOUBT = "Look at the patient and at the robot, then settle it: locate the arm after a motion, acknowledge otherwise."
 WRONG_TIME = frozenset(
     {"busy", "event_operation", "internal_operation", "invalid_in_state", "latched", "queue_full", "stopped"}
 )
-"""Codes that say when or by whom something was asked for, not what was wrong with it."""
+"""Codes of commands that came at a wrong time or from a wrong sender, and were not checked further."""
 SHOWN = 4
-"""So many of the operations that were possible are named."""
+"""Largest number of allowed operations that are named."""
 
 
 def advise(verdict: Verdict, blueprint: Blueprint | None) -> str:
-    """What to do; empty where only the reason itself can say it.
+    """Return what to do; empty if only the reason itself can say it.
 
     Args:
-        verdict: That did not accept.
-        blueprint: For the words of states; None where it is not known.
+        verdict: Verdict that did not accept.
+        blueprint: Workflow with the meanings of states; None if it is unknown.
     """
     reason = verdict.reason
     code = "" if reason is None else reason.code
@@ -54,7 +54,7 @@ def advise(verdict: Verdict, blueprint: Blueprint | None) -> str:
 
 
 def _branch(name: str, states: list[str], blueprint: Blueprint | None) -> str:
-    """A branch and the states it is to be in, in the words of its workflow."""
+    """Return a branch and its required states, in the words of its workflow."""
     spec = None if blueprint is None else blueprint.branches.get(name)
     known = {} if spec is None else spec.states
     meant = " or ".join(f"“{known[state]}”" if known.get(state) else state for state in states)

@@ -1,4 +1,4 @@
-"""Reports as pages: HTML that needs no script, with every text escaped and nothing left out in silence."""
+"""HTML pages from templates, without scripts; all text is escaped, and a missing value is an error."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ PNG, SVG = "image/png", "image/svg+xml"
 
 
 def render(package: str, template: str, *filters: Callable[..., Any], **values: Any) -> str:
-    """A template with values in it.
+    """Return a rendered template.
 
     Args:
-        package: In whose folder the template lies.
-        template: Its name.
-        filters: Of the template, by their names.
-        values: What it shows; one that it names and does not get is an error.
+        package: Package whose folder holds the template.
+        template: Name of the template.
+        filters: Filters, available in the template by their names.
+        values: Values of the template's variables.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -36,7 +36,12 @@ def render(package: str, template: str, *filters: Callable[..., Any], **values: 
 
 
 def fixed(value: float | None, digits: int = 2) -> str:
-    """A number with so many decimals; a dash where there is none."""
+    """Return a number as text; a dash if it is missing.
+
+    Args:
+        value: Number, or None.
+        digits: Number of decimals.
+    """
     return NONE if value is None else f"{value:.{digits}f}".replace("-", "−")
 
 

@@ -1,4 +1,4 @@
-"""What happened in a session, read from the rows of its journal."""
+"""Reader of a session: the outcomes of its operations, from the rows of its journal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A whole session on a simulated cell: from landmarks to the motor threshold, and the folder that it leaves."""
+"""A whole session on a simulated cell, from landmarks to the motor threshold, and its folder."""
 
 from __future__ import annotations
 
