@@ -51,7 +51,7 @@ class Authority:
         self.folder = folder
         if not (folder / CERTIFICATE).is_file():
             raise ConfigurationError(
-                f"There is no authority in {folder}: `pcmrs pki init` makes one.", path=str(folder)
+                f"There is no authority in {folder}: `pcmrs pki init` creates one.", path=str(folder)
             )
 
     @classmethod
@@ -69,7 +69,7 @@ class Authority:
         """
         check_name(site)
         if (folder / KEY).exists() or (folder / CERTIFICATE).exists():
-            text = f"There is an authority in {folder} already: everything that it has issued would become worthless."
+            text = f"There is an authority in {folder} already: all certificates that it issued would become invalid."
             raise ConfigurationError(text, path=str(folder))
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         key = new_key()
@@ -153,7 +153,7 @@ class Authority:
         with self._register() as known:
             found = next((each for each in known if each.name == name), None)
             if found is None or found.revoked is not None:
-                why = "nobody has this name" if found is None else "it is revoked already"
+                why = "there is no such identity" if found is None else "it is revoked already"
                 raise ConfigurationError(f"{name} cannot be revoked: {why}; see `pcmrs pki list`.", name=name)
             revoked = msgspec.structs.replace(found, revoked=now)
             self._write([revoked if each is found else each for each in known])
@@ -162,16 +162,16 @@ class Authority:
     def _check(self, role: Role, name: str, days: float, hosts: Sequence[str], via: Sequence[str]) -> None:
         check_name(name)
         if role not in ROLES:
-            raise ConfigurationError(f"{role!r} is no role; choose {', '.join(ROLES)}.", role=role)
+            raise ConfigurationError(f"{role!r} is not a role; choose {', '.join(ROLES)}.", role=role)
         if not 0.0 < days <= MOST_DAYS:
             text = f"A certificate is valid for more than 0 days and {MOST_DAYS:g} at most, not {days:g}."
             raise ConfigurationError(text, days=days, limit=MOST_DAYS)
         if hosts and role not in INFRASTRUCTURE:
-            raise ConfigurationError(f"A {role} is not dialled: give no hosts.", role=role, hosts=list(hosts))
+            raise ConfigurationError(f"A {role} accepts no connections: give no hosts.", role=role, hosts=list(hosts))
         if via and role not in PEOPLE:
-            raise ConfigurationError(f"Routers carry what people send, nothing of a {role}.", role=role, via=list(via))
+            raise ConfigurationError(f"Routers forward messages of people, not of a {role}.", role=role, via=list(via))
         if role == "router" and not hosts:
-            raise ConfigurationError("A router is dialled: say at which hosts.", role=role)
+            raise ConfigurationError("A router accepts connections: give its hosts.", role=role)
 
     @contextmanager
     def _register(self) -> Iterator[list[Identity]]:
@@ -190,7 +190,9 @@ class Authority:
 def _refuse(role: Role, name: str, known: Sequence[Identity]) -> None:
     for each in known:
         if each.name == name and each.revoked is not None:
-            text = f"{name} was revoked, and its certificate would count again: choose another name, such as {name}2."
+            text = (
+                f"{name} was revoked: its certificate would become valid again. Choose another name, such as {name}2."
+            )
             raise ConfigurationError(text, name=name)
         if each.name == name and each.role != role:
             text = f"{name} has the role {each.role} already: choose another name for the {role}."

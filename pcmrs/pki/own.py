@@ -37,7 +37,7 @@ def read_credentials(folder: Path, now: float) -> Credentials:
     except (ValueError, TypeError, InvalidSignature):
         raise _wrong(folder, f"{name}.pem was not issued by {CERTIFICATE}") from None
     if [each.value for each in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)] != [name]:
-        raise _wrong(folder, f"{name}.pem is the certificate of somebody else")
+        raise _wrong(folder, f"{name}.pem is the certificate of another identity")
     for file, each in ((f"{name}.pem", certificate), (CERTIFICATE, authority)):
         _check_time(folder / file, each, now)
     return Credentials(
@@ -97,7 +97,7 @@ def _check_time(path: Path, certificate: x509.Certificate, now: float) -> None:
         text = f"{path} has expired on {_utc(ends)}: have a new one issued, `pcmrs pki issue`, or set the clock."
         raise ConfigurationError(text, file=str(path), ended=ends, now=now)
     if now < begins - CLOCKS_DIFFER:
-        text = f"{path} counts from {_utc(begins)} only, and it is {_utc(now)} here: set the clock."
+        text = f"{path} is valid from {_utc(begins)}, and the time here is {_utc(now)}: set the clock."
         raise ConfigurationError(text, file=str(path), begins=begins, now=now)
 
 
@@ -112,5 +112,5 @@ def _utc(wall: float) -> str:
 
 
 def _wrong(folder: Path, why: str) -> ConfigurationError:
-    text = f"{folder} is no identity as `pcmrs pki issue` makes it: {why}."
+    text = f"{folder} is not an identity from `pcmrs pki issue`: {why}."
     return ConfigurationError(text, folder=str(folder))

@@ -6,23 +6,23 @@ from pcmrs.fsm import Blueprint
 from pcmrs.messages import Verdict
 
 ADVICE = {
-    "bad_arguments": "Correct the arguments and ask again.",
-    "busy": "Ask again when what is running has ended.",
-    "daemon_ended": "Look where the robot is, and have it located again.",
-    "deadline_passed": "Look whether the device answers, then ask again.",
-    "event_operation": "Nothing: devices ask for it by themselves.",
-    "expired": "Ask again; compare the clocks if it was sent just now.",
-    "internal_operation": "Nothing: the workflow asks for it by itself.",
-    "latched": "Acknowledge the Stop once its cause is gone, then ask again.",
-    "lease_held": "Ask whoever holds the cell, or wait until they give it back.",
+    "bad_arguments": "Correct the arguments and try again.",
+    "busy": "Try again after the running operation has ended.",
+    "daemon_ended": "Check where the robot is, and locate it again.",
+    "deadline_passed": "Check whether the device answers, then try again.",
+    "event_operation": "None: devices request it themselves.",
+    "expired": "Try again; compare the clocks if it was sent just now.",
+    "internal_operation": "None: the workflow requests it itself.",
+    "latched": "Remove the cause of the Stop, acknowledge it, then try again.",
+    "lease_held": "Ask the holder of the cell, or wait until they release it.",
     "no_lease": "Take the lease of the cell first.",
-    "queue_full": "Wait for the answers, then ask again.",
-    "role_not_allowed": "Ask somebody whose role allows it.",
-    "stopped": "Acknowledge the Stop once its cause is gone, then ask again.",
+    "queue_full": "Wait for the answers, then try again.",
+    "role_not_allowed": "Ask a user whose role allows it.",
+    "stopped": "Remove the cause of the Stop, acknowledge it, then try again.",
     "unknown_operation": "Correct the name.",
 }
 """Advice by code, for reasons that do not contain it."""
-DOUBT = "Look at the patient and at the robot, then settle it: locate the arm after a motion, acknowledge otherwise."
+DOUBT = "Check the patient and the robot, then settle it: locate the arm after a motion, acknowledge otherwise."
 WRONG_TIME = frozenset(
     {"busy", "event_operation", "internal_operation", "invalid_in_state", "latched", "queue_full", "stopped"}
 )
@@ -49,7 +49,7 @@ def advise(verdict: Verdict, blueprint: Blueprint | None) -> str:
         return f"First bring {_branch(needed['branch'], needed['needed'], blueprint)}."
     if code == "invalid_in_state" and verdict.allowed:
         more = ", …" if len(verdict.allowed) > SHOWN else ""
-        return f"Possible was: {', '.join(verdict.allowed[:SHOWN])}{more}."
+        return f"Allowed: {', '.join(verdict.allowed[:SHOWN])}{more}."
     return ""
 
 

@@ -70,7 +70,7 @@ def _timeline(report: SessionReport) -> Figure:
     axes.set_yticks(range(len(report.branches)), [branch.name for branch in report.branches])
     axes.set_ylim(len(report.branches) - 0.4, -0.6)
     axes.set_xlim(0.0, whole / 60.0)
-    axes.set_xlabel("minutes since the beginning")
+    axes.set_xlabel("minutes since the start")
     axes.tick_params(axis="y", length=0)
     for side in ("top", "right", "left"):
         axes.spines[side].set_visible(False)
@@ -97,7 +97,7 @@ def _explain(figure: Figure, report: SessionReport) -> None:
     lines = [
         *([Line2D([], [], color=STOP, label="Stop")] if "stop" in kinds else []),
         *([Line2D([], [], color=FAULT, linestyle="--", label="fault")] if "fault" in kinds else []),
-        *([Line2D([], [], color="black", linestyle=":", label="the daemon begins anew")] if report.runs[1:] else []),
+        *([Line2D([], [], color="black", linestyle=":", label="the daemon restarted")] if report.runs[1:] else []),
     ]
     if lines:
         figure.legend(handles=lines, loc="outside upper right", ncols=3, frameon=False, fontsize=7)

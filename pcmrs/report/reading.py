@@ -85,7 +85,7 @@ def read_report(path: Path, session: str | None = None) -> SessionReport:
         raise
     except Exception as error:  # a row of another program may have a wrong type anywhere
         what = f"{type(error).__name__}: {error}"
-        text = f"{source.path} cannot be reported: a row holds what this program does not write ({what})."
+        text = f"{source.path} cannot be reported: a row holds a value that this program never writes ({what})."
         raise JournalError(text, path=str(source.path)) from error
 
 
@@ -277,7 +277,9 @@ class _ReportView:
         Args:
             restored: State that a daemon would restore after the session; None if the workflow is not installed.
         """
-        texts = [(stored, "It had begun when the session broke off.") for stored in self._journal.unfinished()]
+        texts = [
+            (stored, "It was in progress when the session ended unexpectedly.") for stored in self._journal.unfinished()
+        ]
         ended = [outcome for outcome in self._journal.not_accepted() if outcome.verdict.decision == "unknown"]
         rows = [(stored.sequence, stored.row, text) for stored, text in texts]
         rows += [(outcome.sequence, outcome.row, outcome.text) for outcome in ended]
@@ -346,7 +348,7 @@ class _ReportView:
             row = stored.row
             if stored.sequence in starts:
                 run = f"session {starts[stored.sequence].session}"
-                yield _entry(stored, what="The daemon begins", outcome="run", text=run)
+                yield _entry(stored, what="The daemon started", outcome="run", text=run)
             kind = _event_kind(row)
             if kind is not None:
                 text = str((row.result or {}).get("text", ""))
@@ -358,7 +360,7 @@ class _ReportView:
                     stored, what=operation_name(row), outcome=row.verdict.decision, text=text, state=row.verdict.state
                 )
             elif row.source == SHUTDOWN:
-                yield _entry(stored, what="The daemon ends in order", outcome="run", text="")
+                yield _entry(stored, what="The daemon ended in order", outcome="run", text="")
 
     def _title(self, name: str) -> str:
         branch, _, operation = name.partition(".")

@@ -93,7 +93,7 @@ def export_session(
     if not recordings:
         missing.append(f"recordings of the session in {settings.cell.path() / FOLDER}")
     if found.settings is None:
-        missing.append("the configuration of the session in the journal: the present one is here in its place")
+        missing.append("the configuration of the session in the journal: the present one is here instead")
     _check_room(folder, [*journal_files(journal), *recordings, *calibrations.values()])
     make_folder(folder)
     copy_journal(journal, folder / JOURNAL)
@@ -174,14 +174,14 @@ def _readme(exported: ExportReport, calibration: str) -> str:
 {JOURNAL}: the cell's journal with all its sessions, {exported.rows} rows, {sound};
   {head_path(Path(JOURNAL))}: its signed head; journal.pub: the key that proves it.
   pcmrs journal verify {JOURNAL}; pcmrs journal show {JOURNAL}
-{VERIFICATION}: what that verification said when this folder was made.
+{VERIFICATION}: result of that verification when this folder was made.
 configuration.toml: the whole configuration of the session; pcmrs-serve --config reads it.
 {VERSIONS}: of the programs, at the session and at this export.
-{FOLDER}: what was said on the bus (MCAP, for Foxglove, Rerun and pcmrs play). One that was copied while it was
-  written has no end: pcmrs repair.
+{FOLDER}: messages of the bus (MCAP, for Foxglove, Rerun and pcmrs play). A file that was copied while it
+  was written has no end: pcmrs repair.
 {CALIBRATION}: the calibration files as they are now; the journal calls the calibration in use {calibration or "-"}.
 SHA256SUMS: sha256sum --check SHA256SUMS
 
-Not here, though it was looked for:
+Missing:
 {lost}
 """

@@ -44,7 +44,7 @@ def make_folder(folder: Path) -> None:
         OSError: It cannot be created.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        text = f"{folder} is there already, and is not empty: name another folder, or move it away."
+        text = f"{folder} already exists and is not empty: name another folder, or move it away."
         raise ConfigurationError(text, folder=str(folder))
     folder.mkdir(parents=True, exist_ok=True)
 

@@ -112,7 +112,7 @@ def _journal_in(folder: Path) -> Path:
     if len(journals) == 1:
         return journals[0]
     reason = "More than one journal is" if journals else "There is no journal"
-    names = f": {', '.join(path.name for path in journals)}; name the one" if journals else ""
+    names = f": {', '.join(path.name for path in journals)}; name one" if journals else ""
     raise JournalError(f"{reason} in {folder}{names}.", path=str(folder))
 
 

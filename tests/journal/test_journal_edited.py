@@ -109,7 +109,7 @@ def test_a_journal_that_calls_itself_older_still_needs_its_head(path: Path, kind
 @pytest.mark.parametrize("sequence", [9, 10])
 def test_a_row_entered_under_other_keys_is_told(path: Path, change: str, sequence: int) -> None:
     edit(path, f"UPDATE journal SET {change} WHERE sequence = {sequence}")
-    check_told(path, sequence, "is entered under other keys")
+    check_told(path, sequence, "is stored under wrong keys")
 
 
 def make_index(path: Path, name: str, condition: str) -> None:
@@ -141,7 +141,7 @@ def test_an_index_with_more_than_the_rows_is_told_by_verify(path: Path) -> None:
 def test_a_journal_without_one_of_its_guards_is_told_though_all_rows_are_good(path: Path, guard: str) -> None:
     with closing(sqlite3.connect(path)) as connection:
         connection.execute(f"DROP TRIGGER {guard}")
-    with pytest.raises(JournalError, match=f"was changed: {guard} is not as"):
+    with pytest.raises(JournalError, match=f"was changed: {guard} differs from"):
         Journal.open(path)
     found = verify(path)
     assert (found.first_bad, found.rows, found.sound) == (None, 18, False)
@@ -154,5 +154,5 @@ def test_a_journal_without_one_of_its_guards_is_told_though_all_rows_are_good(pa
 )
 def test_what_no_row_holds_is_told(record: tuple[Any, ...]) -> None:
     """As a damaged page may have it, whatever the table allows."""
-    with pytest.raises(JournalError, match="does not hold what a row holds"):
+    with pytest.raises(JournalError, match="does not have the content of a row"):
         stored_row(Path("journal.sqlite"), record)

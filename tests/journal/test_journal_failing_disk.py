@@ -193,7 +193,7 @@ async def test_a_journal_whose_very_first_write_failed_begins_with_the_next_one(
     ("chained", "with_key", "word"),
     [
         (False, False, "row 2"),
-        (True, False, "Somebody without the key has written it"),
+        (True, False, "It was written without the key"),
         (True, True, "another program has written rows"),
     ],
 )

@@ -160,6 +160,6 @@ class Operator:
 
 def refused(verdict: Verdict) -> CommandRefusedError:
     """Return the error for a verdict that did not accept."""
-    why = "nobody knows why." if verdict.reason is None else verdict.reason.text
+    why = "the reason is unknown." if verdict.reason is None else verdict.reason.text
     name = f"{verdict.branch}.{verdict.operation}"
     return CommandRefusedError(f"{name} was {verdict.decision} in {verdict.state}: {why}", verdict=verdict)

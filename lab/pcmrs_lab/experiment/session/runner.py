@@ -103,7 +103,7 @@ class SessionRunner:
         while (state := await operator.state("threshold")) == "hunting":
             result = await self._pulse("threshold.pulse", "hunting the threshold")
         if state != "found":
-            raise CommandRefusedError(f"No threshold was found: {result.get('refusal', 'nobody knows why')}.")
+            raise CommandRefusedError(f"No threshold was found: {result.get('refusal', 'the reason is unknown')}.")
 
     async def _pulse(self, name: str, doing: str) -> dict[str, Any]:
         """Give one pulse as soon as it is allowed, and return its result. Raises `CommandRefusedError`."""
@@ -113,7 +113,7 @@ class SessionRunner:
         result = verdict.result or {}
         self._wasted = 0 if result.get("counted") else self._wasted + 1
         if self._wasted == WASTED:
-            why = result.get("problem_text", "nobody knows why.")
+            why = result.get("problem_text", "the reason is unknown.")
             raise CommandRefusedError(f"{WASTED} pulses in a row do not count. The last one: {why}")
         return result
 
