@@ -112,11 +112,11 @@ def _landmarks(registration: ReportedRegistration) -> Figure:
     axes.set_yticks(range(len(landmarks)), [landmark.name.replace("_", " ") for landmark in landmarks])
     axes.invert_yaxis()
     if registration.residual_mm is not None:
-        told = f"mean {registration.residual_mm:.2f} mm"
-        axes.axvline(registration.residual_mm, color="#1d2329", linewidth=1.2, label=told)
+        label = f"mean {registration.residual_mm:.2f} mm"
+        axes.axvline(registration.residual_mm, color="#1d2329", linewidth=1.2, label=label)
     if registration.residual_limit_mm is not None:
-        told = f"limit of the mean {registration.residual_limit_mm:.1f} mm"
-        axes.axvline(registration.residual_limit_mm, color=STOP, linestyle="--", linewidth=1.2, label=told)
+        label = f"limit of the mean {registration.residual_limit_mm:.1f} mm"
+        axes.axvline(registration.residual_limit_mm, color=STOP, linestyle="--", linewidth=1.2, label=label)
     axes.set_xlim(left=0.0)
     axes.set_xlabel("distance after the fit, mm")
     _bare(axes)

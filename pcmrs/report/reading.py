@@ -379,16 +379,16 @@ def _runs(rows: Sequence[StoredRow]) -> list[ReportedRun]:
     """Return the runs of the daemon, by the sessions that the rows name."""
     found = []
     for session, group in itertools.groupby(rows, key=lambda stored: stored.row.session_id):
-        own = list(group)
+        rows_of_run = list(group)
         found.append(
             ReportedRun(
                 session=session,
-                begun=own[0].row.wall,
-                ended=own[-1].row.wall,
-                in_order=any(stored.row.source == SHUTDOWN for stored in own),
-                patient=_patient(own),
-                first=own[0].sequence,
-                last=own[-1].sequence,
+                begun=rows_of_run[0].row.wall,
+                ended=rows_of_run[-1].row.wall,
+                in_order=any(stored.row.source == SHUTDOWN for stored in rows_of_run),
+                patient=_patient(rows_of_run),
+                first=rows_of_run[0].sequence,
+                last=rows_of_run[-1].sequence,
             )
         )
     return found

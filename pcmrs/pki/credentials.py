@@ -50,11 +50,11 @@ def read_credentials(folder: Path, now: float) -> Credentials:
     )
 
 
-def check_registered(own: Credentials, members: Iterable[Identity], role: Role, cell: str = "") -> None:
+def check_registered(credentials: Credentials, members: Iterable[Identity], role: Role, cell: str = "") -> None:
     """Require that the register has the identity of this process: without it, its rights are unknown.
 
     Args:
-        own: Credentials of the process.
+        credentials: Credentials of the process.
         members: Identities in the register.
         role: Role of the process.
         cell: Cell that it serves, ``<site>/<cell>``; empty for a router.
@@ -63,7 +63,7 @@ def check_registered(own: Credentials, members: Iterable[Identity], role: Role, 
         ConfigurationError: The register lacks the identity, has revoked it, or has it with another role or for other
             cells.
     """
-    found = next((each for each in members if each.name == own.name), None)
+    found = next((each for each in members if each.name == credentials.name), None)
     wrong = None
     if found is None:
         wrong = "is not in the register: copy the authority's present one"
@@ -74,7 +74,7 @@ def check_registered(own: Credentials, members: Iterable[Identity], role: Role, 
     elif cell and not found.in_cell(cell):
         wrong = f"may serve {' '.join(found.cells)}, not {cell}: have one issued for this cell"
     if wrong is not None:
-        raise ConfigurationError(f"{own.name} {wrong}.", name=own.name, role=role, cell=cell)
+        raise ConfigurationError(f"{credentials.name} {wrong}.", name=credentials.name, role=role, cell=cell)
 
 
 def _only_key(folder: Path) -> Path:
