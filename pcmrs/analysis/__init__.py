@@ -1,1 +1,1 @@
-"""What recorded placements and pose logs say about accuracy."""
+"""Analysis of placements, pose logs and sessions with stimulation: errors, tables and figures."""

@@ -1,7 +1,7 @@
-"""Tables and sidecars as the Brain Imaging Data Structure has them (BIDS 1.10, "Common principles", tabular files).
+"""Tables and sidecars of the Brain Imaging Data Structure (BIDS 1.10, "Common principles", tabular files).
 
-Columns are parted by tabs, values that are missing are ``n/a``, truth values are ``true`` and ``false``, and every
-column is described in a JSON file of the same name.
+Columns are separated by tabs, missing values are ``n/a``, truth values are ``true`` and ``false``, and each column is
+described in a JSON file of the same name.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ R = TypeVar("R")
 MISSING = "n/a"
 VERSION = "1.10.0"
 DIGITS = 7
-"""Of a number that is written: beyond what anything here is measured to."""
+"""Significant digits of written numbers: more than any measurement here has."""
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ class Column(Generic[R]):
     """One column of a table.
 
     Attributes:
-        name: In snake case.
-        description: For people.
-        value: Of a row; None where it is missing.
-        units: Of its numbers; none for text.
-        levels: What its words mean.
+        name: Name in snake case.
+        description: Description for people.
+        value: Returns the value of a row; None if it is missing.
+        units: Unit of its numbers; empty for text.
+        levels: Meaning of its words.
     """
 
     name: str
@@ -43,7 +43,7 @@ class Column(Generic[R]):
     levels: Mapping[str, str] | None = None
 
     def described(self) -> dict[str, Any]:
-        """Its entry in the sidecar."""
+        """Return its entry in the sidecar."""
         entry: dict[str, Any] = {"Description": self.description}
         if self.units:
             entry["Units"] = self.units
@@ -53,13 +53,13 @@ class Column(Generic[R]):
 
 
 def write_table(path: Path, columns: Sequence[Column[R]], rows: Iterable[R], **fields: Any) -> None:
-    """Write a table and its sidecar, whose name ends in ``.json`` instead; both folders and files are new.
+    """Write a table and its sidecar, whose name ends in ``.json`` instead.
 
     Args:
-        path: Ending in ``.tsv``, or ``.tsv.gz`` for a table that is packed.
-        columns: In order.
-        rows: In order.
-        fields: Of the sidecar, before its columns.
+        path: File of the table, ending in ``.tsv``, or ``.tsv.gz`` to compress it; its folder is created.
+        columns: Columns, in order.
+        rows: Rows, in order.
+        fields: Fields of the sidecar before its columns.
     """
     lines = ["\t".join(column.name for column in columns)]
     lines += ["\t".join(cell(column.value(row)) for column in columns) for row in rows]
@@ -71,13 +71,18 @@ def write_table(path: Path, columns: Sequence[Column[R]], rows: Iterable[R], **f
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a sidecar, or another file of keys and values."""
+    """Write a sidecar, or another JSON file.
+
+    Args:
+        path: File; its folder is created.
+        content: Keys and values.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(msgspec.json.format(msgspec.json.encode(content), indent=2) + b"\n")
 
 
 def cell(value: Any) -> str:
-    """A value as a table has it: a number without noise in its last digits, text on one line."""
+    """Return a value as the text of a table cell: numbers without noise in their last digits, text on one line."""
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return MISSING
     if isinstance(value, bool):
@@ -88,5 +93,5 @@ def cell(value: Any) -> str:
 
 
 def label(text: str) -> str:
-    """What is left of a name in a file's name: letters and digits."""
+    """Return the letters and digits of a name, for the name of a file."""
     return re.sub(r"[^A-Za-z0-9]", "", text) or "unknown"

@@ -1,6 +1,6 @@
-"""The map of a hot-spot search on the head: expected amplitudes, the pulses, and where the hot-spot is.
+"""Map of a hot-spot search on the head: expected amplitudes, pulses, and hot-spot.
 
-An orthographic view of the shaded skin, drawn triangle by triangle, and the map as a mesh of its own that lies on it.
+It is an orthographic view of the shaded skin, drawn triangle by triangle, with the map as a separate mesh on it.
 """
 
 from __future__ import annotations
@@ -21,31 +21,31 @@ if TYPE_CHECKING:
 
 SKIN = np.array((0.87, 0.84, 0.81))
 LIGHT = np.array((-0.35, 0.45, 0.82))
-"""Direction to the light in the view, right, up and towards the viewer."""
+"""Direction to the light in the view: right, up and towards the viewer."""
 
 AMBIENT = 0.35
 COLOURS = "viridis"
 LEAST_UV = 10.0
-"""Darkest colour of a map: the noise of an electromyogram."""
+"""Amplitude of the darkest colour, µV: the noise of an electromyogram."""
 
 CIRCLES, SPOKES = 14, 48
-"""Points of the map's own mesh."""
+"""Circles and points per circle of the map's mesh."""
 
 VIEW = (0.75, 0.45, 0.5)
-"""From where the head is seen: from the side of the map (x), a little from the front and above."""
+"""Direction to the viewer: the side of the map (x), a little to the front and above."""
 
 MARGIN_MM = 9.0
 ARROW_MM = 9.0
 
 
 def hotspot_figure(mesh: Mesh, search: HotspotSearch, title: str, truth: Transform | None = None) -> Figure:
-    """The head with the map, and the map from straight above with all pulses.
+    """Return the head with the map, and the map from straight above with all pulses.
 
     Args:
-        mesh: The head, in the image, m.
-        search: With at least one pulse.
-        title: Above the figure.
-        truth: ``image_from_coil`` of the true hot-spot, in a simulation.
+        mesh: Surface of the head in the image, m.
+        search: Search with at least one pulse.
+        title: Title of the figure.
+        truth: ``image_from_coil`` of the true hot-spot; None if it is unknown.
     """
     figure = new_figure(width=11.0, height=5.2)
     figure.suptitle(title)
@@ -58,7 +58,13 @@ def hotspot_figure(mesh: Mesh, search: HotspotSearch, title: str, truth: Transfo
 
 
 def draw_head(axes: Axes, mesh: Mesh, search: HotspotSearch) -> None:
-    """The whole head from the side of the map."""
+    """Draw the whole head from the side of the map.
+
+    Args:
+        axes: Axes to be drawn into.
+        mesh: Surface of the head in the image, m.
+        search: Search with at least one pulse.
+    """
     middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2.0
     side = 1.0 if search.places[0].position[0] >= middle[0] else -1.0
     view = _looking_from(np.array((side * VIEW[0], *VIEW[1:])), middle)
@@ -70,7 +76,17 @@ def draw_head(axes: Axes, mesh: Mesh, search: HotspotSearch) -> None:
 
 
 def draw_map(axes: Axes, mesh: Mesh, search: HotspotSearch, truth: Transform | None = None) -> Any:
-    """The map from straight above its centre, +y of the coil upwards; what a colour bar is made for."""
+    """Draw the map from straight above its centre, +y of the coil upwards.
+
+    Args:
+        axes: Axes to be drawn into.
+        mesh: Surface of the head in the image, m.
+        search: Search with at least one pulse.
+        truth: ``image_from_coil`` of the true hot-spot; None if it is unknown.
+
+    Returns:
+        The coloured mesh, for a colour bar.
+    """
     view = as_transform(search.places[0]).inverse()
     _draw_skin(axes, mesh, view)
     colours = _draw_expected(axes, search, view)
@@ -89,7 +105,7 @@ def draw_map(axes: Axes, mesh: Mesh, search: HotspotSearch, truth: Transform | N
 
 
 def _draw_skin(axes: Axes, mesh: Mesh, view: Transform) -> None:
-    """Triangles that face the viewer, the farthest first, in the light (J. H. Lambert, Photometria, 1760)."""
+    """Draw the shaded triangles that face the viewer, the farthest first (J. H. Lambert, Photometria, 1760)."""
     from matplotlib.collections import PolyCollection
 
     seen = (view @ mesh.vertices * 1e3)[mesh.faces]
@@ -105,7 +121,7 @@ def _draw_skin(axes: Axes, mesh: Mesh, view: Transform) -> None:
 
 
 def _draw_expected(axes: Axes, search: HotspotSearch, view: Transform) -> Any:
-    """Expected amplitudes over the region, with the handle as it is best, on a mesh of spokes over the scalp."""
+    """Draw the expected amplitudes over the region at the best handle direction, on a mesh of spokes on the scalp."""
     from matplotlib.colors import LogNorm
     from matplotlib.tri import Triangulation
 
@@ -124,7 +140,7 @@ def _draw_expected(axes: Axes, search: HotspotSearch, view: Transform) -> Any:
 
 
 def _spokes(reach: float) -> Floats:
-    """Points of a hexagon whose corners are at `reach`, on spokes from its middle, (1 + CIRCLES SPOKES, 2)."""
+    """Return points of a hexagon with corners at `reach`, on spokes from its middle, (1 + CIRCLES SPOKES, 2)."""
     angles = np.linspace(0.0, 2.0 * np.pi, SPOKES, endpoint=False)
     border = reach * np.cos(np.pi / 6.0) / np.cos(angles % (np.pi / 3.0) - np.pi / 6.0)
     rim = border[:, None] * np.column_stack((np.cos(angles), np.sin(angles)))
@@ -133,7 +149,7 @@ def _spokes(reach: float) -> Floats:
 
 
 def _draw_directions(axes: Axes, view: Transform, size_mm: float) -> None:
-    """Where right, anterior and superior are, in a corner."""
+    """Draw the directions right, anterior and superior in a corner."""
     corner = np.array((-0.55, -0.45)) * size_mm
     axes.set(xlim=(-0.7 * size_mm, 0.7 * size_mm), ylim=(-0.6 * size_mm, 0.6 * size_mm))
     for name, axis in zip(("right", "anterior", "superior"), view.rotation[:2].T, strict=True):
@@ -143,7 +159,7 @@ def _draw_directions(axes: Axes, view: Transform, size_mm: float) -> None:
 
 
 def _draw_pulses(axes: Axes, search: HotspotSearch, view: Transform) -> None:
-    """A dot at every pulse with a line along its +y, black where it was answered."""
+    """Draw a dot at each pulse with a line along its +y, black for a response."""
     poses = [view @ as_transform(pulse.image_from_coil) for pulse in search.pulses]
     at = np.array([pose.translation[:2] for pose in poses]) * 1e3
     along = np.array([pose.rotation[:2, 1] for pose in poses]) * ARROW_MM / 3.0
@@ -161,7 +177,7 @@ def _draw_pulses(axes: Axes, search: HotspotSearch, view: Transform) -> None:
 
 
 def _draw_coil(axes: Axes, pose: Transform, colour: str, marker: str, label: str) -> None:
-    """A pose: where it is, and the direction of +y."""
+    """Draw the position of a pose and the direction of its +y."""
     at, along = pose.translation[:2] * 1e3, pose.rotation[:2, 1] * ARROW_MM
     axes.annotate(
         "", tuple(at + along), tuple(at), arrowprops={"arrowstyle": "->", "color": colour, "linewidth": 2.0}, zorder=5
@@ -174,7 +190,7 @@ def _draw_coil(axes: Axes, pose: Transform, colour: str, marker: str, label: str
 
 
 def _looking_from(direction: Floats, middle: Floats) -> Transform:
-    """The view of somebody who looks at `middle` from a direction, z of the image upwards."""
+    """Return the view towards `middle` from a direction, z of the image upwards."""
     towards = direction / np.linalg.norm(direction)
     right = np.cross((0.0, 0.0, 1.0), towards)
     right /= np.linalg.norm(right)

@@ -1,6 +1,7 @@
-"""The responses: one row for every pulse, and the signals that they were judged by. Tables of our own, in BIDS style.
+"""Tables of the responses and their signals, in BIDS style: one row for each pulse.
 
-NIBS-BIDS leaves responses to the modality that recorded them; BIDS has no table of motor evoked potentials.
+The tables are our own: NIBS-BIDS leaves responses to the modality that recorded them, and BIDS has no table of motor
+evoked potentials.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ Sample = tuple[int, float, float]
 
 
 def _of_mep(value: Callable[[Mep], Any]) -> Callable[[PulseRecord], Any]:
-    """A value of the measurement, where there is one."""
+    """Return a function for a value of the measurement; it returns None for a pulse without one."""
     return lambda pulse: None if pulse.mep is None else value(pulse.mep)
 
 
@@ -54,7 +55,12 @@ SAMPLES: tuple[Column[Sample], ...] = (
 
 
 def write_meps(record: SessionRecord, dataset: Path) -> None:
-    """Write table and signals into the folder of a derived dataset."""
+    """Write table and signals.
+
+    Args:
+        record: The session.
+        dataset: Folder of a derived dataset.
+    """
     name = f"sub-{subject_label(record)}"
     stem = f"{name}_task-{TASK}"
     settings = record.mep_settings
@@ -70,7 +76,7 @@ def write_meps(record: SessionRecord, dataset: Path) -> None:
 
 
 def _samples(record: SessionRecord) -> Iterator[Sample]:
-    """Of all signals, one after the other."""
+    """Yield the samples of all signals, one after the other."""
     for pulse in record.pulses:
         epoch = pulse.epoch
         if epoch is not None:

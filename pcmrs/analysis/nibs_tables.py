@@ -1,7 +1,7 @@
-"""What was delivered, when and where: the files of the NIBS-BIDS proposal (BEP037), version 6.3.
+"""Tables of the stimulation: the files of the NIBS-BIDS proposal (BEP037), version 6.3.
 
-``*_nibs.tsv`` has one row for every set of parameters, ``*_events.tsv`` one for every pulse, ``*_markers.tsv`` one for
-every position, and ``*_coordsystem.json`` says what the positions mean. The proposal is not part of BIDS yet.
+``*_nibs.tsv`` has one row for each set of parameters, ``*_events.tsv`` one for each pulse, ``*_markers.tsv`` one for
+each position, and ``*_coordsystem.json`` describes the coordinates. The proposal is not part of BIDS yet.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ ALGORITHMS = {"ml": "maximum likelihood", "relative_frequency": "relative freque
 
 @dataclass(frozen=True)
 class Position:
-    """A row of the markers: ``image_from_coil``, and what it is."""
+    """A row of the markers: a pose, ``image_from_coil``, and its purpose."""
 
     id: str
     group: str
@@ -38,17 +38,17 @@ class Position:
 
 
 def subject_label(record: SessionRecord) -> str:
-    """Of the subject in names of files; every seed of a simulation is another subject."""
+    """Return the subject's label in file names; each seed of a simulation is another subject."""
     return label(record.subject) + ("" if record.seed is None else str(record.seed))
 
 
 def event_id(pulse: PulseRecord) -> str:
-    """Of the pulse's set of parameters: single pulses differ by their intensity only."""
+    """Return the id of a pulse's set of parameters: single pulses differ in their intensity only."""
     return f"single-{pulse.intensity:g}"
 
 
 def position_id(pulse: PulseRecord) -> str:
-    """Of the coil's position at the pulse."""
+    """Return the id of the coil's position at a pulse."""
     return f"pulse-{pulse.pulse:03d}"
 
 
@@ -74,7 +74,7 @@ PARAMETERS: tuple[Column[PulseRecord], ...] = (
 
 
 def _axis(name: str, what: str, index: int) -> list[Column[Position]]:
-    """Three columns of one axis of the coil."""
+    """Return the three columns of one axis of the coil."""
 
     def component(number: int) -> Column[Position]:
         def value(position: Position) -> float:
@@ -103,7 +103,12 @@ MARKERS: tuple[Column[Position], ...] = (
 
 
 def write_nibs(record: SessionRecord, dataset: Path) -> None:
-    """Write the files of the proposal into a dataset's folder."""
+    """Write the files of the proposal.
+
+    Args:
+        record: The session.
+        dataset: Folder of the dataset.
+    """
     name = f"sub-{subject_label(record)}"
     stem = f"{name}_task-{TASK}"
     folder = dataset / name / "nibs"
@@ -118,7 +123,12 @@ def write_nibs(record: SessionRecord, dataset: Path) -> None:
 
 
 def description(record: SessionRecord, kind: str) -> dict[str, Any]:
-    """``dataset_description.json``; it says at once what is simulated."""
+    """Return the content of ``dataset_description.json``; its name starts with "Simulated" if it was.
+
+    Args:
+        record: The session.
+        kind: Type of the dataset: ``raw`` or ``derivative``.
+    """
     simulated = "Simulated: " if record.simulated else ""
     return {
         "Name": f"{simulated}motor hot-spot and motor threshold by robotic TMS",
@@ -129,7 +139,7 @@ def description(record: SessionRecord, kind: str) -> dict[str, Any]:
 
 
 def coordinate_system(record: SessionRecord) -> dict[str, Any]:
-    """``*_coordsystem.json``: where positions are, and how the head was registered."""
+    """Return the content of ``*_coordsystem.json``: coordinates of positions, and registration of the head."""
     text = "The image that was planned in: x to the right, y to the front, z up (RAS). "
     text += "The body was registered to it by anatomical landmarks; the tracker measured the coil."
     system: dict[str, Any] = {
@@ -160,7 +170,7 @@ def coordinate_system(record: SessionRecord) -> dict[str, Any]:
 
 
 def _about(record: SessionRecord, timeline: str) -> dict[str, Any]:
-    """What ``*_nibs.json`` says beside its columns."""
+    """Return the fields of ``*_nibs.json`` before its columns."""
     device = "simulated" if record.simulated else "unknown"
     return {
         "TaskName": TASK,

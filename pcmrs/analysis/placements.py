@@ -1,7 +1,4 @@
-"""Errors of recorded placements, as the paper has them.
-
-Mean, standard deviation and maximum of a series.
-"""
+"""Errors of placements as defined in the paper, and the mean, standard deviation and maximum of a series."""
 
 from __future__ import annotations
 
@@ -16,10 +13,10 @@ from pcmrs.spatial import Floats, Transform, rotation_angle
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What a series comes to, in its own unit.
+    """Summary of a series, in its unit.
 
     Attributes:
-        sd: Standard deviation of a sample (n - 1); None for one value, which has none.
+        sd: Standard deviation of a sample (n - 1); None for a single value.
     """
 
     mean: float
@@ -28,7 +25,7 @@ class Summary:
 
 
 def summarize(values: npt.ArrayLike) -> Summary:
-    """Of one or more values (N,)."""
+    """Return the summary of one or more values (N,)."""
     series = np.asarray(values, dtype=float)
     sd = float(series.std(ddof=1)) if len(series) > 1 else None
     return Summary(float(series.mean()), sd, float(series.max()))
@@ -36,11 +33,11 @@ def summarize(values: npt.ArrayLike) -> Summary:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlacementError:
-    """How far a measured pose is from the planned one.
+    """Error of a measured pose against the planned one.
 
     Attributes:
-        vector: Of the translation, in the measured tool's axes, m, (3,).
-        angle: Of the rotation, in [0, pi] rad.
+        vector: Translation error in the measured tool's axes, m, (3,).
+        angle: Rotation error, in [0, pi] rad.
     """
 
     vector: Floats
@@ -53,14 +50,14 @@ class PlacementError:
 
 
 def placement_error(planned: Transform, measured: Transform, standoff: float) -> PlacementError:
-    """``R_m^T (t_m - t_p) - s e_z`` and the angle of ``R_p^T R_m``.
+    """Return the error ``R_m^T (t_m - t_p) - s e_z`` and the angle of ``R_p^T R_m``.
 
     Liu, Kheradmand, Armand, Toward Process Controlled Medical Robotic System (2023).
 
     Args:
-        planned: ``image_from_tool``.
-        measured: ``image_from_tool``.
-        standoff: Distance s along the tool's z axis at which the tool was to stand before the planned pose, m.
+        planned: Planned pose, ``image_from_tool``.
+        measured: Measured pose, ``image_from_tool``.
+        standoff: Distance s along the tool's z axis at which the tool was to stop before the planned pose, m.
     """
     tool_from_plan = measured.rotation.T @ (measured.translation - planned.translation)
     return PlacementError(tool_from_plan - np.array((0.0, 0.0, standoff)), rotation_angle(planned, measured))
@@ -68,11 +65,11 @@ def placement_error(planned: Transform, measured: Transform, standoff: float) ->
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlacementTrial:
-    """A placement on record.
+    """A placement with its standoff.
 
     Attributes:
-        placement: The planned and the measured pose.
-        standoff: How far along the tool's z axis it was to end before the planned pose, m.
+        placement: Planned and measured pose.
+        standoff: Distance along the tool's z axis at which the tool was to stop before the planned pose, m.
     """
 
     placement: Placement
@@ -80,5 +77,5 @@ class PlacementTrial:
 
     @property
     def error(self) -> PlacementError:
-        """Of the placement, its standoff taken off."""
+        """Error of the placement without its standoff."""
         return placement_error(self.placement.planned, self.placement.measured, self.standoff)

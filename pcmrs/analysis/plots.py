@@ -1,10 +1,6 @@
-"""What all figures share: size, colours that colour-blind people tell apart, and how they are saved.
+"""Figures of placements, pose logs and motor evoked potentials, and the parts that all figures share.
 
-The paper's picture of placements: errors per trial, and the error vectors where the targets are.
-
-A pose log as a picture: how each pose moves around its mean.
-
-Motor evoked potentials as a picture: one waveform below the other, as the paper's figure shows those of subjects.
+Placements and waveforms are drawn as in the paper's figures. People with colour blindness can distinguish the colours.
 """
 
 from __future__ import annotations
@@ -34,26 +30,44 @@ DPI = 150
 
 
 def new_figure(width: float = 10.0, height: float = 4.5) -> Figure:
-    """An empty figure, `width` by `height` inches, that makes room for its labels."""
+    """Return an empty figure that makes room for its labels.
+
+    Args:
+        width: Width, inches.
+        height: Height, inches.
+    """
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def save_png(figure: Figure, path: Path) -> None:
-    """Write the figure as a PNG file. Raises `OSError` when that cannot be written."""
+    """Write a figure as a PNG file.
+
+    Args:
+        figure: The figure.
+        path: File to be written.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
     figure.savefig(path, format="png", dpi=DPI)
 
 
 ARROW_SHARE = 0.25
-"""Length of the longest arrow against the extent of the targets."""
+"""Length of the longest arrow as a share of the extent of the targets."""
 
 SMALLEST_EXTENT_MM = 10.0
-"""Of targets that are one and the same."""
+"""Extent used for targets at a single point, mm."""
 
 
 def placement_figure(trials: Sequence[PlacementTrial], title: str) -> Figure:
-    """Two panels of one or more placements: both errors of each trial; error vectors at the targets, in the image."""
+    """Return two panels: both errors of each trial, and the error vectors at the targets in the image.
+
+    Args:
+        trials: One or more placements.
+        title: Title of the figure.
+    """
     figure = new_figure()
     figure.suptitle(title)
     errors = [item.error for item in trials]
@@ -93,12 +107,12 @@ def _draw_vectors(axes: Any, targets_mm: Floats, vectors_mm: Floats) -> None:
         getattr(axes, f"set_{name}lim")(center - half, center + half)
         getattr(axes, f"set_{name}label")(f"{name}, mm")
     axes.locator_params(nbins=5)
-    axes.set_box_aspect(None, zoom=0.85)  # or the outermost label is cut off
+    axes.set_box_aspect(None, zoom=0.85)  # at full size the outermost label is cut off
     axes.legend(loc="upper left")
 
 
 def pose_log_figure(log: PoseLog) -> Figure:
-    """One panel per row name: translation against its median, per axis in mm; gaps stay gaps."""
+    """Return one panel per row name: translation against its median, per axis in mm; gaps stay gaps."""
     figure = new_figure(height=7.0)
     figure.suptitle(log.name)
     panels = figure.subplots(len(log.poses), 1, sharex=True)
@@ -117,26 +131,36 @@ def pose_log_figure(log: PoseLog) -> Figure:
 
 
 HEIGHT, MOST = 1.5, 12
-"""Of a waveform, inches; more of them get lower."""
+"""Height of a waveform, inches, and the number of waveforms beyond which the height shrinks."""
 
 SHOWN_BEFORE, SHOWN_AFTER = 0.020, 0.030
-"""How much is shown before the pulse and after the window, s."""
+"""Time shown before the pulse and after the window, s."""
 
 GRAY = "#777777"
 
 
 def draw_mep(file: Path, epochs: Sequence[Epoch], meps: Sequence[Mep], settings: MepSettings) -> None:
-    """Save `mep_figure` as a PNG file. Raises `OSError` when that cannot be written."""
+    """Save `mep_figure` as a PNG file.
+
+    Args:
+        file: File to be written.
+        epochs: Signals; at least one.
+        meps: Results of `judge_mep` for them, in the same order.
+        settings: Settings of `judge_mep`.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
     save_png(mep_figure(epochs, meps, settings), file)
 
 
 def mep_figure(epochs: Sequence[Epoch], meps: Sequence[Mep], settings: MepSettings) -> Figure:
-    """The waveforms without offset and hum, with the window, the two peaks and the beginning of the response.
+    """Return the waveforms without offset and hum, with the window, the two peaks and the onset of the response.
 
     Args:
-        epochs: At least one; each is drawn to its own scale.
-        meps: What `judge_mep` said of them, in the same order.
-        settings: That it was told.
+        epochs: Signals; at least one. Each has its own scale.
+        meps: Results of `judge_mep` for them, in the same order.
+        settings: Settings of `judge_mep`.
     """
     figure = new_figure(width=8.0, height=1.2 + HEIGHT * min(len(epochs), MOST))
     panels = figure.subplots(len(epochs), 1, sharex=True, squeeze=False)[:, 0]
@@ -166,7 +190,7 @@ def _draw_waveform(axes: Axes, epoch: Epoch, mep: Mep, settings: MepSettings) ->
 
 
 def _limits(times: Floats, samples: Floats, settings: MepSettings) -> tuple[float, float]:
-    """So that the response fills the panel, and the stimulus artefact is cut off; V."""
+    """Return limits, V, for which the response fills the panel and the stimulus artefact is cut off."""
     window = samples[(times >= settings.window_start) & (times <= settings.window_end)]
     room = max(0.15 * float(np.ptp(window)), 0.5 * settings.threshold_uv * 1e-6)
     return float(window.min()) - room, float(window.max()) + room
@@ -174,6 +198,6 @@ def _limits(times: Floats, samples: Floats, settings: MepSettings) -> tuple[floa
 
 def _title(epoch: Epoch, mep: Mep) -> str:
     flags = [name for name in ("preactivated", "saturated", "artefact") if getattr(mep, name)]
-    said = ", ".join(flags) if flags else ("response" if mep.present else "no response")
+    verdict = ", ".join(flags) if flags else ("response" if mep.present else "no response")
     latency = "" if mep.latency is None else f", from {mep.latency * 1e3:.1f} ms"
-    return f"{epoch.muscle}, pulse {epoch.pulse}: {mep.peak_to_peak * 1e6:.0f} µV peak to peak{latency}: {said}"
+    return f"{epoch.muscle}, pulse {epoch.pulse}: {mep.peak_to_peak * 1e6:.0f} µV peak to peak{latency}: {verdict}"

@@ -1,4 +1,4 @@
-"""What a pose log says about a tracker: jitter, drift, frozen frames, dropouts, and whether its rows agree."""
+"""Analysis of a pose log: jitter, drift, frozen frames and dropouts of the tracker, and agreement of the rows."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from pcmrs.formats.pose_log import ROWS, PoseLog
 from pcmrs.spatial import Floats, Transform, distance, mean_transform, rotation_angle
 
 FEWEST = 3
-"""Poses that leave a degree of freedom after a straight line."""
+"""Smallest number of poses that leaves a degree of freedom after fitting a straight line."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PoseJitter:
-    """How a pose that should stand still moves; each (3,).
+    """Jitter and drift of a pose that should stand still; each (3,).
 
     Attributes:
         jitter: Standard deviation of the translation per axis of the parent frame, after a straight line over the
             samples is removed (n - 2), m.
-        rotation_jitter: The same of the rotation vectors about the body's axes, against the mean rotation, rad.
+        rotation_jitter: Likewise, of the rotation vectors about the body's axes, against the mean rotation, rad.
         drift: Change along that line from the first sample to the last, m.
-        rotation_drift: The same of the rotation vectors, rad.
+        rotation_drift: Likewise, of the rotation vectors, rad.
     """
 
     jitter: Floats
@@ -38,11 +38,11 @@ class Track:
     """One row of a log over all its samples.
 
     Attributes:
-        name: Of the row, as in `pcmrs.formats.pose_log.ROWS`.
-        missing: Samples without this row.
-        identities: Samples in which it is the identity: software that writes what it has before anything was seen.
-        frozen: Samples with exactly the pose of the sample before: no new frame of the tracker had come.
-        spread: Of the poses that are neither of these; None for fewer than `FEWEST`.
+        name: Name of the row, as in `pcmrs.formats.pose_log.ROWS`.
+        missing: Number of samples without this row.
+        identities: Number of samples with the identity, which some software writes before anything was tracked.
+        frozen: Number of samples with exactly the pose of the sample before: the tracker had no new frame.
+        spread: Jitter and drift of the other poses; None for fewer than `FEWEST`.
     """
 
     name: str
@@ -54,12 +54,12 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class LoopCheck:
-    """How far body_tool is from pol_body⁻¹ · pol_tool.
+    """Deviation of body_tool from pol_body⁻¹ · pol_tool.
 
     Attributes:
-        samples: In which all three were seen.
-        max_distance: m.
-        max_angle: rad.
+        samples: Number of samples in which all three were tracked.
+        max_distance: Largest distance, m.
+        max_angle: Largest angle, rad.
     """
 
     samples: int
@@ -68,12 +68,17 @@ class LoopCheck:
 
 
 def seen(poses: Sequence[Transform | None]) -> list[Transform | None]:
-    """The same poses with None for each identity, which is what stands there before anything was seen."""
+    """Return the poses with None for each identity, which stands for a body that was not tracked yet."""
     return [None if pose is None or _same(pose, Transform.identity()) else pose for pose in poses]
 
 
 def analyse_track(name: str, poses: Sequence[Transform | None]) -> Track:
-    """One row of a log, from its pose in each sample or None."""
+    """Analyse one row of a log.
+
+    Args:
+        name: Name of the row.
+        poses: Pose in each sample; None if it is missing.
+    """
     tracked = seen(poses)
     missing = sum(pose is None for pose in poses)
     frozen = [False, *(_same(before, now) for before, now in itertools.pairwise(tracked))]
@@ -85,7 +90,7 @@ def analyse_track(name: str, poses: Sequence[Transform | None]) -> Track:
 
 
 def check_loop(log: PoseLog) -> LoopCheck | None:
-    """Compare body_tool with what the other two make of it; None where no sample has all three."""
+    """Compare body_tool with pol_body⁻¹ · pol_tool; return None if no sample has all three."""
     deviations = []
     for body_from_tool, tracker_from_body, tracker_from_tool in zip(
         *(seen(log.poses[row]) for row in ROWS), strict=True
@@ -108,7 +113,7 @@ def _spread(samples: Floats, poses: list[Transform]) -> PoseJitter:
 
 
 def _around_line(samples: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Standard deviation of values (N, 3) around their least-squares line, and its rise from first to last sample."""
+    """Return the standard deviation of values (N, 3) around their least-squares line, and the line's rise."""
     lines = np.column_stack((np.ones_like(samples), samples))
     fitted = lines @ np.linalg.lstsq(lines, values)[0]
     deviation = np.sqrt(np.sum((values - fitted) ** 2, axis=0) / (len(samples) - 2))

@@ -1,4 +1,4 @@
-"""What a session with stimulation has left on record: what its tables, pictures and report are made from."""
+"""Data of a session with stimulation, from which its tables, figures and report are made."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pcmrs.tms.settings import Estimate, Hotspot, MepSettings
 from pcmrs.tms.threshold import MotorThresholdEstimator
 
 Phase = Literal["intensity", "hotspot", "threshold"]
-"""What a pulse was given for: to find an intensity for the search, in the search, in the hunt."""
+"""Purpose of a pulse: to find an intensity for the search, the hot-spot search, the threshold hunt."""
 
 Point = tuple[float, float, float]
 
@@ -22,16 +22,16 @@ class PulseRecord(msgspec.Struct, frozen=True, kw_only=True):
     """One pulse that was given.
 
     Attributes:
-        onset: Since the session began, s of the cell.
-        wall: Unix seconds at which it was on record.
-        intensity: Percent of the maximum stimulator output.
-        coil: ``image_from_coil`` as the tracker saw it right before.
-        error_mm: Of the coil against its planned pose then.
-        error_deg: The same for its rotation.
-        mep: What was measured; None where there is no measurement.
-        problem: Code of why it says nothing about the muscle; empty where it counts.
-        problem_text: The same for people.
-        epoch: The signal; None where there is none.
+        onset: Time since the start of the session, s of the cell.
+        wall: Time of its journal row, Unix seconds.
+        intensity: Intensity, percent of the maximum stimulator output.
+        coil: ``image_from_coil``, measured by the tracker right before the pulse.
+        error_mm: Distance of the coil from its planned pose then.
+        error_deg: Angle of the coil from its planned pose then.
+        mep: Measured response; None if there is no measurement.
+        problem: Code of the reason why it does not count; empty if it counts.
+        problem_text: Text of that reason.
+        epoch: Signal; None if there is none.
     """
 
     pulse: int
@@ -49,11 +49,13 @@ class PulseRecord(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PlacementRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """The coil, as the tracker measured it at its planned pose.
+    """A measurement of the coil at its planned pose.
 
     Attributes:
-        tre_mm: Error of the registration predicted there, rms; None where the plan was made without one.
-        planned: ``image_from_coil``.
+        onset: Time since the start of the session, s of the cell.
+        planned: Planned ``image_from_coil``.
+        measured: Measured ``image_from_coil``.
+        tre_mm: Target registration error predicted there, rms; None if the plan has none.
     """
 
     onset: float
@@ -68,9 +70,9 @@ class RegistrationRecord(msgspec.Struct, frozen=True, kw_only=True):
     """The registration in force.
 
     Attributes:
-        landmarks: Name and place in the image, m, of each, in order.
-        distances_mm: That they are from where they were planned, after the fit.
-        tre_mm: Predicted error at `tre_at`, rms.
+        landmarks: Name and planned point in the image, m, of each landmark, in order.
+        distances_mm: Distance of each landmark from its planned point after the fit.
+        tre_mm: Target registration error predicted at `tre_at`, rms.
     """
 
     landmarks: dict[str, Point]
@@ -83,12 +85,12 @@ class RegistrationRecord(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RefusalRecord(msgspec.Struct, frozen=True, kw_only=True):
-    """A command that was not accepted, as often in a row as it was not for one reason.
+    """A command that was not accepted, `times` in a row for the same reason.
 
     Attributes:
-        onset: The first time.
+        onset: Time of the first one since the start of the session, s of the cell.
         decision: ``rejected``, ``failed`` or ``unknown``.
-        text: Of the first time.
+        text: Reason of the first one.
     """
 
     onset: float
@@ -101,12 +103,12 @@ class RefusalRecord(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Truth(msgspec.Struct, frozen=True, kw_only=True):
-    """What only a simulation knows; for the report alone.
+    """The truth of a simulation, for the report alone.
 
     Attributes:
         hotspot: ``image_from_coil`` at the true hot-spot.
-        threshold: There, percent of the maximum stimulator output.
-        threshold_here: The same at the pose where the threshold was hunted; None where none was.
+        threshold: True threshold there, percent of the maximum stimulator output.
+        threshold_here: True threshold at the pose where it was hunted, percent; None if there was no hunt.
     """
 
     hotspot: PoseMessage
@@ -118,16 +120,16 @@ class SessionRecord(msgspec.Struct, frozen=True, kw_only=True):
     """One session.
 
     Attributes:
-        subject: Whose it is.
-        seed: Of the simulation; None where it was none.
+        subject: Id of the subject.
+        seed: Seed of the simulation; None if it was not simulated.
         rate: Seconds of the cell per second of the machine.
-        begun: Unix seconds.
-        duration: Until the last entry of the journal, s of the cell.
-        settings: What differed from the default configuration.
-        versions: Of what it was made with, by name.
-        ended: Why it ended early; empty where it is complete.
-        ceiling: Highest intensity that was allowed, percent, and by whom; None where none was set.
-        mep_settings: That the responses were judged by.
+        begun: Start, Unix seconds.
+        duration: Time until the last row of the journal, s of the cell.
+        settings: Settings that differ from the default configuration.
+        versions: Versions of the programs, by name.
+        ended: Reason why it ended early; empty if it is complete.
+        ceiling: Highest allowed intensity, percent, and the person who set it; None if none was set.
+        mep_settings: Settings by which the responses were judged.
     """
 
     subject: str
@@ -153,9 +155,9 @@ class SessionRecord(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def simulated(self) -> bool:
-        """True if any of it was simulated."""
+        """True if the session was simulated."""
         return self.seed is not None
 
     def of_phase(self, phase: Phase) -> tuple[PulseRecord, ...]:
-        """The pulses that were given for one purpose."""
+        """Return the pulses of one purpose."""
         return tuple(pulse for pulse in self.pulses if pulse.phase == phase)

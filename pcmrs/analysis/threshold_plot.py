@@ -1,4 +1,4 @@
-"""The hunt for a motor threshold as a picture: every pulse, and what was thought of the threshold after it."""
+"""Figure of the hunt for a motor threshold: each pulse, and the estimate after it."""
 
 from __future__ import annotations
 
@@ -14,12 +14,20 @@ if TYPE_CHECKING:
 
 
 def draw_hunt(file: Path, hunt: MotorThresholdEstimator) -> None:
-    """Save `hunt_figure` as a PNG file. Raises `OSError` when that cannot be written."""
+    """Save `hunt_figure` as a PNG file.
+
+    Args:
+        file: File to be written.
+        hunt: State of the hunt.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
     save_png(hunt_figure(hunt), file)
 
 
 def hunt_figure(hunt: MotorThresholdEstimator) -> Figure:
-    """Intensity of every pulse, with its answer; the estimate after it, with its interval where there is one."""
+    """Return the intensity and response of each pulse, and the estimate after it with its interval, if it has one."""
     from matplotlib.ticker import MaxNLocator
 
     figure = new_figure(width=8.0)
@@ -37,7 +45,7 @@ def hunt_figure(hunt: MotorThresholdEstimator) -> Figure:
 
 
 def _draw_estimates(axes: Axes, hunt: MotorThresholdEstimator) -> None:
-    """From the first pulse on; a hunt replays any number of its own pulses."""
+    """Draw the estimate after each pulse, computed from the pulses until then."""
     numbers = range(1, len(hunt.pulses) + 1)
     estimates = [MotorThresholdEstimator(hunt.settings, hunt.pulses[:number]).estimate for number in numbers]
     if hunt.settings.method == "ml":
@@ -54,5 +62,5 @@ def _title(hunt: MotorThresholdEstimator) -> str:
     if hunt.refusal is not None:
         return f"no threshold after {pulses} pulses: {hunt.refusal.replace('_', ' ')}"
     interval = "" if found.low is None or found.high is None else f", 95 % interval {found.low:g} % to {found.high:g} %"
-    begun = "motor threshold" if hunt.finished else "not finished:"
-    return f"{begun} {found.threshold:g} % after {pulses} pulses{interval}"
+    title = "motor threshold" if hunt.finished else "not finished:"
+    return f"{title} {found.threshold:g} % after {pulses} pulses{interval}"

@@ -26,8 +26,8 @@ COLUMNS: Final = "sequence, body, previous_hash, hash"
 _ALL_COLUMNS: Final = f"{COLUMNS}, kind, source, command_id, branch, wall"
 
 REMEDY: Final = (
-    "`pcmrs journal verify` says what is good, `pcmrs journal export --good-part` saves it; keep the files as they are "
-    "and go on in another cell.folder."
+    "`pcmrs journal verify` shows what is good, `pcmrs journal export --good-part` saves it; keep the files unchanged "
+    "and continue in another cell.folder."
 )
 """Advice for a damaged journal."""
 
@@ -44,9 +44,9 @@ def stored_row(path: Path, record: tuple[Any, ...]) -> StoredRow:
     """
     sequence, body, previous, own = record
     if not (isinstance(sequence, int) and sequence > 0 and all(isinstance(each, bytes) for each in record[1:])):
-        raise _damaged(path, sequence, "does not hold what a row holds")
+        raise _damaged(path, sequence, "does not have the content of a row")
     if own != chain_hash(previous, sequence, body):
-        raise _damaged(path, sequence, "does not have the hash recorded with it")
+        raise _damaged(path, sequence, "does not match its hash")
     try:
         row = decode_row(body)
     except JournalError as error:
@@ -125,7 +125,7 @@ def _edge(path: Path, connection: sqlite3.Connection, query: str) -> RowPosition
 def _check_found(connection: sqlite3.Connection, path: Path, row: JournalRow, record: tuple[Any, ...]) -> None:
     """Require that the columns and indexes lead to the row: repeats and unfinished commands are found by them."""
     if record[4:] != (row.kind, row.source, row.command_id, row.branch, row.wall):
-        raise _damaged(path, record[0], "is entered under other keys than its own")
+        raise _damaged(path, record[0], "is stored under wrong keys")
     if row.command_id is None or row.source is None or row.kind not in ("intent", "outcome"):
         return
     query = (

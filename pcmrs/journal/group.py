@@ -63,7 +63,7 @@ class GroupCommit:
         if self.waiting + len(rows) > MOST_WAITING:
             raise JournalError(
                 f"{self.waiting} rows have waited for the disk for up to {self.oldest_wait:.1f} s, and no more than "
-                f"{MOST_WAITING} may wait: nothing more is journalled until the disk answers.",
+                f"{MOST_WAITING} may wait: nothing is journalled until the disk answers.",
                 waiting=self.waiting,
                 limit=MOST_WAITING,
             )

@@ -74,8 +74,8 @@ def signed_by(key: Ed25519PublicKey, signature: bytes, message: bytes) -> bool:
 def _refuse_to_replace(path: Path, public: Path, make: bool) -> None:
     if public.exists() or not make:
         raise JournalError(
-            f"{path} is missing, and journals are signed with it: put it back from a copy, or begin anew in another "
-            "cell.folder. `pcmrs journal verify` needs the public key only.",
+            f"{path} is missing, and journals are signed with it: put it back from a copy, or start a new journal in "
+            "another cell.folder. `pcmrs journal verify` needs the public key only.",
             path=str(path),
         )
 
@@ -106,6 +106,6 @@ def _publish(key: Ed25519PublicKey, path: Path) -> None:
     elif public_key(path) != key:
         raise JournalError(
             f"{path} does not belong to {PRIVATE} beside it: one of the two was replaced. Put the pair back from a "
-            "copy, or begin anew in another cell.folder.",
+            "copy, or start a new journal in another cell.folder.",
             path=str(path),
         )

@@ -46,7 +46,7 @@ def journal_files(journal: Path) -> list[Path]:
         missing.insert(0, journal)
     if missing:
         names = ", ".join(path.name for path in missing)
-        text = f"{names} of the journal {journal} is missing, and later files are there: put it back from a copy."
+        text = f"{names} of the journal {journal} is missing, but later files exist: put it back from a copy."
         raise JournalError(text, path=str(missing[0]))
     return files
 

@@ -190,8 +190,8 @@ def check_schema(connection: sqlite3.Connection, path: Path) -> None:
     wrong = sorted(name for name in wanted.keys() | found.keys() if found.get(name) != wanted.get(name))
     if wrong:
         raise JournalError(
-            f"{path} was changed: {', '.join(wrong)} is not as this program makes it. Keep the files as they are and "
-            "go on in another cell.folder.",
+            f"{path} was changed: {', '.join(wrong)} differs from what this program creates. Keep the files unchanged "
+            "and continue in another cell.folder.",
             path=str(path),
             changed=wrong,
         )
@@ -202,7 +202,7 @@ def _check_version(connection: sqlite3.Connection, path: Path) -> None:
     if not HEADLESS <= version <= VERSION:
         connection.close()
         raise JournalError(
-            f"{path} has journal version {version}, this program knows {HEADLESS} to {VERSION}: give another file.",
+            f"{path} has journal version {version}, this program supports {HEADLESS} to {VERSION}: give another file.",
             path=str(path),
             version=version,
         )
@@ -213,7 +213,7 @@ def _check_table(connection: sqlite3.Connection) -> None:
     found = connection.execute("SELECT sql FROM sqlite_schema WHERE name = 'journal'").fetchone()
     if found != (statements(version_of(connection))["journal"],):
         connection.close()
-        raise sqlite3.DatabaseError("its table is not as this program makes it")
+        raise sqlite3.DatabaseError("its table differs from what this program creates")
 
 
 def _unusable(path: Path, error: Exception) -> JournalError:

@@ -96,7 +96,7 @@ def require_head(path: Path, state: HeadState | None, version: int) -> Head | No
     if state is None:
         if version <= HEADLESS:
             return None
-        text = f"{where} is missing, so nobody can say whether rows at the end of {path} are. {REMEDY}"
+        text = f"{where} is missing, so it is unknown whether rows at the end of {path} are missing, too. {REMEDY}"
         raise JournalError(text, path=str(where))
     if state.head is None:
         text = f"{where} is damaged, or signed with another key than the one beside it. {REMEDY}"
@@ -151,7 +151,7 @@ def require_named(path: Path, unnamed: int, damaged: int) -> None:
     if unnamed > LARGEST_GROUP * (1 + damaged):
         raise JournalError(
             f"{path} has {unnamed} rows after the last one that its signed head names, and a crash leaves no more "
-            f"than {LARGEST_GROUP}: another program wrote them, or the head is an old one. {REMEDY}",
+            f"than {LARGEST_GROUP}: another program wrote them, or the head is outdated. {REMEDY}",
             path=str(path),
             unnamed=unnamed,
         )
@@ -165,17 +165,17 @@ def _require_macs(path: Path, without_mac: int | None, version: int) -> None:
     """
     if without_mac is None:
         return
-    why = "Somebody without the key has written it."
+    why = "It was written without the key."
     if version <= WITHOUT_MAC:
         why = (
-            f"Rows of version {version} have none, so nobody can say whether a crash left it there or somebody added "
-            "it. If the daemon has crashed, start the version of PCMRS before this one once, which takes the row up, "
-            "and end it in order."
+            f"Rows of version {version} have none, so it is unknown whether a crash left it there or someone added it. "
+            "If the daemon has crashed, start the version of PCMRS before this one once, which adopts the row, and "
+            "stop it in order."
         )
     raise JournalError(
         f"{path}: row {without_mac} follows the last one that its signed head names, and does not have the MAC of "
         f"journal.key. {why} Do not trust the rows from {without_mac} on: `pcmrs journal show` prints them. Keep the "
-        "files as they are and go on in another cell.folder.",
+        "files unchanged and continue in another cell.folder.",
         path=str(path),
         sequence=without_mac,
     )
@@ -199,7 +199,7 @@ def _read_end(
         check_schema(newest, path)
         snapshot = last_sequence(newest, path, kind="snapshot")
         if version == HEADLESS and (snapshot or last_sequence(newest, path, kind="config")):
-            text = f"{path} says that it is of version {version}, and holds rows of a later one. {REMEDY}"
+            text = f"{path} has version {version}, but holds rows of a later one. {REMEDY}"
             raise JournalError(text, path=str(path))
         starts = starts_of(opened)
         first = min(snapshot or starts[-1].sequence + 1, head.place.sequence if head is not None else 0)

@@ -85,7 +85,7 @@ def verify(
     reading.attempt(lambda: reading.read(progress or (lambda *_: None)))
     reading.attempt(lambda: reading.compare(before, _head(head_path(path), key)))
     if kept is not None and (earlier is None or earlier.head is None or earlier.head.place not in reading.reached):
-        reading.problems.append(f"The journal does not hold the row that {kept} names, or that is no head of it.")
+        reading.problems.append(f"The journal does not hold the row that {kept} names, or that file is not its head.")
     return reading.report(before)
 
 

@@ -183,7 +183,7 @@ class JournalWriter:
             if not found.version:
                 make_database(self._path)
         except OSError as error:
-            text = f"{self._path} cannot be opened: {error}. See to the disk, or give another cell.folder."
+            text = f"{self._path} cannot be opened: {error}. Check the disk, or give another cell.folder."
             raise JournalError(text, path=str(self._path)) from error
         head = found.head or Head(1, found.place)
         self._mac_key = mac_key(found.key)
@@ -247,7 +247,7 @@ class JournalWriter:
 
 def _unwritable(error: Exception, sequence: int | None) -> JournalError:
     return JournalError(
-        f"The journal cannot be written: {error}. Nothing is acknowledged any more: see to the disk, then reopen the "
+        f"The journal cannot be written: {error}. Nothing is acknowledged any more: check the disk, then reopen the "
         "journal or restart.",
         sequence=sequence,
     )
@@ -258,7 +258,7 @@ def _foreign(path: Path, acknowledged: RowPosition, found: RowPosition) -> Journ
     what = f"{missing} acknowledged rows are lost" if missing > 0 else "another program has written rows"
     return JournalError(
         f"{path} ends with row {found.sequence}, and row {acknowledged.sequence} was acknowledged last: {what}. "
-        "Restart the daemon in another cell.folder, and keep the files as they are.",
+        "Restart the daemon in another cell.folder, and keep the files unchanged.",
         path=str(path),
         missing=max(missing, 0),
         last=found.sequence,

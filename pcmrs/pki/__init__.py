@@ -1,7 +1,7 @@
-"""Who may take part: a local certificate authority for the cells of one lab."""
+"""Local certificate authority for the identities of the cells of one lab."""
 
 from pcmrs.pki.authority import Authority, Issued
-from pcmrs.pki.own import check_registered, read_credentials
+from pcmrs.pki.credentials import check_registered, read_credentials
 from pcmrs.pki.register import read_register
 
 __all__ = ["Authority", "Issued", "check_registered", "read_credentials", "read_register"]

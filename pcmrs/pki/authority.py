@@ -1,4 +1,4 @@
-"""The certificate authority of a lab: a folder with its key, its certificate, and a register of who has one."""
+"""The certificate authority of a lab: a folder with its key, its certificate, and the register of identities."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ KEY: Final = "ca.key"
 CERTIFICATE: Final = "ca.pem"
 REGISTER: Final = "register.json"
 DAYS: Final = 30.0
-"""Validity of a certificate unless another one is asked for."""
+"""Default validity of a certificate, days."""
 MOST_DAYS: Final = 398.0
 
 
 class Issued(msgspec.Struct, frozen=True, kw_only=True):
-    """A new certificate and where its files are.
+    """A new certificate and its files.
 
     Attributes:
-        identity: Whose it is.
-        folder: Holds ``<name>.pem``, ``<name>.key`` and ``ca.pem``: what the machine that uses it needs.
+        identity: Identity that it certifies.
+        folder: Folder of ``<name>.pem``, ``<name>.key`` and ``ca.pem``, which the machine that uses it needs.
     """
 
     identity: Identity
@@ -38,38 +38,38 @@ class Issued(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Authority:
-    """An authority that exists; make one with `Authority.init`.
+    """An existing authority; create one with `Authority.init`.
 
     Args:
-        folder: Its own; nobody but its owner may read it.
+        folder: Folder of the authority, readable by its owner only.
 
     Raises:
-        ConfigurationError: There is none in the folder.
+        ConfigurationError: The folder holds no authority.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         if not (folder / CERTIFICATE).is_file():
             raise ConfigurationError(
-                f"There is no authority in {folder}: `pcmrs pki init` makes one.", path=str(folder)
+                f"There is no authority in {folder}: `pcmrs pki init` creates one.", path=str(folder)
             )
 
     @classmethod
     def init(cls, folder: Path, site: str, now: float) -> Authority:
-        """Make an authority.
+        """Create an authority.
 
         Args:
-            folder: Made where it does not exist; it must hold no authority yet.
+            folder: Folder of the authority; it is created if it does not exist, and must hold no authority yet.
             site: Name of the lab.
-            now: Wall time, s.
+            now: Wall time, Unix seconds.
 
         Raises:
-            ConfigurationError: There is one already, or the site's name cannot be one.
+            ConfigurationError: There is one already, or the name of the lab is not allowed.
             OSError: The folder cannot be written.
         """
         check_name(site)
         if (folder / KEY).exists() or (folder / CERTIFICATE).exists():
-            text = f"There is an authority in {folder} already: everything that it has issued would become worthless."
+            text = f"There is an authority in {folder} already: all certificates that it issued would become invalid."
             raise ConfigurationError(text, path=str(folder))
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         key = new_key()
@@ -80,7 +80,7 @@ class Authority:
         return cls(folder)
 
     def identities(self) -> list[Identity]:
-        """Everybody who has been given a certificate, in the order in which that was.
+        """Return all identities that have a certificate, in the order of their issue.
 
         Raises:
             ConfigurationError: The register cannot be read.
@@ -99,21 +99,21 @@ class Authority:
         via: Sequence[str] = (),
         into: Path,
     ) -> Issued:
-        """Issue a certificate with a new key; a name that has one, and the same role, gets a newer one.
+        """Issue a certificate with a new key; an existing name with the same role gets a newer one.
 
         Args:
-            role: What it may do.
-            name: Never one that was revoked: the certificate of before would be valid again.
-            now: Wall time, s.
-            days: Validity.
-            hosts: Under which it is dialled; a router needs one, a daemon that is not dialled none, others have none.
-            cells: In which it may do that, as ``<site>/<cell>``.
-            via: Names of the routers that may carry what a person sends.
-            into: Folder in which a folder `name` with the files is made.
+            role: Role of the identity.
+            name: Name of the identity; not a revoked one, whose earlier certificate would become valid again.
+            now: Wall time, Unix seconds.
+            days: Validity, days.
+            hosts: Hosts at which others connect to it: required for a router, optional for a daemon, none for others.
+            cells: Cells in which the role applies, as ``<site>/<cell>``.
+            via: Names of the routers that may forward the messages of a person.
+            into: Folder in which the folder `name` with the files is created.
 
         Raises:
-            ConfigurationError: Name, role, days, hosts, cells or routers are wrong, or others may read the key of the
-                authority.
+            ConfigurationError: Name, role, days, hosts, cells or routers are not allowed, or others may read the key
+                of the authority.
             OSError: The files cannot be written.
         """
         self._check(role, name, days, hosts, via)
@@ -131,7 +131,7 @@ class Authority:
             )
             authority = x509.load_pem_x509_certificate((self.folder / CERTIFICATE).read_bytes())
             signed = certificate(identity, key.public_key(), hosts, authority, read_key(self.folder / KEY))
-            # First the register: a certificate that it does not know could not be revoked.
+            # The register first: a certificate that is not in it could not be revoked.
             self._write([*(each for each in known if each.name != name), identity])
         folder = into / name
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -141,15 +141,19 @@ class Authority:
         return Issued(identity=identity, folder=str(folder))
 
     def revoke(self, name: str, now: float) -> Identity:
-        """Take an identity's rights away, for good; returns it.
+        """Revoke an identity for good, and return it.
+
+        Args:
+            name: Name of the identity.
+            now: Wall time, Unix seconds.
 
         Raises:
-            ConfigurationError: Nobody has this name, or it is revoked already.
+            ConfigurationError: There is no such identity, or it is revoked already.
         """
         with self._register() as known:
             found = next((each for each in known if each.name == name), None)
             if found is None or found.revoked is not None:
-                why = "nobody has this name" if found is None else "it is revoked already"
+                why = "there is no such identity" if found is None else "it is revoked already"
                 raise ConfigurationError(f"{name} cannot be revoked: {why}; see `pcmrs pki list`.", name=name)
             revoked = msgspec.structs.replace(found, revoked=now)
             self._write([revoked if each is found else each for each in known])
@@ -158,22 +162,22 @@ class Authority:
     def _check(self, role: Role, name: str, days: float, hosts: Sequence[str], via: Sequence[str]) -> None:
         check_name(name)
         if role not in ROLES:
-            raise ConfigurationError(f"{role!r} is no role; choose {', '.join(ROLES)}.", role=role)
+            raise ConfigurationError(f"{role!r} is not a role; choose {', '.join(ROLES)}.", role=role)
         if not 0.0 < days <= MOST_DAYS:
             text = f"A certificate is valid for more than 0 days and {MOST_DAYS:g} at most, not {days:g}."
             raise ConfigurationError(text, days=days, limit=MOST_DAYS)
         if hosts and role not in INFRASTRUCTURE:
-            raise ConfigurationError(f"A {role} is not dialled: give no hosts.", role=role, hosts=list(hosts))
+            raise ConfigurationError(f"A {role} accepts no connections: give no hosts.", role=role, hosts=list(hosts))
         if via and role not in PEOPLE:
-            raise ConfigurationError(f"Routers carry what people send, nothing of a {role}.", role=role, via=list(via))
+            raise ConfigurationError(f"Routers forward messages of people, not of a {role}.", role=role, via=list(via))
         if role == "router" and not hosts:
-            raise ConfigurationError("A router is dialled: say at which hosts.", role=role)
+            raise ConfigurationError("A router accepts connections: give its hosts.", role=role)
 
     @contextmanager
     def _register(self) -> Iterator[list[Identity]]:
-        """The register, while nobody else changes it."""
+        """Lock the register and yield it."""
         with (self.folder / f"{REGISTER}.lock").open("w") as lock:
-            import fcntl  # who only reads an identity does so on Windows, too
+            import fcntl  # not on Windows, where identities can be read but not issued
 
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield self.identities()
@@ -186,7 +190,9 @@ class Authority:
 def _refuse(role: Role, name: str, known: Sequence[Identity]) -> None:
     for each in known:
         if each.name == name and each.revoked is not None:
-            text = f"{name} was revoked, and its certificate would count again: choose another name, such as {name}2."
+            text = (
+                f"{name} was revoked: its certificate would become valid again. Choose another name, such as {name}2."
+            )
             raise ConfigurationError(text, name=name)
         if each.name == name and each.role != role:
             text = f"{name} has the role {each.role} already: choose another name for the {role}."

@@ -1,7 +1,4 @@
-"""The certificates themselves: X.509, signed by the authority's key.
-
-Private keys in files that nobody but their owner can read.
-"""
+"""X.509 certificates, signed by the authority's key, and private keys in files that only their owner can read."""
 
 from __future__ import annotations
 
@@ -26,12 +23,12 @@ from pcmrs.messages.identity import Identity
 
 
 def new_key() -> EllipticCurvePrivateKey:
-    """A key on P-256, which every TLS library knows."""
+    """Return a new key on P-256, which every TLS library supports."""
     return generate_private_key(SECP256R1())
 
 
 def key_bytes(key: EllipticCurvePrivateKey) -> bytes:
-    """The key in PEM, PKCS 8, not encrypted: the mode of its file protects it."""
+    """Return a key in PEM, PKCS 8, not encrypted: the mode of its file protects it."""
     return key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     )
@@ -41,7 +38,7 @@ def read_key(path: Path) -> EllipticCurvePrivateKey:
     """Read a private key.
 
     Raises:
-        ConfigurationError: Others may read it, it is missing, or it is no such key.
+        ConfigurationError: Others may read the file, it is missing, or it is not such a key.
     """
     try:
         key = serialization.load_pem_private_key(read_secret(path), None)
@@ -55,23 +52,23 @@ def read_key(path: Path) -> EllipticCurvePrivateKey:
 
 
 CLOCKS_DIFFER = 300.0
-"""A certificate is valid so long before it was issued, s: the clocks of two machines differ."""
+"""Time before its issue from which a certificate is valid, s, since the clocks of two machines differ."""
 AUTHORITY_DAYS = 3650
 CELL = "pcmrs:"
-"""Before each cell of an identity, which its certificate holds as URI."""
+"""Prefix of each cell of an identity; its certificate holds them as URIs."""
 
 
 def authority_certificate(key: EllipticCurvePrivateKey, site: str, now: float) -> x509.Certificate:
-    """The authority's own certificate, which it signs itself.
+    """Return the self-signed certificate of an authority.
 
     Args:
-        key: The authority's.
-        site: Stands in its name.
-        now: Wall time, s.
+        key: Key of the authority.
+        site: Name of the lab, a part of its name.
+        now: Wall time, Unix seconds.
     """
     name = _name(f"pcmrs {site} authority")
     return (
-        _begun(name, name, key.public_key(), x509.random_serial_number(), now, now + AUTHORITY_DAYS * 86400.0)
+        _builder(name, name, key.public_key(), x509.random_serial_number(), now, now + AUTHORITY_DAYS * 86400.0)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .add_extension(_usage(sign=True), critical=True)
         .sign(key, hashes.SHA256())
@@ -85,19 +82,19 @@ def certificate(
     authority: x509.Certificate,
     key: EllipticCurvePrivateKey,
 ) -> x509.Certificate:
-    """The certificate of an identity.
+    """Return the certificate of an identity.
 
     Args:
-        identity: Its name, serial and times.
-        public: Its key.
-        hosts: Names and addresses under which it is dialled; empty for those that only dial.
-        authority: The authority's certificate.
-        key: The authority's key.
+        identity: Identity with name, serial and times.
+        public: Public key of the identity.
+        hosts: Names and addresses at which others connect to it; empty if they do not.
+        authority: Certificate of the authority.
+        key: Key of the authority.
     """
-    # Who is dialled also dials: a daemon meets its router, a router another one.
+    # One that others connect to also connects: a daemon to its router, a router to another one.
     uses = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if hosts else [])]
     builder = (
-        _begun(
+        _builder(
             _name(identity.name), authority.subject, public, int(identity.serial, 16), identity.begins, identity.ends
         )
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
@@ -109,7 +106,7 @@ def certificate(
     return builder.add_extension(x509.SubjectAlternativeName(names), critical=False).sign(key, hashes.SHA256())
 
 
-def _begun(
+def _builder(
     name: x509.Name, issuer: x509.Name, public: EllipticCurvePublicKey, serial: int, begins: float, ends: float
 ) -> x509.CertificateBuilder:
     return (

@@ -1,4 +1,4 @@
-"""The register: everybody who has been given a certificate, and who has lost it."""
+"""The register of all identities that have a certificate, or had one that was revoked."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def read_register(path: Path) -> list[Identity]:
     """Read the register of an authority, or a copy of it.
 
     Raises:
-        ConfigurationError: It cannot be read, or has a name that nobody may have.
+        ConfigurationError: The file cannot be read, or holds a name that is not allowed.
     """
     try:
         found = msgspec.json.decode(path.read_bytes(), type=list[Identity])

@@ -188,6 +188,6 @@ def read_cell_name(path: Path) -> str:
         if reader.origin:
             break
     if "cell" not in reader.origin:
-        text = f"{path} does not say which cell it is of: it is no recording of pcmrs record, or was cut at its start."
+        text = f"{path} does not name its cell: it is not a recording of pcmrs record, or was cut at its start."
         raise FileFormatError(text, file=str(path))
     return reader.origin["cell"]

@@ -98,4 +98,4 @@ def _read_varint(data: bytes, at: int) -> tuple[int, int]:
 
 
 def _no_message(data: bytes) -> FileFormatError:
-    return FileFormatError(f"{len(data)} bytes of the recording are no {NAME}: it is of another program.")
+    return FileFormatError(f"{len(data)} bytes of the recording are not a {NAME}: it is of another program.")

@@ -49,7 +49,9 @@ class RecordingReader:
         self.origin: dict[str, str] = {}
         with path.open("rb") as file:
             if file.read(len(_MAGIC)) != _MAGIC:
-                raise FileFormatError(f"{path} is no MCAP file, or was cut before its first record.", file=str(path))
+                raise FileFormatError(
+                    f"{path} is not an MCAP file, or was cut before its first record.", file=str(path)
+                )
 
     def records(self) -> Iterator[McapRecord]:
         """Yield all records in order, those of a chunk in its place, up to the first damage."""
@@ -59,7 +61,7 @@ class RecordingReader:
                 try:
                     batch = next(records, None)
                 except Exception as error:  # on a damaged file the parsers may raise any error
-                    self.damage = f"a record is not whole ({str(error) or type(error).__name__})"
+                    self.damage = f"a record is incomplete ({str(error) or type(error).__name__})"
                     return
                 if batch is None:
                     self.complete = True

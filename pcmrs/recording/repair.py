@@ -48,7 +48,7 @@ def repair(source: Path, target: Path) -> RepairReport:
     """
     reader = RecordingReader(source)
     if target.exists():
-        raise ConfigurationError(f"{target} is there already: give another name.", file=str(target))
+        raise ConfigurationError(f"{target} already exists: give another name.", file=str(target))
     with target.open("xb") as file:
         copy = _Copy(Writer(file, chunk_size=CHUNK))
         for record in reader.records():

@@ -82,12 +82,12 @@ def check_new(first: Path) -> None:
         ConfigurationError: It does not end in ``.mcap``, its folder is missing, or it exists.
     """
     if first.suffix != SUFFIX:
-        raise ConfigurationError(f"{first} does not end in {SUFFIX}: give such a name.", file=str(first))
+        raise ConfigurationError(f"{first} does not end in {SUFFIX}: give a name that does.", file=str(first))
     if not first.parent.is_dir():
-        text = f"{first} cannot be written: there is no folder {first.parent}; make it first."
+        text = f"{first} cannot be written: there is no folder {first.parent}; create it first."
         raise ConfigurationError(text, file=str(first))
     if files := files_of(first):
-        text = f"{files[0]} is there already: give another name, or move it away."
+        text = f"{files[0]} already exists: give another name, or move it away."
         raise ConfigurationError(text, file=str(files[0]))
 
 

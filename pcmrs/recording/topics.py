@@ -74,5 +74,5 @@ def _expression(topic: str) -> zenoh.KeyExpr:
     try:
         return zenoh.KeyExpr(topic)
     except zenoh.ZError:
-        text = f"'{topic}' is no key expression: write such as state/joints, state/pose/* or state/**."
+        text = f"'{topic}' is not a key expression: write, for example, state/joints, state/pose/* or state/**."
         raise ConfigurationError(text, topic=topic) from None

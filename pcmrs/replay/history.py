@@ -175,5 +175,5 @@ def _read(path: Path) -> Iterator[StoredRow]:
         try:
             yield msgspec.json.decode(line, type=StoredRow)
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
-            text = f"{path}, line {number}: neither a journal nor the export of one: {error}."
+            text = f"{path}, line {number}: neither a journal nor its export: {error}."
             raise ReplayError(text, file=str(path), line=number) from None

@@ -182,7 +182,8 @@ class _Workflows:
             own = workflow.blueprint
             text = (
                 f"{self._journal} was decided under {tag.id} {tag.version} (hash {tag.hash}); this program has "
-                f"{own.version} (hash {own.hash}). Give the blueprint of then, or the one to compare, by --blueprint."
+                f"{own.version} (hash {own.hash}). Give that version of the blueprint, or the one to "
+                "compare, with --blueprint."
             )
             raise ReplayError(text, file=str(self._journal), version=tag.version, hash=tag.hash)
         return workflow

@@ -1,1 +1,1 @@
-"""The report of a session, as HTML and as PDF: one page for a clinician, then the details."""
+"""Reports of sessions, read from their journals: as HTML and PDF, one page for a clinician, then the details."""

@@ -1,4 +1,4 @@
-"""What to do about an operation that was not accepted."""
+"""Advice for an operation that was not accepted."""
 
 from __future__ import annotations
 
@@ -6,37 +6,37 @@ from pcmrs.fsm import Blueprint
 from pcmrs.messages import Verdict
 
 ADVICE = {
-    "bad_arguments": "Correct the arguments and ask again.",
-    "busy": "Ask again when what is running has ended.",
-    "daemon_ended": "Look where the robot is, and have it located again.",
-    "deadline_passed": "Look whether the device answers, then ask again.",
-    "event_operation": "Nothing: devices ask for it by themselves.",
-    "expired": "Ask again; compare the clocks if it was sent just now.",
-    "internal_operation": "Nothing: the workflow asks for it by itself.",
-    "latched": "Acknowledge the Stop once its cause is gone, then ask again.",
-    "lease_held": "Ask whoever holds the cell, or wait until they give it back.",
+    "bad_arguments": "Correct the arguments and try again.",
+    "busy": "Try again after the running operation has ended.",
+    "daemon_ended": "Check where the robot is, and locate it again.",
+    "deadline_passed": "Check whether the device answers, then try again.",
+    "event_operation": "None: devices request it themselves.",
+    "expired": "Try again; compare the clocks if it was sent just now.",
+    "internal_operation": "None: the workflow requests it itself.",
+    "latched": "Remove the cause of the Stop, acknowledge it, then try again.",
+    "lease_held": "Ask the holder of the cell, or wait until they release it.",
     "no_lease": "Take the lease of the cell first.",
-    "queue_full": "Wait for the answers, then ask again.",
-    "role_not_allowed": "Ask somebody whose role allows it.",
-    "stopped": "Acknowledge the Stop once its cause is gone, then ask again.",
+    "queue_full": "Wait for the answers, then try again.",
+    "role_not_allowed": "Ask a user whose role allows it.",
+    "stopped": "Remove the cause of the Stop, acknowledge it, then try again.",
     "unknown_operation": "Correct the name.",
 }
-"""By code, where the reason itself does not say it."""
-DOUBT = "Look at the patient and at the robot, then settle it: locate the arm after a motion, acknowledge otherwise."
+"""Advice by code, for reasons that do not contain it."""
+DOUBT = "Check the patient and the robot, then settle it: locate the arm after a motion, acknowledge otherwise."
 WRONG_TIME = frozenset(
     {"busy", "event_operation", "internal_operation", "invalid_in_state", "latched", "queue_full", "stopped"}
 )
-"""Codes that say when or by whom something was asked for, not what was wrong with it."""
+"""Codes of commands that came at a wrong time or from a wrong sender, and were not checked further."""
 SHOWN = 4
-"""So many of the operations that were possible are named."""
+"""Largest number of allowed operations that are named."""
 
 
 def advise(verdict: Verdict, blueprint: Blueprint | None) -> str:
-    """What to do; empty where only the reason itself can say it.
+    """Return what to do; empty if only the reason itself can say it.
 
     Args:
-        verdict: That did not accept.
-        blueprint: For the words of states; None where it is not known.
+        verdict: Verdict that did not accept.
+        blueprint: Workflow with the meanings of states; None if it is unknown.
     """
     reason = verdict.reason
     code = "" if reason is None else reason.code
@@ -49,12 +49,12 @@ def advise(verdict: Verdict, blueprint: Blueprint | None) -> str:
         return f"First bring {_branch(needed['branch'], needed['needed'], blueprint)}."
     if code == "invalid_in_state" and verdict.allowed:
         more = ", …" if len(verdict.allowed) > SHOWN else ""
-        return f"Possible was: {', '.join(verdict.allowed[:SHOWN])}{more}."
+        return f"Allowed: {', '.join(verdict.allowed[:SHOWN])}{more}."
     return ""
 
 
 def _branch(name: str, states: list[str], blueprint: Blueprint | None) -> str:
-    """A branch and the states it is to be in, in the words of its workflow."""
+    """Return a branch and its required states, in the words of its workflow."""
     spec = None if blueprint is None else blueprint.branches.get(name)
     known = {} if spec is None else spec.states
     meant = " or ".join(f"“{known[state]}”" if known.get(state) else state for state in states)

@@ -1,4 +1,4 @@
-"""What a report says, as plain data."""
+"""Contents of a report, as plain data."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from pcmrs.messages import BlueprintTag, PoseMessage
 
 Decision = Literal["accepted", "rejected", "failed", "unknown"]
 EventKind = Literal["stop", "fault", "notice"]
-"""Somebody stopped everything; a device or the daemon reported a danger; it reported something else."""
+"""``stop``: Stop was requested; ``fault``: a device or the daemon reported a danger; ``notice``: another report."""
 
 
 class ReportedRun(msgspec.Struct, frozen=True, kw_only=True):
     """One run of the daemon.
 
     Attributes:
-        session: Its id in the journal.
-        begun: Unix seconds of its first row.
-        ended: Unix seconds of its last row.
-        in_order: Whether it was ended; not, where it was killed or went on when the journal was read.
-        patient: Of its settings.
+        session: Id of the session in the journal.
+        begun: Time of its first row, Unix seconds.
+        ended: Time of its last row, Unix seconds.
+        in_order: True if it ended in order; False if it was killed, or still ran when the journal was read.
+        patient: Patient id in its settings.
         first: Sequence of its first row.
         last: Sequence of its last row.
     """
@@ -36,7 +36,7 @@ class ReportedRun(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ReportedGate(msgspec.Struct, frozen=True, kw_only=True):
-    """One test of a registration; its unit depends on its name, lengths are in m."""
+    """One acceptance test of a registration; the unit depends on its name, lengths are in m."""
 
     name: str
     accepted: bool
@@ -45,7 +45,7 @@ class ReportedGate(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ReportedLandmark(msgspec.Struct, frozen=True, kw_only=True):
-    """A landmark of a registration, and how far from its place it is after the fit."""
+    """A landmark of a registration, and its distance from the planned point after the fit."""
 
     name: str
     distance_mm: float
@@ -55,14 +55,14 @@ class ReportedRegistration(msgspec.Struct, frozen=True, kw_only=True):
     """A registration that was put in force.
 
     Attributes:
-        sequence: Of its row.
-        wall: Unix seconds.
-        operation: That did it: ``register``, ``refine``, ``use_previous``.
+        sequence: Sequence of its row.
+        wall: Time of its row, Unix seconds.
+        operation: Operation: ``register``, ``refine``, ``use_previous``.
         residual_mm: Mean distance of the landmarks.
-        residual_limit_mm: Of that; None where the journal does not say.
+        residual_limit_mm: Limit of the mean distance; None if it is unknown.
         tre_mm: Target registration error predicted at `target`, rms.
         target: ``plan`` or ``centroid``.
-        id: In the journal.
+        id: Id in the journal.
     """
 
     sequence: int
@@ -89,16 +89,16 @@ class ReportedPlan(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ReportedPlacement(msgspec.Struct, frozen=True, kw_only=True):
-    """The tool as the tracker measured it, against the pose that was planned.
+    """A measurement of the tool against its planned pose.
 
     Attributes:
-        operation: That measured it, such as ``placement.confirm``.
-        error_mm: As the journal has it.
-        error_deg: The same of the rotation.
-        axes_mm: Of the translation, in the measured tool's axes; None where the poses are not on record.
-        planned: ``image_from_tool``; None likewise.
-        measured: ``image_from_tool``; None likewise.
-        standoff: How far along the tool's z axis it was to end before the planned pose, m.
+        operation: Operation that measured, such as ``placement.confirm``.
+        error_mm: Translation error in the journal.
+        error_deg: Rotation error in the journal.
+        axes_mm: Translation error in the measured tool's axes; None if the journal lacks the poses.
+        planned: ``image_from_tool``; None if the journal lacks it.
+        measured: ``image_from_tool``; None if the journal lacks it.
+        standoff: Distance along the tool's z axis at which it was to stop before the planned pose, m.
     """
 
     sequence: int
@@ -113,11 +113,12 @@ class ReportedPlacement(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class AcceptedOperation(msgspec.Struct, frozen=True, kw_only=True):
-    """An operation, and how often it was accepted.
+    """An operation that was accepted.
 
     Attributes:
-        title: What it does, as its workflow calls it.
-        acts: Whether it acts on the patient without moving the robot; None where the workflow is not known here.
+        title: Title in its workflow.
+        times: Number of times it was accepted.
+        acts: True if it acts on the patient without moving the robot; None if the workflow is not installed here.
     """
 
     operation: str
@@ -127,14 +128,14 @@ class AcceptedOperation(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ReportedRefusal(msgspec.Struct, frozen=True, kw_only=True):
-    """What was not accepted, for one reason.
+    """An operation that was not accepted, for one reason.
 
     Attributes:
-        sequence: Row of the first time.
-        wall: Unix seconds of the first time.
-        times: How often in all.
-        checked: A check has looked at arguments, data or the world; otherwise it was asked for at a wrong time or by
-            the wrong one.
+        sequence: Sequence of the first row.
+        wall: Time of the first row, Unix seconds.
+        times: Number of times.
+        checked: True if a check examined arguments, data or devices; False if it came at a wrong time or from a wrong
+            sender.
         advice: What to do.
     """
 
@@ -151,11 +152,11 @@ class ReportedRefusal(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class UnknownOutcome(msgspec.Struct, frozen=True, kw_only=True):
-    """An operation that has begun, and nobody knows how it ended.
+    """An operation that started and whose outcome is unknown.
 
     Attributes:
-        wall: Unix seconds at which it was found.
-        settled: Whether an operator has looked since; None where the workflow is not known here.
+        wall: Time at which this was found, Unix seconds.
+        settled: True if an operator has checked it since; None if the workflow is not installed here.
     """
 
     sequence: int
@@ -166,7 +167,7 @@ class UnknownOutcome(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ReportedEvent(msgspec.Struct, frozen=True, kw_only=True):
-    """What a device or the daemon reported by itself; `times` in a row."""
+    """An event that a device or the daemon reported, `times` in a row."""
 
     sequence: int
     wall: float
@@ -183,9 +184,9 @@ class TimelineEntry(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         what: Operation or event.
         outcome: Decision, or kind of the event.
-        state: Of the branch afterwards; empty for events.
-        text: Reason or what was reported.
-        times: In a row.
+        state: State of the branch afterwards; empty for events.
+        text: Reason, or text of the event.
+        times: Number of times in a row.
     """
 
     sequence: int
@@ -199,7 +200,7 @@ class TimelineEntry(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class StateSpan(msgspec.Struct, frozen=True, kw_only=True):
-    """A state of a branch, from when to when, Unix seconds."""
+    """A state of a branch with its start and end, Unix seconds."""
 
     state: str
     begun: float
@@ -210,8 +211,8 @@ class ReportedBranch(msgspec.Struct, frozen=True, kw_only=True):
     """A branch of the workflow and its states over time.
 
     Attributes:
-        states: State to what it means, as far as that is known here.
-        final: In which it was at last.
+        states: State to its meaning; empty if the workflow is not installed here.
+        final: Last state.
     """
 
     name: str
@@ -222,15 +223,15 @@ class ReportedBranch(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ReportedJournal(msgspec.Struct, frozen=True, kw_only=True):
-    """How good the journal is.
+    """Result of the verification of the journal.
 
     Attributes:
-        name: Of its file.
-        rows: That could be read, from the first on.
-        problems: What is not as it must be; empty where it verified itself.
-        proven: So many rows are proven by its signature.
-        last_hash: Of the last row, hexadecimal.
-        key: SHA-256 of the public key's file; empty where there is none.
+        name: Name of its file.
+        rows: Number of rows that could be read, from the first on.
+        problems: Problems, one sentence each; empty if it is sound.
+        proven: Number of rows that its signature proves.
+        last_hash: Hash of the last row, hexadecimal.
+        key: SHA-256 of the public key's file; empty if there is none.
     """
 
     name: str
@@ -243,11 +244,11 @@ class ReportedJournal(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ReportedFile(msgspec.Struct, frozen=True, kw_only=True):
-    """A file that the session has left.
+    """A file of the session.
 
     Attributes:
-        note: What is not as it should be; empty where nothing is known to be.
-        wrong: Whether it is missing, or not as it was exported.
+        note: Problem of the file; empty if none is known.
+        wrong: True if the file is missing, or differs from the exported one.
     """
 
     name: str
@@ -261,20 +262,20 @@ class SessionReport(msgspec.Struct, frozen=True, kw_only=True):
     """One session.
 
     Attributes:
-        patient: Its id; empty where nobody said.
-        operator: The same.
-        named: Who is named in commands as having done something, such as the surgeon.
-        asked: Who has asked for operations, with their roles.
-        title: Of the workflow.
-        known: Whether that very workflow is installed here; otherwise titles and meanings are missing.
+        patient: Patient id; empty if it is not set.
+        operator: Operator id; empty if it is not set.
+        named: Persons named in commands, such as the surgeon.
+        asked: Users who asked for operations, with their roles.
+        title: Title of the workflow.
+        known: True if exactly that workflow is installed here; otherwise titles and meanings are missing.
         devices: Device to its driver.
-        rate: Seconds of the cell per second of the machine; None where the journal does not say.
-        earlier: Sessions in the journal before this one.
-        later: Sessions in it after this one.
-        asked_for: How many operations were asked for in all.
-        counts: Decision to how many ended so.
-        latched: Whether a Stop was still latched at the end; None where the workflow is not known here.
-        changed: Settings that are not the defaults of this version.
+        rate: Seconds of the cell per second of the machine; None if it is unknown.
+        earlier: Number of sessions in the journal before this one.
+        later: Number of sessions in the journal after this one.
+        asked_for: Number of operations that were asked for.
+        counts: Decision to the number of operations.
+        latched: True if a Stop was still latched at the end; None if the workflow is not installed here.
+        changed: Settings that differ from the defaults of this version.
     """
 
     patient: str
@@ -312,14 +313,14 @@ class SessionReport(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def simulated(self) -> bool:
-        """True if all drivers are those of the simulation."""
+        """True if all drivers are simulated."""
         return bool(self.devices) and set(self.devices.values()) == {"sim"}
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What is not as it was written: of the journal, and of the files."""
+        """Problems of the journal and of the files."""
         return (*self.journal.problems, *(f"{file.name} {file.note}." for file in self.files if file.wrong))
 
     def events_of(self, kind: EventKind) -> tuple[ReportedEvent, ...]:
-        """Those of one kind."""
+        """Return the events of one kind."""
         return tuple(event for event in self.events if event.kind == kind)

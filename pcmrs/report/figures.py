@@ -1,4 +1,4 @@
-"""The pictures of a report: states over time, landmarks, placements; the same record gives the same bytes."""
+"""Figures of a report: states over time, landmarks, placements. The same report gives the same bytes."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WIDTH: Final = 7.1
-"""Of a page of A4 without its margins, inches."""
+"""Width of a page of A4 without its margins, inches."""
 TINTS: Final = ("#dfe5ea", "#a9cbe3", "#5fa3d0", "#0072B2", "#9fd6c2", "#3aa886", "#c9b7dd", "#8a6fb0", "#e6d69a")
-"""Of the states of a branch, in their order; they begin again where there are more."""
+"""Colours of the states of a branch, in their order, and repeated if there are more."""
 DOUBTFUL: Final = {"unknown": "#ffffff", "held": "#f2b48a"}
 STOP: Final = "#b3261e"
 FAULT: Final = ORANGE
 READABLE: Final = 0.011
-"""A letter's share of the width: a span gets its name where that fits in."""
+"""Width of a letter as a share of the figure: a span is labelled if its name fits in."""
 STYLE: Final[dict[Any, Any]] = {
     "font.family": "DejaVu Sans",
     "font.size": 8.0,
@@ -37,7 +37,7 @@ STYLE: Final[dict[Any, Any]] = {
 
 
 def draw_figures(report: SessionReport) -> dict[str, bytes]:
-    """Each as SVG, where there is something for it: ``timeline``, ``landmarks``, ``errors``, ``placements``."""
+    """Return the figures for which there are data, as SVG: ``timeline``, ``landmarks``, ``errors``, ``placements``."""
     import matplotlib as mpl
 
     measured = [placement for placement in report.placements if placement.axes_mm is not None]
@@ -55,7 +55,7 @@ def draw_figures(report: SessionReport) -> dict[str, bytes]:
 
 
 def _timeline(report: SessionReport) -> Figure:
-    """The states of all branches over time, and when somebody stopped or something failed."""
+    """Draw the states of all branches over time, with stops and faults."""
     figure = new_figure(WIDTH, 0.8 + 0.27 * len(report.branches))
     axes = figure.add_subplot()
     whole = max(report.ended - report.begun, 1.0)
@@ -70,7 +70,7 @@ def _timeline(report: SessionReport) -> Figure:
     axes.set_yticks(range(len(report.branches)), [branch.name for branch in report.branches])
     axes.set_ylim(len(report.branches) - 0.4, -0.6)
     axes.set_xlim(0.0, whole / 60.0)
-    axes.set_xlabel("minutes since the beginning")
+    axes.set_xlabel("minutes since the start")
     axes.tick_params(axis="y", length=0)
     for side in ("top", "right", "left"):
         axes.spines[side].set_visible(False)
@@ -97,14 +97,14 @@ def _explain(figure: Figure, report: SessionReport) -> None:
     lines = [
         *([Line2D([], [], color=STOP, label="Stop")] if "stop" in kinds else []),
         *([Line2D([], [], color=FAULT, linestyle="--", label="fault")] if "fault" in kinds else []),
-        *([Line2D([], [], color="black", linestyle=":", label="the daemon begins anew")] if report.runs[1:] else []),
+        *([Line2D([], [], color="black", linestyle=":", label="the daemon restarted")] if report.runs[1:] else []),
     ]
     if lines:
         figure.legend(handles=lines, loc="outside upper right", ncols=3, frameon=False, fontsize=7)
 
 
 def _landmarks(registration: ReportedRegistration) -> Figure:
-    """How far every landmark is from its place, with the mean and its limit."""
+    """Draw the distance of each landmark, with the mean and its limit."""
     landmarks = registration.landmarks
     figure = new_figure(WIDTH, 0.9 + 0.22 * len(landmarks))
     axes = figure.add_subplot()
@@ -112,11 +112,11 @@ def _landmarks(registration: ReportedRegistration) -> Figure:
     axes.set_yticks(range(len(landmarks)), [landmark.name.replace("_", " ") for landmark in landmarks])
     axes.invert_yaxis()
     if registration.residual_mm is not None:
-        told = f"mean {registration.residual_mm:.2f} mm"
-        axes.axvline(registration.residual_mm, color="#1d2329", linewidth=1.2, label=told)
+        label = f"mean {registration.residual_mm:.2f} mm"
+        axes.axvline(registration.residual_mm, color="#1d2329", linewidth=1.2, label=label)
     if registration.residual_limit_mm is not None:
-        told = f"limit of the mean {registration.residual_limit_mm:.1f} mm"
-        axes.axvline(registration.residual_limit_mm, color=STOP, linestyle="--", linewidth=1.2, label=told)
+        label = f"limit of the mean {registration.residual_limit_mm:.1f} mm"
+        axes.axvline(registration.residual_limit_mm, color=STOP, linestyle="--", linewidth=1.2, label=label)
     axes.set_xlim(left=0.0)
     axes.set_xlabel("distance after the fit, mm")
     _bare(axes)
@@ -126,7 +126,7 @@ def _landmarks(registration: ReportedRegistration) -> Figure:
 
 
 def _errors(placements: Sequence[ReportedPlacement]) -> Figure:
-    """Two panels: the translation error per axis of the tool with its length, and the rotation error."""
+    """Draw the translation error per axis of the tool with its length, and the rotation error, in two panels."""
     figure = new_figure(WIDTH, 2.5)
     left, right = figure.subplots(1, 2)
     trials = np.arange(1, len(placements) + 1)
@@ -149,7 +149,7 @@ def _errors(placements: Sequence[ReportedPlacement]) -> Figure:
 
 
 def _placements(placements: Sequence[ReportedPlacement]) -> Figure:
-    """The paper's two panels: both errors of each placement, and the error vectors where the targets are."""
+    """Draw the paper's two panels: both errors of each placement, and the error vectors at the targets."""
     trials = [
         PlacementTrial(
             Poses(str(each.sequence), as_transform(each.planned), as_transform(each.measured)), each.standoff

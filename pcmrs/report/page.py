@@ -1,4 +1,4 @@
-"""The page: what is known goes into a template as text, never as markup."""
+"""The page of a report; all values enter its template as text, never as markup."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from pcmrs.report.pages import SVG, embedded, fixed, render, utc
 
 TEMPLATE: Final = "report.html.j2"
 PLACED: Final = 4
-"""So many placements are on the first page."""
+"""Largest number of placements on the first page."""
 FIRST: Final = 3
-"""So many lines of each kind are on the first page; all are in the details."""
+"""Largest number of lines of each kind on the first page; the details have all."""
 CLIPPED: Final = 105
-"""So many characters of a text are on the first page."""
+"""Largest number of characters of a text on the first page."""
 MOST: Final = 1000
-"""So many lines of a table are shown; the journal has all."""
+"""Largest number of lines of a table; the journal has all."""
 UNITS: Final = {"residual_too_large": ("mm", 1e3), "tre_too_large": ("mm", 1e3)}
-"""Unit of a gate that has one, and by what its value is to be multiplied."""
+"""Unit of a gate, and the factor into it; gates without a unit are missing."""
 
 
 class FirstPage(msgspec.Struct, frozen=True, kw_only=True):
-    """What the first page has in large letters.
+    """Summary on the first page.
 
     Attributes:
-        shown: The placements in its table: all, or those with the largest errors.
-        registration: The last one.
-        tre_mm: Predicted for the last plan, or by the last registration that predicts one.
-        tre_at: Where that is.
-        important: What was refused or failed, the gravest first; what is unknown is told apart.
+        shown: Placements in its table: all, or those with the largest errors.
+        registration: Last registration.
+        tre_mm: Error predicted for the last plan, or by the last registration that predicts one, rms.
+        tre_at: Point for which it was predicted.
+        important: Refused and failed operations, the most severe first; unknown ones are listed elsewhere.
     """
 
     placement_mm: Summary | None
@@ -45,11 +45,11 @@ class FirstPage(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def render_page(report: SessionReport, figures: Mapping[str, bytes]) -> str:
-    """The report as HTML that needs no script and nothing from outside.
+    """Return the report as HTML without scripts and external resources.
 
     Args:
-        report: The session.
-        figures: As `draw_figures` returns them.
+        report: Contents of the report.
+        figures: Figures from `draw_figures`.
     """
     return render(
         "pcmrs.report",
@@ -72,7 +72,7 @@ def render_page(report: SessionReport, figures: Mapping[str, bytes]) -> str:
 
 
 def summarized(report: SessionReport) -> FirstPage:
-    """The few numbers of the first page."""
+    """Return the summary of the first page."""
     placements = report.placements
     largest = sorted(placements, key=lambda each: -each.error_mm)[:PLACED]
     shown = tuple(each for each in placements if each in largest)
@@ -81,58 +81,68 @@ def summarized(report: SessionReport) -> FirstPage:
         (each.sequence, each.tre_mm, "the planned pose" if each.target == "plan" else "the middle of the landmarks")
         for each in report.registrations
     ]
-    told = [(tre, at) for _, tre, at in predicted if tre is not None]
+    known = [(tre, at) for _, tre, at in predicted if tre is not None]
     return FirstPage(
         placement_mm=summarize([each.error_mm for each in placements]) if placements else None,
         placement_deg=summarize([each.error_deg for each in placements]) if placements else None,
         shown=shown,
         registration=registration,
-        tre_mm=told[-1][0] if told else None,
-        tre_at=told[-1][1] if told else "",
+        tre_mm=known[-1][0] if known else None,
+        tre_at=known[-1][1] if known else "",
         important=tuple(sorted((each for each in report.refusals if each.decision != "unknown"), key=_gravity)),
     )
 
 
 def _gravity(refusal: ReportedRefusal) -> tuple[int, int]:
-    """Failed before refused by a check before asked for at a wrong time; then in order."""
+    """Return a sort key: failed, then refused by a check, then sent at a wrong time; each in order."""
     rank = 0 if refusal.decision == "failed" else 1 if refusal.checked else 2
     return rank, refusal.sequence
 
 
 def date(wall: float) -> str:
-    """Day and time, UTC."""
+    """Return day and time, UTC."""
     return utc(wall, "%Y-%m-%d %H:%M")
 
 
 def clock(wall: float) -> str:
-    """Time of the day, UTC."""
+    """Return the time of the day, UTC."""
     return utc(wall, "%H:%M:%S")
 
 
 def minutes(seconds: float) -> str:
-    """Hours, minutes and seconds."""
+    """Return a duration in hours, minutes and seconds."""
     whole = round(seconds)
     hours, rest = divmod(whole, 3600)
     return f"{hours} h {rest // 60} min" if hours else f"{rest // 60} min {rest % 60} s"
 
 
 def words(operation: str) -> str:
-    """An operation as people say it: ``placement.back_off`` is "back off (placement)"."""
+    """Return an operation in words: ``placement.back_off`` is "back off (placement)"."""
     branch, _, name = operation.partition(".")
     return f"{name.replace('_', ' ')} ({branch})" if name else operation.replace("_", " ")
 
 
 def clipped(text: str) -> str:
-    """As much of a text as the first page has room for."""
+    """Return a text, shortened for the first page."""
     return text if len(text) <= CLIPPED else f"{text[: CLIPPED - 1].rstrip(' .')}…"
 
 
 def share(value: float | None, limit: float | None) -> int | None:
-    """A value against its limit, percent, 100 at most; None where there is none."""
+    """Return a value as a share of its limit, percent, 100 at most; None if one is missing.
+
+    Args:
+        value: Value.
+        limit: Limit, in the same unit.
+    """
     return None if value is None or not limit else round(min(100.0, 100.0 * value / limit))
 
 
 def gate_value(value: float, name: str) -> str:
-    """A value or limit of a gate, with its unit where it has one."""
+    """Return a value or limit of a gate with its unit.
+
+    Args:
+        value: Value, lengths in m.
+        name: Name of the gate.
+    """
     unit, factor = UNITS.get(name, ("", 1.0))
     return f"{value * factor:.4g} {unit}".rstrip()

@@ -1,4 +1,4 @@
-"""The page as a PDF file: laid out from the same HTML, so that the two say the same."""
+"""The page as a PDF file, laid out from the same HTML."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ FACES: Final = (
     ("DejaVu Sans", "bold", "DejaVuSans-Bold.ttf"),
     ("DejaVu Sans Mono", "normal", "DejaVuSansMono.ttf"),
 )
-"""Family, weight and file of the letters."""
+"""Family, weight and file of each font."""
 
 
 def render_pdf(page: str, wall: float) -> bytes:
-    """The page on A4; nothing but its letters is loaded.
+    """Return the page as PDF on A4; only its fonts are loaded.
 
-    These are the ones that come with matplotlib, not the machine's own, which only stand in for a letter missing there.
+    The fonts are those of matplotlib; the machine's own ones are used only for letters that these lack.
 
     Args:
-        page: As `render_page` returns it.
-        wall: Unix seconds that it names as those of its making: of the session, for it depends on nothing else.
+        page: Page from `render_page`.
+        wall: Creation time in the file, Unix seconds: that of the session, so that the same session gives the same
+            bytes.
     """
     import matplotlib as mpl
     import plutoprint
@@ -31,7 +32,7 @@ def render_pdf(page: str, wall: float) -> bytes:
     letters = {(fonts / name).as_uri(): fonts / name for _, _, name in FACES}
 
     class Letters(plutoprint.ResourceFetcher):
-        """Gives what is asked for where that is a font, and nothing else."""
+        """Fetcher that allows the fonts only."""
 
         def fetch_url(self, url: str) -> plutoprint.ResourceData:
             return plutoprint.ResourceData(letters[url].read_bytes(), "font/ttf")

@@ -1,4 +1,4 @@
-"""A session's report from the rows of its journal."""
+"""The contents of a session's report, read from its journal."""
 
 from __future__ import annotations
 
@@ -55,36 +55,37 @@ from pcmrs.workflows import find_workflow
 from pcmrs.workflows.data import Registered, as_message, as_transform
 
 CONTINUES: Final = 3600.0
-"""A run that begins within this after one of the same patient that did not end in order goes on with its session, s."""
+"""Largest pause, s, after which a run continues the session of one of the same patient that did not end in order."""
 ROUTINE: Final = frozenset({"activity_started", "activity_ended"})
-"""Codes of what is reported although nothing is the matter."""
+"""Codes of events that are routine."""
 STOPPED: Final = "stopped"
-"""Code of a Stop that somebody asked for."""
+"""Code of a requested Stop."""
 AT_ONCE: Final = 1.0
-"""What is reported again within this is reported once, s: a client asks for Stop on more than one way."""
+"""Time within which repeated events count as one, s: a client sends Stop on more than one link."""
 NAMED: Final = ("surgeon", "operator")
 """Arguments in which a command names a person."""
 
 
 def read_report(path: Path, session: str | None = None) -> SessionReport:
-    """Everything that a report says.
+    """Return the contents of a report.
 
     Args:
-        path: Of an exported session, of a cell's folder, or of a journal.
-        session: How the id of the session begins; None for the one that was exported, otherwise for the last one.
+        path: Folder of an exported session, folder of a cell, or journal file.
+        session: Start of the session's id; None for the exported session, or else the last one.
 
     Raises:
-        JournalError: Nothing can be read, there is no such session, or a row holds what this program does not write.
+        JournalError: Nothing can be read, there is no such session, or a row holds values that this program never
+            writes.
     """
     source = open_source(path)
     try:
-        # Values of the configuration are taken as they are: what draws the page relies on their types.
+        # The configuration's values are unchecked until here; the page relies on their types.
         return msgspec.convert(msgspec.to_builtins(_report(source, session)), SessionReport)
     except PcmrsError:
         raise
-    except Exception as error:  # rows of another program stumble wherever a value is not of the kind that ours writes
+    except Exception as error:  # a row of another program may have a wrong type anywhere
         what = f"{type(error).__name__}: {error}"
-        text = f"{source.path} cannot be reported: a row holds what this program does not write ({what})."
+        text = f"{source.path} cannot be reported: a row holds a value that this program never writes ({what})."
         raise JournalError(text, path=str(source.path)) from error
 
 
@@ -99,14 +100,14 @@ def _report(source: Source, session: str | None) -> SessionReport:
     settings = config.get("settings", {})
     procedure = settings.get("procedure", {})
     blueprint = _blueprint(final, settings)
-    known = None if blueprint is None else _Known(source.rows, chosen[-1].last, blueprint)
+    restored = None if blueprint is None else _RestoredState(source.rows, chosen[-1].last, blueprint)
     journal = SessionJournal(rows)
-    reading = _ReportView(journal, procedure, blueprint)
+    view = _ReportView(journal, procedure, blueprint)
     return SessionReport(
         patient=str(procedure.get("patient", "")),
         operator=str(procedure.get("operator", "")),
-        named=reading.named(),
-        asked=reading.asked(),
+        named=view.named(),
+        asked=view.asked(),
         workflow=final.blueprint,
         title=final.blueprint.id if blueprint is None else blueprint.title,
         known=blueprint is not None,
@@ -119,17 +120,17 @@ def _report(source: Source, session: str | None) -> SessionReport:
         later=len(runs) - 1 - last,
         journal=source.journal,
         asked_for=len(journal.outcomes),
-        counts=reading.counts(),
-        registrations=tuple(reading.registrations()),
-        plans=tuple(reading.plans()),
-        placements=tuple(reading.placements()),
-        done=reading.done(),
-        refusals=reading.refusals(),
-        unknown=tuple(reading.unknown(known)),
-        events=tuple(reading.events()),
-        latched=None if known is None else known.latched,
-        branches=tuple(reading.branches()),
-        timeline=tuple(_merged(reading.timeline(chosen))),
+        counts=view.counts(),
+        registrations=tuple(view.registrations()),
+        plans=tuple(view.plans()),
+        placements=tuple(view.placements()),
+        done=view.done(),
+        refusals=view.refusals(),
+        unknown=tuple(view.unknown(restored)),
+        events=tuple(view.events()),
+        latched=None if restored is None else restored.latched,
+        branches=tuple(view.branches()),
+        timeline=tuple(_merged(view.timeline(chosen))),
         calibration=str(config.get("calibration", "")),
         versions={str(name): str(value) for name, value in config.get("versions", {}).items()},
         reported_by=version("pcmrs"),
@@ -138,18 +139,18 @@ def _report(source: Source, session: str | None) -> SessionReport:
     )
 
 
-class _Known:
-    """What was unsettled and latched at the end of a session, as the daemon itself would take it over."""
+class _RestoredState:
+    """Unknown outcomes and latch at the end of a session, as the daemon would restore them."""
 
     def __init__(self, rows: Iterable[StoredRow], last: int, blueprint: Blueprint) -> None:
-        ledger = RestartState(blueprint, PersistedState())
+        restart_state = RestartState(blueprint, PersistedState())
         for stored in rows:
             if stored.sequence <= last:
-                ledger.take(stored.row)
-        kept = ledger.kept
-        self.latched = kept.latched
-        # Of one operation a ledger keeps the newest only: none of its outcomes counts as settled while that one is not.
-        self.unsettled = {f"{each.branch}.{each.operation}" for each in (*kept.unknown, *kept.begun, *kept.moving)}
+                restart_state.take(stored.row)
+        state = restart_state.kept
+        self.latched = state.latched
+        # The state holds only the newest outcome of an operation: while that is unsettled, so are the earlier ones.
+        self.unsettled = {f"{each.branch}.{each.operation}" for each in (*state.unknown, *state.begun, *state.moving)}
 
 
 class _ReportView:
@@ -270,13 +271,15 @@ class _ReportView:
             )
         return tuple(found.values())
 
-    def unknown(self, known: _Known | None) -> list[UnknownOutcome]:
+    def unknown(self, restored: _RestoredState | None) -> list[UnknownOutcome]:
         """Return the operations whose end is unknown, among them those without an outcome, in order of their rows.
 
         Args:
-            known: State that a daemon would restore at the end of the session; None if the workflow is not installed.
+            restored: State that a daemon would restore after the session; None if the workflow is not installed.
         """
-        texts = [(stored, "It had begun when the session broke off.") for stored in self._journal.unfinished()]
+        texts = [
+            (stored, "It was in progress when the session ended unexpectedly.") for stored in self._journal.unfinished()
+        ]
         ended = [outcome for outcome in self._journal.not_accepted() if outcome.verdict.decision == "unknown"]
         rows = [(stored.sequence, stored.row, text) for stored, text in texts]
         rows += [(outcome.sequence, outcome.row, outcome.text) for outcome in ended]
@@ -286,13 +289,13 @@ class _ReportView:
                 wall=row.wall,
                 operation=operation_name(row),
                 text=text,
-                settled=None if known is None else operation_name(row) not in known.unsettled,
+                settled=None if restored is None else operation_name(row) not in restored.unsettled,
             )
             for sequence, row, text in sorted(rows, key=lambda each: each[0])
         ]
 
     def events(self) -> Iterator[ReportedEvent]:
-        """What devices and the daemon reported, but for what is routine; the same in a row is one."""
+        """Yield the events of devices and daemon except routine ones; repeats in a row are one event."""
         found: list[ReportedEvent] = []
         for stored in self._journal.rows:
             kind = _event_kind(stored.row)
@@ -314,7 +317,7 @@ class _ReportView:
         yield from found
 
     def branches(self) -> Iterator[ReportedBranch]:
-        """Every branch with its states over time."""
+        """Yield each branch with its states over time."""
         moments = [(stored.row.wall, stored.row.states) for stored in self._journal.rows if _is_committed(stored.row)]
         end = self._journal.rows[-1].row.wall
         names = dict.fromkeys(name for _, states in moments for name in states or {})
@@ -335,13 +338,17 @@ class _ReportView:
             )
 
     def timeline(self, runs: Sequence[ReportedRun]) -> Iterator[TimelineEntry]:
-        """What was done, what went wrong and what was reported, in order; what was only rejected is not in it."""
+        """Yield the starts of runs, the outcomes except rejections, and the events, in order.
+
+        Args:
+            runs: Runs of the session.
+        """
         starts = {run.first: run for run in runs}
         for stored in self._journal.rows:
             row = stored.row
             if stored.sequence in starts:
                 run = f"session {starts[stored.sequence].session}"
-                yield _entry(stored, what="The daemon begins", outcome="run", text=run)
+                yield _entry(stored, what="The daemon started", outcome="run", text=run)
             kind = _event_kind(row)
             if kind is not None:
                 text = str((row.result or {}).get("text", ""))
@@ -353,7 +360,7 @@ class _ReportView:
                     stored, what=operation_name(row), outcome=row.verdict.decision, text=text, state=row.verdict.state
                 )
             elif row.source == SHUTDOWN:
-                yield _entry(stored, what="The daemon ends in order", outcome="run", text="")
+                yield _entry(stored, what="The daemon ended in order", outcome="run", text="")
 
     def _title(self, name: str) -> str:
         branch, _, operation = name.partition(".")
@@ -369,33 +376,33 @@ class _ReportView:
 
 
 def _runs(rows: Sequence[StoredRow]) -> list[ReportedRun]:
-    """The runs of the daemon, by the sessions that the rows name."""
+    """Return the runs of the daemon, by the sessions that the rows name."""
     found = []
     for session, group in itertools.groupby(rows, key=lambda stored: stored.row.session_id):
-        own = list(group)
+        rows_of_run = list(group)
         found.append(
             ReportedRun(
                 session=session,
-                begun=own[0].row.wall,
-                ended=own[-1].row.wall,
-                in_order=any(stored.row.source == SHUTDOWN for stored in own),
-                patient=_patient(own),
-                first=own[0].sequence,
-                last=own[-1].sequence,
+                begun=rows_of_run[0].row.wall,
+                ended=rows_of_run[-1].row.wall,
+                in_order=any(stored.row.source == SHUTDOWN for stored in rows_of_run),
+                patient=_patient(rows_of_run),
+                first=rows_of_run[0].sequence,
+                last=rows_of_run[-1].sequence,
             )
         )
     return found
 
 
 def _chosen(runs: Sequence[ReportedRun], session: str | None, path: Path) -> tuple[int, int]:
-    """First and last run of a session: it goes on in the next run where a daemon did not end in order."""
+    """Return the indices of a session's first and last run: it continues in the next one after an unexpected end."""
     first = last_run = find_session([run.session for run in runs], session, path)
-    while first > 0 and _goes_on(runs[first - 1], runs[first]):
+    while first > 0 and _continues(runs[first - 1], runs[first]):
         first -= 1
     return first, last_run
 
 
-def _goes_on(one: ReportedRun, other: ReportedRun) -> bool:
+def _continues(one: ReportedRun, other: ReportedRun) -> bool:
     return not one.in_order and other.patient == one.patient and other.begun - one.ended < CONTINUES
 
 
@@ -405,13 +412,13 @@ def _patient(rows: Iterable[StoredRow]) -> str:
 
 
 def _driver(settings: Mapping[str, Any], device: str) -> str:
-    """Empty where there is none."""
+    """Return the driver of a device; empty if it has none."""
     driver = str(settings.get(device, {}).get("driver", ""))
     return "" if driver == "none" else driver
 
 
 def _blueprint(row: JournalRow, settings: Mapping[str, Any]) -> Blueprint | None:
-    """The very workflow under which a row was decided, where it is installed here."""
+    """Return exactly the workflow under which a row was decided; None if it is not installed here."""
     for name in (str(settings.get("workflow", "")), row.blueprint.id):
         with suppress(ConfigurationError, OSError):
             path = find_workflow(name).blueprint
@@ -422,7 +429,7 @@ def _blueprint(row: JournalRow, settings: Mapping[str, Any]) -> Blueprint | None
 
 
 def _changed(settings: Mapping[str, Any]) -> tuple[str, ...]:
-    """What is not the default of the workflow, or where that is not installed, of PCMRS."""
+    """Return the settings that differ from the defaults of the workflow, or of PCMRS if it is not installed."""
     if not settings:
         return ()
     try:
@@ -441,15 +448,15 @@ def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
             yield f"{prefix}{name}", list(value) if isinstance(value, tuple) else value
 
 
-def _registered(kept: Mapping[str, Any]) -> Registered | None:
-    """None of a registration that another version has written in another form."""
+def _registered(stored: Mapping[str, Any]) -> Registered | None:
+    """Return a stored registration; None if another version wrote it in another form."""
     with suppress(msgspec.ValidationError):
-        return msgspec.convert(kept, Registered)
+        return msgspec.convert(stored, Registered)
     return None
 
 
 def _landmarks(registered: Registered) -> Iterator[ReportedLandmark]:
-    """Each with its distance after the fit."""
+    """Yield each landmark with its distance after the fit."""
     fit = as_transform(registered.body_ref_from_image)
     for landmark, point in zip(registered.landmarks, registered.digitized, strict=True):
         left = fit @ landmark.position - np.array(point)
@@ -461,7 +468,7 @@ def _message(pose: Transform | None) -> PoseMessage | None:
 
 
 def _event_kind(row: JournalRow) -> EventKind | None:
-    """None for what is no event, and for routine."""
+    """Return the kind of an event; None if the row is not an event, or is routine."""
     if row.kind == "event":
         return "notice"
     if row.kind != "device" or row.operation in ROUTINE:
@@ -472,17 +479,17 @@ def _event_kind(row: JournalRow) -> EventKind | None:
 
 
 def _is_same(one: ReportedEvent, other: ReportedEvent) -> bool:
-    told = (one.kind, one.source, one.code, one.text) == (other.kind, other.source, other.code, other.text)
-    return told and other.wall - one.wall < AT_ONCE
+    same = (one.kind, one.source, one.code, one.text) == (other.kind, other.source, other.code, other.text)
+    return same and other.wall - one.wall < AT_ONCE
 
 
 def _is_committed(row: JournalRow) -> bool:
-    """Return whether the row says in which states the branches are; an intent says in which they may end."""
+    """Return whether the row shows the present states of the branches; an intent shows possible later ones."""
     return row.states is not None and row.kind != "intent"
 
 
 def _merged(entries: Iterable[TimelineEntry]) -> Iterator[TimelineEntry]:
-    """The same in a row as one."""
+    """Yield the entries, repeats in a row as one."""
     last: TimelineEntry | None = None
     for entry in entries:
         if last is not None and (last.what, last.who, last.outcome, last.state, last.text) == (

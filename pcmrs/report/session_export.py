@@ -1,4 +1,4 @@
-"""One folder with all that a cell has kept of a session, checked as it is copied."""
+"""Export of a session: one folder with all its files, verified as they are copied."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ CALIBRATION = "calibration"
 
 
 class ExportReport(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """What was exported.
+    """Result of an export.
 
     Attributes:
         session: Id of the session.
-        begun: Unix seconds of its first row.
-        rows: Of the copied journal that are whole and follow from each other; it holds all sessions of its cell.
-        problems: Of the copied journal; empty when it is sound.
+        begun: Time of its first row, Unix seconds.
+        rows: Number of whole, chained rows of the copied journal, which holds all sessions of its cell.
+        problems: Problems of the copied journal; empty if it is sound.
         recordings: Names of the copied recording files.
         calibrations: Names of the copied calibration files.
-        missing: What should have been there and was not, one line for each.
+        missing: Files and data that were not found, one line each.
     """
 
     folder: str
@@ -54,13 +54,13 @@ class ExportReport(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 @dataclass(frozen=True, slots=True)
 class _Session:
-    """A session as the journal names it.
+    """A session in the journal.
 
     Attributes:
-        row: That of its start, or its first one in a journal that has no such rows.
-        settings: Under which it ran, as plain data; None where the journal does not say.
-        versions: The same of programs.
-        calibration: Identity of the calibrations in use; empty where the journal does not say.
+        row: Row of its start; its first row in a journal without such rows.
+        settings: Settings of the session as plain data; None if the journal lacks them.
+        versions: Versions of the programs; empty if the journal lacks them.
+        calibration: Identity of the calibrations in use; empty if the journal lacks it.
     """
 
     row: JournalRow
@@ -72,19 +72,19 @@ class _Session:
 def export_session(
     settings: Settings, journal: Path, session: str | None, folder: Path, progress: Progress
 ) -> ExportReport:
-    """Copy journal, recordings, calibrations and configuration of a session, and verifies the journal's copy.
+    """Copy journal, recordings, calibrations and configuration of a session, and verify the copied journal.
 
     Args:
-        settings: Of the cell, as it is configured now.
-        journal: The cell's journal, also while a daemon writes it.
-        session: Id, or how it begins; the last one when None.
-        folder: New or empty.
-        progress: Told what is done now, how much is done, and of how much.
+        settings: Present settings of the cell.
+        journal: Journal of the cell; a daemon may be writing it.
+        session: Start of the session's id; None for the last session.
+        folder: Folder to be written. It must be new or empty.
+        progress: Callback for the present step, the amount done, and the total.
 
     Raises:
         JournalError: The journal cannot be read, or has no such session.
-        ConfigurationError: The folder is in use, or the disk has not enough room.
-        OSError: Something cannot be copied.
+        ConfigurationError: The folder is in use, or the disk is too full.
+        OSError: A file cannot be copied.
     """
     found = _find(journal, session)
     configuration = found.settings if found.settings is not None else as_table(settings)
@@ -93,7 +93,7 @@ def export_session(
     if not recordings:
         missing.append(f"recordings of the session in {settings.cell.path() / FOLDER}")
     if found.settings is None:
-        missing.append("the configuration of the session in the journal: the present one is here in its place")
+        missing.append("the configuration of the session in the journal: the present one is here instead")
     _check_room(folder, [*journal_files(journal), *recordings, *calibrations.values()])
     make_folder(folder)
     copy_journal(journal, folder / JOURNAL)
@@ -119,7 +119,7 @@ def export_session(
 
 
 def _find(journal: Path, session: str | None) -> _Session:
-    """Raises `JournalError`."""
+    """Return the session whose id has this start. Raises `JournalError`."""
     with JournalReader(journal) as reader:
         starts = {stored.row.session_id: stored.row for stored in reader.read(kind="config")}
         if not starts:  # an older program has written it
@@ -132,7 +132,7 @@ def _find(journal: Path, session: str | None) -> _Session:
 
 
 def _calibrations(configuration: Mapping[str, Any]) -> tuple[dict[str, Path], list[str]]:
-    """Name in the export to the calibration file of each kind, and those that are not there any more."""
+    """Return the calibration files by their names in the export, and a line for each that is missing."""
     paths, missing = {}, []
     for kind, file in configured_calibrations(configuration).items():
         if Path(file).is_file():
@@ -174,14 +174,14 @@ def _readme(exported: ExportReport, calibration: str) -> str:
 {JOURNAL}: the cell's journal with all its sessions, {exported.rows} rows, {sound};
   {head_path(Path(JOURNAL))}: its signed head; journal.pub: the key that proves it.
   pcmrs journal verify {JOURNAL}; pcmrs journal show {JOURNAL}
-{VERIFICATION}: what that verification said when this folder was made.
+{VERIFICATION}: result of that verification when this folder was made.
 configuration.toml: the whole configuration of the session; pcmrs-serve --config reads it.
 {VERSIONS}: of the programs, at the session and at this export.
-{FOLDER}: what was said on the bus (MCAP, for Foxglove, Rerun and pcmrs play). One that was copied while it was
-  written has no end: pcmrs repair.
+{FOLDER}: messages of the bus (MCAP, for Foxglove, Rerun and pcmrs play). A file that was copied while it
+  was written has no end: pcmrs repair.
 {CALIBRATION}: the calibration files as they are now; the journal calls the calibration in use {calibration or "-"}.
 SHA256SUMS: sha256sum --check SHA256SUMS
 
-Not here, though it was looked for:
+Missing:
 {lost}
 """

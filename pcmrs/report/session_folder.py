@@ -1,4 +1,4 @@
-"""The folder that a session leaves: journal, configuration, tables, pictures, report, and the hashes of all of them."""
+"""The folder of a session: journal, configuration, tables, figures, report, and the hashes of all of them."""
 
 from __future__ import annotations
 
@@ -37,23 +37,27 @@ beside this folder.
 
 
 def make_folder(folder: Path) -> None:
-    """Make the folder, or takes one that is empty.
+    """Create the folder, or accept an empty one.
 
     Raises:
-        ConfigurationError: There is something in it, or it is no folder.
-        OSError: It cannot be made.
+        ConfigurationError: It is not empty, or not a folder.
+        OSError: It cannot be created.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        text = f"{folder} is there already, and is not empty: name another folder, or move it away."
+        text = f"{folder} already exists and is not empty: name another folder, or move it away."
         raise ConfigurationError(text, folder=str(folder))
     folder.mkdir(parents=True, exist_ok=True)
 
 
 def write_journal(source: Path, folder: Path) -> None:
-    """Copy a journal, also one that is being written, with its head, and writes it as one row of JSON per line.
+    """Copy a journal with its head, and write its rows as lines of JSON.
+
+    Args:
+        source: Journal; a daemon may be writing it.
+        folder: Folder of the session.
 
     Raises:
-        JournalError: It cannot be read or copied.
+        JournalError: The journal cannot be read or copied.
         OSError: The folder cannot be written.
     """
     copy_journal(source, folder / JOURNAL)
@@ -62,12 +66,26 @@ def write_journal(source: Path, folder: Path) -> None:
 
 
 def write_configuration(settings: Settings | Mapping[str, Any], folder: Path) -> None:
-    """The whole configuration in force, as ``pcmrs-serve --config`` reads it."""
+    """Write the whole configuration, as ``pcmrs-serve --config`` reads it.
+
+    Args:
+        settings: Settings of the session.
+        folder: Folder of the session.
+    """
     (folder / CONFIGURATION).write_text(tomli_w.dumps(_without_none(msgspec.to_builtins(settings))))
 
 
 def write_results(record: SessionRecord, mesh: Mesh, folder: Path) -> None:
-    """Tables, pictures, and the report that shows them. Raises `OSError`."""
+    """Write tables, figures and the report.
+
+    Args:
+        record: The session.
+        mesh: Surface of the head in the image, m.
+        folder: Folder of the session.
+
+    Raises:
+        OSError: A file cannot be written.
+    """
     dataset, figures = folder / "bids", folder / "figures"
     write_nibs(record, dataset)
     write_meps(record, dataset / "derivatives" / "pcmrs")
@@ -77,7 +95,7 @@ def write_results(record: SessionRecord, mesh: Mesh, folder: Path) -> None:
 
 
 def write_sums(folder: Path) -> None:
-    """Hashes of all files, as ``sha256sum --check`` reads them."""
+    """Write the hashes of all files, as ``sha256sum --check`` reads them."""
     files = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != SUMS)
     lines = [
         f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.relative_to(folder).as_posix()}" for path in files
@@ -86,7 +104,7 @@ def write_sums(folder: Path) -> None:
 
 
 def _without_none(value: Any) -> Any:
-    """TOML has no word for what is not set: it is left out."""
+    """Return the value without None, which TOML cannot express."""
     if isinstance(value, Mapping):
         return {key: _without_none(each) for key, each in value.items() if each is not None}
     return [_without_none(each) for each in value] if isinstance(value, list | tuple) else value

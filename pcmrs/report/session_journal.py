@@ -1,4 +1,4 @@
-"""What happened in a session, read from the rows of its journal."""
+"""Reader of a session: the outcomes of its operations, from the rows of its journal."""
 
 from __future__ import annotations
 
@@ -169,8 +169,8 @@ def find_session(sessions: Sequence[str], start: str | None, path: Path) -> int:
 
 def configured_calibrations(settings: Mapping[str, Any]) -> dict[str, str]:
     """Return the paths of the calibration files that settings name, by kind: ``tool`` and ``pointer``."""
-    given = settings.get("procedure", {}).get("calibration", {})
-    return {kind: str(file) for kind in ("tool", "pointer") if (file := given.get(f"{kind}_file"))}
+    calibration = settings.get("procedure", {}).get("calibration", {})
+    return {kind: str(file) for kind in ("tool", "pointer") if (file := calibration.get(f"{kind}_file"))}
 
 
 def operation_name(row: JournalRow) -> str:

@@ -1,4 +1,4 @@
-"""What a report is made from: an exported session, a cell's folder, or a journal, read as far as it is good."""
+"""Source of a report: an exported session, a cell's folder, or a journal, read up to its first bad row."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from pcmrs.report.session_export import README
 from pcmrs.report.session_folder import JOURNAL, SUMS
 
 MAGIC = b"\x89MCAP0\r\n"
-"""With which a recording that was ended also ends."""
+"""Last bytes of a recording that was ended in order."""
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A journal, how good it is, and where the session's other files are.
+    """A verified journal; the session's other files are beside it.
 
     Attributes:
-        path: Of the journal.
-        rows: The good ones, from the first on.
-        journal: How good it is.
-        exported: Id of the session that the folder was exported for; None where it is no export.
+        path: Journal file.
+        rows: Good rows, from the first on.
+        journal: Result of the verification.
+        exported: Id of the exported session; None if the folder is not an export.
     """
 
     path: Path
@@ -43,10 +43,10 @@ class Source:
 
 
 def open_source(path: Path) -> Source:
-    """Read and verifies a journal; one that is damaged is read up to its first bad row.
+    """Read and verify a journal; a damaged one is read up to its first bad row.
 
     Args:
-        path: Folder of an exported session, folder of a cell with one journal, or a journal.
+        path: Folder of an exported session, folder of a cell with one journal, or journal file.
 
     Raises:
         JournalError: There is no journal, more than one, or none of its rows can be read.
@@ -64,13 +64,13 @@ def open_source(path: Path) -> Source:
         problems = list(verification.problems) or problems
         signature, proven = verification.signature, verification.signed
     if not rows:
-        told = " ".join(problems) or "It is empty."
-        raise JournalError(f"No row of {found} can be read, so there is nothing to report. {told}", path=str(found))
+        reason = " ".join(problems) or "It is empty."
+        raise JournalError(f"No row of {found} can be read, so there is nothing to report. {reason}", path=str(found))
     key = found.parent / PUBLIC
     journal = ReportedJournal(
         name=found.name,
         rows=len(rows),
-        # The report of a copy elsewhere is to be the same.
+        # Without the folder, since the report of a copy elsewhere must have the same bytes.
         problems=tuple(problem.replace(f"{found.parent}/", "") for problem in problems),
         signature=signature,
         proven=proven,
@@ -81,12 +81,12 @@ def open_source(path: Path) -> Source:
 
 
 def files_of(source: Source, sessions: Sequence[str], calibrations: Mapping[str, str]) -> tuple[ReportedFile, ...]:
-    """Journal, recordings and calibration files with their hashes.
+    """Return journal, recordings and calibration files with their hashes.
 
     Args:
-        source: Where they are.
-        sessions: Whose recordings.
-        calibrations: Kind to the path that the configuration names, where it names one.
+        source: Source of the report.
+        sessions: Ids of the sessions whose recordings are listed.
+        calibrations: Kind to the path in the configuration.
     """
     folder = source.path.parent
     if source.exported is not None:
@@ -111,9 +111,9 @@ def _journal_in(folder: Path) -> Path:
     journals = sorted(folder.glob("*.sqlite"))
     if len(journals) == 1:
         return journals[0]
-    told = "More than one journal is" if journals else "There is no journal"
-    names = f": {', '.join(path.name for path in journals)}; name the one" if journals else ""
-    raise JournalError(f"{told} in {folder}{names}.", path=str(folder))
+    reason = "More than one journal is" if journals else "There is no journal"
+    names = f": {', '.join(path.name for path in journals)}; name one" if journals else ""
+    raise JournalError(f"{reason} in {folder}{names}.", path=str(folder))
 
 
 def _good_rows(path: Path) -> tuple[list[StoredRow], list[str]]:
@@ -127,29 +127,29 @@ def _good_rows(path: Path) -> tuple[list[StoredRow], list[str]]:
 
 
 def _exported(folder: Path) -> str | None:
-    """The session that an export says it is of."""
+    """Return the id of the session in an export; None if the folder is not an export."""
     with suppress(OSError, UnicodeDecodeError):
-        if said := re.match(r"Session (\S+) of a cell", (folder / README).read_text(encoding="utf-8")):
-            return said[1]
+        if match := re.match(r"Session (\S+) of a cell", (folder / README).read_text(encoding="utf-8")):
+            return match[1]
     return None
 
 
 def _listed(folder: Path) -> Iterator[ReportedFile]:
-    """All files of an export, each against the hash in its list."""
-    said = {}
+    """Yield the files of an export, each compared with the hash in its list."""
+    listed = {}
     with suppress(OSError, UnicodeDecodeError):
         lines = (folder / SUMS).read_text(encoding="utf-8").splitlines()
-        said = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
+        listed = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
     needed = (JOURNAL, head_path(Path(JOURNAL)).name, PUBLIC)
-    for name in dict.fromkeys((*needed, *said)):
+    for name in dict.fromkeys((*needed, *listed)):
         path = folder / name
         if not path.is_file():
             yield ReportedFile(name=name, size=0, sha256="", note="is not there", wrong=True)
             continue
         file = _file(name, path)
-        if name not in said:
+        if name not in listed:
             file = msgspec.structs.replace(file, note=f"is not in {SUMS}", wrong=True)
-        elif file.sha256 != said[name]:
+        elif file.sha256 != listed[name]:
             file = msgspec.structs.replace(file, note=f"differs from {SUMS}", wrong=True)
         yield file
 

@@ -204,7 +204,7 @@ def test_peers_whose_old_commands_would_be_taken_are_a_warning(tmp_path: Path) -
 def test_an_identity_that_cannot_be_used_is_bad(tmp_path: Path) -> None:
     assert only(certificates(settings(tmp_path)), "certificates").verdict == "good"
     wrong = settings(tmp_path, f"access.identity={tmp_path}/none", f"access.register={tmp_path}/register.json")
-    assert "no identity" in only(certificates(wrong), "certificates").found
+    assert "not an identity" in only(certificates(wrong), "certificates").found
 
 
 @pytest.mark.parametrize(("floor", "status"), [("0", (0, 1)), ("1e12", (2,))])

@@ -107,7 +107,7 @@ def test_a_journal_that_calls_itself_older_still_needs_its_head(path: Path, kind
 @pytest.mark.parametrize("sequence", [9, 10])
 def test_row_entered_under_other_keys_is_detected(path: Path, change: str, sequence: int) -> None:
     edit(path, f"UPDATE journal SET {change} WHERE sequence = {sequence}")
-    check_told(path, sequence, "is entered under other keys")
+    check_told(path, sequence, "is stored under wrong keys")
 
 
 def make_index(path: Path, name: str, condition: str) -> None:
@@ -139,7 +139,7 @@ def test_index_with_too_many_rows_is_detected_by_verify(path: Path) -> None:
 def test_missing_guard_is_reported_although_all_rows_are_sound(path: Path, guard: str) -> None:
     with closing(sqlite3.connect(path)) as connection:
         connection.execute(f"DROP TRIGGER {guard}")
-    with pytest.raises(JournalError, match=f"was changed: {guard} is not as"):
+    with pytest.raises(JournalError, match=f"was changed: {guard} differs from"):
         Journal.open(path)
     found = verify(path)
     assert (found.first_bad, found.rows, found.sound) == (None, 18, False)
@@ -152,5 +152,5 @@ def test_missing_guard_is_reported_although_all_rows_are_sound(path: Path, guard
 )
 def test_record_with_wrong_types_is_an_error(record: tuple[Any, ...]) -> None:
     """As a damaged page may have it, whatever the table allows."""
-    with pytest.raises(JournalError, match="does not hold what a row holds"):
+    with pytest.raises(JournalError, match="does not have the content of a row"):
         stored_row(Path("journal.sqlite"), record)

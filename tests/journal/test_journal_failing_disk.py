@@ -193,7 +193,7 @@ async def test_journal_whose_first_write_failed_starts_with_the_next(
     ("chained", "with_key", "word"),
     [
         (False, False, "row 2"),
-        (True, False, "Somebody without the key has written it"),
+        (True, False, "It was written without the key"),
         (True, True, "another program has written rows"),
     ],
 )

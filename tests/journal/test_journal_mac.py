@@ -63,7 +63,7 @@ def test_rows_added_without_the_key_are_refused_from_the_first(path: Path, numbe
     append_without_key(path, [row()] * number)
     found = verify(path)
     assert (found.rows, found.first_bad, found.unnamed) == (18 + number, None, number), "they are well chained"
-    check_refused(path, 19, "Somebody without the key")
+    check_refused(path, 19, "It was written without the key")
 
 
 async def test_unnamed_rows_with_macs_are_adopted_after_a_crash(path: Path) -> None:
@@ -81,14 +81,14 @@ async def test_unnamed_rows_with_macs_are_adopted_after_a_crash(path: Path) -> N
 def test_row_forged_after_those_of_a_crash_is_refused_by_number(path: Path, forged: object) -> None:
     leave_unnamed(path, [row()])
     append_without_key(path, [row()], mac=forged)
-    check_refused(path, 20, "Somebody without the key")
+    check_refused(path, 20, "It was written without the key")
 
 
 def test_a_mac_of_another_row_or_of_another_key_is_none(path: Path, tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     own, other = (mac_key(signing_key(folder, make=True)) for folder in (path.parent, tmp_path / "other"))
     append_without_key(path, [row()], mac=macs(path)[-1])
-    check_refused(path, 19, "Somebody without the key")
+    check_refused(path, 19, "It was written without the key")
     with JournalReader(path) as reader:
         (added,) = reader.read(last=1)
     assert len({row_mac(own, added.hash), row_mac(other, added.hash), macs(path)[-1]}) == 3
@@ -134,7 +134,7 @@ async def test_grown_journal_of_version_2_is_read_with_its_later_file(old: Path)
     await journal.close()
     assert verify(old).sound
     append_without_key(old.with_name(f"{NAME}.0002"), [row()])
-    with pytest.raises(JournalError, match="Somebody without the key"):
+    with pytest.raises(JournalError, match="It was written without the key"):
         Journal.open(old)
 
 

@@ -65,7 +65,7 @@ def exchange(file: str, source: str) -> Callable[[Path], object]:
         (exchange("ca.pem", "foreign/ca.pem"), "anna.pem was not issued by ca.pem"),
         (
             lambda folder: (exchange("anna.key", "bob/bob.key")(folder), exchange("anna.pem", "bob/bob.pem")(folder)),
-            "the certificate of somebody else",
+            "the certificate of another identity",
         ),
     ],
 )

@@ -38,8 +38,8 @@ from pcmrs.messages.health import Health
 from pcmrs.messages.setup import LandmarkShown, ProcedureDataView, StimulationShown
 from pcmrs.recording import raw
 from pcmrs.recording.file import CountingFile
+from pcmrs.recording.foxglove_messages import json_schema
 from pcmrs.recording.series import Limits, check_new, files_of, path_of
-from pcmrs.recording.shapes import json_schema
 from pcmrs.recording.topics import TOPICS, check_topics
 from pcmrs.recording.views import RecordingViews
 from pcmrs.service.health.report import report

@@ -123,9 +123,9 @@ def test_a_repaired_file_is_whole_for_another_reader(whole: tuple[bytes, list[by
     assert len(on_bus) > MESSAGES // 10
     assert report.until == max(log_time for _, _, log_time, _ in messages) / 1e9
     assert RecordingReader(mended).size == mended.stat().st_size
-    with pytest.raises(ConfigurationError, match="there already"):
+    with pytest.raises(ConfigurationError, match="already exists"):
         repair(damaged, mended)
-    with pytest.raises(FileFormatError, match="no MCAP file"):
+    with pytest.raises(FileFormatError, match="not an MCAP file"):
         repair(Path(__file__), tmp_path / "other.mcap")
     assert not (tmp_path / "other.mcap").exists()
 

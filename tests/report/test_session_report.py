@@ -115,7 +115,7 @@ def test_the_page_says_what_the_journal_says(workflow: str, tmp_path: Path) -> N
     assert page.value("Patient") == "phantom"
     assert page.value("Journal") == f"verified: whole, and signed, {len(rows)} rows"
     assert page.value("Workflow").startswith(f"{workflow} {rows[0]['blueprint']['version']}")
-    assert "The daemon broke off once and was started again." in page.words
+    assert "The daemon ended unexpectedly once and was restarted." in page.words
     assert "Research software, not a medical device. Simulated:" in page.words
 
 
@@ -215,7 +215,7 @@ def test_first_page_shows_unfinished_commands_and_open_stops(tmp_path: Path) -> 
     rows = golden_rows("ratms")
     begun = next(number for number, row in enumerate(rows) if (row["kind"], row["operation"]) == ("intent", "confirm"))
     page = page_of(write_journal(rows[: begun + 1], tmp_path / "begun" / "j.sqlite"))
-    assert "confirm (placement): It had begun when the session broke off." in page.words
+    assert "confirm (placement): It was in progress when the session ended unexpectedly." in page.words
     stopped = next(number for number, row in enumerate(rows) if row["operation"] == "stopped")
     page = page_of(write_journal(rows[: stopped + 1], tmp_path / "stopped" / "j.sqlite"))
     if "is not installed here" not in page.value("Workflow"):  # only the very workflow says what acknowledges
@@ -311,7 +311,7 @@ def test_unreadable_source_is_an_error_and_nothing_is_written(tmp_path: Path) ->
     empty.mkdir()
     for number in range(2):
         write_journal(golden_rows("ratms")[:2], two / f"{number}.sqlite")
-    for source, said in ((journal, "row 1"), (text, "text"), (empty, "no journal"), (two, "name the one")):
+    for source, said in ((journal, "row 1"), (text, "text"), (empty, "no journal"), (two, "name one")):
         status, out, err = run(source, "-o", tmp_path / "page.html")
         assert (status, out, len(err.splitlines())) == (2, "", 1), err
         assert said in err

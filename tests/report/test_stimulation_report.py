@@ -79,7 +79,7 @@ def test_every_number_is_there() -> None:
         "left tragus 2.22",
         "90 % of the maximum stimulator output, set by Dr Hand",
         "seed 7, run 5 times as fast",
-        "50.00 % at the true hot-spot, 51.50 % at the pose that was hunted at",
+        "50.00 % at the true hot-spot, 51.50 % at the pose of the hunt",
         "ratms_threshold 1.0.0",
         "ab" * 32,
         "pcmrs 9.8.7",

@@ -58,7 +58,7 @@ def test_an_open_cell_denies_what_nobody_has_a_right_to(lab: Path) -> None:
         ("c2", "may serve lab/cell2, not lab/cell1"),
         ("c3", "is revoked"),
         ("anna", "has the role operator, not daemon"),
-        ("nobody", "is no identity"),
+        ("nobody", "is not an identity"),
     ],
 )
 def test_a_daemon_runs_as_what_the_register_says_only(lab: Path, identity: str, why: str) -> None:

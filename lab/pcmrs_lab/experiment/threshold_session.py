@@ -1,4 +1,4 @@
-"""A whole session on a simulated cell: from landmarks to the motor threshold, and the folder that it leaves."""
+"""A whole session on a simulated cell, from landmarks to the motor threshold, and its folder."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ INTERRUPTED = "it was interrupted."
 
 
 class SessionSummary(msgspec.Struct, frozen=True):
-    """What a session came to.
+    """Summary of a session.
 
     Attributes:
-        folder: Where everything is.
-        ended: Why it ended early; empty where it is complete.
-        hotspot_mm: Estimate in the image, mm; None where none was found.
-        hotspot_uncertainty_mm: Of it, rms.
-        threshold: Percent of the maximum stimulator output; None where none was found.
-        threshold_low: Lower end of the interval of 95 %; None where the method states none.
-        threshold_high: Its upper end.
-        hotspot_error_mm: Against the truth of the simulation.
-        threshold_error: The same, percent of the true threshold where it was hunted.
+        folder: Folder of all its files.
+        ended: Reason why it ended early; empty if it is complete.
+        hotspot_mm: Estimated hot-spot in the image, mm; None if none was found.
+        hotspot_uncertainty_mm: Uncertainty of the hot-spot, rms.
+        threshold: Threshold, percent of the maximum stimulator output; None if none was found.
+        threshold_low: Lower end of the 95 % interval; None if the method has none.
+        threshold_high: Upper end of the 95 % interval; None if the method has none.
+        hotspot_error_mm: Distance of the hot-spot from the true one; None without a simulation.
+        threshold_error: Error of the threshold, percent of the true one at the same pose.
     """
 
     session: str
@@ -74,12 +74,15 @@ class SessionSummary(msgspec.Struct, frozen=True):
 
 
 async def run_threshold_session(setup: SessionSetup, folder: Path, progress: ShowProgress) -> SessionSummary:
-    """Runs a session through a daemon of its own; what was recorded is written, however it ends.
+    """Run a session on its own daemon and write its results, also if it ends early.
 
     Args:
-        setup: What is to be done.
-        folder: For the results; empty, or not there yet.
-        progress: Told about every step.
+        setup: Setup of the session.
+        folder: Folder of the results. It must be empty or new.
+        progress: Callback for the present step, the number of pulses, and their expected total.
+
+    Returns:
+        Summary of the session.
 
     Raises:
         ConfigurationError: The folder is in use.
@@ -102,7 +105,7 @@ async def run_threshold_session(setup: SessionSetup, folder: Path, progress: Sho
 
 
 async def _carried_out(bench: Bench, setup: SessionSetup, progress: ShowProgress) -> str:
-    """Runs the course; why it ended early, or nothing. All is stopped then."""
+    """Run the session; return why it ended early, or an empty text. If it did, stop the cell."""
     try:
         await SessionRunner(bench, setup, progress).run()
     except asyncio.CancelledError:
@@ -120,16 +123,16 @@ async def _carried_out(bench: Bench, setup: SessionSetup, progress: ShowProgress
 
 
 def read_record(journal: Path, setup: SessionSetup, truth: SceneTruth | None, ended: str) -> SessionRecord:
-    """What a session's journal says of it.
+    """Return the data of a session from its journal.
 
     Args:
-        journal: The file.
-        setup: What was asked for.
-        truth: Of the simulation, for the report alone.
-        ended: Why it ended early.
+        journal: Journal file.
+        setup: Setup of the session.
+        truth: Truth of the simulation, for the report alone.
+        ended: Reason why the session ended early; empty if it is complete.
 
     Raises:
-        JournalError: The journal cannot be read, or holds nothing.
+        JournalError: The journal cannot be read, or is empty.
     """
     session = StimulationSession(SessionJournal.read(journal))
     procedure, hotspot = setup.configuration.procedure, session.hotspot()
@@ -158,11 +161,11 @@ def read_record(journal: Path, setup: SessionSetup, truth: SceneTruth | None, en
 
 
 def true_of(scene: SceneTruth, image_from_coil: PoseMessage | None) -> Truth | None:
-    """What the simulation knows of its subject; None where there is nobody to stimulate.
+    """Return the truth about the simulated subject; None if the scene has no subject.
 
     Args:
-        scene: Its truth.
-        image_from_coil: Where the threshold was hunted; None where it was not.
+        scene: Truth of the simulation.
+        image_from_coil: Pose at which the threshold was hunted; None if it was not.
     """
     if scene.image_from_hotspot is None or scene.threshold is None:
         return None
@@ -174,7 +177,12 @@ def true_of(scene: SceneTruth, image_from_coil: PoseMessage | None) -> Truth | N
 
 
 def report_of(record: SessionRecord, folder: Path) -> SessionSummary:
-    """The few numbers of a session."""
+    """Return the summary of a session.
+
+    Args:
+        record: Data of the session.
+        folder: Folder of its files.
+    """
     facts, found, threshold = facts_of(record), record.hotspot, record.threshold
     return SessionSummary(
         session="ratms-threshold",
@@ -201,6 +209,6 @@ def report_of(record: SessionRecord, folder: Path) -> SessionSummary:
 
 
 def as_point_mm(pose: PoseMessage) -> tuple[float, float, float]:
-    """Where a pose is, mm."""
+    """Return the position of a pose, mm."""
     x, y, z = pose.position
     return 1e3 * x, 1e3 * y, 1e3 * z

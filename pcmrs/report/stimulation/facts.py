@@ -1,4 +1,4 @@
-"""What a report says in numbers: errors against the truth of a simulation, means over placements, counts of pulses."""
+"""Numbers of the report: errors against the truth of a simulation, means over placements, counts of pulses."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from pcmrs.tms.scalp import as_transform, heading
 
 
 class Facts(msgspec.Struct, frozen=True, kw_only=True):
-    """Numbers of one session; what there is nothing for is None.
+    """Numbers of one session; missing ones are None.
 
     Attributes:
-        placement_mm: Over all placements.
-        coil_mm: Of the coil right before the pulses.
-        counted: Pulses that tell something about the muscle.
-        responses: Of them, those with a response.
-        repeated: Pulses that do not count, and were given again.
-        refused: Commands that were not accepted.
-        hotspot_error_mm: Of the place that was found, against the true one.
-        hotspot_error_deg: The same for the handle.
-        threshold_error: Against the true threshold where it was hunted, percent of it.
-        inside: Whether the interval holds that; None where there is none.
+        placement_mm: Errors of all placements.
+        coil_mm: Errors of the coil right before the pulses.
+        counted: Number of pulses with a valid measurement.
+        responses: Number of counted pulses with a response.
+        repeated: Number of pulses that do not count, and were given again.
+        refused: Number of commands that were not accepted.
+        hotspot_error_mm: Distance of the found hot-spot from the true one.
+        hotspot_error_deg: Angle of the found handle direction from the true one.
+        threshold_error: Error of the threshold, percent of the true one at the same pose.
+        inside: True if the interval contains the true threshold; None if there is no interval.
     """
 
     pulses: int
@@ -43,7 +43,7 @@ class Facts(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def facts_of(record: SessionRecord) -> Facts:
-    """All that a report works out of a record."""
+    """Return the numbers of a session."""
     counted = [pulse for pulse in record.pulses if not pulse.problem]
     hotspot_mm, hotspot_deg = _hotspot_errors(record)
     error, inside = _threshold_error(record)

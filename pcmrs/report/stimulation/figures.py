@@ -1,4 +1,4 @@
-"""The pictures of a session: hot-spot, hunt, responses, waveforms, placements, each where there is something for it."""
+"""Figures of a session with stimulation: hot-spot, hunt, responses, waveforms, placements."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ PHASES: dict[Phase, tuple[str, str, str]] = {
     "hotspot": (BLUE, "o", "searching the hot-spot"),
     "threshold": (ORANGE, "^", "hunting the threshold"),
 }
-"""Colour, marker and name of each."""
+"""Colour, marker and name of each phase."""
 WAVEFORMS = 6
-"""So many are drawn, from the largest response to the smallest."""
+"""Largest number of waveforms, from the largest response to the smallest."""
 SMALLEST_UV = 1.0
 
 
 def draw_figures(record: SessionRecord, mesh: Mesh, folder: Path) -> dict[str, Path]:
-    """Draw what there is into files; the map of triangles as PNG, all others as SVG.
+    """Draw the figures for which there are data; the map of triangles as PNG, all others as SVG.
 
     Args:
         record: The session.
-        mesh: The head, in the image, m.
-        folder: Exists.
+        mesh: Surface of the head in the image, m.
+        folder: Folder of the files. It must exist.
 
     Returns:
-        Name of each picture to its file: ``hotspot``, ``hunt``, ``responses``, ``waveforms``, ``placements``.
+        Name of each figure to its file: ``hotspot``, ``hunt``, ``responses``, ``waveforms``, ``placements``.
 
     Raises:
         OSError: A file cannot be written.
@@ -65,7 +65,7 @@ def draw_figures(record: SessionRecord, mesh: Mesh, folder: Path) -> dict[str, P
 
 
 def responses_figure(record: SessionRecord) -> Figure | None:
-    """Amplitude and intensity of every pulse; None without any measurement."""
+    """Return amplitude and intensity of each pulse; None without any measurement."""
     measured = [pulse for pulse in record.pulses if pulse.mep is not None]
     if not measured:
         return None
@@ -91,7 +91,7 @@ def responses_figure(record: SessionRecord) -> Figure | None:
 
 
 def waveforms_figure(record: SessionRecord) -> Figure | None:
-    """Some of the signals, from the largest response to the smallest; None without any."""
+    """Return some of the signals, from the largest response to the smallest; None without any."""
     shown = [(pulse.epoch, pulse.mep) for pulse in record.pulses if pulse.epoch is not None and pulse.mep is not None]
     if not shown:
         return None
@@ -102,7 +102,7 @@ def waveforms_figure(record: SessionRecord) -> Figure | None:
 
 
 def placements_figure(record: SessionRecord) -> Figure | None:
-    """Errors of every placement, and of the coil right before every pulse; None without any placement."""
+    """Return the errors of each placement, and of the coil before each pulse; None without any placement."""
     placements = record.placements
     if not placements:
         return None

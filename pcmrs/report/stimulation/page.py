@@ -1,4 +1,4 @@
-"""The page itself: what is known goes into a template, as text, never as markup."""
+"""The page of a session with stimulation; all values enter its template as text, never as markup."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ METHODS = {"adaptive": "adaptive, by a Gaussian process", "grid": "grid, every p
 
 
 def render_report(record: SessionRecord, pictures: Mapping[str, Path]) -> str:
-    """The report as HTML.
+    """Return the report as HTML.
 
     Args:
         record: The session.
-        pictures: As `draw_figures` returns them.
+        pictures: Figures from `draw_figures`.
 
     Raises:
         OSError: A picture cannot be read.
@@ -43,28 +43,33 @@ def render_report(record: SessionRecord, pictures: Mapping[str, Path]) -> str:
 
 
 def plain(value: float | None) -> str:
-    """A number with as many decimals as it needs, two at most."""
+    """Return a number with as many decimals as it needs, two at most."""
     return NONE if value is None else f"{value:.2f}".rstrip("0").rstrip(".").replace("-", "−")
 
 
 def times(value: float | None, factor: float) -> float | None:
-    """A number in another unit, where there is one."""
+    """Return a number in another unit; None if it is missing.
+
+    Args:
+        value: Number, or None.
+        factor: Factor into the other unit.
+    """
     return None if value is None else value * factor
 
 
 def minutes(seconds: float) -> str:
-    """Minutes and seconds."""
+    """Return a duration in minutes and seconds."""
     whole = round(seconds)
     return f"{whole // 60}:{whole % 60:02d}"
 
 
 def date(unix: float) -> str:
-    """Day and time, UTC."""
+    """Return day and time, UTC."""
     return utc(unix, "%Y-%m-%d %H:%M UTC")
 
 
 def flags(pulse: PulseRecord) -> str:
-    """What is to be said of a pulse in one cell of a table."""
+    """Return the note on a pulse in the table: its problem, or whether it evoked a response."""
     if pulse.problem:
         return f"does not count ({pulse.problem.replace('_', ' ')})"
     return "yes" if pulse.mep is not None and pulse.mep.present else "none"

@@ -180,7 +180,7 @@ class StimulationSession:
                 source=source_without_port(stored.row.source),
                 decision="unknown",
                 code="no_outcome",
-                text="It had begun when the record ended; nobody knows how it ended.",
+                text="It was in progress at the last row; its outcome is unknown.",
             )
             for stored in self._journal.unfinished()
         ]

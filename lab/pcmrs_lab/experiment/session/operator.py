@@ -1,4 +1,4 @@
-"""Who asks for one operation after the other, and waits where it is too early."""
+"""Simulated operator, who requests one operation after the other and waits if it is too early."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from pcmrs.errors import CommandRefusedError
 from pcmrs.messages import Snapshot, Verdict
 
 PAUSE = 0.1
-"""Between two questions, s of the machine."""
+"""Pause between two requests, s of the machine."""
 PATIENCE = 20.0
-"""So long it is asked again at most, s of the machine: one that is busy shows poses late."""
+"""Longest time for which a request is repeated, s of the machine: a busy one publishes poses late."""
 PASSING = frozenset(
     {"busy", "coil_off_target", "head_moves", "not_aligned", "pose_missing", "pose_stale", "pulse_too_soon"}
 )
-"""Reasons that pass by themselves."""
+"""Codes of reasons that are temporary."""
 AGAIN = frozenset({"invalid_in_state", "not_aligned", "not_armed", "not_placed", "stimulator_not_ready"})
-"""Reasons against a pulse that placing and arming anew do away with: a stimulator disarms by itself after some time."""
+"""Codes of reasons against a pulse that are solved by placing and arming again: stimulators disarm after a time."""
 ATTEMPTS = 4
-"""So often something may fail: a robot that misses its set points holds."""
+"""Largest number of failures: a robot that misses its set points holds."""
 TO_PLACED = {
     "unknown": "placement.locate",
     "held": "placement.back_off",
@@ -31,34 +31,41 @@ TO_PLACED = {
     "standoff": "placement.confirm",
     "following": "placement.stop_following",
 }
-"""What leads to the planned pose, by state of the placement."""
+"""Operation that leads to the planned pose, by state of the placement."""
 AWAY = dict.fromkeys(("placed", "following", "held"), "placement.back_off")
-"""What leads away from the body."""
+"""Operation that leads away from the body, by state of the placement."""
 
 
 class Operator:
-    """Asks a daemon on the bus, and knows what it has shown of its states.
+    """Operator of a daemon on the bus.
 
     Args:
-        client: Of the daemon.
-        rate: Of its cell.
-        interval: Least time between two pulses, s of the cell.
+        client: Client of the daemon.
+        rate: Seconds of the cell per second of the machine.
+        interval: Shortest time between two pulses, s of the cell.
     """
 
     def __init__(self, client: Client, rate: float, interval: float = 0.0) -> None:
         self._client = client
         self._rate = rate
         self._interval = interval
-        self._rested = -math.inf
-        self._told = asyncio.Event()
-        self._shown: Snapshot | None = None
-        client.listen("state/fsm", Snapshot, self._take)
+        self._next_pulse_at = -math.inf
+        self._changed = asyncio.Event()
+        self._snapshot: Snapshot | None = None
+        client.listen("state/fsm", Snapshot, self._receive)
 
     async def ask(self, name: str, arguments: Mapping[str, Any] | None = None) -> Verdict:
-        """Ask for an operation until it is accepted; waits as long as the reason says, where it passes by itself.
+        """Request an operation, again while the reason against it is temporary.
+
+        Args:
+            name: Branch and operation, joined by a dot.
+            arguments: Arguments of the operation.
+
+        Returns:
+            Verdict that accepted it.
 
         Raises:
-            CommandRefusedError: It is not accepted; the text says why.
+            CommandRefusedError: It is not accepted; the text is the reason.
         """
         verdict = await self._attempt(name, arguments)
         if verdict.decision != "accepted":
@@ -66,22 +73,22 @@ class Operator:
         return verdict
 
     async def state(self, branch: str) -> str:
-        """The present state of a branch."""
+        """Return the present state of a branch."""
         return (await self._client.state()).branches[branch]
 
     async def place(self) -> None:
-        """Bring the coil to the planned pose, from wherever it is. Raises `CommandRefusedError`."""
+        """Bring the coil to the planned pose from any state. Raises `CommandRefusedError`."""
         await self._go(TO_PLACED)
 
     async def withdraw(self) -> None:
-        """Disarms, and brings the coil home, or at least clear of the body, from wherever it is.
+        """Disarm, and bring the coil home, or at least clear of the body, from any state.
 
-        From some places the way home leads back towards the body, which is refused. Without a plan there is no
-        standoff: then backing off goes on until the coil is clear of the body, and it stays there if the way is still
-        refused.
+        From some poses the path home leads back towards the body, which is refused. Without a plan there is no
+        standoff: then backing off continues until the coil is clear of the body. The coil stays there if the path is
+        still refused.
 
         Raises:
-            CommandRefusedError: The daemon does not let it.
+            CommandRefusedError: The daemon refuses a step.
         """
         await self.ask("stimulation.disarm")
         await self._go(AWAY)
@@ -91,10 +98,10 @@ class Operator:
             await self._attempt("placement.home")
 
     async def fire(self, name: str) -> Verdict:
-        """One pulse, as soon as it may be given; the coil is placed and the stimulator armed anew where need be.
+        """Give one pulse as soon as it is allowed; place the coil and arm the stimulator again if necessary.
 
         Raises:
-            CommandRefusedError: It may not be given; the text says why.
+            CommandRefusedError: The pulse is refused; the text is the reason.
         """
         for _ in range(ATTEMPTS):
             await self.place()
@@ -104,20 +111,20 @@ class Operator:
                 break
         if verdict.decision != "accepted":
             raise refused(verdict)
-        self._rested = asyncio.get_running_loop().time() + self._interval / self._rate
+        self._next_pulse_at = asyncio.get_running_loop().time() + self._interval / self._rate
         return verdict
 
     async def _ready(self) -> None:
-        """Arm the stimulator where it is not, and waits until the next pulse is due and the coil counts as aligned."""
+        """Arm the stimulator if necessary, and wait until the next pulse is due and the coil is aligned."""
         if await self.state("stimulation") != "armed":
             await self.ask("stimulation.arm")
-        await asyncio.sleep(self._rested - asyncio.get_running_loop().time())
+        await asyncio.sleep(self._next_pulse_at - asyncio.get_running_loop().time())
         with suppress(TimeoutError):  # the daemon then says what is missing
             async with asyncio.timeout(PATIENCE):
-                await self._shows(lambda snapshot: snapshot.branches["alignment"] == "1")
+                await self._wait_for(lambda snapshot: snapshot.branches["alignment"] == "1")
 
     async def _go(self, leads: Mapping[str, str]) -> None:
-        """Ask for what leads on, state by state, until nothing does."""
+        """Request the operation that the present state leads to, until no further one is given."""
         failures = 0
         verdict: Verdict | None = None
         while (state := (snapshot := await self._client.state()).branches["placement"]) in leads:
@@ -131,7 +138,7 @@ class Operator:
                 raise refused(verdict)
 
     async def _attempt(self, name: str, arguments: Mapping[str, Any] | None = None) -> Verdict:
-        """What the daemon decides in the end, whatever it is."""
+        """Return the final decision of the daemon, after temporary reasons."""
         loop = asyncio.get_running_loop()
         until = loop.time() + PATIENCE
         while True:
@@ -140,19 +147,19 @@ class Operator:
                 return verdict
             await asyncio.sleep(max(PAUSE, float(verdict.reason.fields.get("wait", 0.0)) / self._rate))
 
-    async def _shows(self, wanted: Callable[[Snapshot], bool]) -> None:
-        self._shown = self._shown or await self._client.state()
-        while not wanted(self._shown):
-            self._told.clear()
-            await self._told.wait()
+    async def _wait_for(self, wanted: Callable[[Snapshot], bool]) -> None:
+        self._snapshot = self._snapshot or await self._client.state()
+        while not wanted(self._snapshot):
+            self._changed.clear()
+            await self._changed.wait()
 
-    def _take(self, snapshot: Snapshot) -> None:
-        self._shown = snapshot
-        self._told.set()
+    def _receive(self, snapshot: Snapshot) -> None:
+        self._snapshot = snapshot
+        self._changed.set()
 
 
 def refused(verdict: Verdict) -> CommandRefusedError:
-    """The error that says what was not accepted, and why."""
-    why = "nobody knows why." if verdict.reason is None else verdict.reason.text
+    """Return the error for a verdict that did not accept."""
+    why = "the reason is unknown." if verdict.reason is None else verdict.reason.text
     name = f"{verdict.branch}.{verdict.operation}"
     return CommandRefusedError(f"{name} was {verdict.decision} in {verdict.state}: {why}", verdict=verdict)

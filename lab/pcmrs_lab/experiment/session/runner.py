@@ -1,4 +1,4 @@
-"""The course of a session: register, place, find an intensity, search the hot-spot, hunt the threshold at it."""
+"""Runner of a session: register, place, find an intensity, search the hot-spot, hunt the threshold there."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from pcmrs_lab.experiment.session.setup import SessionSetup
 from pcmrs_lab.experiment.setup import ShowProgress
 
 OPERATOR = "simulated operator"
-"""Stands for the person who sets the ceiling, and says so in the journal."""
+"""Name, in the journal, of the person who sets the ceiling."""
 FIRST_INTENSITY, STEP = 50.0, 8.0
-"""Where the intensity of the search is looked for, and how it is raised, percent of the maximum stimulator output."""
+"""First intensity and its increase when an intensity for the search is sought, percent of the maximum output."""
 ENOUGH = 300e-6
-"""Two responses in a row of this size over the hand area leave room for smaller ones beside it, V."""
+"""Response over the hand area, V: after two of this size in a row, smaller ones beside it can be measured."""
 WASTED = 8
-"""So many pulses in a row that say nothing about the muscle end the session: nobody should be given more of them."""
+"""Number of pulses without a valid measurement in a row that ends the session, to spare the subject more of them."""
 
 
 class SessionRunner:
-    """One session on a running daemon; `run` does it all.
+    """One session on a running daemon.
 
     Args:
         bench: The daemon.
-        setup: What is to be done.
-        progress: Told what is being done, how many pulses were asked for, and how many there will be, about.
+        setup: Setup of the session.
+        progress: Callback for the present step, the number of pulses, and their expected total.
     """
 
     def __init__(self, bench: Bench, setup: SessionSetup, progress: ShowProgress) -> None:
@@ -40,37 +40,37 @@ class SessionRunner:
         self._pulses = self._wasted = 0
 
     async def run(self) -> None:
-        """Registers, searches, hunts, and brings the coil home.
+        """Run the whole session, and bring the coil home.
 
         Raises:
-            CommandRefusedError: A step was refused, or nothing was found; the text says which and why.
+            CommandRefusedError: A step was refused, or nothing was found; the text names it and the reason.
         """
         await self._register()
         await self._place_at_centre()
         await self._find_intensity()
         await self._search()
         await self._hunt()
-        self._tell("withdrawing")
+        self._report("withdrawing")
         await self._operator.withdraw()
         await self._operator.ask("robot.disconnect")
 
     async def _register(self) -> None:
         planner, landmarks = self._bench.planner, msgspec.to_builtins(self._setup.plan.landmarks)
-        self._tell("planning and digitizing the landmarks")
+        self._report("planning and digitizing the landmarks")
         await planner.connect()
         await self._operator.ask("registration.plan_landmarks", {"landmarks": list(landmarks)})
         await planner.digitize_all()
-        self._tell("registering")
+        self._report("registering")
         await planner.register()
 
     async def _place_at_centre(self) -> None:
         planner, centre = self._bench.planner, self._setup.centre()
-        self._tell("placing the coil over the hand area")
+        self._report("placing the coil over the hand area")
         await once_seen(lambda: planner.plan_pose(centre.position, centre.quat_xyzw))
         await self._operator.place()
 
     async def _find_intensity(self) -> None:
-        """Raises the intensity until two responses in a row are large enough, or the ceiling is reached."""
+        """Raise the intensity until two responses in a row are large enough, or the ceiling is reached."""
         ask, ceiling = self._operator.ask, self._setup.ceiling
         await ask("stimulation.set_ceiling", {"percent": ceiling, "operator": OPERATOR})
         percent, large = min(FIRST_INTENSITY, ceiling), 0
@@ -103,19 +103,19 @@ class SessionRunner:
         while (state := await operator.state("threshold")) == "hunting":
             result = await self._pulse("threshold.pulse", "hunting the threshold")
         if state != "found":
-            raise CommandRefusedError(f"No threshold was found: {result.get('refusal', 'nobody knows why')}.")
+            raise CommandRefusedError(f"No threshold was found: {result.get('refusal', 'the reason is unknown')}.")
 
     async def _pulse(self, name: str, doing: str) -> dict[str, Any]:
-        """Give one pulse as soon as it may be given; its result. Raises `CommandRefusedError`."""
+        """Give one pulse as soon as it is allowed, and return its result. Raises `CommandRefusedError`."""
         self._pulses += 1
-        self._tell(f"{doing}, pulse {self._pulses}")
+        self._report(f"{doing}, pulse {self._pulses}")
         verdict = await self._operator.fire(name)
         result = verdict.result or {}
         self._wasted = 0 if result.get("counted") else self._wasted + 1
         if self._wasted == WASTED:
-            why = result.get("problem_text", "nobody knows why.")
+            why = result.get("problem_text", "the reason is unknown.")
             raise CommandRefusedError(f"{WASTED} pulses in a row do not count. The last one: {why}")
         return result
 
-    def _tell(self, doing: str) -> None:
+    def _report(self, doing: str) -> None:
         self._progress(doing, self._pulses, max(self._setup.expected_pulses, self._pulses + 1))

@@ -1,4 +1,4 @@
-"""What a session is told."""
+"""Setup of a session."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from pcmrs_lab.experiment.setup import at_rate
 
 WORKFLOW = "ratms_threshold"
 EXPECTED = 15
-"""Pulses for an intensity, and again for the threshold, about."""
+"""Approximate number of pulses to find an intensity, and of those to find the threshold."""
 OFF_TIME, POSE_AGE, SPEED_TIME = 0.1, 0.2, 0.3
-"""Alignment's own delay by default, and the longest that the workflow allows poses to be old and to be looked at, s."""
+"""Default delay of the alignment, and the workflow's limits for the age of poses and the window of the speed, s."""
 
 
 @dataclass(frozen=True)
@@ -28,16 +28,16 @@ class SessionSetup:
     """One session on a simulated cell.
 
     Attributes:
-        plan: Landmarks; the first of its poses is at the vertex of the head.
-        seed: Of the simulated subject and of all errors.
+        plan: Landmarks and poses; the first pose is at the vertex of the head.
+        seed: Seed of the simulated subject and of all errors.
         rate: Seconds of the simulated cell per second of the machine.
-        method: Of the search of the hot-spot.
-        threshold: Of the hunt for the threshold.
-        budget: Pulses of an adaptive search at most; None as configured.
-        ceiling: Highest intensity that may be used, percent of the maximum stimulator output.
+        method: Method of the hot-spot search.
+        threshold: Method of the threshold hunt.
+        budget: Largest number of pulses of an adaptive search; None for the configured one.
+        ceiling: Highest allowed intensity, percent of the maximum stimulator output.
         overrides: Further settings of the daemon, ``key=value`` each.
-        configuration: All of that, as the daemon reads it.
-        mesh: The surface of the head, in the image, m.
+        configuration: Resulting settings of the daemon.
+        mesh: Surface of the head in the image, m.
 
     Raises:
         ConfigurationError: A setting cannot be used, or the plan has no pose.
@@ -65,7 +65,7 @@ class SessionSetup:
         object.__setattr__(self, "mesh", mesh)
 
     def settings(self) -> list[str]:
-        """What differs from the default configuration."""
+        """Return the settings that differ from the default configuration, ``key=value`` each."""
         own = [f"workflow={WORKFLOW}", f"sim.seed={self.seed}", *at_rate(self.rate), *_late(self.rate)]
         if self.budget is not None:
             hotspot = "procedure.stimulation.hotspot"
@@ -75,18 +75,18 @@ class SessionSetup:
 
     @property
     def interval(self) -> float:
-        """Least time between two pulses, s of the cell."""
+        """Shortest time between two pulses, s of the cell."""
         return self.configuration.procedure.stimulation.intervals.least
 
     @property
     def expected_pulses(self) -> int:
-        """About so many pulses there will be."""
+        """Approximate number of pulses of the session."""
         hotspot = self.configuration.procedure.stimulation.hotspot
         places = 3 * hotspot.rings * (hotspot.rings + 1) + 1
         return 2 * EXPECTED + (places if self.method == "grid" else hotspot.max_pulses)
 
     def centre(self) -> ToolPose:
-        """Over the hand area, as a planner finds it on the surface from the vertex: where the search begins."""
+        """Return the pose at which the search starts: over the hand area, found on the surface from the vertex."""
         closest = TriangleSurface(self.mesh.vertices, self.mesh.faces).closest
         pose = hand_area(closest, self.plan.poses[0].position)
         w, x, y, z = pose.quat_wxyz.tolist()
@@ -95,7 +95,7 @@ class SessionSetup:
 
 
 def _late(rate: float) -> list[str]:
-    """A pose is as long on the bus as ever, which is `rate` times as long for the cell."""
+    """Return the settings for late poses: the bus is as slow as ever, which is `rate` times as slow for the cell."""
     if rate == 1.0:
         return []
     stimulation = "procedure.stimulation"

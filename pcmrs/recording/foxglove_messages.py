@@ -121,16 +121,16 @@ def _plain(schema: dict[str, Any], parts: dict[str, Any]) -> Any:
         return _plain(parts[schema["$ref"].rpartition("/")[2]], parts)
     if "anyOf" in schema:
         return _plain(next(each for each in schema["anyOf"] if each.get("type") != "null"), parts)
-    said: dict[str, Any] = {key: schema[key] for key in ("title", "description") if key in schema}
+    notes: dict[str, Any] = {key: schema[key] for key in ("title", "description") if key in schema}
     if "enum" in schema:
-        return {**said, "type": "string", "enum": schema["enum"]}
+        return {**notes, "type": "string", "enum": schema["enum"]}
     if schema.get("type") == "object":
         fields = {name: _plain(each, parts) for name, each in schema.get("properties", {}).items()}
-        return {**said, "type": "object", "properties": {name: each for name, each in fields.items() if each}}
+        return {**notes, "type": "object", "properties": {name: each for name, each in fields.items() if each}}
     if schema.get("type") == "array":
         item = _plain((schema.get("prefixItems") or [schema.get("items", {})])[0], parts)
-        return None if item is None or item["type"] == "array" else {**said, "type": "array", "items": item}
-    return {**said, "type": schema["type"]} if "type" in schema else None
+        return None if item is None or item["type"] == "array" else {**notes, "type": "array", "items": item}
+    return {**notes, "type": schema["type"]} if "type" in schema else None
 
 
 def _vector(transform: Transform) -> Vector3:

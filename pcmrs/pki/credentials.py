@@ -1,4 +1,4 @@
-"""The files with which a process proves who it is, looked at before anybody else does."""
+"""The files with which a process proves its identity, checked before they are used."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from pcmrs.pki.certificates import CELL, CLOCKS_DIFFER, read_key
 
 
 def read_credentials(folder: Path, now: float) -> Credentials:
-    """The credentials in a folder that `Authority.issue` has made, if they can be used.
+    """Return the credentials in a folder that `Authority.issue` created.
 
     Args:
-        folder: Holds one key, the certificate of the same name, and the authority's.
-        now: Wall time, s.
+        folder: Folder with one key, the certificate of the same name, and the authority's.
+        now: Wall time, Unix seconds.
 
     Raises:
-        ConfigurationError: A file is missing or another than it should be, others may read the key, or the certificate
-            does not count yet or any more.
+        ConfigurationError: A file is missing or does not match the others, others may read the key, or the certificate
+            is not valid yet or has expired.
     """
     path = _only_key(folder)
     name, certificate, authority = path.stem, _read(path.with_suffix(".pem")), _read(folder / CERTIFICATE)
@@ -37,7 +37,7 @@ def read_credentials(folder: Path, now: float) -> Credentials:
     except (ValueError, TypeError, InvalidSignature):
         raise _wrong(folder, f"{name}.pem was not issued by {CERTIFICATE}") from None
     if [each.value for each in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)] != [name]:
-        raise _wrong(folder, f"{name}.pem is the certificate of somebody else")
+        raise _wrong(folder, f"{name}.pem is the certificate of another identity")
     for file, each in ((f"{name}.pem", certificate), (CERTIFICATE, authority)):
         _check_time(folder / file, each, now)
     return Credentials(
@@ -50,19 +50,20 @@ def read_credentials(folder: Path, now: float) -> Credentials:
     )
 
 
-def check_registered(own: Credentials, members: Iterable[Identity], role: Role, cell: str = "") -> None:
-    """Refuse to run as what the register does not have: nobody could say what it may do.
+def check_registered(credentials: Credentials, members: Iterable[Identity], role: Role, cell: str = "") -> None:
+    """Require that the register has the identity of this process: without it, its rights are unknown.
 
     Args:
-        own: Of the process.
-        members: The register.
-        role: What the process is.
-        cell: ``<site>/<cell>`` that it serves; empty for a router.
+        credentials: Credentials of the process.
+        members: Identities in the register.
+        role: Role of the process.
+        cell: Cell that it serves, ``<site>/<cell>``; empty for a router.
 
     Raises:
-        ConfigurationError: The register lacks it, has revoked it, or has it with another role or for other cells.
+        ConfigurationError: The register lacks the identity, has revoked it, or has it with another role or for other
+            cells.
     """
-    found = next((each for each in members if each.name == own.name), None)
+    found = next((each for each in members if each.name == credentials.name), None)
     wrong = None
     if found is None:
         wrong = "is not in the register: copy the authority's present one"
@@ -73,7 +74,7 @@ def check_registered(own: Credentials, members: Iterable[Identity], role: Role, 
     elif cell and not found.in_cell(cell):
         wrong = f"may serve {' '.join(found.cells)}, not {cell}: have one issued for this cell"
     if wrong is not None:
-        raise ConfigurationError(f"{own.name} {wrong}.", name=own.name, role=role, cell=cell)
+        raise ConfigurationError(f"{credentials.name} {wrong}.", name=credentials.name, role=role, cell=cell)
 
 
 def _only_key(folder: Path) -> Path:
@@ -93,10 +94,10 @@ def _read(path: Path) -> x509.Certificate:
 def _check_time(path: Path, certificate: x509.Certificate, now: float) -> None:
     begins, ends = certificate.not_valid_before_utc.timestamp(), certificate.not_valid_after_utc.timestamp()
     if now >= ends:
-        text = f"{path} has expired on {_shown(ends)}: have a new one issued, `pcmrs pki issue`, or set the clock."
+        text = f"{path} has expired on {_utc(ends)}: have a new one issued, `pcmrs pki issue`, or set the clock."
         raise ConfigurationError(text, file=str(path), ended=ends, now=now)
     if now < begins - CLOCKS_DIFFER:
-        text = f"{path} counts from {_shown(begins)} only, and it is {_shown(now)} here: set the clock."
+        text = f"{path} is valid from {_utc(begins)}, and the time here is {_utc(now)}: set the clock."
         raise ConfigurationError(text, file=str(path), begins=begins, now=now)
 
 
@@ -106,10 +107,10 @@ def _cells(certificate: x509.Certificate) -> tuple[str, ...]:
     return tuple(each.removeprefix(CELL) for each in found if each.startswith(CELL))
 
 
-def _shown(wall: float) -> str:
+def _utc(wall: float) -> str:
     return f"{datetime.datetime.fromtimestamp(wall, datetime.UTC):%Y-%m-%d %H:%M:%S} UTC"
 
 
 def _wrong(folder: Path, why: str) -> ConfigurationError:
-    text = f"{folder} is no identity as `pcmrs pki issue` makes it: {why}."
+    text = f"{folder} is not an identity from `pcmrs pki issue`: {why}."
     return ConfigurationError(text, folder=str(folder))
