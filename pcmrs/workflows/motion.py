@@ -42,24 +42,24 @@ async def follow_prepared(run: Run) -> None:
 
 async def back_off_anew(run: Run) -> None:
     """Plans the way back again where the arm followed body or teleoperator until now."""
-    await _plan_anew(run)
+    await _replan(run)
 
 
 async def home_anew(run: Run) -> None:
     """Plans the way home again where the arm followed body or teleoperator until now."""
-    await _plan_anew(run)
+    await _replan(run)
 
 
 async def initial_anew(run: Run) -> None:
     """Plans the way to the initial posture again where the arm followed body or teleoperator until now."""
-    await _plan_anew(run)
+    await _replan(run)
 
 
-async def _plan_anew(run: Run) -> None:
+async def _replan(run: Run) -> None:
     """The check has seen an arm that moved on after it: now it stands."""
     if run.states["placement"] in ("following", "guided"):
         await _seen_at_rest(run)
-        await run.plan_anew()
+        await run.replan()
 
 
 def remember_approach(run: Run) -> None:

@@ -23,7 +23,7 @@ async def test_it_goes_on_latched_and_moves_only_after_an_acknowledgement(bench:
     await bench.do("placement.home")
     bench.recorder.failing.clear()
     holds = bench.holds
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert bench.dispatcher.broken is None
     assert bench.holds > holds, "the arm is held again before anything else may be asked for"
     assert bench.dispatcher.snapshot().latched
@@ -39,7 +39,7 @@ async def test_a_robot_that_has_not_confirmed_to_stand_is_told_of_when_it_goes_o
     await bench.do("placement.home")
     bench.recorder.failing.clear()
     bench.hold_error = UnknownOutcomeError("The robot is silent.")
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert bench.dispatcher.in_doubt
     assert bench.recorder.rows[-1][:2] == ("event", "hold_not_confirmed")
 
@@ -54,7 +54,7 @@ async def test_a_decision_that_the_disk_has_after_all_is_committed(bench: Bench)
     bench.recorder.failing.clear()
     durable = Verdict(id="clear-1", branch="toolplan", operation="clear", decision="accepted", state="0", sequence=99)
     bench.recorder.earlier["test:user", "clear-1"] = Recorded(durable, {})
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert bench.joint[2] == "0"
     (reopened,) = [states for _, name, states, _ in bench.recorder.rows if name == "journal_reopened"]
     assert reopened == bench.dispatcher.procedure.joint(), "later rows show what the disk has, too"
@@ -69,7 +69,7 @@ async def test_a_decision_that_the_disk_has_not_is_as_if_never_asked(bench: Benc
     await bench.do("toolplan.clear", id="clear-1")
     assert [each.operation for each in bench.dispatcher.snapshot().unknown] == ["clear"]
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert bench.joint == RETRACTED
     assert bench.dispatcher.snapshot().unknown == []
     assert (await bench.do("toolplan.clear", id="clear-1")).decision == "accepted", "a repeat is decided anew"
@@ -80,7 +80,7 @@ async def test_a_rejection_that_was_not_written_is_decided_anew(bench: Bench) ->
     assert (await bench.do("robot.connect", id="c1")).decision == "unknown"
     assert reasons(await bench.do("toolplan.plan", id="p1")) == ("rejected", "journal_unavailable")
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert (await bench.do("toolplan.plan", id="p1")).decision == "accepted"
 
 
@@ -90,7 +90,7 @@ async def test_a_motion_whose_outcome_was_not_written_leaves_the_placement_unkno
     bench.recorder.failing.add("decision")
     await bench.do("placement.approach", id="a1")
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun={("test:user", "a1")})
+    await bench.dispatcher.resume(in_flight={("test:user", "a1")})
     assert bench.joint[4] == "unknown"
     (shown,) = bench.dispatcher.snapshot().unknown
     assert (shown.command, shown.source, shown.branch, shown.operation) == ("a1", "test:user", "placement", "approach")
@@ -108,11 +108,11 @@ async def test_a_journal_that_fails_again_leaves_everything_refused_and_doubtful
     await bench.do("placement.approach", id="a1")
     bench.recorder.failing.add("event")
     with pytest.raises(PcmrsError):
-        await bench.dispatcher.resume(begun={("test:user", "a1")})
+        await bench.dispatcher.resume(in_flight={("test:user", "a1")})
     assert bench.dispatcher.broken is not None
     assert (await bench.do("toolplan.clear")).decision == "rejected"
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun={("test:user", "a1")})
+    await bench.dispatcher.resume(in_flight={("test:user", "a1")})
     assert bench.joint[4] == "unknown"
     assert (await bench.do("toolplan.clear")).decision == "accepted"
 
@@ -123,9 +123,9 @@ async def test_what_could_not_even_be_looked_up_stays_doubtful(bench: Bench) -> 
     await bench.do("placement.approach", id="a1")
     bench.recorder.failing = {"recall"}
     with pytest.raises(JournalError):
-        await bench.dispatcher.resume(begun={("test:user", "a1")})
+        await bench.dispatcher.resume(in_flight={("test:user", "a1")})
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun={("test:user", "a1")})
+    await bench.dispatcher.resume(in_flight={("test:user", "a1")})
     assert bench.joint[4] == "unknown"
 
 
@@ -138,7 +138,7 @@ async def test_an_acknowledgement_from_before_does_not_answer_the_failure(bench:
     bench.recorder.failing.clear()
     durable = Verdict(id="ack", branch="robot", operation="acknowledge", decision="accepted", state="1", sequence=99)
     bench.recorder.earlier["test:user", "ack"] = Recorded(durable, asked)
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert bench.dispatcher.snapshot().latched
 
 
@@ -148,7 +148,7 @@ async def test_the_journal_goes_on_with_the_states_that_are(bench: Bench) -> Non
     bench.recorder.failing.add("decision")
     await bench.do("toolplan.clear")
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     (states,) = [states for _, name, states, _ in bench.recorder.rows if name == "journal_reopened"]
     assert tuple(states.values()) == RETRACTED
     await bench.do("robot.acknowledge")
@@ -162,7 +162,7 @@ async def test_a_state_whose_activity_has_ended_is_left(bench: Bench) -> None:
     await bench.do("toolplan.no_such_operation")
     await settle()
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert bench.joint == HELD
     assert "watch_alignment ends" in bench.script.log
 
@@ -174,7 +174,7 @@ async def test_what_a_device_said_meanwhile_is_taken_in(bench: Bench) -> None:
     await bench.dispatcher.report(DeviceEvent(device="robot", code="link_lost", text="Silent.", danger=True))
     assert bench.joint[3] == "1"
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert (bench.joint[3], bench.joint[4]) == ("0", "unknown")
 
 
@@ -187,7 +187,7 @@ async def test_what_a_device_said_when_the_journal_failed_is_taken_in(bench: Ben
     assert bench.dispatcher.broken is not None
     assert bench.joint[3] == "1"
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert (bench.joint[3], bench.joint[4]) == ("0", "unknown")
 
 
@@ -198,7 +198,7 @@ async def test_what_a_device_said_and_the_disk_has_after_all_is_not_taken_in_twi
     bench.recorder.failing.clear()
     durable = Verdict(id="l1", branch="robot", operation="link_lost", decision="accepted", state="0", sequence=99)
     bench.recorder.earlier["device:robot", "l1"] = Recorded(durable, {})
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert (bench.joint[3], bench.joint[4]) == ("0", "unknown")
     assert [each.id for each in bench.verdicts() if each.operation == "link_lost"] == ["l1", "l1"]
 
@@ -212,7 +212,7 @@ async def test_what_a_device_said_waits_out_a_failure_of_the_journal_in_the_queu
     await bench.do("toolplan.no_such_operation")
     assert [(await each).decision for each in (running, waiting)] == ["unknown", "rejected"]
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert (bench.joint[3], bench.joint[4]) == ("0", "unknown")
 
 
@@ -232,7 +232,7 @@ async def test_what_still_runs_is_waited_for_and_the_resume_gives_up_in_time(ben
     bench.recorder.failing.add("decision")
     await bench.do("toolplan.clear")
     bench.recorder.failing.clear()
-    resumed = asyncio.create_task(bench.dispatcher.resume(begun=()))
+    resumed = asyncio.create_task(bench.dispatcher.resume(in_flight=()))
     await settle()
     await bench.clock.advance(60.0)
     release.set()
@@ -249,13 +249,13 @@ async def test_an_error_of_the_program_is_not_resumed(bench: Bench) -> None:
     bench.script.steps["toolplan.plan"] = keep_nonsense
     await bench.do("toolplan.plan")
     with pytest.raises(PcmrsError, match="Only a restart"):
-        await bench.dispatcher.resume(begun=())
+        await bench.dispatcher.resume(in_flight=())
     assert (await bench.do("toolplan.clear")).decision == "rejected"
 
 
 async def test_a_working_dispatcher_is_not_disturbed(bench: Bench) -> None:
     await bench.go(PLACED)
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert (bench.joint, bench.dispatcher.snapshot().latched) == (PLACED, False)
 
 
@@ -265,7 +265,7 @@ async def test_an_ending_daemon_is_not_brought_back(bench: Bench) -> None:
     bench.recorder.failing.clear()
     await bench.dispatcher.close()
     with pytest.raises(PcmrsError):
-        await bench.dispatcher.resume(begun=())
+        await bench.dispatcher.resume(in_flight=())
     assert reasons(await bench.do("toolplan.clear")) == ("rejected", "ending")
 
 
@@ -274,7 +274,7 @@ async def test_a_daemon_that_ends_while_it_resumes_is_not_brought_back_either(be
     await bench.do("toolplan.clear")
     bench.recorder.failing.clear()
     gate = bench.recorder.gates["event"] = asyncio.Event()
-    resumed = asyncio.create_task(bench.dispatcher.resume(begun=()))
+    resumed = asyncio.create_task(bench.dispatcher.resume(in_flight=()))
     await settle()
     closing = asyncio.create_task(bench.dispatcher.close())
     await settle()
@@ -290,7 +290,7 @@ async def test_what_is_journalled_when_a_resume_is_cancelled_is_published(bench:
     await bench.do("placement.approach", id="a1")
     bench.recorder.failing.clear()
     gate = bench.recorder.gates["decision"] = asyncio.Event()
-    resumed = asyncio.create_task(bench.dispatcher.resume(begun={("test:user", "a1")}))
+    resumed = asyncio.create_task(bench.dispatcher.resume(in_flight={("test:user", "a1")}))
     await settle()
     bench.published.clear()
     resumed.cancel()
@@ -310,7 +310,7 @@ async def test_what_a_user_asked_for_meanwhile_is_not_done_later(bench: Bench) -
     assert (await bench.do("robot.disconnect")).decision == "rejected"
     bench.recorder.failing.clear()
     bench.script.entered.clear()
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     await settle()
     assert (bench.script.entered, bench.joint) == ([], RETRACTED)
 

@@ -170,7 +170,7 @@ async def test_a_step_that_has_its_motion_planned_again_does_not_go_on_where_tha
     async def plan_again_and_move(run: Run[Any, Notes]) -> None:
         if refuses:
             planner.refused = Reason(code="unreachable", text="Too far by now.", fields={"distance": 0.9})
-        await run.plan_anew()
+        await run.replan()
         moved.append(run.command.operation)
 
     await bench.go(RETRACTED)

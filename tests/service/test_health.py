@@ -14,8 +14,8 @@ from pcmrs.testing.clock import ManualClock
 
 
 async def test_a_device_is_told_when_it_is_lost_for_another_reason_and_there_again() -> None:
-    hearing = DeviceReadiness({"tracker"}, ManualClock())
-    watch = HealthWatch(hearing, PoseFeed(ManualClock(), 0.25))
+    readiness = DeviceReadiness({"tracker"}, ManualClock())
+    watch = HealthWatch(readiness, PoseFeed(ManualClock(), 0.25))
     with capture_logs() as told:
         for connected, text in (
             (True, ""),
@@ -31,7 +31,7 @@ async def test_a_device_is_told_when_it_is_lost_for_another_reason_and_there_aga
         ("device_not_connected", "too hot"),
         ("device_connected", None),
     ]
-    assert hearing.complete
+    assert readiness.complete
 
 
 async def test_a_refusal_for_want_of_poses_says_what_the_tracker_says_of_itself() -> None:
