@@ -80,7 +80,7 @@ class ActivityTask(Generic[C, D]):
         """Announce its end at once, if it had started; awaiting the result returns when the row is durable."""
         if not self._started:
             return None
-        how = danger.text if danger is not None else "as it was told to."
+        how = danger.text if danger is not None else "it was cancelled."
         return self._coordinator.announce(self._event(ACTIVITY_ENDED, f"{self.act.name} has ended: {how}"))
 
     async def _perform(self) -> Reason | None:

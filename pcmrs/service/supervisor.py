@@ -178,7 +178,7 @@ class Supervisor:
                 await self._give_up(status.name, error, f" more than {limit.restarts} times within {limit.within:g} s")
             status.restarts, status.marked = status.restarts + 1, self._clock.monotonic()
             text = f"The daemon's task '{status.name}' died ({_named(error)}) and was restarted."
-            await self._tell(DeviceEvent(device="daemon", code="task_restarted", text=text))
+            await self._report(DeviceEvent(device="daemon", code="task_restarted", text=text))
 
     async def _death(self, work: Coroutine[Any, Any, object]) -> BaseException | None:
         """Runs the work until it dies; returns its error, or None if it has ended without one."""
@@ -204,10 +204,10 @@ class Supervisor:
         )
         self._failure = SupervisionError(text, task=name)
         event = DeviceEvent(device="daemon", code="task_failed", text=text, danger=True, fields={"task": name})
-        await self._tell(event)
+        await self._report(event)
         raise self._failure from error
 
-    async def _tell(self, event: DeviceEvent) -> None:
+    async def _report(self, event: DeviceEvent) -> None:
         """Reports an event and waits for the Stop that may follow, within a limit: a failing Stop delays nothing."""
         try:
             async with self._clock.timeout(REPORT_TIME):

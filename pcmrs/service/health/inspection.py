@@ -130,19 +130,19 @@ class Inspection:
 
     def _devices(self) -> list[DeviceStatus]:
         procedure, now = self.procedure, self.machine.monotonic()
-        told = procedure.health.last
-        heard = {device: now - since for device, since in procedure.beat_times.items()}
+        reported = procedure.health.last
+        beat_ages = {device: now - since for device, since in procedure.beat_times.items()}
         data = {device: now - since for device, since in procedure.data_times.items()}
         here = {device for devices in self.drivers.values() for device in devices}
         found = []
-        for device in sorted(here | told.keys() | heard.keys()):
+        for device in sorted(here | reported.keys() | beat_ages.keys()):
             # Robot and tracker may have sent data before their first health message.
-            said = told.get(device) or DeviceHealth(device=device, connected=device in data)
+            said = reported.get(device) or DeviceHealth(device=device, connected=device in data)
             status = DeviceStatus(
                 device=device,
                 connected=said.connected,
                 text=said.text,
-                heard=heard.get(device),
+                heard=beat_ages.get(device),
                 data=data.get(device),
                 dropped=said.dropped,
             )

@@ -95,7 +95,7 @@ class HeartProcess:
         self._settings, self._clock = settings, clock
         self._number = 0
         self._patience = STARTING_TIME
-        self._unheard: float | None = None
+        self._unanswered_since: float | None = None
         self._pipe: int | None = None
         self._process: asyncio.subprocess.Process | None = None
 
@@ -105,14 +105,14 @@ class HeartProcess:
             # The pipe is full or broken: the process has ended or hangs, and nothing is sent.
             with suppress(BlockingIOError, BrokenPipeError):
                 os.write(self._pipe, SIGN.pack(self._number, alive))
-        self._unheard = alive if self._unheard is None else self._unheard
-        if self._process is not None and alive - self._unheard > self._patience:
-            self._unheard = None
+        self._unanswered_since = alive if self._unanswered_since is None else self._unanswered_since
+        if self._process is not None and alive - self._unanswered_since > self._patience:
+            self._unanswered_since = None
             with suppress(ProcessLookupError):
                 self._process.kill()  # the same follows as if it ends by itself
 
     def hear(self) -> None:
-        self._patience, self._unheard = ANSWER_TIME, None
+        self._patience, self._unanswered_since = ANSWER_TIME, None
 
     def start(self, supervisor: Supervisor) -> None:
         """Start the process, and keep it running."""
@@ -127,7 +127,7 @@ class HeartProcess:
     async def _keep(self) -> None:
         limit = RestartLimit(RESTARTS, WITHIN, self._clock)
         while True:
-            self._patience, self._unheard = STARTING_TIME, None
+            self._patience, self._unanswered_since = STARTING_TIME, None
             process = self._process = await self._begin()
             status = await process.wait()
             self._close_pipe()

@@ -124,8 +124,8 @@ class JournalRecorder:
         if outcome is None or outcome.verdict is None:
             return None
         # The row that has closed a command of an earlier run repeats no arguments.
-        asked = outcome if outcome.arguments is not None else reader.intent_of(source, command_id)
-        return Recorded(outcome.verdict, {} if asked is None else asked.arguments or {})
+        intent = outcome if outcome.arguments is not None else reader.intent_of(source, command_id)
+        return Recorded(outcome.verdict, {} if intent is None else intent.arguments or {})
 
     def read_back(self, blueprint: Blueprint) -> PersistedState:
         """Return the state that the journal leaves, from its last snapshot on; later snapshots continue from it.
