@@ -127,7 +127,7 @@ class StopControl(Generic[C, D]):
             await self._coordinator.announce(not_confirmed(source))
 
     def _started_since_stop(self) -> bool:
-        """Whether anything runs or waits that the last Stop has not ended."""
+        """Returns whether anything runs or waits that the last Stop has not ended."""
         running = any(pending.stopped is None for pending in self._locks.running)
         return running or any(not pending.spec.event for pending in self._locks.waiting)
 

@@ -59,7 +59,7 @@ class CounterFile:
         if not whole:
             os.close(self._descriptor)
             raise ConfigurationError(
-                f"{path} is damaged, so old datagrams cannot be told from new ones. Remove it, and give every peer a "
+                f"{path} is damaged, so it does not show which datagrams are old. Remove it, and give every peer a "
                 "new key: pcmrs peers new NAME.",
                 file=str(path),
             )

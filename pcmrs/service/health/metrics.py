@@ -168,7 +168,7 @@ def _of_decisions(health: Health) -> Iterator[Metric]:
 
 def _of_tasks(health: Health) -> Iterator[Metric]:
     answers: Rows = [([task.name], task.answers) for task in health.tasks]
-    yield _gauges("task_answers", "Whether a task of the daemon comes round.", ["task"], answers)
+    yield _gauges("task_answers", "Whether a task of the daemon works.", ["task"], answers)
     restarts: Rows = [([task.name], task.restarts) for task in health.tasks]
     yield _counters("task_restarts", "Tasks of the daemon that died and were restarted.", ["task"], restarts)
     yield _counter("stray_failures", "Failures in the event loop that belong to no task.", health.strays)
@@ -185,7 +185,7 @@ def _of_devices(health: Health) -> Iterator[Metric]:
     connected: Rows = [([each.device], each.connected) for each in health.devices]
     yield _gauges("device_connected", "Whether a device is there, as its node said last.", ["device"], connected)
     heard: Rows = [([each.device], each.heard) for each in health.devices if each.heard is not None]
-    yield _gauges("device_heartbeat_age_seconds", "Since its node was heard.", ["device"], heard)
+    yield _gauges("device_heartbeat_age_seconds", "Time since the last heartbeat of its node.", ["device"], heard)
     data: Rows = [([each.device], each.data) for each in health.devices if each.data is not None]
     yield _gauges("device_data_age_seconds", "Since joints or poses came.", ["device"], data)
     late: Rows = [([each.device, kind], many) for each in health.devices for kind, many in each.dropped.items()]

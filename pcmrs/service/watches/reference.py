@@ -38,16 +38,16 @@ class ReferenceWatch:
 
     async def run(self) -> None:
         """Watch until cancelled."""
-        told: dict[str, str] = {}
+        reported: dict[str, str] = {}
         while True:
             mark()
             shift = moved_by(self._cell, self._procedure.data)
             joint = self._procedure.joint()
             if shift is None:
-                told = {}
-            elif joint != told and joint.get("registration") in RESTS_ON_IT:
+                reported = {}
+            elif joint != reported and joint.get("registration") in RESTS_ON_IT:
                 await self._report(self._event(shift))
-                told = self._procedure.joint()
+                reported = self._procedure.joint()
             await self._cell.clock.sleep(PERIOD)
 
     def _event(self, shift: Shift) -> DeviceEvent:
