@@ -46,7 +46,7 @@ class ActivityTask(Generic[C, D]):
         self._context = context
         self._coordinator = context.coordinator
         self._function: asyncio.Task[Exception | None] | None = None
-        self._begun = False
+        self._started = False
 
     @property
     def goes_on(self) -> bool:
@@ -78,15 +78,15 @@ class ActivityTask(Generic[C, D]):
 
     def announce_end(self, danger: Reason | None) -> Awaitable[None] | None:
         """Announce its end at once, if it had started; awaiting the result returns when the row is durable."""
-        if not self._begun:
+        if not self._started:
             return None
-        how = danger.text if danger is not None else "as it was told to."
+        how = danger.text if danger is not None else "it was cancelled."
         return self._coordinator.announce(self._event(ACTIVITY_ENDED, f"{self.act.name} has ended: {how}"))
 
     async def _perform(self) -> Reason | None:
         """Performs its function as soon as its start is durable."""
         act = self.act
-        self._begun = True
+        self._started = True
         started = self._event(ACTIVITY_STARTED, f"{act.name} begins: {act.branch} is {act.state}.")
         await self._coordinator.announce(started)
         if self.ending:

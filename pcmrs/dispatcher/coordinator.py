@@ -19,9 +19,13 @@ Submission = Callable[[], list[asyncio.Future[Verdict]]]
 
 @dataclass(frozen=True, slots=True)
 class CompletedCommand(Generic[C, D]):
-    """How a command ended.
+    """Command that has ended.
 
     Attributes:
+        command: The command.
+        verdict: Future of its verdict.
+        decision: The decision.
+        reason: Reason of the decision; None if it is accepted.
         pending: The pending command; None for a command that was rejected before it became one.
         run: Results of its checks and steps; None if there were none.
         change: Change of states to commit, if any.

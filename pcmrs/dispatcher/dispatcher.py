@@ -121,7 +121,7 @@ class Dispatcher(Generic[C, D]):
 
     def snapshot(self) -> Snapshot:
         """Return the joint state of all branches, with running operations and activities."""
-        running = [pending.shown for pending in self._locks.running if pending.begun and not pending.verdict.done()]
+        running = [pending.shown for pending in self._locks.running if pending.started and not pending.verdict.done()]
         activities, unknown = self._activities.shown(), self._outcomes.shown()
         return self.procedure.snapshot(running, activities, unknown, self.lease.state, self._stops.state)
 
@@ -206,7 +206,7 @@ class Dispatcher(Generic[C, D]):
 
         A retreat is allowed, and the release of Stop for it: nobody may be kept from leaving the patient.
 
-        Such a rejection leaves no row: a repeat of the command is decided anew when commands are taken again.
+        Such a rejection leaves no row: a repeat of the command is decided again when commands are accepted again.
         """
         self._admission.suspended = reason
 
@@ -278,20 +278,20 @@ class Dispatcher(Generic[C, D]):
         """
         return self._recovery.fail(reason)
 
-    async def resume(self, begun: Container[tuple[str, str]]) -> None:
+    async def resume(self, in_flight: Container[tuple[str, str]]) -> None:
         """Resume after a failure of the journal: held, latched, and with what the disk says.
 
         What was being journalled at the failure is committed if the disk has it. A command that had begun is
         `unknown`, with the state that its operation declares for that. Anything else counts as never submitted.
 
         Args:
-            begun: Source and id of the commands of which the journal has the intent and no outcome.
+            in_flight: Source and id of the commands of which the journal has the intent and no outcome.
 
         Raises:
             PcmrsError: It was not the journal that failed: memory is not to be trusted. Or something still runs.
             JournalError: The journal has failed again.
         """
-        await self._recovery.resume(begun)
+        await self._recovery.resume(in_flight)
 
     async def close(self) -> None:
         """End the procedure: the robot is held, running operations are stopped, and nothing more is accepted."""

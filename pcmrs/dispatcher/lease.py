@@ -113,11 +113,13 @@ class Lease:
     def _confirm(self, command: Command) -> Reason | None:
         if self.state is None or self.holder != command.user:
             return self._not_yours(command)
-        asked = command.arguments.get("user")
-        if asked is None or asked != self.state.asking:
-            text = f"{asked} does not ask for the lease; {self.state.asking or 'nobody'} does. Give the argument user."
-            return Reason(code="bad_arguments", text=text, fields={"user": asked, "asking": self.state.asking})
-        self._give(asked)
+        requested = command.arguments.get("user")
+        if requested is None or requested != self.state.asking:
+            text = (
+                f"{requested} does not ask for the lease; {self.state.asking or 'nobody'} does. Give the argument user."
+            )
+            return Reason(code="bad_arguments", text=text, fields={"user": requested, "asking": self.state.asking})
+        self._give(requested)
         return None
 
     def _give(self, user: str) -> None:

@@ -16,7 +16,7 @@ class DispatcherListener:
     """
 
     def on_stop(self) -> None:
-        """Handle a Stop, whoever or whatever has stopped; its latch is set already."""
+        """Handle a Stop, by whatever source; its latch is set already."""
 
     def on_failure(self) -> None:
         """Handle a failure after which the dispatcher accepts nothing any more; see `Dispatcher.broken`."""

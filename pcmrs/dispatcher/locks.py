@@ -31,7 +31,7 @@ class PendingCommand:
         arrived: Time of its arrival, s of the event loop's clock.
         side_effecting: Its steps act on the world.
         since: Number of the newest commit that its checks and steps have seen.
-        begun: Its steps have started, so that cancelling its task reaches them.
+        started: Its steps have started, so that cancelling its task reaches them.
         ending: Its steps have ended and it is being committed: too late to stop.
         committing: It waits for its commit only.
         stopped: Why it was stopped by Stop or a danger event.
@@ -49,7 +49,7 @@ class PendingCommand:
     since: int = 0
     task: asyncio.Task[None] | None = None
     progress: float = 0.0
-    begun: bool = False
+    started: bool = False
     ending: bool = False
     committing: bool = False
     stopped: Reason | None = None
@@ -98,7 +98,7 @@ class PendingCommand:
         self.stopped = reason
         if self.planning is not None:
             self.planning.cancel()
-        if self.begun and not self.ending and self.task is not None:
+        if self.started and not self.ending and self.task is not None:
             self.task.cancel()
 
     def end_steps(self) -> None:

@@ -76,7 +76,7 @@ class Performer(Generic[C, D]):
 
     def _perform_at_once(self, pending: PendingCommand) -> None:
         """Performs an operation without side effects, from its checks to its completion."""
-        pending.begun = pending.ending = True
+        pending.started = pending.ending = True
         token = performing.set(id(self._context.procedure))
         run = self._run_of(pending)
         try:
@@ -136,7 +136,7 @@ class Performer(Generic[C, D]):
 
     async def _steps(self, pending: PendingCommand, run: Run[C, D]) -> StepResult:
         """Takes the steps, those with side effects after the intent is durable; holds the robot if a motion fails."""
-        pending.begun = True
+        pending.started = True
         if not pending.side_effecting:
             pending.end_steps()
             return take_steps_at_once(self._registry, pending.spec, run)

@@ -138,11 +138,11 @@ class Reconciliation(Generic[C, D]):
         self._outcomes = outcomes
         self._activities = activities
 
-    async def of_all(self, begun: Container[tuple[str, str]]) -> AsyncIterator[Verdict]:
+    async def of_all(self, in_flight: Container[tuple[str, str]]) -> AsyncIterator[Verdict]:
         """Settle the unconfirmed commands one after the other, and yield the verdicts that count instead.
 
         Args:
-            begun: Source and id of the commands of which the journal has the intent and no outcome.
+            in_flight: Source and id of the commands of which the journal has the intent and no outcome.
 
         Raises:
             JournalError: The journal cannot be read or written; the remaining commands stay unconfirmed.
@@ -151,20 +151,20 @@ class Reconciliation(Generic[C, D]):
         waiting, self._decisions.unconfirmed = self._decisions.unconfirmed, []
         try:
             while waiting:
-                verdict = await self._of(waiting[0], begun)
+                verdict = await self._of(waiting[0], in_flight)
                 waiting.pop(0)
                 if verdict is not None:
                     yield verdict
         finally:
             self._decisions.unconfirmed[:0] = waiting
 
-    async def _of(self, completed: CompletedCommand[C, D], begun: Container[tuple[str, str]]) -> Verdict | None:
+    async def _of(self, completed: CompletedCommand[C, D], in_flight: Container[tuple[str, str]]) -> Verdict | None:
         command = completed.command
         self._verdict_cache.forget(command)
         verdict, is_new = self._verdict_cache.verdict_of(command)
         if not is_new:
             return self._take_recorded(completed, verdict.result())
-        if (command.source, command.id) not in begun:  # then no step was taken, or they touched nothing outside
+        if (command.source, command.id) not in in_flight:  # then no step was taken, or they touched nothing outside
             self._verdict_cache.forget(command)
             self._outcomes.withdraw(command.source, command.id)
             return None
@@ -242,7 +242,7 @@ class FailureRecovery(Generic[C, D]):
             self._context.tasks.spawn(self._coordinator.record(event).durable())
         return reason
 
-    async def resume(self, begun: Container[tuple[str, str]]) -> None:
+    async def resume(self, in_flight: Container[tuple[str, str]]) -> None:
         """Resume after a failure of the journal; see `Dispatcher.resume`."""
         broken = self._admission.broken
         if broken is None:
@@ -254,7 +254,7 @@ class FailureRecovery(Generic[C, D]):
         stands = await self._context.hold.stop()
         self._activities.open()
         try:
-            await self._reconcile(begun)
+            await self._reconcile(in_flight)
             await self._recorder.event(REOPENED, self._context.procedure.promised())
         except BaseException:
             self._activities.close()
@@ -282,8 +282,8 @@ class FailureRecovery(Generic[C, D]):
         if broken and verdict.decision != "accepted" and command.source.startswith("device:"):
             self._missed[command.branch, command.operation] = command
 
-    async def _reconcile(self, begun: Container[tuple[str, str]]) -> None:
-        async for verdict in self._reconciliation.of_all(begun):
+    async def _reconcile(self, in_flight: Container[tuple[str, str]]) -> None:
+        async for verdict in self._reconciliation.of_all(in_flight):
             if verdict.decision == "accepted":
                 self._missed = {key: each for key, each in self._missed.items() if each.id != verdict.id}
             self._coordinator.publish_verdict(verdict)

@@ -65,24 +65,24 @@ class Run(Generic[C, D]):
     undecided: list[str] = field(default_factory=list)
     changes: dict[str, Any] = field(default_factory=dict)
     posts: list[tuple[str, str, dict[str, Any]]] = field(default_factory=list)
-    _plan_anew: Callable[[], Awaitable[Reason | None]] | None = None
+    _replan: Callable[[], Awaitable[Reason | None]] | None = None
 
     @property
     def data(self) -> D:
         """Data of the procedure with the changes of this run."""
         return msgspec.structs.replace(self._data, **self.changes) if self.changes else self._data
 
-    def use_planner(self, plan_anew: Callable[[], Awaitable[Reason | None]]) -> None:
+    def use_planner(self, replan: Callable[[], Awaitable[Reason | None]]) -> None:
         """Set the function that asks the operation's checks again."""
-        self._plan_anew = plan_anew
+        self._replan = replan
 
-    async def plan_anew(self) -> None:
+    async def replan(self) -> None:
         """Ask the operation's checks again, with the present data: a step calls it when the arm stands.
 
         Raises:
             RefusalError: A check refuses.
         """
-        refused = None if self._plan_anew is None else await self._plan_anew()
+        refused = None if self._replan is None else await self._replan()
         if refused is not None:
             raise RefusalError(refused.code, refused.text, **refused.fields)
 

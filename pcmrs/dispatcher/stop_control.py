@@ -80,7 +80,7 @@ class StopControl(Generic[C, D]):
             presses: Number of presses of this source since the last call.
         """
         stop = self._presses.find(source)
-        if stop is None or self._begun_since_stop():
+        if stop is None or self._started_since_stop():
             standing = self.begin(source, None, list)
             stop, presses = StopUnderWay(source, self._stops.state.number, standing), presses - 1
             self._presses.add(stop, self._hold.stop())
@@ -126,8 +126,8 @@ class StopControl(Generic[C, D]):
             self.in_doubt = True
             await self._coordinator.announce(not_confirmed(source))
 
-    def _begun_since_stop(self) -> bool:
-        """Whether anything runs or waits that the last Stop has not ended."""
+    def _started_since_stop(self) -> bool:
+        """Returns whether anything runs or waits that the last Stop has not ended."""
         running = any(pending.stopped is None for pending in self._locks.running)
         return running or any(not pending.spec.event for pending in self._locks.waiting)
 

@@ -20,7 +20,7 @@ MAX_REMEMBERED = 10_000
 
 
 class Entry(Protocol):
-    """What is known of one command."""
+    """Entry of one command."""
 
     def done(self) -> bool:
         """Return whether the command has ended."""

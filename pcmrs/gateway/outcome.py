@@ -20,7 +20,7 @@ NO_DATA = "no_data_returned;"
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a command ended.
+    """Outcome of a command.
 
     Attributes:
         reason: Code of the reason; None if accepted.

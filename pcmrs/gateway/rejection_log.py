@@ -47,8 +47,8 @@ class RejectionLog:
         self._core = core
         self._clock = clock
         self._tasks = tasks
-        self._untold: dict[str, PendingReport] = {}
-        self._told: set[str] = set()
+        self._pending: dict[str, PendingReport] = {}
+        self._reported: set[str] = set()
         self._waiting = False
 
     def add(self, source: str, reason: str, text: str, *, each: bool = False) -> None:
@@ -61,29 +61,29 @@ class RejectionLog:
             each: Report it at once, by itself.
         """
         if each:
-            self._tell(reason, PendingReport(1, source, text))
+            self._publish(reason, PendingReport(1, source, text))
             return
-        before = self._untold.get(reason)
-        self._untold[reason] = PendingReport(1 if before is None else before.count + 1, source, text)
-        if reason not in self._told:
+        before = self._pending.get(reason)
+        self._pending[reason] = PendingReport(1 if before is None else before.count + 1, source, text)
+        if reason not in self._reported:
             self._report(reason)
         if not self._waiting:
             self._waiting = True
             self._tasks.spawn(self._wait())
 
     async def _wait(self) -> None:
-        while self._told:
+        while self._reported:
             await self._clock.sleep(PERIOD)
-            self._told.clear()
-            for reason in tuple(self._untold):
+            self._reported.clear()
+            for reason in tuple(self._pending):
                 self._report(reason)
         self._waiting = False
 
     def _report(self, reason: str) -> None:
-        self._told.add(reason)
-        self._tell(reason, self._untold.pop(reason))
+        self._reported.add(reason)
+        self._publish(reason, self._pending.pop(reason))
 
-    def _tell(self, reason: str, untold: PendingReport) -> None:
-        fields = {"count": untold.count, "source": untold.source, "reason": reason}
-        _log.warning(REFUSED, text=untold.text, **fields)
-        self._core.report(DeviceEvent(device=self._edge, code=REFUSED, text=untold.text, fields=fields))
+    def _publish(self, reason: str, report: PendingReport) -> None:
+        fields = {"count": report.count, "source": report.source, "reason": reason}
+        _log.warning(REFUSED, text=report.text, **fields)
+        self._core.report(DeviceEvent(device=self._edge, code=REFUSED, text=report.text, fields=fields))

@@ -38,7 +38,7 @@ def new_key(path: Path) -> None:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, SECRET)
     except FileExistsError:
         raise ConfigurationError(
-            f"{path} exists, and whoever has this key would be locked out. Remove it first, or take another name.",
+            f"{path} exists, and the holder of this key would be locked out. Remove it first, or choose another name.",
             file=str(path),
         ) from None
     with os.fdopen(descriptor, "w", encoding="ascii") as file:
@@ -60,7 +60,7 @@ def read_key(path: Path) -> bytes:
         raise ConfigurationError(text, file=str(path)) from None
     text = content.decode("ascii", "replace")
     if not _HEX.fullmatch(text):
-        # What the file holds is told to nobody: it may be most of a key.
+        # The message does not show the content of the file: it may be most of a key.
         raise ConfigurationError(
             f"{path} holds no key: {2 * KEY_BYTES} hex digits. Make one with: pcmrs peers new NAME.", file=str(path)
         )

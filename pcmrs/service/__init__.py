@@ -1,4 +1,4 @@
-"""The daemon: puts all parts together and runs them until it is told to end."""
+"""The daemon: connects all parts and runs them until it is stopped."""
 
 from pcmrs.service.daemon import Daemon, Ready
 

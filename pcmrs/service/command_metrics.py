@@ -1,4 +1,4 @@
-"""How commands are decided and how long they take; and what the parts of the daemon have counted."""
+"""Metrics of decisions and their latencies, and the counters of the daemon's parts."""
 
 from __future__ import annotations
 
@@ -19,26 +19,31 @@ BOUNDS = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0
 DECISIONS: tuple[str, ...] = get_args(Decision)
 
 RECENT = 1000
-"""Of so many commands the percentiles are taken."""
+"""Number of newest commands that the percentiles are taken of."""
 
 
 class Submit(Protocol):
     """`Dispatcher.submit`."""
 
     def __call__(self, command: Command, /, *, arrived: float | None = None) -> Awaitable[Verdict]:
-        """Decide on a command."""
+        """Decide on a command.
+
+        Args:
+            command: The command.
+            arrived: Time of its arrival, s of the event loop's clock; by default now.
+        """
 
 
 class CommandMetrics:
-    """What has been decided since the start.
+    """Numbers and latencies of the decisions since the start.
 
     Args:
         submit: `Dispatcher.submit`.
-        clock: The machine's.
+        clock: The machine's clock.
 
     Attributes:
-        decisions: Decision to how many were made, on events of devices and posted commands too.
-        rejections: Reason code to how many commands were rejected for it.
+        decisions: Decision to its number, including those on events of devices and posted commands.
+        rejections: Reason code to its number of rejections.
     """
 
     def __init__(self, submit: Submit, clock: Clock) -> None:
@@ -49,21 +54,26 @@ class CommandMetrics:
         self._times: dict[str, _Times] = {}
 
     async def submit(self, command: Command, *, arrived: float | None = None) -> Verdict:
-        """What the edges of the system call: submits, and takes the time until the verdict; see `Dispatcher.submit`."""
+        """Submit a command of an edge, and measure the time until its verdict; see `Dispatcher.submit`.
+
+        Args:
+            command: The command.
+            arrived: Time of its arrival, s of the event loop's clock; by default now.
+        """
         began = self._clock.monotonic()
         verdict = await self._submit(command, arrived=arrived)
         self._times.setdefault(verdict.decision, _Times()).add(self._clock.monotonic() - began)
         return verdict
 
     def take(self, message: Snapshot | Verdict | DeviceEvent) -> None:
-        """Called with everything that the dispatcher publishes: every decision is published once."""
+        """Count a message of the dispatcher if it is a decision: each is published once."""
         if isinstance(message, Verdict):
             self.decisions[message.decision] += 1
             if message.decision == "rejected" and message.reason is not None:
                 self.rejections[message.reason.code] += 1
 
     def latencies(self) -> list[LatencyStatus]:
-        """Of every decision that an edge has asked for."""
+        """Return the latencies of commands of the edges, by decision."""
         return [times.status(decision) for decision, times in sorted(self._times.items())]
 
 
@@ -92,7 +102,7 @@ class _Times:
 
 
 def _nearest_rank(ordered: list[float], fraction: float) -> float:
-    """The smallest value that at least this fraction of the values does not exceed."""
+    """Smallest value that at least this fraction of the values does not exceed."""
     return ordered[math.ceil(fraction * len(ordered)) - 1]
 
 
@@ -100,5 +110,5 @@ Source = Callable[[], Mapping[str, int]]
 
 
 def counted(sources: Iterable[Source]) -> dict[str, int]:
-    """The counters of all parts, each under a name of its own, such as ``bus.refused`` or ``loop.stalls``."""
+    """Return the counters of all parts by their unique names, such as ``bus.refused`` or ``loop.stalls``."""
     return {name: many for source in sources for name, many in source().items()}

@@ -52,17 +52,17 @@ log = structlog.get_logger(__name__)
 
 
 class Ready(msgspec.Struct, frozen=True):
-    """Where a running daemon can be reached.
+    """Addresses of a running daemon.
 
     Attributes:
         prefix: Prefix of all its keys on the bus.
         links: Host and port of every gateway link.
         folder: Journal and records.
         journal: The journal of its workflow.
-        metrics: Address of its metrics; empty where none are served.
-        console: Address of its page; empty where none is served.
-        listen: Where other machines dial it.
-        routers: Routers that it dials.
+        metrics: Address of its metrics; empty if none are served.
+        console: Address of its page; empty if none is served.
+        listen: Addresses for other machines.
+        routers: Routers that it connects to.
     """
 
     prefix: str
@@ -86,7 +86,7 @@ class Daemon:
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[Ready]:
-        """Runs the daemon for as long as the context lasts; on leaving, motion is held first.
+        """Run the daemon as long as the context lasts; when it is left, motion is held first.
 
         Raises:
             ConfigurationError: Another daemon runs this cell, a port is taken, there is no such workflow, or the
@@ -94,8 +94,8 @@ class Daemon:
             BusError: The bus endpoint is taken.
             BlueprintError: The workflow is unsound.
             JournalError: The journal cannot be opened.
-            DeviceError: A device is not heard.
-            SupervisionError: On leaving: one of the daemon's tasks died too often.
+            DeviceError: A device has not answered.
+            SupervisionError: When the context is left: one of the daemon's tasks has died too often.
         """
         settings = self._settings
         workflow = open_workflow(settings.workflow)
@@ -150,7 +150,7 @@ class Daemon:
             heart.start(supervisor)
             planner.start(supervisor, procedure.cell.surface)
             nodes.start(supervisor)
-            await procedure.hearing.wait()
+            await procedure.readiness.wait()
             await planner.wait()
             stalls = StallWatch(dispatcher.report_later, procedure.moving, machine)
             stack.push_async_callback(stalls.close)
@@ -190,7 +190,7 @@ class Daemon:
                 supervisor.spawn("audit", audit(journal.reader.path, dispatcher.report_later))
             if manager:
                 supervisor.start("service manager", lambda: run_watchdog(manager, inspection.health, machine))
-            # Entered last, so left first: the arm stands, and latched, before anything else ends.
+            # It is entered last, so left first: the arm stands and is latched before anything else ends.
             stack.push_async_callback(dispatcher.close)
             manager.tell("READY=1")
             stack.callback(manager.tell, "STOPPING=1")
@@ -201,7 +201,7 @@ class Daemon:
 async def _child_processes(
     settings: Settings, session: str, device_key: bytes, procedure: RunningProcedure, machine: Clock
 ) -> AsyncIterator[tuple[NodeProcesses, ChildProcess, ChildProcess]]:
-    """Device nodes, recorder and console, not yet started; on leaving they are stopped in this order."""
+    """Yields device nodes, recorder and console, not yet started; they are stopped in this order."""
     report = procedure.dispatcher.report_later
     nodes = NodeProcesses(settings, device_key, procedure.lose, report, machine)
     recording = ChildProcess(
@@ -210,19 +210,19 @@ async def _child_processes(
     console = ChildProcess("console", partial(open_console, settings), report, machine)
     async with AsyncExitStack() as stack:
         stack.push_async_callback(console.stop)
-        stack.push_async_callback(recording.stop)  # after the nodes: it writes what they have said last
+        stack.push_async_callback(recording.stop)  # after the nodes, so that it writes their last messages
         stack.push_async_callback(nodes.stop)
         yield nodes, recording, console
 
 
 @asynccontextmanager
 async def _edges(bus: Bus, procedure: RunningProcedure, settings: Settings, machine: Clock) -> AsyncIterator[Gateway]:
-    """Takes commands from the bus and, closed first, by the links of the gateway."""
+    """Takes commands from the bus and from the links of the gateway, which are closed first."""
     async with AsyncExitStack() as stack:
         reporting = BackgroundTasks(logged_as(TASK_FAILED))
         stack.push_async_callback(reporting.close)
         refusals = RejectionLog(procedure.core, machine, reporting, edge="bus")
-        edge = await CommandEdge.open(bus, procedure.tally.submit, refusals.add, procedure.stop)
+        edge = await CommandEdge.open(bus, procedure.command_metrics.submit, refusals.add, procedure.stop)
         stack.push_async_callback(edge.close)
         links = open_gateway(procedure.core, settings.gateway, machine, settings.cell.path())
         yield await stack.enter_async_context(links)
@@ -247,7 +247,7 @@ def _ready(
 
 
 async def go_ahead(machine: Clock) -> None:
-    """Gives the real-time policy to the loop and the threads of the bus; says once what is missing where it may not."""
+    """Give the real-time policy to the loop and the threads of the bus; log once if a permission is missing."""
     keep_pauses_short()
     realtime = RealTime(Priority.LOOP)
     try:
@@ -264,7 +264,7 @@ def _tell_counters(sources: Iterable[Source]) -> None:
 
 @contextmanager
 def _only_daemon_of(folder: Path) -> Iterator[None]:
-    """Holds the lock of the cell's folder. Raises `ConfigurationError` when another daemon has it."""
+    """Holds the lock of the cell's folder. Raises `ConfigurationError` if another daemon holds it."""
     try:
         make_private(folder)
         lock = (folder / "lock").open("w")

@@ -1,4 +1,4 @@
-"""The daemon as the gateway sees it: commands in, and the poses that clients are shown."""
+"""Adapter of the daemon for the gateway: commands, and poses for clients."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class GatewayAdapter:
     """Implements `pcmrs.gateway.adapter.Core` on the dispatcher and the cell.
 
     Args:
-        dispatcher: Of the cell.
+        dispatcher: The dispatcher of the cell.
         cell: Devices and poses.
-        submit: `Dispatcher.submit`, or what counts on its way there.
+        submit: `Dispatcher.submit`, or a function that counts and calls it.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class GatewayAdapter:
     def remember_initial_joints(self) -> list[float] | None:
         joints, placement = self.joints(), self._dispatcher.procedure.joint().get("placement")
         if joints is None or placement != "retracted" or not self._dispatcher.idle:
-            return None  # a posture near the body, or on the way to it, is no place to return to
+            return None  # a posture near the body, or on the way to it, is not a place to return to
         self._cell.initial_joints = joints
         text = "The present joints are the initial ones from now on."
         event = DeviceEvent(device="gateway", code="initial_joints", text=text, fields={"joints": joints})

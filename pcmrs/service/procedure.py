@@ -1,4 +1,4 @@
-"""What runs the procedure of a cell: dispatcher, devices and watches, over any `Link` and in any time."""
+"""Running procedure of a cell: dispatcher, devices and watches, over any `Link` and in any time."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ log = structlog.get_logger(__name__)
 DEVICES = set(PROTOCOLS)
 """Devices that may report events."""
 DAEMON_SPEAKERS = {"daemon", "recorder"}
-"""Who reports on the daemon's own key."""
+"""Sources that report on the daemon's own key."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +59,8 @@ class Clocks:
     """The two times of a cell.
 
     Attributes:
-        cell: In which robot, tracker and people live.
-        machine: In which processes wait for each other: answers, heartbeats.
+        cell: Time of robot, tracker and people.
+        machine: Time in which processes wait for each other: answers, heartbeats.
     """
 
     cell: Clock
@@ -68,29 +68,29 @@ class Clocks:
 
 
 class RunningProcedure(DispatcherListener):
-    """The procedure of one cell, without sockets, child processes or a bus of its own.
+    """Procedure of one cell, without its own sockets, child processes or bus.
 
     Args:
-        link: Where the device nodes and those who watch are.
+        link: Link to the device nodes and to clients.
         settings: The whole configuration.
-        workflow: The procedure, its initial data with what earlier runs have left.
+        workflow: The workflow, with what earlier runs have left in its initial data.
         recorder: The journal.
-        clocks: Of the cell and of the machine.
-        supervisor: Its tasks run there, and it reports to the dispatcher from now on.
-        heart: Sends the signs of life of the loop; by default the loop itself does.
+        clocks: Clocks of the cell and of the machine.
+        supervisor: Supervisor of its tasks. It reports to the dispatcher from now on.
+        heart: Sends the loop's signs of life; by default the loop itself does.
         planner: Plans motions; by default the loop itself does.
 
     Attributes:
-        session: Of this start of the daemon, as its heartbeats and requests have it.
+        session: Id of this run of the daemon in its heartbeats and requests.
         cell: Devices and poses.
-        dispatcher: Takes commands.
-        core: The same as the gateway sees it.
-        tally: What it has decided, and how long that took.
-        hearing: Of which devices has been heard.
-        health: What the nodes say of their devices.
-        heard: Device to when its node sent its last heartbeat, s of the machine's monotonic clock.
-        data_heard: Robot and tracker to when their last joints and poses came, on the same clock.
-        misnamed: Events that were dropped, since they spoke for another device than that of their key.
+        dispatcher: The dispatcher.
+        core: Adapter of the dispatcher for the gateway.
+        command_metrics: Metrics of decisions.
+        readiness: Readiness of the devices.
+        health: Health that the nodes report of their devices.
+        beat_times: Device to the time of its node's last heartbeat, s of the machine's monotonic clock.
+        data_times: Robot and tracker to the time of their last joints and poses, on the same clock.
+        misnamed: Number of events that were dropped, since their device is not that of their key.
     """
 
     def __init__(
@@ -122,9 +122,9 @@ class RunningProcedure(DispatcherListener):
             rejections=Rejections(clocks.machine),
         )
         self.dispatcher.add_listener(self)
-        self.tally = CommandMetrics(self.dispatcher.submit, clocks.machine)
-        self.core = GatewayAdapter(self.dispatcher, self.cell, self.tally.submit)
-        self.hearing = DeviceReadiness(awaited(settings, workflow.blueprint.branches), clocks.machine)
+        self.command_metrics = CommandMetrics(self.dispatcher.submit, clocks.machine)
+        self.core = GatewayAdapter(self.dispatcher, self.cell, self.command_metrics.submit)
+        self.readiness = DeviceReadiness(awaited(settings, workflow.blueprint.branches), clocks.machine)
         dispatcher = self.dispatcher
         self.watch = RobotWatch(
             self._heart.sign,
@@ -138,9 +138,9 @@ class RunningProcedure(DispatcherListener):
         remote = [device for device in acting if isinstance(device, ActingDevice)]
         self._gates = GateWatch(remote, dispatcher, self.connected, supervisor)
         self._standstill = Standstill()
-        self.health = HealthWatch(self.hearing, self.cell.poses)
-        self.heard: dict[str, float] = {}
-        self.data_heard: dict[str, float] = {}
+        self.health = HealthWatch(self.readiness, self.cell.poses)
+        self.beat_times: dict[str, float] = {}
+        self.data_times: dict[str, float] = {}
         self._machine = clocks.machine
         self.misnamed = 0
         self._reference = ReferenceWatch(self.cell, dispatcher)
@@ -149,7 +149,7 @@ class RunningProcedure(DispatcherListener):
         supervisor.report = dispatcher.report
 
     def start(self) -> None:
-        """Listens to the devices and starts the watches."""
+        """Subscribe to the devices and start the watches."""
         link = self._link
         link.subscribe("state/pose/*", BodyPose, self._take_pose)
         link.subscribe("state/joints", JointState, self._take_joints)
@@ -165,19 +165,24 @@ class RunningProcedure(DispatcherListener):
         self._supervisor.start("lease watch", self._lease.run, quiet=QUIET)
 
     def connected(self) -> bool:
-        """Whether the workflow holds the robot for connected."""
+        """Return whether the robot is connected by the state of the workflow."""
         return self.dispatcher.procedure.joint().get("robot") == "1"
 
     def gathered(self) -> ProcedureDataView:
-        """What the procedure has gathered so far."""
+        """Return the present data of the procedure, for people."""
         return gathered(self.cell, self.dispatcher.procedure.data)
 
     def moving(self) -> bool:
-        """Whether the robot was moving when it was last heard."""
+        """Return whether the robot was moving by its last joints."""
         return self.cell.joints is not None and self.cell.joints.moving
 
     def stop(self, source: str, presses: int = 1) -> int:
-        """Begins to stop everything, and returns the number of the Stop; see `Dispatcher.press_stop`."""
+        """Begin to stop everything, and return the number of the Stop; see `Dispatcher.press_stop`.
+
+        Args:
+            source: Who stops.
+            presses: Number of presses of this source since the last call.
+        """
         before = self.dispatcher.stop_number
         stop = self.dispatcher.press_stop(source, presses)
         if stop.number > before:
@@ -185,10 +190,10 @@ class RunningProcedure(DispatcherListener):
         return stop.number
 
     def lose(self, devices: list[str]) -> bool:
-        """The node of these devices has ended by itself; whether it is worth another start."""
-        if not self.hearing.complete:
+        """Handle that the node of these devices has ended by itself; return whether to restart it."""
+        if not self.readiness.complete:
             text = f"The node of {', '.join(devices)} ended while it started; the log says why."
-            self.hearing.fail(DeviceError(text, devices=devices))
+            self.readiness.fail(DeviceError(text, devices=devices))
             return False
         if "robot" in devices:
             self._supervisor.spawn("loss of the robot", self.watch.lose("The robot's node has ended."))
@@ -198,13 +203,13 @@ class RunningProcedure(DispatcherListener):
         return True
 
     def counters(self) -> dict[str, int]:
-        """What came too late at the device nodes to be followed, and events that spoke for another device."""
+        """Return the numbers of messages that reached the device nodes too late, and of misnamed events."""
         found = self.health.last.items()
         late = {f"{device}.late.{kind}": many for device, said in found for kind, many in said.dropped.items()}
         return late | {"events.misnamed": self.misnamed}
 
     def _take_event(self, key: str, event: DeviceEvent) -> None:
-        """Who may publish on a device's key speaks for that device only: not for the lease, and not for the daemon."""
+        """Reports an event of the device of its key: nobody may report for the lease or the daemon."""
         speakers = DAEMON_SPEAKERS if key == "daemon/event" else {named_in(key)} & DEVICES
         if event.device in speakers:
             self.dispatcher.report_later(event)
@@ -213,31 +218,31 @@ class RunningProcedure(DispatcherListener):
         log.warning("misnamed_event", key=key, device=event.device, code=event.code)
 
     def _take_pose(self, _key: str, pose: BodyPose) -> None:
-        self.data_heard["tracker"] = self._machine.monotonic()
+        self.data_times["tracker"] = self._machine.monotonic()
         self.cell.poses.update(pose)
-        self.hearing.hear("tracker")
+        self.readiness.hear("tracker")
 
     def _take_joints(self, _key: str, state: JointState) -> None:
-        self.data_heard["robot"] = self._machine.monotonic()
+        self.data_times["robot"] = self._machine.monotonic()
         self.cell.update_joints(state)
         self._standstill.watch(self.connected() and self.dispatcher.idle)
         if (moved := self._standstill.take(state)) is not None:
             self.dispatcher.report_later(moved)
         self.watch.hear()
-        self.hearing.hear("robot")
+        self.readiness.hear("robot")
 
     def _take_beat(self, key: str, beat: NodeBeat) -> None:
         device = named_in(key)
         self._gates.take(device, beat.gate)
         if beat.gate is not None:
-            self.hearing.hear_gate(device)
-        self.heard[device] = self._machine.monotonic()
+            self.readiness.hear_gate(device)
+        self.beat_times[device] = self._machine.monotonic()
         if device == "robot":
             self.watch.hear_beat()
 
     def on_publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
         """Publish a message of the dispatcher on the bus, and count it."""
-        self.tally.take(message)
+        self.command_metrics.take(message)
         self._publishing.publish(message)
         self._publishing.publish_data(self.cell, self.dispatcher.procedure.data)
 
@@ -247,20 +252,27 @@ async def _wait_for(stopping: asyncio.Task[bool]) -> None:
 
 
 QUIET = 10.0
-"""A watch that has not come round for so long is stuck, s of the machine; reports that it waits for take their time."""
+"""Time without a mark after which a watch counts as stuck, s of the machine; it may wait for its reports."""
 
 
 def open_cell(settings: Settings, blueprint: Blueprint, link: Link, clocks: Clocks, session: str) -> Cell:
-    """The cell as the operations of a blueprint see it, its devices behind `link`; `session` is the daemon's.
+    """Return the cell of a workflow's operations.
+
+    Args:
+        settings: The whole configuration.
+        blueprint: The workflow.
+        link: Link to the device nodes.
+        clocks: Clocks of the cell and of the machine.
+        session: Id of this run of the daemon.
 
     Raises:
-        ConfigurationError: A calibration cannot be used, or the body's surface is not there, or another patient's.
-        FileFormatError: The surface is no mesh.
+        ConfigurationError: A calibration cannot be used, or the body's surface is missing or another patient's.
+        FileFormatError: The surface is not a mesh.
     """
     procedure, machine = settings.procedure.in_cell_time(settings.cell.rate), clocks.machine
     cell = Cell(
         name=f"{settings.cell.site}/{settings.cell.name}",
-        # Answers are waited for by the machine's clock: a fast simulation may fall behind its own.
+        # Waits for answers use the machine's clock: a fast simulation may fall behind its own.
         robot=RemoteRobot(link, machine, session),
         uses_robot=blueprint.uses_robot,
         pointer=RemotePointer(link, machine, procedure.registration.touch_timeout_s, session),

@@ -1,4 +1,4 @@
-"""What the daemon shows on the bus, and what it answers there."""
+"""Messages and answers of the daemon on the bus."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ from pcmrs.workflows.data import PlacementData
 
 LARGEST_PAGE = 500
 PAGE_BYTES = 1024 * 1024
-"""A page of the journal has rows of so many bytes together, as they are kept; more are on the next page."""
+"""Size of the rows on a page of the journal, bytes as they are stored; more are on the next page."""
 HEALTH_PERIOD = 5.0
-"""Between two words on the daemon's health, s of the machine."""
+"""Period of the messages on the daemon's health, s of the machine."""
 
 
 class Publishing:
-    """Puts snapshots, flags, events and what the procedure has gathered on the bus as the dispatcher makes them."""
+    """Publishes snapshots, flags, events and data of the procedure on the bus."""
 
     def __init__(self, bus: Link) -> None:
         self._bus = bus
@@ -52,7 +52,7 @@ class Publishing:
         self._shown: dict[str, Message] = {}
 
     def publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
-        """Called by the dispatcher with everything that is new."""
+        """Publish a message of the dispatcher."""
         failpoint("service.before_publish")
         if isinstance(message, Snapshot):
             self._bus.publish("state/fsm", message)
@@ -61,7 +61,12 @@ class Publishing:
             self._bus.publish("state/event", message)
 
     def publish_data(self, cell: Cell, data: PlacementData) -> None:
-        """Shows what has changed of what the procedure has gathered."""
+        """Publish the data of the procedure that have changed.
+
+        Args:
+            cell: The cell.
+            data: Present data of the procedure.
+        """
         if data is self._data:
             return
         self._data = data
@@ -86,10 +91,17 @@ def answer_queries(
     setup: Callable[[], Setup],
     gathered: Callable[[], ProcedureDataView],
 ) -> None:
-    """Serves the read-only queries below ``svc/``.
+    """Serve the read-only queries below ``svc/``.
 
-    `setup` reads a file, and what it returns counts until the daemon ends. What reads files does so one at a time in
-    another thread: several of them would keep the interpreter from the loop.
+    Files are read one at a time in another thread: several of them would keep the interpreter from the loop.
+
+    Args:
+        bus: The bus.
+        dispatcher: The dispatcher.
+        journal: Reader of the journal.
+        health: Returns the present health.
+        setup: Reads how the cell is set up from files. Its first result counts until the daemon ends.
+        gathered: Returns the present data of the procedure.
     """
     shown: list[Setup] = []
     files = asyncio.Lock()
@@ -140,16 +152,26 @@ def answer_queries(
 
 
 async def tell_health(bus: Link, health: Callable[[], Health], clock: Clock) -> None:
-    """Says how the daemon is now and then, for whoever looks at the session later; until cancelled."""
+    """Publish the daemon's health periodically, for recordings of the session; until cancelled.
+
+    Args:
+        bus: The bus.
+        health: Returns the present health.
+        clock: The machine's clock.
+    """
     while True:
         bus.publish("state/health", health())
         await clock.sleep(HEALTH_PERIOD)
 
 
 def journal_page(path: Path, query: JournalQuery) -> JournalPage:
-    """Reads by a connection of its own, since it runs beside the event loop.
+    """Return a page of the journal. It opens its own connection, since it runs beside the event loop.
 
     A page has as many rows as fit into `PAGE_BYTES`, but one at least.
+
+    Args:
+        path: Journal file.
+        query: Rows of the page.
     """
     most = max(1, min(query.limit, LARGEST_PAGE))
     backwards = query.before is not None

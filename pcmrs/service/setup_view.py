@@ -1,4 +1,4 @@
-"""What a console is told of the cell: how it is set up, and what its procedure has gathered."""
+"""View of the cell for a console: its setup, and the data of its procedure."""
 
 from __future__ import annotations
 
@@ -24,7 +24,13 @@ from pcmrs.workflows.data import PlacementData, as_message
 
 
 def setup_of(cell: Cell, settings: Settings, blueprint: Blueprint) -> Setup:
-    """How the cell is set up, for nobody in particular."""
+    """Return how the cell is set up.
+
+    Args:
+        cell: The cell.
+        settings: The whole configuration.
+        blueprint: The workflow.
+    """
     procedure, facts, mesh = settings.procedure, cell.arm.facts, cell.surface
     surface = None
     if mesh is not None:
@@ -60,7 +66,12 @@ def setup_of(cell: Cell, settings: Settings, blueprint: Blueprint) -> Setup:
 
 
 def gathered(cell: Cell, data: PlacementData) -> ProcedureDataView:
-    """What the procedure has gathered so far, for people."""
+    """Return the present data of the procedure, for people.
+
+    Args:
+        cell: The cell.
+        data: Data of the procedure.
+    """
     registered = data.registered
     return ProcedureDataView(
         landmarks=[

@@ -1,4 +1,4 @@
-"""The daemon's tasks: each has a name and a limit of restarts; beyond that the daemon stops safely and ends."""
+"""Tasks of the daemon: each has a name and a limit of restarts; beyond that the daemon stops safely and ends."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from pcmrs.messages import DeviceEvent
 log = structlog.get_logger(__name__)
 
 RESTARTS = 3
-"""A task is begun anew so many times within `WITHIN`."""
+"""Limit of the restarts of a task within `WITHIN`."""
 WITHIN = 60.0
-"""s of the machine."""
+"""Period of `RESTARTS`, s of the machine."""
 REPORT_TIME = 5.0
-"""A report is taken within this, the stop that follows from danger confirmed, or nobody waits for it any more, s."""
+"""Limit of the wait for a report and the Stop that may follow from it, s."""
 
 Report = Callable[[DeviceEvent], Awaitable[None]]
 Work = Callable[[], Coroutine[Any, Any, None]]
 
 
 class RestartLimit:
-    """Counts deaths, and says whether there may be a restart.
+    """Limit of restarts per time.
 
     Args:
-        restarts: So many may be made within `within`.
-        within: s of `clock`.
-        clock: The machine's.
+        restarts: Limit of the restarts within `within`.
+        within: Period, s of `clock`.
+        clock: The machine's clock.
     """
 
     def __init__(self, restarts: int, within: float, clock: Clock) -> None:
@@ -44,7 +44,7 @@ class RestartLimit:
         self._deaths: deque[float] = deque()
 
     def reached(self) -> bool:
-        """Takes one more death: whether it is one too many."""
+        """Count one more death; return whether it is one too many."""
         now = self._clock.monotonic()
         self._deaths.append(now)
         while now - self._deaths[0] > self.within:
@@ -54,13 +54,13 @@ class RestartLimit:
 
 @dataclass(slots=True)
 class TaskStatus:
-    """What is known of one supervised task.
+    """Status of one supervised task.
 
     Attributes:
-        name: Of the task.
-        quiet: It works as long as it marks at least this often, s of the machine; None for one that only waits.
-        marked: When it last said that it works, s of the machine's monotonic clock.
-        restarts: How often it was begun anew in all.
+        name: Name of the task.
+        quiet: Limit between two marks of a task that works, s of the machine; None for one that only waits.
+        marked: Time of its last mark, s of the machine's monotonic clock.
+        restarts: Number of its restarts.
     """
 
     name: str
@@ -69,24 +69,24 @@ class TaskStatus:
     restarts: int = 0
 
     def answers(self, now: float) -> bool:
-        """Whether it has marked within its time."""
+        """Return whether it has marked within its limit at time `now`, s."""
         return self.quiet is None or now - self.marked <= self.quiet
 
 
 class Supervisor:
     """One `asyncio.TaskGroup` of named tasks; a context, whose end cancels them and waits for their end.
 
-    A task that dies, by an error or by ending at all, is logged with its name, counted, reported and begun anew. One
-    that dies more often than its limit ends the context with `SupervisionError`, after a report of danger: then the
-    robot is held and latched.
+    A task that dies, by an error or by ending, is logged with its name, counted, reported and restarted. One that dies
+    more often than its limit ends the context with `SupervisionError`, after a report of danger: then the robot is held
+    and latched. Tasks that are not restarted are owned by `pcmrs.background.BackgroundTasks` instead.
 
     Args:
-        clock: The machine's.
+        clock: The machine's clock.
 
     Attributes:
-        report: Takes the events, such as `Dispatcher.report`; to be set before anything can die that matters.
+        report: Takes the events, such as `Dispatcher.report`; to be set before any task can die that matters.
         died: Tasks that died since the start.
-        strays: Failures in the loop that belong to no task of the supervisor, such as a handler of the bus.
+        strays: Failures in the event loop that belong to no task of the supervisor, such as a handler of the bus.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -118,33 +118,43 @@ class Supervisor:
     def start(
         self, name: str, work: Work, *, restarts: int = RESTARTS, within: float = WITHIN, quiet: float | None = None
     ) -> None:
-        """Does `work`, which has no end of its own, until the context ends.
+        """Run `work`, which does not end by itself, until the context ends.
 
         Args:
-            name: Of the task, one of a kind.
-            work: Makes the coroutine, anew for every restart.
-            restarts: So many within `within` s of the machine are made.
-            within: See `restarts`.
-            quiet: `work` calls `mark` more often than this, s of the machine; None for one that only waits.
+            name: Unique name of the task.
+            work: Makes the coroutine, again for every restart.
+            restarts: Limit of the restarts within `within`.
+            within: Period of that limit, s of the machine.
+            quiet: Limit between two calls of `mark` by `work`, s of the machine; None if it only waits.
         """
         status = self._statuses[name] = TaskStatus(name, quiet, self._clock.monotonic())
         self._create(name, self._keep(status, work, RestartLimit(restarts, within, self._clock)))
 
     def spawn(self, name: str, work: Coroutine[Any, Any, object]) -> None:
-        """Does `work` once; an error in it ends the daemon safely, for nobody else would hear of it."""
+        """Run `work` once; an error in it ends the daemon safely, since nobody else would receive it.
+
+        Args:
+            name: Name of the task.
+            work: The coroutine.
+        """
         self._create(name, self._once(name, work))
 
     def statuses(self) -> list[TaskStatus]:
-        """Of all tasks that were started, in that order."""
+        """Return the status of all started tasks, in order of their start."""
         return list(self._statuses.values())
 
     def counters(self) -> dict[str, int]:
-        """Tasks that died, failures outside of them, and restarts of those that have any."""
+        """Return the numbers of tasks that died, of failures outside of tasks, and of restarts by task."""
         restarted = {f"restarts.{each.name}": each.restarts for each in self.statuses() if each.restarts}
         return {"tasks.died": self.died, "tasks.strays": self.strays, **restarted}
 
     def handle_loop_exception(self, _loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """The loop's exception handler: logs and counts what no task can be begun anew for."""
+        """Log and count a failure outside of all tasks; the exception handler of the event loop.
+
+        Args:
+            _loop: The event loop.
+            context: Message and exception; see `asyncio.loop.call_exception_handler`.
+        """
         self.strays += 1
         log.error("stray_failure", what=context.get("message"), exc_info=context.get("exception"))
 
@@ -167,20 +177,20 @@ class Supervisor:
             if limit.reached():
                 await self._give_up(status.name, error, f" more than {limit.restarts} times within {limit.within:g} s")
             status.restarts, status.marked = status.restarts + 1, self._clock.monotonic()
-            text = f"The daemon's task '{status.name}' died ({_named(error)}) and was begun anew."
-            await self._tell(DeviceEvent(device="daemon", code="task_restarted", text=text))
+            text = f"The daemon's task '{status.name}' died ({_named(error)}) and was restarted."
+            await self._report(DeviceEvent(device="daemon", code="task_restarted", text=text))
 
     async def _death(self, work: Coroutine[Any, Any, object]) -> BaseException | None:
-        """Does the work until it dies; None when it has ended without an error."""
+        """Runs the work until it dies; returns its error, or None if it has ended without one."""
         try:
             await work
         except (KeyboardInterrupt, SystemExit, GeneratorExit):
             raise
-        except BaseException as error:  # a panic of a library in Rust is no Exception
+        except BaseException as error:  # a panic of a library in Rust is not an Exception
             task = asyncio.current_task()
             if task is not None and task.cancelling():
-                raise  # the context ends: nothing is begun anew
-            return error  # a cancellation, too, where something was cancelled that it has waited for
+                raise  # the context ends: nothing is restarted
+            return error  # also a cancellation, if something was cancelled that it has waited for
         return None
 
     def _note(self, name: str, error: BaseException | None) -> None:
@@ -194,11 +204,11 @@ class Supervisor:
         )
         self._failure = SupervisionError(text, task=name)
         event = DeviceEvent(device="daemon", code="task_failed", text=text, danger=True, fields={"task": name})
-        await self._tell(event)
+        await self._report(event)
         raise self._failure from error
 
-    async def _tell(self, event: DeviceEvent) -> None:
-        """Reports, and waits for what follows from it: a stop that hangs or fails keeps nothing up."""
+    async def _report(self, event: DeviceEvent) -> None:
+        """Reports an event and waits for the Stop that may follow, within a limit: a failing Stop delays nothing."""
         try:
             async with self._clock.timeout(REPORT_TIME):
                 await self.report(event)
@@ -207,19 +217,19 @@ class Supervisor:
 
 
 def mark() -> None:
-    """The supervised task that calls this works; elsewhere it means nothing."""
+    """Mark that the supervised task of the caller works; do nothing in other tasks."""
     _marked.get()()
 
 
 def _nothing() -> None:
-    """Nobody supervises."""
+    """Does nothing: the caller is not supervised."""
 
 
 _marked: ContextVar[Callable[[], object]] = ContextVar("marked", default=_nothing)
 
 
 async def _to_nobody(_event: DeviceEvent) -> None:
-    """Before anything can be held there is nobody to tell; it has been logged."""
+    """Ignores an event: nothing can be held yet, and the event has been logged."""
 
 
 def _named(error: BaseException | None) -> str:

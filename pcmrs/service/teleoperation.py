@@ -1,4 +1,4 @@
-"""Set points of teleoperators from the bus into the cell, and what they are told out of it."""
+"""Set points of teleoperators from the bus into the cell, and their status back."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ SETPOINTS, STATUS = "teleop/*", "state/teleop"
 
 
 def connect_teleoperators(link: Link, port: TeleopPort, seen: Callable[[], None]) -> None:
-    """Hands on what comes by whoever the key names: access control lets nobody use another's key.
+    """Forward set points of the user that the key names: access control prevents the use of another's key.
 
     Args:
-        link: To the bus.
-        port: Of the cell.
-        seen: Called while somebody's hands guide the tool.
+        link: Link to the bus.
+        port: Port of the cell.
+        seen: Called while a person's hands guide the tool.
     """
 
     def take(key: str, setpoint: TeleopSetpoint) -> None:

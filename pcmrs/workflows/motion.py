@@ -59,7 +59,7 @@ async def _replan(run: Run) -> None:
     """Plan again from the arm's present rest, because the check saw an arm that moved on afterwards."""
     if run.states["placement"] in ("following", "guided"):
         await _wait_for_frame_at_rest(run)
-        await run.plan_anew()
+        await run.replan()
 
 
 def remember_approach(run: Run) -> None:

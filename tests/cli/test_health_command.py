@@ -43,7 +43,7 @@ def test_each_reason_has_its_remedy_and_markup_is_shown_as_text() -> None:
     text = shown(replace(WELL, tasks=tasks, metrics="Port [1] is taken.", latched=True))
     first, task, restart, metrics, port, *_ = text.splitlines()
     assert first.startswith("failed: ")
-    assert task == "failed: task_stuck: The daemon's task '[red]' does not come round any more."
+    assert task == "failed: task_stuck: The daemon's task '[red]' is stuck."
     assert restart.strip() == "→ Restart the daemon."
     assert metrics == "degraded: metrics_not_served: Port [1] is taken."
     assert port.strip().startswith("→ Give another")

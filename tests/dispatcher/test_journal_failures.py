@@ -187,7 +187,7 @@ async def test_a_bug_stays_a_bug_when_the_journal_fails_after_it(bench: Bench) -
     assert bench.dispatcher.broken is not None
     assert bench.dispatcher.broken.code == "internal_error"
     with pytest.raises(PcmrsError, match="Only a restart"):
-        await bench.dispatcher.resume(begun=())
+        await bench.dispatcher.resume(in_flight=())
 
 
 async def test_bug_that_shows_after_the_journal_failed_is_not_resumed(
@@ -207,7 +207,7 @@ async def test_bug_that_shows_after_the_journal_failed_is_not_resumed(
     assert bench.dispatcher.broken is not None
     assert bench.dispatcher.broken.code == "internal_error"
     with pytest.raises(PcmrsError, match="Only a restart"):
-        await bench.dispatcher.resume(begun=())
+        await bench.dispatcher.resume(in_flight=())
 
 
 @pytest.mark.parametrize("name", ["toolplan.plan", "placement.locate"])

@@ -23,7 +23,7 @@ async def test_it_resumes_latched_and_moves_only_after_acknowledgement(bench: Be
     await bench.do("placement.home")
     bench.recorder.failing.clear()
     holds = bench.holds
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert bench.dispatcher.broken is None
     assert bench.holds > holds, "the arm is held again before anything else may be asked for"
     assert bench.dispatcher.snapshot().latched
@@ -39,7 +39,7 @@ async def test_unconfirmed_standstill_is_journalled_when_it_resumes(bench: Bench
     await bench.do("placement.home")
     bench.recorder.failing.clear()
     bench.hold_error = UnknownOutcomeError("The robot is silent.")
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert bench.dispatcher.in_doubt
     assert bench.recorder.rows[-1][:2] == ("event", "hold_not_confirmed")
 
@@ -54,7 +54,7 @@ async def test_a_decision_that_the_disk_has_after_all_is_committed(bench: Bench)
     bench.recorder.failing.clear()
     durable = Verdict(id="clear-1", branch="toolplan", operation="clear", decision="accepted", state="0", sequence=99)
     bench.recorder.earlier["test:user", "clear-1"] = EarlierDecision(durable, {})
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert bench.joint[2] == "0"
     (reopened,) = [states for _, name, states, _ in bench.recorder.rows if name == "journal_reopened"]
     assert reopened == bench.dispatcher.procedure.joint(), "later rows show what the disk has, too"
@@ -69,7 +69,7 @@ async def test_a_decision_that_the_disk_has_not_is_as_if_never_asked(bench: Benc
     await bench.do("toolplan.clear", id="clear-1")
     assert [each.operation for each in bench.dispatcher.snapshot().unknown] == ["clear"]
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert bench.joint == RETRACTED
     assert bench.dispatcher.snapshot().unknown == []
     assert (await bench.do("toolplan.clear", id="clear-1")).decision == "accepted", "a repeat is decided anew"
@@ -80,7 +80,7 @@ async def test_rejection_that_was_not_written_is_decided_again(bench: Bench) -> 
     assert (await bench.do("robot.connect", id="c1")).decision == "unknown"
     assert reasons(await bench.do("toolplan.plan", id="p1")) == ("rejected", "journal_unavailable")
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert (await bench.do("toolplan.plan", id="p1")).decision == "accepted"
 
 
@@ -90,7 +90,7 @@ async def test_unwritten_outcome_of_a_motion_makes_placement_unknown(bench: Benc
     bench.recorder.failing.add("decision")
     await bench.do("placement.approach", id="a1")
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun={("test:user", "a1")})
+    await bench.dispatcher.resume(in_flight={("test:user", "a1")})
     assert bench.joint[4] == "unknown"
     (shown,) = bench.dispatcher.snapshot().unknown
     assert (shown.command, shown.source, shown.branch, shown.operation) == ("a1", "test:user", "placement", "approach")
@@ -109,11 +109,11 @@ async def test_journal_that_fails_again_leaves_commands_refused(bench: Bench) ->
     await bench.do("placement.approach", id="a1")
     bench.recorder.failing.add("event")
     with pytest.raises(PcmrsError):
-        await bench.dispatcher.resume(begun={("test:user", "a1")})
+        await bench.dispatcher.resume(in_flight={("test:user", "a1")})
     assert bench.dispatcher.broken is not None
     assert (await bench.do("toolplan.clear")).decision == "rejected"
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun={("test:user", "a1")})
+    await bench.dispatcher.resume(in_flight={("test:user", "a1")})
     assert bench.joint[4] == "unknown"
     assert (await bench.do("toolplan.clear")).decision == "accepted"
 
@@ -124,9 +124,9 @@ async def test_outcome_that_could_not_be_looked_up_stays_unknown(bench: Bench) -
     await bench.do("placement.approach", id="a1")
     bench.recorder.failing = {"recall"}
     with pytest.raises(JournalError):
-        await bench.dispatcher.resume(begun={("test:user", "a1")})
+        await bench.dispatcher.resume(in_flight={("test:user", "a1")})
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun={("test:user", "a1")})
+    await bench.dispatcher.resume(in_flight={("test:user", "a1")})
     assert bench.joint[4] == "unknown"
 
 
@@ -139,7 +139,7 @@ async def test_earlier_acknowledgement_does_not_answer_the_failure(bench: Bench)
     bench.recorder.failing.clear()
     durable = Verdict(id="ack", branch="robot", operation="acknowledge", decision="accepted", state="1", sequence=99)
     bench.recorder.earlier["test:user", "ack"] = EarlierDecision(durable, asked)
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert bench.dispatcher.snapshot().latched
 
 
@@ -149,7 +149,7 @@ async def test_journal_continues_with_the_present_states(bench: Bench) -> None:
     bench.recorder.failing.add("decision")
     await bench.do("toolplan.clear")
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     (states,) = [states for _, name, states, _ in bench.recorder.rows if name == "journal_reopened"]
     assert tuple(states.values()) == RETRACTED
     await bench.do("robot.acknowledge")
@@ -163,7 +163,7 @@ async def test_a_state_whose_activity_has_ended_is_left(bench: Bench) -> None:
     await bench.do("toolplan.no_such_operation")
     await settle()
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert bench.joint == HELD
     assert "watch_alignment ends" in bench.script.log
 
@@ -175,7 +175,7 @@ async def test_device_event_during_the_failure_is_taken_in(bench: Bench) -> None
     await bench.dispatcher.report(DeviceEvent(device="robot", code="link_lost", text="Silent.", danger=True))
     assert bench.joint[3] == "1"
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert (bench.joint[3], bench.joint[4]) == ("0", "unknown")
 
 
@@ -188,7 +188,7 @@ async def test_device_event_that_met_the_failure_is_taken_in(bench: Bench, faili
     assert bench.dispatcher.broken is not None
     assert bench.joint[3] == "1"
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert (bench.joint[3], bench.joint[4]) == ("0", "unknown")
 
 
@@ -199,7 +199,7 @@ async def test_device_report_that_reached_the_disk_is_taken_in_once(bench: Bench
     bench.recorder.failing.clear()
     durable = Verdict(id="l1", branch="robot", operation="link_lost", decision="accepted", state="0", sequence=99)
     bench.recorder.earlier["device:robot", "l1"] = EarlierDecision(durable, {})
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert (bench.joint[3], bench.joint[4]) == ("0", "unknown")
     assert [each.id for each in bench.verdicts() if each.operation == "link_lost"] == ["l1", "l1"]
 
@@ -213,7 +213,7 @@ async def test_queued_device_report_waits_until_the_journal_returns(bench: Bench
     await bench.do("toolplan.no_such_operation")
     assert [(await each).decision for each in (running, waiting)] == ["unknown", "rejected"]
     bench.recorder.failing.clear()
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert (bench.joint[3], bench.joint[4]) == ("0", "unknown")
 
 
@@ -233,7 +233,7 @@ async def test_running_step_is_waited_for_and_the_resume_times_out(bench: Bench)
     bench.recorder.failing.add("decision")
     await bench.do("toolplan.clear")
     bench.recorder.failing.clear()
-    resumed = asyncio.create_task(bench.dispatcher.resume(begun=()))
+    resumed = asyncio.create_task(bench.dispatcher.resume(in_flight=()))
     await settle()
     await bench.clock.advance(60.0)
     release.set()
@@ -250,13 +250,13 @@ async def test_an_error_of_the_program_is_not_resumed(bench: Bench) -> None:
     bench.script.steps["toolplan.plan"] = keep_nonsense
     await bench.do("toolplan.plan")
     with pytest.raises(PcmrsError, match="Only a restart"):
-        await bench.dispatcher.resume(begun=())
+        await bench.dispatcher.resume(in_flight=())
     assert (await bench.do("toolplan.clear")).decision == "rejected"
 
 
 async def test_a_working_dispatcher_is_not_disturbed(bench: Bench) -> None:
     await bench.go(PLACED)
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     assert (bench.joint, bench.dispatcher.snapshot().latched) == (PLACED, False)
 
 
@@ -266,7 +266,7 @@ async def test_an_ending_daemon_is_not_brought_back(bench: Bench) -> None:
     bench.recorder.failing.clear()
     await bench.dispatcher.close()
     with pytest.raises(PcmrsError):
-        await bench.dispatcher.resume(begun=())
+        await bench.dispatcher.resume(in_flight=())
     assert reasons(await bench.do("toolplan.clear")) == ("rejected", "ending")
 
 
@@ -275,7 +275,7 @@ async def test_daemon_that_ends_while_it_resumes_is_not_resumed(bench: Bench) ->
     await bench.do("toolplan.clear")
     bench.recorder.failing.clear()
     gate = bench.recorder.gates["event"] = asyncio.Event()
-    resumed = asyncio.create_task(bench.dispatcher.resume(begun=()))
+    resumed = asyncio.create_task(bench.dispatcher.resume(in_flight=()))
     await settle()
     closing = asyncio.create_task(bench.dispatcher.close())
     await settle()
@@ -291,7 +291,7 @@ async def test_rows_journalled_as_a_resume_is_cancelled_are_published(bench: Ben
     await bench.do("placement.approach", id="a1")
     bench.recorder.failing.clear()
     gate = bench.recorder.gates["decision"] = asyncio.Event()
-    resumed = asyncio.create_task(bench.dispatcher.resume(begun={("test:user", "a1")}))
+    resumed = asyncio.create_task(bench.dispatcher.resume(in_flight={("test:user", "a1")}))
     await settle()
     bench.published.clear()
     resumed.cancel()
@@ -311,7 +311,7 @@ async def test_user_command_during_the_failure_is_not_done_later(bench: Bench) -
     assert (await bench.do("robot.disconnect")).decision == "rejected"
     bench.recorder.failing.clear()
     bench.script.entered.clear()
-    await bench.dispatcher.resume(begun=())
+    await bench.dispatcher.resume(in_flight=())
     await settle()
     assert (bench.script.entered, bench.joint) == ([], RETRACTED)
 

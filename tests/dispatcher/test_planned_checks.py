@@ -170,7 +170,7 @@ async def test_step_that_replans_its_motion_fails_if_that_is_refused(
     async def plan_again_and_move(run: Run[Any, Notes]) -> None:
         if refuses:
             planner.refused = Reason(code="unreachable", text="Too far by now.", fields={"distance": 0.9})
-        await run.plan_anew()
+        await run.replan()
         moved.append(run.command.operation)
 
     await bench.go(RETRACTED)

@@ -14,8 +14,8 @@ from pcmrs.testing.clock import ManualClock
 
 
 async def test_device_is_logged_if_lost_for_a_new_reason_and_if_back() -> None:
-    hearing = DeviceReadiness({"tracker"}, ManualClock())
-    watch = HealthWatch(hearing, PoseFeed(ManualClock(), 0.25))
+    readiness = DeviceReadiness({"tracker"}, ManualClock())
+    watch = HealthWatch(readiness, PoseFeed(ManualClock(), 0.25))
     with capture_logs() as told:
         for connected, text in (
             (True, ""),
@@ -31,7 +31,7 @@ async def test_device_is_logged_if_lost_for_a_new_reason_and_if_back() -> None:
         ("device_not_connected", "too hot"),
         ("device_connected", None),
     ]
-    assert hearing.complete
+    assert readiness.complete
 
 
 async def test_refusal_for_lack_of_poses_has_the_tracker_trouble() -> None:

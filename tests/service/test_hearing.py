@@ -36,16 +36,16 @@ def test_devices_started_here_or_required_are_waited_for(
 
 
 async def test_all_awaited_devices_must_be_ready() -> None:
-    hearing = DeviceReadiness({"robot", "tracker"}, ManualClock())
-    hearing.hear("tracker")
-    assert not hearing.complete
-    hearing.hear("robot")
-    assert not hearing.complete, "its first beat was lost: nobody could release it"
-    hearing.hear_gate("robot")
-    assert hearing.complete
-    await hearing.wait()
-    hearing.fail(DeviceError("too late to matter"))
-    await hearing.wait()
+    readiness = DeviceReadiness({"robot", "tracker"}, ManualClock())
+    readiness.hear("tracker")
+    assert not readiness.complete
+    readiness.hear("robot")
+    assert not readiness.complete, "its first beat was lost: nobody could release it"
+    readiness.hear_gate("robot")
+    assert readiness.complete
+    await readiness.wait()
+    readiness.fail(DeviceError("too late to matter"))
+    await readiness.wait()
 
 
 async def test_nothing_awaited_is_nothing_waited_for() -> None:
@@ -53,26 +53,26 @@ async def test_nothing_awaited_is_nothing_waited_for() -> None:
 
 
 async def test_a_device_that_ends_ends_the_wait() -> None:
-    hearing = DeviceReadiness({"robot"}, ManualClock())
-    hearing.fail(DeviceError("The node of robot ended."))
+    readiness = DeviceReadiness({"robot"}, ManualClock())
+    readiness.fail(DeviceError("The node of robot ended."))
     with pytest.raises(DeviceError, match="ended"):
-        await hearing.wait()
+        await readiness.wait()
 
 
 async def test_device_that_is_not_ready_in_time_is_named() -> None:
     clock = ManualClock()
-    hearing = DeviceReadiness({"robot", "tracker"}, clock)
+    readiness = DeviceReadiness({"robot", "tracker"}, clock)
     with capture_logs() as log:
-        waiting = asyncio.create_task(hearing.wait())
+        waiting = asyncio.create_task(readiness.wait())
         await settle()
         await clock.advance(NOTED_AFTER - 0.1)
         assert log == []
         await clock.advance(0.1)
-        hearing.hear("tracker")
+        readiness.hear("tracker")
         await clock.advance(DEVICES_TIME - NOTED_AFTER - 0.1)
         assert not waiting.done()
         await clock.advance(0.1)
-        with pytest.raises(DeviceError, match=r"Not heard within 120 s: robot; the log says why\.") as raised:
+        with pytest.raises(DeviceError, match=r"No answer within 120 s from: robot; the log says why\.") as raised:
             await waiting
     assert raised.value.fields == {"devices": ["robot"]}
     assert [(entry["event"], entry["devices"]) for entry in log] == [("waiting_for_devices", ["robot", "tracker"])]
@@ -81,10 +81,10 @@ async def test_device_that_is_not_ready_in_time_is_named() -> None:
 async def test_a_slow_start_is_no_failure() -> None:
     """Beside many processes that compute, a simulated cell takes more than 30 s until it is heard."""
     clock = ManualClock()
-    hearing = DeviceReadiness({"robot"}, clock)
-    waiting = asyncio.create_task(hearing.wait())
+    readiness = DeviceReadiness({"robot"}, clock)
+    waiting = asyncio.create_task(readiness.wait())
     await settle()
     await clock.advance(60.0)
-    hearing.hear("robot")
-    hearing.hear_gate("robot")
+    readiness.hear("robot")
+    readiness.hear_gate("robot")
     await waiting

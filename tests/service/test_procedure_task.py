@@ -149,7 +149,7 @@ async def test_it_beats_and_records_when_each_node_was_heard() -> None:
             "each a sign of life of its own"
         )
         bench.link.hear("dev/*/beat", "dev/robot/beat", NodeBeat(number=1, sent=0.0))
-        assert bench.procedure.heard == {"robot": bench.clock.monotonic()}
+        assert bench.procedure.beat_times == {"robot": bench.clock.monotonic()}
         late = DeviceHealth(device="robot", connected=True, dropped={"setpoints": 3})
         bench.link.hear("dev/*/state", "dev/robot/state", late)
         assert bench.procedure.counters() == {"robot.late.setpoints": 3, "events.misnamed": 0}
@@ -228,7 +228,7 @@ async def test_a_node_that_ends_while_the_daemon_starts_ends_the_start() -> None
         bench.procedure.start()
         assert not bench.procedure.lose(["robot"])
         with pytest.raises(DeviceError, match="ended while it started"):
-            await bench.procedure.hearing.wait()
+            await bench.procedure.readiness.wait()
 
 
 async def test_procedure_data_is_published_whenever_it_changes() -> None:

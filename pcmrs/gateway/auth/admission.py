@@ -68,16 +68,16 @@ class Admission:
             self.enter_at_once(peer, enter, RefusalError(QUEUE_FULL, text))
             return
         stops = self._stops
-        kept = self._keeper.keep(peer.name, peer.newest)
+        stored = self._keeper.keep(peer.name, peer.newest)
 
         def decide(_: asyncio.Future[None]) -> None:
             peer.waiting -= 1
-            if not kept.cancelled():  # it is cancelled when the gateway closes
-                enter(self._objection(kept.exception(), stops))
+            if not stored.cancelled():  # it is cancelled when the gateway closes
+                enter(self._objection(stored.exception(), stops))
 
         peer.waiting += 1
-        kept.add_done_callback(decide)
-        self._tasks.spawn(self._give_up(kept))
+        stored.add_done_callback(decide)
+        self._tasks.spawn(self._give_up(stored))
 
     def halt(self) -> None:
         """Reject all commands that wait now, because of Stop."""
@@ -91,9 +91,9 @@ class Admission:
             return RefusalError("stopped", "Stop came before it had begun.")
         return None
 
-    async def _give_up(self, kept: asyncio.Future[None]) -> None:
+    async def _give_up(self, stored: asyncio.Future[None]) -> None:
         with suppress(TimeoutError):
             async with self._clock.timeout(KEPT_WITHIN):
-                await asyncio.wait([kept])
-        if not kept.done():
-            kept.set_exception(TimeoutError(f"the disk has not answered within {KEPT_WITHIN:g} s"))
+                await asyncio.wait([stored])
+        if not stored.done():
+            stored.set_exception(TimeoutError(f"the disk has not answered within {KEPT_WITHIN:g} s"))

@@ -59,7 +59,7 @@ class CounterFile:
         if not whole:
             os.close(self._descriptor)
             raise ConfigurationError(
-                f"{path} is damaged, so old datagrams cannot be told from new ones. Remove it, and give every peer a "
+                f"{path} is damaged, so it does not show which datagrams are old. Remove it, and give every peer a "
                 "new key: pcmrs peers new NAME.",
                 file=str(path),
             )
@@ -153,11 +153,11 @@ class CounterWriter:
         Returns:
             A future that is done when the disk has the counter, in the order of the calls, or that has the `OSError`.
         """
-        kept: asyncio.Future[None] = self._loop.create_future()
+        stored: asyncio.Future[None] = self._loop.create_future()
         with self._changed:
             self._note(peer, counter)
-            self._waiting.append(kept)
-        return kept
+            self._waiting.append(stored)
+        return stored
 
     async def close(self) -> None:
         """Wait until all counters are written, and cancel the futures that still wait."""
@@ -179,7 +179,7 @@ class CounterWriter:
                     return
                 newest, waiting = dict(self._newest), self._waiting
                 self._waiting, self._due = [], False
-            self._loop.call_soon_threadsafe(self._tell, waiting, self._write(newest))
+            self._loop.call_soon_threadsafe(self._settle, waiting, self._write(newest))
 
     def _write(self, newest: dict[str, int]) -> OSError | None:
         try:
@@ -188,15 +188,15 @@ class CounterWriter:
             return error
         return None
 
-    def _tell(self, waiting: list[asyncio.Future[None]], error: OSError | None) -> None:
+    def _settle(self, waiting: list[asyncio.Future[None]], error: OSError | None) -> None:
         if error is not None:
             self._failed(error)
-        for kept in waiting:
-            if kept.done():
+        for stored in waiting:
+            if stored.done():
                 continue  # its time limit has passed
             if self._closing:
-                kept.cancel()
+                stored.cancel()
             elif error is None:
-                kept.set_result(None)
+                stored.set_result(None)
             else:
-                kept.set_exception(error)
+                stored.set_exception(error)

@@ -38,7 +38,7 @@ class Peer:
         self.outbox = Outbox()
         self.shown: dict[str, str] | None = None
         self._config = config
-        self._planner = planner(self._tell)
+        self._planner = planner(self._take_answer)
         self._wall = wall
         self._trusted = trusted
         self._last: dict[Plan, object] = {}
@@ -90,7 +90,7 @@ class Peer:
         if not self._trusted:
             raise PayloadError("Commands over OpenIGTLink are not signed: they are taken from loopback peers only.")
 
-    def _tell(self, answer: Answer) -> None:
+    def _take_answer(self, answer: Answer) -> None:
         self._wrong = None if answer.decision == "accepted" else answer
         self.outbox.put(text_message(answer.line, **self._header("PcmrsVerdict")).pack())
         self.send_status(self._latched)

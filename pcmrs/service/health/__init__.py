@@ -1,1 +1,1 @@
-"""What a daemon says of itself: its health, metrics, and the word to its service manager."""
+"""Health of the daemon, its metrics, and its status for the service manager."""

@@ -1,4 +1,4 @@
-"""What a daemon finds of itself: the facts from all of its parts, read in the event loop."""
+"""Facts for the daemon's health, from all of its parts, read in the event loop."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ VERSIONS = {"pcmrs": version("pcmrs"), "python": platform.python_version()}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Inspection:
-    """The parts of a running daemon, and what they say of themselves.
+    """Collects the facts of a running daemon from its parts.
 
     Attributes:
         drivers: Driver to the devices that its node serves.
-        metrics_trouble: Why metrics are not served, empty while they are.
-        began: When the daemon began to serve, s of the machine's monotonic clock.
+        metrics_trouble: Why metrics are not served; empty while they are.
+        began: Time at which the daemon started to serve, s of the machine's monotonic clock.
     """
 
     blueprint: BlueprintTag
@@ -68,11 +68,11 @@ class Inspection:
         object.__setattr__(self, "began", self.machine.monotonic())
 
     def health(self) -> Health:
-        """The facts of now, and the verdict on them."""
+        """Return the present facts and the verdict on them."""
         return report(self._facts())
 
     def _facts(self) -> HealthFacts:
-        dispatcher, tally, stalls = self.procedure.dispatcher, self.procedure.tally, self.stalls
+        dispatcher, metrics, stalls = self.procedure.dispatcher, self.procedure.command_metrics, self.stalls
         broken, own = dispatcher.broken, self.bus.settings.credentials
         return HealthFacts(
             uptime=self.machine.monotonic() - self.began,
@@ -94,9 +94,9 @@ class Inspection:
             strays=self.supervisor.strays,
             datagrams=self.gateway.counters.received,
             dropped=self._dropped(),
-            decisions=dict(tally.decisions),
-            rejections=dict(tally.rejections),
-            latencies=tally.latencies(),
+            decisions=dict(metrics.decisions),
+            rejections=dict(metrics.rejections),
+            latencies=metrics.latencies(),
         )
 
     def _journal(self) -> JournalStatus:
@@ -130,19 +130,19 @@ class Inspection:
 
     def _devices(self) -> list[DeviceStatus]:
         procedure, now = self.procedure, self.machine.monotonic()
-        told = procedure.health.last
-        heard = {device: now - since for device, since in procedure.heard.items()}
-        data = {device: now - since for device, since in procedure.data_heard.items()}
+        reported = procedure.health.last
+        beat_ages = {device: now - since for device, since in procedure.beat_times.items()}
+        data = {device: now - since for device, since in procedure.data_times.items()}
         here = {device for devices in self.drivers.values() for device in devices}
         found = []
-        for device in sorted(here | told.keys() | heard.keys()):
-            # Robot and tracker may have sent their data before the first word on their health.
-            said = told.get(device) or DeviceHealth(device=device, connected=device in data)
+        for device in sorted(here | reported.keys() | beat_ages.keys()):
+            # Robot and tracker may have sent data before their first health message.
+            said = reported.get(device) or DeviceHealth(device=device, connected=device in data)
             status = DeviceStatus(
                 device=device,
                 connected=said.connected,
                 text=said.text,
-                heard=heard.get(device),
+                heard=beat_ages.get(device),
                 data=data.get(device),
                 dropped=said.dropped,
             )
@@ -151,7 +151,7 @@ class Inspection:
 
     def _queues(self) -> list[QueueStatus]:
         counted, dispatcher = self.bus.counters(), self.procedure.dispatcher
-        full = self.procedure.tally.rejections["queue_full"]
+        full = self.procedure.command_metrics.rejections["queue_full"]
         return [
             QueueStatus(queue="bus", depth=counted["bus.waiting"], limit=CAPACITY, refused=counted["bus.refused"]),
             QueueStatus(queue="answers", depth=counted["bus.answering"], limit=ANSWERS),

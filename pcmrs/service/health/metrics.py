@@ -1,4 +1,4 @@
-"""Metrics for Prometheus, on a loopback port: the facts of the daemon's health, read anew for every scrape."""
+"""Metrics for Prometheus, on a loopback port: the facts of the daemon's health, read at every scrape."""
 
 from __future__ import annotations
 
@@ -25,20 +25,21 @@ from pcmrs.messages.health import Health
 log = structlog.get_logger(__name__)
 
 HOST = "127.0.0.1"
-"""There is no access control, so nobody else is served."""
+"""Loopback only, since there is no access control."""
 ANSWER_TIME = 1.0
-"""A loop that has not answered within this is told of in place of its facts, s."""
+"""Limit for the answer of the event loop, s; a late loop is reported instead of its facts."""
 STATUSES = ("ok", "degraded", "failed")
 
 Rows = list[tuple[list[str], float]]
-"""Values of the labels, and the value."""
+"""Values of the labels, and the value of the metric."""
 
 
 class HealthCollector(Collector):
-    """The facts as metrics; where the daemon does not answer, that alone.
+    """Facts as metrics; if the daemon does not answer, only that.
 
     Args:
-        ask: The facts of now, or None when the daemon does not answer in time; called in the thread of a scrape.
+        ask: Returns the present facts, or None if the daemon does not answer in time. It is called in the thread of a
+            scrape.
     """
 
     def __init__(self, ask: Callable[[], Health | None]) -> None:
@@ -54,14 +55,14 @@ class HealthCollector(Collector):
 
 
 class MetricsServer:
-    """Serves metrics over HTTP in threads of its own.
+    """Serves metrics over HTTP in its own threads.
 
     Args:
-        port: Of loopback; 0 takes a free one, None serves nothing.
+        port: Port on loopback; 0 takes a free one, None serves nothing.
 
     Attributes:
-        trouble: Why metrics are not served although they were asked for.
-        address: Where they are; empty while they are not served.
+        trouble: Why metrics are not served although they are configured.
+        address: Address of the metrics; empty while they are not served.
     """
 
     def __init__(self, port: int | None) -> None:
@@ -70,10 +71,10 @@ class MetricsServer:
         self._serving: tuple[WSGIServer, Thread] | None = None
 
     def start(self, health: Callable[[], Health]) -> None:
-        """Begins to serve; a port that is taken is logged and told in `trouble`: the cell works without metrics.
+        """Start to serve. If the port is taken, log that and store it in `trouble`: the cell works without metrics.
 
         Args:
-            health: Read in the loop that runs now.
+            health: Returns the facts. It is called in the event loop that runs now.
         """
         if self._port is None:
             return
@@ -90,7 +91,7 @@ class MetricsServer:
             self.address = f"http://{HOST}:{self._serving[0].server_port}/metrics"
 
     async def close(self) -> None:
-        """Serves nothing more."""
+        """Stop serving."""
         if self._serving is not None:
             await asyncio.get_running_loop().run_in_executor(None, self._close, *self._serving)
 
@@ -102,12 +103,17 @@ class MetricsServer:
 
 
 def ask(loop: asyncio.AbstractEventLoop, health: Callable[[], Health]) -> Health | None:
-    """Has `health` read in the loop, from another thread; None when the loop does not answer within `ANSWER_TIME`."""
+    """Read the health from another thread; None if the loop does not answer within `ANSWER_TIME`.
+
+    Args:
+        loop: The event loop of the daemon.
+        health: Returns the facts. It is called in the event loop.
+    """
     answered: Future[Health] = Future()
 
     def answer() -> None:
         if not answered.set_running_or_notify_cancel():
-            return  # whoever asked has gone
+            return  # the scrape has given up
         try:
             answered.set_result(health())
         except Exception as error:
@@ -122,7 +128,7 @@ def ask(loop: asyncio.AbstractEventLoop, health: Callable[[], Health]) -> Health
 
 
 def metrics_of(health: Health) -> Iterator[Metric]:
-    """The metrics of the facts, but for `pcmrs_loop_answers`; their table is in docs/health.md."""
+    """Yield the metrics of the facts, except `pcmrs_loop_answers`; their table is in docs/health.md."""
     yield _info(health)
     yield from _of_verdict(health)
     yield from _of_decisions(health)
@@ -162,9 +168,9 @@ def _of_decisions(health: Health) -> Iterator[Metric]:
 
 def _of_tasks(health: Health) -> Iterator[Metric]:
     answers: Rows = [([task.name], task.answers) for task in health.tasks]
-    yield _gauges("task_answers", "Whether a task of the daemon comes round.", ["task"], answers)
+    yield _gauges("task_answers", "Whether a task of the daemon works.", ["task"], answers)
     restarts: Rows = [([task.name], task.restarts) for task in health.tasks]
-    yield _counters("task_restarts", "Tasks of the daemon that died and were begun anew.", ["task"], restarts)
+    yield _counters("task_restarts", "Tasks of the daemon that died and were restarted.", ["task"], restarts)
     yield _counter("stray_failures", "Failures in the event loop that belong to no task.", health.strays)
     yield _gauge("loop_lag_seconds", "How late the event loop answered last.", health.loop.lag)
     yield _counter("loop_stalls", "Stalls of the event loop.", health.loop.stalls)
@@ -173,13 +179,13 @@ def _of_tasks(health: Health) -> Iterator[Metric]:
 
 def _of_devices(health: Health) -> Iterator[Metric]:
     restarts: Rows = [([node.driver], node.restarts) for node in health.nodes]
-    yield _counters("node_restarts", "Device nodes that ended by themselves and were begun anew.", ["driver"], restarts)
+    yield _counters("node_restarts", "Device nodes that ended by themselves and were restarted.", ["driver"], restarts)
     lost: Rows = [([node.driver], node.given_up) for node in health.nodes]
-    yield _gauges("node_given_up", "Whether a device node is not begun anew any more.", ["driver"], lost)
+    yield _gauges("node_given_up", "Whether a device node is not restarted any more.", ["driver"], lost)
     connected: Rows = [([each.device], each.connected) for each in health.devices]
     yield _gauges("device_connected", "Whether a device is there, as its node said last.", ["device"], connected)
     heard: Rows = [([each.device], each.heard) for each in health.devices if each.heard is not None]
-    yield _gauges("device_heartbeat_age_seconds", "Since its node was heard.", ["device"], heard)
+    yield _gauges("device_heartbeat_age_seconds", "Time since the last heartbeat of its node.", ["device"], heard)
     data: Rows = [([each.device], each.data) for each in health.devices if each.data is not None]
     yield _gauges("device_data_age_seconds", "Since joints or poses came.", ["device"], data)
     late: Rows = [([each.device, kind], many) for each in health.devices for kind, many in each.dropped.items()]

@@ -1,4 +1,4 @@
-"""The verdict on what a daemon has found of itself: pure functions of the facts."""
+"""Verdict on the daemon's health: pure functions of the facts."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from pcmrs.messages.health import Health, HealthFacts, HealthReason, HealthStatu
 from pcmrs.service.watches.stall import STALL
 
 SLOW_DISK = 1.0
-"""A row that has waited for the disk for so long waits too long, s of the machine."""
+"""Limit of a row's wait for the disk, s of the machine."""
 STUCK_DISK = 10.0
-"""After so long the journal's writer is held for stuck, s of the machine."""
+"""Wait after which the journal's writer counts as stuck, s of the machine."""
 SILENCE = 1.0
-"""A node without heartbeats for so long is silent, s of the machine."""
+"""Time without heartbeats after which a node counts as silent, s of the machine."""
 FILLING = 0.8
-"""A queue that is full to this part is about to refuse."""
+"""Fraction of a queue's limit from which it is about to refuse."""
 
 ENDS_SOON = 3 * 86400.0
-"""Before a certificate ends so soon somebody should know, s."""
+"""Time before the end of a certificate from which that is reported, s."""
 
 RESTART_HELPS = ("journal_stuck", "task_stuck")
-"""What the daemon cannot mend itself: then it does not feed the watchdog any more."""
+"""Codes of the reasons that only a restart mends: then the daemon stops feeding the watchdog."""
 
 
 def report(facts: HealthFacts) -> Health:
-    """The facts with the verdict on them."""
+    """Return the facts with the verdict on them."""
     found = reasons(facts)
     severities = {reason.severity for reason in found}
     status: HealthStatus = "failed" if "failed" in severities else "degraded" if severities else "ok"
@@ -34,16 +34,16 @@ def report(facts: HealthFacts) -> Health:
 
 
 def reasons(facts: HealthFacts) -> list[HealthReason]:
-    """Everything that is not well, the worst first."""
+    """Return the reasons why the daemon is not well, the worst first."""
     found = [*_of_dispatcher(facts), *_of_journal(facts), *_of_tasks(facts), *_of_devices(facts), *_of_rest(facts)]
     return sorted(found, key=lambda reason: reason.severity != "failed")
 
 
 def needs_restart(found: Sequence[HealthReason]) -> bool:
-    """Whether a service manager should begin the daemon anew.
+    """Return whether a service manager should restart the daemon.
 
-    A journal that cannot be written is none of the reasons: Stop still works then, and the daemon reopens the journal
-    by itself as soon as the disk lets it.
+    A journal that cannot be written is not a reason: Stop still works then, and the daemon reopens the journal by
+    itself as soon as the disk allows it.
     """
     return any(reason.code in RESTART_HELPS for reason in found)
 
@@ -78,7 +78,7 @@ def _of_journal(facts: HealthFacts) -> Iterator[HealthReason]:
 def _of_tasks(facts: HealthFacts) -> Iterator[HealthReason]:
     for task in facts.tasks:
         if not task.answers:
-            text = f"The daemon's task '{task.name}' does not come round any more."
+            text = f"The daemon's task '{task.name}' is stuck."
             yield _failed("task_stuck", text, "Restart the daemon.")
 
 
@@ -86,7 +86,7 @@ def _of_devices(facts: HealthFacts) -> Iterator[HealthReason]:
     gone = {device for node in facts.nodes if node.given_up for device in node.devices}
     for node in facts.nodes:
         if node.given_up:
-            text = f"The node of {', '.join(node.devices)} ends again and again and was given up."
+            text = f"The node of {', '.join(node.devices)} has ended too often and is not restarted."
             yield _failed("node_given_up", text, "The log says why it ends: mend that and restart the daemon.")
     heard = [device for device in facts.devices if device.device not in gone]
     silent = [device for device in heard if device.heard is not None and device.heard > SILENCE]
@@ -115,9 +115,7 @@ def _of_rest(facts: HealthFacts) -> Iterator[HealthReason]:
         text = f"The page is not served any more: {facts.console}."
         yield _degraded("console_ended", text, "The log says why; if its port is taken, set another console.port.")
     if facts.certificate is not None and facts.certificate < ENDS_SOON:
-        text = (
-            f"The daemon's certificate ends in {facts.certificate / 3600.0:.0f} h; then nobody reaches it from outside."
-        )
+        text = f"The daemon's certificate ends in {facts.certificate / 3600.0:.0f} h; then no other machine reaches it."
         yield _degraded("certificate_ends", text, "Have a new one issued, `pcmrs pki issue`, and restart the daemon.")
     if facts.metrics:
         yield _degraded("metrics_not_served", facts.metrics, "Give another metrics.port and restart the daemon.")

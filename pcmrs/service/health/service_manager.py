@@ -1,4 +1,4 @@
-"""What a service manager is told, by the protocol of sd_notify(3): one datagram of lines ``NAME=value``."""
+"""Status for a service manager, by the protocol of sd_notify(3): one datagram of lines ``NAME=value``."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from pcmrs.service.supervisor import mark
 log = structlog.get_logger(__name__)
 
 STATUS_PERIOD = 5.0
-"""Between two words on the status where no watchdog waits for them, s."""
+"""Period of the status if no watchdog waits for it, s."""
 
 
 class ServiceManager:
     """The service manager that has started this process, if one has.
 
     Args:
-        environment: With NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID, as sd_watchdog_enabled(3) has it.
+        environment: Environment with NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID; see sd_watchdog_enabled(3).
 
     Attributes:
-        watched: It ends this process when it is not fed any more.
-        period: Between two feedings, half of what it waits, s of the machine.
+        watched: It ends this process if the watchdog is not fed.
+        period: Period of the feedings, half of the watchdog's limit, s of the machine.
     """
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
@@ -42,7 +42,7 @@ class ServiceManager:
         return bool(self._address)
 
     def tell(self, *lines: str) -> None:
-        """Sends the lines and never waits; one that cannot be sent is logged. Does nothing where nobody listens."""
+        """Send lines without waiting, and log if that fails; do nothing without a service manager."""
         if not self:
             return
         try:
@@ -53,9 +53,14 @@ class ServiceManager:
 
 
 async def run_watchdog(manager: ServiceManager, health: Callable[[], Health], clock: Clock) -> None:
-    """Says how the daemon is, and feeds the watchdog as long as no restart is needed; until cancelled.
+    """Send the status, and feed the watchdog as long as no restart is needed; until cancelled.
 
-    It runs in the event loop: a loop that is blocked, or a process that is stopped, feeds nobody.
+    It runs in the event loop: a loop that is blocked, or a process that is stopped, does not feed it.
+
+    Args:
+        manager: The service manager.
+        health: Returns the present health.
+        clock: The machine's clock.
     """
     while True:
         mark()
@@ -66,6 +71,6 @@ async def run_watchdog(manager: ServiceManager, health: Callable[[], Health], cl
 
 
 def status_line(health: Health) -> str:
-    """The health in one line."""
+    """Return the health in one line."""
     why = "; ".join(reason.text for reason in health.reasons).replace("\n", " ")
     return f"{health.status}: {why}" if why else f"{health.status}: {health.blueprint.id} {health.blueprint.version}"

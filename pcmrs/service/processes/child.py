@@ -1,4 +1,4 @@
-"""Child processes of the daemon: given its settings, and never left behind."""
+"""Child processes of the daemon: they get its settings, and never outlive it."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from pcmrs.settings import Inherited, Settings
 async def open_child(
     *words: str, settings: Settings, device_key: bytes = b"", **streams: Any
 ) -> asyncio.subprocess.Process:
-    """Starts ``pcmrs`` with the words as arguments, and hands it `Inherited` on its standard input.
+    """Start ``pcmrs`` with some arguments, and send it `Inherited` on its standard input.
 
-    The pipe stays open: its end tells the child that the daemon is gone, however it went.
+    The pipe stays open: its end tells the child that the daemon is gone, even after a crash.
 
     Args:
-        words: Of the command line.
-        settings: Of the daemon.
-        device_key: For a child that speaks as a device, or for the daemon; see `pcmrs.bus.seal`.
+        words: Arguments of the command line.
+        settings: Settings of the daemon.
+        device_key: Key for a child that speaks as a device, or for the daemon; see `pcmrs.bus.seal`.
         streams: Standard output and error, if they are not the daemon's.
 
     Raises:
-        OSError: It cannot be started.
+        OSError: The process cannot be started.
     """
     process = await asyncio.create_subprocess_exec(
         sys.executable,
@@ -50,11 +50,11 @@ async def open_child(
 
 
 async def end_child(process: asyncio.subprocess.Process, patience: float) -> bool:
-    """Waits for a process that was told to end, and kills it when it does not; whether it ended by itself.
+    """Wait for a process that is ending, and kill it if it is late; return whether it has ended by itself.
 
     Args:
         process: The child.
-        patience: s of the machine.
+        patience: Limit, s of the machine.
     """
     try:
         async with asyncio.timeout(patience):
@@ -68,23 +68,23 @@ async def end_child(process: asyncio.subprocess.Process, patience: float) -> boo
 log = structlog.get_logger(__name__)
 
 ENDING_TIME = 5.0
-"""A companion that has not ended so long after it was told to is killed, s."""
+"""Limit for a child to end before it is killed, s."""
 
 _SAID_WHY = 2
-"""From this exit status on it has ended for a reason that a new one would end for, too."""
+"""Lowest exit status for a reason that would end a new child, too."""
 
 
 class ChildProcess:
-    """A child that ends with its standard input; begun anew when it is killed, never a reason to stop anything.
+    """Child that ends with its standard input. It is restarted if it is killed, and never a reason to stop anything.
 
     Args:
-        name: What it does, in events, health and log: ``recording``.
+        name: Its task, in events, health and log, such as ``recording``.
         begin: Starts it. Raises `OSError`.
-        report: Told when it has ended by itself.
-        clock: The machine's.
+        report: Called if it has ended by itself.
+        clock: The machine's clock.
 
     Attributes:
-        ended: Why it ended and is not begun anew; empty while it runs, or is not to.
+        ended: Why it has ended and is not restarted; empty while it runs, or is not meant to.
     """
 
     def __init__(
@@ -102,11 +102,11 @@ class ChildProcess:
         self._process: asyncio.subprocess.Process | None = None
 
     def start(self, supervisor: Supervisor) -> None:
-        """Starts it, and keeps it."""
+        """Start it, and keep it running."""
         supervisor.start(self._name, self._keep)
 
     async def stop(self) -> None:
-        """Lets it finish what it is at, and waits for its end."""
+        """Let it finish its work, and wait for its end."""
         process = self._process
         if process is None:
             return
@@ -121,7 +121,7 @@ class ChildProcess:
         while not given_up:
             try:
                 process = self._process = await self._begin()
-            except OSError as error:  # of its folder or the child: no reason to end with the supervisor
+            except OSError as error:  # of its folder or the child: not a reason to end the daemon
                 given_up, why = True, error.strerror or str(error)
             else:
                 status = await process.wait()
@@ -132,6 +132,6 @@ class ChildProcess:
         await asyncio.Event().wait()
 
     def _event(self, why: str, *, given_up: bool) -> DeviceEvent:
-        what, then = ("ended", "is not begun anew") if given_up else ("restarted", "is begun anew")
+        what, then = ("ended", "is not restarted") if given_up else ("restarted", "is restarted")
         text = f"The {self._name} ended by itself ({why}) and {then}; the cell works on. The log says more."
         return DeviceEvent(device="daemon", code=f"{self._name}_{what}", text=text, fields={"why": why})

@@ -1,4 +1,4 @@
-"""The page of the cell, served by a child process on this machine."""
+"""Page of the cell, served by a child process on this machine."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from pcmrs.settings import Settings
 
 
 def is_served(settings: Settings) -> bool:
-    """Whether the daemon serves the page: it is to, and what serves it is installed."""
+    """Return whether the daemon serves the page: it is enabled, and its packages are installed."""
     return settings.console.enabled and find_spec("nicegui") is not None
 
 
 async def open_console(settings: Settings) -> asyncio.subprocess.Process:
-    """Serves the page; its token lies in the cell's folder, and is made when there is none.
+    """Start the process that serves the page. Its token is in the cell's folder, and is created if there is none.
 
     Raises:
-        OSError: The token cannot be written, or the process not started.
+        OSError: The token cannot be written, or the process cannot be started.
     """
     token = settings.cell.path() / TOKEN
     if not token.exists():

@@ -1,4 +1,4 @@
-"""The daemon's heart: what sends the signs of life of its loop to the device nodes."""
+"""Heart of the daemon: sends the signs of life of its loop to the device nodes."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 log = structlog.get_logger(__name__)
 
 STARTING_TIME = 120.0
-"""It sends its first beat within this, or hangs, s: on a busy machine a process takes long to start."""
+"""Limit for its first beat, s: on a busy machine a process takes long to start."""
 ANSWER_TIME = 2.0
-"""Later ones are heard within this, or it hangs, s."""
+"""Limit between later beats, s; beyond it the process counts as hanging."""
 ENDING_TIME = 2.0
-"""Its process is killed when it has not ended so long after the last sign of life, s."""
+"""Limit for its process to end after the last sign of life before it is killed, s."""
 
 
 class Heart(Protocol):
     """Sends beats.
 
     Attributes:
-        session: Of this start of the daemon, random; in every beat.
+        session: Random id of this run of the daemon; in every beat.
     """
 
     session: str
 
     def sign(self, alive: float) -> None:
-        """Takes a sign of life of the loop, s of the machine's monotonic clock; never blocks."""
+        """Send a sign of life of the loop, s of the machine's monotonic clock; never blocks."""
 
     def hear(self) -> None:
-        """One of its beats has come by the bus."""
+        """Note that one of its beats has arrived over the bus."""
 
 
 class LoopHeart:
@@ -69,23 +69,23 @@ class LoopHeart:
         self._publish(DAEMON_BEAT, Beat(number=self._number, session=self.session, alive=alive, sent=sent))
 
     def hear(self) -> None:
-        """Of itself it hears nothing."""
+        """Ignore its own beats."""
 
 
 class HeartProcess:
-    """Sends the signs of life from a small process, which waits for nobody; see `pcmrs.bus.heart`.
+    """Sends the signs of life from a small process, which waits for nothing else; see `pcmrs.bus.heart`.
 
-    When that ends by itself, or hangs and is killed, no beats are sent, so that the nodes hold; it is restarted, but
-    not for ever.
+    If that ends by itself, or hangs and is killed, no beats are sent, so that the nodes hold. It is restarted, up to a
+    limit.
 
     Args:
-        settings: Of the bus, as a client.
-        clock: The machine's.
-        device_key: With which daemon and nodes seal what they send.
+        settings: Settings of the bus, for a client.
+        clock: The machine's clock.
+        device_key: Key of daemon and nodes to seal their messages.
 
     Attributes:
         session: See `Heart`.
-        report: Gets the event when the process has ended by itself.
+        report: Takes the event that the process has ended by itself.
     """
 
     def __init__(self, settings: BusSettings, clock: Clock, device_key: bytes) -> None:
@@ -95,31 +95,31 @@ class HeartProcess:
         self._settings, self._clock = settings, clock
         self._number = 0
         self._patience = STARTING_TIME
-        self._unheard: float | None = None
+        self._unanswered_since: float | None = None
         self._pipe: int | None = None
         self._process: asyncio.subprocess.Process | None = None
 
     def sign(self, alive: float) -> None:
         self._number += 1
         if self._pipe is not None:
-            # A pipe that is full or broken: the process is not there, and so nothing is sent.
+            # The pipe is full or broken: the process has ended or hangs, and nothing is sent.
             with suppress(BlockingIOError, BrokenPipeError):
                 os.write(self._pipe, SIGN.pack(self._number, alive))
-        self._unheard = alive if self._unheard is None else self._unheard
-        if self._process is not None and alive - self._unheard > self._patience:
-            self._unheard = None
+        self._unanswered_since = alive if self._unanswered_since is None else self._unanswered_since
+        if self._process is not None and alive - self._unanswered_since > self._patience:
+            self._unanswered_since = None
             with suppress(ProcessLookupError):
-                self._process.kill()  # what follows is as when it ends by itself
+                self._process.kill()  # the same follows as if it ends by itself
 
     def hear(self) -> None:
-        self._patience, self._unheard = ANSWER_TIME, None
+        self._patience, self._unanswered_since = ANSWER_TIME, None
 
     def start(self, supervisor: Supervisor) -> None:
-        """Starts the process, and keeps it running."""
+        """Start the process, and keep it running."""
         supervisor.start("heart", self._keep)
 
     async def stop(self) -> None:
-        """Sends no more signs, and waits until the process has ended."""
+        """Send no more signs, and wait until the process has ended."""
         self._close_pipe()
         if self._process is not None and not await end_child(self._process, ENDING_TIME):
             log.warning("heart_killed")
@@ -127,7 +127,7 @@ class HeartProcess:
     async def _keep(self) -> None:
         limit = RestartLimit(RESTARTS, WITHIN, self._clock)
         while True:
-            self._patience, self._unheard = STARTING_TIME, None
+            self._patience, self._unanswered_since = STARTING_TIME, None
             process = self._process = await self._begin()
             status = await process.wait()
             self._close_pipe()

@@ -1,4 +1,4 @@
-"""The device nodes of this machine, as child processes of the daemon."""
+"""Device nodes of this machine, as child processes of the daemon."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from pcmrs.settings import Settings
 log = structlog.get_logger(__name__)
 
 TERMINATION_TIME = 3.0
-"""A node that has not ended so long after SIGTERM is killed, s."""
+"""Limit for a node to end after SIGTERM before it is killed, s."""
 
 
 class NodeProcesses:
-    """Starts one process per driver, begins one that ends by itself anew, and ends them all.
+    """Starts one process per driver, restarts those that end by themselves, and ends them all.
 
-    A driver whose node ends more often than `RESTARTS` times within `WITHIN` is given up: its devices are gone until
-    the daemon is started again.
+    If a node ends more often than `RESTARTS` times within `WITHIN`, it is not restarted: its devices are gone until the
+    daemon is restarted.
 
     Args:
-        settings: Handed to every node on its standard input.
-        device_key: Likewise: with which daemon and nodes seal what they send each other.
-        on_end: Called with the names of the devices whose node has ended by itself; whether to begin it anew.
-        report: Told of every restart, and as danger of a driver that is given up.
-        clock: The machine's.
+        settings: Settings, which every node gets on its standard input.
+        device_key: Key of daemon and nodes to seal their messages, which every node gets, too.
+        on_end: Called with the devices of a node that has ended by itself; returns whether to restart it.
+        report: Takes the event of every restart, and a danger event if a node is not restarted.
+        clock: The machine's clock.
 
     Attributes:
-        restarts: Driver to how often its node was begun anew.
-        given_up: Drivers whose nodes are not begun anew any more.
+        restarts: Driver to the number of restarts of its node.
+        given_up: Drivers whose nodes are not restarted any more.
     """
 
     def __init__(
@@ -56,12 +56,12 @@ class NodeProcesses:
         self.given_up: set[str] = set()
 
     def start(self, supervisor: Supervisor) -> None:
-        """Starts the nodes of all configured drivers."""
+        """Start the nodes of all configured drivers."""
         for driver, devices in self._settings.drivers().items():
             supervisor.start(f"node {driver}", partial(self._keep, driver, devices))
 
     async def stop(self) -> None:
-        """Ends all nodes: SIGTERM, then SIGKILL."""
+        """End all nodes: SIGTERM, then SIGKILL."""
         for process in self._processes.values():
             with suppress(ProcessLookupError):
                 process.terminate()
@@ -83,15 +83,15 @@ class NodeProcesses:
                     self._report(_given_up(driver, devices))
                 await asyncio.Event().wait()
             self.restarts[driver] = self.restarts.get(driver, 0) + 1
-            text = f"The node of {', '.join(devices)} ended by itself (status {status}) and is begun anew."
+            text = f"The node of {', '.join(devices)} ended by itself (status {status}) and is restarted."
             fields = {"driver": driver, "devices": devices, "status": status}
             self._report(DeviceEvent(device="daemon", code="node_restarted", text=text, fields=fields))
 
 
 def _given_up(driver: str, devices: list[str]) -> DeviceEvent:
     text = (
-        f"The node of {', '.join(devices)} has ended more than {RESTARTS} times within {WITHIN:g} s and is not begun "
-        "anew. The log says why it ends; start the daemon again when that is mended."
+        f"The node of {', '.join(devices)} has ended more than {RESTARTS} times within {WITHIN:g} s and is not "
+        "restarted. The log says why it ends; start the daemon again when that is mended."
     )
     fields = {"driver": driver, "devices": devices}
     return DeviceEvent(device="daemon", code="node_failed", text=text, danger=True, fields=fields)

@@ -1,4 +1,4 @@
-"""Plans motions in a process beside the daemon, so that the loop goes on meanwhile."""
+"""Planning of motions in a child process, so that the event loop goes on meanwhile."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ from pcmrs.workflows.planning_process import HEADER, frame_message
 log = structlog.get_logger(__name__)
 
 PLANNING_TIME = 5.0
-"""A motion is planned within this, or rejected, s of the machine; a process that takes longer is restarted."""
+"""Limit to plan a motion before it is rejected, s of the machine; a process that takes longer is restarted."""
 STARTING_TIME = 120.0
-"""The daemon waits so long for the process to be ready, s; without it motions are rejected."""
+"""Limit of the daemon's wait for the process at the start, s; without the process motions are rejected."""
 PAUSE = 10.0
-"""Between two starts of a process that ends again and again, s."""
+"""Pause between two starts of a process that keeps ending, s."""
 
 
 class PlanningProcess:
     """Asks the checks that take long in a child process; implements `pcmrs.dispatcher.execution.Planner`.
 
-    A process that has ended, or does not answer in time, is restarted. Until the new one is ready, and for those who
-    waited for the old one, the answer is a refusal: ``planner_lost`` or ``planner_late``.
+    A process that has ended, or does not answer in time, is restarted. Until the new one is ready, and for requests to
+    the old one, the answer is a refusal: ``planner_lost`` or ``planner_late``.
 
     Args:
-        settings: Of the daemon.
-        clock: The machine's.
+        settings: Settings of the daemon.
+        clock: The machine's clock.
 
     Attributes:
-        report: Gets the event when the process has ended by itself.
+        report: Takes the event that the process has ended by itself.
     """
 
     def __init__(self, settings: Settings, clock: Clock) -> None:
@@ -59,7 +59,7 @@ class PlanningProcess:
         self._process: asyncio.subprocess.Process | None = None
 
     async def check(self, run: Run[Cell, PlacementData]) -> Reason | None:
-        """See `Planner`; the joints are compared with those that were planned for."""
+        """See `Planner`; the present joints must be those of the plan."""
         request = request_of(run)
         try:
             answer = await self._ask(request, f"{request.command.branch}.{request.command.operation}")
@@ -68,11 +68,11 @@ class PlanningProcess:
         return apply_answer(run, request, answer)
 
     def start(self, supervisor: Supervisor, surface: Mesh | None) -> None:
-        """Starts the process, and keeps it running.
+        """Start the process, and keep it running.
 
         Args:
-            supervisor: Restarts what keeps it running.
-            surface: Of the body, as the daemon has read it.
+            supervisor: Supervisor of the task that keeps it running.
+            surface: Surface of the body, as the daemon has read it.
         """
         settings = self._settings
         procedure = settings.procedure.in_cell_time(settings.cell.rate)
@@ -81,7 +81,7 @@ class PlanningProcess:
         supervisor.start("planner", self._keep)
 
     async def wait(self) -> None:
-        """Returns when the process is ready, or has not become so in time."""
+        """Wait until the process is ready, within a limit."""
         try:
             async with self._clock.timeout(STARTING_TIME):
                 await self._ready.wait()
@@ -89,13 +89,13 @@ class PlanningProcess:
             log.warning("planner_not_ready", after=STARTING_TIME)
 
     async def stop(self) -> None:
-        """Kills the process, which has nothing to lose and may be planning, and waits for its end."""
+        """Kill the process, which has no state to lose and may be planning, and wait for its end."""
         process = self._process
         if process is not None:
             await kill_and_wait(process)
 
     async def _ask(self, request: PlanRequest, name: str) -> PlanAnswer:
-        """Raises `RefusalError` where no answer comes."""
+        """Returns the answer; raises `RefusalError` if none comes."""
         process = self._process
         if process is None or process.stdin is None or not self._ready.is_set():
             text = f"The process that plans motions does not run yet, so {name} was not planned: ask again in a moment."
@@ -110,7 +110,7 @@ class PlanningProcess:
         except TimeoutError:
             with suppress(ProcessLookupError):
                 process.kill()
-            text = f"{name} was not planned within {PLANNING_TIME:g} s: ask again; look at what else the machine does."
+            text = f"{name} was not planned within {PLANNING_TIME:g} s: ask again; check the load of the machine."
             raise RefusalError("planner_late", text, limit=PLANNING_TIME) from None
         finally:
             self._pending.pop(number, None)
@@ -140,7 +140,7 @@ class PlanningProcess:
         return process
 
     async def _take_answers(self, process: asyncio.subprocess.Process) -> None:
-        """Until the process ends."""
+        """Takes answers until the process ends."""
         answers = process.stdout
         while answers is not None:
             try:
@@ -166,7 +166,7 @@ class PlanningProcess:
 
 
 def _give(answered: asyncio.Future[PlanAnswer], content: bytes) -> None:
-    """An answer that cannot be read is one too: what a user's check has found may not be fit to be sent."""
+    """Sets the answer. If it cannot be read, its error is the answer: a user's check may find what cannot be sent."""
     try:
         answered.set_result(pickle.loads(content))  # noqa: S301  # of our own child, which reads no file
     except Exception as error:

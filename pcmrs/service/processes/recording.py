@@ -14,16 +14,16 @@ from pcmrs.settings import Settings
 async def start_recording(
     settings: Settings, session: str, clock: Clock, device_key: bytes
 ) -> asyncio.subprocess.Process:
-    """Records the session into the cell's folder, in a new file.
+    """Start the process that records the session into a new file in the cell's folder.
 
     Args:
-        settings: Of the daemon.
-        session: Id of the session, as the journal has it.
-        clock: The machine's.
-        device_key: With which it seals what it reports to the daemon.
+        settings: Settings of the daemon.
+        session: Id of the session in the journal.
+        clock: The machine's clock.
+        device_key: Key to seal its reports to the daemon.
 
     Raises:
-        OSError: The folder cannot be made, or the process not started.
+        OSError: The folder cannot be created, or the process cannot be started.
     """
     folder = settings.cell.path() / FOLDER
     folder.mkdir(exist_ok=True)

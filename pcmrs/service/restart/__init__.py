@@ -1,1 +1,1 @@
-"""From one run of the daemon to the next: what the journal says, and how it is written."""
+"""State from one run of the daemon to the next, kept in the journal."""

@@ -1,4 +1,4 @@
-"""The whole journal of earlier runs is read once after the start: the start itself reads only its last part."""
+"""Verification of the whole journal after the start: the start itself reads only its last part."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from pcmrs.messages import DeviceEvent
 log = structlog.get_logger(__name__)
 
 NICENESS = 19
-"""Everything else on the machine goes first."""
+"""Lowest priority: everything else on the machine goes first."""
 
 
 async def audit(journal: Path, report: Callable[[DeviceEvent], None]) -> None:
-    """Verifies a journal in a process of its own, and reports what is not as it was written.
+    """Verify a journal in a child process, and report damage.
 
-    Damage in rows of long ago changes nothing that is done now, so nothing is held for it; it is never silent either.
+    Damage in old rows does not concern present motion, so nothing is held for it; but it is always reported.
 
     Args:
-        journal: Its path; it may be written meanwhile.
+        journal: Journal file; it may be written meanwhile.
         report: Takes an event ``journal_damaged``.
     """
     try:

@@ -1,4 +1,4 @@
-"""The dispatcher's recorder on the journal of the cell."""
+"""Recorder of the dispatcher on the journal of the cell."""
 
 from __future__ import annotations
 
@@ -41,7 +41,12 @@ class DecidedKeys:
         self._since: set[int] = set()
 
     def add(self, source: str, command_id: str) -> None:
-        """Adds a command that is about to be journalled."""
+        """Add a command that is about to be journalled.
+
+        Args:
+            source: Source of the command.
+            command_id: Id that the source has given it.
+        """
         self._since.add(hash((source, command_id)))
 
     def __contains__(self, key: tuple[str, str]) -> bool:
@@ -51,9 +56,9 @@ class DecidedKeys:
 
 
 AT_ONCE = 100
-"""Rows of what had begun that are written in one commit."""
+"""Limit of rows of unfinished commands that are written in one commit."""
 SNAPSHOT_EVERY = 1000
-"""Rows after which the journal gets one from which the next start reads on."""
+"""Number of rows after which the journal gets a snapshot, from which the next start reads on."""
 
 
 class JournalRecorder:
@@ -63,7 +68,7 @@ class JournalRecorder:
         journal: The cell's journal.
         clock: The cell's clock.
         session: Id of this run.
-        blueprint: The workflow that is decided under.
+        blueprint: The workflow of the decisions.
 
     Raises:
         JournalError: The journal cannot be read.
@@ -118,18 +123,18 @@ class JournalRecorder:
         outcome = reader.outcome_of(source, command_id)
         if outcome is None or outcome.verdict is None:
             return None
-        # What an earlier run left unfinished was closed by a row that repeats no arguments.
-        asked = outcome if outcome.arguments is not None else reader.intent_of(source, command_id)
-        return EarlierDecision(outcome.verdict, {} if asked is None else asked.arguments or {})
+        # The row that has closed a command of an earlier run repeats no arguments.
+        intent = outcome if outcome.arguments is not None else reader.intent_of(source, command_id)
+        return EarlierDecision(outcome.verdict, {} if intent is None else intent.arguments or {})
 
     def read_back(self, blueprint: Blueprint) -> PersistedState:
-        """Reads what earlier rows leave, from the last snapshot on; from now on every thousandth row is one.
+        """Return the state that the journal leaves, from its last snapshot on; later snapshots continue from it.
 
         Args:
             blueprint: The workflow.
 
         Raises:
-            JournalError: The journal cannot be read, or its snapshot is not of the types that this program knows.
+            JournalError: The journal cannot be read, or this program does not know the types of its snapshot.
         """
         reader = self._journal.reader
         snapshot = next(reader.read(kind="snapshot", last=1), None)
@@ -143,46 +148,55 @@ class JournalRecorder:
 
     @property
     def kept(self) -> PersistedState:
-        """What a run that begins now would take over."""
+        """State that a run that begins now would take over."""
         return PersistedState() if self._ledger is None else self._ledger.kept
 
     def attach(self, procedure: Procedure[Any, Any]) -> None:
-        """Snapshots show the states, data and sequence of this procedure from now on."""
+        """Take states, data and sequence of later snapshots from this procedure."""
         self._procedure = procedure
 
     async def started(self, settings: Mapping[str, Any], calibration: str) -> int:
-        """Journals under which configuration, versions and calibration the daemon runs; returns the row's sequence."""
+        """Journal configuration, versions and calibration of this run; return the sequence of the row.
+
+        Args:
+            settings: The whole configuration.
+            calibration: Id of the calibration.
+        """
         versions = {"pcmrs": version("pcmrs"), "python": platform.python_version()}
         result = {"settings": dict(settings), "versions": versions, "calibration": calibration}
         return await self._append([self._row("config", source=DAEMON, operation="started", result=result)])
 
     async def taken_up(self, migration: MigrationSpec) -> None:
-        """Journals that what an older blueprint has written is taken up under the present one, and why."""
+        """Journal that the present blueprint continues the journal of an older one, and why."""
         text = f"Taken up from {migration.version} {migration.hash} because {migration.why}"
         result = {"text": text, **msgspec.to_builtins(migration)}
         await self._append([self._row("event", source=DAEMON, operation="taken_up", result=result)])
 
     async def close_unfinished(self, begun: Iterable[InFlightCommand]) -> list[Verdict]:
-        """Journals ``unknown`` for what had begun when an earlier run ended; returns those verdicts."""
+        """Journal ``unknown`` for commands that were unfinished when an earlier run ended; return those verdicts."""
         rows = [self._unknown(each) for each in begun]
         for start in range(0, len(rows), AT_ONCE):
             await self._append(rows[start : start + AT_ONCE])
         return [row.verdict for row in rows if row.verdict is not None]
 
     async def conclude(self) -> None:
-        """The daemon ends in order: the next start need read nothing but this snapshot.
+        """Journal a snapshot at the end of the daemon: the next start need only read this.
 
         Raises:
-            JournalError: It cannot be written.
+            JournalError: The snapshot cannot be written.
         """
         if self._ledger is not None:
             await self._journal.append([self._snapshot()])
 
     def previous(self, kept: PersistedState, initial: PlacementData) -> PlacementData:
-        """The initial data, with what earlier runs have left for explicit operations to take back.
+        """Return the initial data, with the data of earlier runs that explicit operations may take back.
+
+        Args:
+            kept: State of earlier runs.
+            initial: Initial data of the workflow.
 
         Raises:
-            JournalError: What an earlier run has left is not of the types that this program knows.
+            JournalError: This program does not know the types of the data of an earlier run.
         """
         try:
             previous = msgspec.convert(kept.taken_back, PlacementData)
@@ -193,9 +207,9 @@ class JournalRecorder:
         return msgspec.structs.replace(initial, **{field: getattr(previous, field) for field in TAKEN_BACK})
 
     def _append(self, rows: list[JournalRow]) -> Awaitable[int]:
-        """Appends rows, and a snapshot in the same commit when it is time for one.
+        """Appends rows, and in the same commit a snapshot if one is due.
 
-        After a failure the ledger may hold what the disk does not: there is no snapshot before it has been read back.
+        After a failure the state in memory may differ from the disk: there is no snapshot before it is read back.
         """
         for row in rows:
             if row.kind == "outcome":

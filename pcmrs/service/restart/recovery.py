@@ -1,4 +1,4 @@
-"""What a daemon takes over from the journal of earlier runs, and how it goes on with a journal that failed."""
+"""Start of a daemon on the journal of earlier runs, and recovery of a journal that has failed."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from pcmrs.workflows.data import PlacementData
 
 
 def migration_for(journal: JournalReader, blueprint: Blueprint, file: Path) -> MigrationSpec | None:
-    """The declared migration by which a journal of another blueprint is taken up; None where none is needed.
+    """Return the declared migration from the journal's blueprint to the present one; None if none is needed.
 
     Args:
-        journal: Of the cell.
-        blueprint: The workflow that is to write it.
-        file: Where that was read from, for the text.
+        journal: Journal of the cell.
+        blueprint: The workflow that will write it.
+        file: File of the workflow, for the message.
 
     Raises:
         ConfigurationError: The journal is of another blueprint, and the present one declares no migration from it;
-            the text has the table that does.
+            the message has the table that does.
     """
     last = next((stored.row.blueprint for stored in journal.read(last=1)), None)
     if last is None or (last.version, last.hash) == (blueprint.version, blueprint.hash):
@@ -47,7 +47,7 @@ def migration_for(journal: JournalReader, blueprint: Blueprint, file: Path) -> M
     text = (
         f"{journal.path} was last written under {_named(last)}, and {file} is now {_named(blueprint)}. "
         f"Review the change with `pcmrs fsm diff OLD {file}`; then add to {file}:\n\n{_migration(last)}\n"
-        "or begin anew in another cell.folder."
+        "or start with another cell.folder."
     )
     raise ConfigurationError(text, journal=str(journal.path), version=last.version, hash=last.hash)
 
@@ -64,18 +64,18 @@ def _migration(last: BlueprintTag) -> str:
 log = structlog.get_logger(__name__)
 
 RETRY_AFTER = 1.0
-"""Between attempts to reopen a journal that has failed, s of the machine."""
+"""Pause between attempts to reopen a journal that has failed, s of the machine."""
 
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """What a run begins with; states, connection and motion are never restored.
+    """Start of a run; states, connection and motion are never restored.
 
     Attributes:
-        workflow: Its initial data hold what explicit operations may take back.
+        workflow: The workflow. Its initial data hold what explicit operations may take back.
         latched: A Stop or danger was not acknowledged, or a motion, an activity that moves the robot or a pulse was
             under way when the last run ended.
-        unknown: What nobody knows the outcome of, until an operator has settled it.
+        unknown: Unknown outcomes, until an operator has settled them.
         start: Sequence of the row of this start.
     """
 
@@ -85,7 +85,12 @@ class Recovered:
     start: int
 
     def give_to(self, dispatcher: Dispatcher[Cell, PlacementData], journal: Journal) -> None:
-        """Has the dispatcher begin with it, and fail with its journal; before anything is submitted."""
+        """Start a dispatcher with it, and let it fail with its journal; before anything is submitted.
+
+        Args:
+            dispatcher: The dispatcher.
+            journal: Its journal.
+        """
         dispatcher.take_up(latched=self.latched, unknown=self.unknown, start=self.start)
         journal.on_failure(lambda error: dispatcher.fail(reason_for(error)))
 
@@ -93,11 +98,17 @@ class Recovered:
 async def recover(
     journal: Journal, recorder: JournalRecorder, workflow: Workflow[Cell, PlacementData], settings: Settings
 ) -> Recovered:
-    """Begins a run of the daemon on its journal: everything is checked before the first row of it is written.
+    """Begin a run of the daemon on its journal: everything is checked before its first row is written.
+
+    Args:
+        journal: The journal.
+        recorder: Recorder on the journal.
+        workflow: The workflow.
+        settings: The whole configuration.
 
     Raises:
         ConfigurationError: The journal is of another version of the workflow, or a calibration cannot be used.
-        JournalError: It cannot be read or written, or holds what this version does not know.
+        JournalError: The journal cannot be read or written, or holds what this version does not know.
     """
     blueprint = workflow.blueprint
     migration = migration_for(journal.reader, blueprint, find_workflow(settings.workflow).blueprint)
@@ -116,7 +127,7 @@ async def recover(
 
 
 async def conclude(recorder: JournalRecorder) -> None:
-    """The daemon ends in order. A journal that cannot be written then is only logged: nothing more is decided."""
+    """Journal the end of the daemon. A failure is only logged, since nothing more is decided."""
     try:
         await recorder.conclude()
     except JournalError as error:
@@ -136,9 +147,15 @@ class _FailureSignal(DispatcherListener):
 async def keep_journal(
     journal: Journal, recorder: JournalRecorder, dispatcher: Dispatcher[Any, Any], machine: Clock
 ) -> None:
-    """Waits for the journal to fail, and takes it up again as soon as the disk lets it; goes on until cancelled.
+    """Wait for the journal to fail, and reopen it as soon as the disk allows it; until cancelled.
 
     Meanwhile nothing is accepted but Stop. Afterwards the robot is held and latched until an operator acknowledges it.
+
+    Args:
+        journal: The journal.
+        recorder: Recorder on the journal.
+        dispatcher: The dispatcher.
+        machine: The machine's clock.
     """
     failed = asyncio.Event()
     dispatcher.add_listener(_FailureSignal(failed))
@@ -149,18 +166,18 @@ async def keep_journal(
         failed.clear()
         while dispatcher.broken is not None and dispatcher.broken.code == JournalError.code:
             try:
-                await _take_up_again(journal, recorder, dispatcher)
+                await _reopen(journal, recorder, dispatcher)
             except PcmrsError as error:
                 log.warning("journal_still_failing", reason=error.text)
                 await machine.sleep(RETRY_AFTER)
 
 
-async def _take_up_again(journal: Journal, recorder: JournalRecorder, dispatcher: Dispatcher[Any, Any]) -> None:
-    """Reopens, reads again, and has the dispatcher go on.
+async def _reopen(journal: Journal, recorder: JournalRecorder, dispatcher: Dispatcher[Any, Any]) -> None:
+    """Reopens the journal, reads it again, and resumes the dispatcher.
 
     Raises:
-        JournalError: It cannot be written yet, or acknowledged rows are lost.
-        PcmrsError: The dispatcher cannot go on yet.
+        JournalError: The journal cannot be written yet, or acknowledged rows are lost.
+        PcmrsError: The dispatcher cannot resume yet.
     """
     await journal.reopen()
     kept = recorder.read_back(dispatcher.procedure.blueprint)

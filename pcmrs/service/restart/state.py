@@ -1,4 +1,4 @@
-"""What a run of the daemon takes over from the journal, kept up to date with every row that is appended."""
+"""State that a run of the daemon takes over from the journal, updated with every row that is appended."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from pcmrs.journal import JournalRow
 from pcmrs.messages import Reason, UnknownOutcome
 
 TAKEN_BACK = ("previous", "noise", "previous_digitization", "previous_plan")
-"""Data that outlives a run of the daemon: what only explicit operations use, after their checks, and how noisy each
-pointer has been found."""
-ENDED = Reason(code="daemon_ended", text="The daemon ended while it ran; nobody knows how it ended.")
+"""Fields of the data that outlive a run of the daemon: those that only explicit operations use, after their checks, and
+the measured noise of each pointer."""
+ENDED = Reason(code="daemon_ended", text="The daemon ended while it ran; its outcome is unknown.")
 
 
 class InFlightCommand(UnknownOutcome, frozen=True, kw_only=True, omit_defaults=False):
-    """A command that has begun and not ended; `state` of its branch is the one it began in."""
+    """Command that has begun and not ended; `state` is that of its branch when it began."""
 
     state: str
 
 
 class PersistedState(msgspec.Struct, frozen=True, kw_only=True):
-    """A ledger as a row of the journal has it.
+    """State as a row of the journal stores it.
 
     Attributes:
         taken_back: Field of the procedure's data to its value.
-        latched: Nobody has acknowledged the last Stop or danger; the Stop with which a daemon ends does not count.
-        begun: Commands under way.
-        moving: Activities under way that move the robot; `operation` is the name of the activity.
-        unknown: Outcomes that nobody knows and no operator has settled.
+        latched: The last Stop or danger was not acknowledged; the Stop at the end of a daemon does not count.
+        begun: Unfinished commands.
+        moving: Unfinished activities that move the robot; `operation` is the name of the activity.
+        unknown: Unknown outcomes that no operator has settled.
     """
 
     taken_back: dict[str, Any] = {}
@@ -44,11 +44,11 @@ class PersistedState(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RestartState:
-    """Follows the rows of a journal in their order; where it begins does not matter, only what was kept there.
+    """State after the rows of a journal, in their order; it may begin at any row whose state is known.
 
     Args:
         blueprint: The workflow.
-        kept: As of the row where it begins.
+        kept: State at the row where it begins.
     """
 
     def __init__(self, blueprint: Blueprint, kept: PersistedState) -> None:
@@ -61,7 +61,7 @@ class RestartState:
 
     @property
     def kept(self) -> PersistedState:
-        """What it says now."""
+        """Present state."""
         return PersistedState(
             taken_back=dict(self._taken_back),
             latched=self._latched,
@@ -71,7 +71,7 @@ class RestartState:
         )
 
     def take(self, row: JournalRow) -> None:
-        """One more row."""
+        """Follow one more row."""
         if row.kind == "intent":
             self._begin(row)
         elif row.kind == "outcome":
@@ -103,7 +103,7 @@ class RestartState:
             self._doubt(row, row.wall if began is None else began.since)
 
     def _follow_activity(self, row: JournalRow) -> None:
-        """An activity that moves the robot has begun, or has ended with the robot at rest or a motion in its place."""
+        """Follows an activity that moves the robot: it has begun, or ended with the robot at rest or a motion."""
         fields = (row.result or {}).get("fields") or {}
         key = row.source or "", str(fields.get("command", ""))
         if row.operation == ACTIVITY_ENDED:
@@ -119,7 +119,7 @@ class RestartState:
             )
 
     def _leave_moving(self) -> None:
-        """A daemon starts: what moved the robot under the one before has not ended, as a motion that was under way."""
+        """Treats activities that moved the robot when a daemon ended like unfinished motions."""
         for each in self._moving.values():
             self._latched = True
             self._unsettled.add(
@@ -134,7 +134,7 @@ class RestartState:
         self._moving.clear()
 
     def _moves(self, branch: str, state: str) -> bool:
-        """Whether the activity of a state moves the robot; of one that this version does not have, nobody knows."""
+        """Returns whether the activity of a state moves the robot; true if this version does not know the activity."""
         declared = self._blueprint.branches.get(branch)
         activity = None if declared is None else declared.activities.get(state)
         return activity is None or activity.moves
@@ -146,7 +146,7 @@ class RestartState:
         spec = self._spec(row)
         if self._latched and spec is not None and spec.unlatches:
             self._latched = False
-            self._moving.clear()  # Stop has ended them all, also where the journal failed before it had that
+            self._moving.clear()  # Stop has ended them all, even if the journal failed before it had the row
 
     def _doubt(self, row: JournalRow, since: float) -> None:
         self._unsettled.add(
@@ -163,11 +163,11 @@ class RestartState:
             self._latched = True
 
     def _spec(self, row: JournalRow) -> OperationSpec | None:
-        """None of an operation that this version of the workflow does not have."""
+        """Operation of a row; None if this version of the workflow does not have it."""
         branch = self._blueprint.branches.get(row.branch or "")
         return None if branch is None else branch.operations.get(row.operation or "")
 
 
 def _left_in_doubt(row: JournalRow) -> bool:
-    """Whether a connected robot had not confirmed that it stood when its daemon ended."""
+    """Returns whether a connected robot had not confirmed that it stood when its daemon ended."""
     return row.operation == NOT_CONFIRMED and (row.states or {}).get("robot") == "1"

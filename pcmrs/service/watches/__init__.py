@@ -1,1 +1,1 @@
-"""What the daemon watches: nodes, poses, the lease, its own loop and its disk."""
+"""Watches of the daemon: nodes, poses, the lease, its own event loop and its disk."""

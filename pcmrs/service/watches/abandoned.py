@@ -1,4 +1,4 @@
-"""A session that nobody attends to any more is made safe: held, latched, and nothing armed."""
+"""Watch that makes an unattended session safe: held, latched and disarmed."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from pcmrs.messages.identity import HOLDING
 
 
 class AbandonedWatch(DispatcherListener):
-    """Reports a danger when nobody has attended for too long while the patient is exposed.
+    """Reports a danger if nobody has attended for too long while the patient is exposed.
 
-    What exposes the patient, such as a tool at the body or an armed stimulator, goes by what the running blueprint
-    declares: see `Exposure`.
+    The running blueprint declares what exposes the patient, such as a tool at the body or an armed stimulator: see
+    `Exposure`.
 
-    Who attends has a command accepted, in a role that may hold the lease: whoever asks in vain, or only plans, is none.
-    Hands that guide the tool are a sign of a person, too. What devices report and activities post is none; an
-    operation that still runs is one of whoever asked for it. The danger goes the way of Stop.
+    A person attends whose command is accepted, in a role that may hold the lease; rejected commands and plans do not
+    count. A person also attends whose hands guide the tool. Reports of devices and commands of activities do not count;
+    an operation that still runs does. The danger stops everything.
 
     Args:
-        dispatcher: Of the cell.
-        after: So long, s.
-        clock: The machine's: people are as quick as ever in a simulation that runs faster.
+        dispatcher: The dispatcher of the cell.
+        after: Limit, s.
+        clock: The machine's clock: people are no faster in a simulation that runs faster.
     """
 
     def __init__(self, dispatcher: Dispatcher[Any, Any], after: float, clock: Clock) -> None:
@@ -36,7 +36,7 @@ class AbandonedWatch(DispatcherListener):
         dispatcher.add_listener(self)
 
     async def run(self) -> None:
-        """Watches until it is cancelled."""
+        """Watch until cancelled."""
         while True:
             left = self._asked + self._after - self._clock.monotonic()
             await self._clock.sleep(left if left > 0.0 else self._after)
@@ -55,7 +55,7 @@ class AbandonedWatch(DispatcherListener):
         return self._exposure.holds(snapshot.branches)
 
     def _event(self) -> DeviceEvent:
-        text = f"Nobody has asked for anything for {self._after:g} s (procedure.abandoned_after): the session is held."
+        text = f"Nobody has attended for {self._after:g} s (procedure.abandoned_after): the session is held."
         return DeviceEvent(
             device="operator",
             code="session_abandoned",
@@ -65,5 +65,5 @@ class AbandonedWatch(DispatcherListener):
         )
 
     def see(self) -> None:
-        """Somebody is there."""
+        """Note that a person attends."""
         self._asked = self._clock.monotonic()

@@ -1,4 +1,4 @@
-"""What the nodes say of their devices: told in the log when it changes, and by refusals for want of poses."""
+"""Health of the devices as their nodes report it: logged when it changes, and part of refusals without poses."""
 
 from __future__ import annotations
 
@@ -12,23 +12,28 @@ log = structlog.get_logger(__name__)
 
 
 class HealthWatch:
-    """Takes what the nodes say of their devices.
+    """Follows the health of the devices.
 
     Args:
-        hearing: Told of devices that are there at the start, or known to be absent.
-        poses: Told why the tracker sends none.
+        readiness: Readiness of the devices, which the first health of a device completes.
+        poses: Pose feed, which reports why the tracker sends no poses.
 
     Attributes:
-        last: Device to what its node has said of it last.
+        last: Device to its newest health.
     """
 
-    def __init__(self, hearing: DeviceReadiness, poses: PoseFeed) -> None:
-        self._hearing, self._poses = hearing, poses
+    def __init__(self, readiness: DeviceReadiness, poses: PoseFeed) -> None:
+        self._readiness, self._poses = readiness, poses
         self._absent: dict[str, str] = {}
         self.last: dict[str, DeviceHealth] = {}
 
     def take(self, _key: str, health: DeviceHealth) -> None:
-        """Logs a device that is lost, for another reason than before, or there again."""
+        """Follow the health of a device; log if it is lost, for another reason than before, or back again.
+
+        Args:
+            _key: Key of the message.
+            health: The health.
+        """
         self.last[health.device] = health
         device, before = health.device, self._absent.pop(health.device, None)
         if device == "tracker":
@@ -39,4 +44,4 @@ class HealthWatch:
                 log.warning("device_not_connected", device=device, reason=health.text)
         elif before is not None:
             log.info("device_connected", device=device)
-        self._hearing.hear(device)
+        self._readiness.hear(device)

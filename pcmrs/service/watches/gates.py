@@ -1,4 +1,4 @@
-"""What the nodes' beats say of latches and sessions, against what the daemon has decided."""
+"""Comparison of the latches and sessions in the nodes' heartbeats with the decisions of the daemon."""
 
 from __future__ import annotations
 
@@ -12,20 +12,21 @@ from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 
 LATCHED = "device_latched"
-"""Code of the danger event that a device is latched while the daemon is not."""
+"""Code of the danger event that a device is latched although the daemon is not."""
 
 
 class GateWatch:
     """Follows the gates of all devices that act.
 
-    A device that is latched while the daemon is not has made itself safe, or its node has restarted alone: that is a
-    Stop. A device that acts for an earlier daemon is held, so that no request of that one counts any more.
+    A device that is latched although the daemon is not has made itself safe, or its node has restarted alone: that is a
+    Stop. A device that acts for an earlier daemon is held, so that no request of that daemon counts any more.
 
     Args:
-        devices: That act.
-        dispatcher: Whose latch counts.
-        connected: Whether the workflow holds the robot for connected; before it first does, all devices are latched.
-        supervisor: Where requests to devices run.
+        devices: Devices that act.
+        dispatcher: The dispatcher, which has the daemon's latch.
+        connected: Returns whether the robot is connected by the state of the workflow; until it first is, all devices
+            are latched.
+        supervisor: Supervisor of the requests to devices.
     """
 
     def __init__(
@@ -44,7 +45,12 @@ class GateWatch:
         self._taken_over: dict[str, tuple[str, str]] = {}
 
     def take(self, name: str, gate: GateState | None) -> None:
-        """Takes the gate that a beat reports."""
+        """Follow the gate that a heartbeat reports.
+
+        Args:
+            name: Name of the device.
+            gate: State of its gate; None if it has none.
+        """
         device = self._devices.get(name)
         if device is None:
             return
@@ -66,6 +72,6 @@ class GateWatch:
             return
         if situation not in (self._reported.get(name), device.unreleased):
             self._reported[name] = situation
-            text = f"The {name} is latched, and nobody has stopped it here: it has stopped by itself, or its node was "
+            text = f"The {name} is latched without a Stop of this cell: it has stopped by itself, or its node was "
             text += "restarted. Look at it, then acknowledge."
             self._dispatcher.report_later(DeviceEvent(device=name, code=LATCHED, text=text, danger=True))

@@ -1,4 +1,4 @@
-"""Watches that whoever holds the cell is still there."""
+"""Watch that the holder of the cell's lease renews it."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from pcmrs.dispatcher.lease import lapse
 from pcmrs.service.supervisor import mark
 
 LOOKS = 10
-"""Looks in the time after which a lease lapses."""
+"""Number of checks in the time after which a lease lapses."""
 
 
 class LeaseWatch:
-    """Ends the lease of a holder who does not renew it; what moves then is held.
+    """Ends the lease of a holder who does not renew it; a moving robot is held.
 
     Args:
-        dispatcher: Keeps the lease.
-        moving: Whether the robot moves.
-        clock: The cell's.
+        dispatcher: The dispatcher, which has the lease.
+        moving: Returns whether the robot moves.
+        clock: The cell's clock.
         limit: Time without renewal, s of the clock.
     """
 
@@ -33,7 +33,7 @@ class LeaseWatch:
         self._limit = limit
 
     async def run(self) -> None:
-        """Watches until cancelled."""
+        """Watch until cancelled."""
         while True:
             mark()
             holder = self._dispatcher.lease.lapsed(self._limit)

@@ -1,4 +1,4 @@
-"""Waiting at the start until all devices have been heard, or are known to be absent."""
+"""Readiness of the devices at the start: all have answered, or are known to be absent."""
 
 from __future__ import annotations
 
@@ -15,35 +15,39 @@ from pcmrs.settings import Settings
 log = structlog.get_logger(__name__)
 
 DEVICES_TIME = 120.0
-"""Every device must have sent something within this after the start, s of the machine.
+"""Limit from the start to the first message of every device, s of the machine.
 
 On two cores beside eight processes that compute, the node of the simulated cell took more than 30 s to start.
 """
 
 NOTED_AFTER = 10.0
-"""The log names the devices that are still silent after this, s of the machine."""
+"""Time from the start after which the log names the devices that are still silent, s of the machine."""
 
 NEEDED_BY = {"robot": "robot", "tracker": "registration"}
-"""Device to the branch that cannot do without it, also where another machine runs its node."""
+"""Device to the branch that needs it, also if another machine runs its node."""
 
 
 def awaited(settings: Settings, branches: Collection[str]) -> set[str]:
-    """The devices that a daemon starts itself, and robot and tracker where the workflow needs them.
+    """Return the devices that the daemon starts itself, and robot and tracker if the workflow needs them.
 
-    All of them, for the node of one may serve what that of another connects to.
+    All must be ready, since the node of one may serve a device that the node of another connects to.
+
+    Args:
+        settings: The whole configuration.
+        branches: Branches of the workflow.
     """
     here = {device for devices in settings.drivers().values() for device in devices}
     return here | {device for device, branch in NEEDED_BY.items() if branch in branches}
 
 
 class DeviceReadiness:
-    """Knows which of the awaited devices have not been heard yet.
+    """Knows which of the awaited devices have not answered yet.
 
-    Of a device that acts, its gate must be known too: it cannot be released before, and its first beat may be lost.
+    The gate of a device that acts must be known, too: it cannot be released before. Its first heartbeat may be lost.
 
     Args:
-        devices: The awaited ones.
-        clock: The machine's.
+        devices: The awaited devices.
+        clock: The machine's clock.
     """
 
     def __init__(self, devices: set[str], clock: Clock) -> None:
@@ -55,29 +59,29 @@ class DeviceReadiness:
 
     @property
     def complete(self) -> bool:
-        """All have been heard."""
+        """True once all have answered."""
         return not self._silent and not self._unknown_gates
 
     def hear(self, device: str) -> None:
-        """The device has said something, or its node that it does not: then operations that need it say so."""
+        """Note a message of a device, or of its node that it is absent: then operations that need it are refused."""
         self._silent.discard(device)
         self._end_when_complete()
 
     def hear_gate(self, device: str) -> None:
-        """A beat has said what the device's gate lets through."""
+        """Note that a heartbeat has reported the device's gate."""
         self._unknown_gates.discard(device)
         self._end_when_complete()
 
     def fail(self, error: DeviceError) -> None:
-        """Some device will never be heard."""
+        """Fail, since a device will never answer."""
         if not self._ended.done():
             self._ended.set_exception(error)
 
     async def wait(self) -> None:
-        """Returns once all have been heard.
+        """Wait until all have answered.
 
         Raises:
-            DeviceError: One ended, or was not heard within `DEVICES_TIME`.
+            DeviceError: A device has ended, or has not answered within `DEVICES_TIME`.
         """
         try:
             async with self._clock.timeout(DEVICES_TIME):
@@ -89,7 +93,7 @@ class DeviceReadiness:
                     await self._ended
         except TimeoutError:
             silent = self._awaited()
-            text = f"Not heard within {DEVICES_TIME:g} s: {' and '.join(silent)}; the log says why."
+            text = f"No answer within {DEVICES_TIME:g} s from: {' and '.join(silent)}; the log says why."
             raise DeviceError(text, devices=silent) from None
 
     def _awaited(self) -> list[str]:

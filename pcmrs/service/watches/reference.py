@@ -1,4 +1,4 @@
-"""Watching whether the reference moves against the witness, and what it means when it does."""
+"""Watch for a motion of the reference against the witness, and its consequences."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.reference import ReferenceShift, detected_shift, shift_text
 
 PERIOD = 0.1
-"""Between two looks, s of the cell."""
+"""Period of the checks, s of the cell."""
 
 RESTS_ON_IT = ("110", "111")
-"""States of the registration that a moved reference makes worthless."""
+"""States of the registration that a moved reference makes invalid."""
 
 Report = Callable[[DeviceEvent], Awaitable[None]]
 
 
 class ReferenceWatch:
-    """Reports a moved reference as danger: motion is held and latched, the registration given up.
+    """Reports a moved reference as danger: motion is held and latched, and the registration becomes invalid.
 
-    Where the workflow refuses that for now, as with a drill in the bone, it is reported again once the joint state has
-    changed: the registration must not come to count again.
+    If the workflow refuses that for now, as with a drill in the bone, it is reported again once the joint state has
+    changed: the registration must not become valid again.
 
     Args:
-        cell: Its tracked poses, limits and clock.
-        dispatcher: Of the procedure; reports go there.
+        cell: The cell, with its tracked poses, limits and clock.
+        dispatcher: The dispatcher, which takes the reports.
     """
 
     def __init__(self, cell: Cell, dispatcher: Dispatcher[Cell, PlacementData]) -> None:
@@ -37,17 +37,17 @@ class ReferenceWatch:
         self._report: Report = dispatcher.report
 
     async def run(self) -> None:
-        """Looks until cancelled."""
-        told: dict[str, str] = {}
+        """Watch until cancelled."""
+        reported: dict[str, str] = {}
         while True:
             mark()
             shift = detected_shift(self._cell, self._procedure.data)
             joint = self._procedure.joint()
             if shift is None:
-                told = {}
-            elif joint != told and joint.get("registration") in RESTS_ON_IT:
+                reported = {}
+            elif joint != reported and joint.get("registration") in RESTS_ON_IT:
                 await self._report(self._event(shift))
-                told = self._procedure.joint()
+                reported = self._procedure.joint()
             await self._cell.clock.sleep(PERIOD)
 
     def _event(self, shift: ReferenceShift) -> DeviceEvent:

@@ -1,4 +1,4 @@
-"""The signs of life of the daemon's loop, and what it means when the robot falls silent."""
+"""Signs of life of the daemon's event loop, and the loss of a silent robot."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from pcmrs.messages import DeviceEvent
 from pcmrs.service.supervisor import mark
 
 SILENCE = 1.0
-"""A robot whose joints have not been heard for so long is lost, s of the machine."""
+"""Time without joints after which the robot counts as lost, s of the machine."""
 
 BEATS_MISSED = 10
-"""A robot is lost, too, when its node's heartbeats have been missing for so many times the deadman's time."""
+"""Time without heartbeats of its node after which the robot counts as lost, in multiples of the deadman's time."""
 
 HELD_UP = 0.1
-"""A watch that comes round so much too late was held up itself: it hears first what has come meanwhile, s."""
+"""Delay from which the watch itself was held up, s: it first takes the messages that have arrived meanwhile."""
 
 
 class RobotWatch:
-    """Gives the loop's signs of life, and listens for the robot's joints and its node's heartbeats.
+    """Sends the loop's signs of life, and watches for the robot's joints and its node's heartbeats.
 
     Args:
-        beat: Takes a sign of life, s of the machine, and has it sent to the device nodes.
-        connected: Whether the workflow holds the robot for connected.
-        in_doubt: Whether a stopped robot has not confirmed that it stands: it is then left without beats, so
-            that its node holds it by itself, too.
+        beat: Sends a sign of life, s of the machine, to the device nodes.
+        connected: Returns whether the robot is connected by the state of the workflow.
+        in_doubt: Returns whether a stopped robot has not confirmed that it stands: then no beats are sent, so that its
+            node holds it by itself, too.
         report: `Dispatcher.report`.
         clock: The machine's clock.
-        deadman: As the nodes have it, s of the machine.
+        deadman: Deadman's time of the nodes, s of the machine.
     """
 
     def __init__(
@@ -50,9 +50,9 @@ class RobotWatch:
         self._without_beats, self._period = BEATS_MISSED * deadman, beat_period(deadman)
 
     async def run(self) -> None:
-        """Beats and watches until cancelled.
+        """Send beats and watch until cancelled.
 
-        While a loss is being dealt with it does not beat: the node then holds the robot by itself, too.
+        No beats are sent while a loss is handled: then the node holds the robot by itself, too.
         """
         while True:
             mark()
@@ -65,7 +65,7 @@ class RobotWatch:
                 await self.lose(text)
 
     def _loss(self) -> str:
-        """Why the robot counts as lost; empty while it does not."""
+        """Text why the robot counts as lost; empty while it does not."""
         now = self._clock.monotonic()
         if now - self._heard > SILENCE:
             return f"The robot has not reported its joints for {now - self._heard:.1f} s."
@@ -74,14 +74,14 @@ class RobotWatch:
         return ""
 
     async def lose(self, text: str) -> None:
-        """Reports the link to the robot as lost: motion is held, the robot counts as disconnected."""
+        """Report the link to the robot as lost: motion is held, and the robot counts as disconnected."""
         if self._connected():
             await self._report(DeviceEvent(device="robot", code="link_lost", text=text, danger=True))
 
     def hear(self) -> None:
-        """The robot has reported its joints."""
+        """Note that the robot has reported its joints."""
         self._heard = self._clock.monotonic()
 
     def hear_beat(self) -> None:
-        """The robot's node has sent a heartbeat."""
+        """Note that the robot's node has sent a heartbeat."""
         self._beaten = self._clock.monotonic()

@@ -1,4 +1,4 @@
-"""Free space under the journal: somebody hears of it early, and state changes end before the disk is full."""
+"""Watch of the free space for the journal: an early warning, and no state changes before the disk is full."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from pcmrs.messages import DeviceEvent, Reason
 from pcmrs.messages.health import Room
 
 PERIOD: Final = 1.0
-"""Between two looks at the disk, s of the machine."""
+"""Period of the checks, s of the machine."""
 MEGABYTE: Final = 1e6
 REMEDY: Final = "Make room on the disk of cell.folder"
 
 
 class SpaceWatch:
-    """Looks at the disk of the journal again and again.
+    """Checks the disk of the journal periodically.
 
-    A journal that meets a full disk stops everything in the middle of what runs. Therefore state changes are refused
-    while there is still room for the outcomes of what runs, for events, for every Stop, and for a retreat.
+    A full disk makes the journal fail, which stops running operations. Therefore state changes are refused while there
+    is still room for the outcomes of running operations, for events, for every Stop, and for a retreat.
 
     Args:
-        folder: Of the journal.
-        warn: With less free space it warns, MB.
-        least: With less it has commands refused, MB.
+        folder: Folder of the journal.
+        warn: Free space below which it warns, MB.
+        least: Free space below which commands are refused, MB.
         suspend: `Dispatcher.suspend`.
         report: Takes an event when the room has changed.
-        clock: The machine's.
+        clock: The machine's clock.
 
     Attributes:
-        free: Found last, MB; None before the first look.
-        room: What that means.
+        free: Free space at the last check, MB; None before the first one.
+        room: Verdict on it.
     """
 
     def __init__(
@@ -52,15 +52,15 @@ class SpaceWatch:
         self._suspend, self._report, self._clock = suspend, report, clock
 
     async def run(self) -> None:
-        """Watches until cancelled."""
+        """Watch until cancelled."""
         loop = asyncio.get_running_loop()
         while True:
-            # A disk may keep whoever asks it waiting.
+            # A disk may take long to answer.
             self.take((await loop.run_in_executor(None, shutil.disk_usage, self._folder)).free / MEGABYTE)
             await self._clock.sleep(PERIOD)
 
     def take(self, free: float) -> None:
-        """Judges so much free space, MB."""
+        """Judge the free space, MB."""
         self.free = free
         before, self.room = self.room, self._judged(free)
         if self.room == before:

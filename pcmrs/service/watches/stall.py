@@ -1,4 +1,4 @@
-"""How late the event loop answers, measured from a thread of its own, and the alarm when it is too late."""
+"""Watch of the event loop's delay, measured from a separate thread, with an alarm if it is too long."""
 
 from __future__ import annotations
 
@@ -17,33 +17,32 @@ from pcmrs.messages import DeviceEvent
 log = structlog.get_logger(__name__)
 
 PERIOD = 0.05
-"""Between two questions to the loop, s of the machine."""
+"""Period of the checks, s of the machine."""
 
 STALL = 0.2
-"""A loop that has not answered for so long is stalled, s of the machine."""
+"""Delay from which the loop counts as stalled, s of the machine."""
 
 PATIENCE = 5.0
-"""After a stall of so long it is told again that the loop does not answer, s of the machine."""
+"""Length of a stall after which it is logged again, s of the machine."""
 
 FRAMES = 6
-"""So many calls of what the loop is at are logged."""
+"""Number of stack frames of the loop that are logged."""
 
 
 class StallWatch:
-    """Asks the loop again and again whether it is there; the stall is told at once, its length when it has ended.
+    """Checks periodically that the event loop answers; logs a stall at once, and reports its length when it has ended.
 
-    What must not go on without the daemon does not rest on this: heartbeats come from the same loop, and the nodes hold
-    by themselves.
+    Safety does not rest on this: heartbeats come from the same loop, and the nodes hold by themselves without them.
 
     Args:
         report: Takes the event, in the loop, once the stall has ended.
-        moving: Whether anything moves; asked in the loop. Then the event is danger.
-        clock: The machine's.
+        moving: Returns whether anything moves; called in the loop. If so, the event is a danger.
+        clock: The machine's clock.
 
     Attributes:
-        stalls: Counted since the start.
-        longest: Of them, s.
-        lag: How late the loop answered last, s.
+        stalls: Number of stalls since the start.
+        longest: Longest stall, s.
+        lag: Delay of the last answer, s.
     """
 
     def __init__(self, report: Callable[[DeviceEvent], None], moving: Callable[[], bool], clock: Clock) -> None:
@@ -58,17 +57,17 @@ class StallWatch:
         self._thread = threading.Thread(target=self._watch, name="pcmrs-stall", daemon=True)
 
     def start(self) -> None:
-        """Begins to ask."""
+        """Start the thread."""
         self._thread.start()
 
     async def close(self) -> None:
-        """Ends the thread."""
+        """End the thread."""
         self._end.set()
         self._answered.set()
         await self._loop.run_in_executor(None, self._thread.join)
 
     def counters(self) -> dict[str, int]:
-        """Stalls since the start."""
+        """Return the number of stalls since the start."""
         return {"loop.stalls": self.stalls}
 
     def _watch(self) -> None:
@@ -82,13 +81,13 @@ class StallWatch:
                     log.error("loop_stalled", longer_than=round(self._clock.monotonic() - asked, 1))
 
     def _where(self) -> str:
-        """What the loop's thread is doing now, innermost first."""
+        """Present stack of the loop's thread, innermost frame first."""
         frame = sys._current_frames().get(self._loop_thread)
         lines = traceback.extract_stack(frame)[::-1][:FRAMES] if frame is not None else []
         return " < ".join(f"{line.name} ({Path(line.filename).name}:{line.lineno})" for line in lines)
 
     def _answer(self, asked: float) -> None:
-        """Runs in the loop."""
+        """Answers, in the loop."""
         self.lag = self._clock.monotonic() - asked
         self._answered.set()
         moved, self._moved = self._moved, self._moving()
@@ -97,7 +96,7 @@ class StallWatch:
         self.stalls += 1
         self.longest = max(self.longest, self.lag)
         danger = moved or self._moved  # before the stall, or still
-        text = f"The daemon answered nobody for {self.lag:.2f} s, limit {STALL:g} s: the machine is overloaded, "
+        text = f"The daemon did not answer for {self.lag:.2f} s, limit {STALL:g} s: the machine is overloaded, "
         text += "or the daemon was stopped, or something in it takes too long."
         fields = {"stall": self.lag, "limit": STALL}
         self._report(DeviceEvent(device="daemon", code="loop_stalled", text=text, danger=danger, fields=fields))

@@ -134,7 +134,7 @@ class SimulatedDaemon:
             await stack.enter_async_context(supervisor)
             supervisor.start("journal", lambda: keep_journal(journal, recorder, dispatcher, clock))
             procedure.start()
-            await procedure.hearing.wait()
+            await procedure.readiness.wait()
             self._open_edges(stack, procedure)
             self.link.publish("state/fsm", dispatcher.snapshot())
             stack.push_async_callback(dispatcher.close)
