@@ -7,16 +7,12 @@ from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager, suppress
 from typing import Any, TypeVar
 
-import structlog
-
 from pcmrs.clock import Clock
 
 T = TypeVar("T")
 
 FailurePolicy = Callable[[asyncio.Task[Any], BaseException], object]
 """Called with a task that has failed, and its error."""
-
-log = structlog.get_logger(__name__)
 
 
 def report_to_loop(task: asyncio.Task[Any], error: BaseException) -> None:
@@ -34,7 +30,9 @@ def logged_as(event: str) -> FailurePolicy:
     """Return a policy that logs the error of a task as `event`."""
 
     def log_failure(task: asyncio.Task[Any], error: BaseException) -> None:
-        log.error(event, task=repr(task.get_coro()), exc_info=error)
+        import structlog  # a client has background tasks, too, and loads as little as possible
+
+        structlog.get_logger(__name__).error(event, task=repr(task.get_coro()), exc_info=error)
 
     return log_failure
 

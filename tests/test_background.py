@@ -15,7 +15,7 @@ async def fail() -> None:
     raise RuntimeError("The test wants it to fail.")
 
 
-async def test_a_failure_goes_to_the_policy_and_a_cancellation_does_not() -> None:
+async def test_failure_goes_to_the_policy_and_cancellation_does_not() -> None:
     failed: list[tuple[asyncio.Task[Any], BaseException]] = []
     tasks = BackgroundTasks(lambda task, error: failed.append((task, error)))
     failing, waiting = tasks.spawn(fail()), tasks.spawn(asyncio.sleep(3600.0))

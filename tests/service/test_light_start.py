@@ -24,7 +24,7 @@ for surface in ("head_phantom.ply", "femur_phantom.ply"):
         f"import pcmrs.service.daemon\n{SHIPPED}",
         f"import pcmrs.workflows.planning_process\n{SHIPPED}",
         "import pcmrs.node",
-        "import pcmrs.recording.recorder",
+        "import pcmrs.recording.writer",
         "import pcmrs_sim.process.server",
     ],
     ids=["daemon", "planner", "node", "recorder", "world"],
