@@ -62,7 +62,7 @@ def run(target: Target) -> None:
         atheris.Fuzz()
 
 
-def replay(target: Target, data: bytes) -> None:
+def feed(target: Target, data: bytes) -> None:
     """Feed one input to a target. Raises what is a defect."""
     with asyncio.Runner() as runner:
         _in_loop(runner, target)(data)

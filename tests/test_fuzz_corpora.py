@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fuzz.running import CORPUS, replay
+from fuzz.running import CORPUS, feed
 
 INPUTS = sorted(CORPUS.glob("*/*"))
 TARGETS = sorted({path.stem for path in CORPUS.parent.glob("*.py")} - {"__init__", "running"})
@@ -18,7 +18,7 @@ TARGETS = sorted({path.stem for path in CORPUS.parent.glob("*.py")} - {"__init__
 
 @pytest.mark.parametrize("path", INPUTS, ids=lambda path: f"{path.parent.name}-{path.name}")
 def test_an_input_is_taken_or_refused(path: Path) -> None:
-    replay(import_module(f"fuzz.{path.parent.name}").one, path.read_bytes())
+    feed(import_module(f"fuzz.{path.parent.name}").one, path.read_bytes())
 
 
 def test_every_target_has_a_corpus() -> None:

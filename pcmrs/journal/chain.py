@@ -75,7 +75,7 @@ def follow_chain(connection: sqlite3.Connection, path: Path, after: RowPosition 
             stored = stored_row(path, record[:4])
             if previous is not None and stored.previous_hash != previous:
                 raise _damaged(path, expected, "does not follow from the row before it")
-            _check_found(connection, path, stored.row, record)
+            _check_keys(connection, path, stored.row, record)
             previous = stored.hash
             yield stored
     except DATABASE_ERRORS as error:
@@ -105,8 +105,8 @@ def starts_of(files: Sequence[tuple[Path, sqlite3.Connection]]) -> list[RowPosit
     """
     starts = [START]
     for (earlier, before), (path, connection) in pairwise(files):
-        end = _edge(earlier, before, "SELECT sequence, hash FROM journal ORDER BY sequence DESC LIMIT 1")
-        start = _edge(path, connection, "SELECT sequence - 1, previous_hash FROM journal ORDER BY sequence LIMIT 1")
+        end = _position(earlier, before, "SELECT sequence, hash FROM journal ORDER BY sequence DESC LIMIT 1")
+        start = _position(path, connection, "SELECT sequence - 1, previous_hash FROM journal ORDER BY sequence LIMIT 1")
         if start != end:
             text = f"does not follow from the end of {earlier.name}, which is row {end.sequence}"
             raise _damaged(path, start.sequence + 1, text)
@@ -114,7 +114,7 @@ def starts_of(files: Sequence[tuple[Path, sqlite3.Connection]]) -> list[RowPosit
     return starts
 
 
-def _edge(path: Path, connection: sqlite3.Connection, query: str) -> RowPosition:
+def _position(path: Path, connection: sqlite3.Connection, query: str) -> RowPosition:
     try:
         found = connection.execute(query).fetchone()
     except DATABASE_ERRORS as error:
@@ -122,7 +122,7 @@ def _edge(path: Path, connection: sqlite3.Connection, query: str) -> RowPosition
     return START if found is None else RowPosition(*found)
 
 
-def _check_found(connection: sqlite3.Connection, path: Path, row: JournalRow, record: tuple[Any, ...]) -> None:
+def _check_keys(connection: sqlite3.Connection, path: Path, row: JournalRow, record: tuple[Any, ...]) -> None:
     """Require that the columns and indexes lead to the row: repeats and unfinished commands are found by them."""
     if record[4:] != (row.kind, row.source, row.command_id, row.branch, row.wall):
         raise _damaged(path, record[0], "is stored under wrong keys")

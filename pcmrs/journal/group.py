@@ -125,16 +125,16 @@ class GroupCommit:
         except JournalError as error:
             outcome = error
         failpoint("journal.before_acknowledge")
-        group[0].durable.get_loop().call_soon_threadsafe(self._settle, group, outcome)
+        group[0].durable.get_loop().call_soon_threadsafe(self._resolve_group, group, outcome)
 
-    def _settle(self, group: list[_Waiting], outcome: int | JournalError) -> None:
+    def _resolve_group(self, group: list[_Waiting], outcome: int | JournalError) -> None:
         """Give each waiter its own last sequence, counted from the last one before the group."""
         for rows, durable in group:
             self.waiting -= len(rows)
             self._since.popleft()
             if isinstance(outcome, int):
                 outcome += len(rows)
-            _tell(durable, outcome)
+            _resolve(durable, outcome)
 
     def _reopen(self, reopened: asyncio.Future[int]) -> None:
         outcome: int | JournalError
@@ -144,10 +144,10 @@ class GroupCommit:
             outcome = error
         except Exception as error:  # without the thread, nothing would be committed any more
             outcome = JournalError(f"The journal could not be reopened: {error!r}.")
-        reopened.get_loop().call_soon_threadsafe(_tell, reopened, outcome)
+        reopened.get_loop().call_soon_threadsafe(_resolve, reopened, outcome)
 
 
-def _tell(waiter: asyncio.Future[int], outcome: int | JournalError) -> None:
+def _resolve(waiter: asyncio.Future[int], outcome: int | JournalError) -> None:
     if waiter.done():
         return
     if isinstance(outcome, int):

@@ -26,7 +26,7 @@ class Journal:
     def __init__(self, writer: JournalWriter, reader: JournalReader, *, durable: bool) -> None:
         self.reader = reader
         self._writer = writer
-        self._group = GroupCommit(writer, self._tell_of_failure) if durable else None
+        self._group = GroupCommit(writer, self._report_failure) if durable else None
         self._closed = False
         self._failure_listeners: list[Callable[[JournalError], object]] = []
 
@@ -96,7 +96,7 @@ class Journal:
         committed: asyncio.Future[int] = asyncio.get_running_loop().create_future()
         sequence = self._writer.write(encoded)
         self._writer.maintain()
-        self._tell_of_failure()
+        self._report_failure()
         failpoint("journal.before_acknowledge")
         committed.set_result(sequence)
         return committed
@@ -129,7 +129,7 @@ class Journal:
         self.reader.close()  # first: the last connection to close empties the log, and a reader cannot
         self._writer.close()
 
-    def _tell_of_failure(self) -> None:
+    def _report_failure(self) -> None:
         if self._writer.error is not None:
             for callback in self._failure_listeners:
                 callback(self._writer.error)

@@ -126,7 +126,7 @@ def require_rows(path: Path, named: RowPosition, last: RowPosition) -> None:
         )
 
 
-def another_row(path: Path, named: RowPosition) -> JournalError:
+def wrong_row(path: Path, named: RowPosition) -> JournalError:
     """Return the error for a row that is not the one that the head names.
 
     Args:
@@ -207,7 +207,7 @@ def _read_end(
         after = first - 1 if first - 1 > starts[number].sequence else starts[number]
         for last in follow_files(opened[number:], after):
             if head is not None and last.sequence == head.place.sequence and last.hash != head.place.hash:
-                raise another_row(path, head.place)
+                raise wrong_row(path, head.place)
         if head is not None:
             without_mac = first_without_mac(opened, head.place.sequence, key)
     return last, without_mac

@@ -17,7 +17,7 @@ from pcmrs.journal.keys import PUBLIC, public_key
 from pcmrs.journal.reader import journal_files
 from pcmrs.journal.rows import START, RowPosition
 from pcmrs.journal.schema import DATABASE_ERRORS, HEADLESS, check_schema, last_sequence, open_for_reading, version_of
-from pcmrs.journal.soundness import another_row, require_head, require_named, require_rows
+from pcmrs.journal.soundness import require_head, require_named, require_rows, wrong_row
 from pcmrs.messages import Message
 
 Progress = Callable[[str, int, int], None]
@@ -175,7 +175,7 @@ class _JournalCheck:
             return
         require_rows(self._path, head.place, self._end)
         if head.place not in self.reached:
-            raise another_row(self._path, head.place)
+            raise wrong_row(self._path, head.place)
         if after is not None and after.head is not None:
             self._unnamed = max(0, self._end.sequence - after.head.place.sequence)
             require_named(self._path, self._unnamed, after.damaged)

@@ -58,7 +58,7 @@ class JournalWriter:
         self._failed: RowPosition | None = None
         self._attempts: set[RowPosition] = set()
         self._commits = 0
-        self._take_up(self._open())
+        self._adopt(self._open())
 
     def write(self, rows: Sequence[Encoded]) -> int:
         """Commit the rows together and return the sequence of the last one.
@@ -85,7 +85,7 @@ class JournalWriter:
             self.error = _unwritable(error, None)
             return
         with suppress(JournalError):  # it is in `error`
-            self._grow()
+            self._continue_in_next_file()
 
     def reopen(self) -> int:
         """Continue from what is on the disk, and append a row that reports it.
@@ -124,7 +124,7 @@ class JournalWriter:
         self._connection.close()
         self._head.close()
 
-    def _grow(self) -> None:
+    def _continue_in_next_file(self) -> None:
         """Continue a journal that has grown in a new file, which gets its name when its first row is in it.
 
         That rename is the switch. A crash before it leaves a partial file, which is never read; a crash between it
@@ -166,7 +166,7 @@ class JournalWriter:
         settle_on_disk([*parts, head_path(self._path), self._path.parent])
         found = self._open()
         if found.place not in {self.place, *self._attempts}:
-            raise _foreign(self._path, self.place, found.place)
+            raise _unexpected_end(self._path, self.place, found.place)
         self._connection.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchone()
         return found
 
@@ -196,7 +196,7 @@ class JournalWriter:
             raise
         return found
 
-    def _take_up(self, found: WritableJournal) -> None:
+    def _adopt(self, found: WritableJournal) -> None:
         """Name the rows that a crash left unnamed in the head, and journal what was found."""
         self.place = found.place
         self._last = None if found.last is None else found.last.row
@@ -205,7 +205,7 @@ class JournalWriter:
             older = 0 < found.version < VERSION
             if rows or older:
                 self._append(rows, older=older)
-            self._grow()  # short runs never reach the commit count of `maintain`
+            self._continue_in_next_file()  # short runs never reach the commit count of `maintain`
         except JournalError:
             self.close()
             raise
@@ -253,7 +253,7 @@ def _unwritable(error: Exception, sequence: int | None) -> JournalError:
     )
 
 
-def _foreign(path: Path, acknowledged: RowPosition, found: RowPosition) -> JournalError:
+def _unexpected_end(path: Path, acknowledged: RowPosition, found: RowPosition) -> JournalError:
     missing = acknowledged.sequence - found.sequence
     what = f"{missing} acknowledged rows are lost" if missing > 0 else "another program has written rows"
     return JournalError(

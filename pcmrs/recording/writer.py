@@ -24,7 +24,7 @@ from pcmrs.recording.views import LOG, RecordingViews
 PERIOD: Final = 0.05
 """Period at which new messages are written, s; a longer one costs less."""
 
-SETTLED: Final = 1.0
+MAINTENANCE_PERIOD: Final = 1.0
 """Period at which data is flushed, so that it survives the end of this process, and the limits are checked, s."""
 
 _SECOND = 1_000_000_000
@@ -94,7 +94,7 @@ class RecordingWriter:
 
     def __init__(self, plan: RecordingPlan, views: RecordingViews, clock: Clock) -> None:
         self._plan, self._views, self._clock = plan, views, clock
-        self._started_at = self._settled = clock.monotonic()
+        self._started_at = self._maintained_at = clock.monotonic()
         self._started_at_ns = int(clock.wall() * _SECOND)
         self._topics = Topics()
         self.messages = self._number = self._removed = self._dropped = 0
@@ -111,7 +111,7 @@ class RecordingWriter:
         while error is None and not ending:
             await self._clock.sleep(PERIOD)
             ending = ended.is_set()  # read before the last pass, which writes all messages until then
-            error = self._work(subscriber)
+            error = self._write_new(subscriber)
         if error is not None:
             _log.error("recording_ended %s", error.text)
             event = DeviceEvent(device="recorder", code=error.code, text=error.text, fields=error.fields)
@@ -126,7 +126,7 @@ class RecordingWriter:
             error=None if error is None else error.text,
         )
 
-    def _work(self, subscriber: Subscriber) -> RecordingError | None:
+    def _write_new(self, subscriber: Subscriber) -> RecordingError | None:
         """Write the new messages; return the reason if the recording cannot continue."""
         for sample in subscriber.take():
             self._write(sample)
@@ -135,7 +135,7 @@ class RecordingWriter:
             self._warn(f"{new} messages were dropped: they came faster than they were written.")
             self._dropped = subscriber.dropped
         try:
-            return self._trouble() or self._rotate() or self._settle()
+            return self._file_error() or self._rotate() or self._maintain()
         except OSError as error:
             return self._failed(error)
 
@@ -154,17 +154,17 @@ class RecordingWriter:
         if not too_long and (limits.file_bytes is None or self._file.size < limits.file_bytes):
             return None
         self._file.close()
-        if error := self._trouble():
+        if error := self._file_error():
             return error
         self._file = self._next_file()
         return None
 
-    def _settle(self) -> RecordingError | None:
-        """Flush and check the limits, once per `SETTLED`. Raises `OSError`."""
+    def _maintain(self) -> RecordingError | None:
+        """Flush and check the limits, once per `MAINTENANCE_PERIOD`. Raises `OSError`."""
         now = self._clock.monotonic()
-        if now - self._settled < SETTLED:
+        if now - self._maintained_at < MAINTENANCE_PERIOD:
             return None
-        self._settled = now
+        self._maintained_at = now
         self._file.flush()
         limits = self._plan.limits
         if limits.total_bytes is not None:
@@ -210,7 +210,7 @@ class RecordingWriter:
     def _ns(self, monotonic: float) -> int:
         return self._started_at_ns + int((monotonic - self._started_at) * _SECOND)
 
-    def _trouble(self) -> RecordingError | None:
+    def _file_error(self) -> RecordingError | None:
         return None if self._file.error is None else self._failed(self._file.error)
 
     def _failed(self, error: OSError) -> RecordingError:
@@ -219,4 +219,4 @@ class RecordingWriter:
 
     def _close(self) -> RecordingError | None:
         self._file.close()
-        return self._trouble()
+        return self._file_error()

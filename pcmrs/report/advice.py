@@ -13,12 +13,12 @@ ADVICE = {
     "event_operation": "None: devices request it themselves.",
     "expired": "Try again; compare the clocks if it was sent just now.",
     "internal_operation": "None: the workflow requests it itself.",
-    "latched": "Remove the cause of the Stop, acknowledge it, then try again.",
+    "latched": "Remove the cause of the Stop, acknowledge the Stop, then try again.",
     "lease_held": "Ask the holder of the cell, or wait until they release it.",
     "no_lease": "Take the lease of the cell first.",
     "queue_full": "Wait for the answers, then try again.",
     "role_not_allowed": "Ask a user whose role allows it.",
-    "stopped": "Remove the cause of the Stop, acknowledge it, then try again.",
+    "stopped": "Remove the cause of the Stop, acknowledge the Stop, then try again.",
     "unknown_operation": "Correct the name.",
 }
 """Advice by code, for reasons that do not contain it."""
@@ -27,7 +27,7 @@ WRONG_TIME = frozenset(
     {"busy", "event_operation", "internal_operation", "invalid_in_state", "latched", "queue_full", "stopped"}
 )
 """Codes of commands that came at a wrong time or from a wrong sender, and were not checked further."""
-SHOWN = 4
+MOST_NAMED = 4
 """Largest number of allowed operations that are named."""
 
 
@@ -48,8 +48,8 @@ def advise(verdict: Verdict, blueprint: Blueprint | None) -> str:
     if isinstance(needed.get("needed"), list) and isinstance(needed.get("branch"), str):
         return f"First bring {_branch(needed['branch'], needed['needed'], blueprint)}."
     if code == "invalid_in_state" and verdict.allowed:
-        more = ", …" if len(verdict.allowed) > SHOWN else ""
-        return f"Allowed: {', '.join(verdict.allowed[:SHOWN])}{more}."
+        more = ", …" if len(verdict.allowed) > MOST_NAMED else ""
+        return f"Allowed then: {', '.join(verdict.allowed[:MOST_NAMED])}{more}."
     return ""
 
 

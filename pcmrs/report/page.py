@@ -12,13 +12,13 @@ from pcmrs.report.contents import ReportedPlacement, ReportedRefusal, ReportedRe
 from pcmrs.report.pages import SVG, embedded, fixed, render, utc
 
 TEMPLATE: Final = "report.html.j2"
-PLACED: Final = 4
+MOST_PLACEMENTS: Final = 4
 """Largest number of placements on the first page."""
-FIRST: Final = 3
+MOST_LINES: Final = 3
 """Largest number of lines of each kind on the first page; the details have all."""
-CLIPPED: Final = 105
+MOST_CHARACTERS: Final = 105
 """Largest number of characters of a text on the first page."""
-MOST: Final = 1000
+MOST_ROWS: Final = 1000
 """Largest number of lines of a table; the journal has all."""
 UNITS: Final = {"residual_too_large": ("mm", 1e3), "tre_too_large": ("mm", 1e3)}
 """Unit of a gate, and the factor into it; gates without a unit are missing."""
@@ -66,15 +66,15 @@ def render_page(report: SessionReport, figures: Mapping[str, bytes]) -> str:
         sums=summarized(report),
         figures={name: embedded(drawing, SVG) for name, drawing in figures.items()},
         meanings={branch.name: branch.states for branch in report.branches},
-        first=FIRST,
-        most=MOST,
+        first=MOST_LINES,
+        most=MOST_ROWS,
     )
 
 
 def summarized(report: SessionReport) -> FirstPage:
     """Return the summary of the first page."""
     placements = report.placements
-    largest = sorted(placements, key=lambda each: -each.error_mm)[:PLACED]
+    largest = sorted(placements, key=lambda each: -each.error_mm)[:MOST_PLACEMENTS]
     shown = tuple(each for each in placements if each in largest)
     registration = report.registrations[-1] if report.registrations else None
     predicted = [(plan.sequence, plan.tre_mm, "the planned pose") for plan in report.plans] or [
@@ -124,7 +124,7 @@ def words(operation: str) -> str:
 
 def clipped(text: str) -> str:
     """Return a text, shortened for the first page."""
-    return text if len(text) <= CLIPPED else f"{text[: CLIPPED - 1].rstrip(' .')}…"
+    return text if len(text) <= MOST_CHARACTERS else f"{text[: MOST_CHARACTERS - 1].rstrip(' .')}…"
 
 
 def share(value: float | None, limit: float | None) -> int | None:

@@ -54,15 +54,15 @@ from pcmrs.spatial import Transform
 from pcmrs.workflows import find_workflow
 from pcmrs.workflows.data import Registered, as_message, as_transform
 
-CONTINUES: Final = 3600.0
+LONGEST_PAUSE: Final = 3600.0
 """Largest pause, s, after which a run continues the session of one of the same patient that did not end in order."""
 ROUTINE: Final = frozenset({"activity_started", "activity_ended"})
 """Codes of events that are routine."""
 STOPPED: Final = "stopped"
 """Code of a requested Stop."""
-AT_ONCE: Final = 1.0
+SAME_EVENT: Final = 1.0
 """Time within which repeated events count as one, s: a client sends Stop on more than one link."""
-NAMED: Final = ("surgeon", "operator")
+PERSON_ARGUMENTS: Final = ("surgeon", "operator")
 """Arguments in which a command names a person."""
 
 
@@ -91,7 +91,7 @@ def read_report(path: Path, session: str | None = None) -> SessionReport:
 
 def _report(source: Source, session: str | None) -> SessionReport:
     runs = _runs(source.rows)
-    first, last = _chosen(runs, session if session is not None else source.exported, source.path)
+    first, last = _runs_of_session(runs, session if session is not None else source.exported, source.path)
     chosen = runs[first : last + 1]
     rows = [stored for stored in source.rows if chosen[0].first <= stored.sequence <= chosen[-1].last]
     final = rows[-1].row
@@ -179,7 +179,9 @@ class _ReportView:
     def named(self) -> tuple[str, ...]:
         """Return the persons whom accepted commands name, with their roles."""
         given = [outcome.row.arguments or {} for outcome in self._journal.accepted()]
-        names = [f"{arguments[role]} ({role})" for arguments in given for role in NAMED if arguments.get(role)]
+        names = [
+            f"{arguments[role]} ({role})" for arguments in given for role in PERSON_ARGUMENTS if arguments.get(role)
+        ]
         return tuple(dict.fromkeys(names))
 
     def registrations(self) -> Iterator[ReportedRegistration]:
@@ -394,7 +396,7 @@ def _runs(rows: Sequence[StoredRow]) -> list[ReportedRun]:
     return found
 
 
-def _chosen(runs: Sequence[ReportedRun], session: str | None, path: Path) -> tuple[int, int]:
+def _runs_of_session(runs: Sequence[ReportedRun], session: str | None, path: Path) -> tuple[int, int]:
     """Return the indices of a session's first and last run: it continues in the next one after an unexpected end."""
     first = last_run = find_session([run.session for run in runs], session, path)
     while first > 0 and _continues(runs[first - 1], runs[first]):
@@ -403,7 +405,7 @@ def _chosen(runs: Sequence[ReportedRun], session: str | None, path: Path) -> tup
 
 
 def _continues(one: ReportedRun, other: ReportedRun) -> bool:
-    return not one.in_order and other.patient == one.patient and other.begun - one.ended < CONTINUES
+    return not one.in_order and other.patient == one.patient and other.begun - one.ended < LONGEST_PAUSE
 
 
 def _patient(rows: Iterable[StoredRow]) -> str:
@@ -480,7 +482,7 @@ def _event_kind(row: JournalRow) -> EventKind | None:
 
 def _is_same(one: ReportedEvent, other: ReportedEvent) -> bool:
     same = (one.kind, one.source, one.code, one.text) == (other.kind, other.source, other.code, other.text)
-    return same and other.wall - one.wall < AT_ONCE
+    return same and other.wall - one.wall < SAME_EVENT
 
 
 def _is_committed(row: JournalRow) -> bool:

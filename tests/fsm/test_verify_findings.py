@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import msgspec
 import pytest
+from command_trace import follow_commands
 from hypothesis import given
 from random_blueprints import blueprints
-from replay import replayed
 from test_verify_search import levels
 from trials import examples
 
@@ -67,7 +67,7 @@ def check(blueprint: Blueprint, findings: list[Finding], wanted: Callable[[State
     assert min(lengths, default=None) == length
     for finding in findings:
         commands = finding.commands or ()
-        assert wanted(replayed(blueprint, commands[: len(commands) - extra]).states)
+        assert wanted(follow_commands(blueprint, commands[: len(commands) - extra]).states)
 
 
 @examples(40)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from command_trace import CommandTrace, follow_commands
 from ratms_mutants import changed, mutants, ratms, revoked, without
-from replay import Replay, replayed
 
 from pcmrs.fsm.blueprint import Blueprint, Condition, PropertySpec
 from pcmrs.fsm.closure import Closure
@@ -20,18 +20,18 @@ def violated(blueprint: Blueprint) -> dict[str, tuple[str, ...] | None]:
     return {blueprint.properties[int(finding.path[1])].id: finding.commands for finding in found}
 
 
-def holds(condition: Condition, replay: Replay) -> bool:
+def holds(condition: Condition, trace: CommandTrace) -> bool:
     """The condition, stated once more."""
     return (
-        all(replay.states[branch] in states for branch, states in condition.states.items())
-        and (not condition.running or not replay.running.keys().isdisjoint(condition.running))
-        and all(name == "stop" or isinstance(replay.ask(name), Closure) for name in condition.accepted)
+        all(trace.states[branch] in states for branch, states in condition.states.items())
+        and (not condition.running or not trace.running.keys().isdisjoint(condition.running))
+        and all(name == "stop" or isinstance(trace.ask(name), Closure) for name in condition.accepted)
     )
 
 
-def contradicts(spec: PropertySpec, replay: Replay) -> bool:
-    other = holds(spec.never, replay) if spec.never else not (spec.always and holds(spec.always, replay))
-    return holds(spec.when, replay) and other
+def contradicts(spec: PropertySpec, trace: CommandTrace) -> bool:
+    other = holds(spec.never, trace) if spec.never else not (spec.always and holds(spec.always, trace))
+    return holds(spec.when, trace) and other
 
 
 def test_ratms_is_sound() -> None:
@@ -86,7 +86,7 @@ def test_a_change_breaks_these_promises_and_the_commands_show_it(name: str) -> N
     assert min(len(commands or ()) for commands in found.values()) == length
     for spec in blueprint.properties:
         if spec.id in found:
-            assert contradicts(spec, replayed(blueprint, found[spec.id] or ()))
+            assert contradicts(spec, follow_commands(blueprint, found[spec.id] or ()))
 
 
 def test_without_a_way_off_the_body_a_held_tool_stays_there() -> None:
@@ -106,4 +106,4 @@ def test_state_that_nothing_leads_to_is_unreachable() -> None:
 def test_every_command_sequence_of_a_mutant_can_be_followed(name: str, blueprint: Blueprint) -> None:
     for finding in verify(blueprint).findings:
         if finding.commands is not None:
-            replayed(blueprint, finding.commands)
+            follow_commands(blueprint, finding.commands)

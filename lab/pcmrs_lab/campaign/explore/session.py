@@ -88,7 +88,7 @@ def run_session(script: Script, *, seconds: float = 0.0) -> Found:
         path = Path(folder) / "journal.sqlite"
         loop = SimulatedLoop()
         try:
-            session = loop.run_until_complete(_play(script, path, seconds))
+            session = loop.run_until_complete(_run_script(script, path, seconds))
         finally:
             loop.close()
         digest, rows = _digest(path)
@@ -107,7 +107,7 @@ def run_session(script: Script, *, seconds: float = 0.0) -> Found:
     )
 
 
-async def _play(script: Script, path: Path, seconds: float) -> Session:
+async def _run_script(script: Script, path: Path, seconds: float) -> Session:
     workflow = workflow_of(script.workflow)
     witness = Witness(workflow.blueprint)
     asyncio.get_running_loop().set_exception_handler(lambda _, context: _unhandled(witness, context))
@@ -124,7 +124,7 @@ async def _play(script: Script, path: Path, seconds: float) -> Session:
         session = Session(cell, witness, script)
         with witness.watching(cell.devices["scene"]):
             await session.faults.start_daemon()
-            await session.play(seconds)
+            await session.run(seconds)
     return session
 
 
@@ -144,7 +144,7 @@ class Session:
         self.faults = Faults(cell, self._operators, witness)
         self._under_way: dict[asyncio.Task[None], str] = {}
 
-    async def play(self, seconds: float) -> None:
+    async def run(self, seconds: float) -> None:
         """Does everything in its order; ends with the first violation."""
         loop = asyncio.get_running_loop()
         violated = loop.create_task(self.witness.violated.wait())

@@ -16,11 +16,11 @@ PAUSE = 0.1
 """Pause between two requests, s of the machine."""
 PATIENCE = 20.0
 """Longest time for which a request is repeated, s of the machine: a busy one publishes poses late."""
-PASSING = frozenset(
+TEMPORARY = frozenset(
     {"busy", "coil_off_target", "head_moves", "not_aligned", "pose_missing", "pose_stale", "pulse_too_soon"}
 )
 """Codes of reasons that are temporary."""
-AGAIN = frozenset({"invalid_in_state", "not_aligned", "not_armed", "not_placed", "stimulator_not_ready"})
+PLACE_AND_ARM = frozenset({"invalid_in_state", "not_aligned", "not_armed", "not_placed", "stimulator_not_ready"})
 """Codes of reasons against a pulse that are solved by placing and arming again: stimulators disarm after a time."""
 ATTEMPTS = 4
 """Largest number of failures: a robot that misses its set points holds."""
@@ -78,7 +78,7 @@ class Operator:
 
     async def place(self) -> None:
         """Bring the coil to the planned pose from any state. Raises `CommandRefusedError`."""
-        await self._go(TO_PLACED)
+        await self._follow(TO_PLACED)
 
     async def withdraw(self) -> None:
         """Disarm, and bring the coil home, or at least clear of the body, from any state.
@@ -91,10 +91,10 @@ class Operator:
             CommandRefusedError: The daemon refuses a step.
         """
         await self.ask("stimulation.disarm")
-        await self._go(AWAY)
+        await self._follow(AWAY)
         if (await self._attempt("placement.home")).decision != "accepted":
             await self.ask("toolplan.clear")
-            await self._go(AWAY)
+            await self._follow(AWAY)
             await self._attempt("placement.home")
 
     async def fire(self, name: str) -> Verdict:
@@ -107,7 +107,7 @@ class Operator:
             await self.place()
             await self._ready()
             verdict = await self._attempt(name)
-            if verdict.reason is None or verdict.reason.code not in AGAIN:
+            if verdict.reason is None or verdict.reason.code not in PLACE_AND_ARM:
                 break
         if verdict.decision != "accepted":
             raise refused(verdict)
@@ -123,7 +123,7 @@ class Operator:
             async with asyncio.timeout(PATIENCE):
                 await self._wait_for(lambda snapshot: snapshot.branches["alignment"] == "1")
 
-    async def _go(self, leads: Mapping[str, str]) -> None:
+    async def _follow(self, leads: Mapping[str, str]) -> None:
         """Request the operation that the present state leads to, until no further one is given."""
         failures = 0
         verdict: Verdict | None = None
@@ -143,7 +143,7 @@ class Operator:
         until = loop.time() + PATIENCE
         while True:
             verdict = await self._client.call(name, arguments)
-            if verdict.reason is None or verdict.reason.code not in PASSING or loop.time() > until:
+            if verdict.reason is None or verdict.reason.code not in TEMPORARY or loop.time() > until:
                 return verdict
             await asyncio.sleep(max(PAUSE, float(verdict.reason.fields.get("wait", 0.0)) / self._rate))
 

@@ -17,9 +17,9 @@ OPERATOR = "simulated operator"
 """Name, in the journal, of the person who sets the ceiling."""
 FIRST_INTENSITY, STEP = 50.0, 8.0
 """First intensity and its increase when an intensity for the search is sought, percent of the maximum output."""
-ENOUGH = 300e-6
+LARGE_RESPONSE = 300e-6
 """Response over the hand area, V: after two of this size in a row, smaller ones beside it can be measured."""
-WASTED = 8
+MOST_INVALID = 8
 """Number of pulses without a valid measurement in a row that ends the session, to spare the subject more of them."""
 
 
@@ -37,7 +37,7 @@ class SessionRunner:
         self._setup = setup
         self._progress = progress
         self._operator = Operator(bench.client, setup.rate, setup.interval)
-        self._pulses = self._wasted = 0
+        self._pulses = self._invalid = 0
 
     async def run(self) -> None:
         """Run the whole session, and bring the coil home.
@@ -79,7 +79,7 @@ class SessionRunner:
             result = await self._pulse("stimulation.fire", f"looking for an intensity: {percent:g} %")
             if not result.get("counted"):
                 continue
-            large = large + 1 if result["mep"]["peak_to_peak"] >= ENOUGH else 0
+            large = large + 1 if result["mep"]["peak_to_peak"] >= LARGE_RESPONSE else 0
             if large == 0 and percent >= ceiling:
                 return
             if large == 0:
@@ -111,10 +111,10 @@ class SessionRunner:
         self._report(f"{doing}, pulse {self._pulses}")
         verdict = await self._operator.fire(name)
         result = verdict.result or {}
-        self._wasted = 0 if result.get("counted") else self._wasted + 1
-        if self._wasted == WASTED:
+        self._invalid = 0 if result.get("counted") else self._invalid + 1
+        if self._invalid == MOST_INVALID:
             why = result.get("problem_text", "the reason is unknown.")
-            raise CommandRefusedError(f"{WASTED} pulses in a row do not count. The last one: {why}")
+            raise CommandRefusedError(f"{MOST_INVALID} pulses in a row do not count. The last one: {why}")
         return result
 
     def _report(self, doing: str) -> None:

@@ -10,7 +10,7 @@ from pcmrs.fsm.closure import Closure, close
 
 
 @dataclass
-class Replay:
+class CommandTrace:
     """A joint state, and what runs in it with the closure that it began with."""
 
     blueprint: Blueprint
@@ -44,8 +44,8 @@ class Replay:
             assert not closure.reads & other.writes, name
 
 
-def replayed(blueprint: Blueprint, commands: tuple[str, ...]) -> Replay:
-    replay = Replay(blueprint)
+def follow_commands(blueprint: Blueprint, commands: tuple[str, ...]) -> CommandTrace:
+    trace = CommandTrace(blueprint)
     for command in commands:
-        replay.follow(command)
-    return replay
+        trace.follow(command)
+    return trace
