@@ -65,16 +65,16 @@ def hazard_of(action: ActionSpec, step: ActionSpec | None = None) -> Hazard:
         step: The step that it belongs to, whose declarations it inherits.
     """
 
-    def said(key: str) -> Any:
+    def declared(key: str) -> Any:
         own = getattr(action, key)
         return getattr(step, key) if own is None and step is not None else own
 
-    moves = said("moves")
+    moves = declared("moves")
     return Hazard(
         motion=("approach" if moves else "none") if isinstance(moves, bool | None) else moves,
-        affects=bool(said("affects_patient")),
-        irreversible=bool(said("irreversible")),
-        confirm=bool(said("confirm")),
+        affects=bool(declared("affects_patient")),
+        irreversible=bool(declared("irreversible")),
+        confirm=bool(declared("confirm")),
         performed=bool(action.steps),
     )
 

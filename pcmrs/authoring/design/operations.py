@@ -63,11 +63,11 @@ class Operations:
 
     def _partial(self, command: StepOperation) -> OperationSpec:
         opened = [each for each in self.order.possible_at(command.step) if not each >> command.step & 1]
-        kept = self._moved({each: each for each in opened})
+        unchanged = self._moved({each: each for each in opened})
         moved = self._moved({each: self.order.achieve(command.step, each) for each in opened})
-        outcomes = {"partial": OutcomeSpec(to=kept["to"]), "complete": OutcomeSpec(to=moved["to"])}
+        outcomes = {"partial": OutcomeSpec(to=unchanged["to"]), "complete": OutcomeSpec(to=moved["to"])}
         keys = self._action(command, opened) | guarded({}, moves=command.hazard.moves)
-        return OperationSpec(**keys, from_=kept["from_"], outcomes=outcomes, signals=self.refines)
+        return OperationSpec(**keys, from_=unchanged["from_"], outcomes=outcomes, signals=self.refines)
 
     def _reopening(self, shared: list[StepOperation]) -> OperationSpec:
         steps = [command.step for command in shared]

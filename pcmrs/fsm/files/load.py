@@ -191,11 +191,11 @@ def _hashed_branch(branch: BranchSpec) -> Any:
 
 def _hashed(operation: OperationSpec) -> msgspec.Raw:
     """Return an operation under the first names of its keys, without later keys that have their implied values."""
-    said: dict[str, msgspec.Raw] = {}
+    encoded: dict[str, msgspec.Raw] = {}
     implied = operation.implied
     for each in OPERATION_FIELDS:
         value = getattr(operation, each.name)
         if each.name not in implied or value != implied[each.name]:
             name = FIRST_NAMES.get(each.encode_name, each.encode_name)
-            said[name] = msgspec.Raw(msgspec.json.encode(value, order="deterministic"))
-    return msgspec.Raw(msgspec.json.encode(said))
+            encoded[name] = msgspec.Raw(msgspec.json.encode(value, order="deterministic"))
+    return msgspec.Raw(msgspec.json.encode(encoded))

@@ -165,11 +165,11 @@ class Decisions:
         self.known.append(decision)
         node = self._root
         digit = self._encoding.value(self.branch, states[self.branch])
-        for asked in self._relevant_branches(decision):
-            following = node.branches.setdefault(digit, _Split(self._encoding.position[asked]))
+        for name in self._relevant_branches(decision):
+            following = node.branches.setdefault(digit, _Split(self._encoding.position[name]))
             if isinstance(following, Decision):
                 raise TypeError(f"the closure of {self.name} is not a function of the joint state")
-            node, digit = following, self._encoding.value(asked, states[asked])
+            node, digit = following, self._encoding.value(name, states[name])
         node.branches[digit] = decision
 
     def _relevant_branches(self, decision: Decision) -> Iterator[str]:

@@ -102,11 +102,11 @@ class Space:
                 yield batch.codes[rows] + transition.shift
 
     def _transitions_of(self, operation: Decisions, decision: Decision) -> Iterator[Transition]:
-        where, asked = guard(self.encoding, decision), (operation.branch, operation.operation)
+        where, requested = guard(self.encoding, decision), (operation.branch, operation.operation)
         for ending in endings_of(operation, decision):
             intended = ending.declared and not operation.spec.event
             targets = digits(self.encoding, ending.targets)
-            yield Transition.of(self.encoding, ending.command, asked, intended, where, targets)
+            yield Transition.of(self.encoding, ending.command, requested, intended, where, targets)
 
 
 def _size(blueprint: Blueprint) -> int:
