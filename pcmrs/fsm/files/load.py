@@ -155,6 +155,7 @@ def load_unexpanded(path: FilePath) -> Blueprint:
 def _read(raw: bytes, origin: str, folder: FilePath | None) -> tuple[Blueprint, Places, list[Finding]]:
     table, places, warnings = read_layers(raw, origin, folder)
     blueprint = convert(table, Blueprint, places)
+    # The hash identifies the content when a journal is continued: a file must not claim one.
     if "hash" in table:
         finding = Finding(code="bad_value", text="`hash` is computed from the content: leave it out.", path=("hash",))
         raise BlueprintError(finding.text, findings=with_locations([finding], places))
@@ -172,6 +173,7 @@ def content_hash(blueprint: Blueprint) -> str:
 
     Comments, layout and its migrations do not matter. Of orders, only that of the states does.
     """
+    # The order of states has a meaning (the first is the start), but the deterministic encoder sorts all keys.
     order = sorted((name, list(branch.states)) for name, branch in blueprint.branches.items())
     branches = {name: _hashed_branch(branch) for name, branch in blueprint.branches.items()}
     bare = msgspec.structs.replace(blueprint, hash="", migrations=[], branches=branches)

@@ -43,6 +43,7 @@ def decide(orders: Sequence[Blueprint], states: Mapping[str, str], branch: str, 
     found = [close(each, watched, branch, operation) for each in orders]
     touched = {name for each in found for name in _touched(each)}
     seen |= {name: states[name] for name in states if name in touched and name not in seen}
+    # Once more with plain strings: the observed ones must not leave this function.
     plain = close(orders[0], states, branch, operation)
     return Decision(seen, plain, any(_result(each) != _result(found[0]) for each in found[1:]))
 

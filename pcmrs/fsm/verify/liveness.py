@@ -76,6 +76,7 @@ def _may_be_denied_at_its_end(operation: Decisions) -> bool:
 
 
 def _alike(accepted: Decision, denied: Decision) -> bool:
+    # Locked branches cannot change while the operation runs; only the others may differ between start and end.
     locked = accepted.answer.writes | accepted.answer.reads if isinstance(accepted.answer, Closure) else frozenset()
     both = locked & accepted.seen.keys() & denied.seen.keys()
     return all(accepted.seen[branch] == denied.seen[branch] for branch in both)

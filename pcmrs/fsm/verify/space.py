@@ -46,6 +46,7 @@ class Space:
         self.limit = limit
         self.encoding = Encoding({name: list(branch.states) for name, branch in blueprint.branches.items()})
         check_encodable(self.encoding)
+        # A closure that depends on the order of the branches differs, as a rule, in the reverse order.
         other = msgspec.structs.replace(blueprint, branches=dict(reversed(blueprint.branches.items())))
         self.operations = [
             Decisions(blueprint, other, self.encoding, name, operation, self._count)

@@ -59,6 +59,7 @@ class Transition:
         """
         moved = {digit: value for digit, value in targets.items() if guard[digit] != (value,)}
         shift = sum((value - guard[digit][0]) * encoding.weights[digit] for digit, value in moved.items())
+        # The most selective digit first: most rows are then dropped by the first question.
         by_choice = sorted(guard.items(), key=lambda part: len(part[1]) / encoding.sizes[part[0]])
         return cls(command, *requested, intended, tuple(by_choice), moved, shift)
 
