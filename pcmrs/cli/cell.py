@@ -193,7 +193,7 @@ def _latched(release: list[str] | None) -> str:
     """Describe the latch, and the operations of the running workflow that release it.
 
     Args:
-        release: Those operations; None if the daemon did not report them.
+        release: Operations that release the latch; None if the daemon did not report them.
     """
     if release is None:
         return "latched until it is acknowledged (pcmrs state shows how)"

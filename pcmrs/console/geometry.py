@@ -109,7 +109,7 @@ class Arm:
 
     @property
     def spans(self) -> list[Floats]:
-        """Return the vectors from each joint's origin to the next, and from the last to the flange, m, (n, 3).
+        """The vectors from each joint's origin to the next, and from the last to the flange, m, (n, 3).
 
         Each is in the frame of its joint.
         """

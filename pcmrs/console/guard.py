@@ -73,11 +73,7 @@ class Guard:
         if scope["type"] == "http" and scope["method"] == "GET" and self._is_token(given):
             cookie = f"{name}={given}; Path=/; HttpOnly; SameSite=Strict"
             return 303, "", {"location": scope["path"], "set-cookie": cookie}
-        return (
-            401,
-            "Open the address with its token, which the console has printed, or which is in the cell's folder.",
-            {},
-        )
+        return 401, "Open the address with its token: the console has printed it, and the cell's folder has it.", {}
 
     def _is_token(self, given: str) -> bool:
         return hmac.compare_digest(given.encode(), self._token)

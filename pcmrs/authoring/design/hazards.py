@@ -46,7 +46,7 @@ class Hazard:
 
     @property
     def keys(self) -> dict[str, Any]:
-        """Return the keys of its operation. If people perform it, the daemon only bars it: it moves nothing then."""
+        """Keys of its operation. If people perform it, the daemon only bars it: it moves nothing then."""
         keys: dict[str, Any] = {"motion": self.motion} if self.moves and self.performed else {}
         if self.affects or (self.moves and not self.performed):
             keys["affects_patient"] = True
@@ -112,8 +112,8 @@ class GuardedOrder(Order):
     patient. While something is at the patient, no step that it rests on is repeated or taken back.
 
     Args:
-        name: Of the branch.
-        steps: As for `Order`.
+        name: Name of the branch.
+        steps: Steps, as for `Order`.
 
     Attributes:
         exposed: The steps after which something is at or in the patient, as bits.

@@ -97,7 +97,7 @@ class PlanningPanel:
 
     @property
     def _kind(self) -> Kind | None:
-        """Return the kind of plan being edited; None in a workflow that takes no plan."""
+        """The kind of plan being edited; None in a workflow that takes no plan."""
         kind: Kind | None = self._mode.value
         return kind
 

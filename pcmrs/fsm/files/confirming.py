@@ -36,7 +36,7 @@ def expand_confirmations(blueprint: Blueprint) -> Blueprint:
     An operation that cannot be confirmed keeps its `confirm`: see `pcmrs.fsm.rules.shapes`.
 
     Args:
-        blueprint: Without sequences.
+        blueprint: Workflow with expanded sequences.
     """
     branches = dict(blueprint.branches)
     for name, key, operation in _confirmed(blueprint):

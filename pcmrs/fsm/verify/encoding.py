@@ -20,7 +20,7 @@ MAX_COMBINATIONS = 2**62
 """More combinations than this cannot be told apart by a 64-bit integer."""
 
 FEW = 8
-"""Up to so many values of a digit, comparing one by one is faster than sorting."""
+"""Number of a digit's values up to which comparing one by one is faster than sorting."""
 
 
 class Encoding:

@@ -64,7 +64,7 @@ class SearchBudget:
 
 
 MAX_BITMAP = 2**27
-"""Up to so many combinations, a set has a byte for each."""
+"""Number of combinations up to which a set has a byte for each."""
 
 
 class Visited(Protocol):
@@ -144,7 +144,7 @@ class Reached:
         known: All of them.
 
     Attributes:
-        encoding: Of the codes.
+        encoding: Encoding of the codes.
         levels: Codes by the length of the shortest way from the initial one, each level sorted.
         visited: All of them.
     """

@@ -32,7 +32,7 @@ class Space:
         progress: Called regularly with the numbers of joint states that have been examined and that are known.
 
     Attributes:
-        encoding: Of joint states.
+        encoding: Encoding of the joint states.
         operations: Decisions of every operation that may be asked for from outside.
         reached: The joint states that can be reached.
         taken: Number of transitions between them: accepted commands, with each of their endings.
