@@ -135,6 +135,7 @@ class GuardedOrder(Order):
         ]
         self.flags += [f"{steps[i].operation}_spent" for i in self.once]
         self.stopped = 0
+        # Steps that people perform cannot fail, but a lost robot stops any motion halfway.
         if self._failing or self._failing_back or self.moving:
             self.stopped = 1 << len(self.flags)
             self.flags.append(f"{name}_stopped")

@@ -115,6 +115,7 @@ class Operations:
         calm = _merged([self.above, *(each.calm() for each in nested)])
         if not isinstance(self.order, GuardedOrder):
             return reinit_of(self.order.state(0), calm, sets)
+        # Elsewhere a re-initiation would forget what is at the patient, or what cannot be undone.
         fresh = [self.order.state(each) for each in self.order.combinations if self.order.fresh(each)]
         return msgspec.structs.replace(reinit_of(self.order.state(0), calm, sets), from_=fresh)
 
