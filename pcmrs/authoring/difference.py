@@ -136,7 +136,7 @@ class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     Attributes:
         kind: Kind of difference; ``reached`` and ``unreached`` are of joint states, the others of the `subject`.
         subject: ``branch``, ``branch.operation`` or ``branch.operation:ending``; empty for the whole workflow.
-        text: The same for a person who reviews it.
+        text: The difference in words, for reviewers.
         joint_states: Number of joint states in which they differ.
         example: The first of them.
         old: Value in the old blueprint, if it can be given for the example.
@@ -240,8 +240,8 @@ class _Space:
     """Joint states in which two workflows are compared.
 
     Attributes:
-        branches: Those that both have.
-        joints: All joint states of these.
+        branches: Branches that both have.
+        joints: All joint states of these branches.
     """
 
     branches: list[str]

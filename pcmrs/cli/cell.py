@@ -157,12 +157,12 @@ def event_line(event: Event) -> str:
         return f"#{event.sequence} {states}{running}{' LATCHED' if event.latched else ''}{unknown}"
     if isinstance(event, DeviceEvent):
         return f"{event.device}: {event.code}: {event.text}"
-    said = f"{event.decision}: {event.branch}.{event.operation}"
+    line = f"{event.decision}: {event.branch}.{event.operation}"
     if event.state:
-        said += f", {event.branch} is in {event.state}"
+        line += f", {event.branch} is in {event.state}"
     if event.reason is not None:
-        said += f": {event.reason.code}: {event.reason.text}"
-    return said + (f" {json.dumps(event.result)}" if event.result else "")
+        line += f": {event.reason.code}: {event.reason.text}"
+    return line + (f" {json.dumps(event.result)}" if event.result else "")
 
 
 def _unknown(outcome: UnknownOutcome) -> str:
@@ -193,7 +193,7 @@ def _latched(release: list[str] | None) -> str:
     """Describe the latch, and the operations of the running workflow that release it.
 
     Args:
-        release: Those operations; None if the daemon did not report them.
+        release: Operations that release the latch; None if the daemon did not report them.
     """
     if release is None:
         return "latched until it is acknowledged (pcmrs state shows how)"

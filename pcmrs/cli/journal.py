@@ -119,9 +119,9 @@ def _line(stored: StoredRow) -> str:
     row = stored.row
     when = datetime.datetime.fromtimestamp(row.wall).isoformat(sep=" ", timespec="milliseconds")
     what = f"{row.branch}.{row.operation}" if row.branch else (row.operation or "")
-    said = f"{stored.sequence:>6} {when} {row.kind:<8} {what} [{row.source}]"
+    line = f"{stored.sequence:>6} {when} {row.kind:<8} {what} [{row.source}]"
     if row.verdict is not None:
         reason = f": {row.verdict.reason.text}" if row.verdict.reason is not None else ""
-        return f"{said} {row.verdict.decision}{reason}"
+        return f"{line} {row.verdict.decision}{reason}"
     text = (row.result or {}).get("text", "")
-    return f"{said} {text}".rstrip()
+    return f"{line} {text}".rstrip()

@@ -48,6 +48,7 @@ class LogStream:
 
     def write(self, text: str) -> int:
         """Accept a line without waiting."""
+        # A caller in the event loop must never wait for a disk or a terminal.
         try:
             self._lines.put_nowait(text)
         except queue.Full:
@@ -60,7 +61,7 @@ class LogStream:
     def close(self) -> None:
         """Wait until everything is written, at most `CLOSE_TIMEOUT`."""
         try:
-            self._lines.put(None, timeout=CLOSE_TIMEOUT)
+            self._lines.put(None, timeout=CLOSE_TIMEOUT)  # ends the thread after all earlier lines
         except queue.Full:
             return
         self._thread.join(CLOSE_TIMEOUT)

@@ -80,6 +80,6 @@ async def _play(
 
 
 def _text(played: PlaybackReport) -> str:
-    said = f"{played.messages} messages of {played.duration:.1f} s under {played.prefix}"
+    line = f"{played.messages} messages of {played.duration:.1f} s under {played.prefix}"
     lost = [f"{line}; {played.lost_bytes} bytes in all are not readable" for line in played.damage]
-    return "\n".join([said, *lost])
+    return "\n".join([line, *lost])

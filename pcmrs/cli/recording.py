@@ -192,8 +192,8 @@ def _summary(report: RecordingReport) -> str:
     lost = f", {report.dropped} dropped" if report.dropped else ""
     removed = f"; {report.removed} older files were removed" if report.removed else ""
     files = ", ".join(report.files)
-    said = f"{report.messages} messages in {report.duration:.1f} s{lost}: {files}{removed}"
-    return said if report.error is None else f"{said}\nended early: {report.error}"
+    line = f"{report.messages} messages in {report.duration:.1f} s{lost}: {files}{removed}"
+    return line if report.error is None else f"{line}\nended early: {report.error}"
 
 
 def _saved(saved: RepairReport) -> str:

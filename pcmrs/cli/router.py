@@ -71,9 +71,9 @@ async def _route(settings: BusSettings, *, as_json: bool) -> None:
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
     async with routing(settings):
-        said = {"name": settings.user, "listen": settings.listen, "members": len(settings.members)}
+        report = {"name": settings.user, "listen": settings.listen, "members": len(settings.members)}
         if as_json:
-            say_json(said)
+            say_json(report)
         else:
             click.echo(_text(settings))
         sys.stdout.flush()

@@ -105,7 +105,7 @@ class Feed(CellViewModel):
                 self.health = await client.health()
                 silent = False
             except UnknownOutcomeError:
-                if silent:
+                if silent:  # once may be a busy machine
                     raise
                 self.health, silent = None, True
             await self._clock.sleep(CHECK_PERIOD)

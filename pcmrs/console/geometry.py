@@ -109,7 +109,7 @@ class Arm:
 
     @property
     def spans(self) -> list[Floats]:
-        """Return the vectors from each joint's origin to the next, and from the last to the flange, m, (n, 3).
+        """The vectors from each joint's origin to the next, and from the last to the flange, m, (n, 3).
 
         Each is in the frame of its joint.
         """
@@ -160,12 +160,12 @@ class TrackerLocator:
 
         The estimate is filtered: over the tracker's distance, the noise of an angle is millimetres.
         """
-        kept = self.base_from_tracker
-        if kept is None or distance(kept, found) > SHIFTED or rotation_angle(kept, found) > TURNED:
+        estimate = self.base_from_tracker
+        if estimate is None or distance(estimate, found) > SHIFTED or rotation_angle(estimate, found) > TURNED:
             self.base_from_tracker = found
             return
-        rest = kept.inverse() @ found
-        self.base_from_tracker = kept @ Transform.from_rotvec(SHARE * rest.translation, SHARE * rest.rotvec)
+        rest = estimate.inverse() @ found
+        self.base_from_tracker = estimate @ Transform.from_rotvec(SHARE * rest.translation, SHARE * rest.rotvec)
 
     def in_base(self, body: BodyPose | None) -> Transform | None:
         """Return the pose, in the robot's base, of a body that the tracker sees."""

@@ -62,24 +62,24 @@ class Guard:
     def _refusal(self, scope: Scope, headers: dict[str, str]) -> tuple[int, str, dict[str, str]] | None:
         """Return status, text and headers of the answer to a refused request; None if it may pass."""
         host, origin = headers.get("host", ""), headers.get("origin")
+        # Before the token: a foreign name must not even learn whether a token is right.
         if host not in self._hosts:
             return 421, "This console does not have that name.", {}
+        # Browsers send the origin with WebSockets and posts; other foreign requests lack the SameSite=Strict cookie.
         if (origin is not None or scope["type"] == "websocket") and origin not in (f"http://{host}", f"https://{host}"):
             return 403, "Pages of other sites may not use this console.", {}
         name = cookie_name(host)
         if self._is_token(_cookie(headers.get("cookie", ""), name)):
             return None
         given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
+        # Redirected, so that the token is not left in the address bar and the history.
         if scope["type"] == "http" and scope["method"] == "GET" and self._is_token(given):
             cookie = f"{name}={given}; Path=/; HttpOnly; SameSite=Strict"
             return 303, "", {"location": scope["path"], "set-cookie": cookie}
-        return (
-            401,
-            "Open the address with its token, which the console has printed, or which is in the cell's folder.",
-            {},
-        )
+        return 401, "Open the address with its token: the console has printed it, and the cell's folder has it.", {}
 
     def _is_token(self, given: str) -> bool:
+        # Its time does not depend on how many characters are right.
         return hmac.compare_digest(given.encode(), self._token)
 
 

@@ -17,7 +17,7 @@ class Finding(Message, frozen=True, kw_only=True, omit_defaults=False):
         verdict: ``warning``: the cell works, but something should be improved. ``bad``: it does not work, or
             cannot be relied on.
         found: The values, with their limits.
-        remedy: What to do; empty only if the verdict is good.
+        remedy: Action to take; empty only if the verdict is good.
     """
 
     check: str

@@ -15,7 +15,7 @@ Ruling = Closure | Denial
 """Answer of a workflow to a requested operation."""
 
 MAX_JOINT_STATES = 20_000
-"""Beyond this limit the answers can no longer be reviewed, and a tour through all of them takes too long."""
+"""Limit beyond which the answers can no longer be reviewed, and a tour through all of them takes too long."""
 
 
 def operations(blueprint: Blueprint) -> Iterator[tuple[str, str, OperationSpec]]:

@@ -46,7 +46,7 @@ class OutcomeSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     Attributes:
         to: Target state.
-        requires: Where these do not hold the outcome cannot be taken.
+        requires: Condition for taking this outcome.
     """
 
     to: Target
@@ -65,7 +65,7 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
         checks: Registered names of pure checks; a refusal there is a rejection.
         steps: Registered names of steps, in order; a refusal there is a failure.
         timeout_s: Deadline for all steps together, in s of the cell's clock.
-        requires: What must hold while it runs.
+        requires: Condition that must hold while it runs.
         refusal: Code of the rejection when `requires` does not hold, or one for each branch in it.
         roles: Roles that may ask for it; empty for all roles that may ask for operations.
         moves: It moves the robot.
@@ -84,8 +84,8 @@ class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True,
         signals: It signals the parent also when the state is kept.
         unlatches: It releases the latch that Stop has set.
         sets: Child branch to state that it sets without calling an operation there.
-        on_failure: Where the branch goes if a step refuses, raises or is stopped; absent: stays.
-        on_unknown: Where the branch goes when its ending is unknown; absent: stays.
+        on_failure: Target if a step refuses, raises or is stopped; without one the state is kept.
+        on_unknown: Target if its ending is unknown; without one the state is kept.
     """
 
     title: str = ""
@@ -192,12 +192,12 @@ class SequenceSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Items that are performed in order; `pcmrs.fsm.files.sequence` makes the states and operations from it.
 
     Attributes:
-        count: How many items there are, or
+        count: Number of items, or
         items: their names, in order.
         item: Name of one item of a counted sequence; items are ``<item>_1``, ``<item>_2`` …
         before: Name of a first state in which no item can be performed yet: the branch's own operation leads
             from it to the first item, and `reinit` leads back to it. Empty for none.
-        perform: How one item is performed; `from`, `to` and `on_failure` are made.
+        perform: Further keys of the operation that performs an item; `from`, `to` and `on_failure` are made.
         skip: Further keys of the operation that leaves an item out.
         repeat: Further keys of the operation that opens a stopped item again.
         abandon: Further keys of the operation that ends the sequence.
@@ -312,8 +312,8 @@ class MigrationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """An older blueprint of the same workflow whose journal may be continued under this one.
 
     Attributes:
-        version: Of the older blueprint.
-        hash: Of the older blueprint.
+        version: Version of the older blueprint.
+        hash: Hash of the older blueprint.
         why: Why that is safe; not blank, since it goes into the journal.
     """
 

@@ -74,6 +74,7 @@ class StateSet:
 
     def check_unique(self) -> None:
         """Raise `BlueprintError` unless every branch has exactly one active state."""
+        # One comparison at every commit; only a mismatch is worth the loop that names its branch.
         if [state for state in self._all if state.active] == list(self._active.values()):
             return
         for branch, objects in self.objects.items():

@@ -36,6 +36,7 @@ def states_of(blueprint: Blueprint) -> dict[str, list[type[State]]]:
         blueprint: One that passed `pcmrs.fsm.rules.check_rules`.
     """
     module: dict[str, Any] = {"__name__": f"blueprint_{blueprint.id}"}
+    # Executed, not built by type(): `pcmrs fsm generate` prints exactly the code that decides.
     exec(_compiled(source_of(blueprint), blueprint.id), module)  # noqa: S102  # names in it were checked
     states: dict[str, list[type[State]]] = module["STATES"]
     return states

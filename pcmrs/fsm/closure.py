@@ -130,12 +130,14 @@ def close(
         cascade.perform("operation", branch, operation, target_from(target, states[branch]), spec)
         return Change(cascade.states, tuple(cascade.effects))
 
+    # Requirements come first: of all denials, theirs alone can tell the user what to do.
     denial = unmet(states, spec.requires, spec.refusal, f"{branch}.{operation}")
     if denial is not None:
         return _with_remedies(blueprint, denial)
     outcomes: dict[str, Change] = {}
     try:
         for name, ending in spec.endings.items():
+            # An outcome whose requirement does not hold is left out; it is no reason to deny the command.
             if unmet(states, ending.requires, "", "") is None:
                 outcomes[name] = change(ending.to)
         failure = change(spec.on_failure) if spec.on_failure else None
@@ -216,10 +218,12 @@ class _Cascade:
             for child, state in spec.sets.items():
                 before = self._move("set", child, operation, state)
                 self._fit_children(child, before, direct=False)
+        # A re-initiation follows a change of the parent, which must not be signalled back to it.
         if kind != "reinit" and (source != target or (spec is not None and spec.signals)):
             self._signal_parent(branch, target)
         direct = kind != "signal"
         self._fit_children(branch, source, direct=direct)
+        # A command that keeps the state may still have changed its data, which others depend on; a signal has no data.
         if source != target or direct:
             self._revoke(branch)
 

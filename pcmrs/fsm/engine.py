@@ -60,8 +60,8 @@ class Engine:
         situation = self._here if states is None else self._situation(states)
         if branch not in situation.allowed:
             operations = self.blueprint.branches[branch].operations
-            asked = (name for name, spec in operations.items() if not spec.iio and not spec.event)
-            able = [name for name in asked if isinstance(self._ask(situation, branch, name), Closure)]
+            requestable = (name for name, spec in operations.items() if not spec.iio and not spec.event)
+            able = [name for name in requestable if isinstance(self._ask(situation, branch, name), Closure)]
             situation.allowed[branch] = able
         return situation.allowed[branch].copy()
 
@@ -102,6 +102,7 @@ class Engine:
 
     def _ask(self, situation: _Situation, branch: str, operation: str) -> Closure | Denial:
         """Return the answer of the state objects. They also decide on each operation that a cascade calls."""
+        # Nearly every call is a hit, which `try` serves fastest.
         try:
             return situation.answers[branch, operation]
         except KeyError:

@@ -141,6 +141,7 @@ class TeleopSession:
             sent=self._clock.monotonic(),
             seen=status.stamp,
             ttl=TTL,
+            # Until the release is accepted, set points at rest stop the tool.
             twist=demand.twist if demand.clutch else AT_REST,
         )
         self._client.steer(setpoint)
@@ -164,6 +165,7 @@ class TeleopSession:
         self._status_received.set()
 
     def _take_snapshot(self, snapshot: Snapshot) -> None:
+        # A snapshot from before the verdict may arrive after it, and would end the guiding at once.
         if snapshot.sequence >= self._since:
             self._placement = snapshot.branches["placement"]
 

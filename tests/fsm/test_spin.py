@@ -118,5 +118,5 @@ def test_spin_says_the_same(name: str, tmp_path: Path) -> None:
 
 def test_properties_of_running_operations_are_not_modelled() -> None:
     model = promela(ratms())
-    assert "property 0, approach_only_when_ready: speaks of what runs" in model
+    assert "property 0, approach_only_when_ready: it needs `running`" in model
     assert "never property_0" not in model

@@ -44,7 +44,7 @@ class Arrow:
 
     @property
     def words(self) -> list[str]:
-        """Return its caption in pieces that stay unbroken."""
+        """Its caption in pieces that stay unbroken."""
         heading = [f"{self.heading}:"] if self.heading else []
         return [*heading, *(f"{label}," for label in self.labels[:-1]), self.labels[-1]]
 

@@ -15,8 +15,8 @@ class Link:
 
     Attributes:
         kind: `signal` (Rule 2), `call` (Rule 3) or `revocation`.
-        tails: Where it begins.
-        heads: Where it leads.
+        tails: Places at which it begins.
+        heads: Places at which it ends.
         label: The operation that is called; empty for a revocation, which calls none.
     """
 

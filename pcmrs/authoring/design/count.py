@@ -73,11 +73,11 @@ def _broken(order: Order) -> Iterator[tuple[str, str, int]]:
     """
     before = 0
     for place, step in enumerate(order.sequence):
-        kept = [each for each in order.ideals if not each & ~before]
+        remaining = [each for each in order.ideals if not each & ~before]
         for name in dict.fromkeys(order.steps[step].depends_on):
             bit = 1 << order.index[name]
-            lacking = sum(1 for each in kept if not each & bit)
-            kept = [each for each in kept if each & bit]
+            lacking = sum(1 for each in remaining if not each & bit)
+            remaining = [each for each in remaining if each & bit]
             yield order.steps[step].name, name, lacking << (len(order) - place - 1)
         before |= 1 << step
 

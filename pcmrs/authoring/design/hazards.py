@@ -46,7 +46,7 @@ class Hazard:
 
     @property
     def keys(self) -> dict[str, Any]:
-        """Return the keys of its operation. If people perform it, the daemon only bars it: it moves nothing then."""
+        """Keys of its operation. If people perform it, the daemon only bars it: it moves nothing then."""
         keys: dict[str, Any] = {"motion": self.motion} if self.moves and self.performed else {}
         if self.affects or (self.moves and not self.performed):
             keys["affects_patient"] = True
@@ -65,16 +65,16 @@ def hazard_of(action: ActionSpec, step: ActionSpec | None = None) -> Hazard:
         step: The step that it belongs to, whose declarations it inherits.
     """
 
-    def said(key: str) -> Any:
+    def declared(key: str) -> Any:
         own = getattr(action, key)
         return getattr(step, key) if own is None and step is not None else own
 
-    moves = said("moves")
+    moves = declared("moves")
     return Hazard(
         motion=("approach" if moves else "none") if isinstance(moves, bool | None) else moves,
-        affects=bool(said("affects_patient")),
-        irreversible=bool(said("irreversible")),
-        confirm=bool(said("confirm")),
+        affects=bool(declared("affects_patient")),
+        irreversible=bool(declared("irreversible")),
+        confirm=bool(declared("confirm")),
         performed=bool(action.steps),
     )
 
@@ -112,8 +112,8 @@ class GuardedOrder(Order):
     patient. While something is at the patient, no step that it rests on is repeated or taken back.
 
     Args:
-        name: Of the branch.
-        steps: As for `Order`.
+        name: Name of the branch.
+        steps: Steps, as for `Order`.
 
     Attributes:
         exposed: The steps after which something is at or in the patient, as bits.
@@ -135,6 +135,7 @@ class GuardedOrder(Order):
         ]
         self.flags += [f"{steps[i].operation}_spent" for i in self.once]
         self.stopped = 0
+        # Steps that people perform cannot fail, but a lost robot stops any motion halfway.
         if self._failing or self._failing_back or self.moving:
             self.stopped = 1 << len(self.flags)
             self.flags.append(f"{name}_stopped")

@@ -63,11 +63,11 @@ class Operations:
 
     def _partial(self, command: StepOperation) -> OperationSpec:
         opened = [each for each in self.order.possible_at(command.step) if not each >> command.step & 1]
-        kept = self._moved({each: each for each in opened})
+        unchanged = self._moved({each: each for each in opened})
         moved = self._moved({each: self.order.achieve(command.step, each) for each in opened})
-        outcomes = {"partial": OutcomeSpec(to=kept["to"]), "complete": OutcomeSpec(to=moved["to"])}
+        outcomes = {"partial": OutcomeSpec(to=unchanged["to"]), "complete": OutcomeSpec(to=moved["to"])}
         keys = self._action(command, opened) | guarded({}, moves=command.hazard.moves)
-        return OperationSpec(**keys, from_=kept["from_"], outcomes=outcomes, signals=self.refines)
+        return OperationSpec(**keys, from_=unchanged["from_"], outcomes=outcomes, signals=self.refines)
 
     def _reopening(self, shared: list[StepOperation]) -> OperationSpec:
         steps = [command.step for command in shared]
@@ -115,6 +115,7 @@ class Operations:
         calm = _merged([self.above, *(each.calm() for each in nested)])
         if not isinstance(self.order, GuardedOrder):
             return reinit_of(self.order.state(0), calm, sets)
+        # Elsewhere a re-initiation would forget what is at the patient, or what cannot be undone.
         fresh = [self.order.state(each) for each in self.order.combinations if self.order.fresh(each)]
         return msgspec.structs.replace(reinit_of(self.order.state(0), calm, sets), from_=fresh)
 

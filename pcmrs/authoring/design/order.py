@@ -22,7 +22,7 @@ class Order:
     """The steps of one branch, with their dependencies.
 
     Attributes:
-        steps: In the order of the table.
+        steps: Steps in the order of the table.
         needs: For each step, the steps it directly depends on, as bits.
         dependents: For each step, all that depend on it, directly or not, as bits.
         ideals: The possible combinations, the empty one first.

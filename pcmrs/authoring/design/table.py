@@ -82,7 +82,7 @@ class StepSpec(ActionSpec, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     Attributes:
         name: The condition that holds once it is achieved; becomes a flag.
-        title: The same in words.
+        title: The condition in words.
         depends_on: Steps that must be achieved before.
         reopened_by: Operations that take it back, by name, or as a table if they do more than that.
             Doing a step again always re-opens what depends on it.

@@ -75,7 +75,7 @@ class CoveragePlan:
 
         Args:
             move: The move.
-            reason: How it ended instead.
+            reason: Actual ending, for the report.
         """
         self._misses[move] += 1
         if self._misses[move] >= self._patience.get(move.name, DEFAULT_PATIENCE):

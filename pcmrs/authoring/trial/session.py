@@ -71,7 +71,7 @@ class SimulationSession:
 
     def choices(self) -> list[str]:
         """Return every command that can be given now, with every way in which it can end."""
-        return [command for branch, operation in self._asked() for command in self._commands(branch, operation)]
+        return [command for branch, operation in self._available() for command in self._commands(branch, operation)]
 
     def ask(self, command: str) -> Step:
         """Give the command ``branch.operation`` or ``branch.operation:ending``, and move on if it is allowed.
@@ -114,12 +114,12 @@ class SimulationSession:
             seed: Seed; the same seed gives the same commands.
         """
         dice = random.Random(seed)
-        asked = self._asked()
-        for _ in range(count if asked else 0):
-            branch, operation = dice.choice(asked)
+        available = self._available()
+        for _ in range(count if available else 0):
+            branch, operation = dice.choice(available)
             yield self.ask(dice.choice(self._commands(branch, operation) or [f"{branch}.{operation}"]))
 
-    def _asked(self) -> list[tuple[str, str]]:
+    def _available(self) -> list[tuple[str, str]]:
         """Return the operations that a person or a device may ask for."""
         return [(branch, operation) for branch, operation, spec in operations(self.blueprint) if not spec.iio]
 

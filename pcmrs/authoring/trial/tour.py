@@ -169,20 +169,20 @@ def all_moves(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> dict[Joint
 def _moves(
     blueprint: Blueprint, joint: Joint, branch: str, operation: str, spec: OperationSpec, ruling: Ruling
 ) -> Iterator[Move]:
-    asked = Move(branch=branch, operation=operation, ending="rejected", before=joint, after=joint)
+    command = Move(branch=branch, operation=operation, ending="rejected", before=joint, after=joint)
     if spec.iio or spec.event:
         code = "internal_operation" if spec.iio else "event_operation"
-        yield msgspec.structs.replace(asked, code=code)
+        yield msgspec.structs.replace(command, code=code)
     if spec.iio:
         return
-    asked = msgspec.structs.replace(asked, asker="device" if spec.event else "user")
+    command = msgspec.structs.replace(command, asker="device" if spec.event else "user")
     if isinstance(ruling, Denial):
-        yield msgspec.structs.replace(asked, code=ruling.code)
+        yield msgspec.structs.replace(command, code=ruling.code)
         return
     for check in dict.fromkeys(spec.checks):
-        yield msgspec.structs.replace(asked, at=check, how="refuses")
+        yield msgspec.structs.replace(command, at=check, how="refuses")
     for ending, change in endings(spec, ruling).items():
-        ended = msgspec.structs.replace(asked, ending=ending, after=_after(blueprint, joint, change))
+        ended = msgspec.structs.replace(command, ending=ending, after=_after(blueprint, joint, change))
         yield from _at_steps(ended, list(dict.fromkeys(spec.steps)))
 
 

@@ -43,9 +43,9 @@ def conclude(origin: str, findings: list[Finding], *, readable: bool, as_json: b
     """
     if not as_json:
         return fail_with_findings(findings, readable=readable) if findings else None
-    said = {"file": origin, "readable": readable, "sound": readable and not findings, "findings": findings, **more}
+    result = {"file": origin, "readable": readable, "sound": readable and not findings, "findings": findings, **more}
     # Counts of combinations have more digits than msgspec writes.
-    say(json.dumps(msgspec.to_builtins(said), ensure_ascii=False))
+    say(json.dumps(msgspec.to_builtins(result), ensure_ascii=False))
     if findings:
         sys.exit(EXIT_UNSOUND if readable else EXIT_UNREADABLE)
 

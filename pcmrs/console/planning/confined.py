@@ -72,8 +72,8 @@ def _filter_calls(libc: ctypes.CDLL) -> None:
     steps += [(code, len(checks) - place, 0, value) for place, (code, value) in enumerate(checks)]
     steps += [(_RETURN, 0, 0, _ALLOW), (_RETURN, 0, 0, _REFUSE)]
     program = b"".join(struct.pack("HBBI", *step) for step in steps)
-    kept = ctypes.create_string_buffer(program, len(program))
-    described = struct.pack("HxxxxxxP", len(steps), ctypes.addressof(kept))
+    buffer = ctypes.create_string_buffer(program, len(program))
+    described = struct.pack("HxxxxxxP", len(steps), ctypes.addressof(buffer))
     _check(libc.syscall(seccomp, _SET_FILTER, _OF_ALL_THREADS, ctypes.create_string_buffer(described, len(described))))
 
 

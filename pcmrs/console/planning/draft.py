@@ -119,7 +119,7 @@ class Draft:
 
     @property
     def depth(self) -> float | None:
-        """Return the distance of the target from the tool, m; None without both."""
+        """The distance of the target from the tool, m; None without both."""
         if self.target is None or self.pose is None:
             return None
         return float(np.linalg.norm(self.pose.translation - self.target))
@@ -187,7 +187,7 @@ class Draft:
 
     @property
     def guide(self) -> Transform | None:
-        """Return ``image_from_coil`` of a guide at the entry of the trajectory; None until it has a direction."""
+        """``image_from_coil`` of a guide at the entry of the trajectory; None until it has a direction."""
         if self.entry is None or self.end is None or np.array_equal(self.entry, self.end):
             return None
         return guide_pose(self.entry, self.end)

@@ -97,7 +97,7 @@ class PlanningPanel:
 
     @property
     def _kind(self) -> Kind | None:
-        """Return the kind of plan being edited; None in a workflow that takes no plan."""
+        """The kind of plan being edited; None in a workflow that takes no plan."""
         kind: Kind | None = self._mode.value
         return kind
 
@@ -147,11 +147,11 @@ class PlanningPanel:
 
 def operations(blueprint: Blueprint) -> dict[Kind, str]:
     """Return the operation for each kind of plan, in the order of `Kind`, for the kinds that a workflow has."""
-    asked = [
+    pairs = [
         (spec.payload, f"{branch}.{name}")
         for branch, each in blueprint.branches.items()
         for name, spec in each.operations.items()
         if not (spec.iio or spec.event)
     ]
-    found = dict(reversed(asked))  # the first of several operations for one payload
+    found = dict(reversed(pairs))  # the first of several operations for one payload
     return {kind: found[kind] for kind in get_args(Kind) if kind in found}

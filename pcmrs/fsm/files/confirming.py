@@ -36,13 +36,13 @@ def expand_confirmations(blueprint: Blueprint) -> Blueprint:
     An operation that cannot be confirmed keeps its `confirm`: see `pcmrs.fsm.rules.shapes`.
 
     Args:
-        blueprint: Without sequences.
+        blueprint: Workflow with expanded sequences.
     """
     branches = dict(blueprint.branches)
     for name, key, operation in _confirmed(blueprint):
         made = _confirmation_of(blueprint, name, key)
         if made in branches or operation.iio or operation.event or operation.rio:
-            continue
+            continue  # `confirm` stays true, which the rules then refuse
         operations = branches[name].operations | {key: _requiring(operation, made)}
         branches[name] = msgspec.structs.replace(branches[name], operations=operations)
         by = [name, *(release.partition(".")[0] for release in blueprint.unlatching)]

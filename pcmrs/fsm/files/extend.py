@@ -61,6 +61,7 @@ def _read_base(name: object, places: Places, folder: FilePath | None) -> tuple[T
     if folder is None:
         text = f"`extends` names {name}, but this text has no folder: give the path of its file."
         refuse(origin, "bad_extends", text, here, (EXTENDS,))
+    # FILE_NAME has no separator: a blueprint cannot read files outside of its folder.
     path = folder / name
     try:
         if not path.is_file():
@@ -76,6 +77,7 @@ def _read_base(name: object, places: Places, folder: FilePath | None) -> tuple[T
         text = f"`extends` names {name}, which cannot be read: {error.strerror}."
         refuse(origin, "bad_extends", text, here, (EXTENDS,))
     base, below, warnings = _read_layer(raw, str(FilePath(origin).with_name(name)))
+    # One level only, so that a reviewer reads at most two files, and no chain can be endless.
     if EXTENDS in base:
         text = f"`extends` names {name}, which extends another file itself: extend that one, or write it whole."
         refuse(origin, "bad_extends", text, here, (EXTENDS,))

@@ -155,6 +155,7 @@ def load_unexpanded(path: FilePath) -> Blueprint:
 def _read(raw: bytes, origin: str, folder: FilePath | None) -> tuple[Blueprint, Places, list[Finding]]:
     table, places, warnings = read_layers(raw, origin, folder)
     blueprint = convert(table, Blueprint, places)
+    # The hash identifies the content when a journal is continued: a file must not claim one.
     if "hash" in table:
         finding = Finding(code="bad_value", text="`hash` is computed from the content: leave it out.", path=("hash",))
         raise BlueprintError(finding.text, findings=with_locations([finding], places))
@@ -172,6 +173,7 @@ def content_hash(blueprint: Blueprint) -> str:
 
     Comments, layout and its migrations do not matter. Of orders, only that of the states does.
     """
+    # The order of states has a meaning (the first is the start), but the deterministic encoder sorts all keys.
     order = sorted((name, list(branch.states)) for name, branch in blueprint.branches.items())
     branches = {name: _hashed_branch(branch) for name, branch in blueprint.branches.items()}
     bare = msgspec.structs.replace(blueprint, hash="", migrations=[], branches=branches)
@@ -191,11 +193,11 @@ def _hashed_branch(branch: BranchSpec) -> Any:
 
 def _hashed(operation: OperationSpec) -> msgspec.Raw:
     """Return an operation under the first names of its keys, without later keys that have their implied values."""
-    said: dict[str, msgspec.Raw] = {}
+    encoded: dict[str, msgspec.Raw] = {}
     implied = operation.implied
     for each in OPERATION_FIELDS:
         value = getattr(operation, each.name)
         if each.name not in implied or value != implied[each.name]:
             name = FIRST_NAMES.get(each.encode_name, each.encode_name)
-            said[name] = msgspec.Raw(msgspec.json.encode(value, order="deterministic"))
-    return msgspec.Raw(msgspec.json.encode(said))
+            encoded[name] = msgspec.Raw(msgspec.json.encode(value, order="deterministic"))
+    return msgspec.Raw(msgspec.json.encode(encoded))

@@ -43,6 +43,7 @@ def expand(blueprint: Blueprint) -> Blueprint:
         SequenceError: A sequence has no items, too many, or some that cannot be states.
     """
     sequences = [branch.sequence for branch in blueprint.branches.values() if branch.sequence is not None]
+    # Checked before anything is expanded: a short file could ask for millions of states.
     total = sum(sequence.count or len(sequence.items) for sequence in sequences)
     if total > MAX_ITEMS_IN_ALL:
         raise SequenceError(("branches",), f"All sequences have {total} items; the limit is {MAX_ITEMS_IN_ALL}.")

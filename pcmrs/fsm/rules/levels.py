@@ -59,6 +59,7 @@ def _rule_3(blueprint: Blueprint, name: str, branch: BranchSpec) -> Iterator[Fin
     parent, path = branch.parent, ("branches", name, "parent", "compatible")
     if parent is None:
         return
+    # Both the state of Rule 3 and the parent's start: the workflow begins in the latter.
     for state in dict.fromkeys((parent.start, blueprint.branches[parent.branch].start)):
         if state not in parent.compatible[branch.start]:
             text = f"Rule 3: the start {branch.start} of {name} must fit {parent.branch} {state}, where both start."

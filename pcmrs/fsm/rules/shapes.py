@@ -89,6 +89,7 @@ def _faults(blueprint: Blueprint, branch: str, spec: BranchSpec, operation: Oper
     unconfirmed = operation.on_failure is not None or operation.on_unknown is not None
     if not operation.steps and (unconfirmed or operation.moves):
         yield "has no steps: it can neither move, nor fail, nor end in an unknown state."
+    # After a failed motion the pose of the tool is not confirmed: an approach from there could hit the patient.
     for state in sorted(operation.unconfirmed_targets()) if operation.moves else ():
         starting = [key for key, o in spec.operations.items() if o.motion == "approach" and spec.valid_in(key, state)]
         if starting:

@@ -43,6 +43,7 @@ def decide(orders: Sequence[Blueprint], states: Mapping[str, str], branch: str, 
     found = [close(each, watched, branch, operation) for each in orders]
     touched = {name for each in found for name in _touched(each)}
     seen |= {name: states[name] for name in states if name in touched and name not in seen}
+    # Once more with plain strings: the observed ones must not leave this function.
     plain = close(orders[0], states, branch, operation)
     return Decision(seen, plain, any(_result(each) != _result(found[0]) for each in found[1:]))
 
@@ -165,11 +166,11 @@ class Decisions:
         self.known.append(decision)
         node = self._root
         digit = self._encoding.value(self.branch, states[self.branch])
-        for asked in self._relevant_branches(decision):
-            following = node.branches.setdefault(digit, _Split(self._encoding.position[asked]))
+        for name in self._relevant_branches(decision):
+            following = node.branches.setdefault(digit, _Split(self._encoding.position[name]))
             if isinstance(following, Decision):
                 raise TypeError(f"the closure of {self.name} is not a function of the joint state")
-            node, digit = following, self._encoding.value(asked, states[asked])
+            node, digit = following, self._encoding.value(name, states[name])
         node.branches[digit] = decision
 
     def _relevant_branches(self, decision: Decision) -> Iterator[str]:

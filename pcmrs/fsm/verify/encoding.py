@@ -20,7 +20,7 @@ MAX_COMBINATIONS = 2**62
 """More combinations than this cannot be told apart by a 64-bit integer."""
 
 FEW = 8
-"""Up to so many values of a digit, comparing one by one is faster than sorting."""
+"""Number of a digit's values up to which comparing one by one is faster than sorting."""
 
 
 class Encoding:
@@ -78,6 +78,7 @@ class Batch:
         """Return one digit of every code, shape (n,)."""
         if position not in self._digits:
             weight, size = self._encoding.weights[position], self._encoding.sizes[position]
+            # 16 bits take a quarter of the memory of the codes.
             self._digits[position] = (self.codes // weight % size).astype(np.uint16)
         return self._digits[position]
 
@@ -134,6 +135,7 @@ def _parts(digits: NDArray[np.uint16], rows: Rows, size: int) -> Iterator[tuple[
     if size <= FEW:
         yield from ((value, rows[digits == value]) for value in range(size))
         return
+    # Stable, so that the rows of each value stay in order, nearest joint states first.
     order = np.argsort(digits, kind="stable")
     bounds = [0, *(np.flatnonzero(np.diff(digits[order])) + 1), len(digits)]
     yield from ((int(digits[order[start]]), rows[order[start:end]]) for start, end in pairwise(bounds) if start < end)

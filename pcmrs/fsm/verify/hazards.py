@@ -58,17 +58,17 @@ def repetitions(space: Space) -> Iterator[Finding]:
 
 
 def _repetition(space: Space, branch: str, key: str, allowing: set[str]) -> Iterator[Finding]:
-    asked = [each for each in space.transitions if (each.branch, each.operation) == (branch, key)]
+    own = [each for each in space.transitions if (each.branch, each.operation) == (branch, key)]
     others = [each for each in space.transitions if each.branch != branch or each.operation not in allowing]
-    accepted, onwards = TransitionTree(asked), TransitionTree(others)
-    begun = space.reached.which(accepted.mark)
-    again = _first_again(space, begun, asked, onwards, accepted)
+    accepted, onwards = TransitionTree(own), TransitionTree(others)
+    accepting = space.reached.which(accepted.mark)
+    again = _first_again(space, accepting, own, onwards, accepted)
     if again is None:
         return
     # A shortest counterexample begins at one of the nearest joint states from which the operation leads there.
     back = states_leading_to(space.reached, np.array([again], dtype=np.int64), others)
-    for transition in asked:
-        starts = _enabled(space, begun, transition)
+    for transition in own:
+        starts = _enabled(space, accepting, transition)
         showing = starts[back.has(starts + transition.shift)]
         if not len(showing):
             continue
@@ -87,10 +87,14 @@ def _repetition(space: Space, branch: str, key: str, allowing: set[str]) -> Iter
 
 
 def _first_again(
-    space: Space, begun: Codes, asked: Sequence[Transition], onwards: TransitionTree, accepted: TransitionTree
+    space: Space,
+    accepting: Codes,
+    own: Sequence[Transition],
+    onwards: TransitionTree,
+    accepted: TransitionTree,
 ) -> int | None:
     """Return a joint state that accepts the operation again, reached without an operation that allows it."""
-    after = [_enabled(space, begun, each) + each.shift for each in asked]
+    after = [_enabled(space, accepting, each) + each.shift for each in own]
     if not after:
         return None
     return _search(space, np.unique(np.concatenate(after)), onwards).first(accepted.mark)

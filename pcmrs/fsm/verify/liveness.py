@@ -70,21 +70,22 @@ def stranded(moments: Moments, name: str) -> Iterator[Finding]:
 
 def _may_be_denied_at_its_end(operation: Decisions) -> bool:
     """Return true if two joint states with the same states of its locked branches may differ in their answer to it."""
-    begun = [decision for decision in operation.known if isinstance(decision.answer, Closure)]
+    accepted = [decision for decision in operation.known if isinstance(decision.answer, Closure)]
     denied = [decision for decision in operation.known if not isinstance(decision.answer, Closure)]
-    return any(_alike(one, other) for one in begun for other in denied)
+    return any(_alike(one, other) for one in accepted for other in denied)
 
 
-def _alike(begun: Decision, denied: Decision) -> bool:
-    locked = begun.answer.writes | begun.answer.reads if isinstance(begun.answer, Closure) else frozenset()
-    both = locked & begun.seen.keys() & denied.seen.keys()
-    return all(begun.seen[branch] == denied.seen[branch] for branch in both)
+def _alike(accepted: Decision, denied: Decision) -> bool:
+    # Locked branches cannot change while the operation runs; only the others may differ between start and end.
+    locked = accepted.answer.writes | accepted.answer.reads if isinstance(accepted.answer, Closure) else frozenset()
+    both = locked & accepted.seen.keys() & denied.seen.keys()
+    return all(accepted.seen[branch] == denied.seen[branch] for branch in both)
 
 
 def deadlocks(space: Space) -> Iterator[Finding]:
     """Find a joint state short of the goal in which a user may ask for nothing; device events do not count."""
-    asked = TransitionTree(each for each in space.transitions if not _operation(space, each).event)
-    code = space.reached.first(lambda batch: ~_at_goal(space, batch) & ~asked.mark(batch))
+    user_transitions = TransitionTree(each for each in space.transitions if not _operation(space, each).event)
+    code = space.reached.first(lambda batch: ~_at_goal(space, batch) & ~user_transitions.mark(batch))
     if code is not None:
         text = f"No operation is accepted in {describe_state(space, code)}: add one that leads out of it, or a goal."
         yield _after(space, "deadlock", text, code)

@@ -187,8 +187,8 @@ class Moments:
             not operation.spec.event or 0 in running.values()
         )  # once it runs, its device will end it
         targets = digits(self._encoding, ending.targets) | running
-        asked = (operation.branch, operation.operation)
-        return Transition.of(self._encoding, ending.command, asked, intended, where, targets)
+        requested = (operation.branch, operation.operation)
+        return Transition.of(self._encoding, ending.command, requested, intended, where, targets)
 
 
 def _locks(operation: Decisions) -> set[Locks]:

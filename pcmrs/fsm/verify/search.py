@@ -64,7 +64,7 @@ class SearchBudget:
 
 
 MAX_BITMAP = 2**27
-"""Up to so many combinations, a set has a byte for each."""
+"""Number of combinations up to which a set has a byte for each."""
 
 
 class Visited(Protocol):
@@ -107,6 +107,7 @@ class _Runs:
         new: Codes = codes[~self.has(codes)]
         if len(new):
             self._runs.append(np.sort(new))
+        # Merging runs of similar length keeps their number logarithmic, and the cost of each code, too.
         while len(self._runs) > 1 and len(self._runs[-2]) < 2 * len(self._runs[-1]):
             last = self._runs.pop()
             self._runs[-1] = np.sort(np.concatenate([self._runs[-1], last]), kind="stable")
@@ -143,7 +144,7 @@ class Reached:
         known: All of them.
 
     Attributes:
-        encoding: Of the codes.
+        encoding: Encoding of the codes.
         levels: Codes by the length of the shortest way from the initial one, each level sorted.
         visited: All of them.
     """
@@ -228,6 +229,7 @@ def search(
                 entered = known.add(codes if within is None else codes[within.has(codes)])
                 found += len(entered)
                 new.append(entered)
+            # After each batch, not each level: one level alone may exceed the memory.
             if found > limit:
                 text = f"There are more than {limit} joint states, which is the limit: "
                 raise TooManyError(f"{text}reduce the branches or states, or raise the limit.")

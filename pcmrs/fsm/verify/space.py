@@ -32,7 +32,7 @@ class Space:
         progress: Called regularly with the numbers of joint states that have been examined and that are known.
 
     Attributes:
-        encoding: Of joint states.
+        encoding: Encoding of the joint states.
         operations: Decisions of every operation that may be asked for from outside.
         reached: The joint states that can be reached.
         taken: Number of transitions between them: accepted commands, with each of their endings.
@@ -46,6 +46,7 @@ class Space:
         self.limit = limit
         self.encoding = Encoding({name: list(branch.states) for name, branch in blueprint.branches.items()})
         check_encodable(self.encoding)
+        # A closure that depends on the order of the branches differs, as a rule, in the reverse order.
         other = msgspec.structs.replace(blueprint, branches=dict(reversed(blueprint.branches.items())))
         self.operations = [
             Decisions(blueprint, other, self.encoding, name, operation, self._count)
@@ -102,11 +103,11 @@ class Space:
                 yield batch.codes[rows] + transition.shift
 
     def _transitions_of(self, operation: Decisions, decision: Decision) -> Iterator[Transition]:
-        where, asked = guard(self.encoding, decision), (operation.branch, operation.operation)
+        where, requested = guard(self.encoding, decision), (operation.branch, operation.operation)
         for ending in endings_of(operation, decision):
             intended = ending.declared and not operation.spec.event
             targets = digits(self.encoding, ending.targets)
-            yield Transition.of(self.encoding, ending.command, asked, intended, where, targets)
+            yield Transition.of(self.encoding, ending.command, requested, intended, where, targets)
 
 
 def _size(blueprint: Blueprint) -> int:

@@ -65,6 +65,7 @@ def revocations(space: Space) -> Iterator[Finding]:
     """Find revocations of one branch that hold at once and disagree; the file alone shows it."""
     for name, branch in space.blueprint.branches.items():
         for (_, one), (second, other) in combinations(enumerate(branch.revocations), 2):
+            # Two revocations clash only if one change triggers both of them in one state.
             by, states = sorted({*one.by} & {*other.by}), sorted({*one.from_} & {*other.from_})
             if by and states and one.to != other.to:
                 text = f"A change of {by[0]} takes {name} from {states[0]} to {one.to} and to {other.to}: keep one."

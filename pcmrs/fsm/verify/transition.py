@@ -20,8 +20,8 @@ class Transition:
 
     Attributes:
         command: ``branch.operation`` or ``branch.operation:outcome``.
-        branch: The branch asked.
-        operation: The operation asked for.
+        branch: Branch of the operation.
+        operation: Name of the operation.
         intended: A user may ask for it, and it ends as declared: no fault, doubt or device event is involved.
         guard: Digits it depends on, the most selective first; a digit that it changes has
             one value.
@@ -42,7 +42,7 @@ class Transition:
         cls,
         encoding: Encoding,
         command: str,
-        asked: tuple[str, str],
+        requested: tuple[str, str],
         intended: bool,
         guard: dict[int, tuple[int, ...]],
         targets: dict[int, int],
@@ -52,15 +52,16 @@ class Transition:
         Args:
             encoding: Encoding of the codes.
             command: ``branch.operation`` or ``branch.operation:outcome``.
-            asked: Branch and operation that were asked for.
+            requested: Branch and operation that were requested.
             intended: A user may ask for it, and it ends as declared.
             guard: Digits that it depends on, with the values that each may have.
             targets: Values of the digits that it sets.
         """
         moved = {digit: value for digit, value in targets.items() if guard[digit] != (value,)}
         shift = sum((value - guard[digit][0]) * encoding.weights[digit] for digit, value in moved.items())
+        # The most selective digit first: most rows are then dropped by the first question.
         by_choice = sorted(guard.items(), key=lambda part: len(part[1]) / encoding.sizes[part[0]])
-        return cls(command, *asked, intended, tuple(by_choice), moved, shift)
+        return cls(command, *requested, intended, tuple(by_choice), moved, shift)
 
     def backward(self) -> Transition:
         """Return the reverse of the transition."""
@@ -74,21 +75,21 @@ class TransitionTree:
 
     Args:
         transitions: Transitions of the tree; those with an empty rest of the guard are taken at this node.
-        asked: Number of parts of each guard that are known to hold here.
+        depth: Number of parts of each guard that are known to hold here.
     """
 
-    def __init__(self, transitions: Iterable[Transition], asked: int = 0) -> None:
+    def __init__(self, transitions: Iterable[Transition], depth: int = 0) -> None:
         self.taken: list[Transition] = []
         below: dict[tuple[int, tuple[int, ...]], list[Transition]] = {}
         for transition in transitions:
-            if len(transition.guard) == asked:
+            if len(transition.guard) == depth:
                 self.taken.append(transition)
             else:
-                below.setdefault(transition.guard[asked], []).append(transition)
+                below.setdefault(transition.guard[depth], []).append(transition)
         self._one_of: list[tuple[int, tuple[int, ...], TransitionTree]] = []
         self._exactly: dict[int, dict[int, TransitionTree]] = {}
         for (digit, allowed), those in below.items():
-            following = TransitionTree(those, asked + 1)
+            following = TransitionTree(those, depth + 1)
             if len(allowed) == 1:
                 self._exactly.setdefault(digit, {})[allowed[0]] = following
             else:

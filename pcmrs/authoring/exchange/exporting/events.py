@@ -50,11 +50,11 @@ def change_of(blueprint: Blueprint, states: Joint, command: OperationEnding) -> 
         states: The joint state.
         command: The command.
     """
-    said = close(blueprint, states, command.branch, command.operation)
-    if not isinstance(said, Closure):
+    closure = close(blueprint, states, command.branch, command.operation)
+    if not isinstance(closure, Closure):
         return None
     operation = blueprint.branches[command.branch].operations[command.operation]
-    return endings(operation, said).get(command.ending)
+    return endings(operation, closure).get(command.ending)
 
 
 Key = tuple[str, str]

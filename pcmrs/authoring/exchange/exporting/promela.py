@@ -26,7 +26,7 @@ class _Way:
     command: str
     guard: str
     targets: Mapping[str, str]
-    asked: bool  # by a user, not by a device
+    by_user: bool  # by a user, not by a device
 
 
 def promela(blueprint: Blueprint) -> str:
@@ -75,12 +75,12 @@ def _process(ways: list[_Way]) -> Iterator[str]:
 
 def _claims(blueprint: Blueprint, ways: list[_Way]) -> Iterator[str]:
     goal = [_states(blueprint.goal)] if blueprint.goal else []
-    yield from _claim("deadlock", [*dict.fromkeys(way.guard for way in ways if way.asked), *goal])
+    yield from _claim("deadlock", [*dict.fromkeys(way.guard for way in ways if way.by_user), *goal])
     yield from _claim("children_fit", [_children_fit(blueprint)])
     for index, spec in enumerate(blueprint.properties):
         holds = _holds(spec, ways)
-        said = f"/* property {index}, {_harmless(spec.id)}"
-        yield f"{said} */" if holds else f"{said}: speaks of what runs or leads to something, which is not modelled */"
+        comment = f"/* property {index}, {_harmless(spec.id)}"
+        yield f"{comment} */" if holds else f"{comment}: it needs `running` or `leads_to`, which are not modelled */"
         if holds:
             yield from _claim(f"property_{index}", holds)
 
@@ -140,7 +140,7 @@ def _ways(blueprint: Blueprint) -> Iterator[_Way]:
         for (command, targets), cubes in found.items():
             for cube in merge(cubes, states):
                 guard = _states({name: sorted(allowed) for name, allowed in cube.items()})
-                yield _Way(command, guard, dict(sorted(targets)), asked=not spec.event)
+                yield _Way(command, guard, dict(sorted(targets)), by_user=not spec.event)
 
 
 def _decisions(blueprint: Blueprint, branch: str, operation: str) -> Iterator[Decision]:

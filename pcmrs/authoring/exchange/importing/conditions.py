@@ -73,6 +73,7 @@ class Conditions:
         regions = list(dict.fromkeys(region for name in sorted(named) for region in self._needed(name)))
         number = math.prod(len(region.states) for region in regions)
         self._work += number * (len(self._nodes) + sum(len(group) for edge in edges for group in edge.condition))
+        # Counted before they are enumerated: a small file can have very many of them.
         if number > MAX_SITUATIONS or (regions and self._work > MAX_WORK):
             raise TooManyError
         for states in itertools.product(*(region.states for region in regions)):

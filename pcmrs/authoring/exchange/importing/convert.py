@@ -158,6 +158,7 @@ class _Converter:
 
     def _signals(self, region: Region, states: list[str]) -> Iterator[tuple[str, OperationSpec]]:
         """Return the operations that each branch inside calls when it changes (Rule 2); they have no effect."""
+        # Rule 2 demands a signal, but the chart has no effect for it: it keeps every state.
         keep = states[0] if len(states) == 1 else {state: state for state in states}
         for inner in region.inner:
             name = f"{inner.name}_changed"

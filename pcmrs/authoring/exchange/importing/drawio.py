@@ -42,8 +42,8 @@ class Cell:
         text: Its text.
         shape: Names of its shape in its style.
         kind: ``vertex``, ``edge``, or empty for a layer.
-        source: Where an arrow begins.
-        target: Where it ends.
+        source: Cell at which an arrow begins.
+        target: Cell at which it ends.
         place: Its place in the file.
     """
 

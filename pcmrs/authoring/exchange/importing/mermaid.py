@@ -44,11 +44,11 @@ class RegionLines:
     """Statements in one region of a composite state, or of the diagram.
 
     Attributes:
-        place: Where it begins.
-        named: States named in it, and where first.
-        described: What some of them mean.
-        composites: The regions of those that have some.
-        arrows: In order.
+        place: Its place in the file.
+        named: States named in it, with their first places.
+        described: Descriptions of some of them.
+        composites: Regions inside some of them.
+        arrows: Arrows in the order of the file.
     """
 
     place: Place

@@ -105,6 +105,7 @@ class Mover:
 
     def _together(self, where: Situation, edges: list[Edge]) -> list[Move]:
         """Return one move of the region around those that move, which sets their states."""
+        # In a chart, regions move independently on one event; in a blueprint, an operation around them must move all.
         domains = [self._by_label[domain_of(edge, self._nodes)] for edge in edges]
         outer, home = domains[0].outer, domains[0].home
         event = " ".join(edges[0].events)

@@ -102,11 +102,11 @@ def _shared(parallel: Node) -> bool:
     beginnings: set[str] = set()
     for child in parallel.children:
         events = {event for node in child.walk() for edge in node.edges for event in edge.events}
-        begun = {beginning for event in events for beginning in descriptors(event)}
-        if events & beginnings or begun & seen:
+        prefixes = {beginning for event in events for beginning in descriptors(event)}
+        if events & beginnings or prefixes & seen:
             return True
         seen |= events
-        beginnings |= begun
+        beginnings |= prefixes
     return False
 
 
@@ -128,12 +128,12 @@ def _refine(region: Region) -> None:
 
 def _without_frame(region: Region, needed: set[int]) -> list[Region]:
     """Return the region itself or, if it is a mere frame, those inside it."""
-    kept = [deeper for inner in region.inner for deeper in _without_frame(inner, needed)]
+    nested = [deeper for inner in region.inner for deeper in _without_frame(inner, needed)]
     only = region.states[0]
     reacts = (only.parallel and only.edges) or (_is_region(region.label) and region.label.edges)
-    if len(region.states) == 1 and kept and not reacts and id(region.label) not in needed:
-        for inner in kept:
+    if len(region.states) == 1 and nested and not reacts and id(region.label) not in needed:
+        for inner in nested:
             inner.outer, inner.home = region.outer, region.home
-        return kept
-    region.inner = kept
+        return nested
+    region.inner = nested
     return [region]
