@@ -45,6 +45,9 @@ HOLD_TIME = 1.0
 CONNECTING_TIME = 15.0
 """Time within which a connection to a robot is made or has failed, s: longer than any driver waits for one."""
 
+DISCONNECTING_TIME = 5.0
+"""Limit for `disconnect`, s: a driver waits up to 2 s for an arm that brakes."""
+
 CHARGING_TIME = 10.0
 """Time within which a stimulator is charged, s."""
 
@@ -258,7 +261,7 @@ class RemoteRobot(ActingDevice):
         return await self.call("connect", JointState, CONNECTING_TIME)
 
     async def disconnect(self) -> None:
-        await self.call("disconnect", type(None))
+        await self.call("disconnect", type(None), DISCONNECTING_TIME)
 
     async def joints(self) -> JointState:
         return await self.call("joints", JointState)
