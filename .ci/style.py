@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import io
 import re
 import sys
+import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("*.md", "docs/*.md", "docs/adr/*.md", "deploy/**/*.md", ".github/**/*.md")
+FOLDERS = ("*.md", "docs/*.md", "docs/adr/*.md", "deploy/**/*.md", ".github/**/*.md", "pcmrs/**/*.py")
 """Files that are checked, as patterns below the root."""
-LEFT_OUT = ("CHANGELOG.md", "docs/evidence.md", "docs/progress.md")
-"""History, a generated page, and the notes of an issue."""
+LEFT_OUT = (
+    "CHANGELOG.md",
+    "docs/evidence.md",
+    "docs/progress.md",
+    "pcmrs/journal/notes.py",
+    "pcmrs/service/restart/recorder.py",
+)
+"""History, a generated page, the notes of an issue, and texts that stand in journals."""
 QUOTED = re.compile(r"```.*?```|`[^`\n]+`|(?<=\n\n)(?: {4}[^\n]*\n+)+", re.DOTALL)
 """Code and output of programs in a page."""
+NAMED = re.compile(r"`[^`\n]+`")
+"""Names in the text of a Python file."""
 PHRASES = {
     r"anew": "again; restarted",
     r"(?:is|are|was|were|be|been|being) begun": "started",
@@ -22,7 +32,7 @@ PHRASES = {
     r"who(?:so)?ever": "anyone who",
     r"nobody knows": "unknown",
     r"told": "reported, logged, published; set to",
-    r"heard(?: of)?": "received; known",
+    r"heard of": "known",
     r"of late": "recent",
     r"of before": "earlier",
     r"for ever": "permanently; never … again",
@@ -50,12 +60,33 @@ UNUSED = re.compile(
 )
 
 
-def findings(text: str) -> Iterator[tuple[int, str, str]]:
-    """Yield line, phrase and advice for each phrase of a text that is no longer used."""
-    plain = QUOTED.sub(lambda code: re.sub(r"[^\n]", "`", code[0]), text)
+def findings(text: str, code: re.Pattern[str] = QUOTED) -> Iterator[tuple[int, str, str]]:
+    """Yield line, phrase and advice for each phrase of a text that is no longer used.
+
+    Args:
+        text: The text.
+        code: Pattern of the code in it, which is not checked.
+    """
+    plain = code.sub(_blank, text)
     for found in UNUSED.finditer(plain):
         advice = list(PHRASES.values())[int((found.lastgroup or "p0")[1:])]
         yield plain.count("\n", 0, found.start()) + 1, " ".join(found[0].split()), advice
+
+
+def prose(source: str) -> str:
+    """Return the comments and strings of a Python file, each where it was."""
+    lines = [_blank(line) for line in source.splitlines(keepends=True)]
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type in (tokenize.COMMENT, tokenize.STRING):
+            for row, text in enumerate(token.string.splitlines(keepends=True), start=token.start[0] - 1):
+                begin = token.start[1] if row == token.start[0] - 1 else 0
+                lines[row] = lines[row][:begin] + text.rstrip("\n") + lines[row][begin + len(text.rstrip("\n")) :]
+    return "".join(lines)
+
+
+def _blank(text: str | re.Match[str]) -> str:
+    """Return as many characters that part phrases."""
+    return re.sub(r"[^\n]", "\0", text if isinstance(text, str) else text[0])
 
 
 def main() -> int:
@@ -64,7 +95,9 @@ def main() -> int:
     lines = [
         f"{path.relative_to(ROOT)}:{line}: '{phrase}' is no longer used; write: {advice}\n"
         for path in sorted(files)
-        for line, phrase, advice in findings(path.read_text(encoding="utf-8"))
+        for line, phrase, advice in (
+            findings(prose(path.read_text()), NAMED) if path.suffix == ".py" else findings(path.read_text())
+        )
     ]
     sys.stdout.writelines(lines)
     return 1 if lines else 0

@@ -1,7 +1,7 @@
 """Differences in behaviour between two blueprints: not how they are written, but how they answer.
 
 If only one has a branch, joint states are compared without it. Answers are compared by facets: the aspects that can be
-told apart from outside.
+distinguished from outside.
 """
 
 from __future__ import annotations

@@ -310,7 +310,7 @@ class Bus:
         return self._token(token_of(str(self._session.zid()), self.prefix))
 
     def counters(self) -> dict[str, int]:
-        """Return counts by name: messages refused, ignored and replaced so far, and calls and answers under way."""
+        """Return counts by name: messages refused, ignored and replaced so far, and running calls and answers."""
         bridge = self._bridge
         return {
             "bus.refused": bridge.refused + self._turns.refused,

@@ -36,7 +36,7 @@ def lease() -> None:
 @address_options
 @readable_errors
 def show(as_json: bool, address: Address) -> None:
-    """Print the holder of the cell, and the user who asks for it."""
+    """Print the holder of the cell, and the user who requests it."""
     found = run(_shown(address))
     if as_json:
         say_json(found)

@@ -143,7 +143,7 @@ def device_key(file: Path) -> None:
 @json_option
 @readable_errors
 def revoke(name: str, folder: Path, as_json: bool) -> None:
-    """Revoke NAME for ever; this takes effect when the routers are restarted with the new register.
+    """Revoke NAME permanently; this takes effect when the routers are restarted with the new register.
 
     Exit status: 0 revoked, 2 the register cannot be written, 4 nobody has this name, or it is revoked already.
 

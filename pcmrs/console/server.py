@@ -1,4 +1,4 @@
-"""The console's web server, in the event loop of its own process: never in the process that controls."""
+"""The console's web server, in its own process: never in the process that controls."""
 
 from __future__ import annotations
 

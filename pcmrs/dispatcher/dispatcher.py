@@ -261,7 +261,7 @@ class Dispatcher(Generic[C, D]):
     def press_stop(self, source: str, presses: int = 1) -> StopUnderWay:
         """Stop for a person; see `begin_stop`.
 
-        A press that meets a Stop of the same source under way joins that Stop, unless something has begun since: it is
+        A press that meets a pending Stop of the same source joins that Stop, unless something has started since: it is
         counted, and its answer is that Stop's.
 
         Args:

@@ -15,7 +15,7 @@ FAIL_STOP = "fail_stop"
 NOT_CONFIRMED = "hold_not_confirmed"
 """Code of the event that it is unknown whether the robot stands."""
 PRESSED_AGAIN = "stop_pressed_again"
-"""Code of the event that counts the presses that have joined a Stop under way."""
+"""Code of the event that counts the presses that have joined a pending Stop."""
 ACTIVITY_STARTED, ACTIVITY_ENDED = "activity_started", "activity_ended"
 """Codes of the events that an activity is about to start, and that it has ended. The journal has the first before the
 activity moves anything, and the second after the robot stands or a motion has taken over."""
@@ -40,7 +40,7 @@ def stopped(source: str, reason: Reason, number: int) -> DeviceEvent:
 
 
 def pressed_again(source: str, number: int, joined: Mapping[str, int]) -> DeviceEvent:
-    """Event that a Stop was pressed again while it was under way.
+    """Event that a Stop was pressed again while it was pending.
 
     Args:
         source: Who has stopped first.

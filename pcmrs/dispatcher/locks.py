@@ -1,4 +1,4 @@
-"""Locks of branches: which commands run, which wait, and which are turned away."""
+"""Locks of branches: which commands run, which wait, and which are rejected."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class PendingCommand:
         )
 
     def end_wait(self) -> None:
-        """Cancel the timer of its wait: it starts, or is turned away."""
+        """Cancel the timer of its wait: it starts, or is rejected."""
         if self.patience is not None:
             self.patience.cancel()
 
@@ -157,7 +157,7 @@ class LockManager:
         return any(self._conflicting_with(pending))
 
     def why_not_wait(self, pending: PendingCommand) -> Reason | None:
-        """Return why a blocked command is turned away; None if it waits, as events always do.
+        """Return why a blocked command is rejected; None if it waits, as events always do.
 
         No command that moves or acts on the patient waits, nor does a plan change while something moves. Only a motion
         may wait for events without side effects: they end as soon as the disk has them.

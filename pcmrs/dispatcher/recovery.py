@@ -223,7 +223,7 @@ class FailureRecovery(Generic[C, D]):
     def fail(self, reason: Reason) -> Reason:
         """Fail-stop; see `Dispatcher.fail`."""
         before = self._admission.broken
-        # A journal that can be written again does not mend the program, so that any other failure counts for more.
+        # A journal that can be written again does not repair the program, so that any other failure counts for more.
         if before is not None and not before.code == JournalError.code != reason.code:
             return before
         self._admission.broken = reason

@@ -1,4 +1,4 @@
-"""Stop: the numbers of Stops, presses that meet a Stop under way, and how the robot is held.
+"""Stop: the numbers of Stops, presses that meet a pending Stop, and how the robot is held.
 
 Until the hold of a Stop is answered, nothing can release the latch, and a further press would change nothing. Such
 presses are counted: endless pressing must neither delay the loop nor fill the journal.
@@ -90,7 +90,7 @@ class Stops:
 
     @property
     def standing(self) -> bool:
-        """True if no hold is under way."""
+        """True if no hold is pending."""
         return STANDSTILL not in self._pending.values()
 
     def objection(self, command: Command, *, latched: bool) -> Reason | None:
@@ -135,7 +135,7 @@ class Stops:
 
 
 SOURCES: Final = 32
-"""Limit of sources of one kind, such as all of the bus, with their own Stop under way. One more joins the newest Stop,
+"""Limit of sources of one kind, such as all of the bus, with their own pending Stop. One more joins the newest Stop,
 which counts it by name."""
 NAMED: Final = 32
 """Limit of names that one Stop counts; further ones are counted together."""
@@ -170,10 +170,10 @@ class StopUnderWay:
 
 
 class Presses:
-    """Stops under way, by source.
+    """Pending Stops, by source.
 
     Args:
-        coordinator: The dispatcher, which announces a Stop that others have joined once it is not under way any more.
+        coordinator: The dispatcher, which announces a Stop that others have joined once it is no longer pending.
     """
 
     def __init__(self, coordinator: Coordinator[Any, Any]) -> None:
@@ -181,7 +181,7 @@ class Presses:
         self._under_way: dict[str, StopUnderWay] = {}
 
     def find(self, source: str) -> StopUnderWay | None:
-        """Return the Stop under way that a press by `source` joins; None if it begins one."""
+        """Return the pending Stop that a press by `source` joins; None if it begins one."""
         own = self._under_way.get(source)
         if own is None and sum(_kind(each) == _kind(source) for each in self._under_way) >= SOURCES:
             return next(reversed(self._under_way.values()))
@@ -192,7 +192,7 @@ class Presses:
 
         Args:
             stop: The Stop.
-            holding: Its hold. The Stop is under way until this is done.
+            holding: Its hold. The Stop is pending until this is done.
         """
         self._under_way.pop(stop.source, None)  # the newest comes last
         self._under_way[stop.source] = stop
@@ -216,7 +216,7 @@ log = structlog.get_logger(__name__)
 class Hold:
     """Makes the devices stand still, and knows whether that was confirmed.
 
-    A Stop while the hold of another Stop is under way waits for that hold: nothing can start to move in between, since
+    A Stop while the hold of another Stop is pending waits for that hold: nothing can start to move in between, since
     the latch is set and cannot be released before. The hold of a motion is never merged with another one, since the
     request of that motion may still be on its way: only a hold that is sent after it outdates it.
 

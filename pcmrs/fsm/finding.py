@@ -1,4 +1,4 @@
-"""Findings: what is wrong with a workflow, where, and how to mend it, for people and for programs."""
+"""Findings: what is wrong with a workflow, where, and how to fix it, for people and for programs."""
 
 from __future__ import annotations
 

@@ -223,7 +223,7 @@ class Session:
         return None
 
     async def _perform(self, request: Request, job: Job) -> Outcome:
-        """Returns the outcome of a job, however it ends: a client must not wait for ever."""
+        """Returns the outcome of a job, however it ends: a client must not wait without end."""
         try:
             return await job()
         except RefusalError as refusal:

@@ -101,7 +101,7 @@ def open_for_writing(path: Path, *, durable: bool) -> sqlite3.Connection:
         (mode,) = connection.execute("PRAGMA journal_mode = WAL").fetchone()
         connection.execute(f"PRAGMA synchronous = {synchronous}")
         (in_force,) = connection.execute("PRAGMA synchronous").fetchone()
-        # SQLite does not report errors of its own checkpoints; the writer makes them itself, to see the errors.
+        # SQLite does not report errors of its automatic checkpoints; the writer makes them, to see the errors.
         connection.execute("PRAGMA wal_autocheckpoint = 0")
     except DATABASE_ERRORS as error:
         raise _unusable(path, error) from error

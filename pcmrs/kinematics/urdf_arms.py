@@ -1,4 +1,4 @@
-"""Arms by name: those of our own table, those of the package example-robot-data, and any URDF file."""
+"""Arms by name: those of PCMRS's table, those of the package example-robot-data, and any URDF file."""
 
 from __future__ import annotations
 

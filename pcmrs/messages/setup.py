@@ -71,7 +71,7 @@ class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
     """The answer to ``svc/setup/<user>``.
 
     Attributes:
-        user: Name of the user who asks.
+        user: Name of the requesting user.
         role: Role of the user.
         lease_required: True if a user has to hold the cell before any change of it.
         blueprint: Workflow as TOML.

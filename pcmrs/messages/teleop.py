@@ -7,7 +7,7 @@ from typing import Final, Literal
 from pcmrs.messages.base import Message
 
 Twist = tuple[float, float, float, float, float, float]
-"""Velocity of the tool along the axes of its own frame, m/s, and about them, rad/s; +z points away from the body."""
+"""Velocity of the tool along the axes of its frame, m/s, and about them, rad/s; +z points away from the body."""
 
 AT_REST: Final[Twist] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 

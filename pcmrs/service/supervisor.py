@@ -200,7 +200,7 @@ class Supervisor:
     async def _give_up(self, name: str, error: BaseException | None, how_often: str) -> NoReturn:
         text = (
             f"The daemon's task '{name}' died{how_often} ({_named(error)}): motion is held and the daemon ends. "
-            "The log says why it died; start the daemon again when that is mended."
+            "The log says why it died; start the daemon again when that is fixed."
         )
         self._failure = SupervisionError(text, task=name)
         event = DeviceEvent(device="daemon", code="task_failed", text=text, danger=True, fields={"task": name})

@@ -88,7 +88,7 @@ def open_keyboard(mapping: Mapping) -> Iterator[Keys]:
 
     def read() -> None:
         text = os.read(descriptor, 1024).decode(errors="replace")
-        for key in text or LEAVE[0]:  # a closed terminal reads as empty for ever
+        for key in text or LEAVE[0]:  # a closed terminal always reads as empty
             keys.press(key, loop.time())
 
     tty.setcbreak(descriptor)

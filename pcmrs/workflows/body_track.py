@@ -65,7 +65,7 @@ class BodyTrack:
         if newest is None or age > settings.longest_gap:
             text = (
                 f"Tool and body have not been seen together for {age:.3f} s, the limit is {settings.longest_gap:g} s: "
-                "the tool does not follow what is not seen. Clear the line of sight, then back off."
+                "the tool does not follow an unseen body. Clear the line of sight, then back off."
             )
             raise RefusalError("pose_stale", text, age=age, limit=settings.longest_gap)
         if not settings.compensated:

@@ -130,7 +130,7 @@ def apply_answer(run: Run, request: PlanRequest, answer: PlanAnswer) -> Reason |
             return reason_of(error)
     run.prepared, run.undecided = answer.prepared, answer.undecided
     run.result |= answer.result
-    # The checks have placed the zones of their own cell, but the guard of the motion uses those of this cell.
+    # The checks have placed the zones of the planner's cell, but the guard of the motion uses those of this cell.
     update_collision_scene(run.cell, run.data)
     return answer.refused
 

@@ -58,7 +58,7 @@ async def digitize_surface_points(run: Run) -> None:
 
 
 def surface_point_there(run: Run) -> None:
-    """Refuse if there is no point of the skin to clear."""
+    """Refuse if no point of the skin can be cleared."""
     if not run.data.surface:
         raise RefusalError("no_surface_points", "No point of the skin has been digitized: there is none to clear.")
 
@@ -120,7 +120,7 @@ def keep_refined_registration(run: Run) -> None:
 def _surface(run: Run) -> Mesh:
     """Return the requested surface, or the configured one.
 
-    A path from a client is one of its own machine, Windows or not, so that only the base name has a meaning here.
+    A path from a client is one of the client's machine, Windows or not, so that only the base name has a meaning here.
     """
     settings, requested, mesh = run.cell.settings, run.payload.surface, run.cell.surface
     if requested is not None:
@@ -134,7 +134,7 @@ def _surface(run: Run) -> Mesh:
             except ConfigurationError as error:
                 raise RefusalError("unknown_surface", error.text, **error.fields) from None
     if mesh is None:
-        text = "There is no surface of the body: set procedure.body.surface, or name one."
+        text = "The body has no surface: set procedure.body.surface, or name one."
         raise RefusalError("unknown_surface", text)
     return mesh
 

@@ -46,3 +46,9 @@ def test_quotations_and_output_of_programs_are_left_out(text: str) -> None:
 def test_pages_have_none() -> None:
     ended = subprocess.run([sys.executable, PROGRAM], capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stdout) == (0, "")
+
+
+def test_only_comments_and_strings_of_python_files_are_read() -> None:
+    source = 'told = "restarted"  # begun anew\n\n\ndef run() -> None:\n    """Say what was told.\n\n    Of `told` values.\n    """\n'
+    found = [(line, phrase) for line, phrase, _ in style.findings(style.prose(source), style.NAMED)]
+    assert found == [(1, "anew"), (5, "told")]

@@ -28,7 +28,7 @@ class Refinement:
         sequence: points that are performed in order.
         states: All its states, the start first.
         complete: The state in which the refined step is achieved.
-        below: Refinements of its own steps.
+        below: Refinements of the refinement's steps.
     """
 
     name: str

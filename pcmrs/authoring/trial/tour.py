@@ -33,7 +33,7 @@ class Move(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     Attributes:
         branch: Branch of the operation.
         operation: Name of the operation.
-        asker: Principal that asks: users also ask, in vain, for the operations of devices.
+        asker: Principal that asks: users also ask for the operations of devices, and are rejected.
         ending: A declared outcome, ``failed``, ``unknown`` or ``rejected``.
         at: The check or step that ends it, if it does not succeed.
         how: Behaviour of that check or step.

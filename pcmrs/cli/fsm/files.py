@@ -80,7 +80,7 @@ def fetch(file: str) -> Source:
         file: The name of an installed workflow, a path with a folder or suffix, or ``-`` for standard input.
 
     Raises:
-        ConfigurationError: It cannot be read, or there is no workflow of that name.
+        ConfigurationError: It cannot be read, or no workflow has that name.
     """
     try:
         if file == "-":

@@ -28,7 +28,7 @@ READINGS_HZ = 100.0
 CATCH_UP = 0.02
 """Delay of the stream beyond which the motion takes longer, s: set points are never sent in a burst."""
 LATE = 0.1
-"""Delay of a reply beyond which the motion waits, s: the arm is not moved ahead of its own readings."""
+"""Delay of a reply beyond which the motion waits, s: the arm is not moved ahead of its readings."""
 UNSETTLED = 5.0
 """Time after the end of its reference after which an arm that still moves is pushed or oscillates, s."""
 STALLED = 0.3

@@ -32,7 +32,7 @@ def check_shapes(blueprint: Blueprint) -> Iterator[Finding]:
 
 
 def _latch(blueprint: Blueprint) -> Iterator[Finding]:
-    """Return operations that Stop's latch would wrongly allow, or would bar for ever."""
+    """Return operations that Stop's latch would wrongly allow, or would bar permanently."""
     blocked: list[tuple[str, str]] = []
     for name, key, operation in _operations(blueprint):
         path = ("branches", name, "operations", key)

@@ -17,7 +17,7 @@ Rows = NDArray[np.intp]
 """Positions in an array of codes."""
 
 MAX_COMBINATIONS = 2**62
-"""More combinations than this cannot be told apart by a 64-bit integer."""
+"""More combinations than this cannot be distinguished by a 64-bit integer."""
 
 FEW = 8
 """Number of a digit's values up to which comparing one by one is faster than sorting."""

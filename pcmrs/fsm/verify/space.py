@@ -86,7 +86,7 @@ class Space:
     def _count(self) -> None:
         self._left -= 1
         if self._left < 0:
-            text = "The operations depend on too many combinations of the states of their own and other branches: "
+            text = "The operations depend on too many combinations of the states of several branches: "
             raise TooManyError(f"{text}reduce the states, or let commands touch fewer branches.")
 
     def _following(self, batch: Batch) -> Iterator[Codes]:

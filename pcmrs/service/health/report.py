@@ -22,7 +22,7 @@ ENDS_SOON = 3 * 86400.0
 """Time before the end of a certificate from which that is reported, s."""
 
 RESTART_HELPS = ("journal_stuck", "task_stuck")
-"""Codes of the reasons that only a restart mends: then the daemon stops feeding the watchdog."""
+"""Codes of the reasons that only a restart repairs: then the daemon stops feeding the watchdog."""
 
 
 def report(facts: HealthFacts) -> Health:
@@ -87,7 +87,7 @@ def _of_devices(facts: HealthFacts) -> Iterator[HealthReason]:
     for node in facts.nodes:
         if node.given_up:
             text = f"The node of {', '.join(node.devices)} has ended too often and is not restarted."
-            yield _failed("node_given_up", text, "The log says why it ends: mend that and restart the daemon.")
+            yield _failed("node_given_up", text, "The log says why it ends: fix that and restart the daemon.")
     heard = [device for device in facts.devices if device.device not in gone]
     silent = [device for device in heard if device.heard is not None and device.heard > SILENCE]
     if silent:

@@ -159,7 +159,7 @@ def _ended(status: int, *, given_up: bool) -> DeviceEvent:
     text = f"The process that sends the daemon's heartbeats ended by itself (status {status})"
     if given_up:
         text += f" more than {RESTARTS} times within {WITHIN:g} s and is not restarted: nothing can move any more. "
-        text += "The log says why it ends; restart the daemon when that is mended."
+        text += "The log says why it ends; restart the daemon when that is fixed."
     else:
         text += " and is restarted. What moved was held."
     fields = {"status": status}

@@ -91,7 +91,7 @@ class NodeProcesses:
 def _given_up(driver: str, devices: list[str]) -> DeviceEvent:
     text = (
         f"The node of {', '.join(devices)} has ended more than {RESTARTS} times within {WITHIN:g} s and is not "
-        "restarted. The log says why it ends; start the daemon again when that is mended."
+        "restarted. The log says why it ends; start the daemon again when that is fixed."
     )
     fields = {"driver": driver, "devices": devices}
     return DeviceEvent(device="daemon", code="node_failed", text=text, danger=True, fields=fields)

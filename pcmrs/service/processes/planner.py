@@ -168,6 +168,6 @@ class PlanningProcess:
 def _give(answered: asyncio.Future[PlanAnswer], content: bytes) -> None:
     """Sets the answer. If it cannot be read, its error is the answer: a user's check may find what cannot be sent."""
     try:
-        answered.set_result(pickle.loads(content))  # noqa: S301  # of our own child, which reads no file
+        answered.set_result(pickle.loads(content))  # noqa: S301  # of the daemon's child, which reads no file
     except Exception as error:
         answered.set_exception(error)

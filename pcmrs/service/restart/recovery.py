@@ -73,8 +73,8 @@ class Recovered:
 
     Attributes:
         workflow: The workflow. Its initial data hold what explicit operations may take back.
-        latched: A Stop or danger was not acknowledged, or a motion, an activity that moves the robot or a pulse was
-            under way when the last run ended.
+        latched: A Stop or danger was not acknowledged, or a motion, an activity that moves the robot or a pulse had
+            not ended when the last run ended.
         unknown: Unknown outcomes, until an operator has settled them.
         start: Sequence of the row of this start.
     """

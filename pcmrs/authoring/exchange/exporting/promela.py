@@ -178,7 +178,7 @@ def _joined(terms: Iterable[str], sign: str, empty: str) -> str:
 
 
 def _variable(branch: str) -> str:
-    """Return the variable of a branch, which is no keyword of Promela: names in a blueprint have no capitals."""
+    """Return the variable of a branch, never a keyword of Promela: names in a blueprint have no capitals."""
     return f"AT_{branch}"
 
 

@@ -169,7 +169,7 @@ def from_drawio(raw: bytes, origin: str = "drawio") -> tuple[Blueprint | None, l
         origin: Name of the file in findings.
 
     Returns:
-        The blueprint, or None and what is not supported, each with its line and column. Cells of a compressed
+        The blueprint, or None and the unsupported elements, each with its line and column. Cells of a compressed
         diagram have the place of the diagram.
     """
     return import_chart(raw, origin, _read)

@@ -1,4 +1,4 @@
-"""Reads XML as a tree that knows its lines and columns, and refuses whatever could occupy a parser for ever."""
+"""Reads XML as a tree that knows its lines and columns, and refuses input that could occupy a parser without end."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def read_lines(text: str, findings: Findings) -> list[RegionLines]:
 
     Args:
         text: The file.
-        findings: Collects what is not supported.
+        findings: Collects unsupported elements.
 
     Raises:
         BlueprintError: It is not a state diagram, its braces do not match, or it is too deep.
@@ -163,7 +163,7 @@ def from_mermaid(raw: bytes, origin: str = "mermaid") -> tuple[Blueprint | None,
         origin: Name of the file in findings.
 
     Returns:
-        The blueprint, or None and what is not supported, each with its line and column.
+        The blueprint, or None and the unsupported elements, each with its line and column.
     """
     return import_chart(raw, origin, _read)
 

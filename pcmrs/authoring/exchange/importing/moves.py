@@ -48,7 +48,7 @@ class Mover:
     Args:
         regions: All regions.
         nodes: All states by id.
-        findings: Collects what is not supported.
+        findings: Collects unsupported elements.
     """
 
     def __init__(self, regions: Sequence[Region], nodes: dict[str, Node], findings: Findings) -> None:

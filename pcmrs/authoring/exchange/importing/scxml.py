@@ -26,7 +26,7 @@ def from_scxml(raw: bytes, origin: str = "scxml") -> tuple[Blueprint | None, lis
         origin: Name of the file in findings.
 
     Returns:
-        The blueprint, or None and what is not supported, each with its line and column.
+        The blueprint, or None and the unsupported elements, each with its line and column.
     """
     return import_chart(raw, origin, _read)
 
