@@ -49,6 +49,7 @@ def test_pages_have_none() -> None:
 
 
 def test_only_comments_and_strings_of_python_files_are_read() -> None:
-    source = 'told = "restarted"  # begun anew\n\n\ndef run() -> None:\n    """Say what was told.\n\n    Of `told` values.\n    """\n'
+    source = 'told = "restarted"  # begun anew\n\n\ndef run() -> None:\n'
+    source += '    """Say what was told.\n\n    Of `told` values.\n    """\n'
     found = [(line, phrase) for line, phrase, _ in style.findings(style.prose(source), style.NAMED)]
     assert found == [(1, "anew"), (5, "told")]
