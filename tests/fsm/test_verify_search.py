@@ -15,7 +15,7 @@ from pcmrs.fsm.behaviour import branch_states, endings, joint_of
 from pcmrs.fsm.blueprint import Blueprint, RevocationSpec
 from pcmrs.fsm.closure import Closure, close
 from pcmrs.fsm.verify import space, verify
-from pcmrs.fsm.verify.encoding import Encoding
+from pcmrs.fsm.verify.encoding import Batch, Encoding
 from pcmrs.fsm.verify.search import MAX_BITMAP, states_leading_to, visited
 from pcmrs.fsm.verify.space import Space
 
@@ -151,3 +151,12 @@ def test_commands_that_depend_on_too_much_are_refused_early(
     found = verify(blueprint).findings
     assert [finding.code for finding in found] == ["too_many_states"]
     assert "depend on too many combinations" in found[0].text
+
+
+@pytest.mark.parametrize("size", [2, 256, 257, 65_536, 65_537, 70_000])
+def test_a_digit_holds_every_value_of_a_branch(size: int) -> None:
+    encoding = Encoding({"first": [str(value) for value in range(size)], "second": ["a", "b"]})
+    states = [{"first": str(value), "second": "b"} for value in (0, size // 2, size - 1)]
+    batch = Batch(encoding, np.array([encoding.code(state) for state in states]))
+    assert batch.digit(0).tolist() == [0, size // 2, size - 1]
+    assert [encoding.decoded(int(code)) for code in batch.codes] == states

@@ -6,12 +6,16 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import accumulate, pairwise
 from math import prod
 from operator import mul
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Codes = NDArray[np.int64]
 """Joint states as integers, shape (n,)."""
+
+Digits = NDArray[np.unsignedinteger[Any]]
+"""One digit of each of an array of codes, shape (n,)."""
 
 Rows = NDArray[np.intp]
 """Positions in an array of codes."""
@@ -70,16 +74,16 @@ class Batch:
     def __init__(self, encoding: Encoding, codes: Codes) -> None:
         self.codes = codes
         self._encoding = encoding
-        self._digits: dict[int, NDArray[np.uint16]] = {}
+        self._digits: dict[int, Digits] = {}
         self._cache: dict[str, NDArray[np.bool_]] = {}
         self._split: dict[int, list[tuple[int, Rows]]] = {}
 
-    def digit(self, position: int) -> NDArray[np.uint16]:
+    def digit(self, position: int) -> Digits:
         """Return one digit of every code, shape (n,)."""
         if position not in self._digits:
             weight, size = self._encoding.weights[position], self._encoding.sizes[position]
-            # 16 bits take a quarter of the memory of the codes.
-            self._digits[position] = (self.codes // weight % size).astype(np.uint16)
+            # The fewest bits that hold the digit: mostly an eighth of the memory of the codes.
+            self._digits[position] = (self.codes // weight % size).astype(np.min_scalar_type(size - 1))
         return self._digits[position]
 
     def split(self, position: int, rows: Rows | None = None) -> Iterable[tuple[int, Rows]]:
@@ -131,7 +135,7 @@ class Batch:
         return found
 
 
-def _parts(digits: NDArray[np.uint16], rows: Rows, size: int) -> Iterator[tuple[int, Rows]]:
+def _parts(digits: Digits, rows: Rows, size: int) -> Iterator[tuple[int, Rows]]:
     if size <= FEW:
         yield from ((value, rows[digits == value]) for value in range(size))
         return
