@@ -31,7 +31,15 @@ Decision = Literal["accepted", "rejected", "failed"]
 
 @dataclass(frozen=True, slots=True)
 class PlannerVerdict:
-    """Verdict on one command; `results` are in the units of the wire."""
+    """Verdict on one command.
+
+    Attributes:
+        decision: Decision on the command.
+        branch: Branch of its operation.
+        state: State of the branch after the decision.
+        reason: Code of the reason if the command was not accepted.
+        results: Results of the operation in the units of the wire.
+    """
 
     decision: Decision
     branch: str

@@ -80,7 +80,11 @@ class CellSettings(Table, frozen=True, forbid_unknown_fields=True):
 
 
 class DeviceSettings(Table, frozen=True, forbid_unknown_fields=True):
-    """Driver of a device; ``none`` if another machine runs its node, or if there is no such device."""
+    """Settings of a device.
+
+    Attributes:
+        driver: Name of its driver; ``none`` if another machine runs its node, or if there is no such device.
+    """
 
     driver: str = "sim"
 
@@ -182,7 +186,27 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         workflow: Name of a workflow, or path of its blueprint: ``something.toml``.
-        sim: Table of the simulated devices. The tables of the other drivers follow it.
+        cell: Name, endpoint and folder of the cell.
+        robot: The arm.
+        tracker: The tracker.
+        pointer: The pointer.
+        scene: The simulated scene.
+        stimulator: The stimulator.
+        emg: The electromyograph.
+        procedure: Parameters of the procedure.
+        gateway: Links of the gateway, and its peers.
+        access: Access to the cell from other machines.
+        journal: The journal.
+        recording: Recording of sessions.
+        metrics: Metrics for Prometheus.
+        console: The console's page.
+        sim: Table of the driver ``sim``.
+        kst: Table of the driver ``kst``.
+        ndi: Table of the driver ``ndi``.
+        plus: Table of the driver ``plus``.
+        lsl: Table of the driver ``lsl``.
+        trigger: Table of the driver ``trigger``.
+        ros2: Table of the driver ``ros2``.
     """
 
     workflow: str = "ratms"

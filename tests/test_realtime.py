@@ -109,15 +109,15 @@ def test_runaway_thread_loses_the_policy_and_a_resting_keeps_it() -> None:
             assert child.stdout is not None
             assert child.stdout.readline() == b"here\n"
         watch = Runaways(lambda: [child.pid for child in pair])
-        while not (found := watch.look(time.monotonic())):
+        while not (found := watch.check(time.monotonic())):
             assert os.sched_getscheduler(runaway.pid) == REALTIME
             time.sleep(0.02)
         assert [(each.process, each.thread) for each in found] == [(runaway.pid, runaway.pid)]
         assert os.sched_getscheduler(runaway.pid) == os.SCHED_OTHER
         assert os.sched_getscheduler(resting.pid) == REALTIME
         now = time.monotonic()
-        assert watch.look(now) == []
-        assert watch.look(now + 0.01) == []
+        assert watch.check(now) == []
+        assert watch.check(now + 0.01) == []
         assert os.sched_getscheduler(runaway.pid) == os.SCHED_OTHER, "it still does not rest"
         for child in pair:
             child.communicate(b"\n")
@@ -132,7 +132,7 @@ def test_a_thread_that_rests_again_gets_the_policy_back() -> None:
         assert child.stdin is not None
         assert child.stdout.readline() == b"here\n"
         watch = Runaways(lambda: [child.pid])
-        while not watch.look(time.monotonic()):
+        while not watch.check(time.monotonic()):
             time.sleep(0.02)
         child.stdin.write(b"\n")
         child.stdin.flush()
@@ -140,7 +140,7 @@ def test_a_thread_that_rests_again_gets_the_policy_back() -> None:
         now = time.monotonic()
         for passed in (0.0, 0.9 * CALM, 1.1 * CALM):
             assert os.sched_getscheduler(child.pid) == os.SCHED_OTHER
-            assert watch.look(now + passed) == []
+            assert watch.check(now + passed) == []
         assert os.sched_getscheduler(child.pid) == REALTIME
         assert os.sched_getparam(child.pid).sched_priority == 10
         child.kill()

@@ -12,6 +12,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any, Final, NamedTuple
 
 from pcmrs.bus.keys import KEYS, KeyInfo
@@ -43,12 +44,12 @@ ROLES_ON_SITE: Final[tuple[Role, ...]] = ("operator", "device", "daemon")
 """Roles of processes on the cell's own machine, without certificates: consoles, device nodes, helpers of the daemon."""
 
 _NAMES: Final = re.compile(r"<[a-z]+>")
-_ASKING: Final = ("query",)
-_ANSWERING: Final = ("reply", "declare_queryable")
-_SENDING: Final = ("put", "delete")
-_HEARING: Final = ("declare_subscriber",)
-_SEEING: Final = ("declare_liveliness_subscriber", "liveliness_query")
-_LIVING: Final = ("liveliness_token",)
+_QUERY: Final = ("query",)
+_SERVE: Final = ("reply", "declare_queryable")
+_PUBLISH: Final = ("put", "delete")
+_SUBSCRIBE: Final = ("declare_subscriber",)
+_WATCH_LIVELINESS: Final = ("declare_liveliness_subscriber", "liveliness_query")
+_LIVELINESS: Final = ("liveliness_token",)
 
 
 class _Permission(NamedTuple):
@@ -83,12 +84,12 @@ def access_control(members: Iterable[Identity], *, router: str = "", on_site: bo
         subject = {"cert_common_names": [member.name]}
         if member.role == "router":
             carried = [each for each in valid if each.role in PEOPLE and member.name in each.via]
-            access.add(subject, member.name, (way for each in carried for way in _carried(each, member)))
+            access.add(subject, member.name, chain.from_iterable(_carried(each, member) for each in carried))
         elif not router or router in member.via or member.role not in PEOPLE:
             access.add(subject, member.name, _in_cells(member.cells, _permissions(member.name, member.role)))
     if on_site:
-        ways = (way for role in ROLES_ON_SITE for way in _permissions(LOCAL, role))
-        access.add({"interfaces": ["lo"], "link_protocols": ["tcp"]}, LOCAL, _in_cells(EVERY_CELL, ways))
+        permissions = chain.from_iterable(_permissions(LOCAL, role) for role in ROLES_ON_SITE)
+        access.add({"interfaces": ["lo"], "link_protocols": ["tcp"]}, LOCAL, _in_cells(EVERY_CELL, permissions))
     return {
         "enabled": True,
         "default_permission": "deny",
@@ -152,37 +153,41 @@ def _permissions(name: str, role: Role) -> Iterator[_Permission]:
 
 def _as_user(row: KeyInfo, key: str) -> Iterator[_Permission]:
     if row.key.startswith("alive/"):
-        yield _Permission(_SEEING, (*_LIVING, "reply"), key)
+        yield _Permission(_WATCH_LIVELINESS, (*_LIVELINESS, "reply"), key)
     elif row.use == "subscribe":
-        yield _Permission(_HEARING, _SENDING, key)
+        yield _Permission(_SUBSCRIBE, _PUBLISH, key)
         if class_of(key).kept:  # a late subscriber, or one that lost a message, queries the publisher's cache
-            yield _Permission((*_HEARING, *_ASKING, *_SEEING), (*_SENDING, *_ANSWERING, *_LIVING), f"{key}/@adv/**")
+            yield _Permission(
+                (*_SUBSCRIBE, *_QUERY, *_WATCH_LIVELINESS), (*_PUBLISH, *_SERVE, *_LIVELINESS), f"{key}/@adv/**"
+            )
             yield _Permission((), ("reply",), key)  # replies of the cache carry the key of the data
     else:
         # The receiver declares its interest for all users at once. A sender that never sees this declaration sends
         # nothing.
         declared = _expression(row.key, "*")
         if "query" in row.use:
-            yield _Permission(_ASKING, ("reply",), key)
+            yield _Permission(_QUERY, ("reply",), key)
             yield _Permission((), ("declare_queryable",), declared)
         if "put" in row.use:
-            yield _Permission(_SENDING, (), key)
-            yield _Permission((), _HEARING, declared)
+            yield _Permission(_PUBLISH, (), key)
+            yield _Permission((), _SUBSCRIBE, declared)
 
 
 def _as_owner(row: KeyInfo, key: str) -> Iterator[_Permission]:
     if row.key.startswith("alive/"):
-        yield _Permission(_LIVING, _SEEING, key)
+        yield _Permission(_LIVELINESS, _WATCH_LIVELINESS, key)
     elif row.use == "subscribe":
-        yield _Permission(_SENDING, _HEARING, key)
+        yield _Permission(_PUBLISH, _SUBSCRIBE, key)
         if class_of(key).kept:
-            yield _Permission((*_SENDING, *_ANSWERING, *_LIVING), (*_HEARING, *_ASKING, *_SEEING), f"{key}/@adv/**")
+            yield _Permission(
+                (*_PUBLISH, *_SERVE, *_LIVELINESS), (*_SUBSCRIBE, *_QUERY, *_WATCH_LIVELINESS), f"{key}/@adv/**"
+            )
             yield _Permission(("reply",), (), key)
     else:
         if "query" in row.use:
-            yield _Permission(_ANSWERING, _ASKING, key)
+            yield _Permission(_SERVE, _QUERY, key)
         if "put" in row.use:
-            yield _Permission(_HEARING, _SENDING, key)
+            yield _Permission(_SUBSCRIBE, _PUBLISH, key)
 
 
 def _expression(key: str, name: str) -> str:

@@ -54,7 +54,7 @@ class Submit(Protocol):
         """Decide on a command.
 
         Args:
-            command: As it was sent.
+            command: Command in its envelope, with the role of its user.
             arrived: Arrival time in this process, s of the event loop's clock.
         """
 

@@ -79,7 +79,7 @@ class Heart:
         self._clock = SystemClock()
         self._realtime = RealTime(Priority.HEART)
         self._runaways = Runaways(lambda: watched_processes(daemon))
-        self._looked = -WATCH_PERIOD
+        self._last_check = -WATCH_PERIOD
 
     def run(self, signs: Iterator[Sign | None]) -> None:
         """Send a heartbeat for each sign of life until `signs` ends."""
@@ -92,12 +92,12 @@ class Heart:
 
     def _watch(self) -> None:
         now = self._clock.monotonic()
-        if now - self._looked < WATCH_PERIOD:
+        if now - self._last_check < WATCH_PERIOD:
             return
-        self._looked = now
+        self._last_check = now
         with suppress(PermissionError):
             self._realtime.give()
-        for each in self._runaways.look(now):
+        for each in self._runaways.check(now):
             self._put(self._events, _demoted(each))
 
     def _put(self, publisher: zenoh.Publisher | ext.AdvancedPublisher, message: Beat | DeviceEvent) -> None:

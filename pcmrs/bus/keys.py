@@ -39,7 +39,12 @@ class KeyInfo(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class KeyTable(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """The answer to ``svc/keys``."""
+    """The answer to ``svc/keys``.
+
+    Attributes:
+        prefix: Prefix of all keys of the cell.
+        keys: Rows of the table.
+    """
 
     prefix: str
     keys: list[KeyInfo]
@@ -158,7 +163,7 @@ def check_chunk(text: str) -> str:
     """Return `text` if it is a valid chunk of a key: the part between two slashes.
 
     Raises:
-        PayloadError: It is empty, has upper case, or characters other than ``a-z 0-9 . _ -``.
+        PayloadError: The text is empty, or has upper case or characters other than ``a-z 0-9 . _ -``.
     """
     if not _CHUNK.fullmatch(text):
         raise PayloadError(

@@ -181,9 +181,9 @@ class BusSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         return endpoint
 
 
-def _limited(message: str, most: float) -> dict[str, Any]:
+def _limited(message: str, rate: float) -> dict[str, Any]:
     """Return Zenoh's rate limit of Stops by messages of one kind; it applies to each link by itself."""
-    rules = [{"key_expr": "pcmrs/*/*/stop/*", "freq": most}]
+    rules = [{"key_expr": "pcmrs/*/*/stop/*", "freq": rate}]
     return {"id": f"stop-{message}", "flows": ["ingress"], "messages": [message], "rules": rules}
 
 

@@ -77,7 +77,7 @@ Stop = Callable[[str, int], int | None]
 
 
 @dataclass(slots=True)
-class _Waiting:
+class _PendingPresses:
     """Presses of one source that wait for the loop.
 
     Attributes:
@@ -109,7 +109,7 @@ class StopLane:
         self._loop = asyncio.get_running_loop()
         self._presses: OrderedDict[tuple[str, str], tuple[float, int | None]] = OrderedDict()
         self._lock = threading.Lock()
-        self._waiting: dict[str, _Waiting] = {}
+        self._waiting: dict[str, _PendingPresses] = {}
         self._replies = StopReplies()
         self._reached = asyncio.Event()
         self._receivers: tuple[Any, ...] = (
@@ -162,7 +162,7 @@ class StopLane:
         self._session.close()
 
     def _on_put(self, sample: zenoh.Sample) -> None:
-        self._wait(str(sample.key_expr), _press_of(payload_of(sample)), None)
+        self._count_press(str(sample.key_expr), _press_id(payload_of(sample)), None)
 
     def _on_query(self, query: zenoh.Query) -> None:
         key = str(query.key_expr)
@@ -171,17 +171,17 @@ class StopLane:
             self._loop.call_soon_threadsafe(self._reached.set)
             _drop(query)
         else:
-            self._wait(key, _press_of(payload_of(query)), query)
+            self._count_press(key, _press_id(payload_of(query)), query)
 
-    def _wait(self, key: str, press: str | None, query: zenoh.Query | None) -> None:
+    def _count_press(self, key: str, press: str | None, query: zenoh.Query | None) -> None:
         """Count a press; runs in Zenoh's thread."""
         source = f"bus:{key.removeprefix(f'{self._prefix}/stop/')}"
         with self._lock:
             if not self._waiting:
-                self._loop.call_soon_threadsafe(self._take)
+                self._loop.call_soon_threadsafe(self._handle_presses)
             if source not in self._waiting and len(self._waiting) >= SOURCES:
                 source = OTHERS
-            waiting = self._waiting.setdefault(source, _Waiting())
+            waiting = self._waiting.setdefault(source, _PendingPresses())
             if press is None or len(waiting.named) >= REMEMBERED_PRESSES:
                 waiting.unnamed += 1
             else:
@@ -192,23 +192,23 @@ class StopLane:
         if query is not None:
             _drop(query)
 
-    def _take(self) -> None:
+    def _handle_presses(self) -> None:
         """Stop for all sources that have pressed since the last turn; runs in the loop."""
         with self._lock:
             taken, self._waiting = self._waiting, {}
         for source, waiting in taken.items():
             try:
-                self._begin(source, waiting)
+                self._stop_and_answer(source, waiting)
             except Exception as error:
                 for query, _ in waiting.queries:
                     _drop(query)
                 self._loop.call_exception_handler({"message": f"Stop by {source} failed", "exception": error})
 
-    def _begin(self, source: str, waiting: _Waiting) -> None:
+    def _stop_and_answer(self, source: str, waiting: _PendingPresses) -> None:
         """Stop, unless each of these presses has stopped already, and answer the queries."""
         now = self._loop.time()
         earlier = {press: self._presses.get((source, press), (-math.inf, None)) for press in waiting.named}
-        numbers = {press: number for press, (begun, number) in earlier.items() if now - begun <= SAME_PRESS_TIME}
+        numbers = {press: number for press, (since, number) in earlier.items() if now - since <= SAME_PRESS_TIME}
         fresh = waiting.named - numbers.keys()
         number: int | None = None
         if fresh or waiting.unnamed:
@@ -276,7 +276,7 @@ class StopReplies:
             return answer
 
 
-def _press_of(payload: bytes) -> str | None:
+def _press_id(payload: bytes) -> str | None:
     """Return the id of the press that a message belongs to; None if it has none."""
     if not payload or len(payload) > LONGEST_PRESS:
         return None  # decoding a long one would delay the Stops behind it

@@ -26,7 +26,7 @@ def daemon_silent(device: str, silence: Silence, limit: float, load: Load) -> De
         load: Load of the node's machine just afterwards.
     """
     text = f"The node of the {device} has made it safe by itself: it had received no heartbeat of the daemon for "
-    text += f"{silence.lasted * 1e3:.0f} ms, limit {limit * 1e3:.0f} ms.{_why(silence, load)} "
+    text += f"{silence.lasted * 1e3:.0f} ms, limit {limit * 1e3:.0f} ms.{_cause(silence, load)} "
     text += "Nothing continues by itself: look at the cell, then acknowledge."
     fields = {"silence": silence.lasted, "limit": limit, **_fields(silence, load)}
     return DeviceEvent(device=device, code="daemon_silent", text=text, danger=True, fields=fields)
@@ -40,12 +40,12 @@ def node_held_up(device: str, silence: Silence, load: Load) -> DeviceEvent:
         silence: Silence of the daemon before the node had received the messages that arrived meanwhile.
         load: Load of the node's machine just afterwards.
     """
-    text = f"The node of the {device} was held up.{_why(silence, load)} Stop other programs on this machine. "
+    text = f"The node of the {device} was held up.{_cause(silence, load)} Stop other programs on this machine. "
     text += "pcmrs-serve reports at its start which permissions it lacks to run ahead of them."
     return DeviceEvent(device=device, code="node_held_up", text=text, fields=_fields(silence, load))
 
 
-def _why(silence: Silence, load: Load) -> str:
+def _cause(silence: Silence, load: Load) -> str:
     if silence.held_up:
         return f" The node had waited {silence.held_up * 1e3:.0f} ms for a processor: {load}."
     return f" The machine is overloaded: {load}." if load.running > load.processors else ""

@@ -175,7 +175,7 @@ class DeviceNode:
             result = failure = None
             call = partial(call_method, name, device, request.method, request.arguments)
             try:
-                result = await (call() if gate is None else self._ask_acting(name, gate, call, request))
+                result = await (call() if gate is None else self._perform(name, gate, call, request))
             except PcmrsError as error:
                 failure = Reason(code=error.code, text=error.text, fields=error.fields)
             state = gate.state if gate is not None else None
@@ -183,9 +183,7 @@ class DeviceNode:
 
         self._link.serve(f"dev/{name}/cmd", DeviceRequest, answer)
 
-    async def _ask_acting(
-        self, name: str, gate: Gate, call: Callable[[], Awaitable[Any]], request: DeviceRequest
-    ) -> Any:
+    async def _perform(self, name: str, gate: Gate, call: Callable[[], Awaitable[Any]], request: DeviceRequest) -> Any:
         """Perform a request to an acting device.
 
         Raises:
@@ -203,9 +201,9 @@ class DeviceNode:
             gate.admit(request.token)  # after the last await: a hold may have arrived meanwhile
         elif request.method == "connect":
             await self._check_fresh(name, request)
-        return await (self._ask_robot(request.method, call) if name == "robot" else call())
+        return await (self._perform_on_robot(request.method, call) if name == "robot" else call())
 
-    async def _ask_robot(self, method: str, call: Callable[[], Awaitable[Any]]) -> Any:
+    async def _perform_on_robot(self, method: str, call: Callable[[], Awaitable[Any]]) -> Any:
         if method == "joints":
             return await call()
         with self._standstill.moving(streamed=method == "begin_servo"):

@@ -88,12 +88,12 @@ class RemoteDevice:
             DeviceError: The device answered with a failure; field ``code`` holds its code.
             UnknownOutcomeError: No answer came, or one that is not of type `kind`.
         """
-        return await self._ask(self._request(method, arguments), kind, timeout)
+        return await self._send(self._request(method, arguments), kind, timeout)
 
     def _request(self, method: str, arguments: dict[str, Any]) -> DeviceRequest:
         return DeviceRequest(method=method, arguments=msgspec.to_builtins(arguments), sent=self._clock.monotonic())
 
-    async def _ask(
+    async def _send(
         self, request: DeviceRequest, kind: type[T], timeout: float, sender: str = "", *, urgent: bool = False
     ) -> T:
         name, on_reply = f"{self._device}.{request.method}", self._reply_listener()
@@ -194,7 +194,7 @@ class ActingDevice(RemoteDevice):
         if self.gate is None:
             raise DeviceError(f"The node of the {self._device} has not reported yet: wait for it, then ask again.")
         request = msgspec.structs.replace(self._request(method, arguments), token=self.token())
-        return await self._ask(request, kind, timeout, self._device)
+        return await self._send(request, kind, timeout, self._device)
 
     async def end(self, kind: type[T], *, latch: bool = False) -> T:
         """End whatever acts, for any session and epoch, and return the result of the hold.
@@ -208,7 +208,7 @@ class ActingDevice(RemoteDevice):
             UnknownOutcomeError: The device did not confirm that in time.
         """
         request = msgspec.structs.replace(self._request(HOLDS[self._device], {}), token=self.token(), latch=latch)
-        return await self._ask(request, kind, HOLD_TIME, f"{self._device} hold", urgent=True)
+        return await self._send(request, kind, HOLD_TIME, f"{self._device} hold", urgent=True)
 
     async def release_latch(self) -> None:
         """Release the device for this daemon, unless it was held again or restarted since its last report.
@@ -221,7 +221,7 @@ class ActingDevice(RemoteDevice):
             raise DeviceError(f"The node of the {self._device} has not reported yet: wait for it, then ask again.")
         self.unreleased = (self.gate.node, self.gate.epoch)
         request = msgspec.structs.replace(self._request(RELEASE, {}), token=self.token())
-        await self._ask(request, type(None), HOLD_TIME, self._device)
+        await self._send(request, type(None), HOLD_TIME, self._device)
         self.unreleased = None
 
     async def take_over(self) -> None:

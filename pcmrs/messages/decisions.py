@@ -39,7 +39,13 @@ class Command(Message, frozen=True, kw_only=True):
 
 
 class Reason(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """Reason of a refusal or failure: a stable code, a sentence, and the values in it."""
+    """Reason of a refusal or failure.
+
+    Attributes:
+        code: Stable code that programs may match on.
+        text: One or two sentences for people.
+        fields: Values in the text, as data.
+    """
 
     code: str
     text: str
@@ -73,7 +79,13 @@ class Verdict(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class Question(Message, frozen=True, kw_only=True):
-    """Request for a dry run: the verdict that a command would get now."""
+    """Request for a dry run: the verdict that a command would get now.
+
+    Attributes:
+        branch: Branch of the workflow.
+        operation: Operation of that branch.
+        arguments: Arguments of the operation by name.
+    """
 
     max_bytes: ClassVar[int] = 64 * 1024
 
@@ -111,6 +123,10 @@ class JournalQuery(Message, frozen=True, kw_only=True):
 
 
 class JournalPage(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """Rows of the journal as plain data, oldest first."""
+    """A page of the journal.
+
+    Attributes:
+        rows: Rows as plain data, oldest first.
+    """
 
     rows: list[dict[str, Any]]

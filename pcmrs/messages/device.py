@@ -75,7 +75,15 @@ class DeviceReply(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class DeviceEvent(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """An event that a device reports by itself; `danger` events take the lane of Stop."""
+    """An event that a device reports by itself.
+
+    Attributes:
+        device: Name of the device.
+        code: Stable code that programs may match on.
+        text: One or two sentences for people.
+        danger: True for a danger, which takes the lane of Stop.
+        fields: Values in the text, as data.
+    """
 
     device: str
     code: str

@@ -203,7 +203,12 @@ class HealthFacts(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class Health(HealthFacts, frozen=True, kw_only=True, omit_defaults=False):
-    """Facts and the verdict on them: the answer to ``svc/health``, published on ``state/health`` every few seconds."""
+    """Facts and the verdict on them: the answer to ``svc/health``, published on ``state/health`` every few seconds.
+
+    Attributes:
+        status: Verdict.
+        reasons: Reasons of a verdict other than ``ok``.
+    """
 
     status: HealthStatus
     reasons: list[HealthReason]

@@ -49,7 +49,12 @@ class BodyPose(Message, frozen=True, kw_only=True):
 
 
 class PoseMessage(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """A pose as data: translation in m and unit ``quat_wxyz``."""
+    """A pose as data.
+
+    Attributes:
+        position: Translation, m.
+        quat_wxyz: Rotation, unit quaternion.
+    """
 
     position: tuple[float, float, float]
     quat_wxyz: tuple[float, float, float, float]

@@ -8,7 +8,14 @@ from pcmrs.messages.base import Message
 
 
 class Running(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """An operation in progress; `progress` grows from 0 to 1."""
+    """An operation in progress.
+
+    Attributes:
+        branch: Branch of the operation.
+        operation: Name of the operation.
+        id: Id of its command.
+        progress: Progress from 0 to 1.
+    """
 
     branch: str
     operation: str
@@ -17,7 +24,14 @@ class Running(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class ActiveActivity(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """The running activity of a branch's state; `values` are what it displays."""
+    """The running activity of a branch's state.
+
+    Attributes:
+        branch: Name of the branch.
+        state: Its present state.
+        name: Name of the activity.
+        values: Values that the activity displays, by name.
+    """
 
     branch: str
     state: str
@@ -44,7 +58,13 @@ class UnknownOutcome(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class BlueprintTag(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """Identification of a workflow; `hash` is the SHA-256 of the contents of its blueprint."""
+    """Identification of a workflow.
+
+    Attributes:
+        id: Id of its blueprint.
+        version: Version of its blueprint.
+        hash: SHA-256 of the contents of its blueprint.
+    """
 
     id: str
     version: str
@@ -52,7 +72,12 @@ class BlueprintTag(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class LeaseState(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """User who holds the cell, and user who requests to take it over."""
+    """State of the lease of a cell.
+
+    Attributes:
+        holder: User who holds the cell.
+        asking: User who requests to take it over; None if there is none.
+    """
 
     holder: str
     asking: str | None = None
@@ -108,7 +133,12 @@ class Snapshot(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 
 class Flags(Message, frozen=True, kw_only=True, omit_defaults=False):
-    """Flags of the snapshot `sequence`, for displays; no decision depends on them."""
+    """Flags for displays; no decision depends on them.
+
+    Attributes:
+        sequence: Number of the snapshot.
+        flags: Flags that mirror its states.
+    """
 
     sequence: int
     flags: dict[str, bool]

@@ -92,12 +92,12 @@ async def reset_cell(client: Client) -> None:
         await accept(client, "robot.connect")
         before = await client.state()
     if before.branches["robot"] == "1":
-        await _put_away(client)
+        await _disconnect_robot(client)
     await accept(client, "registration.reinit")
     await accept(client, "toolplan.reinit")
 
 
-async def _put_away(client: Client) -> None:
+async def _disconnect_robot(client: Client) -> None:
     if (await client.state()).latched:
         await accept(client, "robot.acknowledge")
     if await state(client, "placement") == "held":

@@ -12,7 +12,12 @@ from pcmrs.workflows.toolplan import ToolPose
 
 
 class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Plan of a procedure: landmarks in order, and tool poses; m and quaternions x y z w."""
+    """Plan of a procedure, in image coordinates: m and quaternions x y z w.
+
+    Attributes:
+        landmarks: Landmarks in order.
+        poses: Tool poses.
+    """
 
     landmarks: tuple[Landmark, ...]
     poses: tuple[ToolPose, ...]

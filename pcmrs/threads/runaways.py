@@ -59,7 +59,7 @@ class Runaways:
         self._seen: dict[int, _Seen] = {}
         self._demoted: dict[int, int] = {}
 
-    def look(self, now: float) -> list[Runaway]:
+    def check(self, now: float) -> list[Runaway]:
         """Demote threads that have run away to SCHED_OTHER, and return them; calm ones get the policy back.
 
         Call this several times within `LONGEST`.
@@ -73,7 +73,7 @@ class Runaways:
             for thread, times in threads.times().items():
                 last = before.get(thread, _Seen(now, times, now))
                 if thread in self._demoted:
-                    self._look_at_demoted(thread, last, times, now)
+                    self._check_demoted(thread, last, times, now)
                 elif _is_realtime(thread):
                     rested = times.ran - last.times.ran < (1.0 - REST) * (now - last.at)
                     seen = self._seen[thread] = _Seen(now, times, now if rested else last.since)
@@ -88,7 +88,7 @@ class Runaways:
             self._demoted[thread] = os.sched_getparam(thread).sched_priority
             os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
 
-    def _look_at_demoted(self, thread: int, last: _Seen, times: ThreadTimes, now: float) -> None:
+    def _check_demoted(self, thread: int, last: _Seen, times: ThreadTimes, now: float) -> None:
         # Without the policy it competes with other threads: its wait for a processor is not a pause.
         worked = sum(times) - sum(last.times)
         self._seen[thread] = seen = _Seen(now, times, now if worked > (1.0 - REST) * (now - last.at) else last.since)

@@ -322,8 +322,8 @@ def test_an_id_is_looked_for_in_a_short_message_only() -> None:
     """Reading long ones would hold up the Stops behind them: each of them is a Stop of its own, unread."""
     press = json.dumps({"id": "0123456789abcdef" * 2}).encode()
     for length in range(LONGEST_PRESS - 1, LONGEST_PRESS + 3):
-        assert (stop._press_of(press.ljust(length)) is None) == (length > LONGEST_PRESS), length
-    assert stop._press_of(b"") is None
+        assert (stop._press_id(press.ljust(length)) is None) == (length > LONGEST_PRESS), length
+    assert stop._press_id(b"") is None
 
 
 @pytest.mark.parametrize("beside", [False, True])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from simulated_arms import FACTS, HOME, body_before_tool, make_arm, smooth
 
 from pcmrs.clock import Clock
-from pcmrs.devices.motion.force import AGAIN, ForceGuard, ForceSettings
+from pcmrs.devices.motion.force import HYSTERESIS, ForceGuard, ForceSettings
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import DeviceEvent
 from pcmrs.spatial import Floats, Transform
@@ -135,14 +135,14 @@ def test_the_estimate_has_the_stated_noise_and_no_bias() -> None:
 
 def test_limit_counts_once_and_again_only_if_the_force_grows() -> None:
     guard = ForceGuard(25.0)
-    course = [10.0, 25.5, 26.0, 24.0, 26.0, 25.4 + AGAIN, 25.6 + AGAIN, 25.0 - AGAIN - 0.1, 25.1]
+    course = [10.0, 25.5, 26.0, 24.0, 26.0, 25.4 + HYSTERESIS, 25.6 + HYSTERESIS, 25.0 - HYSTERESIS - 0.1, 25.1]
     assert [guard.exceeded(force) for force in course] == [False, True, False, False, False, False, True, False, True]
 
 
 @pytest.mark.parametrize("limit", [1.0, 3.0, 5.0, 6.0, 25.0])
 def test_limit_of_any_size_counts_again_after_the_force_fell(limit: float) -> None:
     guard = ForceGuard(limit)
-    fallen = max(limit - AGAIN, limit / 2)
+    fallen = max(limit - HYSTERESIS, limit / 2)
     course = [1.01 * limit, 1.01 * fallen, 1.01 * limit, 0.99 * fallen, limit, 1.01 * limit]
     assert [guard.exceeded(force) for force in course] == [True, False, False, False, False, True]
 

@@ -235,7 +235,7 @@ DEFECTS: dict[str, Defect] = {
             harm="The deadman counts from when a beat was processed, not from the sign of life that it carries.",
             found_by=("silence_is_held",),
             put_back={
-                "pcmrs.devices.deadman:Deadman.hear": _counts_from_hearing,
+                "pcmrs.devices.deadman:Deadman.take_beat": _counts_from_hearing,
                 "pcmrs.devices.deadman:Deadman._last_alive": _alive_when_heard,
             },
         ),

@@ -30,7 +30,7 @@ Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 READ_PERIOD = 0.01
 """Time between two readings of both streams, s."""
 
-KEPT = 2.0 * LONGEST
+STORED = 2.0 * LONGEST
 """Duration of signal and markers that are stored, s: an epoch is requested right after its pulse."""
 
 GRACE = 0.5
@@ -84,14 +84,14 @@ class LslEmg:
         self._recording: SignalBuffer | None = None
         self._pulses: dict[int, float] = {}
         self._unusable = ""
-        self._news = asyncio.Event()
+        self._updated = asyncio.Event()
 
     async def epoch(self, pulse: int, before: float, after: float) -> Epoch:
         check_window(before, after)
         with suppress(TimeoutError):
             async with self._clock.timeout(after + GRACE):
                 while not self._measured(pulse, after):
-                    await self._news.wait()
+                    await self._updated.wait()
         return self._cut(pulse, before, after)
 
     async def read(self) -> None:
@@ -100,8 +100,8 @@ class LslEmg:
             while True:
                 self._read_markers()
                 self._read_signal()
-                self._news.set()
-                self._news.clear()
+                self._updated.set()
+                self._updated.clear()
                 await self._clock.sleep(READ_PERIOD)
         finally:
             self._signal.close()
@@ -112,7 +112,7 @@ class LslEmg:
         for text, time in zip(texts, times, strict=True):
             if (marker := read_pulse(text[0])) is not None:
                 self._pulses[marker.pulse] = float(time)
-        oldest = self._lsl.local_clock() - KEPT  # numbers repeat in another session
+        oldest = self._lsl.local_clock() - STORED  # numbers repeat in another session
         self._pulses = {number: time for number, time in self._pulses.items() if time > oldest}
 
     def _read_signal(self) -> None:
@@ -132,7 +132,7 @@ class LslEmg:
         elif channel >= count:
             self._unusable = f"{name} has {count} channels; lsl.channel = {channel} is not among 0 to {count - 1}"
         else:
-            self._recording = SignalBuffer(rate, KEPT, self._settings.jitter)
+            self._recording = SignalBuffer(rate, STORED, self._settings.jitter)
 
     def _measured(self, pulse: int, after: float) -> bool:
         """Return True if the epoch is complete."""

@@ -20,7 +20,7 @@ DONE = "done"
 """Acknowledgement of a command that has no result."""
 SECOND_DONE = 0.3
 """Longest time between the two acknowledgements with which KST 1.7 ends an impedance stream, s."""
-STRAY = 0.1
+LATE_REPLY_TIME = 0.1
 """Time within which replies that were outstanding when a motion was broken off arrive, if at all, s."""
 PTP_TIMEOUT = 120.0
 """Longest duration of a point-to-point motion, s."""
@@ -83,8 +83,8 @@ class Cabinet:
         self._link.check()
 
     async def drain(self) -> None:
-        """Wait at most `STRAY` for outstanding replies after a motion was broken off."""
-        await self._link.drain(STRAY)
+        """Wait at most `LATE_REPLY_TIME` for outstanding replies after a motion was broken off."""
+        await self._link.drain(LATE_REPLY_TIME)
 
     async def joints(self) -> Floats:
         """Return the measured joints, rad, (7,)."""
@@ -97,7 +97,7 @@ class Cabinet:
             patience: Additional wait for the reply, s: the thread that answers is busy until the arm is at rest after a
                 stream.
         """
-        (line,) = await self._link.ask("Torques_ext_J", self._timeout + patience)
+        (line,) = await self._link.request("Torques_ext_J", self._timeout + patience)
         return self.values(line, JOINTS)
 
     async def measured_torques(self) -> Floats:
@@ -181,7 +181,7 @@ class Cabinet:
 
     async def stop_impedance(self) -> None:
         """End the stream of `start_impedance`."""
-        for line in await self._link.ask_for_one_or_two("stopDirectServoJoints", self._timeout, SECOND_DONE):
+        for line in await self._link.request_one_or_two("stopDirectServoJoints", self._timeout, SECOND_DONE):
             self._check_done(line)
 
     def stream(self, positions: npt.ArrayLike) -> None:
@@ -222,11 +222,11 @@ class Cabinet:
         await self._do(f"jRelVel_{speed:.4g}_")
 
     async def _read(self, command: str, count: int) -> Floats:
-        (line,) = await self._link.ask(command, self._timeout)
+        (line,) = await self._link.request(command, self._timeout)
         return self.values(line, count)
 
     async def _do(self, command: str, *further: float, sure: bool = False) -> None:
-        for line in await self._link.ask(command, self._timeout, *further, sure=sure):
+        for line in await self._link.request(command, self._timeout, *further, sure=sure):
             self._check_done(line)
 
     def _check_done(self, line: str) -> None:

@@ -34,7 +34,7 @@ UNSETTLED = 5.0
 STALLED = 0.3
 """Pause of the stream after which the motion ends where the arm is, s."""
 
-Waiting = list[asyncio.Future[None]]
+Futures = list[asyncio.Future[None]]
 
 
 class Drive:
@@ -81,8 +81,8 @@ class Drive:
         self._requested_at = 0.0
         self._ended_at = np.inf
         self._wake = asyncio.Event()
-        self._resting: Waiting = []
-        self._started: Waiting = []
+        self._resting: Futures = []
+        self._started: Futures = []
         self._streaming = self._refusing = self._deviated = False
 
     async def run(self) -> None:
@@ -146,7 +146,7 @@ class Drive:
         finally:
             self._cabinet.end()
 
-    async def _wait(self, waiting: Waiting) -> None:
+    async def _wait(self, waiting: Futures) -> None:
         future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         waiting.append(future)
         self._wake.set()
@@ -175,8 +175,8 @@ class Drive:
             self._refusing = False
 
     async def _poll(self, patience: float) -> None:
-        asked = self._clock.monotonic()
-        self.arm.take_joints(await self._cabinet.joints(), asked)
+        requested_at = self._clock.monotonic()
+        self.arm.take_joints(await self._cabinet.joints(), requested_at)
         self.arm.take_torques(await self._cabinet.external_torques(patience))
         self._publish(self.state)
 
@@ -202,12 +202,12 @@ class Drive:
             self._take_reply()
             ticked = self._stand_if_stalled(ticked)
             self._check_settles()
-            if not self._waits():
+            if not self._must_wait():
                 self._send(ask=number % every == 0)
                 number += 1
             due = await self._until(due + self._step)
 
-    def _waits(self) -> bool:
+    def _must_wait(self) -> bool:
         """Return True if a reply of the cabinet is late; a braking arm does not wait for it."""
         late = self._reply is not None and self._clock.monotonic() - self._requested_at > LATE
         return late and self.follower.stopped is None
@@ -261,8 +261,8 @@ class Drive:
         if deviation > limit and not self._deviated:
             self._deviated = True
             self.follower.hold("pose_differs")
-            far = f"a joint is {deviation:.3f} rad from its set points, limit {limit:g} rad"
-            self._alarm("pose_differs", f"brakes: {far}")
+            cause = f"a joint is {deviation:.3f} rad from its set points, limit {limit:g} rad"
+            self._alarm("pose_differs", f"brakes: {cause}")
         self._publish(self.state)
 
     def _alarm(self, code: str, text: str) -> None:
@@ -282,7 +282,7 @@ class Drive:
         _release(self._resting, error)
 
 
-def _release(waiting: Waiting, error: PcmrsError | None = None) -> None:
+def _release(waiting: Futures, error: PcmrsError | None = None) -> None:
     for future in waiting:
         if future.done():  # its caller was cancelled
             continue

@@ -107,7 +107,7 @@ class KstLink(asyncio.Protocol):
             self._transport.write(command.encode("ascii") + END)
         return [each.reply for each in replies]
 
-    async def ask(self, command: str, *timeouts: float, sure: bool = False) -> list[str]:
+    async def request(self, command: str, *timeouts: float, sure: bool = False) -> list[str]:
         """Send a command and wait for its replies.
 
         Args:
@@ -121,10 +121,10 @@ class KstLink(asyncio.Protocol):
             UnknownOutcomeError: The link has failed, or fails now because a reply did not arrive in time.
         """
         replies = self.send(command, *timeouts, sure=sure)
-        return [await self._before(reply, timeout) for reply, timeout in zip(replies, timeouts, strict=True)]
+        return [await self._await_reply(reply, timeout) for reply, timeout in zip(replies, timeouts, strict=True)]
 
-    async def ask_for_one_or_two(self, command: str, timeout: float, later: float) -> list[str]:
-        """Send a command that has one or two replies; see `ask`.
+    async def request_one_or_two(self, command: str, timeout: float, later: float) -> list[str]:
+        """Send a command that has one or two replies; see `request`.
 
         Args:
             command: Command without its line end.
@@ -132,7 +132,7 @@ class KstLink(asyncio.Protocol):
             later: Longest time between the two replies, s.
         """
         first, second = self.send(command, timeout, timeout + later, sure=True)
-        lines = [await self._before(first, timeout)]
+        lines = [await self._await_reply(first, timeout)]
         await self.drain(later)
         return [*lines, second.result()] if second.done() else lines
 
@@ -190,7 +190,7 @@ class KstLink(asyncio.Protocol):
     def connection_lost(self, error: Exception | None) -> None:
         self.fail("it closed the connection" if error is None else f"the connection broke ({error})")
 
-    async def _before(self, reply: asyncio.Future[str], timeout: float) -> str:
+    async def _await_reply(self, reply: asyncio.Future[str], timeout: float) -> str:
         try:
             async with self._clock.timeout(timeout):
                 return await asyncio.shield(reply)  # the reply still arrives if its caller is cancelled

@@ -17,7 +17,7 @@ FORGOTTEN = 5.0
 BUFFER = 10
 """Size of the library's buffer of unread samples, s; for a stream of markers, hundreds of markers."""
 
-MOST = 1 << 12
+CHUNK_SIZE = 1 << 12
 """Number of samples that are read at once."""
 
 log = structlog.get_logger(__name__)
@@ -47,7 +47,7 @@ class Inlet:
         self._resolver = self._lsl.ContinuousResolver(pred=wanted, forget_after=FORGOTTEN)
         self._inlet: Any = None
         self._uid = self._lost = ""
-        self._again = 0.0
+        self._retry_at = 0.0
         self.info: Any = None
         self.problem = f"The {self._label} has not been found; start its source"
 
@@ -56,17 +56,17 @@ class Inlet:
 
         Numbers are an array; texts are bytes. Nothing is returned before the first estimate of the clock offset.
         """
-        self._follow()
+        self._find_stream()
         if self._inlet is None:
             return [], np.empty(0)
         try:
             correction = self._inlet.time_correction(timeout=0.0)
-            samples, times = self._inlet.pull_chunk(max_samples=MOST, as_numpy=True)
+            samples, times = self._inlet.pull_chunk(max_samples=CHUNK_SIZE, as_numpy=True)
         except self._lsl.util.TimeoutError:
             return [], np.empty(0)
         except RuntimeError as error:  # base of all errors of the library
             self._drop(f"is not sent any more ({error}); start its source again".replace(".)", ")"))
-            self._lost, self._again = self._uid, self._lsl.local_clock() + FORGOTTEN
+            self._lost, self._retry_at = self._uid, self._lsl.local_clock() + FORGOTTEN
             return [], np.empty(0)
         self.problem = ""
         return samples, times + correction
@@ -75,12 +75,12 @@ class Inlet:
         """End reading."""
         self._inlet = self._resolver = None
 
-    def _follow(self) -> None:
+    def _find_stream(self) -> None:
         """Open the stream if exactly one is found, and drop one that has vanished."""
         found = {info.uid(): info for info in self._resolver.results()}
         if self._inlet is not None and self._uid not in found:
             self._drop("does not answer any more; check its source and the network")
-        if self._lsl.local_clock() < self._again:
+        if self._lsl.local_clock() < self._retry_at:
             found.pop(self._lost, None)  # the resolver still remembers it, although its source may have ended
         if len(found) > 1:
             self._inlet = None

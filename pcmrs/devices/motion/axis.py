@@ -16,7 +16,7 @@ LAG = 0.02
 """Time constant with which the speed follows the wanted one, and the earlier motion fades out, s."""
 SLOWING = 0.1
 """Time constant with which the tool slows down at the end of its travel, s."""
-NEAR = 5e-5
+END_TOLERANCE = 5e-5
 """Distance from the end of the travel at which it is reached, m."""
 
 _DAMPED = DAMPING**2 * np.eye(6)
@@ -97,7 +97,7 @@ class AxisMotion(ABC):
 
     @property
     def _at_end(self) -> bool:
-        return self._travel - self.travelled < NEAR
+        return self._travel - self.travelled < END_TOLERANCE
 
     def _joint_velocity(self) -> Floats:
         jacobian = self._model.jacobian(self._position)

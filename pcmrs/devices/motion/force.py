@@ -8,7 +8,7 @@ import msgspec
 
 from pcmrs.spatial import Floats
 
-AGAIN = 5.0
+HYSTERESIS = 5.0
 """Hysteresis of the guard, N.
 
 A force that has exceeded the limit counts again when it has grown by this, or when it has first fallen by this below
@@ -61,9 +61,9 @@ class ForceGuard:
 
     def exceeded(self, force: float) -> bool:
         """Return True if `force`, N, exceeds the limit and was not reported before."""
-        if force < max(self.limit - AGAIN, self.limit / 2.0):
+        if force < max(self.limit - HYSTERESIS, self.limit / 2.0):
             self._threshold = self.limit
         if force <= self._threshold:
             return False
-        self._threshold = force + AGAIN
+        self._threshold = force + HYSTERESIS
         return True

@@ -48,7 +48,7 @@ async def read_reports(job: Job, clock: Clock) -> AsyncGenerator[Ready | Frame, 
                     raise DeviceError(report.text)
                 limit = FRAME_TIME
                 yield report
-        raise DeviceError(_why_ended(await process.wait()))
+        raise DeviceError(_end_text(await process.wait()))
     finally:
         await kill_and_wait(process)
 
@@ -69,7 +69,7 @@ async def _read(process: Process, clock: Clock, limit: float) -> bytes:
         raise DeviceError(f"the reader has reported nothing for {limit:g} s") from None
 
 
-def _why_ended(status: int) -> str:
+def _end_text(status: int) -> str:
     if status == -signal.SIGALRM:
         return "it does not answer"
     if status == -signal.SIGSEGV:

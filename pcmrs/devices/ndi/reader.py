@@ -57,13 +57,13 @@ def _send(report: Report) -> None:
 def _reports(job: Job) -> Iterator[Report]:
     device = _open(job)
     handles = _load(device, job.tools)
-    version = _ask(device, "VER:0")
-    _ask(device, "TSTART:")
+    version = _command(device, "VER:0")
+    _command(device, "TSTART:")
     binary = _is_binary(device)
     yield Ready(version, binary)
     clock = SystemClock()
     while not select.select([sys.stdin], [], [], POLL_TIME)[0]:
-        _ask(device, "BX:0001" if binary else "TX:0001", ANSWER_TIME)
+        _command(device, "BX:0001" if binary else "TX:0001", ANSWER_TIME)
         yield _frame(device, handles, binary, clock.monotonic())
 
 
@@ -91,50 +91,50 @@ def _open(job: Job) -> Device:
     if device is None:
         raise OSError("this cannot be opened as a serial port")
     _initialize(device)
-    _ask(device, f"COMM:{BAUDS[job.baud]}0000")
+    _command(device, f"COMM:{BAUDS[job.baud]}0000")
     return device
 
 
 def _initialize(device: Device) -> None:
     """Reset a tracker that may still be tracking for an earlier process."""
     with suppress(OSError):  # if it does not track
-        _ask(device, "TSTOP:")
+        _command(device, "TSTOP:")
     try:
-        _ask(device, "INIT:")
+        _command(device, "INIT:")
     except OSError:
-        _ask(device, "RESET:0")
-        _ask(device, "INIT:")
+        _command(device, "RESET:0")
+        _command(device, "INIT:")
 
 
 def _load(device: Device, tools: dict[str, bytes]) -> dict[str, int]:
     """Load and enable the tools, and return the port handle of each body."""
-    _ask(device, "PHSR:00")
+    _command(device, "PHSR:00")
     for handle in [ndicapy.ndiGetPHSRHandle(device, i) for i in range(ndicapy.ndiGetPHSRNumberOfHandles(device))]:
-        _ask(device, f"PHF:{handle:02X}")
+        _command(device, f"PHF:{handle:02X}")
     return {body: _load_tool(device, srom) for body, srom in tools.items()}
 
 
 def _load_tool(device: Device, srom: bytes) -> int:
-    _ask(device, "PHRQ:*********1****")
+    _command(device, "PHRQ:*********1****")
     handle: int = ndicapy.ndiGetPHRQHandle(device)
     content = srom.ljust(ROOM, b"\0")
     for start in range(0, ROOM, CHUNK):
-        _ask(device, f"PVWR:{handle:02X}{start:04X}{content[start : start + CHUNK].hex().upper()}")
-    _ask(device, f"PINIT:{handle:02X}")
-    _ask(device, f"PENA:{handle:02X}D")
+        _command(device, f"PVWR:{handle:02X}{start:04X}{content[start : start + CHUNK].hex().upper()}")
+    _command(device, f"PINIT:{handle:02X}")
+    _command(device, f"PENA:{handle:02X}D")
     return handle
 
 
 def _is_binary(device: Device) -> bool:
     """Return True if the tracker knows ``BX``; an old one does not."""
     try:
-        _ask(device, "BX:0001")
+        _command(device, "BX:0001")
     except OSError:
         return False
     return True
 
 
-def _ask(device: Device, command: str, time: float = SETUP_TIME) -> str:
+def _command(device: Device, command: str, time: float = SETUP_TIME) -> str:
     """Send a command and return its answer; that of ``BX`` is empty, because `ndicapi` has parsed it already.
 
     Raises:
