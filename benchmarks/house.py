@@ -115,9 +115,11 @@ async def route() -> dict[str, int]:
     import dispatch
 
     import pcmrs
+    from pcmrs.cli.log import log_to_stderr
     from pcmrs.gateway.grammar import format_command
     from pcmrs.testing.daemon import free_port
 
+    log_to_stderr()
     counted = Route(Path(pcmrs.__file__).parent)
     with tempfile.TemporaryDirectory() as folder:
         async with dispatch.opened(f"tcp/127.0.0.1:{free_port()}", Path(folder), durable=True) as ports:
