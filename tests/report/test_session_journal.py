@@ -88,7 +88,7 @@ def test_an_intent_without_an_outcome_is_unfinished() -> None:
     assert found.sequence == 3
 
 
-def test_stored_data_is_the_last_value_or_none_after_it_was_cleared() -> None:
+def test_stored_data_is_the_last_value_or_none_after_clearing() -> None:
     session = journal(
         outcome("1", "accepted", data={"ceiling": 1, "plan": 2}), outcome("2", "accepted", data={"plan": None})
     )
@@ -124,7 +124,7 @@ def test_the_port_is_no_part_of_a_source() -> None:
     assert source_without_port(None) == ""
 
 
-def test_placements_have_the_journalled_standoff_or_the_given_one(tmp_path: Path) -> None:
+def test_placements_have_the_journalled_or_the_given_standoff(tmp_path: Path) -> None:
     result = {"planned": POSE, "measured": POSE, "confirm_offset": 0.01}
     rows = [outcome("1", "accepted", result=result), outcome("2", "failed", result=result)]
     path = write_journal([msgspec.to_builtins(each) for each in rows], tmp_path / "journal.sqlite")
