@@ -93,7 +93,7 @@ def test_files_are_planned_on_or_refused_and_the_page_stays_up(tmp_path: Path) -
         planner.press("send-landmarks")
         planner.give(ball(tmp_path / "ball.nii.gz"), "Surface")
         planner.shows("upload-result", "160 × 160 × 160 mm")
-        planner.shows("own-surface", "of this page only")
+        planner.shows("own-surface", "Only this page has this surface")
         planner.choose("Tool pose")
         planner.at("tool-point").fill("0 0 95")
         planner.press("place-tool")
