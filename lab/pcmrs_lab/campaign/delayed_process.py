@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import threading
 import time
 from collections import Counter
@@ -137,7 +138,9 @@ def _delay_failpoints(transport: Transport) -> None:
             transport.wait(rule, name)
         passing(name)
 
-    _replace(failpoints, failpoint=passed)
+    # A module that is imported already has the function under a name of its own.
+    for module in [module for module in sys.modules.values() if getattr(module, "failpoint", None) is passing]:
+        _replace(module, failpoint=passed)
 
 
 def _replace(owner: Any, **functions: Callable[..., Any]) -> None:
