@@ -81,11 +81,7 @@ def _load(path: Path, raw: bytes, kind: str) -> tuple[npt.NDArray[Any], npt.NDAr
 
 
 def _merged(vertices: npt.NDArray[Any], faces: npt.NDArray[Any]) -> tuple[Floats, npt.NDArray[np.int64]]:
-    """The same triangles, each corner once, in the file's order, and none that belongs to no triangle."""
-    found, first, number = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
-    used = number.reshape(-1)[faces]  # in terms of the sorted, different corners
-    kept = np.unique(used)
-    kept = kept[np.argsort(first[kept])]
-    position = np.empty(len(found), dtype=np.int64)
-    position[kept] = np.arange(len(kept))
-    return found[kept].astype(float), position[used]
+    """Return the same triangles with each corner once, in the file's order, and without corners of no triangle."""
+    _, first, number = np.unique(vertices, axis=0, return_index=True, return_inverse=True)
+    kept, position = np.unique(first[number.reshape(-1)][faces], return_inverse=True)
+    return vertices[kept].astype(float), position.reshape(faces.shape)

@@ -37,12 +37,12 @@ def read_triangles(raw: bytes) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.
     if types is None:
         return None
     (corners, corner), (triangles, triangle) = types
-    size = corners * corner.itemsize
-    if len(head) + len(end) + size + triangles * triangle.itemsize != len(raw):
-        return None
     begin = len(head) + len(end)
+    middle = begin + corners * corner.itemsize
+    if middle + triangles * triangle.itemsize != len(raw):
+        return None
     found = np.frombuffer(raw, corner, corners, begin)
-    faces = np.frombuffer(raw, triangle, triangles, begin + size)
+    faces = np.frombuffer(raw, triangle, triangles, middle)
     if not (faces["count"] == 3).all():
         return None
     return np.stack([found[axis].astype(float) for axis in "xyz"], axis=1), faces["corners"].astype(np.int64)

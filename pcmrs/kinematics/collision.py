@@ -82,7 +82,7 @@ def hull(points: npt.ArrayLike) -> Solid:
 
 
 def _is_flat(points: Floats) -> bool:
-    """Whether points lie in a plane, to seven digits; Qhull computes with sixteen."""
+    """Return whether points lie in a plane, to seven digits; Qhull computes with sixteen."""
     widest, _, thinnest = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return not thinnest > FLAT * widest
 
