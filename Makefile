@@ -31,16 +31,16 @@ test: install ## Run the whole test suite; OPTIONS=--tools-installed: a test tha
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal $(OPTIONS)
 
 nightly: install ## Run what `make test` leaves out, in parts; PART=faults for some, OPTIONS=--publish for docs/evidence.md
-	$(BIN)/python tests/nightly/run.py $(OPTIONS) $(PART)
+	$(BIN)/python -m tests.nightly.run $(OPTIONS) $(PART)
 
 evidence: install ## Make docs/evidence.md from the documents' promises and the last nightly runs
-	PYTHONPATH=tests $(BIN)/python tests/nightly/make_evidence.py
+	$(BIN)/python -m tests.nightly.make_evidence
 
 mutants: install ## Take guards out of the product, one at a time, and count how many the tests miss; hours
-	$(BIN)/python tests/mutants/run_mutants.py map
-	$(BIN)/python tests/mutants/run_mutants.py listed
-	$(BIN)/python tests/mutants/run_mutants.py generated
-	$(BIN)/python tests/mutants/run_mutants.py uncovered
+	$(BIN)/python -m tests.mutants.run_mutants map
+	$(BIN)/python -m tests.mutants.run_mutants listed
+	$(BIN)/python -m tests.mutants.run_mutants generated
+	$(BIN)/python -m tests.mutants.run_mutants uncovered
 
 fuzz: install ## Fuzz every parser of bytes from outside, SECONDS=30 each; TARGETS="kst ndi" for some of them
 	@export TMPDIR=$$(mktemp -d); trap 'rm -rf "$$TMPDIR"' EXIT; log=$$TMPDIR/log; \
@@ -70,14 +70,13 @@ docs: install ## Build the documentation into site/, strictly: a broken link fai
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 screenshots: install ## Take the pictures of the console that docs/console.md shows; needs `make browser`
-	$(BIN)/python tests/console/screenshots.py docs/pictures
+	$(BIN)/python -m tests.unit.console.screenshots docs/pictures
 
 lint: install ## Check style, format, words, types and import contracts
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/python .ci/style.py
 	$(BIN)/mypy --strict
-	for fixtures in tests/*/conftest.py; do $(BIN)/mypy --strict "$$fixtures"; done
 	$(BIN)/lint-imports
 
 lock: install ## Remake requirements.lock from the three pyproject.toml; keeps the versions that still fit

@@ -26,8 +26,8 @@ from typing import Any
 from pcmrs.fsm import Blueprint, Denial, close
 from pcmrs.fsm.verify import verify
 
-sys.path.append(str(Path(__file__).parents[1] / "tests" / "fsm"))
-from large_blueprints import entangled, free, promising
+sys.path.append(str(Path(__file__).parents[1]))
+from tests.unit.fsm.large_blueprints import entangled, free, promising
 
 SHAPES = {
     "20 free branches of 2 states": lambda: free(20, 2),

@@ -5,14 +5,15 @@ from __future__ import annotations
 import asyncio
 import signal
 from collections.abc import AsyncIterator, Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 import structlog
 from hypothesis import settings
-from skip_budget import OPTION, SkipBudget
-from trials import USUAL
+
+from tests import TESTS
+from tests.support.skip_budget import OPTION, SkipBudget
+from tests.support.trials import USUAL
 
 # A shell may ignore Ctrl-C for what it runs, as scripts do for what they start with `&`. Children inherit that, and
 # would not end by the signal that tests send them.
@@ -26,12 +27,10 @@ settings.register_profile("nightly", deadline=None, max_examples=100)
 settings.register_profile("thorough", deadline=None, max_examples=1000)
 settings.load_profile("pcmrs")
 
-TESTS = Path(__file__).parent
-
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
-        OPTION, action="store_true", help="fail when a test is skipped that tests/skips.toml does not name"
+        OPTION, action="store_true", help="fail when a test is skipped that tests/support/skips.toml does not name"
     )
 
 

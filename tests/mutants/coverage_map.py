@@ -21,14 +21,15 @@ from pathlib import Path
 import msgspec
 from coverage import CoverageData
 from coverage.exceptions import CoverageException
-from measured_tests import CONFIGURATION, RESULTS, Result
-from places import TREE
 
-MAP = TREE / "build" / "mutants" / "map.json"
+from tests import ROOT
+from tests.mutants.measured_tests import CONFIGURATION, RESULTS, Result
+
+MAP = ROOT / "build" / "mutants" / "map.json"
 MEASURED_TIME = 300
 """Limit of a test that is measured, s: tracing makes it slower."""
 
-_COMMAND = "python tests/mutants/run_mutants.py map"
+_COMMAND = "python -m tests.mutants.run_mutants map"
 _PHASE = re.compile(r" \((?:setup|call|teardown)\)$")
 _CONFIGURATION = """
 [run]
@@ -172,20 +173,27 @@ def write_map(
         folder = Path(name)
         results = folder / "results.json"
         configuration = folder / "coveragerc"
-        configuration.write_text(_CONFIGURATION.format(data=folder / "data", tree=TREE))
+        configuration.write_text(_CONFIGURATION.format(data=folder / "data", tree=ROOT))
         # Whoever measures this process does not measure these ones: two tracers cannot share an interpreter.
         environment = {key: value for key, value in os.environ.items() if not key.startswith("COVERAGE_")}
         environment.pop("PYTEST_CURRENT_TEST", None)
         environment |= {
-            "PYTHONPATH": f"{TREE}:{TREE}/sim:{TREE}/lab:{Path(__file__).parent}",
+            "PYTHONPATH": f"{ROOT}:{ROOT}/sim:{ROOT}/lab",
             RESULTS: str(results),
             CONFIGURATION: str(configuration),
         }
-        pytest = ["pytest", "-q", "-p", "measured_tests", f"--timeout={MEASURED_TIME}", "--ignore=tests/mutants"]
+        pytest = [
+            "pytest",
+            "-q",
+            "-p",
+            "tests.mutants.measured_tests",
+            f"--timeout={MEASURED_TIME}",
+            "--ignore=tests/mutants",
+        ]
         command = [sys.executable, "-m", "coverage", "run", f"--rcfile={configuration}", "-m", *pytest]
         ended = subprocess.run(
             [*command, *(["-n", str(workers), "--dist", "worksteal"] if workers else ["-p", "no:xdist"]), *tests],
-            cwd=TREE, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False,
+            cwd=ROOT, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False,
         )  # fmt: skip
         if ended.returncode not in (0, 1) or not results.is_file():
             raise MapError(f"pytest ended with {ended.returncode}:\n{ended.stdout[-4000:]}")
@@ -206,7 +214,7 @@ def _reduced(folder: Path, results: dict[str, Result]) -> CoverageMap:
             data = CoverageData(basename=str(part))
             data.read()
             for measured in data.measured_files():
-                file = str(Path(measured).relative_to(TREE))
+                file = str(Path(measured).relative_to(ROOT))
                 known = lines.setdefault(file, {})
                 for line, contexts in data.contexts_by_lineno(measured).items():
                     for context in contexts:
@@ -218,7 +226,7 @@ def _reduced(folder: Path, results: dict[str, Result]) -> CoverageMap:
         tests=tests,
         failed=sorted(name for name, result in results.items() if result.failed),
         files={
-            file: MappedFile(_digest(TREE / file), {line: f"{each:x}" for line, each in known.items()}, arcs[file])
+            file: MappedFile(_digest(ROOT / file), {line: f"{each:x}" for line, each in known.items()}, arcs[file])
             for file, known in sorted(lines.items())
         },
         lost=lost,

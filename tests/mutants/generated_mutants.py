@@ -26,8 +26,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import msgspec
-from places import TREE, Place
-from trying import Candidate
+
+from tests import ROOT
+from tests.mutants.places import Place
+from tests.mutants.trying import Candidate
 
 PACKAGES = (
     "dispatcher", "gateway", "journal", "devices", "workflows", "kinematics", "registration", "pki", "bus", "teleop",
@@ -60,7 +62,7 @@ class Guard(msgspec.Struct, frozen=True):
     body: range
 
 
-def generated(tree: Path = TREE) -> list[Candidate]:
+def generated(tree: Path = ROOT) -> list[Candidate]:
     """Return all mutants, in the order of the files and of the lines in them."""
     found: list[Candidate] = []
     for file, source in _files(tree):
@@ -81,7 +83,7 @@ def sample(mutants: Sequence[Candidate], size: int, seed: int) -> list[Candidate
     return random.Random(seed).sample(mutants, min(size, len(mutants)))
 
 
-def guards(tree: Path = TREE) -> list[Guard]:
+def guards(tree: Path = ROOT) -> list[Guard]:
     """Return all guards, in the order of the files and of the lines in them."""
     return [
         Guard(_module(file), function, _place(file, source, node.test), _lines(node.body[0]))

@@ -6,7 +6,8 @@ import tomllib
 from pathlib import Path
 
 import msgspec
-from places import Place, find
+
+from tests.mutants.places import Place, find
 
 TABLES = Path(__file__).parent / "listed"
 

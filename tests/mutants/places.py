@@ -9,7 +9,6 @@ from pathlib import Path
 
 import msgspec
 
-TREE = Path(__file__).parents[2]
 TOPS = ("pcmrs", "sim", "lab")
 """Folders of the distributions."""
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)

@@ -1,9 +1,9 @@
 """Takes guards out of the product, one at a time, and counts how many of them the tests miss.
 
-    python tests/mutants/run_mutants.py map [TESTS ...] [--workers 3]
-    python tests/mutants/run_mutants.py uncovered
-    python tests/mutants/run_mutants.py listed [NAME ...] [--part 1/4] [--jobs 2]
-    python tests/mutants/run_mutants.py generated [--sample 200] [--seed 0] [--part 1/4] [--jobs 2]
+    python -m tests.mutants.run_mutants map [TESTS ...] [--workers 3]
+    python -m tests.mutants.run_mutants uncovered
+    python -m tests.mutants.run_mutants listed [NAME ...] [--part 1/4] [--jobs 2]
+    python -m tests.mutants.run_mutants generated [--sample 200] [--seed 0] [--part 1/4] [--jobs 2]
 
 `map` runs the suite once under coverage and writes down which test runs which line; the others choose their tests by
 it. With TESTS it measures only these, and keeps what it knows of the others. `uncovered` lists the guards of which no
@@ -23,17 +23,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
-from coverage_map import MapError, read_map, write_map
-from generated_mutants import generated, guards, sample
-from listed_guards import listed
-from places import TREE
 from rich.console import Console
 from rich.table import Table
-from selecting_tests import Limits
-from trying import Allowed, Candidate, Found, Report, try_mutants
-from uncovered_guards import excuses, uncovered
 
 from pcmrs.cli.progress import progress_bar
+from tests import ROOT
+from tests.mutants.coverage_map import MapError, read_map, write_map
+from tests.mutants.generated_mutants import generated, guards, sample
+from tests.mutants.listed_guards import listed
+from tests.mutants.selecting_tests import Limits
+from tests.mutants.trying import Allowed, Candidate, Found, Report, try_mutants
+from tests.mutants.uncovered_guards import excuses, uncovered
 
 LISTED = Limits(tests=1000, seconds=300.0)
 GENERATED = Limits(tests=25, seconds=90.0)
@@ -59,7 +59,7 @@ def candidates(names: Sequence[str]) -> list[Candidate]:
         Candidate(
             name=mutant.name,
             where=f"{mutant.module}:{mutant.function}",
-            place=mutant.place(TREE),
+            place=mutant.place(ROOT),
             without=mutant.without,
             harm=mutant.harm,
         )

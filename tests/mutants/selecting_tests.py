@@ -11,8 +11,9 @@ from functools import lru_cache
 from pathlib import Path
 
 import msgspec
-from coverage_map import CoverageMap, MappedTest
-from places import DEFINITIONS, TOPS, Place
+
+from tests.mutants.coverage_map import CoverageMap, MappedTest
+from tests.mutants.places import DEFINITIONS, TOPS, Place
 
 SLOWEST = 40.0
 """A test that takes longer than this (s, under coverage) is not chosen."""

@@ -6,10 +6,10 @@ import hashlib
 from collections import Counter
 from pathlib import Path
 
-from coverage_map import CoverageMap, MappedFile
-from generated_mutants import PACKAGES, generated, guards, sample
-from places import TREE
-from uncovered_guards import Excuse, Uncovered, excuses, uncovered
+from tests import ROOT
+from tests.mutants.coverage_map import CoverageMap, MappedFile
+from tests.mutants.generated_mutants import PACKAGES, generated, guards, sample
+from tests.mutants.uncovered_guards import Excuse, Uncovered, excuses, uncovered
 
 SOURCE = '''
 LIMIT = 1 < 2
@@ -69,13 +69,13 @@ def test_mutants_of_the_product_are_programs_in_every_package() -> None:
     drawn = sample(mutants, 200, 0)
     assert drawn == sample(mutants, 200, 0)
     for each in drawn:
-        compile(each.place.replaced(TREE, each.without), str(each.place.file), "exec")
+        compile(each.place.replaced(ROOT, each.without), str(each.place.file), "exec")
 
 
 def test_a_guard_is_uncovered_until_both_its_sides_are_run() -> None:
     guard = next(each for each in guards() if each.function == "LandmarkSeries.add")
     line = guard.body.start
-    digest = hashlib.sha256((TREE / guard.place.file).read_bytes()).hexdigest()
+    digest = hashlib.sha256((ROOT / guard.place.file).read_bytes()).hexdigest()
 
     def side(*arcs: tuple[int, int], excused: tuple[Excuse, ...] = ()) -> list[Uncovered]:
         lines = {abs(number): "0" for arc in arcs for number in arc}

@@ -8,9 +8,11 @@ from functools import lru_cache
 from pathlib import Path
 
 import pytest
-from listed_guards import Mutant, listed
-from places import TREE, find
-from selecting_tests import changed
+
+from tests import ROOT
+from tests.mutants.listed_guards import Mutant, listed
+from tests.mutants.places import find
+from tests.mutants.selecting_tests import changed
 
 MUTANTS = listed()
 
@@ -22,14 +24,14 @@ def test_names_are_unique_and_every_mutant_names_its_harm() -> None:
 
 @pytest.mark.parametrize("module", sorted({mutant.module for mutant in MUTANTS}))
 def test_a_listed_guard_is_there_once_and_can_be_taken_out(module: str) -> None:
-    whole = lru_cache(lambda file: ast.dump(ast.parse((TREE / file).read_text())))
+    whole = lru_cache(lambda file: ast.dump(ast.parse((ROOT / file).read_text())))
     for mutant in MUTANTS:
         if mutant.module == module:
-            place = mutant.place(TREE)
-            altered = place.replaced(TREE, mutant.without)
+            place = mutant.place(ROOT)
+            altered = place.replaced(ROOT, mutant.without)
             compile(altered, str(place.file), "exec")
             assert ast.dump(ast.parse(altered)) != whole(place.file), mutant.name
-            assert changed(TREE, place).lines, f"{mutant.name}: no statement, so no test could be chosen"
+            assert changed(ROOT, place).lines, f"{mutant.name}: no statement, so no test could be chosen"
 
 
 def test_a_moved_function_is_found_and_a_missing_one_is_named(tmp_path: Path) -> None:

@@ -7,22 +7,26 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from coverage_map import CoverageMap, MapError, MappedFile, MappedTest, read_map, write_map
-from listed_guards import listed
-from places import TREE, find
-from run_mutants import allowed, candidates
-from selecting_tests import Limits, changed, select
-from trying import Candidate, Found, Run, run_importable, try_mutants
+
+from tests import ROOT
+from tests.mutants.coverage_map import CoverageMap, MapError, MappedFile, MappedTest, read_map, write_map
+from tests.mutants.listed_guards import listed
+from tests.mutants.places import find
+from tests.mutants.run_mutants import allowed, candidates
+from tests.mutants.selecting_tests import Limits, changed, select
+from tests.mutants.trying import Candidate, Found, Run, run_importable, try_mutants
 
 SHOWN = ("a_series_is_planned_twice", "a_rotation_of_any_age")
 """Mutants whose tests are quick: the way of trying them works."""
-BEATS = "tests/bus/test_heart.py::test_beat_carries_the_loops_sign_and_stops_if_the_loop_hangs"
+BEATS = "tests/unit/bus/test_heart.py::test_beat_carries_the_loops_sign_and_stops_if_the_loop_hangs"
 FEW = Limits(tests=10, seconds=30.0)
 
 
 @pytest.fixture(scope="module")
 def coverage(tmp_path_factory: pytest.TempPathFactory) -> CoverageMap:
-    return write_map(["tests/gateway/test_gateway_series.py", BEATS], 0, tmp_path_factory.mktemp("map") / "map.json")
+    return write_map(
+        ["tests/unit/gateway/test_gateway_series.py", BEATS], 0, tmp_path_factory.mktemp("map") / "map.json"
+    )
 
 
 def harmless(name: str, without: str) -> Candidate:
@@ -30,7 +34,7 @@ def harmless(name: str, without: str) -> Candidate:
     return Candidate(
         name=name,
         where="gateway.series:",
-        place=find(TREE, "gateway.series", "", "PAIR_WINDOW = 1.0"),
+        place=find(ROOT, "gateway.series", "", "PAIR_WINDOW = 1.0"),
         without=without,
     )
 
@@ -38,7 +42,7 @@ def harmless(name: str, without: str) -> Candidate:
 def test_a_removed_guard_is_caught_by_a_named_test(coverage: CoverageMap) -> None:
     report = try_mutants(candidates(SHOWN[:1]), coverage, FEW, 1.0, allowed={}, jobs=1, show=lambda _: None)
     assert [each.outcome for each in report.mutants] == ["caught"]
-    assert report.mutants[0].by.partition("::")[0] == "tests/gateway/test_gateway_series.py"
+    assert report.mutants[0].by.partition("::")[0] == "tests/unit/gateway/test_gateway_series.py"
     assert report.good
 
 
@@ -55,7 +59,7 @@ def test_removed_guard_is_caught_and_harmless_change_is_not(coverage: CoverageMa
     report = try_mutants(mutants, coverage, FEW, 1.0, allowed={}, jobs=1, show=shown.append)
 
     assert [each.outcome for each in report.mutants] == ["caught", "caught", "survived", "broken"]
-    assert {each.by.partition("::")[0] for each in report.mutants[:2]} == {"tests/gateway/test_gateway_series.py"}
+    assert {each.by.partition("::")[0] for each in report.mutants[:2]} == {"tests/unit/gateway/test_gateway_series.py"}
     assert (report.caught, report.share, report.unfit, report.good) == (2, 0.5, [], False)
     assert shown == report.mutants
 
@@ -85,18 +89,18 @@ def test_file_that_cannot_be_imported_hides_no_other_failure(failing: bool) -> N
 
 def test_tests_that_reach_the_body_of_a_guard_come_first(coverage: CoverageMap) -> None:
     place = candidates(SHOWN[1:])[0].place
-    body = {test.id for test in coverage.reaching(place.file, changed(TREE, place).body)}
+    body = {test.id for test in coverage.reaching(place.file, changed(ROOT, place).body)}
 
-    tests = select(TREE, place, coverage, Limits(tests=1000, seconds=1000.0))
+    tests = select(ROOT, place, coverage, Limits(tests=1000, seconds=1000.0))
 
     assert 0 < len(body) < len(tests)
     assert set(tests[: len(body)]) == body
 
 
 def test_lines_run_by_a_process_belong_to_its_test(coverage: CoverageMap) -> None:
-    place = find(TREE, "bus.heart", "main", "open_session(settings.bus)")
+    place = find(ROOT, "bus.heart", "main", "open_session(settings.bus)")
 
-    assert [test.id for test in coverage.reaching(place.file, changed(TREE, place).lines)] == [BEATS]
+    assert [test.id for test in coverage.reaching(place.file, changed(ROOT, place).lines)] == [BEATS]
 
 
 def test_a_map_of_another_source_or_none_says_how_to_make_one(coverage: CoverageMap, tmp_path: Path) -> None:
@@ -105,7 +109,7 @@ def test_a_map_of_another_source_or_none_says_how_to_make_one(coverage: Coverage
     other = msgspec.structs.replace(coverage, files={str(place.file): msgspec.structs.replace(file, digest="")})
 
     with pytest.raises(MapError, match=r"run_mutants\.py map"):
-        select(TREE, place, other, FEW)
+        select(ROOT, place, other, FEW)
     with pytest.raises(MapError, match=r"run_mutants\.py map"):
         read_map(tmp_path / "map.json")
 

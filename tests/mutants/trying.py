@@ -25,9 +25,11 @@ from typing import Literal
 
 import msgspec
 import pytest
-from coverage_map import CoverageMap
-from places import TREE, Place
-from selecting_tests import Limits, select
+
+from tests import ROOT
+from tests.mutants.coverage_map import CoverageMap
+from tests.mutants.places import Place
+from tests.mutants.selecting_tests import Limits, select
 
 TEST_TIME = 60
 """Limit of a test, s."""
@@ -159,7 +161,7 @@ def try_mutants(
     Raises:
         MapError: The map is of another source.
     """
-    selected = {each.name: select(TREE, each.place, coverage, limits) for each in candidates}
+    selected = {each.name: select(ROOT, each.place, coverage, limits) for each in candidates}
     copies: queue.Queue[Path] = queue.Queue()
     with ExitStack() as stack:
         for _ in range(jobs):
@@ -194,10 +196,10 @@ def try_mutants(
 
 def _copy_tree(folder: Path) -> Path:
     for name in COPIED:
-        if (TREE / name).is_dir():
-            shutil.copytree(TREE / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+        if (ROOT / name).is_dir():
+            shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
         else:
-            shutil.copy2(TREE / name, folder / name)
+            shutil.copy2(ROOT / name, folder / name)
     return folder
 
 
@@ -264,7 +266,7 @@ def _fail_as_it_is(tests: set[str], copy: Path) -> set[str]:
 
 def _run_chosen(copy: Path, limits: Limits, tests: Sequence[str]) -> Run:
     """Run tests of a mutant until one fails."""
-    return _run_tests(tests, copy, limits.seconds + 2 * TEST_TIME, "-p", "end_at_first_failure")
+    return _run_tests(tests, copy, limits.seconds + 2 * TEST_TIME, "-p", "tests.mutants.end_at_first_failure")
 
 
 def _run_tests(tests: Sequence[str], copy: Path, seconds: float, *options: str) -> Run:
@@ -274,7 +276,7 @@ def _run_tests(tests: Sequence[str], copy: Path, seconds: float, *options: str) 
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:xdist", *limits, *options, *tests]
     # Compiled files make the next mutant of this copy quicker; what measures this process does not measure that one.
     environment = {key: value for key, value in os.environ.items() if not key.startswith("COVERAGE_")}
-    environment |= {"PYTHONPATH": f"{copy}:{copy}/sim:{copy}/lab:{copy}/tests/mutants", "PYTHONDONTWRITEBYTECODE": ""}
+    environment |= {"PYTHONPATH": f"{copy}:{copy}/sim:{copy}/lab", "PYTHONDONTWRITEBYTECODE": ""}
     with subprocess.Popen(
         command, cwd=copy, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
         start_new_session=True,

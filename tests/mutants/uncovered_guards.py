@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Literal
 
 import msgspec
-from coverage_map import CoverageMap
-from generated_mutants import Guard
-from places import TREE
+
+from tests import ROOT
+from tests.mutants.coverage_map import CoverageMap
+from tests.mutants.generated_mutants import Guard
 
 _EXCUSED = Path(__file__).with_name("uncovered.toml")
 
@@ -57,7 +58,7 @@ def uncovered(guards: Sequence[Guard], coverage: CoverageMap, excused: Sequence[
     reasons = {(each.module, each.function, each.guard): each.reason for each in excused}
     found: list[Uncovered] = []
     for guard in guards:
-        coverage.check(TREE, guard.place.file)
+        coverage.check(ROOT, guard.place.file)
         side = _side(guard, coverage)
         if side is not None:
             key = guard.module, guard.function, guard.place.text
@@ -71,7 +72,7 @@ def _side(guard: Guard, coverage: CoverageMap) -> Literal["never holds", "always
     mapped = coverage.files[str(guard.place.file)]
     if not mapped.lines.keys() & set(guard.body):
         return "never holds"
-    source = (TREE / guard.place.file).read_text()
+    source = (ROOT / guard.place.file).read_text()
     first = source.count("\n", 0, guard.place.start) + 1
     condition = range(first, first + guard.place.text.count("\n") + 1)
     if not any(begin in condition and end not in condition and end not in guard.body for begin, end in mapped.arcs):

@@ -1,6 +1,6 @@
 """Runs `make test` some times in a row and keeps what became of each run, for docs/evidence.md.
 
-    python tests/nightly/in_a_row.py [RUNS] [--beside PROCESSES]
+    python -m tests.nightly.in_a_row [RUNS] [--beside PROCESSES]
 
 Ends with 1 at the first run that is not green. A run is kept in tests/nightly/in_a_row.json, whatever became of it.
 """
@@ -15,9 +15,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
-from nightly_parts import Part
-from nightly_results import FOLDER, Result, this_commit
-from run import run_part, told
+
+from tests.nightly.nightly_parts import Part
+from tests.nightly.nightly_results import FOLDER, Result, this_commit
+from tests.nightly.run import run_part, told
 
 LIST = Path(__file__).with_name("in_a_row.json")
 SUITE = "make-test"

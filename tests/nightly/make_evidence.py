@@ -8,12 +8,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import takewhile
 
-from documents import DOCS, SOURCES, Cited, Promise, Source, promises
-from in_a_row import kept
-from nightly_parts import Part, chosen, holders, parts
-from nightly_results import Result, published
-
 from pcmrs_lab.campaign.catalogue import catalogue
+from tests.nightly.in_a_row import kept
+from tests.nightly.nightly_parts import Part, chosen, holders, parts
+from tests.nightly.nightly_results import Result, published
+from tests.support.documents import DOCS, SOURCES, Cited, Promise, Source, promises
 
 PAGE = DOCS / "evidence.md"
 WANTED_IN_A_ROW = 20

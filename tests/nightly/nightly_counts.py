@@ -9,7 +9,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 import msgspec
-from nightly_parts import Counted
+
+from tests.nightly.nightly_parts import Counted
 
 
 class Counts(msgspec.Struct, frozen=True, kw_only=True):

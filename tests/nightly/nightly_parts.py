@@ -11,7 +11,6 @@ from typing import Literal
 
 import msgspec
 
-ROOT = Path(__file__).parents[2]
 TABLE = Path(__file__).with_name("parts.toml")
 
 Counted = Literal["pytest", "faults", "explore", "mutants", "exit"]

@@ -8,7 +8,9 @@ import subprocess
 from pathlib import Path
 
 import msgspec
-from nightly_parts import ROOT, Part, parts
+
+from tests import ROOT
+from tests.nightly.nightly_parts import Part, parts
 
 FOLDER = ROOT / "build" / "nightly"
 PUBLISHED = Path(__file__).with_name("last.json")

@@ -3,7 +3,7 @@
     make nightly                        # all that is left
     make nightly PART=faults            # faults-operator, faults-sensor, ...
     make nightly OPTIONS=--publish      # nothing is run: results of this checkout go to tests/nightly/last.json
-    .venv/bin/python tests/nightly/run.py --names
+    .venv/bin/python -m tests.nightly.run --names
 
 Each part's result is in build/nightly/NAME.json, its output in NAME.log beside it. A run that is broken off goes on
 with the part that it was at.
@@ -22,9 +22,10 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from typing import IO
 
-from nightly_counts import counted
-from nightly_parts import ROOT, Part, chosen, command_of
-from nightly_results import FOLDER, Result, keep, publish, result_of, this_commit, this_machine
+from tests import ROOT
+from tests.nightly.nightly_counts import counted
+from tests.nightly.nightly_parts import Part, chosen, command_of
+from tests.nightly.nightly_results import FOLDER, Result, keep, publish, result_of, this_commit, this_machine
 
 OVERTIME = 3.0
 """A part that takes so many times what the table says, and hangs, is ended."""

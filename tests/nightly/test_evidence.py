@@ -6,13 +6,15 @@ from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
-import make_evidence
 import msgspec
 import pytest
-from documents import ROOT, SOURCES, cited, documents, promises
-from make_evidence import PAGE, page, parts_of
-from nightly_parts import parts
-from nightly_results import Result, this_machine
+
+from tests import ROOT
+from tests.nightly import make_evidence
+from tests.nightly.make_evidence import PAGE, page, parts_of
+from tests.nightly.nightly_parts import parts
+from tests.nightly.nightly_results import Result, this_machine
+from tests.support.documents import SOURCES, cited, documents, promises
 
 
 def test_the_page_is_up_to_date() -> None:

@@ -7,7 +7,9 @@ import subprocess
 import sys
 
 import yaml
-from nightly_parts import ROOT, parts
+
+from tests import ROOT
+from tests.nightly.nightly_parts import parts
 
 WORKFLOWS = ROOT / ".github" / "workflows"
 
@@ -22,8 +24,8 @@ def test_every_part_is_run_each_night() -> None:
     assert asking["outputs"]["names"] == "${{ steps.names.outputs.names }}"
     assert running["strategy"]["matrix"]["name"] == "${{ fromJSON(needs.parts.outputs.names) }}"
     assert any("make nightly PART=${{ matrix.name }}" in step.get("run", "") for step in running["steps"])
-    assert "tests/nightly/run.py --names" in step["run"]
-    command = [sys.executable, str(ROOT / "tests" / "nightly" / "run.py"), "--names"]
+    assert "-m tests.nightly.run --names" in step["run"]
+    command = [sys.executable, "-m", "tests.nightly.run", "--names"]
     names = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
     assert names == [part.name for part in parts()]
 

@@ -8,19 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import nightly_results
 import pytest
-import run
-from nightly_counts import counted
-from nightly_parts import ROOT, Part, chosen, command_of, holders, parts
-from nightly_results import Result, publish, published, this_machine
+
+from tests import ROOT
+from tests.nightly import nightly_results, run
+from tests.nightly.nightly_counts import counted
+from tests.nightly.nightly_parts import Part, chosen, command_of, holders, parts
+from tests.nightly.nightly_results import Result, publish, published, this_machine
 
 MOST_HOURS = 6
 REPORT = """<testsuites><testsuite>
-<testcase classname="tests.fsm.test_walk" name="test_a[1]"/>
-<testcase classname="tests.fsm.test_walk" name="test_b"><failure message="x"/></testcase>
-<testcase classname="tests.fsm.test_walk" name="test_c"><error message="x"/></testcase>
-<testcase classname="tests.fsm.test_walk" name="test_d"><skipped message="no spin"/></testcase>
+<testcase classname="tests.unit.fsm.test_walk" name="test_a[1]"/>
+<testcase classname="tests.unit.fsm.test_walk" name="test_b"><failure message="x"/></testcase>
+<testcase classname="tests.unit.fsm.test_walk" name="test_c"><error message="x"/></testcase>
+<testcase classname="tests.unit.fsm.test_walk" name="test_d"><skipped message="no spin"/></testcase>
 </testsuite></testsuites>"""
 
 
@@ -64,7 +65,7 @@ def test_results_of_pytest_are_counted(tmp_path: Path) -> None:
     found = counted("pytest", report, "", 1)
 
     assert (found.passed, found.failed, found.skipped) == (1, 2, {"no spin": 1})
-    assert found.failures == ["tests/fsm/test_walk.py::test_b", "tests/fsm/test_walk.py::test_c"]
+    assert found.failures == ["tests/unit/fsm/test_walk.py::test_b", "tests/unit/fsm/test_walk.py::test_c"]
 
 
 def test_faults_that_are_not_proved_have_failed() -> None:

@@ -1,0 +1,143 @@
+"""The base install and its extras: what it can do without them, and what its smallest part does not load."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import textwrap
+import tomllib
+from collections.abc import Iterable
+
+import pytest
+
+from pcmrs.extras import EXTRAS, POSIX
+from tests import ROOT
+
+RATMS = ROOT / "pcmrs" / "workflows" / "ratms.toml"
+HIDE = """
+import sys, importlib.metadata
+hidden = {hidden!r}
+class Hide:
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        if name.partition(".")[0] in hidden:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Hide)
+for name in [each for each in sys.modules if each.partition(".")[0] in hidden]:
+    del sys.modules[name]
+whole = importlib.metadata.distributions
+def distributions(**options):
+    return (each for each in whole(**options) if each.name.replace("-", "_") not in hidden)
+importlib.metadata.distributions = distributions
+"""
+"""Makes modules, and our distributions of these names, as good as not installed."""
+
+OURS = ("pcmrs_sim", "pcmrs_lab")
+BASE = HIDE.format(hidden={*OURS, *(module for modules in EXTRAS.values() for module in modules)})
+WINDOWS = HIDE.format(hidden={*OURS, *POSIX, *(module for modules in EXTRAS.values() for module in modules)})
+PACKAGES = {
+    "coal": "coal", "evdev": "evdev", "fast-simplification": "fast_simplification", "foxglove-sdk": "foxglove",
+    "jinja2": "jinja2", "matplotlib": "matplotlib", "mcap": "mcap", "ndicapi": "ndicapy", "nibabel": "nibabel",
+    "nicegui": "nicegui", "pin": "pinocchio", "plutoprint": "plutoprint", "prometheus-client": "prometheus_client",
+    "pycdr2": "pycdr2", "pydicom": "pydicom", "pyigtl": "pyigtl", "pylsl": "pylsl", "pyserial": "serial",
+    "resvg-py": "resvg_py", "ruckig": "ruckig", "scikit-image": "skimage", "scipy": "scipy",
+    "threadpoolctl": "threadpoolctl", "trimesh": "trimesh", "uvloop": "uvloop", "zstandard": "zstandard",
+}  # fmt: skip
+"""Names of packages to the modules that are imported."""
+BROUGHT_ALONG = {"fastapi", "uvicorn"}  # by NiceGUI
+
+
+def run_python(program: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", textwrap.dedent(program)], capture_output=True, text=True, check=False)
+
+
+def run_pcmrs(hiding: str, *words: str) -> subprocess.CompletedProcess[str]:
+    return run_python(f"{hiding}\nfrom pcmrs.cli import main\nmain({list(words)!r}, prog_name='pcmrs')")
+
+
+def test_client_loads_no_arithmetic_and_no_simulation() -> None:
+    heavy = {"numpy", "scipy", "pinocchio", "mujoco", "ruckig", "pcmrs_sim"}
+    done = run_python(f"import sys, pcmrs.client; print({heavy} & set(sys.modules))")
+    assert (done.stdout.strip(), done.returncode) == ("set()", 0), done.stderr
+
+
+@pytest.mark.parametrize("hiding", [BASE, WINDOWS], ids=["base", "windows"])
+@pytest.mark.parametrize(
+    "module",
+    ["client", "planner", "fsm", "fsm.verify", "authoring.chart", "cli.cell", "cli.lease", "cli.fsm", "journal", "pki"],
+)
+def test_the_base_install_is_imported_without_any_extra(hiding: str, module: str) -> None:
+    done = run_python(f"{hiding}\nimport pcmrs.{module}")
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_workflow_is_verified_without_any_extra() -> None:
+    done = run_pcmrs(WINDOWS, "fsm", "verify", str(RATMS))
+    assert (done.returncode, "sound: 39 joint states" in done.stdout) == (0, True), done.stderr
+    assert "are not checked" in done.stderr
+    assert "install the extra daemon" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "extra"),
+    [
+        (("serve",), "pcmrs-sim"),
+        (("demo",), "pcmrs-lab"),
+        (("fsm", "test", "ratms"), "pcmrs-lab"),
+        (("fsm", "render", "ratms", "--format", "png"), "extra authoring"),
+        (("console",), "extra console"),
+        (("record", "run.mcap"), "extra recording"),
+        (("repair", "run.mcap", "-o", "saved.mcap"), "extra recording"),
+        (("report", "."), "extra daemon or report"),
+    ],
+)
+def test_a_command_says_what_to_install(words: tuple[str, ...], extra: str) -> None:
+    done = run_pcmrs(BASE, *words)
+    assert done.returncode in (2, 4)
+    assert extra in done.stderr
+    assert "docs/supply.md" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_command_that_needs_posix_is_refused_with_the_reason() -> None:
+    done = run_pcmrs(WINDOWS, "serve")
+    assert done.returncode == 4
+    assert "run it on Linux" in done.stderr
+
+
+def test_laboratory_commands_are_listed_only_where_installed() -> None:
+    with_laboratory, without = (run_pcmrs(hiding, "--help").stdout for hiding in ("", HIDE.format(hidden=set(OURS))))
+    names = {"faults", "experiment", "demo", "session"}
+    listed, left = (set(re.findall(r"^  ([a-z0-9-]+)  ", text, re.MULTILINE)) for text in (with_laboratory, without))
+    assert listed - left == names
+
+
+@pytest.mark.parametrize("module", ["pcmrs.service", "pcmrs.node", "pcmrs.cli.serve", "pcmrs.client"])
+def test_product_is_imported_without_the_simulation(module: str) -> None:
+    done = run_python(f"{HIDE.format(hidden={*OURS, 'mujoco'})}\nimport {module}")
+    assert done.returncode == 0, done.stderr
+
+
+def test_real_device_settings_are_read_without_the_simulation() -> None:
+    drivers = [f"{device}.driver=none" for device in ("robot", "tracker", "pointer", "scene", "stimulator", "emg")]
+    read = f"from pcmrs.settings import read_settings\nprint(read_settings(None, {drivers}).drivers())"
+    done = run_python(f"{BASE}\n{read}")
+    assert (done.stdout.strip(), done.returncode) == ("{}", 0), done.stderr
+
+
+def test_the_table_of_extras_is_that_of_the_distribution() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    declared = {extra: names_of(project["optional-dependencies"][extra]) - {"pcmrs"} for extra in EXTRAS}
+    assert {extra: {PACKAGES[name] for name in names} for extra, names in declared.items()} == {
+        extra: set(modules) - BROUGHT_ALONG for extra, modules in EXTRAS.items()
+    }
+
+
+def test_the_extra_all_has_every_other_one() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert project["optional-dependencies"]["all"] == [f"pcmrs[{','.join(sorted(EXTRAS))}]"]
+
+
+def names_of(requirements: Iterable[str]) -> set[str]:
+    return {re.split(r"[\[><=; ]", each)[0] for each in requirements}

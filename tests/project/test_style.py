@@ -1,0 +1,55 @@
+"""The style check of `make lint` finds phrases that are no longer used, and pages have none."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+
+import pytest
+
+from tests import ROOT
+
+PROGRAM = ROOT / ".ci" / "style.py"
+
+spec = importlib.util.spec_from_file_location("style", PROGRAM)
+assert spec is not None
+assert spec.loader is not None
+style = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(style)
+
+
+@pytest.mark.parametrize(
+    ("planted", "phrase"),
+    [
+        ("The node is begun anew.", "is begun"),
+        ("It runs in a process of its\n  own.", "of its own"),
+        ("Whoever may stop it, stops it.", "Whoever"),
+        ("The operator is told why.", "told"),
+        ("'x' is no step beside it.", "is no step beside"),
+    ],
+)
+def test_a_planted_phrase_is_found_with_its_line(planted: str, phrase: str) -> None:
+    line, found, advice = next(iter(style.findings(f"# Page\n\nPlain.\n{planted}\n")))
+    assert (line, found) == (4, phrase)
+    assert advice
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["Not `begun anew`.\n", "```console\n$ program\ntold you\n```\n", "So:\n\n    told you\n", "It takes up to 5 s.\n"],
+)
+def test_quotations_and_output_of_programs_are_left_out(text: str) -> None:
+    assert list(style.findings(text)) == []
+
+
+def test_pages_have_none() -> None:
+    ended = subprocess.run([sys.executable, PROGRAM], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout) == (0, "")
+
+
+def test_only_comments_and_strings_of_python_files_are_read() -> None:
+    source = 'told = "restarted"  # begun anew\n\n\ndef run() -> None:\n'
+    source += '    """Say what was told.\n\n    Of `told` values.\n    """\n'
+    found = [(line, phrase) for line, phrase, _ in style.findings(style.prose(source), style.NAMED)]
+    assert found == [(1, "anew"), (5, "told")]

@@ -1,0 +1,81 @@
+"""The benchmarks whose figures documents and issues name still run, on a few commands."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from tests import ROOT
+
+BENCHMARKS = ROOT / "benchmarks"
+
+
+@pytest.mark.timeout(120)
+def test_the_time_to_a_decision_is_measured() -> None:
+    command = [sys.executable, str(BENCHMARKS / "dispatch.py"), "--count", "3", "--warm-up", "0"]
+
+    measured = subprocess.run(command, capture_output=True, text=True, check=False)
+
+    assert measured.returncode == 0, measured.stderr
+    assert measured.stdout.count("accepted and committed") == 4  # over UDP and Zenoh, with and without fsync
+    assert "aim for an accepted command" in measured.stdout
+
+
+@pytest.mark.timeout(300)
+def test_nothing_moves_after_a_confirmed_stop_at_a_random_moment() -> None:
+    pytest.importorskip("mujoco")
+    pytest.importorskip("nicegui")
+    words = ["real", "floods", "simulated", "--stops", "2", "--flood", "stop-puts", "--pressed", "2"]
+    words += ["--jobs", "1", "--untimed", "--json"]
+
+    measured = subprocess.run(
+        [sys.executable, str(BENCHMARKS / "stop.py"), *words], capture_output=True, text=True, check=False
+    )
+
+    assert measured.returncode == 0, measured.stdout + measured.stderr
+    found = json.loads(measured.stdout)
+    assert found["wrong"] == []
+    assert [found[part]["moved after confirmed, deg"]["n"] for part in ("real", "simulated")] == [2, 2]
+    assert found["real"]["ms"]["stop received to hold sent"]["n"] == 2
+    assert found["real"]["ms"]["asked to begun, flood of stop-puts"]["n"] == 4
+    assert found["real"]["notes"]["messages per second of stop-puts"] > 1000
+
+
+UNGUARDED = """
+from pcmrs.devices.gate import Gate
+from stop_simulated import run_cell
+
+Gate.check = Gate.admit = lambda gate, token: None
+print(run_cell(1, 20)[0].wrong)
+"""
+
+
+@pytest.mark.timeout(120)
+def test_stop_benchmark_sees_motion_after_a_confirmed_stop() -> None:
+    command = [sys.executable, "-c", UNGUARDED]
+
+    measured = subprocess.run(command, capture_output=True, text=True, check=False, cwd=BENCHMARKS)
+
+    assert measured.returncode == 0, measured.stderr
+    assert "rad after a confirmed Stop" in measured.stdout
+
+
+def test_the_cost_of_the_seal_is_measured() -> None:
+    command = [sys.executable, str(BENCHMARKS / "seal.py"), "--count", "10", "--json"]
+
+    measured = subprocess.run(command, capture_output=True, text=True, check=False)
+
+    assert measured.returncode == 0, measured.stderr
+    assert {"seal", "check", "bare HMAC"} <= json.loads(measured.stdout)["state/joints"].keys()
+
+
+def test_the_code_is_counted_and_one_command_is_followed() -> None:
+    command = [sys.executable, str(BENCHMARKS / "house.py"), "--route", "--json"]
+
+    measured = subprocess.run(command, capture_output=True, text=True, check=False)
+
+    assert measured.returncode == 0, measured.stderr
+    found = json.loads(measured.stdout)
+    assert found["files on the route of a command"] < found["files"]
+    assert found["calls on the route of a command"] >= found["functions on the route of a command"] > 50

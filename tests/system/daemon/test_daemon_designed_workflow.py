@@ -1,0 +1,74 @@
+"""Workflows designed from step tables run as a daemon: Stop bars what reaches the patient until it is released."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pcmrs.authoring.design import design
+from pcmrs.messages import DeviceEvent
+from pcmrs.testing.driving import accept
+from tests import ROOT
+from tests.system.daemon.daemon_process import own_settings, running_daemon
+
+TABLE = ROOT / "examples/biopsy_steps.toml"
+BY_HAND = b"""
+id = "injection_steps"
+version = "1.0.0"
+title = "Injection by hand"
+
+[[steps]]
+name = "planned"
+operation = "plan_site"
+moves = false
+
+[[steps]]
+name = "injected"
+operation = "inject"
+depends_on = ["planned"]
+affects_patient = true
+"""
+
+
+async def test_steps_at_the_patient_wait_for_the_release_in_the_hint(tmp_path: Path) -> None:
+    workflow = tmp_path / "biopsy_steps.toml"
+    workflow.write_text(design(TABLE.read_bytes()).text)
+    settings = [*own_settings(tmp_path), f"workflow={workflow}"]
+    with running_daemon(settings, tmp_path) as daemon:
+        async with daemon.client() as client:
+            for operation in ("robot.connect", "procedure.register", "procedure.plan_path", "procedure.align"):
+                await accept(client, operation)
+            assert "pcmrs call safety.acknowledge" in daemon.pcmrs("stop").stdout
+            for barred in ("align", "insert", "take_sample"):
+                refused = (await client.call(f"procedure.{barred}")).reason
+                assert refused is not None
+                assert refused.code == "latched"
+                assert "safety.acknowledge" in refused.text
+            assert (await client.acknowledge()).decision == "accepted"
+            for operation in ("insert_confirmation.confirm_insert", "procedure.insert", "procedure.take_sample"):
+                await accept(client, operation)
+            await accept(client, "procedure.make_safe")
+            await accept(client, "procedure.align")
+            assert (await client.call("procedure.insert")).decision == "rejected"
+        assert daemon.end() == 0
+
+
+async def test_workflow_without_a_robot_is_abandoned_and_released(tmp_path: Path) -> None:
+    """What is in the patient is a danger when nobody attends to it; no robot is there to confirm that it stands."""
+    workflow = tmp_path / "injection_steps.toml"
+    workflow.write_text(design(BY_HAND).text)
+    no_devices = [f"{device}.driver=none" for device in ("robot", "tracker", "pointer", "scene", "stimulator", "emg")]
+    settings = [*own_settings(tmp_path), f"workflow={workflow}", *no_devices, "procedure.abandoned_after=3"]
+    with running_daemon(settings, tmp_path) as daemon:
+        async with daemon.client() as client:
+            for operation in ("procedure.plan_site", "procedure.inject"):
+                await accept(client, operation)
+            async for event in client.watch():
+                if isinstance(event, DeviceEvent) and event.code == "session_abandoned":
+                    assert "safety.acknowledge" in event.text
+                    break
+            stopped = (await client.state()).stop.number
+            assert await client.standstill(stopped)
+            assert (await client.acknowledge()).decision == "accepted"
+            await accept(client, "procedure.make_safe")
+            assert not (await client.state()).latched
+        assert daemon.end() == 0

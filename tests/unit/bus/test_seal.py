@@ -1,0 +1,314 @@
+"""Daemon and device nodes take from each other what carries their seal, once, and nothing else."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import zenoh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pcmrs.bus import Bus
+from pcmrs.bus.codec import pack, unpack
+from pcmrs.bus.seal import LENGTH, WINDOW, ReplayWindow, Seal, is_sealed, new_key, read_key, write_key
+from pcmrs.errors import ConfigurationError, DeviceError, SealError, UnknownOutcomeError
+from pcmrs.messages import Beat, DeviceEvent, DeviceHealth, DeviceReply, DeviceRequest
+from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus, plain_session
+
+KEY = "pcmrs/test/cell/dev/robot/event"
+
+
+def fault(seal: Seal, mark: bytes, *args: Any) -> str:
+    with pytest.raises(SealError) as caught:
+        seal.check(mark, *args)
+    return str(caught.value.fields["why"])
+
+
+@given(payload=st.binary(max_size=64), flip=st.integers(0, LENGTH * 8 - 1))
+def test_sealed_message_is_taken_once_and_never_if_a_bit_differs(payload: bytes, flip: int) -> None:
+    key = new_key()
+    sender, receiver, taken = Seal(key), Seal(key), ReplayWindow()
+    mark = sender.put("put", KEY, payload)
+    changed = bytearray(mark)
+    changed[flip // 8] ^= 1 << flip % 8
+    assert fault(receiver, bytes(changed), ("put",), KEY, payload, taken) == "forged"
+    assert fault(receiver, mark, ("put",), KEY, payload + b"x", taken) == "forged"
+    assert fault(receiver, mark, ("put",), KEY.replace("robot", "tracker"), payload, taken) == "forged"
+    assert fault(receiver, mark, ("query",), KEY, payload, taken) == "forged"
+    assert fault(Seal(new_key()), mark, ("put",), KEY, payload, taken) == "forged"
+    assert fault(receiver, b"", ("put",), KEY, payload, taken) == "unsealed"
+    assert receiver.check(mark, ("put",), KEY, payload, taken) == "put"
+    assert fault(receiver, mark, ("put",), KEY, payload, taken) == "repeated"
+
+
+def test_a_reply_answers_one_query_only() -> None:
+    key = new_key()
+    daemon, node = Seal(key), Seal(key)
+    asked, other = (daemon.put("query", KEY, b"joints") for _ in range(2))
+    taken = ReplayWindow()
+    reply = node.put("reply", KEY, b"1", asked)
+    assert fault(daemon, reply, ("reply", "error"), KEY, b"1", taken, other) == "forged"
+    assert daemon.check(reply, ("reply", "error"), KEY, b"1", taken, asked) == "reply"
+
+
+@given(order=st.permutations(range(1, 9)), far=st.integers(0, 3))
+def test_within_the_window_messages_come_in_any_order_each_once(order: list[int], far: int) -> None:
+    key = new_key()
+    sender, receiver, taken = Seal(key), Seal(key), ReplayWindow()
+    marks = {number: sender.put("put", KEY, b"") for number in range(1, 9)}
+    for number in order:
+        receiver.check(marks[number], ("put",), KEY, b"", taken)
+    for mark in marks.values():
+        assert fault(receiver, mark, ("put",), KEY, b"", taken) == "repeated"
+    late, passed = sender.put("put", KEY, b""), [sender.put("put", KEY, b"") for _ in range(WINDOW - 2 + far)]
+    receiver.check(passed[-1], ("put",), KEY, b"", taken)
+    if far < 2:
+        assert receiver.check(late, ("put",), KEY, b"", taken) == "put"
+    else:
+        assert fault(receiver, late, ("put",), KEY, b"", taken) == "repeated"
+
+
+@pytest.mark.parametrize(
+    ("key", "sealed"),
+    [
+        ("dev/robot/cmd", True),
+        ("dev/tracker/beat", True),
+        ("dev/scene/cmd", False),
+        ("daemon/beat", True),
+        ("state/joints", True),
+        ("state/pose/coil", True),
+        ("state/fsm", False),
+        ("cmd/local/robot/connect", False),
+        ("stop/local", False),
+    ],
+)
+def test_messages_between_daemon_and_nodes_are_sealed(key: str, sealed: bool) -> None:
+    assert is_sealed(key) is sealed
+
+
+def test_a_key_file_is_its_owners_alone_and_never_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "device.key"
+    write_key(path)
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert len(read_key(path)) == 32
+    with pytest.raises(ConfigurationError, match="exists already"):
+        write_key(path)
+    path.chmod(0o640)
+    with pytest.raises(ConfigurationError, match="0640"):
+        read_key(path)
+    path.chmod(0o600)
+    path.write_text("short\n")
+    with pytest.raises(ConfigurationError, match="64 hexadecimal digits"):
+        read_key(path)
+    with pytest.raises(ConfigurationError, match="cannot be read"):
+        read_key(tmp_path / "none")
+
+
+@dataclass
+class Bench:
+    """A daemon's bus, a node's, and a Zenoh client without the key."""
+
+    daemon: Bus
+    node: Bus
+    stranger: zenoh.Session
+    events: asyncio.Queue[DeviceEvent] = field(default_factory=asyncio.Queue)
+    asked: list[str] = field(default_factory=list)
+
+    def absolute(self, key: str) -> str:
+        return f"{self.daemon.prefix}/{key}"
+
+    async def request(self, method: str) -> Any:
+        return (await self.daemon.request("dev/robot/cmd", DeviceRequest(method=method), DeviceReply, TIMEOUT)).result
+
+    async def ready(self) -> None:
+        """Until the router knows who serves the robot."""
+        async with asyncio.timeout(TIMEOUT):
+            while not self.asked:
+                with suppress(UnknownOutcomeError):
+                    await self.request("first")
+
+    async def event(self) -> DeviceEvent:
+        return await asyncio.wait_for(self.events.get(), TIMEOUT)
+
+    async def not_sealed(self, bus: Bus, many: int) -> None:
+        async with asyncio.timeout(TIMEOUT):
+            while bus.counters()["bus.not_sealed"] < many:  # noqa: ASYNC110  counted in Zenoh's thread
+                await asyncio.sleep(0.01)
+
+
+@asynccontextmanager
+async def opened() -> AsyncIterator[Bench]:
+    settings, key = new_cell(), new_key()
+    client = msgspec.structs.replace(settings, mode="client")
+    async with open_bus(settings, Seal(key)) as daemon, open_bus(client, Seal(key)) as node:
+        with plain_session(settings) as stranger:
+            bench = Bench(daemon, node, stranger)
+            daemon.subscribe("dev/*/event", DeviceEvent, lambda _, event: bench.events.put_nowait(event))
+
+            async def answer(_key: str, request: DeviceRequest) -> DeviceReply:
+                bench.asked.append(request.method)
+                if request.method == "fail":
+                    raise DeviceError("It does not.")
+                return DeviceReply(result=request.method)
+
+            node.serve("dev/robot/cmd", DeviceRequest, answer)
+            await bench.ready()
+            yield bench
+
+
+async def test_unsealed_or_repeated_event_is_counted_and_dropped() -> None:
+    """A sealed one that comes after it is delivered."""
+    sealed: list[zenoh.Sample] = []
+    async with opened() as bench:
+        key = bench.absolute("dev/robot/event")
+        bench.stranger.declare_subscriber(key, sealed.append)
+        forged = pack(DeviceEvent(device="robot", code="forged", text="by nobody"))
+        while not sealed:
+            bench.node.publish("dev/robot/event", DeviceEvent(device="robot", code="true", text="by the node"))
+            assert (await bench.event()).code == "true"
+        bench.stranger.put(key, forged)
+        bench.stranger.put(key, forged, attachment=bytes(LENGTH))
+        own = sealed[0]
+        assert own.attachment is not None
+        bench.stranger.put(key, own.payload, attachment=own.attachment)
+        await bench.not_sealed(bench.daemon, 3)
+        bench.node.publish("dev/robot/event", DeviceEvent(device="robot", code="last", text="by the node"))
+        assert (await bench.event()).code == "last"
+
+
+async def test_subscriber_without_a_key_reads_sealed_messages() -> None:
+    read: asyncio.Queue[bytes] = asyncio.Queue()
+    loop = asyncio.get_running_loop()
+    async with opened() as bench:
+        bench.stranger.declare_subscriber(
+            bench.absolute("dev/robot/event"),
+            lambda sample: loop.call_soon_threadsafe(read.put_nowait, sample.payload.to_bytes()),
+        )
+        while read.empty():
+            bench.node.publish("dev/robot/event", DeviceEvent(device="robot", code="seen", text=""))
+            await bench.event()
+        assert b"seen" in await read.get()
+
+
+async def test_unsealed_request_is_refused_before_the_device_sees_it() -> None:
+    async with opened() as bench:
+        asked, key = list(bench.asked), bench.absolute("dev/robot/cmd")
+        request = pack(DeviceRequest(method="hold"))
+        (reply,) = await asyncio.to_thread(lambda: list(bench.stranger.get(key, payload=request)))
+        assert reply.err is not None
+        assert unpack(reply.err.payload.to_bytes(), dict)["code"] == "not_sealed"
+        assert bench.asked == asked
+
+
+async def test_nobody_else_answers_for_a_device_or_takes_its_requests() -> None:
+    async with opened() as bench:
+        key = bench.absolute("dev/robot/cmd")
+        intercepted: list[str] = []
+
+        def forge(query: zenoh.Query) -> None:
+            intercepted.append(str(query.key_expr))
+            with query:
+                query.reply(key, pack(DeviceReply(result="forged")), attachment=bytes(LENGTH))
+                query.reply_err(b"{}")
+
+        bench.stranger.declare_queryable(key, forge, complete=True)
+        while not intercepted:
+            assert await bench.request("joints") == "joints"
+        assert await bench.request("joints") == "joints"
+        assert bench.asked[-1] == "joints"
+        await bench.not_sealed(bench.daemon, 1)
+
+
+async def test_foreign_error_reply_is_counted_and_ends_no_request() -> None:
+    """Zenoh's error replies can carry no seal."""
+    async with opened() as bench:
+        key = bench.absolute("dev/robot/cmd")
+        told: list[str] = []
+
+        def forge(query: zenoh.Query) -> None:
+            told.append(str(query.key_expr))
+            with query:
+                query.reply_err(pack({"code": "device_failed", "text": "It does not.", "fields": {}}))
+
+        bench.stranger.declare_queryable(key, forge, complete=True)
+        async with asyncio.timeout(TIMEOUT):
+            while not told:
+                assert await bench.request("joints") == "joints"
+        assert await bench.request("joints") == "joints"
+        await bench.not_sealed(bench.daemon, 1)
+
+
+async def test_listener_receives_only_sealed_messages() -> None:
+    """Nobody else on the machine can speak for the daemon whose silence holds the robot."""
+    beats: list[int] = []
+    async with opened() as bench:
+        bench.node.listen("daemon/beat", Beat, lambda _, beat: beats.append(beat.number))
+        sealed: list[zenoh.Sample] = []
+        bench.stranger.declare_subscriber(bench.absolute("daemon/beat"), sealed.append)
+        async with asyncio.timeout(TIMEOUT):
+            while not (beats and sealed):
+                bench.daemon.publish("daemon/beat", Beat(number=1, session="a", alive=0.0, sent=0.0))
+                await asyncio.sleep(0.01)
+        forged = pack(Beat(number=2, session="a", alive=1.0, sent=1.0))
+        own = sealed[0]
+        assert own.attachment is not None
+        key = bench.absolute("daemon/beat")
+        bench.stranger.put(key, forged)
+        bench.stranger.put(key, forged, attachment=bytes(LENGTH))
+        bench.stranger.put(key, forged, attachment=own.attachment)
+        bench.stranger.put(key, own.payload, attachment=own.attachment)
+        await bench.not_sealed(bench.node, 4)
+        taken = len(beats)
+        async with asyncio.timeout(TIMEOUT):
+            while 3 not in beats:
+                bench.daemon.publish("daemon/beat", Beat(number=3, session="a", alive=0.0, sent=0.0))
+                await asyncio.sleep(0.01)
+        assert set(beats[:taken]) == {1}
+        assert set(beats) == {1, 3}
+
+
+async def test_failure_returns_sealed_and_other_key_is_unknown_outcome() -> None:
+    async with opened() as bench:
+        with pytest.raises(DeviceError, match="It does not"):
+            await bench.request("fail")
+        other = msgspec.structs.replace(bench.node.settings)
+        asked = list(bench.asked)
+        async with open_bus(other, Seal(new_key())) as stranger:
+            with pytest.raises(UnknownOutcomeError):
+                await stranger.request("dev/robot/cmd", DeviceRequest(method="hold"), DeviceReply, 5.0)
+        assert bench.asked == asked
+
+
+async def test_message_cached_for_late_subscribers_keeps_its_seal() -> None:
+    heard: asyncio.Queue[DeviceHealth] = asyncio.Queue()
+    async with opened() as bench:
+        bench.node.publish("dev/robot/state", DeviceHealth(device="robot", connected=True))
+        bench.node.publish("dev/robot/state", DeviceHealth(device="robot", connected=False, text="late"))
+        bench.daemon.subscribe("dev/*/state", DeviceHealth, lambda _, health: heard.put_nowait(health))
+        async with asyncio.timeout(TIMEOUT):
+            while (await heard.get()).text != "late":
+                pass
+        assert bench.daemon.counters()["bus.not_sealed"] == 0
+
+
+async def test_two_receivers_of_one_process_both_take_each_message() -> None:
+    """The node hears the daemon's beats twice: in Zenoh's thread for the deadman, and in its loop."""
+    in_thread: list[int] = []
+    in_loop: list[int] = []
+    async with opened() as bench:
+        bench.node.listen("daemon/beat", Beat, lambda _, beat: in_thread.append(beat.number))
+        bench.node.subscribe("daemon/beat", Beat, lambda _, beat: in_loop.append(beat.number))
+        async with asyncio.timeout(TIMEOUT):
+            number = 0
+            while not (in_thread and in_loop):
+                number += 1
+                bench.daemon.publish("daemon/beat", Beat(number=number, session="a", alive=0.0, sent=0.0))
+                await asyncio.sleep(0.01)
+        assert bench.node.counters()["bus.not_sealed"] == 0

@@ -1,0 +1,116 @@
+"""Where a patient is exposed: by what the blueprints of shipped, designed and hand-written workflows declare."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+import pcmrs
+from pcmrs.authoring.design import design
+from pcmrs.fsm import Blueprint, load_blueprint
+from pcmrs.fsm.blueprint import ActivitySpec
+from pcmrs.fsm.exposure import Exposure
+from pcmrs.fsm.files.load import read_blueprint
+from tests import ROOT
+from tests.support.altered import with_operation
+
+SHIPPED = Path(pcmrs.__file__).parent / "workflows"
+BIOPSY = ROOT / "examples/biopsy_steps.toml"
+BY_HAND = b"""
+id = "injection_steps"
+version = "1.0.0"
+title = "Injection by hand"
+
+[[steps]]
+name = "planned"
+operation = "plan_site"
+moves = false
+
+[[steps]]
+name = "injected"
+operation = "inject"
+depends_on = ["planned"]
+affects_patient = true
+"""
+
+
+def designed(table: bytes) -> Blueprint:
+    """The workflow of a step table."""
+    blueprint, findings = read_blueprint(design(table).text.encode(), "designed")
+    assert blueprint is not None, findings
+    return blueprint
+
+
+def exposing(blueprint: Blueprint, branch: str, **others: str) -> set[str]:
+    """States of a branch that expose the patient, while all other branches are in `others` or have just started."""
+    exposure = Exposure(blueprint)
+    joint = blueprint.initial() | others
+    return {state for state in blueprint.branches[branch].states if exposure.holds(joint | {branch: state})}
+
+
+@pytest.mark.parametrize("name", ["ratms", "ratms_threshold", "femoroplasty", "grid_mapping"])
+def test_the_tool_exposes_the_patient_where_it_is_at_the_body(name: str) -> None:
+    blueprint = load_blueprint(SHIPPED / f"{name}.toml")
+    away = {"unknown", "retracted", "held"}
+    assert exposing(blueprint, "placement") == blueprint.branches["placement"].states.keys() - away
+
+
+def test_armed_stimulator_exposes_anywhere_and_its_results_never() -> None:
+    blueprint = load_blueprint(SHIPPED / "ratms_threshold.toml")
+    assert exposing(blueprint, "stimulation", placement="retracted") == {"armed"}
+    for branch in ("hotspot", "threshold"):
+        assert exposing(blueprint, branch, placement="retracted") == set()
+
+
+def test_a_map_of_points_exposes_only_while_the_tool_is_there() -> None:
+    blueprint = load_blueprint(SHIPPED / "grid_mapping.toml")
+    assert exposing(blueprint, "mapping", placement="retracted") == set()
+    assert exposing(blueprint, "mapping", placement="placed") == blueprint.branches["mapping"].states.keys()
+
+
+def test_a_designed_biopsy_exposes_until_it_is_made_safe() -> None:
+    """The first digits are: registered, path planned, aligned, inserted, sampled."""
+    blueprint = designed(BIOPSY.read_bytes())
+    exposed = exposing(blueprint, "procedure")
+    assert exposed == {state for state in blueprint.branches["procedure"].states if state[2] == "1"}
+    made_safe = blueprint.branches["procedure"].operations["make_safe"].declared_targets()
+    assert exposed.isdisjoint(made_safe)
+
+
+def test_activity_exposes_if_it_moves_the_robot_or_treats() -> None:
+    ratms = load_blueprint(SHIPPED / "ratms_threshold.toml")
+
+    def with_activity(branch: str, state: str, *, moves: bool) -> Blueprint:
+        spec = ratms.branches[branch]
+        activities = spec.activities | {state: ActivitySpec(run="act", ended="reinit", moves=moves)}
+        branches = ratms.branches | {branch: msgspec.structs.replace(spec, activities=activities)}
+        return msgspec.structs.replace(ratms, branches=branches)
+
+    assert exposing(with_activity("threshold", "found", moves=False), "threshold") == {"found"}
+    assert exposing(with_activity("toolplan", "1", moves=True), "toolplan") == {"1"}
+    assert exposing(with_activity("toolplan", "1", moves=False), "toolplan") == set()
+
+
+@pytest.mark.parametrize(
+    ("declared", "exposed"),
+    [
+        ({"moves": True}, {"1"}),
+        ({"motion": "retreat"}, set()),
+        ({"affects_patient": True}, {"1"}),
+        ({"affects_patient": True, "requires": {"placement": ["placed"]}}, set()),
+        ({"affects_patient": True, "requires": {"registration": ["111"]}}, {"1"}),
+    ],
+)
+def test_declarations_of_an_operation_decide_its_exposure(declared: dict[str, Any], exposed: set[str]) -> None:
+    ratms = load_blueprint(SHIPPED / "ratms.toml")
+    assert exposing(with_operation(ratms, "toolplan", "plan", **declared), "toolplan") == exposed
+
+
+def test_a_workflow_uses_the_robot_where_it_connects_or_moves_it() -> None:
+    assert not designed(BY_HAND).uses_robot
+    assert designed(BIOPSY.read_bytes()).uses_robot
+    ratms = load_blueprint(SHIPPED / "ratms.toml")
+    assert msgspec.structs.replace(ratms, branches={"placement": ratms.branches["placement"]}).uses_robot

@@ -1,0 +1,254 @@
+"""Planning, digitizing and registering: what is refused, and what ends a registration."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import HealthCheck, given
+from hypothesis import strategies as st
+
+from pcmrs.workflows.data import Landmark, PlacementData, Point
+from pcmrs.workflows.settings import PoseSetting
+from tests.support.trials import examples
+from tests.unit.workflows.workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
+
+COUNT = len(LANDMARKS)
+
+
+def _named(points: Any) -> list[dict[str, Any]]:
+    return [{"name": f"p{index}", "position": list(point)} for index, point in enumerate(points)]
+
+
+def test_digitization_is_complete_if_every_landmark_has_a_point() -> None:
+    landmarks = (Landmark("a", (0.0, 0.0, 0.0)), Landmark("b", (1.0, 0.0, 0.0)))
+    first, second = (0.0, 0.1, 0.2), (0.3, 0.4, 0.5)
+    open_ones: list[tuple[Point | None, ...]] = [(), (None, None), (first, None), (None, second)]
+    for digitized in open_ones:
+        assert PlacementData(landmarks=landmarks, digitized=digitized).complete_digitization() == ()
+    complete = PlacementData(landmarks=landmarks, digitized=(first, second))
+    assert complete.complete_digitization() == (first, second)
+    assert PlacementData().complete_digitization() == ()
+
+
+async def _plan(bench: WorkflowBench) -> None:
+    await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
+
+
+@pytest.mark.parametrize(
+    ("points", "code"),
+    [
+        ([], "too_few_landmarks"),
+        ([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]], "too_few_landmarks"),
+        ([[0.0, 0.0, 0.0]] * 4, "degenerate_points"),
+        ([[0.0, 0.0, 0.01 * index] for index in range(6)], "degenerate_points"),
+        ([[1000.0 * value for value in landmark["position"]] for landmark in LANDMARKS], "wrong_unit"),
+        ([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, float("nan"), 0.0]], "bad_arguments"),
+        ([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, float("inf"), 0.0]], "bad_arguments"),
+    ],
+)
+async def test_landmarks_that_no_registration_could_use_are_refused(
+    bench: WorkflowBench, points: Any, code: str
+) -> None:
+    await _plan(bench)
+    await bench.accept("digitization.digitize_all")
+    await bench.refuse("registration.plan_landmarks", code, landmarks=_named(points))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {},
+        {"landmarks": "nasion"},
+        {"landmarks": [{"name": "nasion"}]},
+        {"landmarks": [{"name": "nasion", "position": [0.0, 1.0]}]},
+        {"landmarks": LANDMARKS, "units": "mm"},
+    ],
+)
+async def test_malformed_plans_are_refused(bench: WorkflowBench, arguments: dict[str, Any]) -> None:
+    await bench.refuse("registration.plan_landmarks", "bad_arguments", **arguments)
+
+
+async def test_unplanned_landmark_is_refused_with_the_valid_range(bench: WorkflowBench) -> None:
+    await _plan(bench)
+    for index in (-1, COUNT, 99):
+        verdict = await bench.refuse("digitization.digitize_one", "no_such_landmark", index=index)
+        assert verdict.reason is not None
+        assert verdict.reason.fields == {"index": index, "count": COUNT, "check": "landmark_exists"}
+    for bad in (1.5, "first", None, True):
+        await bench.refuse("digitization.digitize_one", "bad_arguments", index=bad)
+
+
+@pytest.mark.parametrize("body", ["pointer", "body_ref"])
+async def test_unseen_body_is_not_digitized(bench: WorkflowBench, body: str) -> None:
+    await _plan(bench)
+    await bench.scene.occlude(body, True)
+    verdict = await bench.refuse("digitization.digitize_all", "pose_missing", decision="failed")
+    assert verdict.reason is not None
+    assert "occluded" in verdict.reason.text
+    assert bench.states["digitization"] == "0"
+    assert bench.data.digitized == (None,) * COUNT
+    await bench.scene.occlude(body, False)
+    await bench.accept("digitization.digitize_all")
+
+
+async def test_a_pointer_that_shakes_is_refused() -> None:
+    shaky = {"tracker": {"jitter_mm": 2.0}}
+    async with open_bench(sim=shaky) as bench:
+        await _plan(bench)
+        verdict = await bench.refuse("digitization.digitize_one", "spread_too_large", decision="failed", index=0)
+        assert verdict.reason is not None
+        assert verdict.reason.fields["spread"] > verdict.reason.fields["limit"]
+        assert bench.data.digitized == (None,) * COUNT
+
+
+async def test_stop_during_digitization_keeps_nothing_of_it(bench: WorkflowBench) -> None:
+    await _plan(bench)
+    running = asyncio.create_task(bench.do("digitization.digitize_all"))
+    await bench.until(lambda: any(item.progress > 0.3 for item in bench.dispatcher.snapshot().running))
+    await bench.dispatcher.stop("test")
+    verdict = await running
+    assert (verdict.decision, verdict.state) == ("failed", "0")
+    assert bench.data.digitized == (None,) * COUNT
+    await bench.accept("digitization.digitize_all")
+
+
+@examples(4, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.permutations(range(COUNT)))
+async def test_landmarks_may_be_digitized_in_any_order(order: list[int]) -> None:
+    async with open_bench() as bench:
+        await _plan(bench)
+        states = [(await bench.accept("digitization.digitize_one", index=index)).state for index in order]
+        assert states == ["0"] * (COUNT - 1) + ["1"]
+        assert bench.states["registration"] == "110"
+        await bench.accept("registration.register")
+
+
+async def test_a_limit_from_the_configuration_is_the_one_that_gates() -> None:
+    async with open_bench({"registration": {"samples": 4, "residual_limit_mm": 0.1}}) as bench:
+        await _plan(bench)
+        await bench.accept("digitization.digitize_all")
+        verdict = await bench.refuse("registration.register", "residual_too_large")
+        assert verdict.reason is not None
+        fields = verdict.reason.fields
+        assert fields["residual"] > fields["limit"] == pytest.approx(0.0001)
+        assert fields["worst"] in {landmark["name"] for landmark in LANDMARKS}
+
+
+async def test_redigitizing_ends_a_registration_and_revokes_standoff(bench: WorkflowBench) -> None:
+    await bench.to_standoff()
+    await bench.accept("digitization.digitize_all")
+    states = bench.states
+    assert (states["registration"], states["digitization"], states["toolplan"]) == ("110", "1", "1")
+    assert states["placement"] == "held"
+    assert bench.data.registered is None
+    await bench.accept("registration.register")
+    assert bench.states["placement"] == "held"
+    assert (await bench.accept("placement.back_off")).state == "retracted"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "registration.plan_landmarks",
+        "registration.clear_landmarks",
+        "registration.clear_digitization",
+        "registration.clear_registration",
+        "digitization.redigitize_one",
+        "digitization.reuse_previous",
+    ],
+)
+async def test_whatever_ends_a_registration_revokes_the_standoff(bench: WorkflowBench, name: str) -> None:
+    arguments: dict[str, Any] = {
+        "registration.plan_landmarks": {"landmarks": LANDMARKS},
+        "digitization.redigitize_one": {"index": 0},
+    }.get(name, {})
+    await bench.to_standoff()
+    await bench.accept(name, **arguments)
+    assert bench.states["registration"] != "111"
+    assert bench.states["placement"] == "held"
+    assert bench.dispatcher.snapshot().registration is None
+    verdict = await bench.do("placement.confirm")
+    assert verdict.decision == "rejected"
+
+
+async def test_previous_digitization_serves_the_same_landmarks_only(bench: WorkflowBench) -> None:
+    await _plan(bench)
+    await bench.refuse("digitization.reuse_previous", "no_previous_digitization")
+    await bench.accept("digitization.digitize_all")
+    digitized = bench.data.digitized
+    await _plan(bench)
+    assert bench.data.digitized == (None,) * COUNT
+    await bench.accept("digitization.reuse_previous")
+    assert bench.data.digitized == digitized
+    await bench.accept("digitization.reuse_previous_except", index=1)
+    assert bench.data.digitized[1] != digitized[1]
+    assert bench.data.digitized[2:] == digitized[2:]
+    await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS[:-1])
+    await bench.refuse("digitization.reuse_previous", "other_landmarks")
+    await bench.refuse("digitization.reuse_previous_except", "other_landmarks", index=1)
+
+
+async def test_previous_registration_needs_the_patient_and_calibration(bench: WorkflowBench) -> None:
+    await bench.refuse("registration.use_previous", "no_previous_registration")
+    await bench.register()
+    registered = bench.data.registered
+    assert registered is not None
+    await bench.accept("registration.clear_landmarks")
+    mine = bench.cell.settings
+    bench.cell.settings = msgspec.structs.replace(mine, patient="somebody else")
+    await bench.refuse("registration.use_previous", "other_patient")
+    pointer = msgspec.structs.replace(mine.calibration.pointer_from_tip, position=(0.0, 0.0, -0.2))
+    other = msgspec.structs.replace(mine.calibration, pointer_from_tip=pointer)
+    bench.cell.settings = msgspec.structs.replace(mine, calibration=other)
+    await bench.refuse("registration.use_previous", "other_calibration")
+    bench.cell.settings = mine
+    verdict = await bench.accept("registration.use_previous")
+    told = {"residual": registered.residual, "witness": True, "calibration": bench.cell.calibrations()}
+    assert verdict.result == told
+    assert bench.states["digitization"] == "1"
+    assert bench.data.registered is not None
+    assert bench.data.registered.body_ref_from_image == registered.body_ref_from_image
+    assert bench.data.registered.id != registered.id
+    await bench.accept("placement.approach")
+
+
+async def test_a_new_plan_after_the_previous_registration_ends_it(bench: WorkflowBench) -> None:
+    await bench.register()
+    await bench.accept("registration.use_previous")
+    await _plan(bench)
+    assert bench.states["registration"] == "100"
+    assert bench.states["digitization"] == "0"
+    await bench.accept("toolplan.plan", **POSES[0])
+    assert (await bench.do("placement.approach")).decision == "rejected"
+    await bench.accept("digitization.digitize_all")
+
+
+@pytest.mark.parametrize("from_state", ["110", "111"])
+async def test_session_can_be_reinitiated_and_repeated(bench: WorkflowBench, from_state: str) -> None:
+    await _plan(bench)
+    await bench.accept("digitization.digitize_all")
+    if from_state == "111":
+        await bench.accept("registration.register")
+    await bench.accept("registration.reinit")
+    await bench.accept("toolplan.reinit")
+    assert bench.states["registration"] == "000"
+    assert bench.states["digitization"] == "0"
+    assert bench.data.landmarks == ()
+    await bench.register()
+
+
+async def test_previous_digitization_needs_the_patient_and_calibration(bench: WorkflowBench) -> None:
+    await bench.register()
+    await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
+    mine = bench.cell.settings
+    bench.cell.settings = msgspec.structs.replace(mine, patient="somebody else")
+    await bench.refuse("digitization.reuse_previous", "other_patient")
+    other_tip = msgspec.structs.replace(mine.calibration, pointer_from_tip=PoseSetting((0.0, 0.0, -0.2)))
+    bench.cell.settings = msgspec.structs.replace(mine, calibration=other_tip)
+    await bench.refuse("digitization.reuse_previous", "other_calibration")
+    bench.cell.settings = mine
+    await bench.accept("digitization.reuse_previous")
+    assert bench.states["registration"] == "110"

@@ -1,0 +1,183 @@
+"""Motions that are planned in a process beside the daemon: the same answers, and a process that is lost or late."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Coroutine
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from pcmrs.clock import SystemClock
+from pcmrs.dispatcher import Run
+from pcmrs.dispatcher.command_checks import read_payload
+from pcmrs.dispatcher.execution import refusal
+from pcmrs.messages import Command, DeviceEvent, Reason
+from pcmrs.service.processes import planner as planner_module
+from pcmrs.service.processes.planner import PlanningProcess
+from pcmrs.service.supervisor import Supervisor
+from pcmrs.settings import Settings
+from tests import ROOT
+from tests.unit.workflows.workflow_bench import POSES, WorkflowBench, open_bench, shipped_workflow
+
+FAR = POSES[0] | {"position": [0.9, 0.9, 0.9]}
+
+
+def on_the_machine(work: Coroutine[Any, Any, None]) -> None:
+    """Runs what needs a child process in a loop of the machine; simulated time stands still meanwhile."""
+
+    def run() -> None:
+        with asyncio.Runner(loop_factory=asyncio.SelectorEventLoop) as runner:
+            runner.run(work)
+
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(run).result()
+
+
+@asynccontextmanager
+async def planning(bench: WorkflowBench) -> AsyncIterator[tuple[PlanningProcess, asyncio.Queue[DeviceEvent]]]:
+    """A process that plans for the cell of a bench, and what is reported of it."""
+    clock, events = SystemClock(), asyncio.Queue[DeviceEvent]()
+    planner = PlanningProcess(Settings(procedure=bench.cell.settings), clock)
+    planner.report = events.put_nowait
+    try:
+        async with Supervisor(clock) as supervisor:
+            planner.start(supervisor, bench.cell.surface)
+            await planner.wait()
+            yield planner, events
+    finally:
+        await planner.stop()
+
+
+def run_of(bench: WorkflowBench, name: str, **arguments: Any) -> Run[Any, Any]:
+    branch, operation = name.split(".")
+    command = Command(id="asked", branch=branch, operation=operation, source="test:user", arguments=arguments)
+    workflow, cell = shipped_workflow("ratms"), bench.cell
+    spec = workflow.blueprint.branches[branch].operations[operation]
+    payload = read_payload(workflow, command, spec)
+    return Run(command, payload, bench.states, cell, cell.clock, bench.data, lambda _: None, spec.motion)
+
+
+def in_the_loop(run: Run[Any, Any]) -> Reason | None:
+    workflow = shipped_workflow("ratms")
+    return refusal(
+        workflow.registry, workflow.blueprint.branches[run.command.branch].operations[run.command.operation], run
+    )
+
+
+def pid_of(planner: PlanningProcess) -> int:
+    assert planner._process is not None
+    return planner._process.pid
+
+
+async def test_it_answers_as_the_checks_do_in_the_loop() -> None:
+    async def ask(bench: WorkflowBench) -> None:
+        async with planning(bench) as (planner, events):
+            here, there = run_of(bench, "placement.approach"), run_of(bench, "placement.approach")
+            assert in_the_loop(here) is None
+            assert await planner.check(there) is None
+            np.testing.assert_allclose(there.prepared.positions, here.prepared.positions, atol=1e-9)
+            for pose in (POSES[1], FAR):
+                here, there = run_of(bench, "toolplan.plan", **pose), run_of(bench, "toolplan.plan", **pose)
+                assert await planner.check(there) == in_the_loop(here)
+                assert there.result == here.result
+            assert in_the_loop(here) is not None
+            assert events.empty()
+            process = planner._process
+            assert process is not None
+            assert process.stdin is not None
+            process.stdin.close()  # as when the daemon is killed
+            assert await process.wait() == 0
+
+    async with open_bench() as bench:
+        await bench.register()
+        on_the_machine(ask(bench))
+
+
+async def test_it_keeps_away_from_the_body_that_the_daemon_has_read(tmp_path: Path) -> None:
+    """A file that is replaced or gone when the process is restarted must not give it another body than the guard's."""
+    file = tmp_path / "body.ply"
+    shutil.copy(ROOT / "examples" / "head_phantom.ply", file)
+
+    async def ask(bench: WorkflowBench) -> None:
+        file.unlink()
+        async with planning(bench) as (planner, _):
+            assert await planner.check(run_of(bench, "placement.approach")) is None
+
+    async with open_bench({"body": {"surface": str(file)}}) as bench:
+        await bench.register()
+        on_the_machine(ask(bench))
+
+
+async def test_arm_that_moved_during_planning_is_planned_for_again() -> None:
+    async def ask(bench: WorkflowBench) -> None:
+        async with planning(bench) as (planner, _):
+            asked = asyncio.ensure_future(planner.check(run_of(bench, "placement.approach")))
+            await asyncio.sleep(0)  # the request has been sent
+            assert bench.cell.joints is not None
+            elsewhere = [position + 0.02 for position in bench.cell.joints.positions]
+            bench.cell.joints = msgspec.structs.replace(bench.cell.joints, positions=elsewhere)
+            reason = await asked
+            assert reason is not None
+            assert reason.code == "moved_while_planning"
+
+    async with open_bench() as bench:
+        await bench.register()
+        on_the_machine(ask(bench))
+
+
+async def test_a_process_that_is_killed_is_a_refusal_and_restarted() -> None:
+    async def ask(bench: WorkflowBench) -> None:
+        async with planning(bench) as (planner, events):
+            os.kill(pid_of(planner), signal.SIGSTOP)
+            asked = asyncio.ensure_future(planner.check(run_of(bench, "placement.approach")))
+            await asyncio.sleep(0)
+            os.kill(pid_of(planner), signal.SIGKILL)
+            lost = await asked
+            assert lost is not None
+            assert lost.code == "planner_lost"
+            absent = await planner.check(run_of(bench, "placement.approach"))
+            assert absent is not None
+            assert absent.code == "planner_lost"
+            await planner.wait()
+            assert await planner.check(run_of(bench, "placement.approach")) is None
+            assert (await events.get()).code == "planner_restarted"
+            assert events.empty()
+
+    async with open_bench() as bench:
+        await bench.register()
+        on_the_machine(ask(bench))
+
+
+async def test_a_process_that_hangs_is_a_refusal_and_restarted(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def ask(bench: WorkflowBench) -> None:
+        async with planning(bench) as (planner, events):
+            monkeypatch.setattr(planner_module, "PLANNING_TIME", 0.2)
+            os.kill(pid_of(planner), signal.SIGSTOP)
+            late = await planner.check(run_of(bench, "placement.approach"))
+            assert late is not None
+            assert late.code == "planner_late"
+            monkeypatch.undo()
+            assert (await events.get()).code == "planner_restarted"
+            await planner.wait()
+            assert await planner.check(run_of(bench, "placement.approach")) is None
+
+    async with open_bench() as bench:
+        await bench.register()
+        on_the_machine(ask(bench))
+
+
+def test_it_ends_silently_if_the_daemon_is_gone_before_settings() -> None:
+    command = [sys.executable, "-m", "pcmrs.workflows.planning_process"]
+    ended = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, b"", b"")
