@@ -31,7 +31,7 @@ PATIENCE = 5.0
 
 
 async def flooded(stops: int, kinds: Sequence[Kind]) -> Found:
-    """Presses Stop so often by each route during each of these kinds of flood, and during none."""
+    """Press Stop so often by each route during each of these kinds of flood, and during none."""
     found = Found()
     for kind in (None, *kinds):
         with tempfile.TemporaryDirectory(prefix="pcmrs-", ignore_cleanup_errors=True) as folder:
@@ -61,7 +61,7 @@ async def _flooded_by(cell: RunningCell, kind: Kind | None, stops: int, found: F
                 await _press(press, begun[route], f"{DURING}{name}", route, found)
         found.times[f"{TIMER}{name}"] += timer.late
     if flood is not None:
-        found.notes[f"messages per second of {name}"] = round(flood.told.rate)
+        found.notes[f"messages per second of {name}"] = round(flood.report.rate)
 
 
 async def _press(

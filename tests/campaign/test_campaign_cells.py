@@ -56,7 +56,7 @@ async def test_faults_of_a_cell_are_found_and_checks_fail_without_them(tmp_path:
                 await refused(cell, "digitization.digitize_one", {"index": 0}, codes=("pose_stale",))
     assert len(pool.logs()) == 1, "one daemon served all of them"
     with pytest.raises(Unmet, match=r"within 0\.2 s"):
-        async with lab.cell(anew=False) as cell:
+        async with lab.cell(fresh=False) as cell:
             await held(cell, within=0.2)
     assert cell.process.returncode is not None, "a daemon that an error has left in doubt is not used again"
 
