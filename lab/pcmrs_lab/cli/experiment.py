@@ -73,7 +73,7 @@ def failures(options: ExperimentOptions, runs: int | None, plot: Path | None, as
     from pcmrs_lab.experiment.published import PUBLISHED
 
     if options.plan_file is not None and options.workflow is None:
-        raise click.UsageError("--plan is the plan of one workflow: select it with --workflow.")
+        raise click.UsageError("--plan is the plan of one workflow: name it with --workflow.")
     if plot is not None and runs is None:
         raise click.UsageError("--plot draws the rates of many runs: give their number with --runs.")
     workflows = list(PUBLISHED) if options.workflow is None else [options.workflow]

@@ -83,7 +83,7 @@ def _rate(given: float | None, drivers: Drivers, default: float) -> float:
     if drivers == "builtin":
         return _reachable(default if given is None else given)
     if given not in (None, REAL_TIME):
-        raise click.UsageError(f"--drivers virtual runs in real time: omit --rate {given:g}.")
+        raise click.UsageError(f"--drivers virtual runs in real time: leave out --rate {given:g}.")
     return REAL_TIME
 
 

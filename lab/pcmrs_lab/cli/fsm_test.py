@@ -66,7 +66,7 @@ def test(file: str, live: bool, output: Path | None, as_json: bool, limit: int, 
     every response was as required, 1: a response deviated or was not covered.
     """
     if not live:
-        refuse_given(LIVE_ONLY, "requires --live: without it no cell is tested.")
+        refuse_given(LIVE_ONLY, "is for --live only: without it no cell is tested.")
     blueprint = sound(file)
     with progress_bar() as show:
         progress = functools.partial(show, "testing")
