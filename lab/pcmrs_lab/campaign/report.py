@@ -15,8 +15,7 @@ from pcmrs_lab.campaign.catalogue import CLASSES, RESPONSES, Row
 
 Outcome = Literal["passed", "failed", "not_proved", "not_run"]
 OUTCOMES: tuple[Outcome, ...] = ("passed", "failed", "not_proved", "not_run")
-"""``not_proved``: the response came, but there is no measurement of the fault itself, or of its effect without the
-protection."""
+"""``not_proved``: the response came, but the fault itself, or its effect without the protection, was not measured."""
 _WORST_FIRST: tuple[Outcome, ...] = ("failed", "not_proved", "not_run", "passed")
 
 

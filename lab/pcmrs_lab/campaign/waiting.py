@@ -18,7 +18,7 @@ async def until_true(condition: Callable[[], bool], missing: str, within: float 
 
     Args:
         condition: Function that is called repeatedly.
-        missing: Start of the error text: what is not the case if the condition does not hold.
+        missing: Start of the error text, which names the missing condition.
         within: Time limit, s of the machine.
 
     Raises:

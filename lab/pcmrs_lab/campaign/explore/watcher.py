@@ -89,7 +89,7 @@ class Watcher:
         self._check_undecided(now)
 
     def begins(self, method: str, now: float) -> None:
-        """Check a motion that the driver is told to begin.
+        """Check a motion that the driver has been commanded to begin.
 
         Args:
             method: Method of the driver.
