@@ -145,7 +145,7 @@ async def _cut_in_motion(lab: Lab, *, towards: bool, back: bool) -> Evidence:
             shown = await until(cell.client, lambda snapshot: snapshot.latched or snapshot.branches["robot"] == "0")
             found = clock() - cut
             await asyncio.sleep(1.0)
-            silent = max((device.received or 0.0) for device in (await cell.client.health()).devices)
+            silent = max((device.heard or 0.0) for device in (await cell.client.health()).devices)
             impairment.towards, impairment.back = True, True
             ended = await verdict
         expect(ended.decision != "accepted", "The approach was accepted though the wire was cut.")
