@@ -71,7 +71,7 @@ async def test_busy_consumer_counts_the_messages_it_misses(tmp_path: Path, pool:
 
 async def test_a_daemon_that_refuses_to_start_says_why(tmp_path: Path) -> None:
     lab = Lab(1, tmp_path)
-    status, errors = await lab.ending("robot.wheels=4")
+    status, errors = await lab.start_refused("robot.wheels=4")
     assert status == 4
     assert "wheels" in errors
     with pytest.raises(DeviceError, match="wheels"):

@@ -38,7 +38,7 @@ class CountedSession:
         self._before = impairment.passed["towards"]
         self._sent = 0
 
-    async def settled(self) -> None:
+    async def wait_for_handshake(self) -> None:
         """Wait until the handshake has ended, and count from then on."""
         before = -1
         while before != self._impairment.passed["towards"]:
@@ -77,7 +77,7 @@ class CountedSession:
         replies: Any = self.zenoh.get(key, payload=payload, timeout=ANSWERED_WITHIN)
         return [each.ok.payload.to_bytes() for each in await asyncio.to_thread(list, replies) if each.ok is not None]
 
-    async def arrived(self, most: int | None = None) -> int:
+    async def wait_until_arrived(self, most: int | None = None) -> int:
         """Wait until all sent bytes have reached the daemon; return their number, with the protocol's overhead.
 
         Args:
@@ -115,7 +115,7 @@ async def counted_session(open_cell: ReachableCell, name: str) -> AsyncIterator[
         session = await asyncio.to_thread(open_session, settings)
         try:
             counted = CountedSession(session, impairment)
-            await counted.settled()
+            await counted.wait_for_handshake()
             yield counted
         finally:
             await asyncio.to_thread(session.close)

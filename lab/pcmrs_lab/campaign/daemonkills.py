@@ -71,7 +71,7 @@ async def _one_folder(folder: Path, tally: Tally) -> None:
             return
         place = places[tally.kills % len(places)]
         try:
-            new, reached = await _killed(folder, place, tally.generator)
+            new, reached = await _operate_until_killed(folder, place, tally.generator)
         except (DeviceError, BusError) as error:
             tally.refused.append(error.text)
             return
@@ -83,7 +83,7 @@ async def _one_folder(folder: Path, tally: Tally) -> None:
             return
 
 
-async def _killed(folder: Path, place: str, generator: random.Random) -> tuple[dict[str, Verdict], bool]:
+async def _operate_until_killed(folder: Path, place: str, generator: random.Random) -> tuple[dict[str, Verdict], bool]:
     """Operate a daemon until it is killed; return its verdicts, and whether it was killed at `place`.
 
     Raises:

@@ -141,7 +141,7 @@ async def refused_all(cell: RunningCell, datagrams: Sequence[bytes], *, refusals
     }
 
 
-async def taken(cell: RunningCell, *commands: bytes) -> str:
+async def send_accepted(cell: RunningCell, *commands: bytes) -> str:
     """Send commands that must be accepted, as a control, and return the last answer.
 
     Args:

@@ -44,12 +44,12 @@ def datagram(generator: random.Random) -> bytes:
         return generator.randbytes(generator.choice((0, 1, 16, 17, 255, 256, 257, 1400)))
     spec = generator.choice(list(COMMANDS.values()))
     if spec.payload and kind < 0.5:
-        return _wrong(spec, generator)
+        return _invalid_payload(spec, generator)
     whole = _command(spec, [RIGHT[each] for each in spec.payload], generator)
-    return whole if kind < 0.6 and spec.action in HARMLESS else _bent(whole, generator)
+    return whole if kind < 0.6 and spec.action in HARMLESS else _malformed(whole, generator)
 
 
-def _wrong(spec: Spec, generator: random.Random) -> bytes:
+def _invalid_payload(spec: Spec, generator: random.Random) -> bytes:
     """Return a command with one invalid token, one token too few, or one too many."""
     tokens = [RIGHT[kind] for kind in spec.payload]
     place, way = generator.randrange(len(tokens)), generator.random()
@@ -67,7 +67,7 @@ def _command(spec: Spec, tokens: list[str], generator: random.Random) -> bytes:
     return ("_".join([spec.name, *tokens]) + ";").encode()
 
 
-def _bent(whole: bytes, generator: random.Random) -> bytes:
+def _malformed(whole: bytes, generator: random.Random) -> bytes:
     """Return the command with a fault in its name or after its end, so that the grammar has no such command."""
     place, way = generator.randrange(NAME_LENGTH), generator.randrange(7)
     if way == 0:

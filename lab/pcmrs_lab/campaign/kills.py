@@ -167,7 +167,7 @@ def _one_journal(context: ForkServerContext, path: Path, tally: Tally) -> None:
             return
         number, place = tally.kills, places[tally.kills % len(places)]
         try:
-            output, reached = _killed(context, path, number, place, tally.generator, tally.clock)
+            output, reached = _run_until_killed(context, path, number, place, tally.generator, tally.clock)
             tally.count(place, len(output), lost_rows(path, f"run{number}", output, checked), reached=reached)
         except JournalError as error:
             tally.count(place, 0, 0, reached=False)
@@ -182,7 +182,7 @@ class VerifiedPrefix(msgspec.Struct):
     hash: bytes = GENESIS
 
 
-def _killed(
+def _run_until_killed(
     context: ForkServerContext, path: Path, number: int, place: str, generator: random.Random, clock: Clock
 ) -> tuple[list[int], bool]:
     """Have a process write until it is killed; return the acknowledged sequences, and whether it was killed at `place`.

@@ -86,7 +86,7 @@ class Lab:
         async with self._pool.borrow(overrides, self.seed, fresh=fresh, delayed=delayed) as cell:
             yield cell
 
-    async def ending(self, *overrides: str, folder: Path | None = None) -> tuple[int, str]:
+    async def start_refused(self, *overrides: str, folder: Path | None = None) -> tuple[int, str]:
         """Start a daemon that must refuse to start; return its exit status and standard error.
 
         Args:

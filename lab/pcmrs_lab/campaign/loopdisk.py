@@ -82,7 +82,7 @@ class LoopDisk:
 
     async def power_on(self) -> None:
         """Mount the disk again, as a starting machine does; no program may have files of it open."""
-        await _unmounted(self.path)
+        await _unmount(self.path)
         await tool(["mount", "-o", "loop,errors=remount-ro", str(self.image), str(self.path)])
 
     async def make_read_only(self) -> None:
@@ -104,7 +104,7 @@ class LoopDisk:
                 file.unlink()
         return ""
 
-    def taken(self) -> float:
+    def used_share(self) -> float:
         """Return the share of the disk's space that is not available, as the kernel counts it."""
         counted = os.statvfs(self.path)
         return 1.0 - counted.f_bavail / counted.f_blocks
@@ -117,16 +117,16 @@ async def loop_disk(folder: Path) -> AsyncIterator[LoopDisk]:
     Raises:
         NotRun: This machine does not permit mounting.
     """
-    disk = _prepared(folder)
+    disk = _create(folder)
     await tool(["mkfs.ext4", "-q", "-O", "has_journal", "-m", "0", str(disk.image)])
     await tool(["mount", "-o", "loop,errors=remount-ro", str(disk.image), str(disk.path)])
     try:
         yield disk
     finally:
-        await _unmounted(disk.path)
+        await _unmount(disk.path)
 
 
-def _prepared(folder: Path) -> LoopDisk:
+def _create(folder: Path) -> LoopDisk:
     disk = LoopDisk(folder / "disk", folder / "disk.ext4")
     disk.path.mkdir()
     with disk.image.open("wb") as image:
@@ -134,7 +134,7 @@ def _prepared(folder: Path) -> LoopDisk:
     return disk
 
 
-async def _unmounted(path: Path) -> None:
+async def _unmount(path: Path) -> None:
     """Unmount the disk; a process that is about to end may hold it for a while."""
     for _ in range(100):
         with suppress(NotRun):

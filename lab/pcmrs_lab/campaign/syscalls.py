@@ -61,7 +61,7 @@ async def injected(
     tampered = Tampered()
     counting = asyncio.create_task(_count(tracer, tampered))
     try:
-        await _attached(pid, tracer, threads=threads)
+        await _wait_until_attached(pid, tracer, threads=threads)
         yield tampered
     finally:
         with suppress(ProcessLookupError):
@@ -70,7 +70,7 @@ async def injected(
         await counting
 
 
-async def _attached(pid: int, tracer: asyncio.subprocess.Process, *, threads: bool) -> None:
+async def _wait_until_attached(pid: int, tracer: asyncio.subprocess.Process, *, threads: bool) -> None:
     try:
         async with asyncio.timeout(ATTACHES_WITHIN):
             while not all(map(_is_traced, _threads(pid) if threads else [pid])):

@@ -65,12 +65,12 @@ class Observer:
         client.listen("state/fsm", Snapshot, self._take_snapshot)
         client.listen("state/pose/*", BodyPose, self._take_pose)
 
-    async def watch(self, duration: float, *, whatever: bool = False) -> Course:
+    async def watch(self, duration: float, *, even_if_lost: bool = False) -> Course:
         """Record the errors for some time, or until the tool does not follow any more.
 
         Args:
             duration: Duration, s of the cell.
-            whatever: True to continue although the tool does not follow.
+            even_if_lost: True to continue although the tool does not follow.
 
         Returns:
             Errors of the run.
@@ -83,7 +83,7 @@ class Observer:
             course.true_mm.append(self._error(truth) * 1000.0)
             course.allowed.append(self.state("alignment") == "1")
             course.lag = (self._clock.monotonic() - machine) * self._rate - course.times[-1]
-            if course.times[-1] >= duration or not (whatever or self.state("placement") == "following"):
+            if course.times[-1] >= duration or not (even_if_lost or self.state("placement") == "following"):
                 self._course = None
                 return course
             await asyncio.sleep(PERIOD)

@@ -156,7 +156,7 @@ async def _occlusion(setup: Setup, duration: float) -> Occluded:
         await observer.watch(1.0)
         await bench.scene.occlude("body_ref", True)
         where = as_transform((await bench.scene.truth()).tracker_from_coil)
-        await observer.watch(OCCLUDED, whatever=True)
+        await observer.watch(OCCLUDED, even_if_lost=True)
         moved = distance(where, as_transform((await bench.scene.truth()).tracker_from_coil))
         latched = observer.snapshot is not None and observer.snapshot.latched
         state, alignment = observer.state("placement"), observer.state("alignment")

@@ -54,7 +54,7 @@ class Faults:
             "crash_daemon": self._crash_daemon,
             "end_daemon": self._end_daemon,
             "crash_node": self._crash_node,
-            "held_up": self._hold_up,
+            "held_up": self._block_process,
             "tracker_restart": self._restart_tracker,
             "frame_ahead": self._stamp_ahead,
             "slow_disk": self._slow_disk,
@@ -190,7 +190,7 @@ class Faults:
         self._witness.watcher.excuse_node(float("inf"))
         await self._cell.crash_node()
 
-    async def _hold_up(self, arguments: dict[str, Any]) -> None:
+    async def _block_process(self, arguments: dict[str, Any]) -> None:
         process, seconds = str(arguments["process"]), float(arguments["seconds"])
         if process == NODE:
             self._witness.watcher.excuse_node(asyncio.get_running_loop().time() + seconds)

@@ -108,7 +108,7 @@ class Operators:
 
         def answer(_text: str) -> None:
             if acknowledged:
-                self.watcher.second(loop.time() - acknowledged[0])
+                self.watcher.check_second_datagram(loop.time() - acknowledged[0])
             acknowledged.append(loop.time())
 
         self._link.send(daemon.link, self._arrive_old, name, daemon, data, answer)

@@ -270,7 +270,7 @@ class Watcher:
         """
         self._arrived[name] = now
 
-    def second(self, after: float) -> None:
+    def check_second_datagram(self, after: float) -> None:
         """Check the delay of the second datagram after the acknowledgement, s."""
         if after > SECOND:
             self._break("no_second_is_late", f"The second datagram was sent {after:.3f} s after the acknowledgement.")

@@ -24,7 +24,7 @@ from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.driving import PATIENCE, accept, reason_text
 from pcmrs_lab.campaign.checks import check_refused, expect, shape
 from pcmrs_lab.campaign.counted_session import CountedSession, counted_session, counting_endpoint
-from pcmrs_lab.campaign.datagrams import raw_socket, refusals_after, taken
+from pcmrs_lab.campaign.datagrams import raw_socket, refusals_after, send_accepted
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.reachable import EXPIRED, FOREIGN, REVOKED, ReachableCell, reachable_cell
@@ -52,12 +52,12 @@ async def two_operators(lab: Lab) -> Evidence:
     """An operator who does not hold the cell is refused, and may still stop it."""
     async with reachable_cell(lab) as open_cell, open_cell.client("anna") as anna, open_cell.client("bob") as bob:
         row = open_cell.cell.last_row()
-        nobody = await _refused(open_cell, bob, "registration.reinit", "no_lease")
+        nobody = await _check_refused(open_cell, bob, "registration.reinit", "no_lease")
         async with anna.holding():
             await accept(anna, "registration.reinit")
             other = anna if is_sham() else bob
-            held = await _refused(open_cell, other, "registration.reinit", "lease_held")
-            await _refused(open_cell, other, "lease.acquire", "lease_held")
+            held = await _check_refused(open_cell, other, "registration.reinit", "lease_held")
+            await _check_refused(open_cell, other, "lease.acquire", "lease_held")
             await bob.stop()
             expect((await anna.state()).latched, "Stop was not honoured for an operator who does not hold the cell.")
         async with bob.holding():
@@ -73,7 +73,7 @@ async def two_operators(lab: Lab) -> Evidence:
     )
 
 
-@fault("A1", how=f"{SIGNED}: with the peer's name and another key, as a peer that is not known, and unsigned")
+@fault("A1", how=f"{SIGNED}: with the peer's name and another key, as an unknown peer, and unsigned")
 async def spoofed_source(lab: Lab) -> Evidence:
     """A sender under a false name is refused and gets no answer."""
     async with reachable_cell(lab, 'gateway.unsigned_peers=["127.0.0.2"]') as open_cell:
@@ -81,7 +81,7 @@ async def spoofed_source(lab: Lab) -> Evidence:
         other = [Signer("slicer", key, lambda: 1).sign(b"img_fid_numxxxxx_4;") for _ in range(FORGED)]
         unknown = [Signer("mallory", key, lambda: 1).sign(b"img_fid_numxxxxx_4;")]
         forged = [*other, *unknown, b"img_fid_numxxxxx_4;"]
-        return await _ignored(open_cell, forged, control=open_cell.signer().sign(b"img_fid_numxxxxx_4_#1;"))
+        return await _check_ignored(open_cell, forged, control=open_cell.signer().sign(b"img_fid_numxxxxx_4_#1;"))
 
 
 @fault("A2", how=f"{SIGNED}: each a second time, in reverse order")
@@ -96,7 +96,7 @@ async def replayed(lab: Lab) -> Evidence:
             async with asyncio.timeout(10.0):
                 answers = [await raw.answers.get() for _ in sent]
         expect(all(b"_accepted_" in answer for answer in answers), f"The peer itself was answered {answers[0]!r}.")
-        evidence = await _ignored(open_cell, [*reversed(sent)] * 5, control=signer.sign(b"stop_visualizexx_#21;"))
+        evidence = await _check_ignored(open_cell, [*reversed(sent)] * 5, control=signer.sign(b"stop_visualizexx_#21;"))
         return replace(evidence, control={**evidence.control, "the_first_time": len(answers)})
 
 
@@ -109,7 +109,7 @@ async def flipped_bit(lab: Lab) -> Evidence:
             bytes(byte ^ (1 << bit % 8) if place == bit // 8 else byte for place, byte in enumerate(datagram))
             for bit in range(8 * len(datagram))
         ]
-        return await _ignored(open_cell, flipped, control=datagram)
+        return await _check_ignored(open_cell, flipped, control=datagram)
 
 
 @fault("A9", how=f"{SIGNED}: {FORGED} of every kind of garbage, and of forged commands")
@@ -120,16 +120,16 @@ async def unauthenticated(lab: Lab) -> Evidence:
         forged = [b"stop_now_xxxxxxx;|slicer|%d|%s" % (n, b"0" * 32) for n in range(FORGED)]
         unsigned = [b"stop_now_xxxxxxx_#%d;" % n for n in range(FORGED)]
         control = open_cell.signer().sign(b"stop_now_xxxxxxx_#1;")
-        return await _ignored(open_cell, [*garbage, *forged, *unsigned], control=control)
+        return await _check_ignored(open_cell, [*garbage, *forged, *unsigned], control=control)
 
 
 @fault("A11", how=f"{TLS}: without certificate, with one of another authority, and with an expired one")
 async def no_certificate(lab: Lab) -> Evidence:
     """No client without a valid certificate is admitted."""
     async with reachable_cell(lab) as open_cell:
-        alert = await _ended_by(open_cell, with_certificate=is_sham())
+        alert = await _connection_end(open_cell, with_certificate=is_sham())
         expect("CERTIFICATE_REQUIRED" in alert, f"Without a certificate a connection was ended by {alert!r}.")
-        alone = await _ended_by(open_cell, with_certificate=True)
+        alone = await _connection_end(open_cell, with_certificate=True)
         expect(not alone, f"With a certificate, too, a connection was ended by {alone!r}.")
         rejected: dict[str, object] = {"alert_to_nobody": alert}
         for name in (FOREIGN, EXPIRED):
@@ -151,8 +151,8 @@ async def revoked_certificate(lab: Lab) -> Evidence:
     """A client with a revoked certificate is connected, but nothing that it sends has an effect."""
     async with reachable_cell(lab) as open_cell:
         async with unmoved(open_cell), counted_session(open_cell, REVOKED) as session:
-            await _try_everything(open_cell, session, REVOKED)
-            arrived = await session.arrived()
+            await _send_forbidden(open_cell, session, REVOKED)
+            arrived = await session.wait_until_arrived()
         async with open_cell.client("anna") as anna, anna.holding():
             control = await _accepted_from(open_cell, "anna")
     return Evidence(
@@ -162,7 +162,7 @@ async def revoked_certificate(lab: Lab) -> Evidence:
     )
 
 
-@fault("A12", how=f"{TLS}: every role sends what is another's, under its own name and others'")
+@fault("A12", how=f"{TLS}: every role sends messages of other roles, under its own name and others'")
 async def wrong_role(lab: Lab) -> Evidence:
     """A message of another role is dropped; an operation that a role may not request is refused with the reason."""
     async with reachable_cell(lab) as open_cell, open_cell.client("anna") as anna, anna.holding():
@@ -171,10 +171,10 @@ async def wrong_role(lab: Lab) -> Evidence:
             for name, others in (("eve", ("eve", "anna", "local")), ("slicer", ("anna", "local")), ("tom", ("anna",))):
                 async with counted_session(open_cell, name) as session:
                     for other in others:
-                        await _try_everything(open_cell, session, other)
-                    arrived[name] = await session.arrived()
+                        await _send_forbidden(open_cell, session, other)
+                    arrived[name] = await session.wait_until_arrived()
         async with open_cell.client("slicer") as slicer:
-            planner = await _refused(open_cell, slicer, "robot.connect", "role_not_allowed")
+            planner = await _check_refused(open_cell, slicer, "robot.connect", "role_not_allowed")
         control = await _accepted_from(open_cell, "anna")
     return Evidence(
         "dropped; a planner's motion refused",
@@ -184,7 +184,7 @@ async def wrong_role(lab: Lab) -> Evidence:
     )
 
 
-@fault("A14", how=f"{TLS}: a message of {LARGE // 2**20} MiB, of somebody who may send")
+@fault("A14", how=f"{TLS}: a message of {LARGE // 2**20} MiB, from a user who may send")
 async def enormous_message(lab: Lab) -> Evidence:
     """A message that is too long is not accepted, and other clients are not delayed."""
     async with reachable_cell(lab) as open_cell, open_cell.client("anna") as anna:
@@ -192,7 +192,7 @@ async def enormous_message(lab: Lab) -> Evidence:
         async with unmoved(open_cell), counted_session(open_cell, "bob") as session:
             for _ in range(4):
                 await session.put(f"pcmrs/lab/{open_cell.cell.name}/cmd/bob/registration/reinit", bytes(LARGE))
-            arrived = await session.arrived(most=MAX_BYTES)
+            arrived = await session.wait_until_arrived(most=MAX_BYTES)
         grown = sample(open_cell.cell.process.pid).memory - before
         expect(grown < 4 * LARGE, f"The daemon has grown by {grown / 2**20:.0f} MiB.")
         async with anna.holding():
@@ -219,7 +219,7 @@ async def wildcards(lab: Lab) -> Evidence:
                     for key in keys:
                         await session.put(key, b"{}")
                         await session.delete(key)
-                    arrived[name] = await session.arrived()
+                    arrived[name] = await session.wait_until_arrived()
         async with open_cell.client("anna") as anna, anna.holding():
             control = await _accepted_from(open_cell, "anna")
     return Evidence(
@@ -242,7 +242,7 @@ async def readable_key(lab: Lab) -> Evidence:
     for key in keys:
         inject_unless_sham(partial(key.chmod, 0o644))
         modes[key.name] = f"{key.stat().st_mode & 0o777:04o}"
-        status, errors = await lab.ending(*settings, folder=open_cell.cell.folder)
+        status, errors = await lab.start_refused(*settings, folder=open_cell.cell.folder)
         expect(status in (2, 4) and str(key) in errors and "0644" in errors, f"Exit status {status}: {errors[-300:]}")
         statuses[key.name] = status
         key.chmod(0o600)
@@ -267,14 +267,14 @@ async def administration(lab: Lab) -> Evidence:
                     for path in ("access_control/enabled", "access_control/default_permission", "adminspace/enabled"):
                         await session.put(f"@/{router}/router/config/{path}", b"false")
                         await session.delete(f"@/{router}/router/config/{path}")
-                arrived = await session.arrived()
+                arrived = await session.wait_until_arrived()
                 replies_of_all = await asyncio.to_thread(lambda: list(session.zenoh.get("@/**", timeout=QUIET)))
             replies = [str(reply.ok.key_expr).split("/")[1] for reply in replies_of_all if reply.ok is not None]
             answers = [each for each in replies if each in routers]  # the others are the session itself
             expect(not answers, f"The daemon's admin space answered {len(answers)} times.")
             async with counted_session(open_cell, "eve") as session:
-                await _try_everything(open_cell, session, "anna")
-                arrived_after = await session.arrived()
+                await _send_forbidden(open_cell, session, "anna")
+                arrived_after = await session.wait_until_arrived()
         async with open_cell.client("anna") as anna, anna.holding():
             control = await _accepted_from(open_cell, "anna")
     return Evidence(
@@ -301,7 +301,7 @@ async def expired_certificate(lab: Lab) -> Evidence:
         settings = [each for each in open_cell.cell.settings if not each.startswith("access.identity")]
         place = open_cell.cell.folder
     authority.issue("daemon", "daemon2", now - 10 * 86400.0, days=7.0, hosts=("127.0.0.1",), into=folder)
-    status, errors = await lab.ending(*settings, f"access.identity={folder / 'daemon2'}")
+    status, errors = await lab.start_refused(*settings, f"access.identity={folder / 'daemon2'}")
     expect(status == 4 and "daemon2.pem has expired on" in errors, f"Exit status {status}: {errors[-300:]}")
     async with lab.daemon(*settings, f"access.identity={folder / 'daemon1'}", folder=place) as cell:
         started = await cell.client.state()
@@ -313,7 +313,7 @@ async def expired_certificate(lab: Lab) -> Evidence:
     )
 
 
-async def _refused(open_cell: ReachableCell, client: Client, name: str, code: str) -> str:
+async def _check_refused(open_cell: ReachableCell, client: Client, name: str, code: str) -> str:
     """Check response R to a user's command, and return the text of the refusal."""
     before, row = await open_cell.cell.client.state(), open_cell.cell.last_row()
     verdict = await client.call(name)
@@ -321,7 +321,7 @@ async def _refused(open_cell: ReachableCell, client: Client, name: str, code: st
     return reason_text(verdict)
 
 
-async def _ignored(open_cell: ReachableCell, datagrams: list[bytes], *, control: bytes) -> Evidence:
+async def _check_ignored(open_cell: ReachableCell, datagrams: list[bytes], *, control: bytes) -> Evidence:
     """Check that no datagram is answered or changes anything, and all are journalled; `control` is accepted."""
     cell = open_cell.cell
     before, row = await cell.client.state(), cell.last_row()
@@ -337,7 +337,7 @@ async def _ignored(open_cell: ReachableCell, datagrams: list[bytes], *, control:
     reports = [each for each in cell.rows(row) if each.operation == "refused"]
     reasons = sorted({(each.result or {})["fields"]["reason"] for each in reports})
     refused_ones = refusals_after(cell, row)
-    answer = await taken(cell, control)
+    answer = await send_accepted(cell, control)
     return Evidence(
         "refused, not answered, reported in the journal",
         took_place={"refused_in_the_journal": refused_ones},
@@ -360,7 +360,7 @@ async def _is_admitted(settings: BusSettings) -> bool:
     return True
 
 
-async def _ended_by(open_cell: ReachableCell, *, with_certificate: bool) -> str:
+async def _connection_end(open_cell: ReachableCell, *, with_certificate: bool) -> str:
     """Return why the daemon ends a bare TLS connection; empty if it does not.
 
     Zenoh's own client never dials without a certificate.
@@ -381,7 +381,7 @@ async def _ended_by(open_cell: ReachableCell, *, with_certificate: bool) -> str:
         writer.close()
 
 
-async def _try_everything(open_cell: ReachableCell, session: CountedSession, name: str) -> None:
+async def _send_forbidden(open_cell: ReachableCell, session: CountedSession, name: str) -> None:
     """Send commands, device calls, false poses and states under another name."""
     prefix = f"pcmrs/lab/{open_cell.cell.name}"
     hold = msgspec.json.encode({"method": "hold", "arguments": {}})

@@ -34,7 +34,7 @@ from pcmrs.testing.driving import (
 )
 from pcmrs_lab.campaign.checks import confirmed, expect, held, refused, refused_at_edge, reported, shape, unmoved
 from pcmrs_lab.campaign.damage import append_past_head, append_without_key
-from pcmrs_lab.campaign.datagrams import Raw, raw_socket, refused_all, taken
+from pcmrs_lab.campaign.datagrams import Raw, raw_socket, refused_all, send_accepted
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.flood import flood
 from pcmrs_lab.campaign.lab import Lab
@@ -121,9 +121,9 @@ async def magic_texts(lab: Lab) -> Evidence:
     async with lab.cell() as cell:
         await digitize_landmarks(cell.client)
         details = await refused_all(cell, [*MAGIC, *(b"x" * 16 + m for m in MAGIC)])
-        control = await taken(cell, b"stop_visualizexx_#1;")
+        control = await send_accepted(cell, b"stop_visualizexx_#1;")
     return Evidence(
-        "refused, the receiver goes on",
+        "refused, the receiver continues",
         took_place={"refused_in_the_journal": details.pop("refused")},
         control={"a_command_instead": control},
         details=details,
@@ -170,7 +170,9 @@ async def right_numbers(cell: RunningCell, details: Mapping[str, Any]) -> str:
         Unmet: The target was not accepted, or the numbers were refused for another reason.
     """
     expect("no_rotation" not in details["reasons"], f"They were refused for {details['reasons']}.")
-    return await taken(cell, b"target_rotxxxxxx_0_0_0_1_#1;", f"target_tslxxxxxx_{RIGHT}_{RIGHT}_{RIGHT}_#2;".encode())
+    return await send_accepted(
+        cell, b"target_rotxxxxxx_0_0_0_1_#1;", f"target_tslxxxxxx_{RIGHT}_{RIGHT}_{RIGHT}_#2;".encode()
+    )
 
 
 @fault("A7", how="raw datagrams and requests on the bus")
@@ -324,7 +326,7 @@ async def silent_connections(lab: Lab) -> Evidence:
     )
 
 
-@fault("A25", how="a signed command that is kept back; at a peer with the time in its counters, and at one without")
+@fault("A25", how="a signed command that is delayed; from a peer with the time in its counters, and from one without")
 async def held_back(lab: Lab) -> Evidence:
     """An attacker on the route delays a datagram, and delivers it long after it was sent."""
     command, peers, settings = b"rob_conn_onxxxxx_#1;", {}, []
@@ -504,7 +506,7 @@ DETECTED = "refused to start, with the reason"
 
 async def _detected(lab: Lab, cell: RunningCell, how: str) -> str:
     """Return the error of a daemon that refuses to start with a changed journal."""
-    status, errors = await lab.ending(folder=cell.folder)
+    status, errors = await lab.start_refused(folder=cell.folder)
     expect(status != 0, f"The daemon accepted the journal that was {how}.")
     text = errors.strip().splitlines()[-1] if errors.strip() else ""
     expect(Path(cell.ready.journal).name in text and "Traceback" not in errors, f"It ended with: {text}")

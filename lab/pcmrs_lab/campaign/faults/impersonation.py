@@ -89,7 +89,7 @@ async def messages_in_a_devices_name(lab: Lab) -> Evidence:
     """No forged message is accepted: the motion ends as usual, nothing is latched, and each is counted."""
     async with lab.cell(*REAL_TIME, fresh=False) as cell:
         await to_retracted(cell.client)
-        before = await _counted(cell)
+        before = await _unsealed_count(cell)
         async with stranger(cell) as bus:
             async with moving(cell.client) as verdict:
                 sent = _forge(bus)
@@ -98,7 +98,7 @@ async def messages_in_a_devices_name(lab: Lab) -> Evidence:
             expect(result.decision == "accepted", f"The motion ended as {result.decision}: {result.reason}.")
             expect(not shown.latched, "Forged messages have latched Stop.")
 
-            counted = await _counted(cell) - before
+            counted = await _unsealed_count(cell) - before
             expect(counted >= FORGED, f"Of {sent} forged messages the daemon counted {counted}.")
         await accept(cell.client, "placement.home")
         cell.bus.publish("dev/robot/event", FORGED_EVENT)
@@ -131,16 +131,16 @@ def _forge(bus: Bus) -> int:
     return FORGED * len(forged)
 
 
-async def _counted(cell: RunningCell) -> int:
+async def _unsealed_count(cell: RunningCell) -> int:
     return (await cell.client.health()).dropped["bus.not_sealed"]
 
 
-@fault("A28", how="an event on a device's key, sealed as a device's node does, that speaks for the lease or the daemon")
+@fault("A28", how="an event on a device's key, sealed like a device's node, in the name of the lease or the daemon")
 async def event_of_another_device(lab: Lab) -> Evidence:
     """The event is dropped and counted; the same event in the device's own name is accepted."""
     async with lab.cell() as cell:
         await register(cell.client)
-        row, before = cell.last_row(), await _misnamed(cell)
+        row, before = cell.last_row(), await _misnamed_count(cell)
         for device in ("lease", "daemon", "robot", "no_such_device"):
             inject_unless_sham(partial(cell.bus.publish, "dev/tracker/event", _event(device)))
         cell.bus.publish("dev/tracker/event", _event("tracker"))
@@ -149,7 +149,7 @@ async def event_of_another_device(lab: Lab) -> Evidence:
             return _reported(cell, row) != []
 
         await until_true(reported, "The control, an event in the device's own name, was not accepted")
-        misnamed = await _misnamed(cell) - before
+        misnamed = await _misnamed_count(cell) - before
         expect(misnamed == 4, f"Of 4 events in the name of another device {misnamed} were counted.")
         expect(_reported(cell, row) == ["tracker"], f"Events were accepted of {_reported(cell, row)}.")
         journalled = _reported(cell, row)
@@ -167,5 +167,5 @@ def _reported(cell: RunningCell, row: int) -> list[str | None]:
     return [each.source for each in cell.rows(row) if (each.kind, each.operation) == ("device", "impersonated")]
 
 
-async def _misnamed(cell: RunningCell) -> int:
+async def _misnamed_count(cell: RunningCell) -> int:
     return (await cell.client.health()).dropped.get("events.misnamed", 0)

@@ -57,7 +57,7 @@ async def peer_named_local(lab: Lab) -> Evidence:
     key = lab.folder / "peer.key"
     new_key(key)
     name = "locals" if is_sham() else "local"
-    status, errors = await lab.ending(f"gateway.peers.{name}.key_file={key}")
+    status, errors = await lab.start_refused(f"gateway.peers.{name}.key_file={key}")
     text = errors.strip().splitlines()[-1] if errors.strip() else ""
     expect(status != 0 and "local" in text and "Traceback" not in errors, f"It ended with {status}: {text}")
     async with lab.daemon(f"gateway.peers.locals.key_file={key}") as cell:

@@ -83,13 +83,13 @@ async def the_router_is_restarted(lab: Lab) -> Evidence:
 @fault("N11", how="a subscriber to a stream, whose event loop is busy with something else")
 async def a_consumer_that_has_no_time(lab: Lab) -> Evidence:
     """Messages that it does not read are counted as dropped by its bus; commands and Stop are as quick as before."""
-    return await _beside_a_slow_consumer(lab, "busy")
+    return await _with_slow_consumer(lab, "busy")
 
 
 @fault("N11", how="a subscriber to a stream, frozen by SIGSTOP")
 async def a_consumer_that_does_not_read(lab: Lab) -> Evidence:
     """Messages lost at its full socket show only in the frame numbers; control is unaffected."""
-    return await _beside_a_slow_consumer(lab, "frozen")
+    return await _with_slow_consumer(lab, "frozen")
 
 
 @fault("N12", how=WIRE)
@@ -150,7 +150,7 @@ async def _cut_in_motion(lab: Lab, *, towards: bool, back: bool) -> Evidence:
             ended = await verdict
         expect(ended.decision != "accepted", "The approach was accepted though the wire was cut.")
         expect(ended.state in ("held", "unknown"), f"The tool counts as {ended.state}.")
-        displacement = await _stands_when_back(cell)
+        displacement = await _check_stands_when_back(cell)
         await held(cell, ("held", "unknown"))
         await reset_cell(cell.client)
         await register(cell.client)
@@ -167,7 +167,7 @@ async def _cut_in_motion(lab: Lab, *, towards: bool, back: bool) -> Evidence:
     )
 
 
-async def _stands_when_back(cell: RunningCell) -> float:
+async def _check_stands_when_back(cell: RunningCell) -> float:
     """Check that the arm stands as soon as its node can be reached again."""
     async with asyncio.timeout(PATIENCE):
         while True:
@@ -179,7 +179,7 @@ async def _stands_when_back(cell: RunningCell) -> float:
                 return await stands(cell)
 
 
-async def _beside_a_slow_consumer(lab: Lab, manner: Manner) -> Evidence:
+async def _with_slow_consumer(lab: Lab, manner: Manner) -> Evidence:
     frozen = manner == "frozen"
     async with lab.cell() as cell:
         await register(cell.client)

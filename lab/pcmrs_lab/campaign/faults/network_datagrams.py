@@ -18,7 +18,7 @@ from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.driving import PATIENCE, digitize_landmarks, plan, register, state
 from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.checks import expect
-from pcmrs_lab.campaign.datagrams import raw_socket, refused_all, taken
+from pcmrs_lab.campaign.datagrams import raw_socket, refused_all, send_accepted
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.network_impairment import NetworkImpairment
@@ -37,14 +37,14 @@ IMPATIENT = 0.4
 async def datagrams_are_lost(lab: Lab) -> Evidence:
     """A fifth of the datagrams is lost, in both directions."""
     impairment = NetworkImpairment(seed=lab.seed, loss=0.2)
-    return await _once_each(lab, impairment, "lost", lambda sent: {"commands_sent_again": sent.repeated})
+    return await _check_exactly_once(lab, impairment, "lost", lambda sent: {"commands_sent_again": sent.repeated})
 
 
 @fault("N2", how=PROXY)
 async def datagrams_are_doubled(lab: Lab) -> Evidence:
     """Half of the datagrams come twice."""
     impairment = NetworkImpairment(seed=lab.seed, doubled=0.5)
-    return await _once_each(
+    return await _check_exactly_once(
         lab,
         impairment,
         "doubled",
@@ -62,7 +62,7 @@ async def datagrams_overtake_each_other(lab: Lab) -> Evidence:
         sent: list[tuple[str, tuple[Value, ...]]] = [("img_fid_numxxxxx", (len(points),))]
         sent += [("img_fid_pntxxxxx", (index, *map(float, point))) for index, point in enumerate(points)]
         sent += [("img_fid_lastrecv", ())]
-        verdicts = await _at_once(planner, sent)
+        verdicts = await _send_at_once(planner, sent)
         planned = [entry for entry in cell.rows(row) if entry.kind == "outcome" and entry.operation == "plan_landmarks"]
         if verdicts[-1].decision == "accepted":
             (only,) = planned
@@ -73,10 +73,10 @@ async def datagrams_overtake_each_other(lab: Lab) -> Evidence:
         expect(impairment.counted["overtaken"] > 0, "No datagram overtook another one: choose another seed.")
         await planner.reinitiate()
         row = cell.last_row()
-        await _at_once(planner, [("session_reinitxx", ())] * COMMANDS_SENT)
+        await _send_at_once(planner, [("session_reinitxx", ())] * COMMANDS_SENT)
         done = _check_once(cell, row, COMMANDS_SENT, "toolplan")
         out_of_order = await _out_of_order(cell, planner)
-        control = (await _at_once(cell.planner, sent))[-1]
+        control = (await _send_at_once(cell.planner, sent))[-1]
         expect(control.decision == "accepted", f"In order the series was {control.decision}: {control.reason}.")
     return Evidence(
         "the series whole or refused; single commands exactly once",
@@ -86,7 +86,7 @@ async def datagrams_overtake_each_other(lab: Lab) -> Evidence:
     )
 
 
-async def _at_once(planner: Planner, sent: Sequence[tuple[str, tuple[Value, ...]]]) -> list[PlannerVerdict]:
+async def _send_at_once(planner: Planner, sent: Sequence[tuple[str, tuple[Value, ...]]]) -> list[PlannerVerdict]:
     """Send commands without waiting for each other, and return their verdicts in the order of sending."""
     return await asyncio.gather(*(planner.command(name, *values) for name, values in sent))
 
@@ -97,7 +97,7 @@ async def _out_of_order(cell: RunningCell, planner: Planner) -> int:
     Nothing is planned, so they are refused, and change nothing.
     """
     row = cell.last_row()
-    await _at_once(planner, [("img_dig_digitize", (index,)) for index in range(COMMANDS_SENT)])
+    await _send_at_once(planner, [("img_dig_digitize", (index,)) for index in range(COMMANDS_SENT)])
     decided = [entry for entry in cell.rows(row) if entry.operation == "digitize_one" and entry.verdict is not None]
     indices = [int((entry.arguments or {})["index"]) for entry in decided]
     return sum(later < earlier for earlier, later in itertools.pairwise(indices))
@@ -137,7 +137,7 @@ async def an_old_buffer_completes_nothing(lab: Lab) -> Evidence:
     async with lab.cell() as cell:
         cuts = [piece for end in range(1, len(long)) for piece in (b"adjust_tranxxxxx_0.101_0.202_0.303;", long[:end])]
         details = await refused_all(cell, cuts)
-        whole = await taken(cell, b"target_rotxxxxxx_0.0_0.0_0.0_1.0_#50;", long[:-1] + b"_#51;")
+        whole = await send_accepted(cell, b"target_rotxxxxxx_0.0_0.0_0.0_1.0_#50;", long[:-1] + b"_#51;")
         await cell.planner.reinitiate()
     return _refused_and_taken(details, {"whole": whole})
 
@@ -151,7 +151,7 @@ async def no_terminator_and_oversize(lab: Lab) -> Evidence:
         wrong = [whole, whole + b";;", whole + b";" + whole + b";", whole + b"\0;", b";", b"\xff" * 300]
         wrong += [whole + b"_" * size + b";" for size in (256, 1500, 9000, 60_000)]
         details = await refused_all(cell, wrong)
-        return _refused_and_taken(details, {"whole": await taken(cell, whole + b"_#61;")})
+        return _refused_and_taken(details, {"whole": await send_accepted(cell, whole + b"_#61;")})
 
 
 @fault("N7", how="raw datagrams of two planners")
@@ -172,7 +172,7 @@ async def rotation_and_translation_of_two_plans(lab: Lab) -> Evidence:
         expect((await cell.client.state()).plan == before.plan, "The planned pose has changed.")
         approach = await cell.planner.command("execute_motionxx")
         expect(approach.decision == "rejected", f"The approach was {approach.decision}.")
-        control = await taken(cell, turned + b"_#178;", moved + b"_#179;")
+        control = await send_accepted(cell, turned + b"_#178;", moved + b"_#179;")
         pose = plan().poses[0]
         await cell.planner.plan_pose(pose.position, pose.quat_xyzw)
     return Evidence(
@@ -274,17 +274,17 @@ class _Sent(NamedTuple):
     repeated: int
 
 
-async def _once_each(
+async def _check_exactly_once(
     lab: Lab, impairment: NetworkImpairment, counted: str, measured: Callable[[_Sent], dict[str, int]]
 ) -> Evidence:
     """Send commands over an impaired link: each is done exactly once, and its verdict comes; then over a good link."""
     async with lab.cell() as cell:
         async with _proxied(cell, impairment) as planner:
-            sent = await _one_by_one(cell, planner)
+            sent = await _send_one_by_one(cell, planner)
             await planner.plan_landmarks([landmark.position for landmark in plan().landmarks])
             expect(impairment.counted[counted] > 0, f"Nothing was {counted}: choose another seed.")
         async with _proxied(cell, NetworkImpairment()) as planner:
-            control = await _one_by_one(cell, planner)
+            control = await _send_one_by_one(cell, planner)
     return Evidence(
         "every command exactly once",
         {**sent._asdict(), **impairment.counted},
@@ -293,7 +293,7 @@ async def _once_each(
     )
 
 
-async def _one_by_one(cell: RunningCell, planner: Planner) -> _Sent:
+async def _send_one_by_one(cell: RunningCell, planner: Planner) -> _Sent:
     row, before = cell.last_row(), (await cell.client.health()).datagrams
     clock = asyncio.get_running_loop().time
     repeated = 0

@@ -6,7 +6,7 @@ from pcmrs.gateway.links import RESET
 from pcmrs.gateway.signing import Signer, new_key, read_key
 from pcmrs.testing.cell import RunningCell
 from pcmrs_lab.campaign.checks import expect
-from pcmrs_lab.campaign.datagrams import raw_socket, refusals_after, taken
+from pcmrs_lab.campaign.datagrams import raw_socket, refusals_after, send_accepted
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.sham import is_sham
@@ -14,7 +14,9 @@ from pcmrs_lab.campaign.waiting import until_true
 
 
 @fault(
-    "A36", how="a signed command that was taken, sent again to daemons in the same and in a new folder", deadline=240.0
+    "A36",
+    how="a signed command that was accepted, sent again to daemons in the same and in a new folder",
+    deadline=240.0,
 )
 async def counters_are_gone(lab: Lab) -> Evidence:
     """In a new folder the daemon reports that before it accepts anything; in the same one it refuses."""
@@ -24,7 +26,7 @@ async def counters_are_gone(lab: Lab) -> Evidence:
     old, new = lab.folder / "old", lab.folder / "new"
     command = Signer("slicer", read_key(key), lambda: 1).sign(b"img_fid_numxxxxx_4_#1;")
     async with lab.daemon(peer, folder=old) as cell:
-        await taken(cell, command)
+        await send_accepted(cell, command)
         row, reports_before = cell.last_row(), cell.log.count(RESET)
     async with lab.daemon(peer, folder=old) as cell:
         refused = await _refused(cell, command)
@@ -34,7 +36,7 @@ async def counters_are_gone(lab: Lab) -> Evidence:
         )
     async with lab.daemon(peer, folder=old if is_sham() else new) as cell:
         reports = _reports(cell, 0)
-        answer = await taken(cell, command)
+        answer = await send_accepted(cell, command)
         expect(len(reports) == 1 and "slicer" in reports[0], f"At the start the journal reports {reports}.")
         expect(cell.log.count(RESET) == 1, "The log does not report it once.")
     return Evidence(

@@ -89,7 +89,9 @@ def _without_guard(blueprint: Blueprint) -> Blueprint:
     return msgspec.structs.replace(blueprint, branches={**blueprint.branches, "placement": changed})
 
 
-@fault("O1", how="a running daemon, on its way to the placed tool, asked over the bus for all that is forbidden there")
+@fault(
+    "O1", how="a running daemon, on its way to the placed tool, with requests over the bus for all forbidden operations"
+)
 async def all_forbidden(lab: Lab) -> Evidence:
     """Forbidden operations are refused by a complete daemon."""
     blueprint = load_blueprint(find_workflow("ratms").blueprint)
@@ -168,7 +170,7 @@ async def index_out_of_range(lab: Lab) -> Evidence:
     )
 
 
-async def _displaced(cell: RunningCell, offsets: dict[int, Any]) -> Evidence:
+async def _register_displaced(cell: RunningCell, offsets: dict[int, Any]) -> Evidence:
     """Digitize with touches off by `offsets` (m, by index): registering is refused, and accepted without them."""
     await accept(cell.client, "registration.plan_landmarks", **landmarks())
     for index, offset in offsets.items():
@@ -199,7 +201,7 @@ async def swapped(lab: Lab) -> Evidence:
     first, second = lab.random.sample(range(len(points)), 2)
     offset = points[second] - points[first]
     async with lab.cell() as cell:
-        evidence = await _displaced(cell, {first: offset, second: -offset})
+        evidence = await _register_displaced(cell, {first: offset, second: -offset})
     return replace(evidence, details={"landmarks": f"{first}, {second}"})
 
 
@@ -209,7 +211,7 @@ async def large_residual(lab: Lab) -> Evidence:
     index, direction = lab.random.randrange(len(_points())), np.array([lab.random.gauss(0, 1) for _ in range(3)])
     offset = lab.random.uniform(0.025, 0.050) * direction / np.linalg.norm(direction)
     async with lab.cell() as cell:
-        evidence = await _displaced(cell, {index: offset})
+        evidence = await _register_displaced(cell, {index: offset})
     return replace(evidence, details={"landmark": index, "millimetres": float(np.linalg.norm(offset) * 1e3)})
 
 
@@ -287,7 +289,7 @@ async def wrong_units(lab: Lab) -> Evidence:
     async with lab.cell() as cell:
         requested = landmarks() if is_sham() else {"landmarks": in_mm}
         unit = await refused(cell, "registration.plan_landmarks", requested, codes=("wrong_unit",))
-        mirror = await _displaced(cell, dict(enumerate(mirrored - points)))
+        mirror = await _register_displaced(cell, dict(enumerate(mirrored - points)))
     return replace(
         mirror,
         response=f"mm: {reason_text(unit)}; mirror image: {mirror.response}",
@@ -425,10 +427,10 @@ ABANDONED = (f"procedure.abandoned_after={LIMIT:g}", "workflow=ratms_threshold",
 async def abandoned(lab: Lab) -> Evidence:
     """A session that nobody attends to is made safe."""
     async with lab.daemon(*ABANDONED) as cell:
-        return await _leave(cell)
+        return await _abandon_session(cell)
 
 
-async def _leave(cell: RunningCell) -> Evidence:
+async def _abandon_session(cell: RunningCell) -> Evidence:
     await to_placed(cell.client)
     await accept(cell.client, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
     await accept(cell.client, "stimulation.set_intensity", percent=50.0)
@@ -437,12 +439,12 @@ async def _leave(cell: RunningCell) -> Evidence:
     async with _attended(cell.client):
         await asyncio.sleep(ATTENDED)
     expect(not (await cell.client.state()).latched, "The cell was held although it was attended.")
-    attended = _quiet(cell.rows(row))
+    attended = _longest_silence(cell.rows(row))
     async with _attended(cell.client) if is_sham() else nullcontext():
         shown = await until(
             cell.client, lambda snapshot: snapshot.latched and snapshot.branches["stimulation"] == "disarmed"
         )
-    quiet = _quiet(cell.rows(row))
+    quiet = _longest_silence(cell.rows(row))
     stimulator = await cell.client.request_device("stimulator", "state")
     expect(not stimulator["armed"], "The stimulator itself is armed.")
     await stands(cell)
@@ -473,7 +475,7 @@ async def _attended(client: Client) -> AsyncIterator[None]:
             await requesting
 
 
-def _quiet(rows: list[JournalRow]) -> float:
+def _longest_silence(rows: list[JournalRow]) -> float:
     """Return the longest time between two rows about a command, or about its absence, s."""
     times = [row.monotonic for row in rows if row.kind == "outcome" or row.operation == ABANDONED_EVENT]
     return max((later - earlier for earlier, later in pairwise(times)), default=0.0)

@@ -92,13 +92,13 @@ async def told_to_end_in_motion(lab: Lab) -> Evidence:
     async with lab.daemon(*SLOW) as cell:
         nodes = descendants(cell.process.pid)
         await register(cell.client)
-        control = await _undisturbed(cell)
+        control = await _move_without_fault(cell)
         row = cell.last_row()
         with suppress(UnknownOutcomeError):  # the bus may be closed before the answer is sent
             async with moving(cell.client):
                 inject_unless_sham(cell.process.terminate)
                 status = await until_ended(cell)
-        left = [pid for pid in nodes if _runs(pid)]
+        left = [pid for pid in nodes if _is_running(pid)]
         rows = cell.rows(row)
         expect("Traceback" not in cell.log, "The log has a traceback.")
     (outcome,) = (row for row in rows if row.operation == "approach" and row.kind == "outcome" and row.verdict)
@@ -119,7 +119,7 @@ async def the_daemon_is_stopped(lab: Lab) -> Evidence:
     """The node holds the arm by its own timer; nothing continues when the daemon does."""
     async with lab.daemon(SLOW[0]) as cell:
         await register(cell.client)
-        control = await _undisturbed(cell)
+        control = await _move_without_fault(cell)
         async with moving(cell.client) as verdict:
             inject_unless_sham(lambda: cell.process.send_signal(signal.SIGSTOP))
             try:
@@ -146,7 +146,7 @@ async def the_event_loop_is_blocked(lab: Lab) -> Evidence:
     orders = lab.folder / "orders"
     async with lab.daemon(SLOW[0], "robot.deadman=0.1", prefix=sabotaged(orders)) as cell:
         await register(cell.client)
-        control = await _undisturbed(cell)
+        control = await _move_without_fault(cell)
         row, before = cell.last_row(), (await cell.client.health()).loop
         await order(orders, f"block {BLOCKED_FOR}")
         await until_logged(cell, "stall")
@@ -169,19 +169,19 @@ async def the_event_loop_is_blocked(lab: Lab) -> Evidence:
     )
 
 
-@fault("P5", how="a saboteur inside the daemon makes what a background task waits for raise")
+@fault("P5", how="a saboteur inside the daemon raises an error in a background task")
 async def a_task_dies(lab: Lab) -> Evidence:
     """The task is restarted, and the restart is reported."""
     orders = lab.folder / "orders"
     async with lab.daemon(prefix=sabotaged(orders)) as cell:
         row = cell.last_row()
-        await _let_die(orders, TASK)
+        await _make_task_fail(orders, TASK)
         await until_logged(cell, "task_died")
         await register(cell.client)
         events = [entry for entry in cell.rows(row) if entry.operation == "task_restarted"]
         expect(bool(events), "The journal has no row of the restart.")
         counted = {task.name: task.restarts for task in (await cell.client.health()).tasks}
-        control = await _undisturbed(cell)
+        control = await _move_without_fault(cell)
     return Evidence(
         "restarted and reported",
         {"rows": len(events)},
@@ -192,7 +192,7 @@ async def a_task_dies(lab: Lab) -> Evidence:
 
 @fault(
     "P6",
-    how="control group: the daemon may take no more memory, and is killed by the kernel in motion",
+    how="control group: the memory of the daemon is limited, and the kernel kills it in motion",
     needs=cgroups.MEMORY,
     deadline=300.0,
 )
@@ -203,7 +203,7 @@ async def memory_is_limited(lab: Lab) -> Evidence:
         nodes = descendants(cell.process.pid)
         await register(cell.client)
         eaten = await order(orders, f"eat {8 * TIGHT}")
-        control = {f"order to take {8 * TIGHT} bytes": eaten, **await _undisturbed(cell)}
+        control = {f"order to take {8 * TIGHT} bytes": eaten, **await _move_without_fault(cell)}
         answered = await cell.client.call("toolplan.plan", tool_pose(), id="before")
         with memory_limit([cell.process.pid], _resident(cell.process.pid) + TIGHT) as killed:
             with suppress(UnknownOutcomeError):
@@ -216,7 +216,7 @@ async def memory_is_limited(lab: Lab) -> Evidence:
         status = cell.process.returncode
         expect(status == -signal.SIGKILL, f"The daemon took more memory than it may, and ended with {status}.")
         expect(bool(nodes), "The daemon had no nodes.")
-        await until_true(lambda: not any(map(_runs, nodes)), f"Of the nodes {nodes} not all have ended")
+        await until_true(lambda: not any(map(_is_running, nodes)), f"Of the nodes {nodes} not all have ended")
         expect(HOLD_FAILED not in cell.log and "Traceback" not in cell.log, "The node has not held the arm.")
         with JournalReader(Path(cell.ready.journal)) as journal:
             expect(journal.verdict_of("bus:local", "before") == answered, "An acknowledged decision is lost.")
@@ -238,20 +238,20 @@ async def no_file_descriptors(lab: Lab) -> Evidence:
         await register(cell.client)
         pid = cell.process.pid
         before = resource.prlimit(pid, resource.RLIMIT_NOFILE)
-        control = {"newcomer": await _newcomer(cell)}
+        control = {"newcomer": await _connect_new_client(cell)}
         inject_unless_sham(lambda: resource.prlimit(pid, resource.RLIMIT_NOFILE, (3, before[1])))
         try:
             async with moving(cell.client):
                 await cell.client.stop()
             await held(cell)
             status = await cell.client.state()
-            refusal = await _newcomer(cell)
+            refusal = await _connect_new_client(cell)
             beyond = descriptors(pid) - resource.prlimit(pid, resource.RLIMIT_NOFILE)[0]
             expect(f"No daemon answers at {cell.ready.endpoint}" in refusal, f"A new client reports: {refusal}")
         finally:
             resource.prlimit(pid, resource.RLIMIT_NOFILE, before)
         await confirmed(cell)
-        again = await _newcomer(cell)
+        again = await _connect_new_client(cell)
         expect(again == CONNECTED, f"There are descriptors again, and a new client reports: {again}")
         await reset_cell(cell.client)
     return Evidence(
@@ -267,7 +267,7 @@ async def processor_is_limited(lab: Lab) -> Evidence:
     """Stop and status work; operations that need fresh poses are refused or held, never accepted late."""
     async with lab.daemon(SLOW[0], "cell.rate=1", "procedure.max_pose_age=0.1") as cell:
         await register(cell.client)
-        control = await _undisturbed(cell)
+        control = await _move_without_fault(cell)
         threads = Threads(cell.process.pid)
         threads.waited()
         with processor_quota([cell.process.pid], 0.02):
@@ -289,13 +289,13 @@ async def processor_is_limited(lab: Lab) -> Evidence:
     )
 
 
-@fault("P9", how="a saboteur inside the daemon lets a background task die again and again, in motion")
+@fault("P9", how="a saboteur inside the daemon makes a background task fail repeatedly, in motion")
 async def a_crash_loop(lab: Lab) -> Evidence:
     """When its restarts are used up the daemon holds the arm and ends with an error."""
     orders = lab.folder / "orders"
     async with lab.daemon(*SLOW, prefix=sabotaged(orders)) as cell:
         await register(cell.client)
-        control = await _undisturbed(cell)
+        control = await _move_without_fault(cell)
         with suppress(UnknownOutcomeError):
             async with moving(cell.client):
                 for _ in range(100):
@@ -323,8 +323,8 @@ async def a_second_daemon(lab: Lab) -> Evidence:
     """The second daemon is refused with the reason, and the first one continues."""
     async with lab.daemon() as cell:
         same = f"cell.endpoint={cell.ready.endpoint}"
-        folder = await lab.ending(folder=None if is_sham() else cell.folder)
-        endpoint = await lab.ending(same)
+        folder = await lab.start_refused(folder=None if is_sham() else cell.folder)
+        endpoint = await lab.start_refused(same)
         await register(cell.client)
     expect(folder[0] == 4 and "Another daemon runs this cell" in folder[1], f"Exit status {folder[0]}: {folder[1]}")
     expect(endpoint[0] == 3 and "another daemon is there" in endpoint[1], f"Exit status {endpoint[0]}: {endpoint[1]}")
@@ -383,7 +383,7 @@ async def bad_configuration(lab: Lab) -> Evidence:
     for setting, named in wrong.items():
         folder = lab.folder / f"wrong{len(statuses)}"
         given = right if is_sham() else (setting,)
-        statuses[setting], errors = await lab.ending(*given, folder=folder)
+        statuses[setting], errors = await lab.start_refused(*given, folder=folder)
         expect(statuses[setting] == 4, f"{setting}: exit status {statuses[setting]}: {errors}")
         expect(named in errors and "Traceback" not in errors, f"{setting}: {errors}")
         expect(not list(folder.glob("*.sqlite")), f"{setting}: a journal was created.")
@@ -394,7 +394,7 @@ async def bad_configuration(lab: Lab) -> Evidence:
     )
 
 
-@fault("P13", how="the journal of a run, rewritten as version 1 of its format had it", deadline=300.0)
+@fault("P13", how="the journal of a run, rewritten in version 1 of its format", deadline=300.0)
 async def a_journal_of_an_older_version(lab: Lab) -> Evidence:
     """The journal is accepted, keeps its decisions, can be replayed, and has a signed head from then on."""
     async with lab.daemon(SLOW[1]) as cell:
@@ -406,7 +406,7 @@ async def a_journal_of_an_older_version(lab: Lab) -> Evidence:
     version = _version(journal)
     expect(version == HEADLESS, f"The journal is of version {version}.")
     _version(journal, UNKNOWN)
-    unknown, text = await lab.ending(SLOW[1], folder=cell.folder)
+    unknown, text = await lab.start_refused(SLOW[1], folder=cell.folder)
     expect(unknown != 0 and "version" in text, f"With an unknown version: exit status {unknown}: {text}")
     _version(journal, HEADLESS)
     async with lab.daemon(SLOW[1], folder=cell.folder) as successor:
@@ -434,14 +434,14 @@ def _version(journal: Path, new_version: int | None = None) -> int:
     return int(version)
 
 
-async def _undisturbed(cell: RunningCell) -> dict[str, str]:
+async def _move_without_fault(cell: RunningCell) -> dict[str, str]:
     """Return the result of the motion without the fault; afterwards the tool is retracted again."""
     approach = await accept(cell.client, "placement.approach")
     await accept(cell.client, "placement.home")
     return {"approach": approach.decision, "reached": approach.state}
 
 
-async def _let_die(orders: Path, task: str) -> None:
+async def _make_task_fail(orders: Path, task: str) -> None:
     """Raise an error in the future that a task awaits; retry, since on a busy machine the task may be ready to run."""
     clock = SystemClock()
     end = clock.monotonic() + PATIENCE
@@ -450,7 +450,7 @@ async def _let_die(orders: Path, task: str) -> None:
         await clock.sleep(PERIOD)
 
 
-def _runs(pid: int) -> bool:
+def _is_running(pid: int) -> bool:
     """Return whether a process is still one of PCMRS: its id may belong to another process now."""
     with suppress(OSError):
         return b"pcmrs" in Path(f"/proc/{pid}/cmdline").read_bytes()
@@ -462,7 +462,7 @@ def _resident(pid: int) -> int:
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * resource.getpagesize()
 
 
-async def _newcomer(cell: RunningCell) -> str:
+async def _connect_new_client(cell: RunningCell) -> str:
     """Return the result of a new client: `CONNECTED`, or the error."""
     try:
         async with asyncio.timeout(PATIENCE), Client.connect(cell.ready.endpoint, cell=cell.name) as client:

@@ -150,7 +150,7 @@ async def silent(lab: Lab) -> Evidence:
     return await lost(lab, "silence_robot")
 
 
-@fault("B3", how=f'{HOW}: the motion breaks off, the reply says "interrupted"')
+@fault("B3", how=f'{HOW}: the motion is interrupted, the reply says "interrupted"')
 async def interrupted(lab: Lab) -> Evidence:
     """The cabinet interrupts the motion."""
     async with lab.cell(*REAL_TIME, fresh=False) as cell:
@@ -186,13 +186,13 @@ async def framed(lab: Lab) -> Evidence:
         try:
             await to_placed(cell.client)
             whole = await _polled(cell)
-            control = await _there_and_back(cell)
+            control = await _move_there_and_back(cell)
         except Unmet as error:
             raise NotRun(f"On this machine the virtual cabinet fails with whole replies, too: {error.text}") from None
         for framing in ("split", "merged", "mixed"):
             async with injected(cell, "frame_replies", {"how": framing}, {"how": "whole"}):
                 seen[framing] = _framed(framing, await _polled(cell), whole)
-                await _there_and_back(cell)
+                await _move_there_and_back(cell)
     return Evidence(
         "back_off and confirm accepted with every framing",
         took_place={
@@ -237,7 +237,7 @@ def _framed(framing: str, seen: Segments, whole: Segments) -> float:
     return more
 
 
-async def _there_and_back(cell: RunningCell) -> str:
+async def _move_there_and_back(cell: RunningCell) -> str:
     await accept(cell.client, "placement.back_off")
     await asyncio.sleep(SETTLING)
     return (await accept(cell.client, "placement.confirm")).decision
@@ -270,7 +270,7 @@ async def unreachable(lab: Lab) -> Evidence:
     )
 
 
-@fault("B7", how=f"{HOW}: a joint goes beside what is commanded by 0.05 rad")
+@fault("B7", how=f"{HOW}: a joint deviates from its command by 0.05 rad")
 async def beside(lab: Lab) -> Evidence:
     """The arm is elsewhere than commanded."""
     joint = lab.random.choice((2, 3, 4))
@@ -351,7 +351,7 @@ async def dropped(lab: Lab) -> Evidence:
 
 
 @asynccontextmanager
-async def _elsewhere(cell: RunningCell, counts: DroppedSetpoints) -> AsyncIterator[tuple[JointSetpoint, int]]:
+async def _reconnect_far_away(cell: RunningCell, counts: DroppedSetpoints) -> AsyncIterator[tuple[JointSetpoint, int]]:
     """Have the arm follow set points, move it far from the last of them, and disconnect and connect it.
 
     Yields:
@@ -386,7 +386,7 @@ async def late(lab: Lab) -> Evidence:
         lab.cell(*REAL_TIME, fresh=False) as cell,
         dropped_setpoints(cell, "stale_setpoints") as counts,
         injected(cell, "late_set_point"),
-        _elsewhere(cell, counts) as (setpoint, before),
+        _reconnect_far_away(cell, counts) as (setpoint, before),
     ):
         dropped = await counts.increase_since(before)
     return Evidence(
@@ -403,7 +403,7 @@ async def late_on_the_bus(lab: Lab) -> Evidence:
     async with (
         lab.cell(*REAL_TIME, fresh=False) as cell,
         dropped_setpoints(cell, "setpoints") as counts,
-        _elsewhere(cell, counts) as (setpoint, before),
+        _reconnect_far_away(cell, counts) as (setpoint, before),
     ):
         inject_unless_sham(lambda: cell.bus.publish("dev/robot/setpoint", setpoint))
         dropped = await counts.increase_since(before)
@@ -495,7 +495,7 @@ async def twice(lab: Lab) -> Evidence:
     )
 
 
-@fault("B14", how=f"{HOW}: something pushes against the tool with 35 N or more")
+@fault("B14", how=f"{HOW}: an object pushes against the tool with 35 N or more")
 async def collision(lab: Lab) -> Evidence:
     """An object pushes against the tool."""
     return await braked(lab, "push_tool", {"force": lab.random.uniform(35.0, 50.0)}, {"force": 0.0})

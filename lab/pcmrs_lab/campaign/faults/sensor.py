@@ -70,7 +70,7 @@ async def _confirm_refused(cell: RunningCell, name: str, arguments: dict[str, An
     return verdict.reason.code if verdict.reason is not None else "", took_place
 
 
-def _both(first: Evidence, second: Evidence) -> Evidence:
+def _combine(first: Evidence, second: Evidence) -> Evidence:
     """Return the combined evidence of two faults of one row, each with its own control."""
     return Evidence(
         f"{first.response}; {second.response}",
@@ -127,7 +127,7 @@ async def occluded_while_following(lab: Lab) -> Evidence:
 @fault("S2", how=f"{HOW}: frames repeat a number; no frames at all")
 async def frozen(lab: Lab) -> Evidence:
     """Frames with an old number, and missing frames, count as no pose."""
-    return _both(await no_pose(lab, "frame_frozen"), await no_pose(lab, "tracker_absent"))
+    return _combine(await no_pose(lab, "frame_frozen"), await no_pose(lab, "tracker_absent"))
 
 
 @fault("S3", how=f"{HOW}: NaN and infinity in a position")
@@ -181,19 +181,19 @@ async def _reference_in_image(cell: RunningCell) -> tuple[float, float, float]:
     return (await cell.scene.truth()).body_ref_from_image.position
 
 
-@fault("S7", how=f"{HOW}: four reasons for which a body is not measured, and a bad fit", deadline=180.0)
+@fault("S7", how=f"{HOW}: four reasons why a body is not measured, and a bad fit", deadline=180.0)
 async def badly_measured(lab: Lab) -> Evidence:
     """The tracker's reasons for a bad measurement are respected."""
     reasons = ("out_of_volume", "partially_out", "temperature", "interference")
     not_measured = await no_pose(lab, "not_measured", *({"body": "coil", "reason": reason} for reason in reasons))
-    return _both(not_measured, await no_pose(lab, "bad_fit", {"body": "coil"}))
+    return _combine(not_measured, await no_pose(lab, "bad_fit", {"body": "coil"}))
 
 
-@fault("S8", how=f"{HOW}: a reflection moves every other pose; two tools are taken for each other")
+@fault("S8", how=f"{HOW}: a reflection moves every other pose; two tools are swapped")
 async def mistaken(lab: Lab) -> Evidence:
     """A body is mistaken for something else."""
     phantom = await no_pose(lab, "phantom_marker", {"body": "coil"})
-    return _both(phantom, await no_pose(lab, "tool_swap", {"first": "coil", "second": "body_ref"}))
+    return _combine(phantom, await no_pose(lab, "tool_swap", {"first": "coil", "second": "body_ref"}))
 
 
 @fault("S9", how=f"{HOW}: another tool than the defined one is mounted")
@@ -210,7 +210,7 @@ async def wrong_definition(lab: Lab) -> Evidence:
     agreed = hashlib.sha256(tool.read_bytes()).hexdigest()
     expected = agreed if is_sham() else f"{lab.seed:064x}"
     settings = ("cell.rate=1", "tracker.driver=ndi", f"ndi.tools.coil={tool}")
-    status, errors = await lab.ending(*settings, f"ndi.sha256.coil={expected}")
+    status, errors = await lab.start_refused(*settings, f"ndi.sha256.coil={expected}")
     expect(status == 2 and NOT_AGREED in errors, f"Exit status {status}: {errors[-300:]}")
     async with lab.daemon(*settings, f"ndi.sha256.coil={agreed}") as cell, poses(cell, "coil") as seen:
         control = len(seen.received)
@@ -286,10 +286,10 @@ async def slow_frames(lab: Lab) -> Evidence:
 @fault("S11", how=f"{HOW}: numbers and stamps run backwards; stamps lie in the future")
 async def wrong_stamps(lab: Lab) -> Evidence:
     """Impossible stamps count as no pose."""
-    return _both(await no_pose(lab, "stamp_reversed"), await no_pose(lab, "stamp_future"))
+    return _combine(await no_pose(lab, "stamp_reversed"), await no_pose(lab, "stamp_future"))
 
 
-@fault("S13", how="simulated arm: something pushes the tool with 40 N where it is placed")
+@fault("S13", how="simulated arm: an object pushes the placed tool with 40 N")
 async def pushed(lab: Lab) -> Evidence:
     """The force on a tool at rest is over the limit."""
     force = lab.random.uniform(35.0, 50.0)
@@ -378,7 +378,7 @@ async def slow_frames_at_pulse(lab: Lab) -> Evidence:
         return await _no_pulse(cell, "tracker_rate", {"hertz": 5.0}, {"hertz": 0.0}, STALE)
 
 
-@fault("S14", how="simulated muscle: pulses evoke nothing while a threshold is hunted", deadline=300.0)
+@fault("S14", how="simulated muscle: pulses evoke no response during a threshold estimation", deadline=300.0)
 async def no_response(lab: Lab) -> Evidence:
     """A threshold that no pulse reaches is refused."""
     async with lab.daemon(*ARMED, "procedure.stimulation.intervals.least=1.1") as cell:
@@ -388,7 +388,7 @@ async def no_response(lab: Lab) -> Evidence:
         async with injected(cell, "no_mep"):
             pulses, result = await _estimate_threshold(cell)
         expect(bool(result.get("refusal")), f"A threshold came out of {pulses} pulses that evoked nothing: {result}.")
-        evoked = await _evoked(cell)
+        evoked = await _muscle_response(cell)
     return Evidence(
         "threshold refused with its reason",
         took_place={"pulses that evoked nothing": pulses},
@@ -408,7 +408,7 @@ async def _estimate_threshold(cell: RunningCell) -> tuple[int, dict[str, Any]]:
     return pulses, result
 
 
-async def _evoked(cell: RunningCell) -> dict[str, Any]:
+async def _muscle_response(cell: RunningCell) -> dict[str, Any]:
     """Return the muscle's response in another estimation without the fault.
 
     Raises:

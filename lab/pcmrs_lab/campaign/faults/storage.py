@@ -49,24 +49,24 @@ HALF_WRITTEN = b'{"registration": "111", "landm'
 @fault("T1", how="a real ext4 disk, full", needs=loopdisk.NEEDS, deadline=SEVERAL)
 async def the_disk_is_full(lab: Lab) -> Evidence:
     """All space is taken while the daemon runs, and freed again."""
-    async with _on_disk(lab) as (disk, commands):
+    async with _daemon_on_disk(lab) as (disk, commands):
         disk.fill()
         error_of_others = disk.error()
-        details = await _refused_sooner_or_later(commands)
+        details = await _check_refused_eventually(commands)
         disk.release()
-        return await _afterwards(lab, commands, details, {"another_program_is_told": error_of_others})
+        return await _check_recovery(lab, commands, details, {"another_program_is_told": error_of_others})
 
 
 @fault("T1", how="a real ext4 disk, nearly full", needs=loopdisk.NEEDS, deadline=SEVERAL)
 async def the_disk_is_nearly_full(lab: Lab) -> Evidence:
     """State changes are refused while there is still room for Stop, and the journal never fails."""
-    async with _on_disk(lab, least=f"journal.least_free_mb={LEAST_MB}") as (disk, commands):
-        before = disk.taken()
+    async with _daemon_on_disk(lab, least=f"journal.least_free_mb={LEAST_MB}") as (disk, commands):
+        before = disk.used_share()
         disk.fill(leaving=LEAST_MB * 10**6 // 2)
-        filled = round(disk.taken() - before, 3)
-        details = await _refused_in_time(commands)
+        filled = round(disk.used_share() - before, 3)
+        details = await _check_refused_in_time(commands)
         disk.release()
-        evidence = await _afterwards(lab, commands, details, {"share_of_the_disk_taken": filled})
+        evidence = await _check_recovery(lab, commands, details, {"share_of_the_disk_taken": filled})
         failed = [row for row in commands.cell.rows() if row.operation == "journal_reopened"]
         expect(not failed, "The journal had to be reopened: the refusal came too late.")
         return evidence
@@ -79,16 +79,16 @@ async def the_disk_of_the_log_is_full(lab: Lab) -> Evidence:
         commands = await _accepted_commands(cell)
         disk.fill()
         error_of_others = disk.error()
-        details = await _refused_sooner_or_later(commands)
+        details = await _check_refused_eventually(commands)
         expect(details["refused_as"] != "no verdict", "A command had no verdict.")
         disk.release()
-        return await _afterwards(lab, commands, details, {"another_program_is_told": error_of_others})
+        return await _check_recovery(lab, commands, details, {"another_program_is_told": error_of_others})
 
 
 @fault("T2", how="strace: write of the journal's files gives EIO", needs=syscalls.NEEDS, deadline=SEVERAL)
 async def writing_fails(lab: Lab) -> Evidence:
     """The disk fails to write."""
-    return await _with_failing(lab, WRITES, "EIO")
+    return await _with_failing_calls(lab, WRITES, "EIO")
 
 
 @fault("T3", how="strace: fsync of the journal's files gives EIO", needs=syscalls.NEEDS, deadline=SEVERAL)
@@ -101,24 +101,24 @@ async def synchronising_fails(lab: Lab) -> Evidence:
         expect(await commands.recovers(), "The journal did not recover.")
         reopened = [row for row in cell.rows() if row.operation == "journal_reopened"]
         expect(bool(reopened), "The journal has no row about its recovery.")
-    kept = commands.check_journalled(Path(cell.ready.journal))
+    journalled = commands.check_journalled(Path(cell.ready.journal))
     return Evidence(
         "fail-stop; nothing acknowledged is lost",
-        {**details, "kept": kept},
+        {**details, "kept": journalled},
         took_place={"failed_calls": tampered.calls},
-        control={"by_the_next_daemon": await _successor(lab, cell)},
+        control={"by_the_next_daemon": await _check_successor(lab, cell)},
     )
 
 
 @fault("T4", how="kill -9, then the end of the write-ahead log is cut within its last frame", deadline=SEVERAL)
 async def a_torn_write(lab: Lab) -> Evidence:
     """Acknowledged rows are lost by that, and the next daemon reports it."""
-    cell = await _killed_with_rows(lab)
+    cell = await _kill_with_rows(lab)
     log = _log_of(cell)
     content = log.read_bytes()
     torn = content[: len(content) - lab.random.randrange(1, 4000)]
     inject_unless_sham(lambda: log.write_bytes(torn))
-    return await _reported(lab, cell, "torn", content)
+    return await _check_damage_is_reported(lab, cell, "torn", content)
 
 
 @fault(
@@ -126,22 +126,22 @@ async def a_torn_write(lab: Lab) -> Evidence:
 )
 async def the_power_is_cut(lab: Lab) -> Evidence:
     """All acknowledged rows are there when the disk is mounted again."""
-    kept, error_of_others, lost = 0, set[str](), 0
+    journalled, error_of_others, lost = 0, set[str](), 0
     for number in range(POWER_CUTS):
-        async with _on_disk(lab, f"power{number}") as (disk, commands):
+        async with _daemon_on_disk(lab, f"power{number}") as (disk, commands):
             await asyncio.gather(*(commands.request() for _ in range(1 + lab.random.randrange(20))))
             careless = disk.path / "careless"
             careless.write_bytes(UNSYNCHRONISED)
             disk.cut_power()
             error_of_others.add(disk.error())
-            await _killed(commands.cell)
+            await _kill(commands.cell)
             await disk.power_on()
             lost += not careless.exists() or careless.read_bytes() != UNSYNCHRONISED
-            kept += commands.check_journalled(Path(commands.cell.ready.journal))
-            await _successor(lab, commands.cell)
+            journalled += commands.check_journalled(Path(commands.cell.ready.journal))
+            await _check_successor(lab, commands.cell)
     return Evidence(
         "acknowledged rows kept",
-        {"cuts": POWER_CUTS, "kept": kept},
+        {"cuts": POWER_CUTS, "kept": journalled},
         took_place={"another_program_is_told": ", ".join(sorted(error_of_others))},
         control={"files_of_a_careless_program_lost": lost},
     )
@@ -149,7 +149,7 @@ async def the_power_is_cut(lab: Lab) -> Evidence:
 
 @fault(
     "T5",
-    how="recorded system calls of a writer: only what was synchronised is kept, and a part of the rest",
+    how="recorded system calls of a writer: synchronised data is kept, and a part of the rest",
     needs=syscall_trace.NEEDS,
 )
 async def the_power_is_cut_at_any_write(lab: Lab) -> Evidence:
@@ -203,31 +203,31 @@ async def the_disk_stalls(lab: Lab) -> Evidence:
             verdict = await waiting
             waited = clock() - asked_at
         expect(await commands.recovers(), "Nothing is accepted after the stall.")
-    kept = commands.check_journalled(Path(cell.ready.journal))
+    journalled = commands.check_journalled(Path(cell.ready.journal))
     decision = verdict.decision if verdict is not None else "no verdict"
     return Evidence(
         "Stop and status did not wait",
-        {"stop_and_status_s": round(taken, 3), "command": decision, "kept": kept},
+        {"stop_and_status_s": round(taken, 3), "command": decision, "kept": journalled},
         took_place={"delayed_calls": slow.calls, "command_waited_s": round(waited, 3)},
-        control={"by_the_next_daemon": await _successor(lab, cell)},
+        control={"by_the_next_daemon": await _check_successor(lab, cell)},
     )
 
 
 @fault("T9", how="a real ext4 disk that goes read-only by itself", needs=loopdisk.NEEDS, deadline=SEVERAL)
 async def the_disk_is_read_only(lab: Lab) -> Evidence:
     """The file system becomes read-only, as a damaged one does."""
-    async with _on_disk(lab) as (disk, commands):
+    async with _daemon_on_disk(lab) as (disk, commands):
         await disk.make_read_only()
         error_of_others = disk.error()
-        details = await _refused_sooner_or_later(commands)
-        await _killed(commands.cell)
+        details = await _check_refused_eventually(commands)
+        await _kill(commands.cell)
         await disk.power_on()
         details["kept"] = commands.check_journalled(Path(commands.cell.ready.journal))
         return Evidence(
             "refused; Stop and status work",
             details,
             took_place={"another_program_is_told": error_of_others},
-            control={"by_the_next_daemon": await _successor(lab, commands.cell)},
+            control={"by_the_next_daemon": await _check_successor(lab, commands.cell)},
         )
 
 
@@ -248,7 +248,7 @@ async def a_half_written_file(lab: Lab) -> Evidence:
     _expect_initial(snapshot)
     key = cell.folder / "journal.key"
     key.write_bytes(HALF_WRITTEN)
-    status, _ = await lab.ending(folder=cell.folder)
+    status, _ = await lab.start_refused(folder=cell.folder)
     expect(status != 0, "A half-written file is not noticed even if it is read.")
     return Evidence(
         "ignored",
@@ -261,11 +261,11 @@ async def a_half_written_file(lab: Lab) -> Evidence:
 @fault("T11", how="kill -9, then the write-ahead log is deleted", deadline=SEVERAL)
 async def the_log_is_lost(lab: Lab) -> Evidence:
     """Rows that were only in the log are missing, and the next daemon reports it."""
-    cell = await _killed_with_rows(lab)
+    cell = await _kill_with_rows(lab)
     log = _log_of(cell)
     content = log.read_bytes()
     inject_unless_sham(log.unlink)
-    return await _reported(lab, cell, "lost", content)
+    return await _check_damage_is_reported(lab, cell, "lost", content)
 
 
 @fault("T12", how="another program holds the lock of the database", deadline=SEVERAL)
@@ -275,14 +275,14 @@ async def a_foreign_lock(lab: Lab) -> Evidence:
         commands = await _accepted_commands(cell)
         with closing(sqlite3.connect(cell.ready.journal, isolation_level=None)) as foreign:
             inject_unless_sham(lambda: foreign.execute("BEGIN IMMEDIATE"))
-            error_of_others = _locked(Path(cell.ready.journal))
-            details = await _refused_sooner_or_later(commands)
+            error_of_others = _lock_error(Path(cell.ready.journal))
+            details = await _check_refused_eventually(commands)
             foreign.execute("ROLLBACK")
-        return await _afterwards(lab, commands, details, {"a_third_program_is_told": error_of_others})
+        return await _check_recovery(lab, commands, details, {"a_third_program_is_told": error_of_others})
 
 
 @asynccontextmanager
-async def _on_disk(
+async def _daemon_on_disk(
     lab: Lab, name: str = "mounted", least: str = NO_LEAST
 ) -> AsyncIterator[tuple[LoopDisk, AnsweredCommands]]:
     """Start a daemon whose folder is on its own disk, with some rows in its journal."""
@@ -290,7 +290,7 @@ async def _on_disk(
     place.mkdir()
     async with loop_disk(place) as disk, lab.daemon(f"cell.folder={disk.path}", least, folder=place) as cell:
         yield disk, await _accepted_commands(cell)
-        await _killed(cell)
+        await _kill(cell)
 
 
 async def _accepted_commands(cell: RunningCell) -> AnsweredCommands:
@@ -301,12 +301,12 @@ async def _accepted_commands(cell: RunningCell) -> AnsweredCommands:
     return commands
 
 
-async def _with_failing(lab: Lab, calls: Sequence[str], error: str) -> Evidence:
+async def _with_failing_calls(lab: Lab, calls: Sequence[str], error: str) -> Evidence:
     async with lab.daemon() as cell:
         commands = await _accepted_commands(cell)
         async with injected(cell.process.pid, calls, f"error={error}", files=_files(cell)) as tampered:
-            details = await _refused_sooner_or_later(commands)
-        return await _afterwards(lab, commands, details, {"failed_calls": tampered.calls})
+            details = await _check_refused_eventually(commands)
+        return await _check_recovery(lab, commands, details, {"failed_calls": tampered.calls})
 
 
 def _damage_reported(response: str, found: CutReport) -> Evidence:
@@ -319,7 +319,7 @@ def _damage_reported(response: str, found: CutReport) -> Evidence:
     )
 
 
-async def _refused_sooner_or_later(commands: AnsweredCommands) -> dict[str, object]:
+async def _check_refused_eventually(commands: AnsweredCommands) -> dict[str, object]:
     """Check response D; a command or two may still fit into space that is already allocated."""
     for _ in range(40):
         verdict = await commands.request("registration.plan_landmarks", **landmarks())
@@ -328,7 +328,7 @@ async def _refused_sooner_or_later(commands: AnsweredCommands) -> dict[str, obje
     raise Unmet("Forty commands were accepted although nothing can be written.")
 
 
-async def _refused_in_time(commands: AnsweredCommands) -> dict[str, object]:
+async def _check_refused_in_time(commands: AnsweredCommands) -> dict[str, object]:
     """Check response D, by the watch of the free space, which checks every second."""
     clock = asyncio.get_running_loop().time
     end = clock() + IN_TIME
@@ -340,23 +340,23 @@ async def _refused_in_time(commands: AnsweredCommands) -> dict[str, object]:
     raise Unmet(f"Commands were accepted for {IN_TIME:g} s although the disk is nearly full.")
 
 
-async def _afterwards(
+async def _check_recovery(
     lab: Lab, commands: AnsweredCommands, details: dict[str, object], took_place: Mapping[str, Any]
 ) -> Evidence:
     """Check that after the fault the daemon, or its successor, continues, and nothing acknowledged is lost."""
     cell = commands.cell
     details["recovered"] = await commands.recovers(5.0)
-    await _killed(cell)
+    await _kill(cell)
     details["kept"] = commands.check_journalled(Path(cell.ready.journal))
     return Evidence(
         "refused; Stop and status work; nothing lost",
         dict(details),
         took_place=took_place,
-        control={"by_the_next_daemon": await _successor(lab, cell)},
+        control={"by_the_next_daemon": await _check_successor(lab, cell)},
     )
 
 
-async def _successor(lab: Lab, cell: RunningCell) -> str:
+async def _check_successor(lab: Lab, cell: RunningCell) -> str:
     """Check that the next daemon on the folder starts as usual and decides again; return its decision."""
     async with lab.daemon(f"cell.folder={cell.ready.folder}", NO_LEAST, folder=cell.folder) as successor:
         _expect_initial(await successor.client.state())
@@ -368,26 +368,26 @@ def _expect_initial(snapshot: Snapshot) -> None:
     expect(snapshot.branches["registration"] == "000", f"The next daemon begins in {snapshot.branches}.")
 
 
-async def _killed(cell: RunningCell) -> None:
+async def _kill(cell: RunningCell) -> None:
     if cell.process.returncode is None:
         cell.process.send_signal(signal.SIGKILL)
         await cell.process.wait()
 
 
-async def _killed_with_rows(lab: Lab) -> RunningCell:
+async def _kill_with_rows(lab: Lab) -> RunningCell:
     async with lab.daemon() as cell:
         await _accepted_commands(cell)
-        await _killed(cell)
+        await _kill(cell)
     expect(_log_of(cell).exists(), "The daemon left no write-ahead log.")
     return cell
 
 
-async def _reported(lab: Lab, cell: RunningCell, how: str, log: bytes) -> Evidence:
+async def _check_damage_is_reported(lab: Lab, cell: RunningCell, how: str, log: bytes) -> Evidence:
     """Check that the next daemon refuses to start with the reason, and starts with the original write-ahead log."""
     path = _log_of(cell)
     lost = len(log) - (path.stat().st_size if path.exists() else 0)
     expect(lost > 0, "The write-ahead log has lost nothing.")
-    status, errors = await lab.ending(folder=cell.folder)
+    status, errors = await lab.start_refused(folder=cell.folder)
     text = errors.strip().splitlines()[-1] if errors.strip() else ""
     expect(status != 0 and "Traceback" not in errors, f"Exit status {status}: {errors[-2000:]}")
     expect("journal" in text or "sqlite" in text, f"It ended with: {text}")
@@ -396,11 +396,11 @@ async def _reported(lab: Lab, cell: RunningCell, how: str, log: bytes) -> Eviden
         f"{how}: refused to start, with the reason",
         {"status": status, "text": text},
         took_place={"bytes_lost": lost},
-        control={"with_the_whole_log": await _successor(lab, cell)},
+        control={"with_the_whole_log": await _check_successor(lab, cell)},
     )
 
 
-def _locked(journal: Path) -> str:
+def _lock_error(journal: Path) -> str:
     """Return the error of another program that requests the lock of the database; empty if it gets it."""
     with closing(sqlite3.connect(journal, timeout=0.0, isolation_level=None)) as third:
         try:

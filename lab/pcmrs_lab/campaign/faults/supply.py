@@ -24,7 +24,7 @@ METADATA = {
 }
 
 
-@fault("A39", how="a wheel that pip is to install, exchanged after its hash was locked", needs=[module("pip")])
+@fault("A39", how="a wheel for pip that was replaced after its hash was locked", needs=[module("pip")])
 async def exchanged_library(lab: Lab) -> Evidence:
     """With the hash it is not installed; the locked one is, and without hashes the exchanged one would be."""
     wheel, lock = lab.folder / WHEEL, lab.folder / "requirements.lock"
@@ -50,7 +50,7 @@ async def exchanged_library(lab: Lab) -> Evidence:
     )
 
 
-@fault("A40", how="the command that issues certificates, with and without the cells for which they count")
+@fault("A40", how="the command that issues certificates, with and without the cells for which they are valid")
 async def certificate_for_no_cell(lab: Lab) -> Evidence:
     """Without a cell nothing is issued or registered; with one the certificate counts for that cell only."""
     folder = lab.folder / "pki"

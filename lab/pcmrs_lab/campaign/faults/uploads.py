@@ -31,7 +31,7 @@ ALONE: Final = 1.0
 """Time for which no console starts after one was killed, s of the machine."""
 
 
-@fault("A37", how="a request that says to be longer than the limit, of a program that has the token", needs=[CONSOLE])
+@fault("A37", how="a request with a length above the limit, from a program with the token", needs=[CONSOLE])
 async def announced_too_long(lab: Lab) -> Evidence:
     """It is refused before any of it is sent."""
     async with _upload(lab) as (_, own):
@@ -46,7 +46,7 @@ async def announced_too_long(lab: Lab) -> Evidence:
     )
 
 
-@fault("A37", how="a request without a length, of a program that has the token", needs=[CONSOLE])
+@fault("A37", how="a request without a length, from a program with the token", needs=[CONSOLE])
 async def without_length(lab: Lab) -> Evidence:
     """It is refused unread, since its end is unknown."""
     async with _upload(lab) as (_, own):
@@ -61,7 +61,7 @@ async def without_length(lab: Lab) -> Evidence:
     )
 
 
-@fault("A38", how="SIGKILL to a console that has the file of an upload read", needs=[CONSOLE])
+@fault("A38", how="SIGKILL of a console while it reads an uploaded file", needs=[CONSOLE])
 async def killed_with_a_file(lab: Lab) -> Evidence:
     """The next console that starts, at any port, removes the file; nothing removes it before."""
     async with lab.cell(fresh=False) as cell:
