@@ -1,4 +1,4 @@
-"""Lines on the standard input of `pcmrs-sim`, and what they do to a simulated cell.
+"""Lines on the standard input of `pcmrs-sim`, and their effect on a simulated cell.
 
 python -m fuzz.faults -max_total_time=60
 """
@@ -24,7 +24,7 @@ NAMES = sorted(FAULTS)
 
 
 async def one(data: bytes) -> None:
-    """The first byte may name a fault, so that arguments are tried, too."""
+    """Inject a fault; the first byte may select it, so that arguments are tried, too."""
     text = data[1:].decode("utf-8", "replace")
     line = f"{NAMES[data[0] % len(NAMES)]} {text}" if data[:1] > b"\x20" else text
     if not line.strip():

@@ -1,4 +1,4 @@
-"""Every forbidden operation in every joint state of a workflow, through dispatcher and journal."""
+"""Requests for every forbidden operation in every joint state of a workflow, through dispatcher and journal."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from pcmrs_lab.experiment.tours.rehearsal import LeapingClock, Script, scripted
 
 @dataclass
 class Found:
-    """What a walk through all joint states has shown.
+    """Result of a walk through all joint states.
 
     Attributes:
-        joint_states: How many there are.
-        forbidden: Commands that had to be rejected.
-        recorded: Refusals that the journal has, read back from it.
-        wrong: Of the commands, those that were not rejected, or changed something, or are not in the journal (or are,
-            being events).
+        joint_states: Number of joint states.
+        forbidden: Number of commands that had to be rejected.
+        recorded: Number of refusals that were read back from the journal.
+        wrong: Commands that were not rejected, changed something, or are missing in the journal (events must be
+            missing).
     """
 
     joint_states: int = 0
@@ -40,13 +40,16 @@ class Found:
 
 
 async def walk(blueprint: Blueprint, folder: Path, runs: Blueprint | None = None, enough: int | None = None) -> Found:
-    """Asks for every forbidden operation in every joint state, and looks for what must not be.
+    """Request every forbidden operation in every joint state, and check the effects.
 
     Args:
-        blueprint: Says what is forbidden.
-        folder: Takes the journal.
-        runs: The workflow that decides; the same unless a difference is to be found.
-        enough: So much that is wrong ends the walk.
+        blueprint: Workflow that says what is forbidden.
+        folder: Folder for the journal.
+        runs: Workflow that decides; `blueprint` unless a difference is to be found.
+        enough: Number of findings after which the walk ends.
+
+    Returns:
+        Numbers and findings of the walk.
     """
     tour = plan_tour(blueprint, MAX_JOINT_STATES)
     journal = Journal.open(folder / "every_state.sqlite", durable=False)
@@ -75,24 +78,24 @@ async def _walk_stretch(
         verdict = await dispatcher.submit(command)
         if move.decision == "rejected" and not move.at:
             found.forbidden += 1
-            has_row = not is_event(runs, command)  # an event that changes nothing leaves none
+            has_row = not is_event(runs, command)  # an event that changes nothing leaves no row
             wrong = _wrong(move, verdict, before == _shape(dispatcher), journal, has_row=has_row)
             found.wrong += [f"{move} in {'-'.join(move.before)}: {wrong}"] if wrong else []
             found.recorded += has_row and not wrong
         reached = joint_of(blueprint, dispatcher.snapshot().branches)
         if reached != move.after:
             found.wrong.append(f"{move} in {'-'.join(move.before)}: it led to {'-'.join(reached)}")
-            break  # the rest of the stretch begins elsewhere
+            break  # the rest of the stretch needs the expected state
         await asyncio.sleep(0)
 
 
 def _needed(move: Move) -> bool:
-    """Whether a command is forbidden, or leads on; what its checks and steps do in place is for other tests."""
+    """Return whether a command is forbidden or changes the state; other tests cover those that do neither."""
     return move.before != move.after or (move.decision == "rejected" and not move.at and not is_sham())
 
 
 def _shape(dispatcher: Dispatcher[None, ProcedureData]) -> bytes:
-    """States, flags, latch, number of the last commit, and data."""
+    """Return states, flags, latch, number of the last commit, and data, encoded."""
     return msgspec.msgpack.encode((dispatcher.snapshot(), dispatcher.procedure.data))
 
 
@@ -100,7 +103,7 @@ def _wrong(move: Move, verdict: Verdict, unchanged: bool, journal: Journal, *, h
     if verdict.decision != "rejected":
         return f"it was {verdict.decision}"
     if verdict.reason is None or verdict.reason.code != move.code:
-        return f"refused as {verdict.reason}, must be {move.code}"
+        return f"refused as {verdict.reason}, expected {move.code}"
     if not unchanged:
         return "states or data have changed"
     stored = [row.row.verdict for row in journal.reader.read(last=1, kind="outcome")]
@@ -115,4 +118,4 @@ def _command(move: Move) -> Command:
 
 
 async def _hold(_latch: bool) -> None:
-    """There is nothing to hold."""
+    """Do nothing: there is no robot to hold."""

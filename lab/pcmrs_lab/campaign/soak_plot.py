@@ -1,4 +1,4 @@
-"""The courses of a soak as a picture."""
+"""Plot of the measures of a soak test."""
 
 from __future__ import annotations
 
@@ -11,7 +11,12 @@ COLOURS = {"daemon": BLUE, "node": ORANGE, "world": GREEN, "heart": "black"}
 
 
 def draw_soak(report: SoakReport, path: Path) -> None:
-    """Draws every measure over time. Raises `OSError` when the file cannot be written."""
+    """Draw every measure over time; raise `OSError` if the file cannot be written.
+
+    Args:
+        report: Result of the soak test.
+        path: PNG file to write.
+    """
     figure = new_figure(10.0, 6.0)
     for axes, measure in zip(figure.subplots(2, 2).flat, ALLOWED, strict=True):
         scale = 1e6 if measure == "memory" else 1.0

@@ -1,4 +1,4 @@
-"""A cell that is operated at random for hours: memory, file descriptors, threads and tasks must stay flat."""
+"""Soak test: a cell is operated at random for hours; memory, file descriptors, threads and tasks must stay flat."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ from pcmrs_lab.campaign.saboteur import order, sabotaged
 from pcmrs_lab.campaign.samples import sample, slope
 
 WARM_UP = 0.2
-"""Share of the time before anything is compared: caches fill, modules are loaded."""
+"""Share of the time before anything is compared, in which caches fill and modules are loaded."""
 
 SAMPLES = 400
-"""Of the whole run; at most one per second."""
+"""Number of samples of the whole run; at most one per second."""
 
 LEAST_ACCEPTED = 0.5
 """Share of the commands that must be accepted: a cell that refuses everything is not operated."""
 
 ALLOWED = {"memory": 8e6, "descriptors": 2.0, "threads": 2.0, "tasks": 4.0}
-"""A measure is flat when its line rises by less than this over the run, or not surely (3 standard errors)."""
+"""Rise over the run below which a measure counts as flat; it is also flat if the rise is not significant (3 standard
+errors)."""
 
 UNITS = {"memory": "bytes", "descriptors": "", "threads": "", "tasks": ""}
 
@@ -40,9 +41,9 @@ class Course(msgspec.Struct, frozen=True):
 
     Attributes:
         process: ``daemon``, ``node``, ``world`` or ``heart``.
-        measure: A key of `ALLOWED`.
-        times: Since the start, s of the machine.
-        rise: Of the line through the values after the warm-up, over that time.
+        measure: Key of `ALLOWED`.
+        times: Times since the start, s of the machine.
+        rise: Rise of the line through the values after the warm-up, over that time.
         error: Standard error of `rise`.
     """
 
@@ -55,18 +56,18 @@ class Course(msgspec.Struct, frozen=True):
 
     @property
     def flat(self) -> bool:
-        """Whether it does not grow."""
+        """True if it does not grow."""
         return self.rise < ALLOWED[self.measure] or self.rise < 3.0 * self.error
 
 
 class SoakReport(msgspec.Struct, frozen=True):
-    """What was found.
+    """Result of a soak test.
 
     Attributes:
-        steps: Commands asked for.
-        decisions: How many of them were accepted, rejected, failed, unknown.
-        rows: Of the journal at the end.
-        ended: What ended the run early; empty when nothing did.
+        steps: Number of commands.
+        decisions: Number of commands that were accepted, rejected, failed, unknown.
+        rows: Rows of the journal at the end.
+        ended: Error that ended the run early; empty if none did.
     """
 
     seconds: float
@@ -80,7 +81,7 @@ class SoakReport(msgspec.Struct, frozen=True):
 
     @property
     def violated(self) -> bool:
-        """Whether it ended early, something grows, or too little was accepted to show anything."""
+        """True if it ended early, a measure grows, or too few commands were accepted to show anything."""
         idle = self.decisions.get("accepted", 0) < LEAST_ACCEPTED * self.steps
         return bool(self.ended) or idle or not all(course.flat for course in self.courses)
 
@@ -88,19 +89,22 @@ class SoakReport(msgspec.Struct, frozen=True):
 async def soak(
     hours: float, seed: int, folder: Path, clock: Clock, *, progress: ShowProgress = lambda *_: None
 ) -> SoakReport:
-    """Operates a cell for so long and looks at its processes now and then.
+    """Operate a cell for some hours, and sample its processes.
 
     Args:
-        hours: Of the machine.
-        seed: Of what is operated.
-        folder: For the daemon; it goes away with the caller.
-        clock: The machine's.
-        progress: Told after every sample.
+        hours: Duration, h of the machine.
+        seed: Seed of the operations.
+        folder: Folder for the daemon; the caller removes it.
+        clock: Clock of the machine.
+        progress: Called after every sample.
+
+    Returns:
+        Result.
     """
     orders = folder / "orders"
     async with open_cell(folder / "soaked", ("robot.deadman=0.5",), prefix=sabotaged(orders)) as cell:
         operator, decisions = Operator(cell.client, random.Random(seed)), Counter[str]()
-        begun = clock.monotonic()
+        started = clock.monotonic()
         operating = asyncio.create_task(_operate(operator, decisions))
         try:
             seen = await _look(cell, orders, operating, hours * 3600.0, clock, progress)
@@ -109,7 +113,7 @@ async def soak(
             operating.cancel()
             await asyncio.gather(operating, return_exceptions=True)
         return SoakReport(
-            seconds=clock.monotonic() - begun,
+            seconds=clock.monotonic() - started,
             seed=seed,
             steps=decisions.total() + operator.stops,
             stops=operator.stops,
@@ -135,10 +139,10 @@ Seen = list[tuple[float, str, str, float]]
 async def _look(
     cell: RunningCell, orders: Path, operating: asyncio.Task[None], length: float, clock: Clock, progress: ShowProgress
 ) -> Seen:
-    begun, period = clock.monotonic(), max(1.0, length / SAMPLES)
+    started, period = clock.monotonic(), max(1.0, length / SAMPLES)
     seen: Seen = []
     processes = processes_of(cell.process.pid)
-    while (now := clock.monotonic() - begun) < length and not operating.done():
+    while (now := clock.monotonic() - started) < length and not operating.done():
         for process, pid in processes:
             taken = msgspec.structs.asdict(sample(pid))
             seen += [(now, process, measure, float(value)) for measure, value in taken.items()]
@@ -164,7 +168,14 @@ def _courses(seen: Seen) -> list[Course]:
 
 
 def course(process: str, measure: str, times: Sequence[float], values: Sequence[float]) -> Course:
-    """One measure with its line."""
+    """Return one measure with its line.
+
+    Args:
+        process: Name of the process.
+        measure: Key of `ALLOWED`.
+        times: Times since the start, s.
+        values: Values at these times.
+    """
     first = WARM_UP * times[-1] if times else 0.0
     late = [(time, value) for time, value in zip(times, values, strict=True) if time >= first]
     rising, error = slope([time for time, _ in late], [value for _, value in late])

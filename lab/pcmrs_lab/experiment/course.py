@@ -1,4 +1,4 @@
-"""What is seen of a tool that follows: its true error, the one that the tracker measures, and whether it is aligned."""
+"""Observation of a tool that follows: its true error, the error that the tracker measures, and its alignment."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from pcmrs.spatial import Floats, Transform, distance
 from pcmrs.workflows.data import as_transform
 
 PERIOD = 0.02
-"""Between two looks at the truth, s of the machine."""
+"""Time between two samples of the ground truth, s of the machine."""
 HISTORY = 64
-"""Frames of the tracker that may come late."""
+"""Number of tracker frames that are stored, since frames may come late."""
 
 
 @dataclass
 class Course:
-    """Errors of one run, in mm, and the times since its beginning at which they were, s of the cell.
+    """Errors of one run, mm, and their times since its beginning, s of the cell.
 
     Attributes:
-        allowed: Whether the tool counted as aligned then.
-        measured_mm: Of the tracker's frames.
-        lag: By how much the simulation fell behind its clock, s.
+        allowed: True where the tool counted as aligned.
+        measured_mm: Errors of the tracker's frames, mm.
+        lag: Delay of the simulation behind its clock, s.
     """
 
     times: list[float] = field(default_factory=list)
@@ -39,24 +39,24 @@ class Course:
     lag: float = 0.0
 
     def true_allowed_mm(self) -> Floats:
-        """True errors while the tool counted as aligned, (N,)."""
+        """Return the true errors while the tool counted as aligned, mm, (N,)."""
         errors: Floats = np.array(self.true_mm)[np.array(self.allowed, dtype=bool)]
         return errors
 
 
 class Observer:
-    """Looks at a running cell from outside.
+    """Observes a running cell from outside.
 
     Args:
-        client: Of its daemon.
-        scene: Its truth.
-        body_ref_from_coil: Where the tool should be on the body, as registered and planned.
-        rate: Of the cell.
+        client: Client of the daemon.
+        scene: Ground truth of the simulation.
+        body_ref_from_coil: Pose of the coil in the body frame as registered and planned.
+        rate: Seconds of the cell per second of the machine.
     """
 
     def __init__(self, client: Client, scene: RemoteScene, body_ref_from_coil: Transform, rate: float) -> None:
         self.snapshot: Snapshot | None = None
-        self._told = asyncio.Event()
+        self._changed = asyncio.Event()
         self._scene = scene
         self._desired = body_ref_from_coil
         self._clock, self._rate = SystemClock(), rate
@@ -65,32 +65,44 @@ class Observer:
         client.listen("state/fsm", Snapshot, self._take_snapshot)
         client.listen("state/pose/*", BodyPose, self._take_pose)
 
-    async def watch(self, duration: float, *, whatever: bool = False) -> Course:
-        """Looks on for `duration`, s of the cell, or until the tool does not follow any more; or `whatever` it does."""
+    async def watch(self, duration: float, *, even_if_lost: bool = False) -> Course:
+        """Record the errors for some time, or until the tool does not follow any more.
+
+        Args:
+            duration: Duration, s of the cell.
+            even_if_lost: True to continue although the tool does not follow.
+
+        Returns:
+            Errors of the run.
+        """
         course = self._course = Course()
-        begun, machine = (await self._scene.truth()).time, self._clock.monotonic()
+        started, machine = (await self._scene.truth()).time, self._clock.monotonic()
         while True:
             truth = await self._scene.truth()
-            course.times.append(truth.time - begun)
+            course.times.append(truth.time - started)
             course.true_mm.append(self._error(truth) * 1000.0)
             course.allowed.append(self.state("alignment") == "1")
             course.lag = (self._clock.monotonic() - machine) * self._rate - course.times[-1]
-            if course.times[-1] >= duration or not (whatever or self.state("placement") == "following"):
+            if course.times[-1] >= duration or not (even_if_lost or self.state("placement") == "following"):
                 self._course = None
                 return course
             await asyncio.sleep(PERIOD)
 
     async def aligned(self, timeout: float) -> bool:
-        """Waits until the tool counts as aligned: whether it does within `timeout`, s of the machine."""
+        """Wait until the tool counts as aligned, and return whether it does.
+
+        Args:
+            timeout: Time limit, s of the machine.
+        """
         with suppress(TimeoutError):
             async with asyncio.timeout(timeout):
                 while self.state("alignment") != "1":
-                    self._told.clear()
-                    await self._told.wait()
+                    self._changed.clear()
+                    await self._changed.wait()
         return self.state("alignment") == "1"
 
     def state(self, branch: str) -> str:
-        """Of a branch, as told last."""
+        """Return the last published state of a branch; empty before the first snapshot."""
         return self.snapshot.branches[branch] if self.snapshot is not None else ""
 
     def _error(self, truth: SceneTruth) -> float:
@@ -100,10 +112,10 @@ class Observer:
 
     def _take_snapshot(self, snapshot: Snapshot) -> None:
         self.snapshot = snapshot
-        self._told.set()
+        self._changed.set()
 
     def _take_pose(self, pose: BodyPose) -> None:
-        """Compares tool and body of one frame, whichever comes first."""
+        """Compare tool and body of one frame, whichever comes last."""
         if self._course is None or not pose.valid or pose.body not in ("coil", "body_ref"):
             return
         other = next((seen for seen in self._frames if seen.frame_number == pose.frame_number), None)

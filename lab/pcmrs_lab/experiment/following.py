@@ -1,4 +1,4 @@
-"""The following experiment: the tool keeps its place on a simulated head that moves."""
+"""Following experiment: the tool keeps its place on a simulated head that moves."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from pcmrs_lab.experiment.private import Bench, private_bench
 from pcmrs_lab.experiment.setup import Setup
 
 ALIGNED_WITHIN = 10.0
-"""A tool that follows a head at rest counts as aligned after this, s of the machine."""
+"""Time within which a tool that follows a resting head counts as aligned, s of the machine."""
 ATTEMPTS = 3
-"""On a machine that is busy with others the robot may miss its set points, and hold."""
+"""Number of attempts: on a busy machine the robot may miss its set points, and hold."""
 OCCLUDED = 3.0
-"""So long the reference is hidden in the end, s of the cell."""
+"""Time for which the reference is hidden at the end, s of the cell."""
 TO_PLACED = {"held": "back_off", "retracted": "approach", "standoff": "confirm", "following": "stop_following"}
-"""The operation by which each state of the placement leads to the planned pose."""
+"""Operation that leads to the planned pose, by state of the placement."""
 
 
 class Spread(msgspec.Struct, frozen=True):
-    """Of errors over time, mm."""
+    """Statistics of errors over time, mm."""
 
     rms: float
     p99: float
@@ -39,16 +39,16 @@ class Spread(msgspec.Struct, frozen=True):
 
 
 class Followed(msgspec.Struct, frozen=True):
-    """One scenario.
+    """Result of one scenario.
 
     Attributes:
-        compensated: Whether the tracker's latency was.
-        true_mm: The actual pose against the plan as registered.
-        measured_mm: The same, by the frames of the tracker.
+        compensated: True if the tracker's latency was compensated.
+        true_mm: Actual pose against the plan as registered.
+        measured_mm: Measured pose against the plan as registered, by the frames of the tracker.
         allowed: Share of the time in which the tool counted as aligned.
-        true_allowed_mm: The highest true error in that time.
-        lag: By how much the simulation fell behind its clock, s.
-        lost: Whether following ended by itself.
+        true_allowed_mm: Largest true error in that time, mm.
+        lag: Delay of the simulation behind its clock, s.
+        lost: True if following ended by itself.
     """
 
     scenario: str
@@ -63,10 +63,10 @@ class Followed(msgspec.Struct, frozen=True):
 
 
 class Occluded(msgspec.Struct, frozen=True):
-    """What became of a tool whose reference was hidden while the head breathed.
+    """State of a tool whose reference was hidden while the head breathed.
 
     Attributes:
-        moved_mm: How far it went from where it was when that was hidden, within `seconds`.
+        moved_mm: Displacement within `seconds` after the reference was hidden, mm.
     """
 
     seconds: float
@@ -92,21 +92,24 @@ class FollowingReport(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A run as it is drawn."""
+    """Run as it is plotted."""
 
     result: Followed
     course: Course
 
 
 async def run_following(setup: Setup, duration: float) -> tuple[FollowingReport, list[Drawn]]:
-    """Follows each kind of motion with and without compensation of the latency, each through a daemon of its own.
+    """Follow each kind of motion with and without compensation of the latency, each on its own daemon.
 
     Args:
-        setup: The first of its poses is taken.
-        duration: Of each run, s of the cell.
+        setup: Setup, of which the first pose is used.
+        duration: Duration of each run, s of the cell.
+
+    Returns:
+        Report, and the runs for plotting.
 
     Raises:
-        CommandRefusedError: The daemon refused a command; the text says which and why.
+        CommandRefusedError: The daemon refused a command; the text gives it and the reason.
         DeviceError: A daemon did not start.
     """
     drawn = [*await _variant(setup, duration, compensated=False), *await _variant(setup, duration, compensated=True)]
@@ -128,7 +131,7 @@ async def run_following(setup: Setup, duration: float) -> tuple[FollowingReport,
 
 
 async def _variant(setup: Setup, duration: float, *, compensated: bool) -> list[Drawn]:
-    """All scenarios one after the other through one daemon."""
+    """Run all scenarios one after the other on one daemon."""
     drawn = []
     async with _bench(setup, compensated=compensated) as bench:
         observer = await _placed(bench, setup)
@@ -144,7 +147,7 @@ async def _variant(setup: Setup, duration: float, *, compensated: bool) -> list[
 
 
 async def _occlusion(setup: Setup, duration: float) -> Occluded:
-    """Hides the reference of a head that breathes, while the tool follows it."""
+    """Hide the reference of a head that breathes, while the tool follows it."""
     async with _bench(setup, compensated=True) as bench:
         observer = await _placed(bench, setup)
         await _begin(bench, observer)
@@ -153,7 +156,7 @@ async def _occlusion(setup: Setup, duration: float) -> Occluded:
         await observer.watch(1.0)
         await bench.scene.occlude("body_ref", True)
         where = as_transform((await bench.scene.truth()).tracker_from_coil)
-        await observer.watch(OCCLUDED, whatever=True)
+        await observer.watch(OCCLUDED, even_if_lost=True)
         moved = distance(where, as_transform((await bench.scene.truth()).tracker_from_coil))
         latched = observer.snapshot is not None and observer.snapshot.latched
         state, alignment = observer.state("placement"), observer.state("alignment")
@@ -166,7 +169,7 @@ def _bench(setup: Setup, *, compensated: bool) -> AbstractAsyncContextManager[Be
 
 
 async def _begin(bench: Bench, observer: Observer) -> None:
-    """Brings the tool to its place, wherever it is, and has it follow until it counts as aligned.
+    """Bring the tool from any state to its place, and have it follow until it counts as aligned.
 
     Raises:
         CommandRefusedError: A command was refused, or following ended by itself each time.
@@ -175,16 +178,16 @@ async def _begin(bench: Bench, observer: Observer) -> None:
         if (await bench.client.state()).latched:
             await bench.client.acknowledge()
         while (state := (await bench.client.state()).branches["placement"]) != "placed":
-            await _ask(bench, f"placement.{TO_PLACED[state]}")
-        await _ask(bench, "placement.follow")
+            await _request(bench, f"placement.{TO_PLACED[state]}")
+        await _request(bench, "placement.follow")
         if await observer.aligned(ALIGNED_WITHIN):
             return
-    text = f"Of {ATTEMPTS} times that the tool began to follow a head at rest, it was not aligned within "
-    raise CommandRefusedError(f"{text}{ALIGNED_WITHIN:g} s once: the machine does not keep up; end what else it does.")
+    text = f"In {ATTEMPTS} attempts to follow a resting head the tool was never aligned within "
+    raise CommandRefusedError(f"{text}{ALIGNED_WITHIN:g} s: the machine is too slow or too busy. Stop other programs.")
 
 
-async def _ask(bench: Bench, name: str) -> None:
-    """Asks for an operation, and again where the tracker has not shown yet where all is."""
+async def _request(bench: Bench, name: str) -> None:
+    """Request an operation, again if the tracker has not shown all bodies yet."""
     for _ in range(PATIENCE):
         verdict = await bench.client.call(name)
         if verdict.reason is None or verdict.decision != "rejected" or verdict.reason.code not in NOT_SEEN:
@@ -217,7 +220,7 @@ def _spread(errors_mm: Sequence[float]) -> Spread:
 
 
 async def _placed(bench: Bench, setup: Setup) -> Observer:
-    """A registered head with the tool at its place, and who looks at it."""
+    """Register the head and plan the first pose; return an observer of the tool there."""
     plan, planner = setup.plan, bench.planner
     await planner.connect()
     await planner.plan_landmarks([landmark.position for landmark in plan.landmarks])

@@ -161,5 +161,5 @@ def test_scripts_survive_a_file_and_others_are_refused(tmp_path: Path) -> None:
     write_script(script, tmp_path / "script.json")
     assert msgspec.to_builtins(read_script(tmp_path / "script.json")) == msgspec.to_builtins(script)
     (tmp_path / "other.json").write_text('{"seed": 1, "nonsense": 2}')
-    with pytest.raises(ConfigurationError, match="no script"):
+    with pytest.raises(ConfigurationError, match="not a script"):
         read_script(tmp_path / "other.json")

@@ -16,7 +16,7 @@ from pcmrs.journal.head import head_path
 from pcmrs.journal.keys import signing_key
 from pcmrs.journal.schema import HEADLESS, VERSION, WITHOUT_MAC, statements
 from pcmrs.testing.journal import NAME, contents, place
-from pcmrs_lab.campaign.damage import append_without_key, leave_unnamed
+from pcmrs_lab.campaign.damage import append_past_head, append_without_key
 from tests.unit.journal.journal_rows import outcome, row
 from tests.unit.journal.whole_journal import sample
 
@@ -68,7 +68,7 @@ def test_rows_added_without_the_key_are_refused_from_the_first(path: Path, numbe
 
 async def test_unnamed_rows_with_macs_are_adopted_after_a_crash(path: Path) -> None:
     rows: list[JournalRow] = [row(), outcome("late")]
-    leave_unnamed(path, rows)
+    append_past_head(path, rows)
     assert verify(path).unnamed == 2
     await Journal.open(path).close()
     assert operations(path) == ["head_behind"]
@@ -79,7 +79,7 @@ async def test_unnamed_rows_with_macs_are_adopted_after_a_crash(path: Path) -> N
 
 @pytest.mark.parametrize("forged", [None, bytes(32), b""])
 def test_row_forged_after_those_of_a_crash_is_refused_by_number(path: Path, forged: object) -> None:
-    leave_unnamed(path, [row()])
+    append_past_head(path, [row()])
     append_without_key(path, [row()], mac=forged)
     check_refused(path, 20, "It was written without the key")
 
@@ -139,7 +139,7 @@ async def test_grown_journal_of_version_2_is_read_with_its_later_file(old: Path)
 
 
 def test_a_copy_keeps_what_tells_rows_of_a_crash_from_others(path: Path, tmp_path: Path) -> None:
-    leave_unnamed(path, [row()])
+    append_past_head(path, [row()])
     (tmp_path / "copy").mkdir()
     copy_journal(path, tmp_path / "copy" / NAME)
     assert macs(tmp_path / "copy" / NAME) == macs(path)

@@ -1,4 +1,4 @@
-"""Everything that can go wrong in a simulated session, by name, with the arguments it is drawn with."""
+"""All faults of a simulated session, by name, with the random arguments that they are drawn with."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ class Fault:
     """One kind of fault.
 
     Attributes:
-        rows: Of the fault catalogue.
-        draw: Its arguments.
-        mend: Arguments that end it; None for one that ends by itself.
-        lasts: Longest time until it is mended, s.
-        weight: How often it is drawn, beside the others.
+        rows: Rows of the fault catalogue.
+        draw: Function that draws its arguments.
+        end: Arguments that end it; None for one that ends by itself.
+        lasts: Longest time until it is ended, s.
+        weight: Relative frequency with which it is drawn.
     """
 
     rows: tuple[str, ...]
     draw: Draw
-    mend: Mapping[str, Any] | None = None
+    end: Mapping[str, Any] | None = None
     lasts: float = 20.0
     weight: float = 1.0
 
@@ -103,7 +103,7 @@ SCENE: Mapping[str, Fault] = {
     "no_mep": _switched("S14"),
     "preactivation": Fault(("S14",), lambda draw: {"microvolts": draw.uniform(0.0, 300.0)}, {"microvolts": 0.0}),
 }  # fmt: skip
-"""Brought about by the simulated scene, under the names that it has for them."""
+"""Faults that the simulated scene injects, under its names for them."""
 
 ENDPOINTS = ("operator", "daemon", "node")
 
@@ -120,7 +120,7 @@ NETWORK: Mapping[str, Fault] = {
     "delay": Fault(("N4",), lambda draw: {"seconds": round(draw.uniform(0.05, 0.5), 3)}, {"seconds": 0.0}),
     "partition": Fault(("N9", "N13"), _ends, {}, 10.0, 2.0),
 }
-"""Brought about by the simulated network."""
+"""Faults that the simulated network injects."""
 
 HOST: Mapping[str, Fault] = {
     "crash_daemon": Fault(("P1",), _nothing, {}, 10.0, 3.0),
@@ -139,7 +139,7 @@ HOST: Mapping[str, Fault] = {
     "wall_frozen": _switched("C3"),
     "skewed_operator": Fault(("C4",), lambda draw: {"seconds": draw.choice((-30.0, 3.0, 60.0))}, {"seconds": 0.0}),
 }
-"""Brought about in the processes of the daemon and the node, their hosts, and between the tracker and its node."""
+"""Faults of the processes of daemon and node, of their hosts, and between the tracker and its node."""
 
 FAULTS: Mapping[str, Fault] = {**SCENE, **NETWORK, **HOST}
-"""All of them; a script names one as ``fault:<name>``."""
+"""All faults; a script names one as ``fault:<name>``."""

@@ -15,7 +15,7 @@ from pcmrs_lab.cli.faults.options import print_findings, seed_option
 
 
 @click.command()
-@click.option("--hours", type=POSITIVE, default=1.0, show_default=True, help="Of the machine.")
+@click.option("--hours", type=POSITIVE, default=1.0, show_default=True, help="Duration, h.")
 @seed_option
 @plot_option
 @json_option
@@ -23,7 +23,7 @@ from pcmrs_lab.cli.faults.options import print_findings, seed_option
 def soak(hours: float, seed: int, plot: Path | None, as_json: bool) -> None:
     """Operate a simulated cell at random for hours: memory, file descriptors, threads and tasks must stay flat.
 
-    Exit status 1: something grows, or the daemon ended.
+    Exit status 1: a measure grows, or the daemon ended.
 
     Example: pcmrs faults soak --hours 8 --plot soak.png
     """

@@ -20,12 +20,12 @@ from pcmrs_lab.experiment.tours.rehearsal import rehearse
 from pcmrs_lab.experiment.tours.report import Left, TourReport
 
 SUBJECTS = ("engine", "dispatcher, steps outside", "dispatcher, steps at once")
-"""What is tested without a cell."""
+"""Subjects of a tour without a cell."""
 
 
 @dataclass
 class _Tally:
-    """How one subject did on a tour."""
+    """Results of one subject on a tour."""
 
     commands: int = 0
     good: set[Move] = field(default_factory=set)
@@ -40,7 +40,15 @@ class _Tally:
 
 
 async def tour_scripted(blueprint: Blueprint, limit: int, progress: ShowProgress) -> tuple[TourReport, list[Move]]:
-    """Takes the engine, and the dispatcher on scripted steps, through a tour; returns the tour as well.
+    """Take the engine, and the dispatcher on scripted steps, through a tour.
+
+    Args:
+        blueprint: Workflow.
+        limit: Largest number of joint states.
+        progress: Called after every move.
+
+    Returns:
+        Report, and the moves of the tour.
 
     Raises:
         BlueprintError: The workflow has more than `limit` joint states.
@@ -84,12 +92,23 @@ async def _toured(blueprint: Blueprint, tour: Tour) -> AsyncIterator[tuple[str, 
 async def tour_live(
     blueprint: Blueprint, client: Client, arguments: Arguments, limit: int, seconds: float, progress: ShowProgress
 ) -> tuple[TourReport, list[Move]]:
-    """Takes a running cell on simulated devices through a tour; returns the tour as well.
+    """Take a running cell on simulated devices through a tour.
+
+    Args:
+        blueprint: Workflow that the cell runs.
+        client: Client of the cell.
+        arguments: Arguments of the operations.
+        limit: Largest number of joint states.
+        seconds: Time after which no further command is sent, s.
+        progress: Called after every command.
+
+    Returns:
+        Report, and the moves of the tour.
 
     Raises:
         BlueprintError: The workflow has more than `limit` joint states.
         ConfigurationError: The cell is not simulated, or runs another workflow.
-        UnknownOutcomeError: The cell fell silent.
+        UnknownOutcomeError: The cell does not answer any more.
     """
     begin = asyncio.get_running_loop().time()
     await _check_simulated(client)
@@ -119,9 +138,9 @@ async def tour_live(
 
 
 async def _check_simulated(client: Client) -> None:
-    """Only a simulation knows the truth; where a real arm stands, nobody moves it through a tour."""
+    """Refuse a cell that is not simulated: a tour must never move a real arm."""
     try:
         await client.request_device("scene", "truth")
     except (UnknownOutcomeError, DeviceError) as error:
-        text = f"A tour moves the robot in every way there is: only for simulated cells. {error}"
+        text = f"A tour performs every motion of the workflow, so it runs on simulated cells only. {error}"
         raise ConfigurationError(text) from error
