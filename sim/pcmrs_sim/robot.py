@@ -21,7 +21,7 @@ from pcmrs.messages import (
     PressRequest,
     ServoSession,
 )
-from pcmrs_sim.robot_faults import RobotFaults, hold_beside
+from pcmrs_sim.robot_faults import RobotFaults, hold_if_deviating
 from pcmrs_sim.world import World
 
 
@@ -156,7 +156,7 @@ class SimRobot:
             self._drops = self.faults.drops
             self._drop()
         if self._connected:
-            hold_beside(self._arm)
+            hold_if_deviating(self._arm)
         if self._waiting and self._arm.at_rest:
             self._end_waiting(None)
         while self._arm.alarms:
