@@ -28,7 +28,7 @@ from pcmrs_sim.settings import MuscleSettings, SimSettings, StimulatorSettings
 
 CLOCK = SystemClock()
 PATIENCE = 10.0  # s
-COMMAND = "from pcmrs_sim.lsl.command import muscle; muscle()"
+COMMAND = "from pcmrs_sim.cli.muscle import muscle; muscle()"
 
 
 @pytest.fixture(autouse=True)
