@@ -57,7 +57,7 @@ class Cell:
         robot: One of them.
         tracker: Another one.
         stimulator: Another one.
-        listen: Called before each stride of physics: what has been asked meanwhile is done first.
+        receive_calls: Called before each stride of physics, so that calls that have arrived are processed first.
         facts: The arm.
         clock: The cell keeps up with it.
         world: The truth.
@@ -72,7 +72,7 @@ class Cell:
         self.robot = SimRobot(self.world, clock, start)
         self.tracker = SimTracker(self.world, clock, start)
         self.stimulator = SimStimulator(self.world, clock)
-        self.listen: Callable[[], None] = lambda: None
+        self.receive_calls: Callable[[], None] = lambda: None
         self._watchers: list[Callable[[], None]] = []
         pointer = SimPointer(self.world, clock)
         self.devices: Mapping[str, Device] = {
@@ -117,21 +117,21 @@ class Cell:
         """Cuts the robot's link, or restores it."""
         self.robot.cut(cut)
 
-    def acts(self, served: Collection[str]) -> bool:
-        """Whether one of these devices acts: the arm follows something, or the stimulator can fire."""
-        return ("robot" in served and self.robot.follows) or ("stimulator" in served and self.stimulator.acts)
+    def is_active(self, served: Collection[str]) -> bool:
+        """Return true if one of these devices is active: the arm follows a reference, or the stimulator can fire."""
+        return ("robot" in served and self.robot.follows) or ("stimulator" in served and self.stimulator.can_fire)
 
-    def lose_node(self, served: Collection[str], why: str) -> None:
-        """Nobody can stop these devices any more: the arm brakes, and the stimulator disarms.
+    def lose_node(self, served: Collection[str], reason: str) -> None:
+        """Make devices safe, because their node cannot stop them any more: brake the arm, disarm the stimulator.
 
         Args:
-            served: By the node that is gone or silent.
-            why: Why it is taken for that, as half a sentence.
+            served: Names of the devices of the lost node.
+            reason: Clause that says why the node is considered lost.
         """
         if "robot" in served:
-            self.robot.lose_node(why)
+            self.robot.lose_node(reason)
         if "stimulator" in served:
-            self.stimulator.lose_node(why)
+            self.stimulator.lose_node(reason)
 
     @contextmanager
     def watched(self, watcher: Callable[[], None]) -> Iterator[None]:
@@ -153,7 +153,7 @@ class Cell:
         self.lag += lost
         world.time += lost
         while world.time + STEP <= now:
-            self.listen()
+            self.receive_calls()
             due = min(self.robot.due, self.tracker.due, now)
             world.step(max(1, math.ceil((due - world.time) / STEP - ROUNDING)))
             self.robot.update(world.time)

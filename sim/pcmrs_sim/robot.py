@@ -131,16 +131,16 @@ class SimRobot:
         if not self.faults.cut:
             self._arm.hold()
 
-    def lose_node(self, why: str) -> None:
-        """Brakes by itself, and says so, since its node is silent or gone.
+    def lose_node(self, reason: str) -> None:
+        """Brake, and raise an alarm, because the node is lost.
 
         Args:
-            why: Why it is taken for that, as half a sentence.
+            reason: Clause that says why the node is considered lost.
         """
         if not self.follows:
             return
         self._arm.hold("link_silent")
-        text = f"The robot brakes by itself: {why}. Look at the arm before going on."
+        text = f"The robot brakes by itself: {reason}. Look at the arm before you continue."
         self._arm.alarms.append(DeviceEvent(device="robot", code="link_silent", text=text, danger=True))
 
     def cut(self, cut: bool) -> None:

@@ -79,19 +79,19 @@ class SimStimulator:
             self._events.publish(self._arming.expiry())
 
     @property
-    def acts(self) -> bool:
-        """Whether it can fire."""
+    def can_fire(self) -> bool:
+        """True while it is armed."""
         return self._arming.armed
 
-    def lose_node(self, why: str) -> None:
-        """Disarms by itself, and says so, since its node is silent or gone.
+    def lose_node(self, reason: str) -> None:
+        """Disarm, and publish an event, because the node is lost.
 
         Args:
-            why: Why it is taken for that, as half a sentence.
+            reason: Clause that says why the node is considered lost.
         """
         self._charging += 1
         if self._arming.armed:
-            self._events.publish(self._arming.disarmed(why.capitalize()))
+            self._events.publish(self._arming.disarmed(reason.capitalize()))
 
     def close(self) -> None:
         """Makes it unable to fire and ends all readers."""
