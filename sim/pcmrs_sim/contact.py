@@ -37,7 +37,7 @@ class Contact:
         self._radius = phantom.tool_radius
         self._settings = settings
         self._step = step
-        self._reach_squared = (phantom.solid.reach + phantom.tool_radius) ** 2
+        self._touch_distance_squared = (phantom.solid.bounding_radius + phantom.tool_radius) ** 2
         self._face = np.zeros((2, 3))  # its origin and axis, in the world's axes
         self._depth = 0.0
         self.force = 0.0
@@ -59,7 +59,7 @@ class Contact:
         """Whether the tool is too far from the body to touch it."""
         x, y, z = data.xpos[self._tool].tolist()
         a, b, c = self._centre
-        return bool((x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2 >= self._reach_squared)
+        return bool((x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2 >= self._touch_distance_squared)
 
     def _touch(self, data: Any) -> None:
         place, face, tool = self._world_from_image, self._face, self._tool

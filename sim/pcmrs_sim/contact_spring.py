@@ -22,7 +22,7 @@ class SpringContact:
         self._solid = phantom.solid
         self._radius = phantom.tool_radius
         self._stiffness = stiffness
-        self._reach_squared = (phantom.solid.reach + phantom.tool_radius) ** 2
+        self._touch_distance_squared = (phantom.solid.bounding_radius + phantom.tool_radius) ** 2
         self.force = 0.0
         self.place(phantom.world_from_image)
 
@@ -36,7 +36,7 @@ class SpringContact:
         x, y, z = world_from_tool.translation.tolist()
         a, b, c = self._centre
         self.force = 0.0
-        if (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2 < self._reach_squared:
+        if (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2 < self._touch_distance_squared:
             place = self.world_from_image
             origin = (world_from_tool.translation - place.translation) @ place.rotation
             touch = self._solid.touch(origin, world_from_tool.rotation[:, 2] @ place.rotation, self._radius)

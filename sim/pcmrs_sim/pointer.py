@@ -9,8 +9,8 @@ from pcmrs.errors import DeviceError
 from pcmrs.messages import LandmarkPrompt
 from pcmrs.spatial import Floats, Transform
 from pcmrs_sim.motion import Pivot
+from pcmrs_sim.phantoms import SURFACE_POINTS
 from pcmrs_sim.shape import rotation_with_z
-from pcmrs_sim.skin import TOUCHES
 from pcmrs_sim.world import World
 
 
@@ -38,7 +38,7 @@ class SimPointer:
         await self._reach()
         settings, rng = self._world.settings, self._world.touch_errors.surface
         beside = rng.normal(0.0, settings.digitization.surface_noise_mm * 1e-3, 3)
-        await self._rest(TOUCHES[settings.phantom](rng) + beside)
+        await self._rest(SURFACE_POINTS[settings.phantom](rng) + beside)
 
     async def release(self) -> None:
         self._released += 1
