@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pcmrs.messages import BodyPose
 from pcmrs_sim.ndi.protocol import INVALID, PARAMETERS, CommandError, Request, parse, reply
 from pcmrs_sim.ndi.replies import ENABLED, INITIALIZED, OCCUPIED, HandleReport, float_reply, text_reply
-from pcmrs_sim.tracker import BODIES
+from pcmrs_sim.tracker_faults import BODIES
 
 INVALID_PORT, BAD_MODE, NO_TOOL, NOT_INITIALIZED_PORT = 0x08, 0x0C, 0x0D, 0x0E
 NOT_INITIALIZED, CANNOT_INITIALIZE_PORT, CANNOT_INITIALIZE = 0x10, 0x13, 0x15
