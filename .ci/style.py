@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("*.md", "docs/*.md", "docs/adr/*.md", "deploy/**/*.md", ".github/**/*.md", "pcmrs/**/*.py")
+FOLDERS = ("*.md", "docs/*.md", "docs/adr/*.md", "deploy/**/*.md", ".github/**/*.md", "pcmrs/**/*.py", "sim/**/*.py")
 """Files that are checked, as patterns below the root."""
 LEFT_OUT = (
     "CHANGELOG.md",
