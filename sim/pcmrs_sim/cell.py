@@ -85,7 +85,8 @@ class Cell:
             "emg": SimEmg(self.world, clock),
         }
         self._kinematic = settings.arm.physics == "kinematic"
-        self._longest = math.inf if self._kinematic else LONGEST_CATCH_UP
+        # An arm without dynamics catches up with any delay at once, so that no time is lost.
+        self._longest_catch_up = math.inf if self._kinematic else LONGEST_CATCH_UP
         self.lag = 0.0
 
     async def run(self) -> None:
@@ -150,17 +151,19 @@ class Cell:
     def advance(self, now: float) -> None:
         """Simulate up to a time, s of the clock."""
         world = self.world
-        lost = max(0.0, now - world.time - self._longest)
+        # A machine that is too slow would fall behind more and more, so that time beyond the limit is skipped.
+        lost = max(0.0, now - world.time - self._longest_catch_up)
         self.lag += lost
         world.time += lost
         while world.time + STEP <= now:
             self.receive_calls()
+            # A stride ends when a device is due, so that the device measures the state of that time.
             due = min(self.robot.due, self.tracker.due, now)
             world.step(max(1, math.ceil((due - world.time) / STEP - ROUNDING)))
             self.robot.update(world.time)
             self.tracker.update(world.time)
         self.stimulator.update(now)
-        for watcher in tuple(self._watchers):
+        for watcher in tuple(self._watchers):  # a copy, because a watcher may end its own context
             watcher()
 
 

@@ -35,7 +35,7 @@ def displaced(facts: ArmFacts, error: float, seed: int) -> ArmFacts:
     """
     rng = np.random.default_rng((seed, ARM_STREAM))
     offsets = rng.normal(size=(len(facts.joints) + 1, 3))
-    offsets *= error / np.linalg.norm(offsets)
+    offsets *= error / np.linalg.norm(offsets)  # each seed has exactly this error, in other directions
     *at_joints, at_flange = offsets.tolist()
     joints = tuple(replace(joint, xyz=_add(joint.xyz, by)) for joint, by in zip(facts.joints, at_joints, strict=True))
     return replace(facts, joints=joints, flange_xyz=_add(facts.flange_xyz, at_flange))

@@ -45,6 +45,7 @@ def head_offset(motion: HeadMotion, time: float) -> Floats:
         time: Time since its start, s.
     """
     phase = _phase(motion.seed)
+    # Minus the value at the start, so that a motion never begins with a jump.
     breath = sin(2 * pi * motion.breathing_hz * time + phase) - sin(phase)
     offset = time * np.array(motion.drift)
     offset += motion.breathing_amplitude * breath * np.array(motion.breathing_direction)

@@ -49,7 +49,7 @@ class SimRobot:
         self._events: Stream[DeviceEvent] = Stream()
         self._waiting: list[asyncio.Future[None]] = []
         self._connected = False
-        self._last_set_point: JointSetpoint | None = None
+        self._last_set_point: JointSetpoint | None = None  # for the fault `late`
         self._drops = 0
         self.faults = RobotFaults()
         self.sessions = Sessions()
@@ -140,7 +140,7 @@ class SimRobot:
         Args:
             reason: Clause that says why the node is considered lost.
         """
-        if not self.follows:
+        if not self.follows:  # an arm that is already held or at rest needs no alarm
             return
         self._arm.hold("link_silent")
         text = f"The robot brakes by itself: {reason}. Look at the arm before you continue."

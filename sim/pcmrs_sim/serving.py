@@ -77,6 +77,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def _serve(driver: str, cell: Cell, host: str, port: int) -> AbstractAsyncContextManager[tuple[str, int]]:
+    # Imported here, so that a cell without virtual devices does not load them.
     if driver == "kst":
         from pcmrs_sim.kst.server import serve_kst
 

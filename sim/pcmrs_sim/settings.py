@@ -23,7 +23,7 @@ class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         quat_wxyz: Unit quaternion.
 
     Raises:
-        ValueError: The quaternion has not unit length, or a number is not finite.
+        ValueError: The quaternion does not have unit length, or a number is not finite.
     """
 
     position: Triple = (0.0, 0.0, 0.0)

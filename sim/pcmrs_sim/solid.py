@@ -84,8 +84,8 @@ class Superellipsoid:
         ]
         offset = [p - o for p, o in zip(point, origin_in_image, strict=True)]
         depth = sum(map(mul, offset, along))
-        beside_squared = sum(map(mul, offset, offset)) - depth**2
-        return Touch(depth, np.array(point)) if depth > 0.0 and beside_squared <= radius**2 else None
+        lateral_squared = sum(map(mul, offset, offset)) - depth**2
+        return Touch(depth, np.array(point)) if depth > 0.0 and lateral_squared <= radius**2 else None
 
 
 class CapsuleUnion:
@@ -111,16 +111,18 @@ class CapsuleUnion:
             axis: Unit normal of the face, away from the body, in the image, (3,).
             radius: Radius of the face, m.
         """
+        # One product for both projections, and expanded squares: contact is computed at each physics step.
         heights, along = (self._centres @ np.stack((axis, origin), axis=1)).T
         heights = heights - origin @ axis
-        beside = np.sqrt(np.maximum(self._squares - 2 * along + origin @ origin - heights**2, 0.0))
-        squared = self._radii**2 - np.maximum(beside - radius, 0.0) ** 2
+        lateral = np.sqrt(np.maximum(self._squares - 2 * along + origin @ origin - heights**2, 0.0))
+        # The highest point of a sphere is above its centre, or above the rim of the face if the centre is beside it.
+        squared = self._radii**2 - np.maximum(lateral - radius, 0.0) ** 2
         depths = np.where(squared > 0.0, heights + np.sqrt(np.maximum(squared, 0.0)), -np.inf)
         highest = int(depths.argmax())
         if depths[highest] <= 0.0:
             return None
         across = self._centres[highest] - origin - heights[highest] * axis
-        inward = min(1.0, radius / beside[highest]) if beside[highest] > 0.0 else 0.0
+        inward = min(1.0, radius / lateral[highest]) if lateral[highest] > 0.0 else 0.0
         return Touch(float(depths[highest]), origin + depths[highest] * axis + inward * across)
 
 

@@ -15,8 +15,8 @@ from pcmrs_sim.arm import Arm
 from pcmrs_sim.error_models import TouchErrors, TrackerErrors
 from pcmrs_sim.kinematic_arm import KinematicArm
 from pcmrs_sim.motion import Pivot, head_offset
+from pcmrs_sim.muscle.head_subject import draw_subject
 from pcmrs_sim.muscle.muscle import Muscle
-from pcmrs_sim.muscle.subject import draw_subject
 from pcmrs_sim.phantoms import PHANTOMS
 from pcmrs_sim.plant import STEP
 from pcmrs_sim.settings import Pose, SimSettings
@@ -82,7 +82,7 @@ class World:
 
     def step(self, steps: int) -> None:
         """Advance by a number of steps of `STEP`."""
-        if self._motion == HeadMotion():
+        if self._motion == HeadMotion():  # the patient is at rest, so that all steps are one stride
             self.arm.step(steps)
             self.time += steps * STEP
             return
@@ -127,7 +127,7 @@ class World:
     def tracker_from_coil(self) -> Transform:
         """Return the true pose of the tool's marker body; the same object as long as the arm stands still."""
         flange = self.arm.base_from_flange()
-        if flange is not self._flange:
+        if flange is not self._flange:  # the arm returns the same object while it stands, so identity is enough
             self._flange, self._coil = flange, self._tracker_from_world @ flange @ self._flange_from_coil
         return self._coil
 

@@ -23,7 +23,7 @@ from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import Epoch
 from pcmrs_sim.cell import Cell
 from pcmrs_sim.lsl.serving import serve_muscle
-from pcmrs_sim.muscle.subject import draw_subject
+from pcmrs_sim.muscle.head_subject import draw_subject
 from pcmrs_sim.settings import MuscleSettings, SimSettings, StimulatorSettings
 
 CLOCK = SystemClock()

@@ -126,6 +126,7 @@ class SimulatedCell:
         if link is None:
             return
         link.leave()
+        # The arm brakes as if its link broke. The link is restored for the next node.
         await self.devices["scene"].cut_robot(True)
         await link.ended()
         await self.devices["scene"].cut_robot(False)

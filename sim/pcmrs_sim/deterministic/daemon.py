@@ -92,11 +92,11 @@ class SimulatedDaemon:
             await asyncio.wait([self._main])
         self.link.leave()
         await self.link.ended()
-        await self.journal.close()
+        await self.journal.close()  # last, because the end of the procedure still writes rows
 
     async def crash(self) -> None:
         """End at once, as SIGKILL does: nothing more is sent, written or answered."""
-        self.journal.abandon()
+        self.journal.abandon()  # first: rows that tasks append while they are cancelled must not become durable
         self.link.leave()
         await self.link.ended()
         await self.journal.close()
@@ -122,6 +122,7 @@ class SimulatedDaemon:
             devices: Names of the devices.
         """
         if self.procedure is not None:
+            # In the daemon's context, so that the tasks which this starts end with the daemon.
             self.link.context.copy().run(self.procedure.lose, devices)
 
     async def _run(self) -> None:

@@ -70,6 +70,7 @@ class Network:
         self.windows = Windows(loop, seed)
         self.counts = {"lost": 0, "doubled": 0, "overtaken": 0}
         self._loop = loop
+        # A context without an owner: calls in it are neither stalled nor ended with a process, as those of threads.
         self._outside = copy_context()
         self._draw = random.Random(f"network {seed}")
         self._coded = coded
@@ -319,6 +320,7 @@ class Endpoint:
 
     def spawn(self, work: Any) -> asyncio.Task[None]:
         """Run a coroutine as a task that ends with this process."""
+        # Each task needs its own copy, because a context cannot be entered twice at once.
         return asyncio.get_running_loop().create_task(work, context=self.context.copy())
 
     def hold_up(self, seconds: float) -> None:

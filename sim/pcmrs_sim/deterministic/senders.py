@@ -38,7 +38,7 @@ class Senders:
         """
         duration = self._windows.open(f"send:{name}")
         free = self._free.setdefault(sender, [0.0])
-        start = max(now, free[0])
+        start = max(now, free[0])  # by the thread that is free first
         heapq.heapreplace(free, start + duration)
         return start + duration - now
 

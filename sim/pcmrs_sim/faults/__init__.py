@@ -8,7 +8,7 @@ from typing import Any
 
 from pcmrs.errors import DeviceError
 from pcmrs_sim.faults import muscle, robot, scene, tracker
-from pcmrs_sim.faults.fault import Fault, Faulty
+from pcmrs_sim.faults.fault import Fault, FaultTarget
 
 FAULTS: Mapping[str, Fault] = {
     fault.name: fault for fault in (*robot.FAULTS, *tracker.FAULTS, *scene.FAULTS, *muscle.FAULTS)
@@ -29,7 +29,7 @@ def find_fault(name: str) -> Fault:
     return FAULTS[name]
 
 
-def inject(cell: Faulty, name: str, arguments: Mapping[str, Any]) -> None:
+def inject(cell: FaultTarget, name: str, arguments: Mapping[str, Any]) -> None:
     """Inject a fault into a cell, or end it.
 
     Args:

@@ -70,8 +70,8 @@ def choice(arguments: Mapping[str, Any], name: str, known: Sequence[str]) -> Any
     )
 
 
-class Faulty(Protocol):
-    """A cell as faults change it.
+class FaultTarget(Protocol):
+    """The cell as faults change it.
 
     Attributes:
         facts: Geometry and limits of the arm.
@@ -108,7 +108,7 @@ class Fault:
     row: str
     help: str
     arguments: tuple[str, ...]
-    apply: Callable[[Faulty, Mapping[str, Any]], None]
+    apply: Callable[[FaultTarget, Mapping[str, Any]], None]
     also: tuple[str, ...] = ()
 
     @property

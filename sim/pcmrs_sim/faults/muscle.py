@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pcmrs_sim.faults.fault import Fault, Faulty, number, switch
+from pcmrs_sim.faults.fault import Fault, FaultTarget, number, switch
 
 LARGEST_EMG_UV = 1000.0
 """Electromyogram (rms) of a strong contraction, uV."""
 
 
-def _no_mep(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _no_mep(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     cell.world.muscle.silent = switch(arguments, "on")
 
 
-def _preactivation(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _preactivation(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     rms = number(arguments, "microvolts", 0.0, LARGEST_EMG_UV) * 1e-6
     cell.world.muscle.preactivate(rms, cell.world.time)
 

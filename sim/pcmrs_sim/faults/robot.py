@@ -12,7 +12,7 @@ from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.trajectory import joint_motion
 from pcmrs.messages import DeviceEvent
-from pcmrs_sim.faults.fault import Fault, Faulty, choice, number, switch
+from pcmrs_sim.faults.fault import Fault, FaultTarget, choice, number, switch
 from pcmrs_sim.robot_faults import Framing
 
 LARGEST_OFFSET = 0.5
@@ -23,24 +23,24 @@ HAND_SPEED = 0.3
 """Speed at which a hand guides a joint, rad/s."""
 
 
-def _cut(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _cut(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     cell.cut_robot(switch(arguments, "on"))
 
 
-def _silent(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _silent(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     cell.robot_faults.silent = switch(arguments, "on")
 
 
-def _interrupt(cell: Faulty, _arguments: Mapping[str, Any]) -> None:
+def _interrupt(cell: FaultTarget, _arguments: Mapping[str, Any]) -> None:
     cell.world.arm.hold("interrupted")
 
 
-def _frame(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _frame(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     cell.robot_faults.framing = choice(arguments, "how", get_args(Framing))
 
 
-def _drives(reason: str) -> Callable[[Faulty, Mapping[str, Any]], None]:
-    def apply(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _drives(reason: str) -> Callable[[FaultTarget, Mapping[str, Any]], None]:
+    def apply(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
         if switch(arguments, "on"):
             cell.robot_faults.drives_off = reason
             cell.world.arm.hold(reason)
@@ -51,13 +51,13 @@ def _drives(reason: str) -> Callable[[Faulty, Mapping[str, Any]], None]:
     return apply
 
 
-def _offset(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _offset(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     offset = cell.world.arm.disturbance.offset.copy()
     offset[_joint(cell, arguments)] = number(arguments, "angle", -LARGEST_OFFSET, LARGEST_OFFSET)
     cell.world.arm.disturbance.offset = offset
 
 
-def _guide(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _guide(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     arm = cell.world.arm
     if not arm.reference.ended:
         raise DeviceError("The arm moves; it can be guided by hand only while it rests.")
@@ -66,27 +66,27 @@ def _guide(cell: Faulty, arguments: Mapping[str, Any]) -> None:
     arm.follow(joint_motion(ArmModel(cell.facts), arm.reference.position, goal, _hand_limits(len(goal))))
 
 
-def _drop(cell: Faulty, _arguments: Mapping[str, Any]) -> None:
+def _drop(cell: FaultTarget, _arguments: Mapping[str, Any]) -> None:
     cell.robot_faults.drops += 1
 
 
-def _double(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _double(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     cell.robot_faults.doubled = switch(arguments, "on")
 
 
-def _refuse(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _refuse(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     cell.robot_faults.refusing = switch(arguments, "on")
 
 
-def _late(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _late(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     cell.robot_faults.late = switch(arguments, "on")
 
 
-def _push(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _push(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     cell.world.arm.disturbance.push = number(arguments, "force", -LARGEST_PUSH, LARGEST_PUSH)
 
 
-def _restart(cell: Faulty, _arguments: Mapping[str, Any]) -> None:
+def _restart(cell: FaultTarget, _arguments: Mapping[str, Any]) -> None:
     cell.robot_faults.restarts += 1
 
 
@@ -95,7 +95,7 @@ def _alarm(reason: str) -> DeviceEvent:
     return DeviceEvent(device="robot", code="drives_off", text=text, danger=True, fields={"reason": reason})
 
 
-def _joint(cell: Faulty, arguments: Mapping[str, Any]) -> int:
+def _joint(cell: FaultTarget, arguments: Mapping[str, Any]) -> int:
     joints = len(cell.facts.joints)
     joint = number(arguments, "joint", 1, joints)
     if joint != round(joint):

@@ -9,7 +9,7 @@ import numpy as np
 
 from pcmrs.messages import HeadBurst, HeadMotion
 from pcmrs.spatial import Transform
-from pcmrs_sim.faults.fault import Fault, Faulty, number
+from pcmrs_sim.faults.fault import Fault, FaultTarget, number
 
 LARGEST_BUMP_MM = 100.0
 """Largest slip of the reference, mm."""
@@ -21,17 +21,17 @@ BURST_DURATION = 0.5
 """Duration of the head's motion, s."""
 
 
-def _bump(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _bump(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     offset = number(arguments, "millimetres", -LARGEST_BUMP_MM, LARGEST_BUMP_MM) * 1e-3
     cell.world.bump_reference(Transform.from_rotvec((offset, 0.0, 0.0), (0.0, 0.0, 0.0)))
 
 
-def _shift(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _shift(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     offset = number(arguments, "millimetres", -LARGEST_SHIFT_MM, LARGEST_SHIFT_MM) * 1e-3
     cell.world.shift_body(np.array((offset, 0.0, 0.0)))
 
 
-def _dash(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _dash(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     speed = number(arguments, "millimetres_per_second", 0.0, LARGEST_SPEED_MM) * 1e-3
     burst = HeadBurst(time=0.0, duration=BURST_DURATION, speed=speed, direction=(1.0, 0.0, 0.0))
     cell.world.set_motion(HeadMotion(bursts=[burst]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pcmrs_sim.faults.fault import Fault, Faulty, choice, number, switch
+from pcmrs_sim.faults.fault import Fault, FaultTarget, choice, number, switch
 from pcmrs_sim.tracker_faults import BODIES
 
 LARGEST_JUMP_MM = 1000.0
@@ -16,21 +16,21 @@ REASONS = ("out_of_volume", "partially_out", "temperature", "interference")
 """Reasons that a tracker gives for a body that it does not measure well."""
 
 
-def _flag(attribute: str, value: bool = True) -> Callable[[Faulty, Mapping[str, Any]], None]:
-    def apply(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _flag(attribute: str, value: bool = True) -> Callable[[FaultTarget, Mapping[str, Any]], None]:
+    def apply(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
         setattr(cell.tracker.faults, attribute, value if switch(arguments, "on") else not value)
 
     return apply
 
 
-def _of_body(attribute: str) -> Callable[[Faulty, Mapping[str, Any]], None]:
-    def apply(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _of_body(attribute: str) -> Callable[[FaultTarget, Mapping[str, Any]], None]:
+    def apply(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
         _switch_body(getattr(cell.tracker.faults, attribute), arguments)
 
     return apply
 
 
-def _occlude(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _occlude(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     _switch_body(cell.tracker.hidden, arguments)
 
 
@@ -42,7 +42,7 @@ def _switch_body(bodies: set[str], arguments: Mapping[str, Any]) -> None:
         bodies.discard(body)
 
 
-def _reason(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _reason(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     body, reason = choice(arguments, "body", BODIES), choice(arguments, "reason", REASONS)
     if switch(arguments, "on"):
         cell.tracker.faults.reasons[body] = reason
@@ -50,18 +50,18 @@ def _reason(cell: Faulty, arguments: Mapping[str, Any]) -> None:
         cell.tracker.faults.reasons.pop(body, None)
 
 
-def _jump(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _jump(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     body = choice(arguments, "body", BODIES)
     by_mm = number(arguments, "millimetres", -LARGEST_JUMP_MM, LARGEST_JUMP_MM)
     cell.tracker.faults.jumps[body] = (by_mm * 1e-3, 0.0, 0.0)
 
 
-def _swap(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _swap(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     pair = choice(arguments, "first", BODIES), choice(arguments, "second", BODIES)
     cell.tracker.faults.swapped = pair if switch(arguments, "on") else None
 
 
-def _rate(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _rate(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     cell.tracker.faults.rate_hz = number(arguments, "hertz", 0.0, LARGEST_RATE_HZ) or None
 
 

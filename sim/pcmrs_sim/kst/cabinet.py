@@ -51,7 +51,7 @@ class Cabinet:
         """Process a line of the client, without its line feed."""
         if self._faults.cut or self._latched:
             return
-        self._main.slot = ""
+        self._main.slot = ""  # any new line overwrites the slot, as in the real server
         try:
             self._dispatch(line)
         except ValueError:  # in the real server, this ends the reader's thread
@@ -59,6 +59,7 @@ class Cabinet:
 
     def update(self) -> None:
         """Check link and arm after time has passed."""
+        # A TCP connection does not notice that its link is cut. It fails when the link is restored.
         self._lost = self._lost or self._faults.cut
         if self._faults.drops > self._drops or (self._lost and not self._faults.cut):
             self._close()

@@ -116,6 +116,7 @@ class _Server:
             sending = tasks.create_task(replies.run(), name="replies of the virtual cabinet")
             try:
                 with self._cell.watched(cabinet.update):
+                    # The fault `late`: a set point that was delayed in the network reaches the next connection.
                     if self._cell.robot_faults.late and self._last_set_point is not None:
                         cabinet.receive(self._last_set_point)
                     await self._read_lines(reader, cabinet)

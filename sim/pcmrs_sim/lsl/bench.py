@@ -8,8 +8,8 @@ from functools import cached_property
 from pcmrs.clock import Clock
 from pcmrs.errors import DeviceError
 from pcmrs.spatial import Transform
+from pcmrs_sim.muscle.head_subject import draw_subject
 from pcmrs_sim.muscle.muscle import Muscle, Stimulus
-from pcmrs_sim.muscle.subject import draw_subject
 from pcmrs_sim.settings import MuscleSettings
 from pcmrs_sim.tms.subject import Subject
 

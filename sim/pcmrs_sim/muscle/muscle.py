@@ -110,6 +110,7 @@ class Muscle:
             rms: Standard deviation of the activity, V; 0 for a relaxed muscle.
             time: Time from which it is tense, on the cell's clock, s.
         """
+        # The level before is kept, because samples from before `time` may still be requested.
         self._activity = [*self._activity[-1:], (time, rms)]
 
     def samples(self, first: int, count: int) -> Floats:

@@ -77,7 +77,7 @@ class Background:
         self._rate = rate
         self._seed = seed
         self._phase = np.random.default_rng((seed, STREAM)).uniform(0.0, 2.0 * np.pi)
-        self._block = lru_cache(8)(self._draw)
+        self._block = lru_cache(8)(self._draw)  # most requests are for the newest seconds
 
     def noise(self, first: int, count: int) -> Floats:
         """Return white noise with a standard deviation of 1, (count,).

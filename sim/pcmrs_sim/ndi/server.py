@@ -68,7 +68,7 @@ async def serve_ndi_pty(cell: Cell) -> AsyncIterator[str]:
     """Serve the tracker of a cell on a pseudo-terminal; yield its path, which clients open as a serial port."""
     system = _system(cell)
     controller, terminal = pty.openpty()
-    tty.setraw(terminal)
+    tty.setraw(terminal)  # the terminal must neither echo nor change bytes
     os.set_blocking(controller, False)
     lines, loop = Lines(), asyncio.get_running_loop()
 

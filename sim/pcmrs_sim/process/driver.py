@@ -61,7 +61,7 @@ async def _opened(
     machine, owner, entered = SystemClock(), asyncio.current_task(), False
 
     def lost() -> None:
-        if entered and owner is not None:
+        if entered and owner is not None:  # while the context is being opened, `world.open` fails by itself
             owner.cancel()
 
     world = World(link, machine, lost)
@@ -71,6 +71,7 @@ async def _opened(
             entered = True
             yield devices_of(world, devices, clock)
     except asyncio.CancelledError:
+        # Only the cancellation by `lost` becomes an error. Any other one must reach the caller.
         if not world.is_lost or (owner is not None and owner.uncancel() > 0):
             raise
         status = await asyncio.to_thread(_end, process)
