@@ -17,6 +17,7 @@ FOLDERS = (
     "deploy/**/*.md",
     ".github/**/*.md",
     "pcmrs/**/*.py",
+    "sim/**/*.py",
     "lab/**/*.py",
     "lab/**/*.md",
     "lab/**/*.toml",

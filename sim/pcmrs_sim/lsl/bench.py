@@ -1,4 +1,4 @@
-"""A subject in a chair: a muscle without a cell, and a coil that is held where somebody says."""
+"""A subject without a cell: a muscle, and a coil whose pose lines of text set."""
 
 from __future__ import annotations
 
@@ -8,25 +8,26 @@ from functools import cached_property
 from pcmrs.clock import Clock
 from pcmrs.errors import DeviceError
 from pcmrs.spatial import Transform
+from pcmrs_sim.muscle.head_subject import draw_subject
 from pcmrs_sim.muscle.muscle import Muscle, Stimulus
-from pcmrs_sim.muscle.subject import draw_subject
 from pcmrs_sim.settings import MuscleSettings
 from pcmrs_sim.tms.subject import Subject
 
 USAGE = "coil <dx> <dy> <dz> <turn> (mm and degrees from the hot-spot), no_mep on|off, preactivation <uV>"
+"""Syntax of the lines."""
 SWITCH = {"on": True, "off": False}
 
 
 class Bench:
-    """A subject of a seed, with the coil at the hot-spot until told otherwise.
+    """The subject of a seed. The coil starts at the hot-spot.
 
     Args:
-        settings: The electromyogram.
-        seed: Who it is, and where noise and variability come from.
-        clock: Lines that change something do so at once.
+        settings: Settings of the electromyogram.
+        seed: Seed of the subject, the noise and the variability.
+        clock: Clock of the pulses and of changes of the muscle.
 
     Attributes:
-        muscle: Answers the pulses.
+        muscle: The muscle that answers the pulses.
     """
 
     def __init__(self, settings: MuscleSettings, seed: int, clock: Clock) -> None:
@@ -37,21 +38,31 @@ class Bench:
 
     @cached_property
     def subject(self) -> Subject:
-        """Who sits there."""
+        """The subject under the coil."""
         subject = draw_subject("head", self._seed)
-        assert subject is not None  # a head has one
+        assert subject is not None  # the head phantom always has one
         return subject
 
     def stimulate(self, number: int, intensity: float, time: float) -> Stimulus:
-        """A pulse at `time` of the clock, s, with `intensity` in percent, from where the coil is held."""
-        pose = self.subject.image_from_hotspot @ self._hotspot_from_coil
-        return self.muscle.stimulate(number, time, pose, intensity)
+        """Give a pulse from the present pose of the coil, and return its effect.
 
-    def tell(self, line: str) -> None:
-        """Does what a line says: see `USAGE`.
+        Args:
+            number: Number of the pulse.
+            intensity: Percent of the maximum stimulator output.
+            time: Time of the pulse on the clock, s.
+        """
+        image_from_coil = self.subject.image_from_hotspot @ self._hotspot_from_coil
+        return self.muscle.stimulate(number, time, image_from_coil, intensity)
+
+    def execute(self, line: str) -> None:
+        """Move the coil or change the muscle, as a line says.
+
+        Args:
+            line: A line of `USAGE`: offsets in mm along the axes of the hot-spot, turn in degrees about its +z, EMG in
+                uV (rms).
 
         Raises:
-            DeviceError: It says nothing of that kind.
+            DeviceError: The line does not follow `USAGE`.
         """
         try:
             match line.split():

@@ -1,4 +1,4 @@
-"""Links to the virtual tracker: a TCP port, as a Vega has, and a pseudo-terminal, as a serial Polaris seems."""
+"""Links to the virtual tracker: a TCP port, as of a Vega, and a pseudo-terminal, as of a serial Polaris."""
 
 from __future__ import annotations
 
@@ -23,7 +23,12 @@ LOOPBACK = "127.0.0.1"
 
 @asynccontextmanager
 async def serve_ndi(cell: Cell, host: str = LOOPBACK, port: int = 0) -> AsyncIterator[tuple[str, int]]:
-    """Serves the tracker of `cell` on a TCP port, to any number of clients; yields where it listens.
+    """Serve the tracker of a cell on a TCP port, to any number of clients; yield host and port.
+
+    Args:
+        cell: The running cell.
+        host: Address to listen on.
+        port: TCP port; 0 for any free one.
 
     Raises:
         OSError: The port is taken.
@@ -31,7 +36,7 @@ async def serve_ndi(cell: Cell, host: str = LOOPBACK, port: int = 0) -> AsyncIte
     system = _system(cell)
     clients: set[asyncio.Task[None]] = set()
 
-    async def converse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def serve_client(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         lines = Lines()
         try:
             while data := await reader.read(CHUNK):
@@ -43,7 +48,7 @@ async def serve_ndi(cell: Cell, host: str = LOOPBACK, port: int = 0) -> AsyncIte
             writer.close()
 
     def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.get_running_loop().create_task(converse(reader, writer))
+        task = asyncio.get_running_loop().create_task(serve_client(reader, writer))
         clients.add(task)
         task.add_done_callback(clients.discard)
 
@@ -60,15 +65,15 @@ async def serve_ndi(cell: Cell, host: str = LOOPBACK, port: int = 0) -> AsyncIte
 
 @asynccontextmanager
 async def serve_ndi_pty(cell: Cell) -> AsyncIterator[str]:
-    """Serves the tracker of `cell` on a pseudo-terminal; yields its path, to be opened as a serial port."""
+    """Serve the tracker of a cell on a pseudo-terminal; yield its path, which clients open as a serial port."""
     system = _system(cell)
     controller, terminal = pty.openpty()
-    tty.setraw(terminal)
+    tty.setraw(terminal)  # the terminal must neither echo nor change bytes
     os.set_blocking(controller, False)
     lines, loop = Lines(), asyncio.get_running_loop()
 
     def readable() -> None:
-        with suppress(BlockingIOError):  # of a client that does not read: what it misses, it asks for again
+        with suppress(BlockingIOError):  # a client that does not read loses replies, and requests them again
             os.write(controller, _answers(cell, system, lines, os.read(controller, CHUNK)))
 
     loop.add_reader(controller, readable)
@@ -93,9 +98,9 @@ def _system(cell: Cell) -> NdiSystem:
 
 
 def _answers(cell: Cell, system: NdiSystem, lines: Lines, data: bytes) -> bytes:
-    """The replies to what `data` asks, none at all while the tracker is as if it were not there."""
+    """Return the replies to the commands that `data` completes; none while the tracker is silent."""
     commands = lines.feed(data)
     if _tracker(cell).faults.silent:
         return b""
-    cell.catch_up()  # a frame can be had as soon as it is there
+    cell.catch_up()  # a reply holds the newest frame at the time of its command
     return b"".join(system.answer(each) for each in commands)

@@ -18,7 +18,7 @@ import pytest
 
 from pcmrs.clock import SystemClock
 from pcmrs_sim.cell import Cell, running_cell
-from pcmrs_sim.cli.lines import act, follow_schedule, read_schedule
+from pcmrs_sim.cli.lines import apply_line, follow_schedule, read_schedule
 from pcmrs_sim.faults import FAULTS, parse_fault
 from tests import ROOT
 
@@ -122,7 +122,7 @@ def test_every_fault_belongs_to_a_row() -> None:
 @pytest.mark.parametrize("name", FAULTS)
 async def test_a_line_brings_it_about_and_another_ends_it(cell: Cell, name: str) -> None:
     for words in LINES[name]:
-        await act(cell, f"{name} {words}")
+        await apply_line(cell, f"{name} {words}")
         await settled(cell)
     await healthy(cell)
 

@@ -15,7 +15,7 @@ from pcmrs.messages import BodyPose
 from pcmrs.spatial import Transform, rotation_angle
 from pcmrs_sim.cell import Cell
 from pcmrs_sim.faults import inject
-from pcmrs_sim.tracker import BODIES
+from pcmrs_sim.tracker_faults import BODIES
 from tests.unit.devices.contract_trackers import TRACKERS
 
 DEADLINE = 30.0

@@ -21,12 +21,12 @@ pytest.importorskip("mujoco")
 from pcmrs_sim.cell import Cell
 from pcmrs_sim.faults import FAULTS, inject, parse_fault
 from pcmrs_sim.kst.cabinet import SET_POINTS, Cabinet
-from pcmrs_sim.kst.main_loop import QUESTIONS
+from pcmrs_sim.kst.main_loop import QUERIES
 from pcmrs_sim.settings import SimSettings
 
 REQUESTS = (
     *(f"{name}_" for name in SET_POINTS),
-    *QUESTIONS,
+    *QUERIES,
     "TFtrans_",
     "jRelVel_",
     "cArtixanPosition_",

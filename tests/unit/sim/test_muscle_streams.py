@@ -23,12 +23,12 @@ from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import Epoch
 from pcmrs_sim.cell import Cell
 from pcmrs_sim.lsl.serving import serve_muscle
-from pcmrs_sim.muscle.subject import draw_subject
+from pcmrs_sim.muscle.head_subject import draw_subject
 from pcmrs_sim.settings import MuscleSettings, SimSettings, StimulatorSettings
 
 CLOCK = SystemClock()
 PATIENCE = 10.0  # s
-COMMAND = "from pcmrs_sim.lsl.command import muscle; muscle()"
+COMMAND = "from pcmrs_sim.cli.muscle import muscle; muscle()"
 
 
 @pytest.fixture(autouse=True)

@@ -213,7 +213,7 @@ def test_node_frozen_in_motion_leaves_a_braking_arm(
     """The stimulator disarms."""
     with moving_node(tmp_path) as (node, _, log):
         os.kill(node.pid, signal.SIGSTOP)
-        assert wait_until(lambda: "nothing was heard of its node" in log.read_text())
+        assert wait_until(lambda: "its node has been silent" in log.read_text())
         os.kill(node.pid, signal.SIGCONT)
         said, _ = node.communicate(timeout=PATIENCE)
     lines = said.decode().splitlines()

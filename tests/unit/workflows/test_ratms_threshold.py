@@ -20,7 +20,7 @@ from pcmrs.workflows.motion import pose_result
 from pcmrs.workflows.tms.hotspot import place_known, plan_is_of_search, search_pose_reachable
 from pcmrs.workflows.tms.threshold import hunted_intensity_allowed, set_hunted_intensity
 from pcmrs.workflows.toolplan import ToolPose, pose_of
-from pcmrs_sim.muscle.subject import draw_subject
+from pcmrs_sim.muscle.head_subject import draw_subject
 from pcmrs_sim.tms.recruitment import Recruitment
 from tests.unit.workflows.stimulation_bench import RESPONDING, SILENT, StimulationBench, stimulation
 from tests.unit.workflows.workflow_bench import POSES, open_bench

@@ -1,4 +1,4 @@
-"""Who lies under the coil: a subject of the published population on the head phantom."""
+"""The subject on the head phantom, drawn from the published population."""
 
 from __future__ import annotations
 
@@ -12,13 +12,18 @@ from pcmrs_sim.head import CENTRE, EXPONENT, SEMI_AXES, surface_point
 from pcmrs_sim.tms.subject import Subject, draw
 
 STREAM = 2002
-"""Keeps these draws apart from all others of a seed."""
-ROUNDS = 20
-"""Of the search for the nearest point; each brings a point near the scalp at least twice as near."""
+"""Number of the random stream of the subject, so that it is independent of the other streams of a seed."""
+ITERATIONS = 20
+"""Iterations of the search for the nearest point. Near the scalp, each at least halves the error."""
 
 
 def draw_subject(phantom: str, seed: int) -> Subject | None:
-    """The subject of a seed; None where the phantom is no head."""
+    """Draw a subject; return None if the phantom is not the head.
+
+    Args:
+        phantom: Name of the phantom, as in the setting ``sim.phantom``.
+        seed: Seed of the subject.
+    """
     if phantom != "head":
         return None
     return draw(closest_on_scalp, _centre(), np.random.default_rng((seed, STREAM)))
@@ -26,20 +31,21 @@ def draw_subject(phantom: str, seed: int) -> Subject | None:
 
 @cache
 def _centre() -> Transform:
-    """Over the hand area of the head, the same for all subjects."""
+    """Return the usual pose over the hand area of the head, which all subjects share."""
     return hand_area(closest_on_scalp, surface_point((0.0, 0.0, 1.0)))
 
 
 def closest_on_scalp(points: Floats) -> tuple[Floats, Floats]:
-    """Nearest points of the head's surface, m, (K, 3), and the outward unit normals there, (K, 3).
+    """Return the nearest points of the head's surface, m, (K, 3), and the outward unit normals there, (K, 3).
 
-    The foot of the perpendicular by fixed-point iteration: along the normal at the last foot, then onto the surface.
+    The foot of the perpendicular is found by fixed-point iteration: move along the normal at the last foot, then onto
+    the surface.
 
     Args:
-        points: Near the scalp, m, (K, 3).
+        points: Points near the scalp, in the image, m, (K, 3).
     """
     feet = _onto_surface(points)
-    for _ in range(ROUNDS):
+    for _ in range(ITERATIONS):
         normals = _normals(feet)
         heights = np.sum((points - feet) * normals, axis=1, keepdims=True)
         feet = _onto_surface(points - heights * normals)
@@ -47,14 +53,15 @@ def closest_on_scalp(points: Floats) -> tuple[Floats, Floats]:
 
 
 def _onto_surface(points: Floats) -> Floats:
-    """Along the rays from the centre of the head."""
+    """Move points along rays from the centre of the head onto its surface, m, (K, 3)."""
     rays = points - CENTRE
     scales = np.sum(np.abs(rays / SEMI_AXES) ** EXPONENT, axis=1, keepdims=True) ** (-1.0 / EXPONENT)
-    onto: Floats = CENTRE + scales * rays
-    return onto
+    feet: Floats = CENTRE + scales * rays
+    return feet
 
 
 def _normals(feet: Floats) -> Floats:
+    """Return the outward unit normals at points of the surface, (K, 3): the gradient of its implicit function."""
     offsets = (feet - CENTRE) / SEMI_AXES
     gradients = np.sign(offsets) * np.abs(offsets) ** (EXPONENT - 1.0) / SEMI_AXES
     normals: Floats = gradients / np.linalg.norm(gradients, axis=1, keepdims=True)

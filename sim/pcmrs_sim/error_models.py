@@ -12,29 +12,30 @@ from pcmrs.spatial import Floats, Transform, trusted_transform
 from pcmrs_sim.settings import DigitizationSettings, TrackerSettings, Triple
 
 WAVES = 12
-SHORTEST_WAVE = 0.3  # m; the bias hardly changes over the size of a marker body
-LONGEST_WAVE = 1.5  # m
-
+"""Number of plane waves in a bias field."""
+SHORTEST_WAVE = 0.3
+LONGEST_WAVE = 1.5
+"""Range of their wavelengths, m. The bias hardly changes over the size of a marker body."""
 
 ARM_STREAM = 1
-"""Keeps the draws of the arm's geometry apart from all others of a seed."""
+"""Number of the random stream of the arm's geometry, so that it is independent of the other streams of a seed."""
 SURFACE_STREAM = 1000
-"""The same for points of the skin: no landmark has so high an index."""
+"""Number of the random stream of points on the skin. Streams of landmarks have their index, which is always smaller."""
 
 
 def displaced(facts: ArmFacts, error: float, seed: int) -> ArmFacts:
-    """The arm as it was built: every joint, and the flange, sits beside where the model has it.
+    """Return the arm as it was built: each joint, and the flange, is displaced from its nominal position.
 
-    The joints turn the displacements against each other, so that their squares add up at the flange.
+    In a random posture, the displacements have independent directions, so that their squares add up at the flange.
 
     Args:
-        facts: The arm as its model has it.
+        facts: Nominal geometry of the arm.
         error: Root of the sum of the squared displacements, m.
-        seed: Where they come from.
+        seed: Seed of the displacements.
     """
     rng = np.random.default_rng((seed, ARM_STREAM))
     offsets = rng.normal(size=(len(facts.joints) + 1, 3))
-    offsets *= error / np.linalg.norm(offsets)
+    offsets *= error / np.linalg.norm(offsets)  # each seed has exactly this error, in other directions
     *at_joints, at_flange = offsets.tolist()
     joints = tuple(replace(joint, xyz=_add(joint.xyz, by)) for joint, by in zip(facts.joints, at_joints, strict=True))
     return replace(facts, joints=joints, flange_xyz=_add(facts.flange_xyz, at_flange))
@@ -46,11 +47,11 @@ def _add(xyz: Triple, offset: list[float]) -> Triple:
 
 
 class BiasField:
-    """A smooth random vector function of place: a sum of plane waves with random directions.
+    """A smooth random vector field: a sum of plane waves with random directions.
 
     Args:
-        magnitude: Root mean square of the vector's length over all places.
-        rng: Where the waves come from.
+        magnitude: Root mean square of the vector's length over all positions.
+        rng: Source of the waves.
     """
 
     def __init__(self, magnitude: float, rng: np.random.Generator) -> None:
@@ -62,21 +63,21 @@ class BiasField:
         # The mean square of a cosine is 1/2, and waves of different wave vectors are uncorrelated.
         self._amplitudes = amplitudes * (magnitude / np.sqrt(np.sum(amplitudes**2) / 2))
 
-    def at(self, place: Floats) -> Floats:
-        """The vector at `place`, m, (3,)."""
-        value: Floats = np.cos(self._wave_vectors @ place + self._phases) @ self._amplitudes
+    def at(self, position: Floats) -> Floats:
+        """Return the vector at a position, m, (3,)."""
+        value: Floats = np.cos(self._wave_vectors @ position + self._phases) @ self._amplitudes
         return value
 
 
 class TrackerErrors:
-    """What the tracker adds to a true pose.
+    """Errors that the tracker adds to a true pose.
 
     Args:
         settings: Magnitudes of the errors.
-        rng: Where they come from.
+        rng: Source of the errors.
 
     Attributes:
-        steady: Without jitter: what does not move is measured the same in every frame.
+        jitter_free: There is no jitter: all measurements of a body at rest are equal.
     """
 
     def __init__(self, settings: TrackerSettings, rng: np.random.Generator) -> None:
@@ -85,33 +86,32 @@ class TrackerErrors:
         self._rotation_bias = BiasField(radians(settings.bias_deg), rng)
         self._translation_jitter = settings.jitter_mm * 1e-3
         self._rotation_jitter = radians(settings.jitter_deg)
-        self.steady = not (settings.jitter_mm or settings.jitter_deg)
+        self.jitter_free = not (settings.jitter_mm or settings.jitter_deg)
 
     def measure(self, tracker_from_body: Transform) -> Transform:
-        """One measurement of a true pose: bias of its place plus fresh jitter, in the tracker's axes."""
-        place = tracker_from_body.translation
-        translation = self._translation_bias.at(place) + self._rng.normal(0.0, self._translation_jitter, 3)
-        rotation = self._rotation_bias.at(place) + self._rng.normal(0.0, self._rotation_jitter, 3)
-        turned = Transform.from_rotvec((0.0, 0.0, 0.0), rotation).rotation @ tracker_from_body.rotation
-        return trusted_transform(turned, place + translation)
+        """Return a measurement of a true pose: the bias at its position plus new jitter, in the tracker frame."""
+        position = tracker_from_body.translation
+        translation = self._translation_bias.at(position) + self._rng.normal(0.0, self._translation_jitter, 3)
+        rotation = self._rotation_bias.at(position) + self._rng.normal(0.0, self._rotation_jitter, 3)
+        measured = Transform.from_rotvec((0.0, 0.0, 0.0), rotation).rotation @ tracker_from_body.rotation
+        return trusted_transform(measured, position + translation)
 
     def fit_error(self) -> float:
-        """What the tracker itself thinks of one measurement, m: the scatter of its markers, without the bias."""
+        """Draw the tracker's own estimate of its error, m: the scatter of the markers, which does not show the bias."""
         return float(np.linalg.norm(self._rng.normal(0.0, self._translation_jitter, 3)))
 
 
 class TouchErrors:
-    """Where a touch lands beside the planned landmark: a bias fixed per landmark, and noise of each touch.
+    """Errors of touches: a bias that is fixed for each landmark, and noise of each touch.
 
-    Every landmark has a generator of its own, so that its errors depend on the seed and on how often it was touched,
-    and on nothing else.
+    Each landmark has its own generator, so that its errors depend only on the seed and on the number of its touches.
 
     Args:
-        settings: Deviations per axis.
-        seed: Where they come from.
+        settings: Standard deviations per axis.
+        seed: Seed of the errors.
 
     Attributes:
-        surface: Where on the skin a person touches who may touch anywhere, and how far beside it.
+        surface: Source of touches anywhere on the skin: the touched points and their errors.
     """
 
     def __init__(self, settings: DigitizationSettings, seed: int) -> None:
@@ -121,7 +121,7 @@ class TouchErrors:
         self._landmarks: dict[int, tuple[np.random.Generator, Floats]] = {}
 
     def next(self, index: int) -> Floats:
-        """Touched minus planned position of landmark `index` at its next touch, in the image, m, (3,)."""
+        """Draw touched minus planned position for the next touch of a landmark, in the image, m, (3,)."""
         if index not in self._landmarks:
             rng = np.random.default_rng((self._seed, index))
             self._landmarks[index] = rng, rng.normal(0.0, self._settings.planning_bias_mm * 1e-3, 3)
