@@ -24,7 +24,7 @@ FACES = 2500
 
 
 @dataclass(frozen=True, slots=True)
-class Placement:
+class PlacementDeviation:
     """Deviation of the tool from its plan: the measured pose in the planned one.
 
     Attributes:
@@ -174,7 +174,7 @@ class TrackerLocator:
         return self.base_from_tracker @ as_transform(body)
 
 
-def placement(data: ProcedureDataView, coil: BodyPose | None, body_ref: BodyPose | None) -> Placement | None:
+def placement(data: ProcedureDataView, coil: BodyPose | None, body_ref: BodyPose | None) -> PlacementDeviation | None:
     """Return the deviation of the tool from its plan, as the tracker sees it; None while unknown.
 
     Args:
@@ -191,7 +191,7 @@ def placement(data: ProcedureDataView, coil: BodyPose | None, body_ref: BodyPose
     x, y, z = (1000.0 * planned_from_measured.translation).tolist()
     away = 1000.0 * distance(planned_from_measured, Transform.identity())
     angle = np.degrees(rotation_angle(planned_from_measured, Transform.identity()))
-    return Placement((away, x, y, z), float(angle))
+    return PlacementDeviation((away, x, y, z), float(angle))
 
 
 def residuals(data: ProcedureDataView) -> list[float | None]:

@@ -52,7 +52,7 @@ class Second(Enum):
     VALUES = auto()  # numbers, each followed by a separator
 
 
-class Plan(Enum):
+class PlanKind(Enum):
     """Kinds of plan that clients send."""
 
     LANDMARKS = auto()
@@ -88,7 +88,7 @@ class Spec:
     steps: tuple[Step, ...] = ()
     arguments: Arguments = lambda _: {}
     second: Second | None = None
-    settles: Plan | None = None
+    settles: PlanKind | None = None
 
     @property
     def moves(self) -> bool:
@@ -107,7 +107,7 @@ def _submit(
     payload: tuple[Kind, ...] = (),
     arguments: Arguments = lambda _: {},
     second: Second | None = None,
-    settles: Plan | None = None,
+    settles: PlanKind | None = None,
 ) -> Spec:
     steps = tuple(item if isinstance(item, Step) else _step(item) for item in operations)
     branch = steps[-1].branch
@@ -146,7 +146,7 @@ _SPECS = (
     _submit("img_dig_prevxxxx", "digitization.reuse_previous"),
     _submit("img_dig_prevhilg", "digitization.reuse_previous_except", payload=_INDEX, arguments=_index),
     _submit("start_registrati", "registration.register", second=Second.RESIDUAL),
-    _submit("start_useprevreg", "registration.use_previous", second=Second.RESIDUAL, settles=Plan.LANDMARKS),
+    _submit("start_useprevreg", "registration.use_previous", second=Second.RESIDUAL, settles=PlanKind.LANDMARKS),
     Spec("target_rotxxxxxx", "toolplan", Action.OPEN_POSE, (Kind.NUMBER,) * 4),
     Spec("target_tslxxxxxx", "toolplan", Action.PLAN_POSE, _XYZ),
     _submit("icp_digitizexxxx", "digitization.digitize_surface"),

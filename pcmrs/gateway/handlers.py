@@ -10,7 +10,7 @@ from uuid import uuid4
 from pcmrs.clock import Clock
 from pcmrs.errors import RefusalError
 from pcmrs.gateway.adapter import Core
-from pcmrs.gateway.commands import Action, Plan, Step
+from pcmrs.gateway.commands import Action, PlanKind, Step
 from pcmrs.gateway.grammar import Request
 from pcmrs.gateway.outcome import Outcome, of_verdict
 from pcmrs.gateway.pose_files import PoseFileWriter
@@ -125,7 +125,7 @@ class PlanLock:
 
     def __init__(self) -> None:
         self._attempts = 0
-        self._pending: dict[Plan, int] = {}
+        self._pending: dict[PlanKind, int] = {}
 
     @property
     def held(self) -> bool:
@@ -137,13 +137,13 @@ class PlanLock:
         """Number of the newest attempt."""
         return self._attempts
 
-    def attempt(self, kind: Plan) -> int:
+    def attempt(self, kind: PlanKind) -> int:
         """Note that a plan of `kind` has begun; return its number."""
         self._attempts += 1
         self._pending[kind] = self._attempts
         return self._attempts
 
-    def accept(self, kind: Plan, attempt: int) -> None:
+    def accept(self, kind: PlanKind, attempt: int) -> None:
         """Note that a plan was accepted; a newer one of its kind keeps the lock.
 
         Args:
@@ -157,11 +157,11 @@ class PlanLock:
 Job = Callable[[], Awaitable[Outcome]]
 
 PARTS = {
-    Action.ANNOUNCE_LANDMARKS: Plan.LANDMARKS,
-    Action.ADD_LANDMARK: Plan.LANDMARKS,
-    Action.PLAN_LANDMARKS: Plan.LANDMARKS,
-    Action.OPEN_POSE: Plan.POSE,
-    Action.PLAN_POSE: Plan.POSE,
+    Action.ANNOUNCE_LANDMARKS: PlanKind.LANDMARKS,
+    Action.ADD_LANDMARK: PlanKind.LANDMARKS,
+    Action.PLAN_LANDMARKS: PlanKind.LANDMARKS,
+    Action.OPEN_POSE: PlanKind.POSE,
+    Action.PLAN_POSE: PlanKind.POSE,
 }
 """Commands that are part of a plan."""
 
@@ -343,7 +343,7 @@ class CommandHandlers:
         return of_verdict(verdict)
 
     def _announce_landmarks(self, request: Request) -> Outcome:
-        self._lock.attempt(Plan.LANDMARKS)
+        self._lock.attempt(PlanKind.LANDMARKS)
         self._landmarks.announce(int(request.values[0]))
         return self.accepted(request)
 
@@ -353,23 +353,23 @@ class CommandHandlers:
         return self.accepted(request)
 
     def _plan_landmarks(self, request: Request) -> Job:
-        attempt = self._lock.attempt(Plan.LANDMARKS)
+        attempt = self._lock.attempt(PlanKind.LANDMARKS)
         landmarks = self._landmarks.finish()
-        return lambda: self._plan(request, Plan.LANDMARKS, attempt, "plan_landmarks", {"landmarks": landmarks})
+        return lambda: self._plan(request, PlanKind.LANDMARKS, attempt, "plan_landmarks", {"landmarks": landmarks})
 
     def _open_pose(self, request: Request) -> Outcome:
-        self._lock.attempt(Plan.POSE)
+        self._lock.attempt(PlanKind.POSE)
         self._pair.rotate([float(value) for value in request.values], self._services.clock.monotonic())
         return self.accepted(request)
 
     def _plan_pose(self, request: Request) -> Job:
-        attempt = self._lock.attempt(Plan.POSE)
+        attempt = self._lock.attempt(PlanKind.POSE)
         now = self._services.clock.monotonic()
         pose = self._pair.translate([float(value) for value in request.values], now)
-        return lambda: self._plan(request, Plan.POSE, attempt, "plan", pose)
+        return lambda: self._plan(request, PlanKind.POSE, attempt, "plan", pose)
 
     async def _plan(
-        self, request: Request, kind: Plan, attempt: int, operation: str, arguments: dict[str, Any]
+        self, request: Request, kind: PlanKind, attempt: int, operation: str, arguments: dict[str, Any]
     ) -> Outcome:
         outcome = await self._operate(request, 0, request.spec.branch, operation, arguments)
         if outcome.decision == "accepted":

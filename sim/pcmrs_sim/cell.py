@@ -43,7 +43,7 @@ LONGEST_CATCH_UP = 0.1
 log = structlog.get_logger(__name__)
 
 
-class Cell:
+class CellSimulation:
     """One world and its devices.
 
     Args:
@@ -164,7 +164,7 @@ class Cell:
 
 
 @asynccontextmanager
-async def running_cell(settings: Mapping[str, Any], clock: Clock) -> AsyncIterator[Cell]:
+async def running_cell(settings: Mapping[str, Any], clock: Clock) -> AsyncIterator[CellSimulation]:
     """A cell whose time passes with the clock, until the context ends.
 
     Args:
@@ -175,7 +175,7 @@ async def running_cell(settings: Mapping[str, Any], clock: Clock) -> AsyncIterat
         ConfigurationError: The arm is unknown, or the table ``sim`` is wrong.
     """
     own = read_settings(settings)
-    cell = Cell(own, _arm(settings, own), _force_settings(settings), clock)
+    cell = CellSimulation(own, _arm(settings, own), _force_settings(settings), clock)
     async with background_task(cell.run(), "simulated cell"):
         yield cell
 

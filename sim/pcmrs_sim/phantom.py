@@ -10,7 +10,7 @@ from pcmrs_sim.solid import Solid
 
 
 @dataclass(frozen=True, eq=False)
-class Landmark:
+class PhantomLandmark:
     """An anatomical point, in the image, m, (3,); named as a planner shows it."""
 
     name: str
@@ -33,7 +33,7 @@ class Phantom:
     """
 
     inside: Floats
-    landmarks: tuple[Landmark, ...]
+    landmarks: tuple[PhantomLandmark, ...]
     body: tuple[Shape, ...]
     solid: Solid
     tool: tuple[Shape, ...]

@@ -10,7 +10,7 @@ from typing import Any
 
 import structlog
 
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.lsl.serving import serve_muscle
 
 LOOPBACK = "127.0.0.1"
@@ -24,7 +24,7 @@ log = structlog.get_logger(__name__)
 
 
 @asynccontextmanager
-async def serve_virtual(cell: Cell, settings: Mapping[str, Any]) -> AsyncIterator[None]:
+async def serve_virtual(cell: CellSimulation, settings: Mapping[str, Any]) -> AsyncIterator[None]:
     """Serves a virtual device for each driver that looks for its device on this machine; a taken port is left alone.
 
     Args:
@@ -71,7 +71,7 @@ def _is_loopback(host: str) -> bool:
         return False
 
 
-def _serve(driver: str, cell: Cell, host: str, port: int) -> AbstractAsyncContextManager[tuple[str, int]]:
+def _serve(driver: str, cell: CellSimulation, host: str, port: int) -> AbstractAsyncContextManager[tuple[str, int]]:
     if driver == "kst":
         from pcmrs_sim.kst.server import serve_kst
 

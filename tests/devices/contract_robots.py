@@ -19,7 +19,7 @@ from pcmrs.spatial import Floats, Transform
 
 pytest.importorskip("mujoco")
 
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.head import surface_point
 from pcmrs_sim.kst.server import serve_kst
 from pcmrs_sim.settings import GeometrySettings, Pose, SimSettings
@@ -52,7 +52,7 @@ class Bench:
 
     robot: Any
     clock: SystemClock
-    cell: Cell
+    cell: CellSimulation
     events: list[DeviceEvent] = field(default_factory=list)
     states: list[JointState] = field(default_factory=list)
 
@@ -88,13 +88,13 @@ def body_before_tool(gap: float) -> Pose:
     return Pose((position[0], position[1], position[2]), (quat[0], quat[1], quat[2], quat[3]))
 
 
-def _cell(clock: SystemClock, gap: float | None, force: ForceSettings) -> Cell:
+def _cell(clock: SystemClock, gap: float | None, force: ForceSettings) -> CellSimulation:
     geometry = GeometrySettings(world_from_image=None if gap is None else body_before_tool(gap))
-    return Cell(SimSettings(geometry=geometry), FACTS, force, clock)
+    return CellSimulation(SimSettings(geometry=geometry), FACTS, force, clock)
 
 
 @asynccontextmanager
-async def _running(cell: Cell) -> AsyncIterator[Cell]:
+async def _running(cell: CellSimulation) -> AsyncIterator[CellSimulation]:
     stepping = asyncio.create_task(cell.run())
     try:
         yield cell

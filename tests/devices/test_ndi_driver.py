@@ -24,7 +24,7 @@ from pcmrs.devices.ndi.tools import placeholder
 from pcmrs.devices.ndi.wire import Failed, Job, Ready, Unpacker, pack
 from pcmrs.errors import ConfigurationError
 from pcmrs.messages import BodyPose
-from pcmrs_sim.cell import Cell, running_cell
+from pcmrs_sim.cell import CellSimulation, running_cell
 from pcmrs_sim.ndi.server import serve_ndi, serve_ndi_pty
 from pcmrs_sim.ndi.system import NdiSystem
 
@@ -65,7 +65,7 @@ def _readers() -> list[int]:
 
 
 @asynccontextmanager
-async def _served() -> AsyncIterator[tuple[Cell, str]]:
+async def _served() -> AsyncIterator[tuple[CellSimulation, str]]:
     async with running_cell({}, SystemClock()) as cell, serve_ndi(cell) as (host, port):
         yield cell, f"{host}:{port}"
 

@@ -11,8 +11,8 @@ from rich.console import Console
 
 from pcmrs.analysis.plots import save_png
 from pcmrs_lab.cli.experiment_tables import following_tables
-from pcmrs_lab.experiment.course import Course
-from pcmrs_lab.experiment.following import Drawn, Followed, FollowingReport, Occluded, Spread
+from pcmrs_lab.experiment.course import ErrorSeries
+from pcmrs_lab.experiment.following import Drawn, ErrorSummary, Followed, FollowingReport, Occluded
 from pcmrs_lab.experiment.head_motions import scenarios
 from pcmrs_lab.experiment.plots import following_figure
 from pcmrs_sim.motion import check_motion, head_offset
@@ -22,8 +22,8 @@ MOTIONS = {each.name: each for each in scenarios(DURATION, seed=1)}
 
 
 def drawn(scenario: str, *, compensated: bool) -> Drawn:
-    course = Course(times=[0.0, 1.0, 2.0, 3.0], true_mm=[0.1, 2.0, 3.0, 0.2], allowed=[True, True, False, True])
-    spread = Spread(rms=0.123, p99=2.5, max=3.0)
+    course = ErrorSeries(times=[0.0, 1.0, 2.0, 3.0], true_mm=[0.1, 2.0, 3.0, 0.2], allowed=[True, True, False, True])
+    spread = ErrorSummary(rms=0.123, p99=2.5, max=3.0)
     result = Followed(scenario, "as said", compensated, spread, spread, 0.75, 2.0, 0.0, lost=False)
     return Drawn(result, course)
 

@@ -13,7 +13,7 @@ from pcmrs.authoring.design import design
 from pcmrs.authoring.trial.tour import Move
 from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.messages import Command, Verdict
-from pcmrs_lab.experiment.tours.rehearsal import Script, scripted_dispatcher
+from pcmrs_lab.experiment.tours.rehearsal import ScriptedSteps, scripted_dispatcher
 
 CHUNKS, TABLES_EACH, COMMANDS = 20, 50, 30
 
@@ -32,7 +32,7 @@ class Walk:
         blueprint, _ = read_blueprint(result.text.encode(), "designed")  # `design` has verified it
         assert blueprint is not None
         self.blueprint = blueprint
-        self.script = Script()
+        self.script = ScriptedSteps()
         self.dispatcher = scripted_dispatcher(self.blueprint, self.script, outside=False)
         self.operations = [
             (branch, name)

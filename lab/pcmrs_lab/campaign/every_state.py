@@ -18,11 +18,11 @@ from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Command, Verdict
 from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs_lab.campaign.sham import is_sham
-from pcmrs_lab.experiment.tours.rehearsal import LeapingClock, Script, scripted
+from pcmrs_lab.experiment.tours.rehearsal import LeapingClock, ScriptedSteps, scripted
 
 
 @dataclass
-class Found:
+class StateWalkResult:
     """What a walk through all joint states has shown.
 
     Attributes:
@@ -39,7 +39,9 @@ class Found:
     wrong: list[str] = field(default_factory=list)
 
 
-async def walk(blueprint: Blueprint, folder: Path, runs: Blueprint | None = None, enough: int | None = None) -> Found:
+async def walk(
+    blueprint: Blueprint, folder: Path, runs: Blueprint | None = None, enough: int | None = None
+) -> StateWalkResult:
     """Asks for every forbidden operation in every joint state, and looks for what must not be.
 
     Args:
@@ -51,7 +53,7 @@ async def walk(blueprint: Blueprint, folder: Path, runs: Blueprint | None = None
     tour = plan_tour(blueprint, MAX_JOINT_STATES)
     journal = Journal.open(folder / "every_state.sqlite", durable=False)
     try:
-        found = Found(len({move.before for move in tour.wanted}))
+        found = StateWalkResult(len({move.before for move in tour.wanted}))
         for stretch in tour.stretches:
             if enough is not None and len(found.wrong) >= enough:
                 break
@@ -62,9 +64,9 @@ async def walk(blueprint: Blueprint, folder: Path, runs: Blueprint | None = None
 
 
 async def _walk_stretch(
-    blueprint: Blueprint, runs: Blueprint, moves: list[Move], journal: Journal, found: Found
+    blueprint: Blueprint, runs: Blueprint, moves: list[Move], journal: Journal, found: StateWalkResult
 ) -> None:
-    script, clock = Script(), LeapingClock()
+    script, clock = ScriptedSteps(), LeapingClock()
     tag = BlueprintTag(id=runs.id, version=runs.version, hash=runs.hash)
     recorder = JournalRecorder(journal, clock, uuid.uuid4().hex, tag)
     dispatcher = Dispatcher(scripted(runs, script, outside=True), None, clock, recorder, _hold)

@@ -35,7 +35,7 @@ UNITS = {"memory": "bytes", "descriptors": "", "threads": "", "tasks": ""}
 ShowProgress = Callable[[str, int, int], None]
 
 
-class Course(msgspec.Struct, frozen=True):
+class ResourceTrend(msgspec.Struct, frozen=True):
     """One measure of one process over time.
 
     Attributes:
@@ -76,7 +76,7 @@ class SoakReport(msgspec.Struct, frozen=True):
     decisions: dict[str, int]
     rows: int
     ended: str
-    courses: list[Course]
+    courses: list[ResourceTrend]
 
     @property
     def violated(self) -> bool:
@@ -155,7 +155,7 @@ def _why_ended(operating: asyncio.Task[None]) -> str:
     return error.text if isinstance(error, PcmrsError) else repr(error)
 
 
-def _courses(seen: Seen) -> list[Course]:
+def _courses(seen: Seen) -> list[ResourceTrend]:
     courses = []
     for process, measure in dict.fromkeys((process, measure) for _, process, measure, _ in seen):
         points = [(time, value) for time, whose, what, value in seen if (whose, what) == (process, measure)]
@@ -163,10 +163,10 @@ def _courses(seen: Seen) -> list[Course]:
     return courses
 
 
-def course(process: str, measure: str, times: Sequence[float], values: Sequence[float]) -> Course:
+def course(process: str, measure: str, times: Sequence[float], values: Sequence[float]) -> ResourceTrend:
     """One measure with its line."""
     first = WARM_UP * times[-1] if times else 0.0
     late = [(time, value) for time, value in zip(times, values, strict=True) if time >= first]
     rising, error = slope([time for time, _ in late], [value for _, value in late])
     length = late[-1][0] - late[0][0] if late else 0.0
-    return Course(process, measure, list(times), list(values), rising * length, error * length)
+    return ResourceTrend(process, measure, list(times), list(values), rising * length, error * length)

@@ -23,7 +23,7 @@ HISTORY = 64
 
 
 @dataclass
-class Course:
+class ErrorSeries:
     """Errors of one run, in mm, and the times since its beginning at which they were, s of the cell.
 
     Attributes:
@@ -44,7 +44,7 @@ class Course:
         return errors
 
 
-class Observer:
+class PlacementErrorMonitor:
     """Looks at a running cell from outside.
 
     Args:
@@ -61,13 +61,13 @@ class Observer:
         self._desired = body_ref_from_coil
         self._clock, self._rate = SystemClock(), rate
         self._frames: deque[BodyPose] = deque(maxlen=HISTORY)
-        self._course: Course | None = None
+        self._course: ErrorSeries | None = None
         client.listen("state/fsm", Snapshot, self._take_snapshot)
         client.listen("state/pose/*", BodyPose, self._take_pose)
 
-    async def watch(self, duration: float, *, whatever: bool = False) -> Course:
+    async def watch(self, duration: float, *, whatever: bool = False) -> ErrorSeries:
         """Looks on for `duration`, s of the cell, or until the tool does not follow any more; or `whatever` it does."""
-        course = self._course = Course()
+        course = self._course = ErrorSeries()
         begun, machine = (await self._scene.truth()).time, self._clock.monotonic()
         while True:
             truth = await self._scene.truth()

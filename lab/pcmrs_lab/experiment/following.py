@@ -14,7 +14,7 @@ from pcmrs.errors import CommandRefusedError
 from pcmrs.messages import HeadMotion
 from pcmrs.spatial import Transform, distance
 from pcmrs.workflows.data import as_transform
-from pcmrs_lab.experiment.course import Course, Observer
+from pcmrs_lab.experiment.course import ErrorSeries, PlacementErrorMonitor
 from pcmrs_lab.experiment.head_motions import Scenario, scenarios
 from pcmrs_lab.experiment.placements import NOT_SEEN, PATIENCE, PAUSE, once_seen, registered
 from pcmrs_lab.experiment.private import Bench, private_bench
@@ -30,7 +30,7 @@ TO_PLACED = {"held": "back_off", "retracted": "approach", "standoff": "confirm",
 """The operation by which each state of the placement leads to the planned pose."""
 
 
-class Spread(msgspec.Struct, frozen=True):
+class ErrorSummary(msgspec.Struct, frozen=True):
     """Of errors over time, mm."""
 
     rms: float
@@ -54,8 +54,8 @@ class Followed(msgspec.Struct, frozen=True):
     scenario: str
     motion: str
     compensated: bool
-    true_mm: Spread
-    measured_mm: Spread
+    true_mm: ErrorSummary
+    measured_mm: ErrorSummary
     allowed: float
     true_allowed_mm: float
     lag: float
@@ -95,7 +95,7 @@ class Drawn:
     """A run as it is drawn."""
 
     result: Followed
-    course: Course
+    course: ErrorSeries
 
 
 async def run_following(setup: Setup, duration: float) -> tuple[FollowingReport, list[Drawn]]:
@@ -165,7 +165,7 @@ def _bench(setup: Setup, *, compensated: bool) -> AbstractAsyncContextManager[Be
     return private_bench([*own, f"procedure.following.compensated={str(compensated).lower()}"])
 
 
-async def _begin(bench: Bench, observer: Observer) -> None:
+async def _begin(bench: Bench, observer: PlacementErrorMonitor) -> None:
     """Brings the tool to its place, wherever it is, and has it follow until it counts as aligned.
 
     Raises:
@@ -195,7 +195,7 @@ async def _ask(bench: Bench, name: str) -> None:
         raise CommandRefusedError(f"{name} was {verdict.decision} in {verdict.state}: {reason}")
 
 
-def _result(scenario: Scenario, course: Course, observer: Observer, *, compensated: bool) -> Followed:
+def _result(scenario: Scenario, course: ErrorSeries, observer: PlacementErrorMonitor, *, compensated: bool) -> Followed:
     allowed = course.true_allowed_mm()
     return Followed(
         scenario=scenario.name,
@@ -210,13 +210,13 @@ def _result(scenario: Scenario, course: Course, observer: Observer, *, compensat
     )
 
 
-def _spread(errors_mm: Sequence[float]) -> Spread:
+def _spread(errors_mm: Sequence[float]) -> ErrorSummary:
     errors = np.array(errors_mm)
     rms = float(np.sqrt(np.mean(errors**2)))
-    return Spread(rms, float(np.percentile(errors, 99.0)), float(errors.max()))
+    return ErrorSummary(rms, float(np.percentile(errors, 99.0)), float(errors.max()))
 
 
-async def _placed(bench: Bench, setup: Setup) -> Observer:
+async def _placed(bench: Bench, setup: Setup) -> PlacementErrorMonitor:
     """A registered head with the tool at its place, and who looks at it."""
     plan, planner = setup.plan, bench.planner
     await planner.connect()
@@ -227,4 +227,4 @@ async def _placed(bench: Bench, setup: Setup) -> Observer:
     await once_seen(lambda: planner.plan_pose(pose.position, pose.quat_xyzw))
     body_ref_from_image = as_transform(registered(bench).body_ref_from_image)
     planned = Transform.from_quat_xyzw(pose.position, pose.quat_xyzw)
-    return Observer(bench.client, bench.scene, body_ref_from_image @ planned, setup.rate)
+    return PlacementErrorMonitor(bench.client, bench.scene, body_ref_from_image @ planned, setup.rate)

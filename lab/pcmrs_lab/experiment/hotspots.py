@@ -50,7 +50,7 @@ class Searched:
         return None if last == len(self.errors) else last + 1
 
 
-class Spread(msgspec.Struct, frozen=True):
+class SubjectQuantiles(msgspec.Struct, frozen=True):
     """Of a series over all subjects: half of it is not above the median, 95 % not above p95; None is beyond any."""
 
     median: float | None
@@ -72,11 +72,11 @@ class HotspotResult(msgspec.Struct, frozen=True):
 
     method: str
     near: float
-    pulses_until_near: Spread
-    pulses: Spread
-    error_mm: Spread
-    heading_error_deg: Spread
-    uncertainty_mm: Spread
+    pulses_until_near: SubjectQuantiles
+    pulses: SubjectQuantiles
+    error_mm: SubjectQuantiles
+    heading_error_deg: SubjectQuantiles
+    uncertainty_mm: SubjectQuantiles
     unanswered: int
 
 
@@ -93,7 +93,7 @@ class HotspotReport(msgspec.Struct, frozen=True):
     subjects: int
     simulated: bool
     intensity: float
-    expected_mm: Spread
+    expected_mm: SubjectQuantiles
     methods: list[HotspotResult]
 
 
@@ -177,9 +177,9 @@ def _result(method: str, found: list[Searched]) -> HotspotResult:
     )
 
 
-def _spread(values: list[float]) -> Spread:
+def _spread(values: list[float]) -> SubjectQuantiles:
     """Of numbers that may be infinite; whole ones stay so: the smallest that enough of them do not exceed."""
     if not values:
-        return Spread(None, None)
+        return SubjectQuantiles(None, None)
     median, p95 = np.quantile(values, (0.5, 0.95), method="inverted_cdf").tolist()
-    return Spread(*(value if np.isfinite(value) else None for value in (median, p95)))
+    return SubjectQuantiles(*(value if np.isfinite(value) else None for value in (median, p95)))

@@ -16,7 +16,7 @@ import click
 
 from pcmrs.errors import ConfigurationError, PcmrsError
 from pcmrs.messages import LandmarkPrompt
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.faults import inject, parse_fault
 from pcmrs_sim.pointer import SimPointer
 
@@ -37,7 +37,7 @@ def check_line(line: str) -> None:
         parse_fault(line)
 
 
-async def act(cell: Cell, line: str) -> None:
+async def act(cell: CellSimulation, line: str) -> None:
     """Acts on a line.
 
     Raises:
@@ -76,7 +76,7 @@ def _seconds(word: str) -> float:
     return seconds
 
 
-async def follow_schedule(cell: Cell, schedule: Schedule) -> None:
+async def follow_schedule(cell: CellSimulation, schedule: Schedule) -> None:
     """Acts on every line when its time has come."""
     start = cell.clock.monotonic()
     for time, line in schedule:
@@ -84,7 +84,7 @@ async def follow_schedule(cell: Cell, schedule: Schedule) -> None:
         await try_line(cell, line)
 
 
-async def follow_input(cell: Cell) -> None:
+async def follow_input(cell: CellSimulation) -> None:
     """Acts on the lines of standard input, one after the other, until it ends."""
     lines: asyncio.Queue[str] = asyncio.Queue()
     loop = asyncio.get_running_loop()
@@ -93,7 +93,7 @@ async def follow_input(cell: Cell) -> None:
         await try_line(cell, await lines.get())
 
 
-async def try_line(cell: Cell, line: str) -> None:
+async def try_line(cell: CellSimulation, line: str) -> None:
     """Acts on a line; what cannot be done is said on standard error."""
     if not line.strip():
         return
@@ -116,7 +116,7 @@ def _read_in_thread(take: Callable[[str], object]) -> None:
     threading.Thread(target=read, name="standard input", daemon=True).start()
 
 
-async def _move_hand(cell: Cell, word: str, rest: list[str]) -> None:
+async def _move_hand(cell: CellSimulation, word: str, rest: list[str]) -> None:
     pointer = cast(SimPointer, cell.devices["pointer"])
     if word == "release":
         await pointer.release()

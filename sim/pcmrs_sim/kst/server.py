@@ -12,7 +12,7 @@ import numpy as np
 import structlog
 
 from pcmrs.background import background_task
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.kst.cabinet import Cabinet, check_arm
 from pcmrs_sim.kst.replies import Replies
 
@@ -30,7 +30,7 @@ log = structlog.get_logger(__name__)
 
 @asynccontextmanager
 async def serve_kst(
-    cell: Cell, host: str = "127.0.0.1", port: int = PORT, *, accept_timeout: float = ACCEPT_TIMEOUT
+    cell: CellSimulation, host: str = "127.0.0.1", port: int = PORT, *, accept_timeout: float = ACCEPT_TIMEOUT
 ) -> AsyncIterator[tuple[str, int]]:
     """Serves the arm of `cell` as a KST 1.7 server does; yields where it listens.
 
@@ -55,7 +55,7 @@ async def serve_kst(
 
 
 class _Server:
-    def __init__(self, cell: Cell, listening: socket.socket, accept_timeout: float) -> None:
+    def __init__(self, cell: CellSimulation, listening: socket.socket, accept_timeout: float) -> None:
         self._cell, self._socket, self._accept_timeout = cell, listening, accept_timeout
         self._address = listening.getsockname()[:2]
         self._rng = np.random.default_rng((cell.world.settings.seed, STREAM))

@@ -15,7 +15,7 @@ from pcmrs.devices.deadman import DEADMAN, Deadman, Silence
 from pcmrs.devices.gate import ACTS, HOLDS
 from pcmrs.errors import DeviceError, PcmrsError, UnknownOutcomeError
 from pcmrs.threads import keep_pauses_short
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.opening import open_cell
 from pcmrs_sim.process.channel import Channel
 from pcmrs_sim.process.wire import (
@@ -62,7 +62,7 @@ class Server:
         self._asked: asyncio.Future[Open | None] = asyncio.get_running_loop().create_future()
         self._ended = asyncio.Event()
         self._running: dict[int, asyncio.Task[None]] = {}
-        self.cell: Cell
+        self.cell: CellSimulation
         self._deadman: Deadman
         self._served: Collection[str] = ()
         self._trouble: dict[str, str] = {}
@@ -81,7 +81,7 @@ class Server:
         except PcmrsError as error:
             self._send(Opened(Failure.of(error)))
 
-    async def _serve(self, cell: Cell, asked: Open) -> None:
+    async def _serve(self, cell: CellSimulation, asked: Open) -> None:
         limit = asked.settings.get("robot", {}).get("deadman", DEADMAN)
         self.cell, self._served = cell, asked.devices
         self._deadman = Deadman(limit, self._at_risk, self._act, self._machine)
@@ -99,7 +99,7 @@ class Server:
                     task.cancel()
                 await asyncio.gather(*tasks, return_exceptions=True)
 
-    def _streams(self, cell: Cell) -> Iterator[Coroutine[Any, Any, None]]:
+    def _streams(self, cell: CellSimulation) -> Iterator[Coroutine[Any, Any, None]]:
         """What sends the measurements and events of the served devices."""
         if "tracker" in self._served:
             yield self._send_all(cell.tracker.frames(), lambda frame: Frame(list(frame)), dated=True)
@@ -179,7 +179,7 @@ class Server:
         if not self._asked.done():
             self._asked.set_result(None)
 
-    async def _come_to_rest(self, cell: Cell) -> None:
+    async def _come_to_rest(self, cell: CellSimulation) -> None:
         """Brakes what its node has left in motion, and sees it stand."""
         if cell.acts(self._served):
             self._make_safe("its node has ended")

@@ -40,7 +40,7 @@ class Act(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     held: float = 0.0
 
 
-class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class SessionScript(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A whole session.
 
     Attributes:
@@ -60,21 +60,21 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     acts: list[Act] = []
 
 
-def read_script(path: Path) -> Script:
+def read_script(path: Path) -> SessionScript:
     """A script from its file.
 
     Raises:
         ConfigurationError: It cannot be read or is no script.
     """
     try:
-        return msgspec.json.decode(path.read_bytes(), type=Script)
+        return msgspec.json.decode(path.read_bytes(), type=SessionScript)
     except OSError as error:
         raise ConfigurationError(f"{path} cannot be read: {error.strerror}.", file=str(path)) from None
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigurationError(f"{path} is no script of a session: {error}.", file=str(path)) from None
 
 
-def write_script(script: Script, path: Path) -> None:
+def write_script(script: SessionScript, path: Path) -> None:
     """Writes a script, so that people can read and change it."""
     path.write_bytes(msgspec.json.format(msgspec.json.encode(script), indent=1) + b"\n")
 
@@ -83,7 +83,7 @@ MOST_RUNS = 200
 """Nobody waits for a shorter script than this many runs find."""
 
 
-def shrink(script: Script, fails: Callable[[Script], bool], most: int = MOST_RUNS) -> Script:
+def shrink(script: SessionScript, fails: Callable[[SessionScript], bool], most: int = MOST_RUNS) -> SessionScript:
     """The shortest script found that still fails: no act of it can be left out alone, unless `most` was too few.
 
     Zeller, Hildebrandt, Simplifying and Isolating Failure-Inducing Input, IEEE TSE 2002, without the tests of single
@@ -116,5 +116,5 @@ def _parts(length: int, parts: int) -> list[tuple[int, int]]:
     return [(start, min(length, start + size)) for start in range(0, length, size)]
 
 
-def _with(script: Script, acts: Sequence[Act]) -> Script:
+def _with(script: SessionScript, acts: Sequence[Act]) -> SessionScript:
     return msgspec.structs.replace(script, acts=list(acts))

@@ -22,7 +22,7 @@ from pcmrs_lab.campaign.explore.injecting import Faults
 from pcmrs_lab.campaign.explore.next_step_policy import next_step_policy
 from pcmrs_lab.campaign.explore.operators import PATIENCE, Operators
 from pcmrs_lab.campaign.explore.plans import GARBAGE, landmark_commands, plan_of, pose_commands
-from pcmrs_lab.campaign.explore.script import Act, Script
+from pcmrs_lab.campaign.explore.script import Act, SessionScript
 from pcmrs_lab.campaign.explore.settings import settings_of, workflow_of
 from pcmrs_lab.campaign.explore.witness import Violation, Witness
 from pcmrs_sim.deterministic.cell import SimulatedCell, simulated_cell
@@ -38,7 +38,7 @@ LONGEST_FOLLOWING = 3.0
 """While the tool follows the head, nobody waits longer until the next act, s: each second has 60 set points."""
 
 
-class Found(msgspec.Struct, frozen=True):
+class ExplorationResult(msgspec.Struct, frozen=True):
     """What came of a session.
 
     Attributes:
@@ -66,7 +66,7 @@ class Found(msgspec.Struct, frozen=True):
     at: float = 0.0
 
 
-def run_session(script: Script, *, seconds: float = 0.0) -> Found:
+def run_session(script: SessionScript, *, seconds: float = 0.0) -> ExplorationResult:
     """Runs a script to its end, or to the first violation.
 
     The process must do nothing else meanwhile: randomness of the operating system is replaced.
@@ -93,7 +93,7 @@ def run_session(script: Script, *, seconds: float = 0.0) -> Found:
             loop.close()
         digest, rows = _digest(path)
     violation = session.witness.violation
-    return Found(
+    return ExplorationResult(
         seed=script.seed,
         time=loop.time(),
         cost=process_time() - begun,
@@ -107,7 +107,7 @@ def run_session(script: Script, *, seconds: float = 0.0) -> Found:
     )
 
 
-async def _run_script(script: Script, path: Path, seconds: float) -> Session:
+async def _run_script(script: SessionScript, path: Path, seconds: float) -> Session:
     workflow = workflow_of(script.workflow)
     witness = Witness(workflow.blueprint)
     asyncio.get_running_loop().set_exception_handler(lambda _, context: _unhandled(witness, context))
@@ -136,7 +136,7 @@ class Session:
         faults: What is wrong.
     """
 
-    def __init__(self, cell: SimulatedCell, witness: Witness, script: Script) -> None:
+    def __init__(self, cell: SimulatedCell, witness: Witness, script: SessionScript) -> None:
         self.witness = witness
         self._cell = cell
         self._script = script
@@ -279,4 +279,4 @@ def quiet() -> Iterator[None]:
         structlog.configure(**before)
 
 
-__all__ = ["Found", "Violation", "quiet", "run_session"]
+__all__ = ["ExplorationResult", "Violation", "quiet", "run_session"]

@@ -57,7 +57,7 @@ class LeapingClock:
                 self._deadlines.remove(entry)
 
 
-class Script:
+class ScriptedSteps:
     """What the checks and steps do: what the present move of a tour wants.
 
     Attributes:
@@ -113,7 +113,7 @@ class Forgetful:
         """Nothing has been kept."""
 
 
-def scripted(blueprint: Blueprint, script: Script, *, outside: bool) -> Workflow[None, ProcedureData]:
+def scripted(blueprint: Blueprint, script: ScriptedSteps, *, outside: bool) -> Workflow[None, ProcedureData]:
     """The workflow with every check and step in the script's hands, and nothing that goes on by itself.
 
     Args:
@@ -133,7 +133,9 @@ def scripted(blueprint: Blueprint, script: Script, *, outside: bool) -> Workflow
     return Workflow(blueprint, registry, ProcedureData(), lambda data, _states, _effects: data)
 
 
-def scripted_dispatcher(blueprint: Blueprint, script: Script, *, outside: bool) -> Dispatcher[None, ProcedureData]:
+def scripted_dispatcher(
+    blueprint: Blueprint, script: ScriptedSteps, *, outside: bool
+) -> Dispatcher[None, ProcedureData]:
     """A dispatcher of such a workflow, which keeps nothing; see `scripted`."""
     workflow = scripted(blueprint, script, outside=outside)
     return Dispatcher(workflow, None, LeapingClock(), Forgetful(), _hold)
@@ -151,7 +153,7 @@ async def rehearse(blueprint: Blueprint, tour: Tour, *, outside: bool) -> AsyncI
         Every command, and what was not as it must be; a stretch that has left the tour is not gone on with.
     """
     for stretch in tour.stretches:
-        script = Script()
+        script = ScriptedSteps()
         dispatcher = scripted_dispatcher(blueprint, script, outside=outside)
         for number, move in enumerate(stretch):
             script.move = move
