@@ -24,7 +24,7 @@ LENGTHS = ("residual_too_large", "tre_too_large")
 """Gates whose value is a length."""
 
 
-class Point(click.ParamType[tuple[float, float, float]]):
+class PointParameter(click.ParamType[tuple[float, float, float]]):
     """X,Y,Z in m."""
 
     name = "X,Y,Z"
@@ -45,7 +45,7 @@ class Point(click.ParamType[tuple[float, float, float]]):
 @click.argument("digitized", type=click.Path(path_type=Path))
 @click.option(
     "--target",
-    type=Point(),
+    type=PointParameter(),
     help="Point at which the error matters, in the image, m; by default the centroid of the landmarks.",
 )
 @click.option(

@@ -60,7 +60,7 @@ class PlanKind(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class CommandStep:
     """One operation of the workflow; skipped unless its branch is in a state of `only_in`, if that is given."""
 
     branch: str
@@ -85,7 +85,7 @@ class Spec:
     branch: str
     action: Action = Action.SUBMIT
     payload: tuple[Kind, ...] = ()
-    steps: tuple[Step, ...] = ()
+    steps: tuple[CommandStep, ...] = ()
     arguments: Arguments = lambda _: {}
     second: Second | None = None
     settles: PlanKind | None = None
@@ -103,20 +103,20 @@ class Spec:
 
 def _submit(
     name: str,
-    *operations: str | Step,
+    *operations: str | CommandStep,
     payload: tuple[Kind, ...] = (),
     arguments: Arguments = lambda _: {},
     second: Second | None = None,
     settles: PlanKind | None = None,
 ) -> Spec:
-    steps = tuple(item if isinstance(item, Step) else _step(item) for item in operations)
+    steps = tuple(item if isinstance(item, CommandStep) else _step(item) for item in operations)
     branch = steps[-1].branch
     return Spec(name, branch, payload=payload, steps=steps, arguments=arguments, second=second, settles=settles)
 
 
-def _step(name: str) -> Step:
+def _step(name: str) -> CommandStep:
     branch, operation = name.split(".")
-    return Step(branch, operation)
+    return CommandStep(branch, operation)
 
 
 def _index(values: tuple[Value, ...]) -> dict[str, Any]:
@@ -130,10 +130,10 @@ def _surface(values: tuple[Value, ...]) -> dict[str, Any]:
 
 _XYZ = (Kind.NUMBER,) * 3
 _INDEX = (Kind.COUNT,)
-_BACK_OFF_UNLESS_RETRACTED = Step(
+_BACK_OFF_UNLESS_RETRACTED = CommandStep(
     "placement", "back_off", only_in=("unknown", "standoff", "placed", "following", "guided", "held")
 )
-_REOPEN_IF_ALL_DIGITIZED = Step("digitization", "redigitize_one", only_in=("1",))
+_REOPEN_IF_ALL_DIGITIZED = CommandStep("digitization", "redigitize_one", only_in=("1",))
 
 _SPECS = (
     Spec("img_fid_numxxxxx", "registration", Action.ANNOUNCE_LANDMARKS, _INDEX),

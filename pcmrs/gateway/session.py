@@ -15,7 +15,7 @@ from pcmrs.clock import Clock
 from pcmrs.dispatcher.verdict_cache import CommandCache
 from pcmrs.errors import PcmrsError, RefusalError
 from pcmrs.gateway.commands import Action, Second
-from pcmrs.gateway.grammar import Request
+from pcmrs.gateway.grammar import StringCommand
 from pcmrs.gateway.handlers import CommandHandlers, Job
 from pcmrs.gateway.outcome import NO_DATA, Outcome
 
@@ -60,14 +60,14 @@ class Turn:
         stops: Number of halts of the session until then.
     """
 
-    request: Request
+    request: StringCommand
     job: Job
     ended: asyncio.Future[Outcome]
     arrived: float
     stops: int
 
 
-class Session:
+class PeerSession:
     """Acknowledges commands without an id at once and begins them in order; begins those with one on arrival.
 
     No command waits for the end of a motion: later commands run beside it, and the daemon decides on them. A motion
@@ -107,7 +107,7 @@ class Session:
         return not self._queue and self._running == 0
 
     def receive(
-        self, request: Request, answer: ReplyChannel, arrived: float, refusal: RefusalError | None = None
+        self, request: StringCommand, answer: ReplyChannel, arrived: float, refusal: RefusalError | None = None
     ) -> None:
         """Begin a command, or reject it with `refusal`, unless it repeats an earlier one; never waits.
 
@@ -137,7 +137,7 @@ class Session:
             turn.ended.set_result(self._actions.rejected(turn.request, "stopped"))
 
     def _receive_identified(
-        self, request: Request, client_id: str, verdict: Send, arrived: float, refusal: RefusalError | None
+        self, request: StringCommand, client_id: str, verdict: Send, arrived: float, refusal: RefusalError | None
     ) -> None:
         # Stop is performed each time, whatever its id.
         repeatable = request.spec.action is Action.STOP
@@ -149,7 +149,7 @@ class Session:
             self._outcomes.put(self._actions.source, client_id, ended)
         ended.add_done_callback(lambda done: None if done.cancelled() else verdict(done.result().reply(client_id)))
 
-    def _begin(self, request: Request, arrived: float, refusal: RefusalError | None) -> asyncio.Future[Outcome]:
+    def _begin(self, request: StringCommand, arrived: float, refusal: RefusalError | None) -> asyncio.Future[Outcome]:
         prepared = self._actions.prepare(request, arrived) if refusal is None else self._actions.deny(request, refusal)
         ended: asyncio.Future[Outcome] = asyncio.get_running_loop().create_future()
         if isinstance(prepared, Outcome):
@@ -222,7 +222,7 @@ class Session:
             return self._actions.rejected(request, "expired", text)
         return None
 
-    async def _perform(self, request: Request, job: Job) -> Outcome:
+    async def _perform(self, request: StringCommand, job: Job) -> Outcome:
         """Returns the outcome of a job, however it ends: a client must not wait without end."""
         try:
             return await job()
@@ -249,7 +249,7 @@ class Session:
             _log.warning("second_datagram_not_sent", after=round(late, 3), limit=SECOND_BEFORE)
 
 
-def _report(request: Request, ended: asyncio.Future[Outcome]) -> None:
+def _report(request: StringCommand, ended: asyncio.Future[Outcome]) -> None:
     """Logs a refusal, since clients without verdict replies do not receive it."""
     if not ended.cancelled() and (outcome := ended.result()).decision != "accepted":
         _log.warning(

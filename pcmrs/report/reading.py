@@ -47,7 +47,7 @@ from pcmrs.report.session_journal import (
     operation_name,
     source_without_port,
 )
-from pcmrs.report.source import Source, files_of, open_source
+from pcmrs.report.source import ReportSource, files_of, open_source
 from pcmrs.service.restart.state import PersistedState, RestartState
 from pcmrs.settings import DEVICES, read_settings
 from pcmrs.spatial import Transform
@@ -89,7 +89,7 @@ def read_report(path: Path, session: str | None = None) -> SessionReport:
         raise JournalError(text, path=str(source.path)) from error
 
 
-def _report(source: Source, session: str | None) -> SessionReport:
+def _report(source: ReportSource, session: str | None) -> SessionReport:
     runs = _runs(source.rows)
     first, last = _runs_of_session(runs, session if session is not None else source.exported, source.path)
     chosen = runs[first : last + 1]

@@ -19,7 +19,7 @@ from pcmrs.devices.remote import ActingDevice, RemoteEmg, RemotePointer, RemoteR
 from pcmrs.devices.standstill import Standstill
 from pcmrs.dispatcher import Dispatcher, DispatcherListener, Recorder, Workflow
 from pcmrs.dispatcher.decisions import Rejections
-from pcmrs.dispatcher.execution import Planner
+from pcmrs.dispatcher.execution import MotionChecker
 from pcmrs.errors import DeviceError
 from pcmrs.fsm import Blueprint
 from pcmrs.kinematics.model import ArmModel
@@ -102,7 +102,7 @@ class RunningProcedure(DispatcherListener):
         clocks: Clocks,
         supervisor: Supervisor,
         heart: Heart | None = None,
-        planner: Planner[Cell, PlacementData] | None = None,
+        planner: MotionChecker[Cell, PlacementData] | None = None,
     ) -> None:
         self._heart = heart or LoopHeart(link.publish, clocks.machine)
         self.session = self._heart.session

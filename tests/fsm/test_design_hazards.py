@@ -10,7 +10,7 @@ import tomli_w
 from hazard_tables import hazard_table
 
 from pcmrs.authoring.design import design
-from pcmrs.authoring.trial.tour import Move
+from pcmrs.authoring.trial.tour import TourCommand
 from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.messages import Command, Verdict
 from pcmrs_lab.experiment.tours.rehearsal import ScriptedSteps, scripted_dispatcher
@@ -63,7 +63,7 @@ class Walk:
         spec = self.blueprint.branches[branch].operations[operation]
         ending = rng.choice(list(spec.endings)) if rng else "done"
         fails = spec.steps[-1] if spec.steps and rng and rng.random() < 0.15 else ""
-        self.script.move = Move(
+        self.script.move = TourCommand(
             branch=branch, operation=operation, ending=ending, at=fails, how="refuses", before=(), after=()
         )
         command = Command(

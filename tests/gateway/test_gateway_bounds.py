@@ -68,11 +68,11 @@ async def hear_from_others(cell: Any, many: int) -> None:
 
 async def test_so_many_sessions_are_kept(cell: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     gc.collect()
-    before = {id(each) for each in gc.get_objects() if isinstance(each, session.Session)}
+    before = {id(each) for each in gc.get_objects() if isinstance(each, session.PeerSession)}
     monkeypatch.setattr(intake, "MAX_SESSIONS", 3)
     await hear_from_others(cell, 10)
     gc.collect()
-    kept = [each for each in gc.get_objects() if isinstance(each, session.Session) and id(each) not in before]
+    kept = [each for each in gc.get_objects() if isinstance(each, session.PeerSession) and id(each) not in before]
     assert len(kept) == 3
 
 

@@ -8,7 +8,7 @@ import pytest
 from simulated_arms import body_before_tool, make_arm
 
 from pcmrs.clock import Clock
-from pcmrs.devices.motion.press import RESISTANCE, TOLERANCE, Press
+from pcmrs.devices.motion.press import RESISTANCE, TOLERANCE, PressMotion
 from pcmrs.errors import DeviceError
 from pcmrs.messages import MotionResult, PressRequest
 from pcmrs.spatial import rotation_angle
@@ -26,7 +26,9 @@ REQUEST = PressRequest(
 )
 
 
-def pressed(gap: float, request: PressRequest = REQUEST, stiffness: float = 1000.0) -> tuple[Arm, Press, list[float]]:
+def pressed(
+    gap: float, request: PressRequest = REQUEST, stiffness: float = 1000.0
+) -> tuple[Arm, PressMotion, list[float]]:
     """The arm after a press on a head `gap` (m) away, and the true force at every millisecond."""
     settings = SimSettings(contact=ContactSettings(stiffness=stiffness))
     arm = make_arm(settings)

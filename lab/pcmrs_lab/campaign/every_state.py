@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from pcmrs.authoring.trial.tour import MAX_JOINT_STATES, Move, plan_tour
+from pcmrs.authoring.trial.tour import MAX_JOINT_STATES, TourCommand, plan_tour
 from pcmrs.dispatcher import Dispatcher, ProcedureData
 from pcmrs.dispatcher.command_checks import is_event
 from pcmrs.fsm.behaviour import joint_of
@@ -64,7 +64,7 @@ async def walk(
 
 
 async def _walk_stretch(
-    blueprint: Blueprint, runs: Blueprint, moves: list[Move], journal: Journal, found: StateWalkResult
+    blueprint: Blueprint, runs: Blueprint, moves: list[TourCommand], journal: Journal, found: StateWalkResult
 ) -> None:
     script, clock = ScriptedSteps(), LeapingClock()
     tag = BlueprintTag(id=runs.id, version=runs.version, hash=runs.hash)
@@ -88,7 +88,7 @@ async def _walk_stretch(
         await asyncio.sleep(0)
 
 
-def _needed(move: Move) -> bool:
+def _needed(move: TourCommand) -> bool:
     """Whether a command is forbidden, or leads on; what its checks and steps do in place is for other tests."""
     return move.before != move.after or (move.decision == "rejected" and not move.at and not is_sham())
 
@@ -98,7 +98,7 @@ def _shape(dispatcher: Dispatcher[None, ProcedureData]) -> bytes:
     return msgspec.msgpack.encode((dispatcher.snapshot(), dispatcher.procedure.data))
 
 
-def _wrong(move: Move, verdict: Verdict, unchanged: bool, journal: Journal, *, has_row: bool) -> str:
+def _wrong(move: TourCommand, verdict: Verdict, unchanged: bool, journal: Journal, *, has_row: bool) -> str:
     if verdict.decision != "rejected":
         return f"it was {verdict.decision}"
     if verdict.reason is None or verdict.reason.code != move.code:
@@ -111,7 +111,7 @@ def _wrong(move: Move, verdict: Verdict, unchanged: bool, journal: Journal, *, h
     return "the journal has no row of it" if has_row else "the journal has a row of it"
 
 
-def _command(move: Move) -> Command:
+def _command(move: TourCommand) -> Command:
     source = "device:campaign" if move.asker == "device" else "campaign:user"
     return Command(id=uuid.uuid4().hex, branch=move.branch, operation=move.operation, source=source)
 

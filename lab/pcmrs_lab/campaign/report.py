@@ -11,7 +11,7 @@ from typing import Any, Literal
 import msgspec
 
 from pcmrs.report.pages import render
-from pcmrs_lab.campaign.catalogue import CLASSES, RESPONSES, Row
+from pcmrs_lab.campaign.catalogue import CLASSES, RESPONSES, CatalogueRow
 
 Outcome = Literal["passed", "failed", "not_proved", "not_run"]
 OUTCOMES: tuple[Outcome, ...] = ("passed", "failed", "not_proved", "not_run")
@@ -89,7 +89,7 @@ class CampaignReport(msgspec.Struct, frozen=True):
         return [result for result in self.faults if result.outcome in ("failed", "not_proved")]
 
 
-def result_of(row: Row, seed: int, parts: list[Part]) -> FaultResult:
+def result_of(row: CatalogueRow, seed: int, parts: list[Part]) -> FaultResult:
     """Puts the parts of one fault together: one failure fails it, and what was not proved or not run is not passed."""
     found = {part.outcome for part in parts}
     outcome = next(each for each in _WORST_FIRST if each in found)

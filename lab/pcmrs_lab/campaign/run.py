@@ -15,7 +15,7 @@ import pcmrs
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.errors import PcmrsError
 from pcmrs.testing.errors import Unmet
-from pcmrs_lab.campaign.catalogue import Row
+from pcmrs_lab.campaign.catalogue import CatalogueRow
 from pcmrs_lab.campaign.fault import Injection, NotRun
 from pcmrs_lab.campaign.injections import injections
 from pcmrs_lab.campaign.lab import Lab, Pool
@@ -30,7 +30,7 @@ ShowProgress = Callable[[str, int, int], None]
 
 
 async def run_campaign(
-    rows: Sequence[Row],
+    rows: Sequence[CatalogueRow],
     seeds: Sequence[int],
     jobs: int = 1,
     progress: ShowProgress = lambda *_: None,
@@ -79,7 +79,7 @@ async def run_campaign(
 
 
 async def run_fault(
-    row: Row, seed: int, folder: Path, pool: Pool, clock: Clock, *, is_sham: bool = False
+    row: CatalogueRow, seed: int, folder: Path, pool: Pool, clock: Clock, *, is_sham: bool = False
 ) -> FaultResult:
     """Injects one fault in all ways in which it can be."""
     known = injections().get(row.id, [])

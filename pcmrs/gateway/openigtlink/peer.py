@@ -11,13 +11,13 @@ from pcmrs.errors import PayloadError
 from pcmrs.gateway.commands import PlanKind
 from pcmrs.gateway.openigtlink import plans
 from pcmrs.gateway.openigtlink.outbox import Outbox
-from pcmrs.gateway.openigtlink.planner import Answer, Planner
+from pcmrs.gateway.openigtlink.planner import Answer, PlanSubmitter
 from pcmrs.gateway.settings import OpenIgtLinkConfig
 
 KINDS = ("TRANSFORM", "POINT", "STRING")
 STOP = "stop"
 
-Plans = Callable[[Callable[[Answer], None]], Planner]
+Plans = Callable[[Callable[[Answer], None]], PlanSubmitter]
 
 
 class Peer:

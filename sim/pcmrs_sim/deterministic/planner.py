@@ -20,7 +20,7 @@ Run = AnyRun[Cell, PlacementData]
 
 
 class SimulatedPlanner:
-    """Implements `pcmrs.dispatcher.execution.Planner`.
+    """Implements `pcmrs.dispatcher.execution.MotionChecker`.
 
     Args:
         workflow: With the checks.
@@ -43,7 +43,7 @@ class SimulatedPlanner:
         self._cell: PlanningCell | None = None
 
     async def check(self, run: Run) -> Reason | None:
-        """See `Planner`. A window that takes no time needs no copy of the cell: nothing can change in it."""
+        """See `MotionChecker`. A window that takes no time needs no copy of the cell: nothing can change in it."""
         branch, operation = run.command.branch, run.command.operation
         lasts = self._window(f"plan:{branch}.{operation}")
         if not lasts:

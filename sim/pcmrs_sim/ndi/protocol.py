@@ -31,14 +31,14 @@ class CommandError(Exception):
 
 
 @dataclass(frozen=True)
-class Request:
+class NdiCommand:
     """A command such as ``PINIT`` with the text of its parameters."""
 
     name: str
     parameters: str
 
 
-def parse(line: bytes) -> Request:
+def parse(line: bytes) -> NdiCommand:
     """Reads a command without its carriage return: ``NAME:parametersCRC``, or ``NAME parameters`` without a CRC.
 
     Raises:
@@ -57,7 +57,7 @@ def parse(line: bytes) -> Request:
         rest = rest[:-4]
     if not (name.isalnum() and name == name.upper()):
         raise CommandError(INVALID)
-    return Request(name, rest)
+    return NdiCommand(name, rest)
 
 
 def reply(text: str) -> bytes:

@@ -22,16 +22,16 @@ from pcmrs.messages import Beat, BodyPose, DeviceEvent, JointSetpoint, JointStat
 from pcmrs_sim.process.channel import Channel
 from pcmrs_sim.process.wire import (
     Alive,
+    ArmState,
     Call,
     Cancel,
     Event,
-    Frame,
     Open,
     Opened,
-    Point,
     Reply,
-    State,
+    ServoPoint,
     ToWorld,
+    TrackerPoses,
     Trouble,
     pack,
     read_by_node,
@@ -110,7 +110,7 @@ class World:
 
     def set_point(self, setpoint: JointSetpoint) -> None:
         """Passes a set point on."""
-        self._channel.send(pack(Point(setpoint)), dated=True)
+        self._channel.send(pack(ServoPoint(setpoint)), dated=True)
 
     def close(self) -> None:
         """Ends the link, and with it the world."""
@@ -122,9 +122,9 @@ class World:
 
     def _take(self, body: bytes) -> None:
         match read_by_node(body):
-            case Frame(poses):
+            case TrackerPoses(poses):
                 self.frames.publish(poses)
-            case State(state, dropped):
+            case ArmState(state, dropped):
                 self.dropped = dropped
                 self.states.publish(state)
             case Event(event):

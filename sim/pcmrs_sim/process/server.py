@@ -20,17 +20,17 @@ from pcmrs_sim.opening import open_cell
 from pcmrs_sim.process.channel import Channel
 from pcmrs_sim.process.wire import (
     Alive,
+    ArmState,
     Call,
     Cancel,
     Event,
     Failure,
-    Frame,
     Open,
     Opened,
-    Point,
     Reply,
-    State,
+    ServoPoint,
     ToNode,
+    TrackerPoses,
     Trouble,
     pack,
     read_by_world,
@@ -102,9 +102,9 @@ class Server:
     def _streams(self, cell: CellSimulation) -> Iterator[Coroutine[Any, Any, None]]:
         """What sends the measurements and events of the served devices."""
         if "tracker" in self._served:
-            yield self._send_all(cell.tracker.frames(), lambda frame: Frame(list(frame)), dated=True)
+            yield self._send_all(cell.tracker.frames(), lambda frame: TrackerPoses(list(frame)), dated=True)
         if "robot" in self._served:
-            yield self._send_all(cell.robot.states(), lambda state: State(state, cell.robot.dropped), dated=True)
+            yield self._send_all(cell.robot.states(), lambda state: ArmState(state, cell.robot.dropped), dated=True)
             yield self._send_all(cell.robot.events(), Event)
         if "stimulator" in self._served:
             yield self._send_all(cell.stimulator.events(), Event)
@@ -128,7 +128,7 @@ class Server:
         match read_by_world(body):
             case Alive(beat):
                 self._deadman.take_beat(beat)
-            case Point(setpoint):
+            case ServoPoint(setpoint):
                 self.cell.robot.set_point(setpoint)
             case Call() as call:
                 self._begin(call)

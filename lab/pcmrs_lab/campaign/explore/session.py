@@ -107,7 +107,7 @@ def run_session(script: SessionScript, *, seconds: float = 0.0) -> ExplorationRe
     )
 
 
-async def _run_script(script: SessionScript, path: Path, seconds: float) -> Session:
+async def _run_script(script: SessionScript, path: Path, seconds: float) -> ExploredSession:
     workflow = workflow_of(script.workflow)
     witness = Witness(workflow.blueprint)
     asyncio.get_running_loop().set_exception_handler(lambda _, context: _unhandled(witness, context))
@@ -121,14 +121,14 @@ async def _run_script(script: SessionScript, path: Path, seconds: float) -> Sess
         observe=witness.observe,
     ) as cell:
         cell.network.windows.share = script.slow
-        session = Session(cell, witness, script)
+        session = ExploredSession(cell, witness, script)
         with witness.watching(cell.devices["scene"]):
             await session.faults.start_daemon()
             await session.run(seconds)
     return session
 
 
-class Session:
+class ExploredSession:
     """A running session.
 
     Attributes:

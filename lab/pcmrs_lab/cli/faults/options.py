@@ -22,7 +22,7 @@ from pcmrs.errors import ConfigurationError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from pcmrs_lab.campaign.catalogue import Row
+    from pcmrs_lab.campaign.catalogue import CatalogueRow
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -101,7 +101,7 @@ def choosing(function: F) -> F:
     return function
 
 
-def chosen(classes: Sequence[str], ids: Sequence[str]) -> list[Row]:
+def chosen(classes: Sequence[str], ids: Sequence[str]) -> list[CatalogueRow]:
     """The rows that are asked for; a usage error when there is no such class or fault."""
     from pcmrs_lab.campaign.catalogue import choose
 

@@ -17,7 +17,7 @@ from functools import partial
 import msgspec
 
 from pcmrs.authoring.trial.coverage_plan import DEFAULT_PATIENCE
-from pcmrs.authoring.trial.tour import Move, all_moves
+from pcmrs.authoring.trial.tour import TourCommand, all_moves
 from pcmrs.client import Client
 from pcmrs.fsm.behaviour import Joint
 from pcmrs.fsm.blueprint import Blueprint
@@ -102,7 +102,7 @@ class LiveTour:
             del seen.left[move]  # given up, and come by itself
         return seen
 
-    def _next(self, state: Snapshot) -> Move | None:
+    def _next(self, state: Snapshot) -> TourCommand | None:
         """The next move: releases the latch first, without which nothing may move."""
         here, agenda = tuple(state.branches.values()), self._progress.agenda
         if not state.latched:
@@ -112,14 +112,14 @@ class LiveTour:
         still = self._allowed_when_latched
         return releases or agenda.next(here, still) or agenda.towards(here, goals, still)
 
-    def _unlatches(self, move: Move) -> bool:
+    def _unlatches(self, move: TourCommand) -> bool:
         spec = self._blueprint.branches[move.branch].operations[move.operation]
         return spec.unlatches and move.decision == "accepted"
 
-    def _allowed_when_latched(self, move: Move) -> bool:
+    def _allowed_when_latched(self, move: TourCommand) -> bool:
         return not self._blueprint.branches[move.branch].operations[move.operation].blocked_when_latched
 
-    async def _make(self, move: Move, before: Snapshot) -> Snapshot:
+    async def _make(self, move: TourCommand, before: Snapshot) -> Snapshot:
         """Gives the command of a move and looks what has come of it."""
         self._progress.seen.tour.append(move)
         verdict = await (self._provoke(move) if move.asker == "device" else self._command(move, before))
@@ -138,7 +138,7 @@ class LiveTour:
         await self._follow(move, shown, tuple(after.branches.values()))
         return after
 
-    def _met(self, move: Move, verdict: Verdict, sequence: int) -> tuple[Move, int]:
+    def _met(self, move: TourCommand, verdict: Verdict, sequence: int) -> tuple[TourCommand, int]:
         """The command where it met the cell, which may have gone on by itself, and the number of the commit before."""
         others = self._observer.verdicts_beside({*self._judged, verdict.id})
         earlier = [other for other in others if _precedes(other, verdict)]
@@ -149,12 +149,12 @@ class LiveTour:
         there = [other for other in self._moves[joint] if (other.name, other.asker) == (move.name, move.asker)]
         return min(there, key=lambda other: other.ending != move.ending), max(other.sequence for other in earlier)
 
-    def _led_to(self, move: Move, verdict: Verdict, end: Joint) -> Joint:
+    def _led_to(self, move: TourCommand, verdict: Verdict, end: Joint) -> Joint:
         """Where a decision led whose snapshot was overtaken by the next: from there the rest must lead to the end."""
         endings = (other.after for other in self._progress.same(move) if other.decision == verdict.decision)
         return next((joint for joint in endings if self._goes_on(joint) == end), end)
 
-    async def _command(self, move: Move, before: Snapshot) -> Verdict:
+    async def _command(self, move: TourCommand, before: Snapshot) -> Verdict:
         spec = self._blueprint.branches[move.branch].operations[move.operation]
         arguments, command_id = self._arguments.next(move.name, spec.payload), uuid.uuid4().hex
         if spec.unlatches:
@@ -176,7 +176,7 @@ class LiveTour:
             self._progress.seen.stops += 1
             await self._client.stop(timeout=ANSWER_TIME)
 
-    async def _provoke(self, move: Move) -> Verdict | None:
+    async def _provoke(self, move: TourCommand) -> Verdict | None:
         """Makes a simulated device report, and mends it; None when nothing was reported in time."""
         async with fault(self._client, move.operation):
             with suppress(TimeoutError):
@@ -184,7 +184,7 @@ class LiveTour:
                     return await self._observer.verdict_on(move.branch, move.operation, self._judged)
         return None
 
-    async def _follow(self, move: Move, joint: Joint, end: Joint) -> None:
+    async def _follow(self, move: TourCommand, joint: Joint, end: Joint) -> None:
         """What a step has submitted or a device reported is seen too; nothing else may have moved the cell."""
         await self._shown(lambda: self._goes_on(joint) == end)
         others = self._observer.verdicts_beside(self._judged)
@@ -200,7 +200,7 @@ class LiveTour:
             async with asyncio.timeout(SHOWN_WITHIN):
                 await self._observer.shows(condition)
 
-    def _take(self, unasked: list[Move], joint: Joint, verdicts: list[Verdict]) -> Joint:
+    def _take(self, unasked: list[TourCommand], joint: Joint, verdicts: list[Verdict]) -> Joint:
         """These verdicts have been looked at, and the moves seen in them led to `joint`."""
         self._judged |= {verdict.id for verdict in verdicts}
         self._progress.saw(unasked)
@@ -211,9 +211,9 @@ class LiveTour:
         """Where the verdicts that nobody asked for lead."""
         return self._unasked(joint, self._observer.verdicts_beside(self._judged))[1]
 
-    def _unasked(self, joint: Joint, verdicts: list[Verdict]) -> tuple[list[Move], Joint]:
+    def _unasked(self, joint: Joint, verdicts: list[Verdict]) -> tuple[list[TourCommand], Joint]:
         """The moves of verdicts that nobody asked for, as far as they are as they must be, and where they lead."""
-        found: list[Move] = []
+        found: list[TourCommand] = []
         for verdict in verdicts:
             what, shown = (verdict.branch, verdict.operation, verdict.decision), self._observer.joint_at(verdict)
             there = self._moves.get(joint, []) if verdict.decision != "rejected" else []
@@ -225,22 +225,22 @@ class LiveTour:
         return found, joint
 
 
-def _live(moves: list[Move]) -> Iterator[Move]:
+def _live(moves: list[TourCommand]) -> Iterator[TourCommand]:
     """What may be seen of a cell from outside: not which check refused, nor which step was stopped."""
     found = (msgspec.structs.replace(move, at="", how="") for move in moves if not _by_check(move))
     return iter(dict.fromkeys(found))
 
 
-def _by_check(move: Move) -> bool:
+def _by_check(move: TourCommand) -> bool:
     return bool(move.decision == "rejected" and move.at)
 
 
-def _needs_arguments(name: str, move: Move) -> bool:
+def _needs_arguments(name: str, move: TourCommand) -> bool:
     """Whether it asks for an operation in a way in which its arguments are looked at."""
     return move.name == name and move.code not in ("internal_operation", "event_operation")
 
 
-def _provoked(move: Move) -> bool:
+def _provoked(move: TourCommand) -> bool:
     return move.operation in FAULTS and move.decision == "accepted"
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from pcmrs.authoring.trial.coverage import Deviation, deviation
 from pcmrs.authoring.trial.coverage_plan import CoveragePlan
-from pcmrs.authoring.trial.tour import Move
+from pcmrs.authoring.trial.tour import TourCommand
 from pcmrs.fsm.behaviour import Joint
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.messages import Verdict
@@ -29,11 +29,11 @@ class Seen:
         events: How often a device reported something by itself.
     """
 
-    wanted: set[Move]
-    made: set[Move] = field(default_factory=set)
+    wanted: set[TourCommand]
+    made: set[TourCommand] = field(default_factory=set)
     deviations: list[Deviation] = field(default_factory=list)
-    left: dict[Move, str] = field(default_factory=dict)
-    tour: list[Move] = field(default_factory=list)
+    left: dict[TourCommand, str] = field(default_factory=dict)
+    tour: list[TourCommand] = field(default_factory=list)
     stops: int = 0
     events: int = 0
 
@@ -52,24 +52,26 @@ class TourProgress:
         seen: What has been seen.
     """
 
-    def __init__(self, blueprint: Blueprint, moves: Mapping[Joint, list[Move]], patience: Mapping[str, int]) -> None:
+    def __init__(
+        self, blueprint: Blueprint, moves: Mapping[Joint, list[TourCommand]], patience: Mapping[str, int]
+    ) -> None:
         self.moves = moves
         self.agenda = CoveragePlan(moves, patience)
         self.seen = Seen({move for there in moves.values() for move in there})
         self._blueprint = blueprint
         self._accepted: set[str] = set()
 
-    def saw(self, moves: Iterable[Move]) -> None:
+    def saw(self, moves: Iterable[TourCommand]) -> None:
         """These have ended as they may."""
         for move in moves:
             self.agenda.made(move)
             self.seen.made.add(move)
 
-    def drop(self, unwanted: Callable[[Move], bool], reason: str) -> None:
+    def drop(self, unwanted: Callable[[TourCommand], bool], reason: str) -> None:
         """Gives up for good what cannot be seen, and says why."""
         self.seen.left |= dict.fromkeys(self.agenda.drop(unwanted), reason)
 
-    def rejected(self, move: Move, verdict: Verdict, sequence: int, after: Joint) -> None:
+    def rejected(self, move: TourCommand, verdict: Verdict, sequence: int, after: Joint) -> None:
         """A rejection is as it must be, or comes of a check; in any case it commits nothing after `sequence`."""
         reason = verdict.reason
         code = reason.code if reason is not None else ""
@@ -80,7 +82,7 @@ class TourProgress:
         else:
             self.judge(move, "rejected", after, code)
 
-    def ended(self, move: Move, verdict: Verdict, after: Joint, *, ran: bool) -> None:
+    def ended(self, move: TourCommand, verdict: Verdict, after: Joint, *, ran: bool) -> None:
         """Every ending that fits what has come of it has been seen, also where another one was wanted.
 
         Args:
@@ -100,7 +102,7 @@ class TourProgress:
                 self.drop(lambda m: m.name == move.name and m.decision == "failed", DECIDED_AT_ONCE)
             self.agenda.missed(move, f"the cell ended it otherwise: {fitting[0].ending}")
 
-    def judge(self, move: Move, decision: str, after: Joint, code: str) -> None:
+    def judge(self, move: TourCommand, decision: str, after: Joint, code: str) -> None:
         """Compares with what the move must come to."""
         found = deviation(self._blueprint, move, decision, after, code)
         if found is None:
@@ -110,7 +112,7 @@ class TourProgress:
             self.seen.made.discard(move)
             self.seen.deviations.append(found)
 
-    def same(self, move: Move) -> list[Move]:
+    def same(self, move: TourCommand) -> list[TourCommand]:
         """All ways in which the same command may end."""
         asked = (move.name, move.asker)
         return [other for other in self.moves[move.before] if (other.name, other.asker) == asked]

@@ -11,7 +11,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from pcmrs.authoring.trial.coverage import Deviation, deviation
-from pcmrs.authoring.trial.tour import Move, Tour
+from pcmrs.authoring.trial.tour import Tour, TourCommand
 from pcmrs.dispatcher import Dispatcher, NoArguments, ProcedureData, Registry, Run, Workflow
 from pcmrs.errors import DeviceError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm.behaviour import Joint, joint_of
@@ -64,7 +64,7 @@ class ScriptedSteps:
         move: The present move.
     """
 
-    move: Move
+    move: TourCommand
 
     def check(self, name: str, _run: Run[None, ProcedureData]) -> None:
         """A check that agrees unless it is the one to refuse."""
@@ -141,7 +141,9 @@ def scripted_dispatcher(
     return Dispatcher(workflow, None, LeapingClock(), Forgetful(), _hold)
 
 
-async def rehearse(blueprint: Blueprint, tour: Tour, *, outside: bool) -> AsyncIterator[tuple[Move, Deviation | None]]:
+async def rehearse(
+    blueprint: Blueprint, tour: Tour, *, outside: bool
+) -> AsyncIterator[tuple[TourCommand, Deviation | None]]:
     """Takes the dispatcher through a tour.
 
     Args:
@@ -165,12 +167,12 @@ async def rehearse(blueprint: Blueprint, tour: Tour, *, outside: bool) -> AsyncI
                 break
 
 
-def _command(number: int, move: Move) -> Command:
+def _command(number: int, move: TourCommand) -> Command:
     source = "device:tour" if move.asker == "device" else "tour:user"
     return Command(id=str(number), branch=move.branch, operation=move.operation, source=source)
 
 
-def _judged(blueprint: Blueprint, move: Move, verdict: Verdict, after: Joint) -> Deviation | None:
+def _judged(blueprint: Blueprint, move: TourCommand, verdict: Verdict, after: Joint) -> Deviation | None:
     """Compares decision, code and states, and which check or step the verdict names."""
     fields, code = (verdict.reason.fields, verdict.reason.code) if verdict.reason is not None else ({}, "")
     at = fields.get("step") or fields.get("check") or ""

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pcmrs.authoring.exchange import descriptors, plain
 from pcmrs.authoring.exchange.importing.chart import Edge, Node
 from pcmrs.authoring.exchange.importing.conditions import Conditions, TooManyError
-from pcmrs.authoring.exchange.importing.moves import Group, Move, Mover, grouped
+from pcmrs.authoring.exchange.importing.moves import Move, MoveGroup, Mover, grouped
 from pcmrs.authoring.exchange.importing.reading import Findings, Names
 from pcmrs.authoring.exchange.importing.regions import Region, regions_of
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, ParentSpec, Requirement, RevocationSpec
@@ -106,7 +106,7 @@ class _Converter:
         for group in [] if self._findings else grouped(moves, domains, self._names):
             self._add_operation(event, group, place)
 
-    def _add_operation(self, event: str, group: Group, place: Place) -> None:
+    def _add_operation(self, event: str, group: MoveGroup, place: Place) -> None:
         region = group.region
         base = plain(event, prefix=region.label.display_name)
         self._counts[region, event] += 1
