@@ -9,7 +9,7 @@ from nicegui import ui
 
 from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.feed import Feed
-from pcmrs.console.history import JOURNAL_READERS, KINDS, Entry, entries_from_events, matching
+from pcmrs.console.history import JOURNAL_READERS, KINDS, HistoryEntry, entries_from_events, matching
 from pcmrs.console.texts import Texts
 from pcmrs.errors import PcmrsError
 from pcmrs.messages.setup import Setup
@@ -71,7 +71,7 @@ class TimelinePanel:
         self.refresh()
 
 
-def _rows(entries: Iterable[Entry]) -> list[dict[str, object]]:
+def _rows(entries: Iterable[HistoryEntry]) -> list[dict[str, object]]:
     return [
         {
             "number": each.sequence,

@@ -35,10 +35,10 @@ from pcmrs.report.contents import (
     ReportedRefusal,
     ReportedRegistration,
     ReportedRun,
+    ReportedUnknownOutcome,
     SessionReport,
     StateSpan,
     TimelineEntry,
-    UnknownOutcome,
 )
 from pcmrs.report.session_journal import (
     SessionJournal,
@@ -273,7 +273,7 @@ class _ReportView:
             )
         return tuple(found.values())
 
-    def unknown(self, restored: _RestoredState | None) -> list[UnknownOutcome]:
+    def unknown(self, restored: _RestoredState | None) -> list[ReportedUnknownOutcome]:
         """Return the operations whose end is unknown, among them those without an outcome, in order of their rows.
 
         Args:
@@ -286,7 +286,7 @@ class _ReportView:
         rows = [(stored.sequence, stored.row, text) for stored, text in texts]
         rows += [(outcome.sequence, outcome.row, outcome.text) for outcome in ended]
         return [
-            UnknownOutcome(
+            ReportedUnknownOutcome(
                 sequence=sequence,
                 wall=row.wall,
                 operation=operation_name(row),

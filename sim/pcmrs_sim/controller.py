@@ -15,7 +15,7 @@ from pcmrs_sim.settings import ArmSettings
 DAMPING_RATIO = 0.7
 
 
-class Controller:
+class ImpedanceController:
     """Computes joint torques from what is wanted and what is measured, once per `STEP`.
 
     The torque is ``inverse dynamics of the reference by the nominal model + K e + D de/dt + integral of Ki e``

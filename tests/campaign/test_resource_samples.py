@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from pcmrs.client import Client
 from pcmrs.messages import BlueprintTag, Snapshot, Verdict
-from pcmrs_lab.campaign.operating import Operator
+from pcmrs_lab.campaign.operating import RandomOperator
 from pcmrs_lab.campaign.samples import sample, slope
 from pcmrs_lab.campaign.soaking import ALLOWED, SoakReport, course
 
@@ -80,7 +80,7 @@ async def test_every_command_of_a_soak_has_its_own_id() -> None:
             branch, operation = name.split(".")
             return Verdict(id=id, branch=branch, operation=operation, decision="accepted", state="1", sequence=1)
 
-    operator = Operator(cast(Client, Cell()), random.Random(1))
+    operator = RandomOperator(cast(Client, Cell()), random.Random(1))
     for _ in range(20):
         await operator.step()
         operator.verdicts.clear()

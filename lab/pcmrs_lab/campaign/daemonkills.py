@@ -18,7 +18,7 @@ from pcmrs.messages import Verdict
 from pcmrs.testing.cell import RunningCell, open_cell
 from pcmrs.testing.daemon import log_tail
 from pcmrs_lab.campaign.kills import RANDOM, KillReport, ShowProgress, Tally
-from pcmrs_lab.campaign.operating import Operator
+from pcmrs_lab.campaign.operating import RandomOperator
 
 LONGEST = 4.0
 """A daemon that is killed at a random instant lives so long at most after it was ready, s of the machine."""
@@ -89,12 +89,12 @@ async def _killed(folder: Path, place: str, generator: random.Random) -> tuple[d
     at_random = place == RANDOM
     first = AT_START if place.startswith("journal.") else 1
     armed = {} if at_random else {VARIABLE: f"{place}:{generator.randrange(first, first + LATEST)}"}
-    operator: Operator | None = None
+    operator: RandomOperator | None = None
     ended = None
     # A daemon that is killed takes its bus along, and some client of it may say so at the end of the context.
     with suppress(UnknownOutcomeError):
         async with open_cell(folder, (*SETTINGS, f"sim.seed={generator.randrange(1000)}"), environment=armed) as cell:
-            operator = Operator(cell.client, generator)
+            operator = RandomOperator(cell.client, generator)
             ended = await _operate(cell, operator, generator.uniform(0.0, LONGEST) if at_random else DIES_WITHIN)
     if ended is not None and (at_random or ended != -signal.SIGKILL):
         words = log_tail(folder / "log")
@@ -104,7 +104,7 @@ async def _killed(folder: Path, place: str, generator: random.Random) -> tuple[d
     return operator.verdicts, at_random or ended is not None
 
 
-async def _operate(cell: RunningCell, operator: Operator, longest: float) -> int | None:
+async def _operate(cell: RunningCell, operator: RandomOperator, longest: float) -> int | None:
     """Operates a daemon until it ends, or is killed after so long; returns how it ended if it did so by itself."""
 
     async def go_on() -> None:

@@ -22,7 +22,7 @@ Wish = tuple[str, dict[str, Any]]
 """An operation and its arguments."""
 
 
-class Operator:
+class RandomOperator:
     """Operates a cell over the bus.
 
     Args:

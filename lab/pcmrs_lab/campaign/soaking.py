@@ -14,7 +14,7 @@ from pcmrs.clock import Clock
 from pcmrs.errors import PcmrsError
 from pcmrs.testing.cell import RunningCell, open_cell
 from pcmrs.testing.daemon import processes_of
-from pcmrs_lab.campaign.operating import Operator
+from pcmrs_lab.campaign.operating import RandomOperator
 from pcmrs_lab.campaign.saboteur import order, sabotaged
 from pcmrs_lab.campaign.samples import sample, slope
 
@@ -99,7 +99,7 @@ async def soak(
     """
     orders = folder / "orders"
     async with open_cell(folder / "soaked", ("robot.deadman=0.5",), prefix=sabotaged(orders)) as cell:
-        operator, decisions = Operator(cell.client, random.Random(seed)), Counter[str]()
+        operator, decisions = RandomOperator(cell.client, random.Random(seed)), Counter[str]()
         begun = clock.monotonic()
         operating = asyncio.create_task(_operate(operator, decisions))
         try:
@@ -120,7 +120,7 @@ async def soak(
         )
 
 
-async def _operate(operator: Operator, decisions: Counter[str]) -> None:
+async def _operate(operator: RandomOperator, decisions: Counter[str]) -> None:
     while True:
         verdict = await operator.step()
         if verdict is not None:

@@ -40,7 +40,7 @@ from pcmrs_sim.process.wire import (
 LOST = "The simulated cell has ended. Look at the arm before going on."
 
 
-class World:
+class WorldClient:
     """The link to a world in another process.
 
     Args:
@@ -168,7 +168,7 @@ class WorldDevice:
         name: Of the device.
     """
 
-    def __init__(self, world: World, name: str) -> None:
+    def __init__(self, world: WorldClient, name: str) -> None:
         self._world, self._name = world, name
 
     def __getattr__(self, method: str) -> Callable[..., Awaitable[Any]]:
@@ -192,7 +192,7 @@ class WorldRobot(WorldDevice):
         clock: The cell's clock, which stamps set points.
     """
 
-    def __init__(self, world: World, clock: Clock) -> None:
+    def __init__(self, world: WorldClient, clock: Clock) -> None:
         super().__init__(world, "robot")
         self._clock = clock
 
@@ -231,7 +231,7 @@ class WorldTracker:
         world: That it is in.
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: WorldClient) -> None:
         self._world = world
 
     @property
@@ -242,7 +242,7 @@ class WorldTracker:
         return self._world.frames.read()
 
 
-def devices_of(world: World, names: Collection[str], clock: Clock) -> Mapping[str, Any]:
+def devices_of(world: WorldClient, names: Collection[str], clock: Clock) -> Mapping[str, Any]:
     """The devices of those names."""
     own = {
         "robot": WorldRobot(world, clock),

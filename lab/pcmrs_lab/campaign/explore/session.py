@@ -24,7 +24,7 @@ from pcmrs_lab.campaign.explore.operators import PATIENCE, Operators
 from pcmrs_lab.campaign.explore.plans import GARBAGE, landmark_commands, plan_of, pose_commands
 from pcmrs_lab.campaign.explore.script import Act, SessionScript
 from pcmrs_lab.campaign.explore.settings import settings_of, workflow_of
-from pcmrs_lab.campaign.explore.witness import Violation, Witness
+from pcmrs_lab.campaign.explore.witness import InvariantViolation, Witness
 from pcmrs_sim.deterministic.cell import SimulatedCell, simulated_cell
 from pcmrs_sim.deterministic.entropy import seeded_entropy
 
@@ -279,4 +279,4 @@ def quiet() -> Iterator[None]:
         structlog.configure(**before)
 
 
-__all__ = ["ExplorationResult", "Violation", "quiet", "run_session"]
+__all__ = ["ExplorationResult", "InvariantViolation", "quiet", "run_session"]
