@@ -18,7 +18,7 @@ with instrumented("pcmrs.devices.kst", "pcmrs_sim.kst"):
     from pcmrs.errors import PayloadError, PcmrsError
     from pcmrs.kinematics.arms import ARMS
     from pcmrs_sim.cell import CellSimulation
-    from pcmrs_sim.kst.cabinet import Cabinet
+    from pcmrs_sim.kst.cabinet import SimulatedCabinet
     from pcmrs_sim.settings import SimSettings
 
 CLOCK = SystemClock()
@@ -58,7 +58,7 @@ def hear(data: bytes) -> None:
 
 def ask_cabinet(data: bytes) -> None:
     answers: list[str] = []
-    cabinet = Cabinet(CELL, answers.append, lambda: None)
+    cabinet = SimulatedCabinet(CELL, answers.append, lambda: None)
     for line in data.decode("latin-1").split("\n"):
         cabinet.receive(line.rstrip("\r"))
         cabinet.update()

@@ -95,7 +95,7 @@ def along(axis: Floats) -> Floats:
     return Transform.from_rotvec((0.0, 0.0, 0.0), turn).rotation
 
 
-class Arm:
+class ArmFrames:
     """Frames of the arm's joints.
 
     Args:
@@ -138,12 +138,12 @@ class TrackerLocator:
     """
 
     def __init__(self, setup: Setup) -> None:
-        self.arm = Arm(setup.arm)
+        self.arm = ArmFrames(setup.arm)
         self._flange_from_coil = as_transform(setup.flange_from_coil)
         self.base_from_tracker: Transform | None = None
 
     def see(self, positions: npt.ArrayLike, coil: BodyPose | None, *, moving: bool) -> list[Transform]:
-        """Take the present joints and pose of the tool, and return `Arm.frames`.
+        """Take the present joints and pose of the tool, and return `ArmFrames.frames`.
 
         Args:
             positions: Joint positions, rad, (n,).

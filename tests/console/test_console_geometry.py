@@ -10,7 +10,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.console.geometry import Arm, TrackerLocator, as_stl, placement, residuals
+from pcmrs.console.geometry import ArmFrames, TrackerLocator, as_stl, placement, residuals
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import BodyPose, PoseMessage
@@ -54,7 +54,7 @@ def some_pose(seed: int) -> Transform:
 
 @pytest.mark.parametrize("name", ["iiwa14", "iiwa7", "panda", "ur5"])
 def test_the_flange_is_where_the_kinematics_have_it(name: str) -> None:
-    facts, arm = find_arm(name), Arm(shown(name))
+    facts, arm = find_arm(name), ArmFrames(shown(name))
     model = ArmModel(facts)
     for seed in range(20):
         q = np.random.default_rng(seed).uniform([j.lower for j in facts.joints], [j.upper for j in facts.joints])

@@ -22,7 +22,7 @@ pytest.importorskip("mujoco")
 from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.head import surface_point
 from pcmrs_sim.kst.server import serve_kst
-from pcmrs_sim.settings import GeometrySettings, Pose, SimSettings
+from pcmrs_sim.settings import ConfiguredPose, GeometrySettings, SimSettings
 
 FACTS = ARMS["iiwa14"]
 HOME = np.array(FACTS.home)
@@ -77,7 +77,7 @@ class Bench:
         return self.events[0]
 
 
-def body_before_tool(gap: float) -> Pose:
+def body_before_tool(gap: float) -> ConfiguredPose:
     """The head with its crown `gap` (m) before the face of the tool, upright on it, as the arm is known."""
     from pcmrs.kinematics.model import ArmModel
 
@@ -85,7 +85,7 @@ def body_before_tool(gap: float) -> Pose:
     crown = surface_point((0.0, 0.0, 1.0))
     place = tool @ Transform(np.eye(3), np.array([0.0, 0.0, -gap])) @ Transform(np.eye(3), -crown)
     position, quat = place.translation.tolist(), place.quat_wxyz.tolist()
-    return Pose((position[0], position[1], position[2]), (quat[0], quat[1], quat[2], quat[3]))
+    return ConfiguredPose((position[0], position[1], position[2]), (quat[0], quat[1], quat[2], quat[3]))
 
 
 def _cell(clock: SystemClock, gap: float | None, force: ForceSettings) -> CellSimulation:

@@ -20,7 +20,7 @@ pytest.importorskip("mujoco")
 
 from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.faults import FAULTS, inject, parse_fault
-from pcmrs_sim.kst.cabinet import SET_POINTS, Cabinet
+from pcmrs_sim.kst.cabinet import SET_POINTS, SimulatedCabinet
 from pcmrs_sim.kst.main_loop import QUESTIONS
 from pcmrs_sim.settings import SimSettings
 
@@ -51,7 +51,7 @@ def cell() -> CellSimulation:
 @given(lines=st.lists(requests | anything, max_size=8))
 def test_the_cabinet_survives_any_requests(cell: CellSimulation, lines: list[str]) -> None:
     answers: list[str] = []
-    cabinet = Cabinet(cell, answers.append, lambda: None)
+    cabinet = SimulatedCabinet(cell, answers.append, lambda: None)
     with np.errstate(over="ignore", invalid="ignore"):  # a tool frame may be as far away as numbers go
         for line in lines:
             cabinet.receive(line)

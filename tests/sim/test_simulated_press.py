@@ -14,7 +14,7 @@ from pcmrs.messages import MotionResult, PressRequest
 from pcmrs.spatial import rotation_angle
 from pcmrs_sim.arm import Arm
 from pcmrs_sim.opening import open_devices
-from pcmrs_sim.settings import ContactSettings, GeometrySettings, SimSettings
+from pcmrs_sim.settings import GeometrySettings, SimSettings, SkinSettings
 
 INWARD = -GeometrySettings().flange_from_coil.transform.rotation[:, 2]
 REQUEST = PressRequest(
@@ -30,7 +30,7 @@ def pressed(
     gap: float, request: PressRequest = REQUEST, stiffness: float = 1000.0
 ) -> tuple[Arm, PressMotion, list[float]]:
     """The arm after a press on a head `gap` (m) away, and the true force at every millisecond."""
-    settings = SimSettings(contact=ContactSettings(stiffness=stiffness))
+    settings = SimSettings(contact=SkinSettings(stiffness=stiffness))
     arm = make_arm(settings)
     arm.contact.place(body_before_tool(gap, settings))
     press = arm.press(request)

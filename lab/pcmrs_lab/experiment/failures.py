@@ -9,7 +9,7 @@ import msgspec
 
 from pcmrs.errors import CommandRefusedError
 from pcmrs.testing.plan import Plan
-from pcmrs_lab.experiment.private import Bench, private_bench
+from pcmrs_lab.experiment.private import ExperimentBench, private_bench
 from pcmrs_lab.experiment.published import FailureRun, published
 from pcmrs_lab.experiment.setup import Setup
 from pcmrs_lab.experiment.treatment import prepare
@@ -120,7 +120,7 @@ async def _run_workflow(setup: Setup, results: list[FailureResult], total: int) 
         return _limit_mm(bench)
 
 
-async def _run(bench: Bench, setup: Setup, run: FailureRun) -> FailureResult:
+async def _run(bench: ExperimentBench, setup: Setup, run: FailureRun) -> FailureResult:
     """One procedure up to the registration, with the operator's error in it."""
     plan = setup.plan
     pose, operate = plan.poses[0], OPERATORS[run.injection]
@@ -149,17 +149,17 @@ async def _run(bench: Bench, setup: Setup, run: FailureRun) -> FailureResult:
     )
 
 
-async def _all_goes_well(bench: Bench, plan: Plan, _run: FailureRun) -> None:
+async def _all_goes_well(bench: ExperimentBench, plan: Plan, _run: FailureRun) -> None:
     await bench.planner.plan_landmarks([landmark.position for landmark in plan.landmarks])
     await bench.planner.digitize_all()
     await bench.planner.register()
 
 
-async def _plan_is_missing(bench: Bench, _plan: Plan, _run: FailureRun) -> None:
+async def _plan_is_missing(bench: ExperimentBench, _plan: Plan, _run: FailureRun) -> None:
     await bench.planner.digitize_all()
 
 
-async def _landmark_is_missing(bench: Bench, plan: Plan, run: FailureRun) -> None:
+async def _landmark_is_missing(bench: ExperimentBench, plan: Plan, run: FailureRun) -> None:
     await bench.planner.plan_landmarks([landmark.position for landmark in plan.landmarks])
     for index in range(len(plan.landmarks)):
         if index + 1 != run.landmark:
@@ -167,13 +167,13 @@ async def _landmark_is_missing(bench: Bench, plan: Plan, run: FailureRun) -> Non
     await bench.planner.register()
 
 
-async def _landmark_is_off(bench: Bench, plan: Plan, run: FailureRun) -> None:
+async def _landmark_is_off(bench: ExperimentBench, plan: Plan, run: FailureRun) -> None:
     if run.landmark is not None and run.offset_in_image is not None:
         await bench.scene.displace_touch(run.landmark - 1, run.offset_in_image)
     await _all_goes_well(bench, plan, run)
 
 
-OPERATORS: dict[str, Callable[[Bench, Plan, FailureRun], Coroutine[Any, Any, None]]] = {
+OPERATORS: dict[str, Callable[[ExperimentBench, Plan, FailureRun], Coroutine[Any, Any, None]]] = {
     "none": _all_goes_well,
     "missing_landmark_plan": _plan_is_missing,
     "missing_landmark": _landmark_is_missing,
@@ -181,7 +181,7 @@ OPERATORS: dict[str, Callable[[Bench, Plan, FailureRun], Coroutine[Any, Any, Non
 }
 
 
-def _reached(bench: Bench) -> tuple[str, float | None]:
+def _reached(bench: ExperimentBench) -> tuple[str, float | None]:
     """The state of the registration after a run, and the residual of its registration in mm, from the journal."""
     rows = [stored.row for stored in bench.journal.read(kind="outcome")]
     begin = max((n for n, row in enumerate(rows) if row.operation == "reinit" and row.branch == "toolplan"), default=-1)
@@ -193,7 +193,7 @@ def _reached(bench: Bench) -> tuple[str, float | None]:
     return (rows[-1].states or {})["registration"], residual
 
 
-def _limit_mm(bench: Bench) -> float:
+def _limit_mm(bench: ExperimentBench) -> float:
     """The residual limit in force, as accepted registrations report it."""
     rows = [stored.row for stored in bench.journal.read(kind="outcome", branch="registration")]
     results = [row.verdict.result for row in rows if row.verdict and row.verdict.result]

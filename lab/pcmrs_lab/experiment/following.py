@@ -17,7 +17,7 @@ from pcmrs.workflows.data import as_transform
 from pcmrs_lab.experiment.course import ErrorSeries, PlacementErrorMonitor
 from pcmrs_lab.experiment.head_motions import Scenario, scenarios
 from pcmrs_lab.experiment.placements import NOT_SEEN, PATIENCE, PAUSE, once_seen, registered
-from pcmrs_lab.experiment.private import Bench, private_bench
+from pcmrs_lab.experiment.private import ExperimentBench, private_bench
 from pcmrs_lab.experiment.setup import Setup
 
 ALIGNED_WITHIN = 10.0
@@ -160,12 +160,12 @@ async def _occlusion(setup: Setup, duration: float) -> Occluded:
     return Occluded(OCCLUDED, state, alignment, latched, moved * 1000.0)
 
 
-def _bench(setup: Setup, *, compensated: bool) -> AbstractAsyncContextManager[Bench]:
+def _bench(setup: Setup, *, compensated: bool) -> AbstractAsyncContextManager[ExperimentBench]:
     own = [f"workflow={setup.workflow}", f"sim.seed={setup.seed}", *setup.settings()]
     return private_bench([*own, f"procedure.following.compensated={str(compensated).lower()}"])
 
 
-async def _begin(bench: Bench, observer: PlacementErrorMonitor) -> None:
+async def _begin(bench: ExperimentBench, observer: PlacementErrorMonitor) -> None:
     """Brings the tool to its place, wherever it is, and has it follow until it counts as aligned.
 
     Raises:
@@ -183,7 +183,7 @@ async def _begin(bench: Bench, observer: PlacementErrorMonitor) -> None:
     raise CommandRefusedError(f"{text}{ALIGNED_WITHIN:g} s once: the machine does not keep up; end what else it does.")
 
 
-async def _ask(bench: Bench, name: str) -> None:
+async def _ask(bench: ExperimentBench, name: str) -> None:
     """Asks for an operation, and again where the tracker has not shown yet where all is."""
     for _ in range(PATIENCE):
         verdict = await bench.client.call(name)
@@ -216,7 +216,7 @@ def _spread(errors_mm: Sequence[float]) -> ErrorSummary:
     return ErrorSummary(rms, float(np.percentile(errors, 99.0)), float(errors.max()))
 
 
-async def _placed(bench: Bench, setup: Setup) -> PlacementErrorMonitor:
+async def _placed(bench: ExperimentBench, setup: Setup) -> PlacementErrorMonitor:
     """A registered head with the tool at its place, and who looks at it."""
     plan, planner = setup.plan, bench.planner
     await planner.connect()

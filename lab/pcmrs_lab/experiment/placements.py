@@ -14,7 +14,7 @@ from pcmrs.messages import PoseMessage, SceneTruth
 from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.workflows.data import Registered, as_message, as_transform
 from pcmrs.workflows.toolplan import ToolPose
-from pcmrs_lab.experiment.private import Bench, private_bench
+from pcmrs_lab.experiment.private import ExperimentBench, private_bench
 from pcmrs_lab.experiment.published import Reported, published
 from pcmrs_lab.experiment.setup import Setup
 from pcmrs_lab.experiment.treatment import Treated, prepare, treat
@@ -141,7 +141,7 @@ async def run_placements(setup: Setup, trials: int) -> PlacementReport:
     )
 
 
-async def _place(bench: Bench, number: int, pose: ToolPose, body_ref_from_image: Transform) -> Trial:
+async def _place(bench: ExperimentBench, number: int, pose: ToolPose, body_ref_from_image: Transform) -> Trial:
     """Brings the tool to a pose, leaves it there and measures it."""
     await once_seen(lambda: bench.planner.plan_pose(pose.position, pose.quat_xyzw))
     await once_seen(bench.planner.approach)
@@ -182,7 +182,7 @@ def _actual(truth: SceneTruth, body_ref_from_image: Transform) -> Transform:
     return tracker_from_image.inverse() @ as_transform(truth.tracker_from_coil)
 
 
-def registered(bench: Bench) -> Registered:
+def registered(bench: ExperimentBench) -> Registered:
     """The registration in force, as the journal has it."""
     rows = [stored.row for stored in bench.journal.read(kind="outcome", branch="registration")]
     kept = [row.result["registered"] for row in rows if row.result and row.result.get("registered")]

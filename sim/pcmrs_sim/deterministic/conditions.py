@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 
 @dataclass
-class Conditions:
+class NetworkConditions:
     """How messages fare between any two endpoints.
 
     Attributes:

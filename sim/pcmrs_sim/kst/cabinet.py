@@ -30,7 +30,7 @@ SET_POINTS: dict[str, Callable[[Readings], list[float]] | None] = {
 """Requests that set the joints, and what they are answered with; ``jp`` with ``done``, ``jf`` not at all."""
 
 
-class Cabinet:
+class SimulatedCabinet:
     """One run of the cabinet's application, with one client.
 
     Args:

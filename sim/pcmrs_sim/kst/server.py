@@ -13,7 +13,7 @@ import structlog
 
 from pcmrs.background import background_task
 from pcmrs_sim.cell import CellSimulation
-from pcmrs_sim.kst.cabinet import Cabinet, check_arm
+from pcmrs_sim.kst.cabinet import SimulatedCabinet, check_arm
 from pcmrs_sim.kst.replies import Replies
 
 PORT = 30001
@@ -101,7 +101,7 @@ class _Server:
         transport, _ = await loop.connect_accepted_socket(lambda: protocol, connection)
         writer = asyncio.StreamWriter(transport, protocol, reader, loop)
         replies = Replies(writer, self._cell.robot_faults, self._cell.clock, self._rng)
-        cabinet = Cabinet(self._cell, replies.send, transport.abort)
+        cabinet = SimulatedCabinet(self._cell, replies.send, transport.abort)
         log.info("cabinet_client", peer=writer.get_extra_info("peername"))
         async with asyncio.TaskGroup() as tasks:
             sending = tasks.create_task(replies.run(), name="replies of the virtual cabinet")
@@ -117,7 +117,7 @@ class _Server:
                 transport.close()
         log.info("cabinet_client_gone")
 
-    async def _hear(self, reader: asyncio.StreamReader, cabinet: Cabinet) -> None:
+    async def _hear(self, reader: asyncio.StreamReader, cabinet: SimulatedCabinet) -> None:
         with suppress(ConnectionError, ValueError):  # the client has gone, or sends a line without end
             while data := await reader.readline():
                 self._cell.catch_up()

@@ -17,7 +17,7 @@ USAGE = "coil <dx> <dy> <dz> <turn> (mm and degrees from the hot-spot), no_mep o
 SWITCH = {"on": True, "off": False}
 
 
-class Bench:
+class EmgBench:
     """A subject of a seed, with the coil at the hot-spot until told otherwise.
 
     Args:

@@ -8,7 +8,7 @@ import msgspec
 
 from pcmrs.errors import CommandRefusedError
 from pcmrs_lab.experiment.placements import once_seen
-from pcmrs_lab.experiment.private import Bench
+from pcmrs_lab.experiment.private import ExperimentBench
 from pcmrs_lab.experiment.session.operator import SessionOperator
 from pcmrs_lab.experiment.session.setup import SessionSetup
 from pcmrs_lab.experiment.setup import ShowProgress
@@ -32,7 +32,7 @@ class SessionRunner:
         progress: Callback for the present step, the number of pulses, and their expected total.
     """
 
-    def __init__(self, bench: Bench, setup: SessionSetup, progress: ShowProgress) -> None:
+    def __init__(self, bench: ExperimentBench, setup: SessionSetup, progress: ShowProgress) -> None:
         self._bench = bench
         self._setup = setup
         self._progress = progress

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from pcmrs.authoring.exchange import descriptors, plain
 from pcmrs.authoring.exchange.importing.chart import Edge, Node
-from pcmrs.authoring.exchange.importing.conditions import Conditions, TooManyError
+from pcmrs.authoring.exchange.importing.conditions import ConditionalEffects, TooManySituationsError
 from pcmrs.authoring.exchange.importing.moves import Move, MoveGroup, Mover, grouped
 from pcmrs.authoring.exchange.importing.reading import Findings, Names
 from pcmrs.authoring.exchange.importing.regions import Region, regions_of
@@ -58,7 +58,7 @@ class _Converter:
         self._roots = regions_of(root, nodes)
         self._regions = [region for outermost in self._roots for region in outermost.walk()]
         self._mover = Mover(self._regions, nodes, findings)
-        self._conditions = Conditions(self._regions, nodes)
+        self._conditions = ConditionalEffects(self._regions, nodes)
         self._edges: dict[str, list[Edge]] = defaultdict(list)
         for edge in (edge for node in root.walk() for edge in node.edges):
             for event in edge.events:
@@ -94,7 +94,7 @@ class _Converter:
         for region in self._roots:
             try:
                 found = [each for each in self._conditions.choices(region, event, edges) if each.edges]
-            except TooManyError:
+            except TooManySituationsError:
                 self._findings.add("too_large", f"The event {event} has too many situations.", place)
                 continue
             self._reactions += len(found)
