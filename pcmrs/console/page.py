@@ -11,7 +11,7 @@ from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.chart import ChartPanel
 from pcmrs.console.choices import Choice, Choices, latch_of
 from pcmrs.console.command_sender import CommandSender
-from pcmrs.console.feed import Feed
+from pcmrs.console.feed import LiveFeed
 from pcmrs.console.geometry import placement
 from pcmrs.console.planning.panel import PlanningPanel
 from pcmrs.console.playback import Playback
@@ -69,7 +69,7 @@ class Page:
 
     def __init__(
         self,
-        feed: Feed,
+        feed: LiveFeed,
         setup: Setup,
         blueprint: Blueprint,
         texts: Texts,

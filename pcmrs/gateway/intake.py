@@ -25,7 +25,7 @@ from pcmrs.gateway.auth.peers import (
 from pcmrs.gateway.commands import COMMANDS, Action
 from pcmrs.gateway.grammar import StringCommand, parse, parse_tool_points
 from pcmrs.gateway.handlers import CommandHandlers, PlanLock, Services
-from pcmrs.gateway.outcome import Outcome
+from pcmrs.gateway.outcome import CommandOutcome
 from pcmrs.gateway.session import QUEUE_FULL, PeerSession, ReplyChannel
 from pcmrs.gateway.signing import Signed, split
 from pcmrs.messages.identity import ON_SITE, Principal
@@ -90,7 +90,7 @@ class Intake(DispatcherListener):
         self._admission = admission
         self._sessions: dict[str, PeerSession] = {}
         self._locks: dict[str, PlanLock] = {}
-        self._outcomes: CommandCache[asyncio.Future[Outcome]] = CommandCache()
+        self._outcomes: CommandCache[asyncio.Future[CommandOutcome]] = CommandCache()
         self._clock: Clock = services.clock
 
     def receive(

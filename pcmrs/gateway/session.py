@@ -17,7 +17,7 @@ from pcmrs.errors import PcmrsError, RefusalError
 from pcmrs.gateway.commands import Action, Second
 from pcmrs.gateway.grammar import StringCommand
 from pcmrs.gateway.handlers import CommandHandlers, Job
-from pcmrs.gateway.outcome import NO_DATA, Outcome
+from pcmrs.gateway.outcome import NO_DATA, CommandOutcome
 
 ACKNOWLEDGEMENT = "ack"
 SECOND_WITHIN = 0.35
@@ -62,7 +62,7 @@ class Turn:
 
     request: StringCommand
     job: Job
-    ended: asyncio.Future[Outcome]
+    ended: asyncio.Future[CommandOutcome]
     arrived: float
     stops: int
 
@@ -87,7 +87,7 @@ class PeerSession:
         actions: CommandHandlers,
         clock: Clock,
         tasks: BackgroundTasks,
-        outcomes: CommandCache[asyncio.Future[Outcome]],
+        outcomes: CommandCache[asyncio.Future[CommandOutcome]],
         on_overflow: Callable[[], None],
     ) -> None:
         self._actions = actions
@@ -99,7 +99,7 @@ class PeerSession:
         self._draining = False
         self._running = 0
         self._stops = 0
-        self._motion: asyncio.Future[Outcome] | None = None
+        self._motion: asyncio.Future[CommandOutcome] | None = None
 
     @property
     def idle(self) -> bool:
@@ -149,10 +149,12 @@ class PeerSession:
             self._outcomes.put(self._actions.source, client_id, ended)
         ended.add_done_callback(lambda done: None if done.cancelled() else verdict(done.result().reply(client_id)))
 
-    def _begin(self, request: StringCommand, arrived: float, refusal: RefusalError | None) -> asyncio.Future[Outcome]:
+    def _begin(
+        self, request: StringCommand, arrived: float, refusal: RefusalError | None
+    ) -> asyncio.Future[CommandOutcome]:
         prepared = self._actions.prepare(request, arrived) if refusal is None else self._actions.deny(request, refusal)
-        ended: asyncio.Future[Outcome] = asyncio.get_running_loop().create_future()
-        if isinstance(prepared, Outcome):
+        ended: asyncio.Future[CommandOutcome] = asyncio.get_running_loop().create_future()
+        if isinstance(prepared, CommandOutcome):
             ended.set_result(prepared)
             return ended
         turn = Turn(request, prepared, ended, arrived, self._stops)
@@ -211,7 +213,7 @@ class PeerSession:
         finally:
             self._running -= 1
 
-    def _too_late(self, turn: Turn) -> Outcome | None:
+    def _too_late(self, turn: Turn) -> CommandOutcome | None:
         """Refusal of a command that must not begin any more, because of Stop or a stalled loop; None if it may."""
         request = turn.request
         if turn.stops != self._stops and request.spec.action is not Action.STOP:
@@ -222,7 +224,7 @@ class PeerSession:
             return self._actions.rejected(request, "expired", text)
         return None
 
-    async def _perform(self, request: StringCommand, job: Job) -> Outcome:
+    async def _perform(self, request: StringCommand, job: Job) -> CommandOutcome:
         """Returns the outcome of a job, however it ends: a client must not wait without end."""
         try:
             return await job()
@@ -234,7 +236,9 @@ class PeerSession:
             _log.exception("command_broke", command=request.spec.name)
             return self._actions.failed(request, "internal_error")
 
-    async def _send_second(self, kind: Second, ended: asyncio.Future[Outcome], send: Send, acknowledged: float) -> None:
+    async def _send_second(
+        self, kind: Second, ended: asyncio.Future[CommandOutcome], send: Send, acknowledged: float
+    ) -> None:
         """Sends the second datagram, but never late: the client would take it for its next acknowledgement."""
         try:
             async with self._clock.timeout(SECOND_WITHIN):
@@ -249,7 +253,7 @@ class PeerSession:
             _log.warning("second_datagram_not_sent", after=round(late, 3), limit=SECOND_BEFORE)
 
 
-def _report(request: StringCommand, ended: asyncio.Future[Outcome]) -> None:
+def _report(request: StringCommand, ended: asyncio.Future[CommandOutcome]) -> None:
     """Logs a refusal, since clients without verdict replies do not receive it."""
     if not ended.cancelled() and (outcome := ended.result()).decision != "accepted":
         _log.warning(

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from pcmrs.spatial import Floats, Transform
 from pcmrs_sim.shape import Shape
-from pcmrs_sim.solid import Solid
+from pcmrs_sim.solid import ContactSolid
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Phantom:
     inside: Floats
     landmarks: tuple[PhantomLandmark, ...]
     body: tuple[Shape, ...]
-    solid: Solid
+    solid: ContactSolid
     tool: tuple[Shape, ...]
     tool_radius: float
     world_from_image: Transform

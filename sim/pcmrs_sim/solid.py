@@ -23,7 +23,7 @@ class Touch(NamedTuple):
     point: Floats
 
 
-class Solid(Protocol):
+class ContactSolid(Protocol):
     """A body in the image frame.
 
     Attributes:
@@ -61,7 +61,7 @@ class Superellipsoid:
         self._dual = exponent / (exponent - 1)
 
     def touch(self, origin: Floats, axis: Floats, radius: float) -> Touch | None:
-        """As of `Solid`; a body whose farthest point lies beside the face does not touch it."""
+        """As of `ContactSolid`; a body whose farthest point lies beside the face does not touch it."""
         along, origin_in_image, centre, dual = axis.tolist(), origin.tolist(), self.centre.tolist(), self._dual
         weights = [a * n for a, n in zip(self._semi_axes, along, strict=True)]
         height = sum(abs(weight) ** dual for weight in weights) ** (1 / dual)
@@ -91,7 +91,7 @@ class Balls:
         self.reach = float((np.linalg.norm(self._centres - self.centre, axis=1) + self._radii).max())
 
     def touch(self, origin: Floats, axis: Floats, radius: float) -> Touch | None:
-        """As of `Solid`: of every ball only what lies before the face counts, so that a narrow tool fits between."""
+        """As of `ContactSolid`: of every ball only what lies before the face counts, so that a narrow tool fits between."""
         heights, along = (self._centres @ np.stack((axis, origin), axis=1)).T
         heights = heights - origin @ axis
         beside = np.sqrt(np.maximum(self._squares - 2 * along + origin @ origin - heights**2, 0.0))

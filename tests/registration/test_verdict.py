@@ -24,7 +24,14 @@ from landmark_layouts import (
 from trials import examples
 
 from pcmrs.errors import ConfigurationError, DegeneratePointsError, GeometryError
-from pcmrs.registration import Gate, RegistrationLimits, RegistrationVerdict, judge, predict_tre, register_points
+from pcmrs.registration import (
+    RegistrationGate,
+    RegistrationLimits,
+    RegistrationVerdict,
+    judge,
+    predict_tre,
+    register_points,
+)
 from pcmrs.spatial import Floats
 
 GATES = ["wrong_unit", "mirrored", "swapped_landmarks", "landmark_outlier", "residual_too_large", "tre_too_large"]
@@ -54,7 +61,7 @@ OFFSETS = [(0, (0.025, 0.0, 0.0)), (1, (0.0, 0.020, 0.0)), (2, (0.0, 0.0, -0.023
 """The published large digitization errors."""
 
 
-def refused(verdict: RegistrationVerdict) -> Gate:
+def refused(verdict: RegistrationVerdict) -> RegistrationGate:
     assert verdict.refusal is not None
     return verdict.refusal
 

@@ -95,7 +95,7 @@ def cut_and_flip(
             for count, flips_bits in ((cuts, False), (flips, True))
             for whole, damage in damages((killed, closed), count, generator, flips=flips_bits)
         ]
-        tally = _Tally("cut or bent", seed, len(rows))
+        tally = _CutTally("cut or bent", seed, len(rows))
         for whole in (killed, closed):
             copy = shutil.copytree(whole, Path(name) / "control")
             tally.whole += taken_up(copy / NAME, rows)
@@ -140,7 +140,7 @@ def cut_power(
         NotRun: System calls cannot be recorded here.
     """
     begun, generator = clock.monotonic(), random.Random(seed)
-    tally = _Tally("power cut", seed, 0)
+    tally = _CutTally("power cut", seed, 0)
     with tempfile.TemporaryDirectory(prefix="pcmrs-cuts-") as name:
         written = Path(name) / "written"
         calls = trace_journal(written, commits, seed, durable=durable)
@@ -159,7 +159,7 @@ def cut_power(
     return tally.report(clock.monotonic() - begun)
 
 
-class _Tally:
+class _CutTally:
     """What has been found so far."""
 
     def __init__(self, what: str, seed: int, acknowledged: int) -> None:

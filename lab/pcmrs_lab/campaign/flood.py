@@ -29,7 +29,7 @@ STORE = 4096
 
 
 @dataclass
-class Sent:
+class FloodResult:
     """What a flood has sent, once it has ended; `ended` is set when it has by itself."""
 
     datagrams: int = 0
@@ -44,7 +44,7 @@ class Sent:
 
 
 @asynccontextmanager
-async def flood(address: tuple[str, int], rate: float, seed: int, *, most: int = 0) -> AsyncIterator[Sent]:
+async def flood(address: tuple[str, int], rate: float, seed: int, *, most: int = 0) -> AsyncIterator[FloodResult]:
     """Floods a UDP socket for the length of the context.
 
     Args:
@@ -60,7 +60,7 @@ async def flood(address: tuple[str, int], rate: float, seed: int, *, most: int =
         DeviceError: It does not begin.
     """
     if is_sham():
-        yield Sent()
+        yield FloodResult()
         return
     words = [f"{address[0]}:{address[1]}", "--rate", str(rate), "--seed", str(seed), "--most", str(most)]
     pipe = asyncio.subprocess.PIPE
@@ -68,7 +68,7 @@ async def flood(address: tuple[str, int], rate: float, seed: int, *, most: int =
     reader, writer = process.stdout, process.stdin
     if reader is None or writer is None or not await reader.readline():
         raise DeviceError("The flood does not begin.")
-    sent = Sent()
+    sent = FloodResult()
     telling = asyncio.create_task(_told(reader, sent))
     try:
         yield sent
@@ -78,7 +78,7 @@ async def flood(address: tuple[str, int], rate: float, seed: int, *, most: int =
         await process.wait()
 
 
-async def _told(reader: asyncio.StreamReader, sent: Sent) -> None:
+async def _told(reader: asyncio.StreamReader, sent: FloodResult) -> None:
     line = await reader.readline()
     if line:
         told = json.loads(line)

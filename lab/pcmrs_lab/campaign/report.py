@@ -20,7 +20,7 @@ protection."""
 _WORST_FIRST: tuple[Outcome, ...] = ("failed", "not_proved", "not_run", "passed")
 
 
-class Part(msgspec.Struct, frozen=True):
+class InjectionResult(msgspec.Struct, frozen=True):
     """One way in which a fault was injected.
 
     Attributes:
@@ -62,7 +62,7 @@ class FaultResult(msgspec.Struct, frozen=True, rename={"fault_class": "class"}):
     reference: str
     seed: int
     seconds: float
-    parts: list[Part]
+    parts: list[InjectionResult]
 
 
 class CampaignReport(msgspec.Struct, frozen=True):
@@ -89,7 +89,7 @@ class CampaignReport(msgspec.Struct, frozen=True):
         return [result for result in self.faults if result.outcome in ("failed", "not_proved")]
 
 
-def result_of(row: CatalogueRow, seed: int, parts: list[Part]) -> FaultResult:
+def result_of(row: CatalogueRow, seed: int, parts: list[InjectionResult]) -> FaultResult:
     """Puts the parts of one fault together: one failure fails it, and what was not proved or not run is not passed."""
     found = {part.outcome for part in parts}
     outcome = next(each for each in _WORST_FIRST if each in found)

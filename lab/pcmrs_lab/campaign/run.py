@@ -19,7 +19,7 @@ from pcmrs_lab.campaign.catalogue import CatalogueRow
 from pcmrs_lab.campaign.fault import Injection, NotRun
 from pcmrs_lab.campaign.injections import injections
 from pcmrs_lab.campaign.lab import Lab, Pool
-from pcmrs_lab.campaign.report import CampaignReport, FaultResult, Outcome, Part, result_of, summarize
+from pcmrs_lab.campaign.report import CampaignReport, FaultResult, InjectionResult, Outcome, result_of, summarize
 from pcmrs_lab.campaign.sham import sham
 from pcmrs_lab.campaign.tools import require
 
@@ -89,11 +89,11 @@ async def run_fault(
         if is_sham:
             parts = list(map(_found_out, parts))
     else:
-        parts = [Part("", "", "not_run", NO_INJECTION, 0.0)]
+        parts = [InjectionResult("", "", "not_run", NO_INJECTION, 0.0)]
     return result_of(row, seed, parts)
 
 
-async def run_injection(injection: Injection, seed: int, folder: Path, pool: Pool, clock: Clock) -> Part:
+async def run_injection(injection: Injection, seed: int, folder: Path, pool: Pool, clock: Clock) -> InjectionResult:
     """Injects a fault in one way, in a folder that goes away."""
     begun = clock.monotonic()
     with tempfile.TemporaryDirectory(dir=folder, ignore_cleanup_errors=True) as own:
@@ -103,20 +103,22 @@ async def run_injection(injection: Injection, seed: int, folder: Path, pool: Poo
             async with clock.timeout(injection.deadline):
                 evidence = await injection.run(lab)
         except NotRun as error:
-            return Part(injection.name, injection.how, "not_run", error.text, clock.monotonic() - begun)
+            return InjectionResult(injection.name, injection.how, "not_run", error.text, clock.monotonic() - begun)
         except Exception as error:  # whatever an injection raises is a failure of this fault alone
             kind = error.code if isinstance(error, PcmrsError) else type(error).__name__
             details = {"daemon": lab.log_tail(), "where": _where(error), "error": kind}
             seconds = clock.monotonic() - begun
             late = isinstance(error, TimeoutError) and seconds >= injection.deadline
             text = f"not ended within {injection.deadline:g} s" if late else _text(error)
-            return Part(injection.name, injection.how, "failed", text, seconds, details)
+            return InjectionResult(injection.name, injection.how, "failed", text, seconds, details)
     seconds, missing = clock.monotonic() - begun, evidence.missing
     outcome: Outcome = "not_proved" if missing else "passed"
-    return Part(injection.name, injection.how, outcome, missing or evidence.response, seconds, evidence.measured)
+    return InjectionResult(
+        injection.name, injection.how, outcome, missing or evidence.response, seconds, evidence.measured
+    )
 
 
-def _found_out(part: Part) -> Part:
+def _found_out(part: InjectionResult) -> InjectionResult:
     """What a sham way has come to: it has passed when the row said by itself that its fault did not take place."""
     if part.outcome == "not_run":
         return part

@@ -11,7 +11,7 @@ from pcmrs.errors import CommandRefusedError
 from pcmrs.testing.plan import Plan
 from pcmrs_lab.experiment.private import ExperimentBench, private_bench
 from pcmrs_lab.experiment.published import FailureRun, published
-from pcmrs_lab.experiment.setup import Setup
+from pcmrs_lab.experiment.setup import ExperimentSetup
 from pcmrs_lab.experiment.treatment import prepare
 
 NEXT_STATE = {"000": "100", "100": "110", "110": "111"}
@@ -70,7 +70,7 @@ class FailureReport(msgspec.Struct, frozen=True):
     summary: FailureSummary
 
 
-async def run_failures(setups: Sequence[Setup]) -> FailureReport:
+async def run_failures(setups: Sequence[ExperimentSetup]) -> FailureReport:
     """Runs every published failure injection of some workflows, each workflow through a daemon of its own, over UDP.
 
     Every run has simulated errors of its own: seed + number of the run.
@@ -106,7 +106,7 @@ async def run_failures(setups: Sequence[Setup]) -> FailureReport:
     )
 
 
-async def _run_workflow(setup: Setup, results: list[FailureResult], total: int) -> float:
+async def _run_workflow(setup: ExperimentSetup, results: list[FailureResult], total: int) -> float:
     """Adds the results of one workflow; returns its residual limit, mm."""
     setup.progress("starting the daemon", len(results), total)
     async with private_bench([f"workflow={setup.workflow}", *setup.settings()]) as bench:
@@ -120,7 +120,7 @@ async def _run_workflow(setup: Setup, results: list[FailureResult], total: int) 
         return _limit_mm(bench)
 
 
-async def _run(bench: ExperimentBench, setup: Setup, run: FailureRun) -> FailureResult:
+async def _run(bench: ExperimentBench, setup: ExperimentSetup, run: FailureRun) -> FailureResult:
     """One procedure up to the registration, with the operator's error in it."""
     plan = setup.plan
     pose, operate = plan.poses[0], OPERATORS[run.injection]

@@ -18,7 +18,7 @@ from pcmrs_lab.experiment.course import ErrorSeries, PlacementErrorMonitor
 from pcmrs_lab.experiment.head_motions import Scenario, scenarios
 from pcmrs_lab.experiment.placements import NOT_SEEN, PATIENCE, PAUSE, once_seen, registered
 from pcmrs_lab.experiment.private import ExperimentBench, private_bench
-from pcmrs_lab.experiment.setup import Setup
+from pcmrs_lab.experiment.setup import ExperimentSetup
 
 ALIGNED_WITHIN = 10.0
 """A tool that follows a head at rest counts as aligned after this, s of the machine."""
@@ -98,7 +98,7 @@ class Drawn:
     course: ErrorSeries
 
 
-async def run_following(setup: Setup, duration: float) -> tuple[FollowingReport, list[Drawn]]:
+async def run_following(setup: ExperimentSetup, duration: float) -> tuple[FollowingReport, list[Drawn]]:
     """Follows each kind of motion with and without compensation of the latency, each through a daemon of its own.
 
     Args:
@@ -127,7 +127,7 @@ async def run_following(setup: Setup, duration: float) -> tuple[FollowingReport,
     return report, drawn
 
 
-async def _variant(setup: Setup, duration: float, *, compensated: bool) -> list[Drawn]:
+async def _variant(setup: ExperimentSetup, duration: float, *, compensated: bool) -> list[Drawn]:
     """All scenarios one after the other through one daemon."""
     drawn = []
     async with _bench(setup, compensated=compensated) as bench:
@@ -143,7 +143,7 @@ async def _variant(setup: Setup, duration: float, *, compensated: bool) -> list[
     return drawn
 
 
-async def _occlusion(setup: Setup, duration: float) -> Occluded:
+async def _occlusion(setup: ExperimentSetup, duration: float) -> Occluded:
     """Hides the reference of a head that breathes, while the tool follows it."""
     async with _bench(setup, compensated=True) as bench:
         observer = await _placed(bench, setup)
@@ -160,7 +160,7 @@ async def _occlusion(setup: Setup, duration: float) -> Occluded:
     return Occluded(OCCLUDED, state, alignment, latched, moved * 1000.0)
 
 
-def _bench(setup: Setup, *, compensated: bool) -> AbstractAsyncContextManager[ExperimentBench]:
+def _bench(setup: ExperimentSetup, *, compensated: bool) -> AbstractAsyncContextManager[ExperimentBench]:
     own = [f"workflow={setup.workflow}", f"sim.seed={setup.seed}", *setup.settings()]
     return private_bench([*own, f"procedure.following.compensated={str(compensated).lower()}"])
 
@@ -216,7 +216,7 @@ def _spread(errors_mm: Sequence[float]) -> ErrorSummary:
     return ErrorSummary(rms, float(np.percentile(errors, 99.0)), float(errors.max()))
 
 
-async def _placed(bench: ExperimentBench, setup: Setup) -> PlacementErrorMonitor:
+async def _placed(bench: ExperimentBench, setup: ExperimentSetup) -> PlacementErrorMonitor:
     """A registered head with the tool at its place, and who looks at it."""
     plan, planner = setup.plan, bench.planner
     await planner.connect()

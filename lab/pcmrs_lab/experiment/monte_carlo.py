@@ -21,7 +21,7 @@ from pcmrs.settings import DRIVER_SETTINGS, Settings, read_settings
 from pcmrs.spatial import Floats, Transform
 from pcmrs.testing.plan import Plan
 from pcmrs_lab.experiment.published import FailureRun, published
-from pcmrs_lab.experiment.setup import Setup
+from pcmrs_lab.experiment.setup import ExperimentSetup
 
 ALL_GATES = "verdict"
 FIXED_LIMIT = "fixed_limit"
@@ -99,7 +99,7 @@ class MonteCarloReport(msgspec.Struct, frozen=True):
     rates: list[GateRates]
 
 
-def run_monte_carlo(setups: Sequence[Setup], runs: int) -> MonteCarloReport:
+def run_monte_carlo(setups: Sequence[ExperimentSetup], runs: int) -> MonteCarloReport:
     """Judges every published row `runs` times with simulated touches; one seed gives one result.
 
     Args:
@@ -129,7 +129,7 @@ def run_monte_carlo(setups: Sequence[Setup], runs: int) -> MonteCarloReport:
     )
 
 
-def _noise(setup: Setup) -> NoiseUsed:
+def _noise(setup: ExperimentSetup) -> NoiseUsed:
     """As this workflow and its simulated cell are configured."""
     settings = read_settings(overrides=[f"workflow={setup.workflow}", *setup.overrides])
     limits = settings.procedure.registration
@@ -152,7 +152,7 @@ def _touch_errors_mm(settings: Settings) -> tuple[float, float]:
     raise ConfigurationError("The simulated cell is not installed; its errors are what this experiment draws from.")
 
 
-def _row(setup: Setup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[int, int]) -> RowRates:
+def _row(setup: ExperimentSetup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[int, int]) -> RowRates:
     displaced = run.injection == OFFSET
     by_construction = not displaced and run.injection != "none"
     verdicts = [] if by_construction else list(_verdicts(setup, run, noise, runs, at))
@@ -175,7 +175,7 @@ def _row(setup: Setup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[i
 
 
 def _verdicts(
-    setup: Setup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[int, int]
+    setup: ExperimentSetup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[int, int]
 ) -> Iterator[RegistrationVerdict]:
     rng = np.random.default_rng((setup.seed, run.run))
     limits = RegistrationLimits(

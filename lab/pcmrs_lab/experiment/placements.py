@@ -16,7 +16,7 @@ from pcmrs.workflows.data import Registered, as_message, as_transform
 from pcmrs.workflows.toolplan import ToolPose
 from pcmrs_lab.experiment.private import ExperimentBench, private_bench
 from pcmrs_lab.experiment.published import Reported, published
-from pcmrs_lab.experiment.setup import Setup
+from pcmrs_lab.experiment.setup import ExperimentSetup
 from pcmrs_lab.experiment.treatment import Treated, prepare, treat
 
 PATIENCE = 50
@@ -85,7 +85,7 @@ class PlacementReport(msgspec.Struct, frozen=True):
     summary: PlacementSummary
 
 
-async def run_placements(setup: Setup, trials: int) -> PlacementReport:
+async def run_placements(setup: ExperimentSetup, trials: int) -> PlacementReport:
     """Runs the experiment through a daemon of its own, commanded over UDP; at the last pose the patient is treated.
 
     Args:

@@ -25,7 +25,7 @@ SETTINGS_OF: dict[Drivers, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Setup:
+class ExperimentSetup:
     """One experiment on a simulated cell.
 
     Attributes:

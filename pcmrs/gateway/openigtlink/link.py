@@ -16,7 +16,7 @@ from pcmrs.dispatcher import DispatcherListener
 from pcmrs.errors import PayloadError
 from pcmrs.gateway.adapter import Core
 from pcmrs.gateway.intake import Intake, source_of
-from pcmrs.gateway.openigtlink.feed import Feed
+from pcmrs.gateway.openigtlink.feed import Broadcaster
 from pcmrs.gateway.openigtlink.peer import KINDS, Peer
 from pcmrs.gateway.openigtlink.planner import Answer, PlanSubmitter
 from pcmrs.gateway.periodic_timer import PeriodicTask, kernel_beats
@@ -64,7 +64,7 @@ class OpenIgtLink(DispatcherListener):
         self._peers: dict[tuple[str, int], Peer] = {}
         self._server: asyncio.Server | None = None
         self._exposed = False
-        self._feed = Feed(core, clock, together=self._config.poses == "TDATA")
+        self._feed = Broadcaster(core, clock, together=self._config.poses == "TDATA")
         self._ticks = PeriodicTask(kernel_beats, self._config.rate_hz, self._tick, tasks)
         core.add_listener(self)
 

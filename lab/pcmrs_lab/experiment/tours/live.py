@@ -25,7 +25,7 @@ from pcmrs.messages import Snapshot, Verdict
 from pcmrs_lab.experiment.tours.arguments import Arguments
 from pcmrs_lab.experiment.tours.faults import FAULTS, fault
 from pcmrs_lab.experiment.tours.observer import Observer
-from pcmrs_lab.experiment.tours.progress import Seen, TourProgress
+from pcmrs_lab.experiment.tours.progress import TourObservations, TourProgress
 
 ANSWER_TIME = 120.0
 """Any operation of a simulated cell has ended after so many seconds of the machine."""
@@ -77,7 +77,7 @@ class LiveTour:
             without = f"there are no arguments for it: give {payload} with --arguments"
             self._progress.drop(partial(_needs_arguments, name), without)
 
-    async def run(self, seconds: float, progress: ShowProgress) -> Seen:
+    async def run(self, seconds: float, progress: ShowProgress) -> TourObservations:
         """Sees what there is to see.
 
         Args:

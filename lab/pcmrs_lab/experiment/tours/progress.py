@@ -16,7 +16,7 @@ DECIDED_AT_ONCE = "is decided at once: Stop cannot come in between"
 
 
 @dataclass
-class Seen:
+class TourObservations:
     """What a live tour has seen.
 
     Attributes:
@@ -57,7 +57,7 @@ class TourProgress:
     ) -> None:
         self.moves = moves
         self.agenda = CoveragePlan(moves, patience)
-        self.seen = Seen({move for there in moves.values() for move in there})
+        self.seen = TourObservations({move for there in moves.values() for move in there})
         self._blueprint = blueprint
         self._accepted: set[str] = set()
 

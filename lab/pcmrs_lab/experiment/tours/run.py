@@ -24,7 +24,7 @@ SUBJECTS = ("engine", "dispatcher, steps outside", "dispatcher, steps at once")
 
 
 @dataclass
-class _Tally:
+class _TourTally:
     """How one subject did on a tour."""
 
     commands: int = 0
@@ -50,7 +50,7 @@ async def tour_scripted(
     begin = asyncio.get_running_loop().time()
     tour = plan_tour(blueprint, limit)
     moves = [move for stretch in tour.stretches for move in stretch]
-    tallies = {subject: _Tally() for subject in SUBJECTS}
+    tallies = {subject: _TourTally() for subject in SUBJECTS}
     done = 0
     async for subject, move, deviation in _toured(blueprint, tour):
         tallies[subject].take(move, deviation)
