@@ -50,7 +50,7 @@ class TrueForce:
 
 
 class KinematicArm(Follower):
-    """Takes the place of `sim.arm.Arm`: the same references, brakes and force guard, no dynamics.
+    """Takes the place of `pcmrs_sim.arm.Arm`: the same references, brakes and force guard, no dynamics.
 
     Args:
         facts: The arm as everybody knows it; the true one differs from it by the geometry error.

@@ -91,7 +91,7 @@ class Balls:
         self.reach = float((np.linalg.norm(self._centres - self.centre, axis=1) + self._radii).max())
 
     def touch(self, origin: Floats, axis: Floats, radius: float) -> Touch | None:
-        """As of `ContactSolid`: of every ball only what lies before the face counts, so that a narrow tool fits between."""
+        """See `ContactSolid`. Only the part of a ball before the face counts, so that a narrow tool fits between."""
         heights, along = (self._centres @ np.stack((axis, origin), axis=1)).T
         heights = heights - origin @ axis
         beside = np.sqrt(np.maximum(self._squares - 2 * along + origin @ origin - heights**2, 0.0))

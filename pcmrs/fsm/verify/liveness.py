@@ -44,7 +44,7 @@ class TimedOperations:
         """Return the moments that can occur while these operations are watched.
 
         Raises:
-            TooManyError: There are too many of them.
+            SearchLimitError: There are too many of them.
         """
         return Moments(self.space, observed, self.work)
 

@@ -46,7 +46,7 @@ class Moments:
         transitions: All transitions between moments.
 
     Raises:
-        TooManyError: The search exceeds the budget, or there are more combinations than can be encoded.
+        SearchLimitError: The search exceeds the budget, or there are more combinations than can be encoded.
     """
 
     def __init__(self, space: Space, observed: frozenset[str], work: SearchBudget) -> None:

@@ -37,7 +37,7 @@ class SearchBudget:
         """Subtract so many examined moments, or what takes as long.
 
         Raises:
-            TooManyError: The budget is exhausted.
+            SearchLimitError: The budget is exhausted.
         """
         self._check(moments)
         self._left -= moments
@@ -51,7 +51,7 @@ class SearchBudget:
             known: Moments that it has found.
 
         Raises:
-            TooManyError: The search goes beyond the budget.
+            SearchLimitError: The search goes beyond the budget.
         """
         self._check(known)
         if self._progress is not None:
@@ -217,7 +217,7 @@ def search(
         within: Set that the search may not leave; None for no limit.
 
     Raises:
-        TooManyError: There are more than `limit`.
+        SearchLimitError: There are more than `limit`.
     """
     known = visited(encoding.combinations)
     levels = [np.sort(known.add(initial))]

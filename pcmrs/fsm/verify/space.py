@@ -38,7 +38,7 @@ class Space:
         taken: Number of transitions between them: accepted commands, with each of their endings.
 
     Raises:
-        TooManyError: There are more than `limit` joint states, or more combinations than can be encoded or decided on.
+        SearchLimitError: There are more than `limit` joint states, or combinations than can be encoded or decided on.
     """
 
     def __init__(self, blueprint: Blueprint, limit: int, progress: Progress | None = None) -> None:
@@ -146,7 +146,7 @@ def check_encodable(encoding: Encoding) -> None:
     """Refuse an encoding with more combinations than a 64-bit integer can tell apart.
 
     Raises:
-        TooManyError: There are more than `MAX_COMBINATIONS`.
+        SearchLimitError: There are more than `MAX_COMBINATIONS`.
     """
     if encoding.combinations > MAX_COMBINATIONS:
         text = "The states of the branches and what runs in them have more than 2^62 combinations: "

@@ -57,7 +57,7 @@ class ConditionalEffects:
             edges: Its transitions.
 
         Raises:
-            TooManyError: There are too many.
+            TooManySituationsError: There are too many.
         """
         found: list[EnabledTransitions] = []
         for elsewhere in self._situations(edges):
@@ -127,7 +127,7 @@ def choices(region: Region, first: First) -> list[EnabledTransitions]:
         first: Returns the first transition that the event triggers in a state.
 
     Raises:
-        TooManyError: There are too many.
+        TooManySituationsError: There are too many.
     """
     found = [
         EnabledTransitions({region: state} | choice.where, choice.edges)
