@@ -43,7 +43,7 @@ import uvloop
 
 from pcmrs.clock import SystemClock
 from pcmrs.devices.drivers import kst, lsl
-from pcmrs.devices.kst.cabinet import KstConnection
+from pcmrs.devices.kst.connection import KstConnection
 from pcmrs.devices.node import DeviceNode
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose, JointTrajectory

@@ -11,8 +11,8 @@ from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.chart import ChartPanel
 from pcmrs.console.choices import Choice, Choices, latch_of
 from pcmrs.console.command_sender import CommandSender
-from pcmrs.console.feed import LiveFeed
 from pcmrs.console.geometry import placement
+from pcmrs.console.live_feed import LiveFeed
 from pcmrs.console.planning.panel import PlanningPanel
 from pcmrs.console.playback import Playback
 from pcmrs.console.playback_bar import PlaybackBar, choose_recording

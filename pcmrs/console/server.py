@@ -13,8 +13,8 @@ import uvicorn
 from fastapi import FastAPI
 from nicegui import ui
 
-from pcmrs.console.feed import Dial, LiveFeed
 from pcmrs.console.guard import Guard
+from pcmrs.console.live_feed import Dial, LiveFeed
 from pcmrs.console.page import Page
 from pcmrs.console.planning.files import LARGEST as LARGEST_UPLOAD
 from pcmrs.console.playback import Playback

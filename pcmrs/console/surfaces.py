@@ -10,8 +10,8 @@ from collections.abc import Callable
 import msgspec
 from fastapi import FastAPI, Response
 
-from pcmrs.console.feed import LiveFeed
 from pcmrs.console.geometry import as_stl, as_zone, lighter, vertices_of
+from pcmrs.console.live_feed import LiveFeed
 from pcmrs.console.residuals import coloured
 from pcmrs.console.scene import SURFACE
 from pcmrs.messages.setup import ProcedureDataView, Setup, SurfaceShown

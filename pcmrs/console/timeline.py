@@ -8,8 +8,8 @@ from datetime import datetime
 from nicegui import ui
 
 from pcmrs.console.cell_view_model import CellViewModel
-from pcmrs.console.feed import LiveFeed
 from pcmrs.console.history import JOURNAL_READERS, KINDS, HistoryEntry, entries_from_events, matching
+from pcmrs.console.live_feed import LiveFeed
 from pcmrs.console.texts import Texts
 from pcmrs.errors import PcmrsError
 from pcmrs.messages.setup import Setup

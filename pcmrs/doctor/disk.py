@@ -11,7 +11,7 @@ from pathlib import Path
 from statistics import median
 from typing import Final
 
-from pcmrs.doctor.finding import CheckResult, bad, good, warning
+from pcmrs.doctor.check_result import CheckResult, bad, good, warning
 
 WRITES: Final = 50
 SLOW: Final = 0.05

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from pcmrs.doctor.check_result import CheckResult, Verdict
 from pcmrs.doctor.disk import disk, free_space
-from pcmrs.doctor.finding import CheckResult, Verdict
 from pcmrs.doctor.machine import clock_source, kernel, limits, scheduling
 from pcmrs.doctor.surroundings import certificates, devices, extras, is_running, peers, ports, streams
 from pcmrs.messages import Message

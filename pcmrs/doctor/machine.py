@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from pcmrs.doctor.finding import CheckResult, bad, good, warning
+from pcmrs.doctor.check_result import CheckResult, bad, good, warning
 from pcmrs.threads.realtime import Priority
 
 ROOT: Final = Path("/")

@@ -16,7 +16,7 @@ import msgspec
 from pcmrs.clock import SystemClock
 from pcmrs.console.settings import HOST
 from pcmrs.devices.lsl.library import lab_configuration
-from pcmrs.doctor.finding import CheckResult, bad, good, warning
+from pcmrs.doctor.check_result import CheckResult, bad, good, warning
 from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.settings import UNIX_NS
 from pcmrs.hosts import is_loopback

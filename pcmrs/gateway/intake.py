@@ -22,11 +22,11 @@ from pcmrs.gateway.auth.peers import (
     UNKNOWN_PEER,
     SignedPeer,
 )
+from pcmrs.gateway.command_outcome import CommandOutcome
 from pcmrs.gateway.commands import COMMANDS, Action
 from pcmrs.gateway.grammar import StringCommand, parse, parse_tool_points
 from pcmrs.gateway.handlers import CommandHandlers, PlanLock, Services
-from pcmrs.gateway.outcome import CommandOutcome
-from pcmrs.gateway.session import QUEUE_FULL, PeerSession, ReplyChannel
+from pcmrs.gateway.peer_session import QUEUE_FULL, PeerSession, ReplyChannel
 from pcmrs.gateway.signing import Signed, split
 from pcmrs.messages.identity import ON_SITE, Principal
 

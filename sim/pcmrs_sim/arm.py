@@ -12,10 +12,10 @@ from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
 from pcmrs_sim.contact import Contact
-from pcmrs_sim.controller import ImpedanceController
 from pcmrs_sim.disturbance import PlantDisturbance
 from pcmrs_sim.errors import displaced
 from pcmrs_sim.force import ForceSensor
+from pcmrs_sim.impedance_controller import ImpedanceController
 from pcmrs_sim.phantom import Phantom
 from pcmrs_sim.plant import STEP, nominal_model, plant_model
 from pcmrs_sim.settings import SimSettings

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from pyigtl.messages import CRC64
 from slicer_program import MODULE, core
 
+from pcmrs.gateway.command_outcome import CommandOutcome
 from pcmrs.gateway.commands import COMMANDS
 from pcmrs.gateway.grammar import parse
-from pcmrs.gateway.outcome import CommandOutcome
 from pcmrs.gateway.streams import point_message, pose_message
 from pcmrs.spatial import Transform
 from pcmrs.testing.daemon import free_port

@@ -30,8 +30,8 @@ from unity_programs import (
     running_probe,
 )
 
+from pcmrs.gateway.command_outcome import CommandOutcome
 from pcmrs.gateway.openigtlink.state import state_json
-from pcmrs.gateway.outcome import CommandOutcome
 from pcmrs.gateway.streams import point_message, pose_message, unity_message
 from pcmrs.messages import Snapshot
 from pcmrs.messages.snapshot import BlueprintTag

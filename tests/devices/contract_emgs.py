@@ -12,7 +12,7 @@ from pcmrs.devices.drivers.lsl import LslSettings
 from pcmrs.devices.lsl.markers import PulseMarker
 from pcmrs.devices.protocols import Emg
 from pcmrs_sim.emg import SimEmg
-from pcmrs_sim.lsl.bench import EmgBench
+from pcmrs_sim.lsl.emg_bench import EmgBench
 from pcmrs_sim.lsl.streams import EmgOutlet, PulseInlet
 from pcmrs_sim.muscle.muscle import Muscle
 from pcmrs_sim.settings import MuscleSettings

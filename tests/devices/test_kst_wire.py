@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from kst_peer import Peer, served
 
 from pcmrs.clock import SystemClock
-from pcmrs.devices.kst.cabinet import ImpedanceSettings, KstConnection
+from pcmrs.devices.kst.connection import ImpedanceSettings, KstConnection
 from pcmrs.devices.kst.link import KstLink
 from pcmrs.devices.kst.wire import LONGEST, LineBuffer, parse_values, words
 from pcmrs.errors import DeviceError, DeviceRefusedError, MotionInterruptedError, PayloadError, UnknownOutcomeError

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from pcmrs.analysis.plots import save_png
 from pcmrs_lab.cli.experiment_tables import following_tables
-from pcmrs_lab.experiment.course import ErrorSeries
+from pcmrs_lab.experiment.error_series import ErrorSeries
 from pcmrs_lab.experiment.following import Drawn, ErrorSummary, Followed, FollowingReport, Occluded
 from pcmrs_lab.experiment.head_motions import scenarios
 from pcmrs_lab.experiment.plots import following_figure

@@ -7,9 +7,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pcmrs.errors import PayloadError
+from pcmrs.gateway.command_outcome import NO_DATA, CommandOutcome, of_verdict
 from pcmrs.gateway.commands import COMMANDS, Kind, Second, Spec, Value
 from pcmrs.gateway.grammar import MAX_BYTES, format_command, parse, parse_tool_points
-from pcmrs.gateway.outcome import NO_DATA, CommandOutcome, of_verdict
 from pcmrs.messages import Verdict
 from pcmrs.planner import parse_reply
 

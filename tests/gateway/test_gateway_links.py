@@ -11,7 +11,7 @@ from gateway_fakes import CONFIRMED, WITHIN, FakeCore, ManualClock, UdpClient
 from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.intake import Intake, source_of
 from pcmrs.gateway.links import open_gateway
-from pcmrs.gateway.session import MAX_WAITING
+from pcmrs.gateway.peer_session import MAX_WAITING
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
 
 

@@ -11,8 +11,8 @@ from gateway_fakes import UdpClient
 from pcmrs.dispatcher import verdict_cache
 from pcmrs.dispatcher.verdict_cache import CommandCache
 from pcmrs.gateway import intake
+from pcmrs.gateway.command_outcome import CommandOutcome
 from pcmrs.gateway.links import open_gateway
-from pcmrs.gateway.outcome import CommandOutcome
 
 
 @pytest.fixture

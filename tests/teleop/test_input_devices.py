@@ -40,7 +40,7 @@ from pcmrs.teleop.controllers import (
 from pcmrs.teleop.demand import Demand, Mapping
 from pcmrs.teleop.devices import open_device
 from pcmrs.teleop.keyboard import AXES, CLUTCH_HELD, HELD, Keys
-from pcmrs.teleop.script import read_script
+from pcmrs.teleop.twist_script import read_script
 
 MAPPING = Mapping(linear=0.02, angular=0.2, dead_zone=0.1)
 deflections = st.floats(-1.5, 1.5)

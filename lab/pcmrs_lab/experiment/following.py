@@ -14,7 +14,7 @@ from pcmrs.errors import CommandRefusedError
 from pcmrs.messages import HeadMotion
 from pcmrs.spatial import Transform, distance
 from pcmrs.workflows.data import as_transform
-from pcmrs_lab.experiment.course import ErrorSeries, PlacementErrorMonitor
+from pcmrs_lab.experiment.error_series import ErrorSeries, PlacementErrorMonitor
 from pcmrs_lab.experiment.head_motions import Scenario, scenarios
 from pcmrs_lab.experiment.placements import NOT_SEEN, PATIENCE, PAUSE, once_seen, registered
 from pcmrs_lab.experiment.private import ExperimentBench, private_bench

@@ -8,7 +8,7 @@ from typing import Any
 from nicegui import ui
 
 from pcmrs.client import Client
-from pcmrs.console.feed import LiveFeed
+from pcmrs.console.live_feed import LiveFeed
 from pcmrs.console.texts import Texts
 from pcmrs.errors import PcmrsError
 from pcmrs.messages import DryRunResult

@@ -9,8 +9,8 @@ from nicegui import ui
 
 from pcmrs.console.choices import Choice
 from pcmrs.console.command_sender import CommandSender
-from pcmrs.console.feed import LiveFeed
 from pcmrs.console.geometry import vertices_of
+from pcmrs.console.live_feed import LiveFeed
 from pcmrs.console.planning.canvas import Canvas
 from pcmrs.console.planning.checking import PlanCheck, Requests
 from pcmrs.console.planning.draft import Draft, Kind, as_arguments

@@ -18,7 +18,7 @@ from typing import Any
 import structlog
 
 from pcmrs.clock import Clock
-from pcmrs.devices.kst.cabinet import JOINTS, KstConnection
+from pcmrs.devices.kst.connection import JOINTS, KstConnection
 from pcmrs.devices.kst.drive import Drive
 from pcmrs.devices.kst.settings import KstSettings
 from pcmrs.devices.motion.force import ForceSettings

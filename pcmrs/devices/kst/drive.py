@@ -10,7 +10,7 @@ import numpy as np
 
 from pcmrs.clock import Clock
 from pcmrs.devices.kst.arm import MeasuredArm
-from pcmrs.devices.kst.cabinet import KstConnection
+from pcmrs.devices.kst.connection import KstConnection
 from pcmrs.devices.kst.settings import KstSettings
 from pcmrs.devices.motion.follower import Follower, brake_limits
 from pcmrs.devices.motion.force import ForceSettings

@@ -12,7 +12,7 @@ from pcmrs.fsm.behaviour import line_of
 from pcmrs.fsm.blueprint import OperationSpec
 from pcmrs.fsm.closure import Closure
 from pcmrs.fsm.finding import Finding
-from pcmrs.fsm.verify.decisions import Decision, DecisionTree
+from pcmrs.fsm.verify.decision_tree import Decision, DecisionTree
 from pcmrs.fsm.verify.encoding import Batch
 from pcmrs.fsm.verify.moments import Moments
 from pcmrs.fsm.verify.search import Progress, SearchBudget, states_leading_to

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pcmrs.fsm.behaviour import line_of
 from pcmrs.fsm.blueprint import Condition
 from pcmrs.fsm.closure import Closure
-from pcmrs.fsm.verify.decisions import Decision, DecisionTree
+from pcmrs.fsm.verify.decision_tree import Decision, DecisionTree
 from pcmrs.fsm.verify.encoding import Batch, Encoding
 from pcmrs.fsm.verify.search import Reached, SearchBudget, Visited, search, states_leading_to
 from pcmrs.fsm.verify.space import Ending, Space, check_encodable, digits, endings_of, guard

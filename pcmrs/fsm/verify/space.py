@@ -11,7 +11,7 @@ import numpy as np
 from pcmrs.fsm.behaviour import endings
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint
 from pcmrs.fsm.closure import Closure
-from pcmrs.fsm.verify.decisions import Decision, DecisionTree
+from pcmrs.fsm.verify.decision_tree import Decision, DecisionTree
 from pcmrs.fsm.verify.encoding import MAX_COMBINATIONS, Batch, Codes, Encoding, Rows
 from pcmrs.fsm.verify.search import Progress, SearchLimitError, search
 from pcmrs.fsm.verify.transition import Transition

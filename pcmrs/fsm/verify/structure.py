@@ -9,7 +9,7 @@ import numpy as np
 
 from pcmrs.fsm.closure import Closure, Denial
 from pcmrs.fsm.finding import Finding
-from pcmrs.fsm.verify.decisions import Decision, DecisionTree, changes
+from pcmrs.fsm.verify.decision_tree import Decision, DecisionTree, changes
 from pcmrs.fsm.verify.space import Space
 
 UNSOUND = {

@@ -11,7 +11,7 @@ from pcmrs.errors import PayloadError
 from pcmrs.gateway.commands import PlanKind
 from pcmrs.gateway.openigtlink import plans
 from pcmrs.gateway.openigtlink.outbox import Outbox
-from pcmrs.gateway.openigtlink.planner import Answer, PlanSubmitter
+from pcmrs.gateway.openigtlink.plan_submitter import Answer, PlanSubmitter
 from pcmrs.gateway.settings import OpenIgtLinkConfig
 
 KINDS = ("TRANSFORM", "POINT", "STRING")

@@ -19,7 +19,7 @@ import msgspec
 from pcmrs.bus.qos import class_of
 from pcmrs.errors import PcmrsError, UnknownOutcomeError
 from pcmrs.simulated_time.loop import OWNER, SimulatedLoop, SimulationError
-from pcmrs_sim.deterministic.conditions import NetworkConditions
+from pcmrs_sim.deterministic.network_conditions import NetworkConditions
 from pcmrs_sim.deterministic.senders import Senders, name_of
 from pcmrs_sim.deterministic.windows import Windows
 

@@ -42,7 +42,7 @@ def muscle(seed: int, hum: str, preactivation: float, stream: str, markers: str,
 
 async def _serve(seed: int, hum: float, preactivation: float, stream: str, markers: str, as_json: bool) -> None:
     from pcmrs.clock import SystemClock
-    from pcmrs_sim.lsl.bench import EmgBench
+    from pcmrs_sim.lsl.emg_bench import EmgBench
     from pcmrs_sim.lsl.streams import EmgOutlet, PulseInlet
     from pcmrs_sim.settings import MuscleSettings
 
