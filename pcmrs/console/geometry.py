@@ -174,7 +174,9 @@ class TrackerLocator:
         return self.base_from_tracker @ as_transform(body)
 
 
-def placement(data: ProcedureDataView, coil: BodyPose | None, body_ref: BodyPose | None) -> PlacementDeviation | None:
+def placement_deviation(
+    data: ProcedureDataView, coil: BodyPose | None, body_ref: BodyPose | None
+) -> PlacementDeviation | None:
     """Return the deviation of the tool from its plan, as the tracker sees it; None while unknown.
 
     Args:

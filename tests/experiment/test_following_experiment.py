@@ -22,10 +22,10 @@ MOTIONS = {each.name: each for each in scenarios(DURATION, seed=1)}
 
 
 def drawn(scenario: str, *, compensated: bool) -> Drawn:
-    course = ErrorSeries(times=[0.0, 1.0, 2.0, 3.0], true_mm=[0.1, 2.0, 3.0, 0.2], allowed=[True, True, False, True])
+    series = ErrorSeries(times=[0.0, 1.0, 2.0, 3.0], true_mm=[0.1, 2.0, 3.0, 0.2], allowed=[True, True, False, True])
     spread = ErrorSummary(rms=0.123, p99=2.5, max=3.0)
     result = Followed(scenario, "as said", compensated, spread, spread, 0.75, 2.0, 0.0, lost=False)
-    return Drawn(result, course)
+    return Drawn(result, series)
 
 
 RUNS = [drawn(name, compensated=compensated) for compensated in (False, True) for name in ("still", "steps")]
@@ -55,7 +55,7 @@ def test_the_head_goes_and_comes_back(name: str, farthest: float) -> None:
 
 
 def test_errors_while_blocked_do_not_count_as_allowed() -> None:
-    assert RUNS[0].course.true_allowed_mm().tolist() == [0.1, 2.0, 0.2]
+    assert RUNS[0].series.true_allowed_mm().tolist() == [0.1, 2.0, 0.2]
 
 
 @pytest.mark.parametrize("latched", [True, False])

@@ -82,7 +82,7 @@ class SoakReport(msgspec.Struct, frozen=True):
     def violated(self) -> bool:
         """Whether it ended early, something grows, or too little was accepted to show anything."""
         idle = self.decisions.get("accepted", 0) < LEAST_ACCEPTED * self.steps
-        return bool(self.ended) or idle or not all(course.flat for course in self.courses)
+        return bool(self.ended) or idle or not all(trend.flat for trend in self.courses)
 
 
 async def soak(
@@ -116,7 +116,7 @@ async def soak(
             decisions=dict(decisions),
             rows=cell.last_row() if not ended else 0,
             ended=ended,
-            courses=_courses(seen),
+            courses=_trends(seen),
         )
 
 
@@ -155,15 +155,15 @@ def _why_ended(operating: asyncio.Task[None]) -> str:
     return error.text if isinstance(error, PcmrsError) else repr(error)
 
 
-def _courses(seen: Seen) -> list[ResourceTrend]:
+def _trends(seen: Seen) -> list[ResourceTrend]:
     courses = []
     for process, measure in dict.fromkeys((process, measure) for _, process, measure, _ in seen):
         points = [(time, value) for time, whose, what, value in seen if (whose, what) == (process, measure)]
-        courses.append(course(process, measure, [time for time, _ in points], [value for _, value in points]))
+        courses.append(trend(process, measure, [time for time, _ in points], [value for _, value in points]))
     return courses
 
 
-def course(process: str, measure: str, times: Sequence[float], values: Sequence[float]) -> ResourceTrend:
+def trend(process: str, measure: str, times: Sequence[float], values: Sequence[float]) -> ResourceTrend:
     """One measure with its line."""
     first = WARM_UP * times[-1] if times else 0.0
     late = [(time, value) for time, value in zip(times, values, strict=True) if time >= first]

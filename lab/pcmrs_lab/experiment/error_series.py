@@ -61,23 +61,23 @@ class PlacementErrorMonitor:
         self._desired = body_ref_from_coil
         self._clock, self._rate = SystemClock(), rate
         self._frames: deque[BodyPose] = deque(maxlen=HISTORY)
-        self._course: ErrorSeries | None = None
+        self._series: ErrorSeries | None = None
         client.listen("state/fsm", Snapshot, self._take_snapshot)
         client.listen("state/pose/*", BodyPose, self._take_pose)
 
     async def watch(self, duration: float, *, whatever: bool = False) -> ErrorSeries:
         """Looks on for `duration`, s of the cell, or until the tool does not follow any more; or `whatever` it does."""
-        course = self._course = ErrorSeries()
+        series = self._series = ErrorSeries()
         begun, machine = (await self._scene.truth()).time, self._clock.monotonic()
         while True:
             truth = await self._scene.truth()
-            course.times.append(truth.time - begun)
-            course.true_mm.append(self._error(truth) * 1000.0)
-            course.allowed.append(self.state("alignment") == "1")
-            course.lag = (self._clock.monotonic() - machine) * self._rate - course.times[-1]
-            if course.times[-1] >= duration or not (whatever or self.state("placement") == "following"):
-                self._course = None
-                return course
+            series.times.append(truth.time - begun)
+            series.true_mm.append(self._error(truth) * 1000.0)
+            series.allowed.append(self.state("alignment") == "1")
+            series.lag = (self._clock.monotonic() - machine) * self._rate - series.times[-1]
+            if series.times[-1] >= duration or not (whatever or self.state("placement") == "following"):
+                self._series = None
+                return series
             await asyncio.sleep(PERIOD)
 
     async def aligned(self, timeout: float) -> bool:
@@ -104,7 +104,7 @@ class PlacementErrorMonitor:
 
     def _take_pose(self, pose: BodyPose) -> None:
         """Compares tool and body of one frame, whichever comes first."""
-        if self._course is None or not pose.valid or pose.body not in ("coil", "body_ref"):
+        if self._series is None or not pose.valid or pose.body not in ("coil", "body_ref"):
             return
         other = next((seen for seen in self._frames if seen.frame_number == pose.frame_number), None)
         if other is None or other.body == pose.body:
@@ -112,7 +112,7 @@ class PlacementErrorMonitor:
             return
         coil, body_ref = (pose, other) if pose.body == "coil" else (other, pose)
         error = distance(_transform(body_ref) @ self._desired, _transform(coil))
-        self._course.measured_mm.append(error * 1000.0)
+        self._series.measured_mm.append(error * 1000.0)
 
 
 def _transform(pose: BodyPose) -> Transform:

@@ -95,7 +95,7 @@ class Drawn:
     """A run as it is drawn."""
 
     result: Followed
-    course: ErrorSeries
+    series: ErrorSeries
 
 
 async def run_following(setup: ExperimentSetup, duration: float) -> tuple[FollowingReport, list[Drawn]]:
@@ -131,32 +131,32 @@ async def _variant(setup: ExperimentSetup, duration: float, *, compensated: bool
     """All scenarios one after the other through one daemon."""
     drawn = []
     async with _bench(setup, compensated=compensated) as bench:
-        observer = await _placed(bench, setup)
+        monitor = await _placed(bench, setup)
         for scenario in scenarios(duration, setup.seed):
             name = f"{scenario.name}, latency {'' if compensated else 'not '}compensated"
             setup.progress(name, 1 if compensated else 0, 3)
-            await _begin(bench, observer)
+            await _begin(bench, monitor)
             await bench.scene.set_motion(scenario.motion)
-            course = await observer.watch(duration)
+            series = await monitor.watch(duration)
             await bench.scene.set_motion(HeadMotion())
-            drawn.append(Drawn(_result(scenario, course, observer, compensated=compensated), course))
+            drawn.append(Drawn(_result(scenario, series, monitor, compensated=compensated), series))
     return drawn
 
 
 async def _occlusion(setup: ExperimentSetup, duration: float) -> Occluded:
     """Hides the reference of a head that breathes, while the tool follows it."""
     async with _bench(setup, compensated=True) as bench:
-        observer = await _placed(bench, setup)
-        await _begin(bench, observer)
+        monitor = await _placed(bench, setup)
+        await _begin(bench, monitor)
         (breathing,) = (each for each in scenarios(duration, setup.seed) if each.name == "breathing")
         await bench.scene.set_motion(breathing.motion)
-        await observer.watch(1.0)
+        await monitor.watch(1.0)
         await bench.scene.occlude("body_ref", True)
         where = as_transform((await bench.scene.truth()).tracker_from_coil)
-        await observer.watch(OCCLUDED, whatever=True)
+        await monitor.watch(OCCLUDED, whatever=True)
         moved = distance(where, as_transform((await bench.scene.truth()).tracker_from_coil))
-        latched = observer.snapshot is not None and observer.snapshot.latched
-        state, alignment = observer.state("placement"), observer.state("alignment")
+        latched = monitor.snapshot is not None and monitor.snapshot.latched
+        state, alignment = monitor.state("placement"), monitor.state("alignment")
     return Occluded(OCCLUDED, state, alignment, latched, moved * 1000.0)
 
 
@@ -165,7 +165,7 @@ def _bench(setup: ExperimentSetup, *, compensated: bool) -> AbstractAsyncContext
     return private_bench([*own, f"procedure.following.compensated={str(compensated).lower()}"])
 
 
-async def _begin(bench: ExperimentBench, observer: PlacementErrorMonitor) -> None:
+async def _begin(bench: ExperimentBench, monitor: PlacementErrorMonitor) -> None:
     """Brings the tool to its place, wherever it is, and has it follow until it counts as aligned.
 
     Raises:
@@ -177,7 +177,7 @@ async def _begin(bench: ExperimentBench, observer: PlacementErrorMonitor) -> Non
         while (state := (await bench.client.state()).branches["placement"]) != "placed":
             await _ask(bench, f"placement.{TO_PLACED[state]}")
         await _ask(bench, "placement.follow")
-        if await observer.aligned(ALIGNED_WITHIN):
+        if await monitor.aligned(ALIGNED_WITHIN):
             return
     text = f"Of {ATTEMPTS} times that the tool began to follow a head at rest, it was not aligned within "
     raise CommandRefusedError(f"{text}{ALIGNED_WITHIN:g} s once: the machine does not keep up; end what else it does.")
@@ -195,22 +195,22 @@ async def _ask(bench: ExperimentBench, name: str) -> None:
         raise CommandRefusedError(f"{name} was {verdict.decision} in {verdict.state}: {reason}")
 
 
-def _result(scenario: Scenario, course: ErrorSeries, observer: PlacementErrorMonitor, *, compensated: bool) -> Followed:
-    allowed = course.true_allowed_mm()
+def _result(scenario: Scenario, series: ErrorSeries, monitor: PlacementErrorMonitor, *, compensated: bool) -> Followed:
+    allowed = series.true_allowed_mm()
     return Followed(
         scenario=scenario.name,
         motion=scenario.text,
         compensated=compensated,
-        true_mm=_spread(course.true_mm),
-        measured_mm=_spread(course.measured_mm),
-        allowed=float(np.mean(course.allowed)),
+        true_mm=_error_summary(series.true_mm),
+        measured_mm=_error_summary(series.measured_mm),
+        allowed=float(np.mean(series.allowed)),
         true_allowed_mm=float(allowed.max()) if len(allowed) else 0.0,
-        lag=course.lag,
-        lost=observer.state("placement") != "following",
+        lag=series.lag,
+        lost=monitor.state("placement") != "following",
     )
 
 
-def _spread(errors_mm: Sequence[float]) -> ErrorSummary:
+def _error_summary(errors_mm: Sequence[float]) -> ErrorSummary:
     errors = np.array(errors_mm)
     rms = float(np.sqrt(np.mean(errors**2)))
     return ErrorSummary(rms, float(np.percentile(errors, 99.0)), float(errors.max()))

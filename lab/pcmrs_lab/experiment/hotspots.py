@@ -130,7 +130,7 @@ def run_hotspots(
         subjects=subjects,
         simulated=True,
         intensity=intensity,
-        expected_mm=_spread([1e3 * value for value in distances]),
+        expected_mm=_quantiles([1e3 * value for value in distances]),
         methods=[_result(method, found) for method, found in searched.items()],
     )
     return report, searched, mesh
@@ -166,18 +166,18 @@ def _result(method: str, found: list[Searched]) -> HotspotResult:
     return HotspotResult(
         method=method,
         near=sum(each is not None for each in near) / len(near),
-        pulses_until_near=_spread([float("inf") if each is None else each for each in near]),
-        pulses=_spread([len(each.search.pulses) for each in found]),
-        error_mm=_spread([1e3 * each.errors[-1] for each in answered]),
-        heading_error_deg=_spread(
+        pulses_until_near=_quantiles([float("inf") if each is None else each for each in near]),
+        pulses=_quantiles([len(each.search.pulses) for each in found]),
+        error_mm=_quantiles([1e3 * each.errors[-1] for each in answered]),
+        heading_error_deg=_quantiles(
             [np.degrees(each.heading_error) for each in answered if each.heading_error is not None]
         ),
-        uncertainty_mm=_spread([1e3 * each.search.estimate.uncertainty for each in answered]),
+        uncertainty_mm=_quantiles([1e3 * each.search.estimate.uncertainty for each in answered]),
         unanswered=len(found) - len(answered),
     )
 
 
-def _spread(values: list[float]) -> SubjectQuantiles:
+def _quantiles(values: list[float]) -> SubjectQuantiles:
     """Of numbers that may be infinite; whole ones stay so: the smallest that enough of them do not exceed."""
     if not values:
         return SubjectQuantiles(None, None)

@@ -41,7 +41,7 @@ class Drive:
     """Follows a reference and streams its set points to the cabinet.
 
     Args:
-        cabinet: Cabinet that was just connected.
+        cabinet: Connection to the cabinet, just opened.
         posture: Measured joints, at which the reference starts, rad, (n,).
         settings: Settings of the stream.
         model: Model of the arm.

@@ -33,7 +33,7 @@ class Space:
 
     Attributes:
         encoding: Encoding of the joint states.
-        operations: Decisions of every operation that may be asked for from outside.
+        operations: Decision tree of every operation that may be asked for from outside.
         reached: The joint states that can be reached.
         taken: Number of transitions between them: accepted commands, with each of their endings.
 

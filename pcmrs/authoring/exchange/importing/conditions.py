@@ -48,8 +48,8 @@ class ConditionalEffects:
         self._nodes = nodes
         self._work = 0
 
-    def choices(self, region: Region, event: str, edges: Sequence[Edge]) -> list[EnabledTransitions]:
-        """Return the choices of a region in each situation of other regions that the conditions of `edges` name.
+    def enabled_transitions(self, region: Region, event: str, edges: Sequence[Edge]) -> list[EnabledTransitions]:
+        """Return the enabled transitions of a region in each situation of the other regions that `edges` depend on.
 
         Args:
             region: The region.
@@ -61,7 +61,7 @@ class ConditionalEffects:
         """
         found: list[EnabledTransitions] = []
         for elsewhere in self._situations(edges):
-            for choice in choices(region, lambda node, now=elsewhere: self._first(node, event, now)):  # type: ignore[misc]
+            for choice in enabled_transitions(region, lambda node, now=elsewhere: self._first(node, event, now)):  # type: ignore[misc]
                 if all(elsewhere.get(each, state) is state for each, state in choice.where.items()):
                     found.append(EnabledTransitions(elsewhere | choice.where, choice.edges))
             if len(found) > MAX_SITUATIONS:
@@ -117,7 +117,7 @@ First = Callable[[Node], Edge | None]
 """The first transition of a state, not of those around it, that an event triggers."""
 
 
-def choices(region: Region, first: First) -> list[EnabledTransitions]:
+def enabled_transitions(region: Region, first: First) -> list[EnabledTransitions]:
     """Return every situation of a region and the regions inside in which an event finds different transitions.
 
     Inner transitions come before those of the states around them, the first in the file before the next.
@@ -143,7 +143,7 @@ def choices(region: Region, first: First) -> list[EnabledTransitions]:
 
 def _of_state(region: Region, state: Node, first: First) -> Iterator[EnabledTransitions]:
     own = first(state)
-    inner = [_quiet_or(choices(within, first)) for within in region.inside(state)]
+    inner = [_quiet_or(enabled_transitions(within, first)) for within in region.inside(state)]
     for number, combination in enumerate(itertools.product(*inner)):
         if number > MAX_SITUATIONS:
             raise TooManySituationsError

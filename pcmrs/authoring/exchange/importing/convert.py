@@ -93,7 +93,7 @@ class _Converter:
         edges = [edge for each in descriptors(event) for edge in self._edges[each]]
         for region in self._roots:
             try:
-                found = [each for each in self._conditions.choices(region, event, edges) if each.edges]
+                found = [each for each in self._conditions.enabled_transitions(region, event, edges) if each.edges]
             except TooManySituationsError:
                 self._findings.add("too_large", f"The event {event} has too many situations.", place)
                 continue
