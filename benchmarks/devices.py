@@ -43,7 +43,7 @@ import uvloop
 
 from pcmrs.clock import SystemClock
 from pcmrs.devices.drivers import kst, lsl
-from pcmrs.devices.kst.cabinet import Cabinet
+from pcmrs.devices.kst.connection import KstConnection
 from pcmrs.devices.node import DeviceNode
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose, JointTrajectory
@@ -246,7 +246,7 @@ async def stop_often(port: int, stops: int) -> tuple[list[float], list[int]]:
 def note_set_points(sent: list[float]) -> None:
     """Record the times at which the cabinet's driver sends set points."""
     for name in ("stream", "stream_for_joints", "stream_for_torques"):
-        setattr(Cabinet, name, recording(getattr(Cabinet, name), sent))
+        setattr(KstConnection, name, recording(getattr(KstConnection, name), sent))
 
 
 def recording(original: Any, sent: list[float]) -> Any:
@@ -257,7 +257,7 @@ def recording(original: Any, sent: list[float]) -> Any:
         sent: List of times, s.
     """
 
-    def send(self: Cabinet, positions: Any) -> Any:
+    def send(self: KstConnection, positions: Any) -> Any:
         sent.append(time.monotonic())
         return original(self, positions)
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from pcmrs.bus import BusSettings
 from pcmrs.bus.codec import pack
 from pcmrs.bus.commands import Envelope
-from pcmrs.bus.signature import SignatureVerifier, Signer
+from pcmrs.bus.signature import CertificateSigner, SignatureVerifier
 from pcmrs.clock import SystemClock
 from pcmrs.messages import TeleopSetpoint
 from pcmrs.pki import Authority, read_credentials
@@ -30,13 +30,15 @@ MESSAGES = {
 }
 
 
-def measure(key: str, payload: bytes, signer: Signer, signatures: SignatureVerifier, count: int) -> dict[str, float]:
+def measure(
+    key: str, payload: bytes, signer: CertificateSigner, signatures: SignatureVerifier, count: int
+) -> dict[str, float]:
     """Return the medians for one message, us of processor time, and the number of bytes of the signature.
 
     Args:
         key: Key below the prefix of the cell.
         payload: Bytes of the message.
-        signer: Signer of the sender.
+        signer: CertificateSigner of the sender.
         signatures: Verifier of the daemon.
         count: Number of messages.
     """
@@ -75,7 +77,7 @@ def main() -> None:
             members=tuple(authority.identities()),
         )
         signatures = SignatureVerifier(daemon, clock)
-        signer = Signer.read(read_credentials(folder / "tom", clock.wall()), clock)
+        signer = CertificateSigner.read(read_credentials(folder / "tom", clock.wall()), clock)
         found = {key: measure(key, payload, signer, signatures, options.count) for key, payload in MESSAGES.items()}
     if options.json:
         print(json.dumps(found))

@@ -15,11 +15,11 @@ with instrumented("pcmrs_sim"):
     from pcmrs.devices.motion.force import ForceSettings
     from pcmrs.errors import PcmrsError
     from pcmrs.kinematics.arms import ARMS
-    from pcmrs_sim.cell import Cell
+    from pcmrs_sim.cell import CellSimulation
     from pcmrs_sim.faults import FAULTS, inject, parse_fault
     from pcmrs_sim.settings import SimSettings
 
-CELL = Cell(SimSettings(), ARMS["iiwa14"], ForceSettings(force_limit=math.inf), SystemClock())
+CELL = CellSimulation(SimSettings(), ARMS["iiwa14"], ForceSettings(force_limit=math.inf), SystemClock())
 NAMES = sorted(FAULTS)
 
 

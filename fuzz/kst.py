@@ -17,12 +17,12 @@ with instrumented("pcmrs.devices.kst", "pcmrs_sim.kst"):
     from pcmrs.devices.motion.force import ForceSettings
     from pcmrs.errors import PayloadError, PcmrsError
     from pcmrs.kinematics.arms import ARMS
-    from pcmrs_sim.cell import Cell
-    from pcmrs_sim.kst.cabinet import Cabinet
+    from pcmrs_sim.cell import CellSimulation
+    from pcmrs_sim.kst.cabinet import SimulatedCabinet
     from pcmrs_sim.settings import SimSettings
 
 CLOCK = SystemClock()
-CELL = Cell(SimSettings(), ARMS["iiwa14"], ForceSettings(force_limit=math.inf), CLOCK)
+CELL = CellSimulation(SimSettings(), ARMS["iiwa14"], ForceSettings(force_limit=math.inf), CLOCK)
 
 
 def read_lines(data: bytes) -> None:
@@ -60,7 +60,7 @@ def receive_replies(data: bytes) -> None:
 def send_to_cabinet(data: bytes) -> None:
     """Send requests to the virtual cabinet."""
     answers: list[str] = []
-    cabinet = Cabinet(CELL, answers.append, lambda: None)
+    cabinet = SimulatedCabinet(CELL, answers.append, lambda: None)
     for line in data.decode("latin-1").split("\n"):
         cabinet.receive(line.rstrip("\r"))
         cabinet.update()

@@ -15,7 +15,7 @@ from fuzz.running import instrumented, pieces, run
 
 with instrumented("pcmrs.devices.ndi", "pcmrs_sim.ndi"):
     from pcmrs.devices.ndi.poses import FrameReader
-    from pcmrs.devices.ndi.wire import Failed, Frame, Ready, Report, ToolFrame, Unpacker, pack
+    from pcmrs.devices.ndi.wire import Failed, NdiFrame, Report, ToolFrame, TrackerReady, Unpacker, pack
     from pcmrs.errors import PayloadError
     from pcmrs.messages import BodyPose
     from pcmrs_sim.ndi.protocol import Lines, crc16
@@ -34,17 +34,17 @@ def read_reports(data: bytes) -> None:
     except PayloadError:
         return
     for report in reports:
-        assert isinstance(report, Ready | Frame | Failed)
-        if isinstance(report, Frame):
+        assert isinstance(report, TrackerReady | NdiFrame | Failed)
+        if isinstance(report, NdiFrame):
             take(reader, report)
 
 
-def take(reader: FrameReader, frame: Frame) -> None:
+def take(reader: FrameReader, frame: NdiFrame) -> None:
     """Read one frame, and check its poses.
 
     Args:
         reader: Reader of frames.
-        frame: Frame of the tracker.
+        frame: NdiFrame of the tracker.
     """
     for pose in reader.poses(frame, 1.0):
         assert pose.valid or pose.reason
@@ -58,9 +58,9 @@ def take_frames(data: bytes) -> None:
     for w, i, j, k, x, y, z, error, seen, number, status, arrived, system, restarts in FRAME.iter_unpack(data[:whole]):
         numbers = (w, i, j, k, x, y, z, error) if seen else None
         tool = ToolFrame("coil", number, status, numbers)
-        frame = Frame(arrived if math.isfinite(arrived) else 0.0, system, [tool])
+        frame = NdiFrame(arrived if math.isfinite(arrived) else 0.0, system, [tool])
         (read,) = Unpacker().feed(pack(frame))
-        assert isinstance(read, Frame)
+        assert isinstance(read, NdiFrame)
         take(reader, read)
         if restarts:
             reader.restart()

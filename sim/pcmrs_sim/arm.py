@@ -12,10 +12,10 @@ from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
 from pcmrs_sim.contact import Contact
-from pcmrs_sim.controller import Controller
 from pcmrs_sim.disturbance import PlantDisturbance
 from pcmrs_sim.error_models import displaced
 from pcmrs_sim.force import ForceSensor
+from pcmrs_sim.impedance_controller import ImpedanceController
 from pcmrs_sim.phantom import Phantom
 from pcmrs_sim.plant import STEP, nominal_model, plant_model
 from pcmrs_sim.settings import SimSettings
@@ -62,7 +62,9 @@ class Arm(Follower):
         self._plant = plant_model(true_facts, own, flange_from_coil, phantom)
         self._data = mujoco.MjData(self._plant)
         self._data.qpos[:] = home
-        self._controller = Controller(nominal_model(facts, own, flange_from_coil, phantom, rng), facts, own, home)
+        self._controller = ImpedanceController(
+            nominal_model(facts, own, flange_from_coil, phantom, rng), facts, own, home
+        )
         self.contact = Contact(self._plant, phantom, settings.contact, STEP)
         self.disturbance = PlantDisturbance(self._plant)
         self._posture, self._base_from_flange = home, self._true_model.forward(home)

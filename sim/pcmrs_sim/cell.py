@@ -44,7 +44,7 @@ LONGEST_CATCH_UP = 0.1
 log = structlog.get_logger(__name__)
 
 
-class Cell:
+class CellSimulation:
     """One world and its devices.
 
     Args:
@@ -168,7 +168,7 @@ class Cell:
 
 
 @asynccontextmanager
-async def running_cell(settings: Mapping[str, Any], clock: Clock) -> AsyncIterator[Cell]:
+async def running_cell(settings: Mapping[str, Any], clock: Clock) -> AsyncIterator[CellSimulation]:
     """Run a cell in the time of a clock until the context ends.
 
     Args:
@@ -179,7 +179,7 @@ async def running_cell(settings: Mapping[str, Any], clock: Clock) -> AsyncIterat
         ConfigurationError: The arm is unknown, or the table ``sim`` is wrong.
     """
     sim_settings = read_settings(settings)
-    cell = Cell(sim_settings, _arm(settings, sim_settings), _force_settings(settings), clock)
+    cell = CellSimulation(sim_settings, _arm(settings, sim_settings), _force_settings(settings), clock)
     async with background_task(cell.run(), "simulated cell"):
         yield cell
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from pcmrs.spatial import Transform
 from pcmrs_sim.phantom import Phantom
-from pcmrs_sim.settings import ContactSettings
+from pcmrs_sim.settings import SkinSettings
 
 LARGEST_DAMPING = 1.0
 """Largest force of the damper, as a fraction of the spring's force, at any speed of the body."""
@@ -32,7 +32,7 @@ class Contact:
         force: Force on the tool along its +z, N.
     """
 
-    def __init__(self, plant: Any, phantom: Phantom, settings: ContactSettings, step: float) -> None:
+    def __init__(self, plant: Any, phantom: Phantom, settings: SkinSettings, step: float) -> None:
         self._tool = plant.body("tool").id
         self._solid = phantom.solid
         self._radius = phantom.tool_radius

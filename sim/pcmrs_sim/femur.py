@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcmrs.spatial import Floats, Transform
-from pcmrs_sim.phantom import Landmark, Phantom
+from pcmrs_sim.phantom import Phantom, PhantomLandmark
 from pcmrs_sim.shape import Capsule
 from pcmrs_sim.solid import CapsuleUnion
 
@@ -86,10 +86,10 @@ def surface_point(origin: npt.ArrayLike, direction: npt.ArrayLike) -> Floats:
 
 
 LANDMARKS = (
-    Landmark("greater_trochanter", surface_point(from_base(0.020, -0.010, 0.0), (0.4, -0.2, 1.0))),
-    Landmark("lesser_trochanter", surface_point(from_base(-0.016, -0.016, -0.038), (-0.8, -0.6, 0.0))),
-    Landmark("femoral_head", surface_point(HEAD_CENTRE, (-1.0, 0.3, 0.5))),
-    Landmark("lateral_shaft", surface_point(from_base(0.0, 0.0, -0.120), (1.0, 0.4, 0.0))),
+    PhantomLandmark("greater_trochanter", surface_point(from_base(0.020, -0.010, 0.0), (0.4, -0.2, 1.0))),
+    PhantomLandmark("lesser_trochanter", surface_point(from_base(-0.016, -0.016, -0.038), (-0.8, -0.6, 0.0))),
+    PhantomLandmark("femoral_head", surface_point(HEAD_CENTRE, (-1.0, 0.3, 0.5))),
+    PhantomLandmark("lateral_shaft", surface_point(from_base(0.0, 0.0, -0.120), (1.0, 0.4, 0.0))),
 )
 
 

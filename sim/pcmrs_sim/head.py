@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcmrs.spatial import Floats, Transform
-from pcmrs_sim.phantom import Landmark, Phantom
+from pcmrs_sim.phantom import Phantom, PhantomLandmark
 from pcmrs_sim.shape import Shape
 from pcmrs_sim.solid import Superellipsoid
 
@@ -51,7 +51,7 @@ def outward_normal(point: npt.ArrayLike) -> Floats:
     return normal
 
 
-def landmark(name: str, direction: tuple[float, float, float], height: float = 0.0) -> Landmark:
+def landmark(name: str, direction: tuple[float, float, float], height: float = 0.0) -> PhantomLandmark:
     """Return a landmark on or above the scalp.
 
     Args:
@@ -60,7 +60,7 @@ def landmark(name: str, direction: tuple[float, float, float], height: float = 0
         height: Height above the scalp along its normal, m.
     """
     point = surface_point(direction)
-    return Landmark(name, point + height * outward_normal(point))
+    return PhantomLandmark(name, point + height * outward_normal(point))
 
 
 LANDMARKS = (

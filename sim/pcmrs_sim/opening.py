@@ -8,7 +8,7 @@ from typing import Any
 
 from pcmrs.clock import Clock
 from pcmrs.errors import ConfigurationError
-from pcmrs_sim.cell import Cell, running_cell
+from pcmrs_sim.cell import CellSimulation, running_cell
 from pcmrs_sim.serving import serve_virtual
 
 
@@ -31,7 +31,9 @@ async def open_devices(
 
 
 @asynccontextmanager
-async def open_cell(devices: Collection[str], settings: Mapping[str, Any], clock: Clock) -> AsyncIterator[Cell]:
+async def open_cell(
+    devices: Collection[str], settings: Mapping[str, Any], clock: Clock
+) -> AsyncIterator[CellSimulation]:
     """Open a running cell that serves the virtual devices of the settings, too.
 
     Args:

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 from pcmrs.spatial import Floats, Transform
 from pcmrs_sim.shape import Shape
-from pcmrs_sim.solid import Solid
+from pcmrs_sim.solid import ContactSolid
 
 
 @dataclass(frozen=True, eq=False)
-class Landmark:
+class PhantomLandmark:
     """An anatomical point.
 
     Attributes:
@@ -38,9 +38,9 @@ class Phantom:
     """
 
     inside: Floats
-    landmarks: tuple[Landmark, ...]
+    landmarks: tuple[PhantomLandmark, ...]
     body: tuple[Shape, ...]
-    solid: Solid
+    solid: ContactSolid
     tool: tuple[Shape, ...]
     tool_radius: float
     world_from_image: Transform

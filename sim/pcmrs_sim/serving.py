@@ -10,7 +10,7 @@ from typing import Any
 
 import structlog
 
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.lsl.serving import serve_muscle
 
 LOOPBACK = "127.0.0.1"
@@ -24,7 +24,7 @@ log = structlog.get_logger(__name__)
 
 
 @asynccontextmanager
-async def serve_virtual(cell: Cell, settings: Mapping[str, Any]) -> AsyncIterator[None]:
+async def serve_virtual(cell: CellSimulation, settings: Mapping[str, Any]) -> AsyncIterator[None]:
     """Serve a virtual device for each driver that connects to this machine. Taken ports are skipped with a warning.
 
     Args:
@@ -76,7 +76,7 @@ def _is_loopback(host: str) -> bool:
         return False
 
 
-def _serve(driver: str, cell: Cell, host: str, port: int) -> AbstractAsyncContextManager[tuple[str, int]]:
+def _serve(driver: str, cell: CellSimulation, host: str, port: int) -> AbstractAsyncContextManager[tuple[str, int]]:
     # Imported here, so that a cell without virtual devices does not load them.
     if driver == "kst":
         from pcmrs_sim.kst.server import serve_kst

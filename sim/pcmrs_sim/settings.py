@@ -15,7 +15,7 @@ Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Triple = tuple[float, float, float]
 
 
-class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class ConfiguredPose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A transform ``a_from_b`` in a configuration.
 
     Attributes:
@@ -118,7 +118,7 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     state_rate_hz: Positive = 100.0
 
 
-class ContactSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class SkinSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The skin between tool and body.
 
     Attributes:
@@ -142,11 +142,11 @@ class GeometrySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         pointer_from_tip: Pose of the tip in the pointer's marker body.
     """
 
-    world_from_tracker: Pose = Pose((1.35, -0.5, 0.6), (0.744115, 0.434873, 0.255881, 0.43784))
-    world_from_image: Pose | None = None
-    body_ref_from_image: Pose | None = None
-    flange_from_coil: Pose = Pose((0.0, 0.0, 0.15), (0.0, 1.0, 0.0, 0.0))
-    pointer_from_tip: Pose = Pose((0.0, 0.0, -0.15))
+    world_from_tracker: ConfiguredPose = ConfiguredPose((1.35, -0.5, 0.6), (0.744115, 0.434873, 0.255881, 0.43784))
+    world_from_image: ConfiguredPose | None = None
+    body_ref_from_image: ConfiguredPose | None = None
+    flange_from_coil: ConfiguredPose = ConfiguredPose((0.0, 0.0, 0.15), (0.0, 1.0, 0.0, 0.0))
+    pointer_from_tip: ConfiguredPose = ConfiguredPose((0.0, 0.0, -0.15))
 
 
 class StimulatorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -214,7 +214,7 @@ class SimSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tracker: TrackerSettings = TrackerSettings()
     digitization: DigitizationSettings = DigitizationSettings()
     arm: ArmSettings = ArmSettings()
-    contact: ContactSettings = ContactSettings()
+    contact: SkinSettings = SkinSettings()
     geometry: GeometrySettings = GeometrySettings()
     stimulator: StimulatorSettings = StimulatorSettings()
     muscle: MuscleSettings = MuscleSettings()

@@ -28,7 +28,7 @@ class Touch(NamedTuple):
     point: Floats
 
 
-class Solid(Protocol):
+class ContactSolid(Protocol):
     """A body in the image frame.
 
     Attributes:
@@ -68,7 +68,7 @@ class Superellipsoid:
         self._dual = exponent / (exponent - 1)
 
     def touch(self, origin: Floats, axis: Floats, radius: float) -> Touch | None:
-        """See `Solid`. A body whose deepest point is beside the face does not touch it.
+        """See `ContactSolid`. A body whose deepest point is beside the face does not touch it.
 
         Args:
             origin: Centre of the face, in the image, m, (3,).
@@ -104,7 +104,7 @@ class CapsuleUnion:
         self.bounding_radius = float((np.linalg.norm(self._centres - self.centre, axis=1) + self._radii).max())
 
     def touch(self, origin: Floats, axis: Floats, radius: float) -> Touch | None:
-        """See `Solid`. Only the part of a sphere in front of the face counts, so that a narrow tool fits between parts.
+        """See `ContactSolid`. Only the part of a sphere in front of the face counts: a narrow tool fits between parts.
 
         Args:
             origin: Centre of the face, in the image, m, (3,).

@@ -19,7 +19,7 @@ from pcmrs_sim.muscle.head_subject import draw_subject
 from pcmrs_sim.muscle.muscle import Muscle
 from pcmrs_sim.phantoms import PHANTOMS
 from pcmrs_sim.plant import STEP
-from pcmrs_sim.settings import Pose, SimSettings
+from pcmrs_sim.settings import ConfiguredPose, SimSettings
 from pcmrs_sim.tms.subject import Subject
 
 BODY_REF_FROM_WITNESS = Transform.from_rotvec((0.0, 0.08, 0.0), (0.3, 0.2, 0.0))
@@ -191,7 +191,7 @@ class World:
         self.arm.contact.place(self._world_from_tracker @ self.tracker_from_image)
 
 
-def _pose(configured: Pose | None, default: Transform) -> Transform:
+def _pose(configured: ConfiguredPose | None, default: Transform) -> Transform:
     return default if configured is None else configured.transform
 
 

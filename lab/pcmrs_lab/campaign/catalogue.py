@@ -21,10 +21,10 @@ RESPONSES: Mapping[str, str] = {
     "D": "new changes of state refused, Stop and status still work",
     "U": "outcome unknown: the hardware is asked, nothing is repeated blindly",
 }
-"""Meaning of the letters in `Row.required`."""
+"""Meaning of the letters in `CatalogueRow.required`."""
 
 
-class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"fault_class": "class"}):
+class CatalogueRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"fault_class": "class"}):
     """One fault of the catalogue.
 
     Attributes:
@@ -43,18 +43,18 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"faul
 
 
 class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    faults: list[Row]
+    faults: list[CatalogueRow]
 
 
 @cache
-def catalogue() -> Mapping[str, Row]:
+def catalogue() -> Mapping[str, CatalogueRow]:
     """Return all rows by id, in the order of the catalogue."""
     text = files("pcmrs_lab.campaign").joinpath("catalogue.toml").read_text(encoding="utf-8")
     rows = msgspec.convert(tomllib.loads(text), _File).faults
     return {row.id: row for row in rows}
 
 
-def choose(classes: Collection[str] = (), ids: Collection[str] = ()) -> list[Row]:
+def choose(classes: Collection[str] = (), ids: Collection[str] = ()) -> list[CatalogueRow]:
     """Return the rows of these classes and of these ids; all rows if neither is given.
 
     Args:

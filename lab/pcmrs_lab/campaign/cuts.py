@@ -100,7 +100,7 @@ def cut_and_flip(
             for count, flips_bits in ((cuts, False), (flips, True))
             for whole, damage in damages((killed, closed), count, generator, flips=flips_bits)
         ]
-        tally = _Tally("cut or bent", seed, len(rows))
+        tally = _CutTally("cut or bent", seed, len(rows))
         for whole in (killed, closed):
             copy = shutil.copytree(whole, Path(name) / "control")
             tally.whole += is_recovered(copy / NAME, rows)
@@ -148,7 +148,7 @@ def cut_power(
         NotRun: System calls cannot be recorded on this machine.
     """
     started, generator = clock.monotonic(), random.Random(seed)
-    tally = _Tally("power cut", seed, 0)
+    tally = _CutTally("power cut", seed, 0)
     with tempfile.TemporaryDirectory(prefix="pcmrs-cuts-") as name:
         written = Path(name) / "written"
         calls = trace_journal(written, commits, seed, durable=durable)
@@ -167,7 +167,7 @@ def cut_power(
     return tally.report(clock.monotonic() - started)
 
 
-class _Tally:
+class _CutTally:
     """Running totals."""
 
     def __init__(self, what: str, seed: int, acknowledged: int) -> None:

@@ -18,7 +18,7 @@ from pcmrs.messages import Verdict
 from pcmrs.testing.cell import RunningCell, open_cell
 from pcmrs.testing.daemon import log_tail
 from pcmrs_lab.campaign.kills import RANDOM, KillReport, ShowProgress, Tally
-from pcmrs_lab.campaign.operating import Operator
+from pcmrs_lab.campaign.operating import RandomOperator
 
 LONGEST = 4.0
 """Longest life of a daemon that is killed at a random instant, from when it is ready, s of the machine."""
@@ -92,12 +92,12 @@ async def _operate_until_killed(folder: Path, place: str, generator: random.Rand
     at_random = place == RANDOM
     first = AT_START if place.startswith("journal.") else 1
     armed = {} if at_random else {VARIABLE: f"{place}:{generator.randrange(first, first + LATEST)}"}
-    operator: Operator | None = None
+    operator: RandomOperator | None = None
     ended = None
     # The bus ends with a killed daemon, and a client may report that at the end of the context.
     with suppress(UnknownOutcomeError):
         async with open_cell(folder, (*SETTINGS, f"sim.seed={generator.randrange(1000)}"), environment=armed) as cell:
-            operator = Operator(cell.client, generator)
+            operator = RandomOperator(cell.client, generator)
             ended = await _operate(cell, operator, generator.uniform(0.0, LONGEST) if at_random else DIES_WITHIN)
     if ended is not None and (at_random or ended != -signal.SIGKILL):
         words = log_tail(folder / "log")
@@ -107,7 +107,7 @@ async def _operate_until_killed(folder: Path, place: str, generator: random.Rand
     return operator.verdicts, at_random or ended is not None
 
 
-async def _operate(cell: RunningCell, operator: Operator, longest: float) -> int | None:
+async def _operate(cell: RunningCell, operator: RandomOperator, longest: float) -> int | None:
     """Operate a daemon until it ends or the time is over; return its exit status if it ended by itself."""
 
     async def operate() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import msgspec
 
-from pcmrs.authoring.trial.tour import MAX_JOINT_STATES, Move, plan_tour
+from pcmrs.authoring.trial.tour import MAX_JOINT_STATES, TourCommand, plan_tour
 from pcmrs.dispatcher import Dispatcher, ProcedureData
 from pcmrs.dispatcher.command_checks import is_event
 from pcmrs.fsm.behaviour import joint_of
@@ -18,11 +18,11 @@ from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Command, Verdict
 from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs_lab.campaign.sham import is_sham
-from pcmrs_lab.experiment.tours.rehearsal import LeapingClock, Script, scripted
+from pcmrs_lab.experiment.tours.rehearsal import LeapingClock, ScriptedSteps, scripted
 
 
 @dataclass
-class Found:
+class StateWalkResult:
     """Result of a walk through all joint states.
 
     Attributes:
@@ -39,7 +39,9 @@ class Found:
     wrong: list[str] = field(default_factory=list)
 
 
-async def walk(blueprint: Blueprint, folder: Path, runs: Blueprint | None = None, enough: int | None = None) -> Found:
+async def walk(
+    blueprint: Blueprint, folder: Path, runs: Blueprint | None = None, enough: int | None = None
+) -> StateWalkResult:
     """Request every forbidden operation in every joint state, and check the effects.
 
     Args:
@@ -54,7 +56,7 @@ async def walk(blueprint: Blueprint, folder: Path, runs: Blueprint | None = None
     tour = plan_tour(blueprint, MAX_JOINT_STATES)
     journal = Journal.open(folder / "every_state.sqlite", durable=False)
     try:
-        found = Found(len({move.before for move in tour.wanted}))
+        found = StateWalkResult(len({move.before for move in tour.wanted}))
         for stretch in tour.stretches:
             if enough is not None and len(found.wrong) >= enough:
                 break
@@ -65,9 +67,9 @@ async def walk(blueprint: Blueprint, folder: Path, runs: Blueprint | None = None
 
 
 async def _walk_stretch(
-    blueprint: Blueprint, runs: Blueprint, moves: list[Move], journal: Journal, found: Found
+    blueprint: Blueprint, runs: Blueprint, moves: list[TourCommand], journal: Journal, found: StateWalkResult
 ) -> None:
-    script, clock = Script(), LeapingClock()
+    script, clock = ScriptedSteps(), LeapingClock()
     tag = BlueprintTag(id=runs.id, version=runs.version, hash=runs.hash)
     recorder = JournalRecorder(journal, clock, uuid.uuid4().hex, tag)
     dispatcher = Dispatcher(scripted(runs, script, outside=True), None, clock, recorder, _hold)
@@ -89,7 +91,7 @@ async def _walk_stretch(
         await asyncio.sleep(0)
 
 
-def _needed(move: Move) -> bool:
+def _needed(move: TourCommand) -> bool:
     """Return whether a command is forbidden or changes the state; other tests cover those that do neither."""
     return move.before != move.after or (move.decision == "rejected" and not move.at and not is_sham())
 
@@ -99,7 +101,7 @@ def _shape(dispatcher: Dispatcher[None, ProcedureData]) -> bytes:
     return msgspec.msgpack.encode((dispatcher.snapshot(), dispatcher.procedure.data))
 
 
-def _wrong(move: Move, verdict: Verdict, unchanged: bool, journal: Journal, *, has_row: bool) -> str:
+def _wrong(move: TourCommand, verdict: Verdict, unchanged: bool, journal: Journal, *, has_row: bool) -> str:
     if verdict.decision != "rejected":
         return f"it was {verdict.decision}"
     if verdict.reason is None or verdict.reason.code != move.code:
@@ -112,7 +114,7 @@ def _wrong(move: Move, verdict: Verdict, unchanged: bool, journal: Journal, *, h
     return "the journal has no row of it" if has_row else "the journal has a row of it"
 
 
-def _command(move: Move) -> Command:
+def _command(move: TourCommand) -> Command:
     source = "device:campaign" if move.asker == "device" else "campaign:user"
     return Command(id=uuid.uuid4().hex, branch=move.branch, operation=move.operation, source=source)
 

@@ -29,7 +29,7 @@ STORE = 4096
 
 
 @dataclass
-class Sent:
+class FloodResult:
     """Result of a flood; complete when it has ended.
 
     Attributes:
@@ -48,7 +48,7 @@ class Sent:
 
 
 @asynccontextmanager
-async def flood(address: tuple[str, int], rate: float, seed: int, *, most: int = 0) -> AsyncIterator[Sent]:
+async def flood(address: tuple[str, int], rate: float, seed: int, *, most: int = 0) -> AsyncIterator[FloodResult]:
     """Flood a UDP socket for the length of the context.
 
     Args:
@@ -64,7 +64,7 @@ async def flood(address: tuple[str, int], rate: float, seed: int, *, most: int =
         DeviceError: The flooding process does not start.
     """
     if is_sham():
-        yield Sent()
+        yield FloodResult()
         return
     words = [f"{address[0]}:{address[1]}", "--rate", str(rate), "--seed", str(seed), "--most", str(most)]
     pipe = asyncio.subprocess.PIPE
@@ -72,7 +72,7 @@ async def flood(address: tuple[str, int], rate: float, seed: int, *, most: int =
     reader, writer = process.stdout, process.stdin
     if reader is None or writer is None or not await reader.readline():
         raise DeviceError("The flood did not start.")
-    sent = Sent()
+    sent = FloodResult()
     reading = asyncio.create_task(_read_report(reader, sent))
     try:
         yield sent
@@ -82,7 +82,7 @@ async def flood(address: tuple[str, int], rate: float, seed: int, *, most: int =
         await process.wait()
 
 
-async def _read_report(reader: asyncio.StreamReader, sent: Sent) -> None:
+async def _read_report(reader: asyncio.StreamReader, sent: FloodResult) -> None:
     line = await reader.readline()
     if line:
         report = json.loads(line)

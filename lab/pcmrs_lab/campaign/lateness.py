@@ -13,21 +13,21 @@ PERIOD = 0.01
 
 
 @dataclass
-class Lateness:
-    """Lateness of a timer at each expiry, s."""
+class TimerLateness:
+    """TimerLateness of a timer at each expiry, s."""
 
     late: list[float] = field(default_factory=list)
 
 
 @asynccontextmanager
-async def timer_lateness() -> AsyncIterator[Lateness]:
+async def timer_lateness() -> AsyncIterator[TimerLateness]:
     """Measure the lateness of a timer for the length of the context."""
-    found = Lateness()
+    found = TimerLateness()
     async with background_task(_measure(found)):
         yield found
 
 
-async def _measure(found: Lateness) -> None:
+async def _measure(found: TimerLateness) -> None:
     clock = asyncio.get_running_loop().time
     while True:
         started = clock()

@@ -22,7 +22,7 @@ OperationCall = tuple[str, dict[str, Any]]
 """Operation and its arguments."""
 
 
-class Operator:
+class RandomOperator:
     """Operates a cell over the bus.
 
     Args:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import msgspec
 
 from pcmrs.report.pages import render
-from pcmrs_lab.campaign.catalogue import CLASSES, RESPONSES, Row
+from pcmrs_lab.campaign.catalogue import CLASSES, RESPONSES, CatalogueRow
 
 Outcome = Literal["passed", "failed", "not_proved", "not_run"]
 OUTCOMES: tuple[Outcome, ...] = ("passed", "failed", "not_proved", "not_run")
@@ -19,7 +19,7 @@ OUTCOMES: tuple[Outcome, ...] = ("passed", "failed", "not_proved", "not_run")
 _WORST_FIRST: tuple[Outcome, ...] = ("failed", "not_proved", "not_run", "passed")
 
 
-class Part(msgspec.Struct, frozen=True):
+class InjectionResult(msgspec.Struct, frozen=True):
     """Result of one injection of a fault.
 
     Attributes:
@@ -62,7 +62,7 @@ class FaultResult(msgspec.Struct, frozen=True, rename={"fault_class": "class"}):
     reference: str
     seed: int
     seconds: float
-    parts: list[Part]
+    parts: list[InjectionResult]
 
 
 class CampaignReport(msgspec.Struct, frozen=True):
@@ -89,11 +89,11 @@ class CampaignReport(msgspec.Struct, frozen=True):
         return [result for result in self.faults if result.outcome in ("failed", "not_proved")]
 
 
-def result_of(row: Row, seed: int, parts: list[Part]) -> FaultResult:
+def result_of(row: CatalogueRow, seed: int, parts: list[InjectionResult]) -> FaultResult:
     """Combine the parts of one fault: one failure fails it, and a part that was not proved or not run is not passed.
 
     Args:
-        row: Row of the catalogue.
+        row: CatalogueRow of the catalogue.
         seed: Seed of the injections.
         parts: Results of the injections; at least one.
     """

@@ -15,11 +15,11 @@ import pcmrs
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.errors import PcmrsError
 from pcmrs.testing.errors import Unmet
-from pcmrs_lab.campaign.catalogue import Row
+from pcmrs_lab.campaign.catalogue import CatalogueRow
 from pcmrs_lab.campaign.fault import Injection, NotRun
 from pcmrs_lab.campaign.injections import injections
 from pcmrs_lab.campaign.lab import Lab, Pool
-from pcmrs_lab.campaign.report import CampaignReport, FaultResult, Outcome, Part, result_of, summarize
+from pcmrs_lab.campaign.report import CampaignReport, FaultResult, InjectionResult, Outcome, result_of, summarize
 from pcmrs_lab.campaign.sham import sham
 from pcmrs_lab.campaign.tools import require
 
@@ -30,7 +30,7 @@ ShowProgress = Callable[[str, int, int], None]
 
 
 async def run_campaign(
-    rows: Sequence[Row],
+    rows: Sequence[CatalogueRow],
     seeds: Sequence[int],
     jobs: int = 1,
     progress: ShowProgress = lambda *_: None,
@@ -82,7 +82,7 @@ async def run_campaign(
 
 
 async def run_fault(
-    row: Row, seed: int, folder: Path, pool: Pool, clock: Clock, *, is_sham: bool = False
+    row: CatalogueRow, seed: int, folder: Path, pool: Pool, clock: Clock, *, is_sham: bool = False
 ) -> FaultResult:
     """Inject one fault in all its ways.
 
@@ -101,11 +101,11 @@ async def run_fault(
         if is_sham:
             parts = list(map(_judge_sham, parts))
     else:
-        parts = [Part("", "", "not_run", NO_INJECTION, 0.0)]
+        parts = [InjectionResult("", "", "not_run", NO_INJECTION, 0.0)]
     return result_of(row, seed, parts)
 
 
-async def run_injection(injection: Injection, seed: int, folder: Path, pool: Pool, clock: Clock) -> Part:
+async def run_injection(injection: Injection, seed: int, folder: Path, pool: Pool, clock: Clock) -> InjectionResult:
     """Run one injection in a temporary folder.
 
     Args:
@@ -123,20 +123,22 @@ async def run_injection(injection: Injection, seed: int, folder: Path, pool: Poo
             async with clock.timeout(injection.deadline):
                 evidence = await injection.run(lab)
         except NotRun as error:
-            return Part(injection.name, injection.how, "not_run", error.text, clock.monotonic() - started)
+            return InjectionResult(injection.name, injection.how, "not_run", error.text, clock.monotonic() - started)
         except Exception as error:  # any error of an injection fails only this fault
             kind = error.code if isinstance(error, PcmrsError) else type(error).__name__
             details = {"daemon": lab.log_tail(), "where": _where(error), "error": kind}
             seconds = clock.monotonic() - started
             late = isinstance(error, TimeoutError) and seconds >= injection.deadline
             text = f"not ended within {injection.deadline:g} s" if late else _text(error)
-            return Part(injection.name, injection.how, "failed", text, seconds, details)
+            return InjectionResult(injection.name, injection.how, "failed", text, seconds, details)
     seconds, missing = clock.monotonic() - started, evidence.missing
     outcome: Outcome = "not_proved" if missing else "passed"
-    return Part(injection.name, injection.how, outcome, missing or evidence.response, seconds, evidence.measured)
+    return InjectionResult(
+        injection.name, injection.how, outcome, missing or evidence.response, seconds, evidence.measured
+    )
 
 
-def _judge_sham(part: Part) -> Part:
+def _judge_sham(part: InjectionResult) -> InjectionResult:
     """Return the result of a sham injection: it has passed if the row detected that its fault was not injected."""
     if part.outcome == "not_run":
         return part

@@ -14,7 +14,7 @@ from pcmrs.clock import Clock
 from pcmrs.errors import PcmrsError
 from pcmrs.testing.cell import RunningCell, open_cell
 from pcmrs.testing.daemon import processes_of
-from pcmrs_lab.campaign.operating import Operator
+from pcmrs_lab.campaign.operating import RandomOperator
 from pcmrs_lab.campaign.saboteur import order, sabotaged
 from pcmrs_lab.campaign.samples import sample, slope
 
@@ -36,7 +36,7 @@ UNITS = {"memory": "bytes", "descriptors": "", "threads": "", "tasks": ""}
 ShowProgress = Callable[[str, int, int], None]
 
 
-class Course(msgspec.Struct, frozen=True):
+class ResourceTrend(msgspec.Struct, frozen=True):
     """One measure of one process over time.
 
     Attributes:
@@ -77,13 +77,13 @@ class SoakReport(msgspec.Struct, frozen=True):
     decisions: dict[str, int]
     rows: int
     ended: str
-    courses: list[Course]
+    courses: list[ResourceTrend]
 
     @property
     def violated(self) -> bool:
         """True if it ended early, a measure grows, or too few commands were accepted to show anything."""
         idle = self.decisions.get("accepted", 0) < LEAST_ACCEPTED * self.steps
-        return bool(self.ended) or idle or not all(course.flat for course in self.courses)
+        return bool(self.ended) or idle or not all(trend.flat for trend in self.courses)
 
 
 async def soak(
@@ -103,7 +103,7 @@ async def soak(
     """
     orders = folder / "orders"
     async with open_cell(folder / "soaked", ("robot.deadman=0.5",), prefix=sabotaged(orders)) as cell:
-        operator, decisions = Operator(cell.client, random.Random(seed)), Counter[str]()
+        operator, decisions = RandomOperator(cell.client, random.Random(seed)), Counter[str]()
         started = clock.monotonic()
         operating = asyncio.create_task(_operate(operator, decisions))
         try:
@@ -120,11 +120,11 @@ async def soak(
             decisions=dict(decisions),
             rows=cell.last_row() if not ended else 0,
             ended=ended,
-            courses=_courses(seen),
+            courses=_trends(seen),
         )
 
 
-async def _operate(operator: Operator, decisions: Counter[str]) -> None:
+async def _operate(operator: RandomOperator, decisions: Counter[str]) -> None:
     while True:
         verdict = await operator.step()
         if verdict is not None:
@@ -159,15 +159,15 @@ def _why_ended(operating: asyncio.Task[None]) -> str:
     return error.text if isinstance(error, PcmrsError) else repr(error)
 
 
-def _courses(seen: Seen) -> list[Course]:
+def _trends(seen: Seen) -> list[ResourceTrend]:
     courses = []
     for process, measure in dict.fromkeys((process, measure) for _, process, measure, _ in seen):
         points = [(time, value) for time, whose, what, value in seen if (whose, what) == (process, measure)]
-        courses.append(course(process, measure, [time for time, _ in points], [value for _, value in points]))
+        courses.append(trend(process, measure, [time for time, _ in points], [value for _, value in points]))
     return courses
 
 
-def course(process: str, measure: str, times: Sequence[float], values: Sequence[float]) -> Course:
+def trend(process: str, measure: str, times: Sequence[float], values: Sequence[float]) -> ResourceTrend:
     """Return one measure with its line.
 
     Args:
@@ -180,4 +180,4 @@ def course(process: str, measure: str, times: Sequence[float], values: Sequence[
     late = [(time, value) for time, value in zip(times, values, strict=True) if time >= first]
     rising, error = slope([time for time, _ in late], [value for _, value in late])
     length = late[-1][0] - late[0][0] if late else 0.0
-    return Course(process, measure, list(times), list(values), rising * length, error * length)
+    return ResourceTrend(process, measure, list(times), list(values), rising * length, error * length)

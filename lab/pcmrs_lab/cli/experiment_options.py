@@ -15,7 +15,7 @@ from pcmrs.cli.values import POSITIVE
 
 if TYPE_CHECKING:
     # For annotations only: --help must not load the experiments.
-    from pcmrs_lab.experiment.setup import Drivers, Setup, ShowProgress
+    from pcmrs_lab.experiment.setup import Drivers, ExperimentSetup, ShowProgress
 
 DEFAULT_RATE = 5.0
 REAL_TIME = 1.0
@@ -35,7 +35,7 @@ class ExperimentOptions:
     picture: Path | None
     report_file: Path | None
 
-    def setup(self, workflow: str, progress: ShowProgress) -> Setup:
+    def setup(self, workflow: str, progress: ShowProgress) -> ExperimentSetup:
         """Return the experiment's setup for a workflow.
 
         Args:
@@ -47,12 +47,12 @@ class ExperimentOptions:
         """
         from pcmrs.testing.plan import example_plan, read_plan
         from pcmrs_lab.experiment.published import published
-        from pcmrs_lab.experiment.setup import Setup
+        from pcmrs_lab.experiment.setup import ExperimentSetup
 
         if self.plan_file is None:
             published(workflow)  # refuse an unknown workflow by its name before its plan is missing
         plan = read_plan(self.plan_file or example_plan(workflow))
-        return Setup(plan, workflow, self.seed, self.rate, self.drivers, self.overrides, progress)
+        return ExperimentSetup(plan, workflow, self.seed, self.rate, self.drivers, self.overrides, progress)
 
 
 def experiment_options(

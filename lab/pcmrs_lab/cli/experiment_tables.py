@@ -8,7 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from pcmrs_lab.cli.tables import spread, summary_table
-from pcmrs_lab.experiment.following import FollowingReport, Occluded, Spread
+from pcmrs_lab.experiment.following import ErrorSummary, FollowingReport, Occluded
 from pcmrs_lab.experiment.monte_carlo import FIXED_LIMIT, OFFSET, MonteCarloReport, RowRates
 from pcmrs_lab.experiment.placement_seeds import SeedsReport
 
@@ -45,7 +45,7 @@ def following_tables(report: FollowingReport) -> Group:
     return Group(runs, "; ".join(motions) + ".", _occluded(report.occlusion))
 
 
-def _numbers(spread: Spread) -> tuple[str, str]:
+def _numbers(spread: ErrorSummary) -> tuple[str, str]:
     return f"{spread.rms:.3f}", f"{spread.p99:.2f}"
 
 

@@ -20,7 +20,7 @@ from pcmrs.cli.running import readable_errors, run
 from pcmrs.errors import PcmrsError
 
 if TYPE_CHECKING:
-    from pcmrs.authoring.trial.tour import Move
+    from pcmrs.authoring.trial.tour import TourCommand
     from pcmrs.fsm.blueprint import Blueprint
     from pcmrs_lab.experiment.tours.arguments import Arguments
     from pcmrs_lab.experiment.tours.live import ShowProgress
@@ -85,7 +85,9 @@ def test(file: str, live: bool, output: Path | None, as_json: bool, limit: int, 
         raise SystemExit(1)
 
 
-async def _scripted(blueprint: Blueprint, limit: int, progress: ShowProgress) -> tuple[TourReport, Sequence[Move]]:
+async def _scripted(
+    blueprint: Blueprint, limit: int, progress: ShowProgress
+) -> tuple[TourReport, Sequence[TourCommand]]:
     import logging
 
     import structlog
@@ -110,7 +112,7 @@ async def _live(
     overrides: tuple[str, ...],
     arguments_file: Path | None,
     time_limit: float,
-) -> tuple[TourReport, Sequence[Move]]:
+) -> tuple[TourReport, Sequence[TourCommand]]:
     from pcmrs_lab.experiment.private import private_bench
     from pcmrs_lab.experiment.setup import at_rate
     from pcmrs_lab.experiment.tours.run import tour_live

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from pcmrs_lab.experiment.hotspots import HotspotReport, HotspotResult, Spread
+from pcmrs_lab.experiment.hotspots import HotspotReport, HotspotResult, SubjectQuantiles
 
 NAMES = {"adaptive": "adaptive", "grid": "grid"}
 
@@ -43,7 +43,7 @@ def _row(result: HotspotResult) -> tuple[str, ...]:
     )
 
 
-def _both(spread: Spread, digits: int) -> tuple[str, str]:
+def _both(spread: SubjectQuantiles, digits: int) -> tuple[str, str]:
     return _number(spread.median, digits), _number(spread.p95, digits)
 
 

@@ -9,9 +9,9 @@ import msgspec
 
 from pcmrs.errors import CommandRefusedError
 from pcmrs.testing.plan import Plan
-from pcmrs_lab.experiment.private import Bench, private_bench
+from pcmrs_lab.experiment.private import ExperimentBench, private_bench
 from pcmrs_lab.experiment.published import FailureRun, published
-from pcmrs_lab.experiment.setup import Setup
+from pcmrs_lab.experiment.setup import ExperimentSetup
 from pcmrs_lab.experiment.treatment import prepare
 
 NEXT_STATE = {"000": "100", "100": "110", "110": "111"}
@@ -70,7 +70,7 @@ class FailureReport(msgspec.Struct, frozen=True):
     summary: FailureSummary
 
 
-async def run_failures(setups: Sequence[Setup]) -> FailureReport:
+async def run_failures(setups: Sequence[ExperimentSetup]) -> FailureReport:
     """Run every published failure injection of some workflows over UDP, each workflow on its own daemon.
 
     Every run has different simulated errors: seed + number of the run.
@@ -109,7 +109,7 @@ async def run_failures(setups: Sequence[Setup]) -> FailureReport:
     )
 
 
-async def _run_workflow(setup: Setup, results: list[FailureResult], total: int) -> float:
+async def _run_workflow(setup: ExperimentSetup, results: list[FailureResult], total: int) -> float:
     """Add the results of one workflow, and return its residual limit, mm."""
     setup.progress("starting the daemon", len(results), total)
     async with private_bench([f"workflow={setup.workflow}", *setup.settings()]) as bench:
@@ -123,7 +123,7 @@ async def _run_workflow(setup: Setup, results: list[FailureResult], total: int) 
         return _limit_mm(bench)
 
 
-async def _run(bench: Bench, setup: Setup, run: FailureRun) -> FailureResult:
+async def _run(bench: ExperimentBench, setup: ExperimentSetup, run: FailureRun) -> FailureResult:
     """Run one procedure up to the registration, with the operator's error in it."""
     plan = setup.plan
     pose, operate = plan.poses[0], OPERATORS[run.injection]
@@ -152,17 +152,17 @@ async def _run(bench: Bench, setup: Setup, run: FailureRun) -> FailureResult:
     )
 
 
-async def _complete_procedure(bench: Bench, plan: Plan, _run: FailureRun) -> None:
+async def _complete_procedure(bench: ExperimentBench, plan: Plan, _run: FailureRun) -> None:
     await bench.planner.plan_landmarks([landmark.position for landmark in plan.landmarks])
     await bench.planner.digitize_all()
     await bench.planner.register()
 
 
-async def _omit_plan(bench: Bench, _plan: Plan, _run: FailureRun) -> None:
+async def _omit_plan(bench: ExperimentBench, _plan: Plan, _run: FailureRun) -> None:
     await bench.planner.digitize_all()
 
 
-async def _omit_landmark(bench: Bench, plan: Plan, run: FailureRun) -> None:
+async def _omit_landmark(bench: ExperimentBench, plan: Plan, run: FailureRun) -> None:
     await bench.planner.plan_landmarks([landmark.position for landmark in plan.landmarks])
     for index in range(len(plan.landmarks)):
         if index + 1 != run.landmark:
@@ -170,13 +170,13 @@ async def _omit_landmark(bench: Bench, plan: Plan, run: FailureRun) -> None:
     await bench.planner.register()
 
 
-async def _displace_landmark(bench: Bench, plan: Plan, run: FailureRun) -> None:
+async def _displace_landmark(bench: ExperimentBench, plan: Plan, run: FailureRun) -> None:
     if run.landmark is not None and run.offset_in_image is not None:
         await bench.scene.displace_touch(run.landmark - 1, run.offset_in_image)
     await _complete_procedure(bench, plan, run)
 
 
-OPERATORS: dict[str, Callable[[Bench, Plan, FailureRun], Coroutine[Any, Any, None]]] = {
+OPERATORS: dict[str, Callable[[ExperimentBench, Plan, FailureRun], Coroutine[Any, Any, None]]] = {
     "none": _complete_procedure,
     "missing_landmark_plan": _omit_plan,
     "missing_landmark": _omit_landmark,
@@ -184,7 +184,7 @@ OPERATORS: dict[str, Callable[[Bench, Plan, FailureRun], Coroutine[Any, Any, Non
 }
 
 
-def _reached(bench: Bench) -> tuple[str, float | None]:
+def _reached(bench: ExperimentBench) -> tuple[str, float | None]:
     """Return the state of the registration after a run, and the residual of its registration, mm, from the journal."""
     rows = [stored.row for stored in bench.journal.read(kind="outcome")]
     begin = max((n for n, row in enumerate(rows) if row.operation == "reinit" and row.branch == "toolplan"), default=-1)
@@ -196,7 +196,7 @@ def _reached(bench: Bench) -> tuple[str, float | None]:
     return (rows[-1].states or {})["registration"], residual
 
 
-def _limit_mm(bench: Bench) -> float:
+def _limit_mm(bench: ExperimentBench) -> float:
     """Return the residual limit in force, mm, as accepted registrations report it."""
     rows = [stored.row for stored in bench.journal.read(kind="outcome", branch="registration")]
     results = [row.verdict.result for row in rows if row.verdict and row.verdict.result]

@@ -51,7 +51,7 @@ class SearchResult:
         return None if last == len(self.errors) else last + 1
 
 
-class Spread(msgspec.Struct, frozen=True):
+class SubjectQuantiles(msgspec.Struct, frozen=True):
     """Median and 95th percentile over all subjects; None if it exceeds every number."""
 
     median: float | None
@@ -73,11 +73,11 @@ class HotspotResult(msgspec.Struct, frozen=True):
 
     method: str
     near: float
-    pulses_until_near: Spread
-    pulses: Spread
-    error_mm: Spread
-    heading_error_deg: Spread
-    uncertainty_mm: Spread
+    pulses_until_near: SubjectQuantiles
+    pulses: SubjectQuantiles
+    error_mm: SubjectQuantiles
+    heading_error_deg: SubjectQuantiles
+    uncertainty_mm: SubjectQuantiles
     unanswered: int
 
 
@@ -94,7 +94,7 @@ class HotspotReport(msgspec.Struct, frozen=True):
     subjects: int
     simulated: bool
     intensity: float
-    expected_mm: Spread
+    expected_mm: SubjectQuantiles
     methods: list[HotspotResult]
 
 
@@ -131,7 +131,7 @@ def run_hotspots(
         subjects=subjects,
         simulated=True,
         intensity=intensity,
-        expected_mm=_spread([1e3 * value for value in distances]),
+        expected_mm=_quantiles([1e3 * value for value in distances]),
         methods=[_result(method, found) for method, found in searched.items()],
     )
     return report, searched, mesh
@@ -177,20 +177,20 @@ def _result(method: str, found: list[SearchResult]) -> HotspotResult:
     return HotspotResult(
         method=method,
         near=sum(each is not None for each in near) / len(near),
-        pulses_until_near=_spread([float("inf") if each is None else each for each in near]),
-        pulses=_spread([len(each.search.pulses) for each in found]),
-        error_mm=_spread([1e3 * each.errors[-1] for each in answered]),
-        heading_error_deg=_spread(
+        pulses_until_near=_quantiles([float("inf") if each is None else each for each in near]),
+        pulses=_quantiles([len(each.search.pulses) for each in found]),
+        error_mm=_quantiles([1e3 * each.errors[-1] for each in answered]),
+        heading_error_deg=_quantiles(
             [np.degrees(each.heading_error) for each in answered if each.heading_error is not None]
         ),
-        uncertainty_mm=_spread([1e3 * each.search.estimate.uncertainty for each in answered]),
+        uncertainty_mm=_quantiles([1e3 * each.search.estimate.uncertainty for each in answered]),
         unanswered=len(found) - len(answered),
     )
 
 
-def _spread(values: list[float]) -> Spread:
+def _quantiles(values: list[float]) -> SubjectQuantiles:
     """Return median and p95 of numbers that may be infinite: the smallest value that enough of them do not exceed."""
     if not values:
-        return Spread(None, None)
+        return SubjectQuantiles(None, None)
     median, p95 = np.quantile(values, (0.5, 0.95), method="inverted_cdf").tolist()
-    return Spread(*(value if np.isfinite(value) else None for value in (median, p95)))
+    return SubjectQuantiles(*(value if np.isfinite(value) else None for value in (median, p95)))

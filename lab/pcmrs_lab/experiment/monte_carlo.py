@@ -22,7 +22,7 @@ from pcmrs.settings import DRIVER_SETTINGS, Settings, read_settings
 from pcmrs.spatial import Floats, Transform
 from pcmrs.testing.plan import Plan
 from pcmrs_lab.experiment.published import FailureRun, published
-from pcmrs_lab.experiment.setup import Setup
+from pcmrs_lab.experiment.setup import ExperimentSetup
 
 ALL_GATES = "verdict"
 FIXED_LIMIT = "fixed_limit"
@@ -102,7 +102,7 @@ class MonteCarloReport(msgspec.Struct, frozen=True):
     rates: list[GateRates]
 
 
-def run_monte_carlo(setups: Sequence[Setup], runs: int) -> MonteCarloReport:
+def run_monte_carlo(setups: Sequence[ExperimentSetup], runs: int) -> MonteCarloReport:
     """Judge every published row `runs` times with simulated touches; equal seeds give equal results.
 
     Args:
@@ -135,7 +135,7 @@ def run_monte_carlo(setups: Sequence[Setup], runs: int) -> MonteCarloReport:
     )
 
 
-def _noise(setup: Setup) -> NoiseUsed:
+def _noise(setup: ExperimentSetup) -> NoiseUsed:
     """Return errors and limits as this workflow and its simulated cell are configured."""
     settings = read_settings(overrides=[f"workflow={setup.workflow}", *setup.overrides])
     limits = settings.procedure.registration
@@ -160,7 +160,7 @@ def _touch_errors_mm(settings: Settings) -> tuple[float, float]:
     )
 
 
-def _row(setup: Setup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[int, int]) -> RowRates:
+def _row(setup: ExperimentSetup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[int, int]) -> RowRates:
     displaced = run.injection == OFFSET
     by_construction = not displaced and run.injection != "none"
     verdicts = [] if by_construction else list(_verdicts(setup, run, noise, runs, at))
@@ -183,7 +183,7 @@ def _row(setup: Setup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[i
 
 
 def _verdicts(
-    setup: Setup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[int, int]
+    setup: ExperimentSetup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[int, int]
 ) -> Iterator[RegistrationVerdict]:
     rng = np.random.default_rng((setup.seed, run.run))
     limits = RegistrationLimits(

@@ -8,7 +8,7 @@ import msgspec
 
 from pcmrs.errors import CommandRefusedError
 from pcmrs_lab.experiment.placements import PlacementReport, PlacementSummary, run_placements, summary_of
-from pcmrs_lab.experiment.setup import Setup
+from pcmrs_lab.experiment.setup import ExperimentSetup
 
 
 class SeedRun(msgspec.Struct, frozen=True):
@@ -40,7 +40,7 @@ class SeedsReport(msgspec.Struct, frozen=True):
         return [run.report for run in self.runs if run.report is not None]
 
 
-async def run_seeds(setup: Setup, trials: int, seeds: int) -> SeedsReport:
+async def run_seeds(setup: ExperimentSetup, trials: int, seeds: int) -> SeedsReport:
     """Repeat the experiment, each time on its own daemon, one after the other.
 
     Args:
@@ -68,7 +68,7 @@ async def run_seeds(setup: Setup, trials: int, seeds: int) -> SeedsReport:
     )
 
 
-async def _run(setup: Setup, trials: int, index: int, seeds: int) -> SeedRun:
+async def _run(setup: ExperimentSetup, trials: int, index: int, seeds: int) -> SeedRun:
     seed = setup.seed + index
 
     def progress(text: str, done: int, total: int) -> None:

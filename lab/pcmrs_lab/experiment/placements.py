@@ -14,9 +14,9 @@ from pcmrs.messages import PoseMessage, SceneTruth
 from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.workflows.data import Registered, as_message, as_transform
 from pcmrs.workflows.toolplan import ToolPose
-from pcmrs_lab.experiment.private import Bench, private_bench
+from pcmrs_lab.experiment.private import ExperimentBench, private_bench
 from pcmrs_lab.experiment.published import Reported, published
-from pcmrs_lab.experiment.setup import Setup
+from pcmrs_lab.experiment.setup import ExperimentSetup
 from pcmrs_lab.experiment.treatment import Treated, prepare, treat
 
 PATIENCE = 50
@@ -85,7 +85,7 @@ class PlacementReport(msgspec.Struct, frozen=True):
     summary: PlacementSummary
 
 
-async def run_placements(setup: Setup, trials: int) -> PlacementReport:
+async def run_placements(setup: ExperimentSetup, trials: int) -> PlacementReport:
     """Run the experiment on its own daemon, commanded over UDP; at the last pose the patient is treated.
 
     Args:
@@ -144,7 +144,7 @@ async def run_placements(setup: Setup, trials: int) -> PlacementReport:
     )
 
 
-async def _place(bench: Bench, number: int, pose: ToolPose, body_ref_from_image: Transform) -> Trial:
+async def _place(bench: ExperimentBench, number: int, pose: ToolPose, body_ref_from_image: Transform) -> Trial:
     """Bring the tool to a pose, leave it there and measure it."""
     await once_seen(lambda: bench.planner.plan_pose(pose.position, pose.quat_xyzw))
     await once_seen(bench.planner.approach)
@@ -185,7 +185,7 @@ def _actual(truth: SceneTruth, body_ref_from_image: Transform) -> Transform:
     return tracker_from_image.inverse() @ as_transform(truth.tracker_from_coil)
 
 
-def registered(bench: Bench) -> Registered:
+def registered(bench: ExperimentBench) -> Registered:
     """Return the registration in force from the journal."""
     rows = [stored.row for stored in bench.journal.read(kind="outcome", branch="registration")]
     registrations = [row.result["registered"] for row in rows if row.result and row.result.get("registered")]

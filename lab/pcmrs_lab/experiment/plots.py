@@ -39,11 +39,11 @@ def following_figure(runs: Sequence[Drawn]) -> Figure:
 def _draw(axes: Axes, runs: Sequence[Drawn]) -> None:
     for run in runs:
         color, label = (BLUE, "compensated") if run.result.compensated else (ORANGE, "not compensated")
-        axes.plot(run.course.times, run.course.true_mm, color=color, linewidth=0.8, label=label)
+        axes.plot(run.series.times, run.series.true_mm, color=color, linewidth=0.8, label=label)
         if run.result.compensated:
-            blocked = ~np.array(run.course.allowed, dtype=bool)
+            blocked = ~np.array(run.series.allowed, dtype=bool)
             transform = axes.get_xaxis_transform()
-            axes.fill_between(run.course.times, 0, 1, where=blocked, transform=transform, color="0.85", linewidth=0)
+            axes.fill_between(run.series.times, 0, 1, where=blocked, transform=transform, color="0.85", linewidth=0)
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel(f"{runs[0].result.scenario}\ntrue error, mm")
 

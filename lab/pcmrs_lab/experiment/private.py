@@ -21,7 +21,7 @@ from pcmrs.threads import Load, Threads
 
 
 @dataclass(frozen=True, slots=True)
-class Bench:
+class ExperimentBench:
     """Connections of an experiment to its daemon.
 
     Attributes:
@@ -38,7 +38,7 @@ class Bench:
 
 
 @asynccontextmanager
-async def private_bench(overrides: Sequence[str]) -> AsyncIterator[Bench]:
+async def private_bench(overrides: Sequence[str]) -> AsyncIterator[ExperimentBench]:
     """Start a daemon, wait until it is ready, and end it at the end of the context.
 
     Args:
@@ -54,7 +54,7 @@ async def private_bench(overrides: Sequence[str]) -> AsyncIterator[Bench]:
             ready = daemon.ready
             bus = await Bus.open(BusSettings(endpoint=ready.endpoint, cell=cell))
             stack.push_async_callback(bus.close)
-            bench = Bench(
+            bench = ExperimentBench(
                 planner=await stack.enter_async_context(await Planner.open(*ready.links["planner"])),
                 client=await stack.enter_async_context(Client.connect(ready.endpoint, cell=cell)),
                 scene=RemoteScene(bus, SystemClock()),

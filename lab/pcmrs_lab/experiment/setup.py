@@ -25,8 +25,8 @@ SETTINGS_OF: dict[Drivers, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Setup:
-    """Setup of one experiment on a simulated cell.
+class ExperimentSetup:
+    """ExperimentSetup of one experiment on a simulated cell.
 
     Attributes:
         plan: Landmarks and poses.

@@ -25,7 +25,7 @@ from pcmrs.report.session_journal import SessionJournal
 from pcmrs.report.stimulation.facts import facts_of
 from pcmrs.report.stimulation.reading import StimulationSession
 from pcmrs.tms.scalp import as_transform
-from pcmrs_lab.experiment.private import Bench, private_bench
+from pcmrs_lab.experiment.private import ExperimentBench, private_bench
 from pcmrs_lab.experiment.session.runner import SessionRunner
 from pcmrs_lab.experiment.session.setup import SessionSetup
 from pcmrs_lab.experiment.setup import ShowProgress
@@ -104,7 +104,7 @@ async def run_threshold_session(setup: SessionSetup, folder: Path, progress: Sho
     return report_of(record, folder)
 
 
-async def _run_to_end(bench: Bench, setup: SessionSetup, progress: ShowProgress) -> str:
+async def _run_to_end(bench: ExperimentBench, setup: SessionSetup, progress: ShowProgress) -> str:
     """Run the session; return why it ended early, or an empty text. If it did, stop the cell."""
     try:
         await SessionRunner(bench, setup, progress).run()

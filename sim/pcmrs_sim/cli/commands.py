@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     # For annotations only: `--help` must not load the simulation.
     from contextlib import AbstractAsyncContextManager
 
-    from pcmrs_sim.cell import Cell
+    from pcmrs_sim.cell import CellSimulation
     from pcmrs_sim.cli.running import Address
 
 PORT = click.IntRange(0, 65535)
@@ -124,7 +124,7 @@ async def _serve(
 
 
 def _open(
-    name: str, address: tuple[str, int] | None, accept_timeout: float, cell: Cell
+    name: str, address: tuple[str, int] | None, accept_timeout: float, cell: CellSimulation
 ) -> AbstractAsyncContextManager[Address]:
     if name == "kst" and address is not None:
         from pcmrs_sim.kst.server import serve_kst

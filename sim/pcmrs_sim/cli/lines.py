@@ -11,7 +11,7 @@ import click
 
 from pcmrs.errors import ConfigurationError, PcmrsError
 from pcmrs.messages import LandmarkPrompt
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.cli.terminal import forward_lines
 from pcmrs_sim.faults import inject, parse_fault
 from pcmrs_sim.pointer import SimPointer
@@ -36,7 +36,7 @@ def check_line(line: str) -> None:
         parse_fault(line)
 
 
-async def apply_line(cell: Cell, line: str) -> None:
+async def apply_line(cell: CellSimulation, line: str) -> None:
     """Inject a fault, or move the pointer, as a line says.
 
     Args:
@@ -82,7 +82,7 @@ def _parse_seconds(word: str) -> float:
     return seconds
 
 
-async def follow_schedule(cell: Cell, schedule: Schedule) -> None:
+async def follow_schedule(cell: CellSimulation, schedule: Schedule) -> None:
     """Apply each line of a schedule when it is due, and print errors to standard error.
 
     Args:
@@ -95,7 +95,7 @@ async def follow_schedule(cell: Cell, schedule: Schedule) -> None:
         await _try_line(cell, line)
 
 
-async def follow_input(cell: Cell) -> None:
+async def follow_input(cell: CellSimulation) -> None:
     """Apply the lines of standard input, one after the other, until cancelled."""
     lines: asyncio.Queue[str] = asyncio.Queue()
     forward_lines(lines.put_nowait)
@@ -103,7 +103,7 @@ async def follow_input(cell: Cell) -> None:
         await _try_line(cell, await lines.get())
 
 
-async def _try_line(cell: Cell, line: str) -> None:
+async def _try_line(cell: CellSimulation, line: str) -> None:
     """Apply a line, and print an error to standard error."""
     try:
         await apply_line(cell, line)
@@ -111,7 +111,7 @@ async def _try_line(cell: Cell, line: str) -> None:
         click.echo(error.text, err=True)
 
 
-async def _move_pointer(cell: Cell, word: str, rest: list[str]) -> None:
+async def _move_pointer(cell: CellSimulation, word: str, rest: list[str]) -> None:
     pointer = cast(SimPointer, cell.devices["pointer"])
     if word == "release":
         await pointer.release()

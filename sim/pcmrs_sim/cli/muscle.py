@@ -38,13 +38,13 @@ def muscle(seed: int, hum: str, preactivation: float, stream: str, markers: str,
 async def _serve(seed: int, hum: float, preactivation: float, stream: str, markers: str, as_json: bool) -> None:
     from pcmrs.clock import SystemClock
     from pcmrs_sim.cli.terminal import forward_lines, termination
-    from pcmrs_sim.lsl.bench import Bench
+    from pcmrs_sim.lsl.emg_bench import EmgBench
     from pcmrs_sim.lsl.streams import EmgOutlet, PulseInlet
     from pcmrs_sim.settings import MuscleSettings
 
     clock, ended = SystemClock(), termination()
     settings = MuscleSettings(hum_hz=hum, preactivation_uv=preactivation)
-    bench = Bench(settings, seed, clock)
+    bench = EmgBench(settings, seed, clock)
     outlet = EmgOutlet(stream, settings.rate_hz, bench.muscle.samples, clock)
     inlet = PulseInlet(markers, bench.stimulate, clock)
 

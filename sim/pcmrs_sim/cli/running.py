@@ -15,13 +15,13 @@ import msgspec
 from pcmrs.cli.log import log_to_stderr
 from pcmrs.clock import SystemClock
 from pcmrs.errors import DeviceError
-from pcmrs_sim.cell import Cell, running_cell
+from pcmrs_sim.cell import CellSimulation, running_cell
 from pcmrs_sim.cli.lines import follow_input, follow_schedule, read_schedule
 from pcmrs_sim.cli.terminal import termination
 
 Address = tuple[str, int] | str
 """Host and port, or the path of a pseudo-terminal."""
-Servers = Mapping[str, Callable[[Cell], AbstractAsyncContextManager[Address]]]
+Servers = Mapping[str, Callable[[CellSimulation], AbstractAsyncContextManager[Address]]]
 """Name of each virtual device to the function that serves it."""
 
 

@@ -11,10 +11,10 @@ from pcmrs.clock import Clock
 from pcmrs.gateway.handlers import Services
 from pcmrs.gateway.intake import Intake
 from pcmrs.gateway.links import TASK_FAILED
+from pcmrs.gateway.peer_session import ReplyChannel
 from pcmrs.gateway.periodic_timer import beats_of
 from pcmrs.gateway.pose_files import PoseFileWriter
 from pcmrs.gateway.rejection_log import RejectionLog
-from pcmrs.gateway.session import ReplyChannel
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.gateway.streams import Streams
 from pcmrs.service.gateway_adapter import GatewayAdapter

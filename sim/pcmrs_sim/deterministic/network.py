@@ -19,7 +19,7 @@ import msgspec
 from pcmrs.bus.qos import class_of
 from pcmrs.errors import PcmrsError, UnknownOutcomeError
 from pcmrs.simulated_time.loop import OWNER, SimulatedLoop, SimulationError
-from pcmrs_sim.deterministic.conditions import Conditions
+from pcmrs_sim.deterministic.network_conditions import NetworkConditions
 from pcmrs_sim.deterministic.senders import Senders, name_of
 from pcmrs_sim.deterministic.windows import Windows
 
@@ -66,7 +66,7 @@ class Network:
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, seed: int, *, coded: bool = False) -> None:
-        self.conditions = Conditions()
+        self.conditions = NetworkConditions()
         self.windows = Windows(loop, seed)
         self.counts = {"lost": 0, "doubled": 0, "overtaken": 0}
         self._loop = loop

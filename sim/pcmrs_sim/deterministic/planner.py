@@ -20,7 +20,7 @@ Run = AnyRun[Cell, PlacementData]
 
 
 class SimulatedPlanner:
-    """Implements `pcmrs.dispatcher.execution.Planner`.
+    """Implements `pcmrs.dispatcher.execution.MotionChecker`.
 
     Args:
         workflow: The opened procedure, with its checks.
@@ -43,7 +43,7 @@ class SimulatedPlanner:
         self._cell: PlanningCell | None = None
 
     async def check(self, run: Run) -> Reason | None:
-        """Check a command; see `Planner`. Nothing changes in a window of no length, so it needs no copy of the cell."""
+        """Check a command; see `MotionChecker`. In a window of no length nothing changes, so no copy is needed."""
         branch, operation = run.command.branch, run.command.operation
         duration = self._window(f"plan:{branch}.{operation}")
         if not duration:

@@ -14,7 +14,7 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.kst.java import numbers, reply
 from pcmrs_sim.kst.main_loop import DONE, JOINTS, MainLoop, Targets
 from pcmrs_sim.kst.readings import Readings
@@ -30,7 +30,7 @@ SET_POINTS: dict[str, Callable[[Readings], list[float]] | None] = {
 """Requests that set the joints, each with the reading in its reply. ``jp`` is answered ``done``, and ``jf`` is not."""
 
 
-class Cabinet:
+class SimulatedCabinet:
     """One run of the cabinet's application, with one client.
 
     Args:
@@ -39,7 +39,7 @@ class Cabinet:
         close: Closes the connection.
     """
 
-    def __init__(self, cell: Cell, send: Callable[[str], None], close: Callable[[], None]) -> None:
+    def __init__(self, cell: CellSimulation, send: Callable[[str], None], close: Callable[[], None]) -> None:
         self._faults = cell.robot_faults
         self._targets = Targets()
         self._readings = Readings(cell.world.arm, ArmModel(cell.facts))

@@ -13,7 +13,7 @@ from pcmrs.errors import DeviceError, PcmrsError
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.kst.destination import Destination
 from pcmrs_sim.kst.java import numbers, reply
 from pcmrs_sim.kst.moves import joint_move, straight_move
@@ -79,7 +79,7 @@ class MainLoop:
         slot: The line to process next; empty for none.
     """
 
-    def __init__(self, cell: Cell, targets: Targets, readings: Readings, send: Callable[[str], None]) -> None:
+    def __init__(self, cell: CellSimulation, targets: Targets, readings: Readings, send: Callable[[str], None]) -> None:
         self._arm, self._faults, self._facts = cell.world.arm, cell.robot_faults, cell.facts
         self._settings = cell.world.settings.arm
         self._model = ArmModel(cell.facts)

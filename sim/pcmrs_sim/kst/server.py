@@ -12,8 +12,8 @@ import numpy as np
 import structlog
 
 from pcmrs.background import background_task
-from pcmrs_sim.cell import Cell
-from pcmrs_sim.kst.cabinet import Cabinet, check_arm
+from pcmrs_sim.cell import CellSimulation
+from pcmrs_sim.kst.cabinet import SimulatedCabinet, check_arm
 from pcmrs_sim.kst.replies import Replies
 
 PORT = 30001
@@ -31,7 +31,7 @@ log = structlog.get_logger(__name__)
 
 @asynccontextmanager
 async def serve_kst(
-    cell: Cell, host: str = "127.0.0.1", port: int = PORT, *, accept_timeout: float = ACCEPT_TIMEOUT
+    cell: CellSimulation, host: str = "127.0.0.1", port: int = PORT, *, accept_timeout: float = ACCEPT_TIMEOUT
 ) -> AsyncIterator[tuple[str, int]]:
     """Serve the arm of a cell as a KST 1.7 server does; yield host and port.
 
@@ -64,7 +64,7 @@ class _Server:
         accept_timeout: See `ACCEPT_TIMEOUT`.
     """
 
-    def __init__(self, cell: Cell, listening: socket.socket, accept_timeout: float) -> None:
+    def __init__(self, cell: CellSimulation, listening: socket.socket, accept_timeout: float) -> None:
         self._cell, self._socket, self._accept_timeout = cell, listening, accept_timeout
         self._address = listening.getsockname()[:2]
         self._rng = np.random.default_rng((cell.world.settings.seed, STREAM))
@@ -110,7 +110,7 @@ class _Server:
         transport, _ = await loop.connect_accepted_socket(lambda: protocol, connection)
         writer = asyncio.StreamWriter(transport, protocol, reader, loop)
         replies = Replies(writer, self._cell.robot_faults, self._cell.clock, self._rng)
-        cabinet = Cabinet(self._cell, replies.send, transport.abort)
+        cabinet = SimulatedCabinet(self._cell, replies.send, transport.abort)
         log.info("cabinet_client", peer=writer.get_extra_info("peername"))
         async with asyncio.TaskGroup() as tasks:
             sending = tasks.create_task(replies.run(), name="replies of the virtual cabinet")
@@ -127,7 +127,7 @@ class _Server:
                 transport.close()
         log.info("cabinet_client_gone")
 
-    async def _read_lines(self, reader: asyncio.StreamReader, cabinet: Cabinet) -> None:
+    async def _read_lines(self, reader: asyncio.StreamReader, cabinet: SimulatedCabinet) -> None:
         with suppress(ConnectionError, ValueError):  # the client has gone, or sent a line that is too long
             while data := await reader.readline():
                 self._cell.catch_up()

@@ -11,14 +11,14 @@ import structlog
 from pcmrs.background import background_task
 from pcmrs.devices.lsl.library import EMG
 from pcmrs.devices.lsl.markers import PULSES, MarkerOutlet, PulseMarker
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.lsl.streams import EmgOutlet, PulseInlet, lsl_minus
 
 log = structlog.get_logger(__name__)
 
 
 @asynccontextmanager
-async def serve_muscle(cell: Cell, settings: Mapping[str, Any]) -> AsyncIterator[None]:
+async def serve_muscle(cell: CellSimulation, settings: Mapping[str, Any]) -> AsyncIterator[None]:
     """Serve the muscle of a cell as the drivers of stimulator and electromyograph need it.
 
     With ``emg.driver = "lsl"``, its electromyogram is streamed, and a simulated stimulator sends a marker per pulse.
@@ -50,7 +50,7 @@ async def serve_muscle(cell: Cell, settings: Mapping[str, Any]) -> AsyncIterator
         yield
 
 
-def _marker(name: str, cell: Cell) -> Any:
+def _marker(name: str, cell: CellSimulation) -> Any:
     """Return a function that sends a marker for each pulse of the simulated stimulator, on a stream of a name."""
     outlet, offset = MarkerOutlet(name), lsl_minus(cell.clock)
 

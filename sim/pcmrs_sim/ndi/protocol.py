@@ -35,7 +35,7 @@ class CommandError(Exception):
 
 
 @dataclass(frozen=True)
-class Request:
+class NdiCommand:
     """A command.
 
     Attributes:
@@ -47,7 +47,7 @@ class Request:
     parameters: str
 
 
-def parse(line: bytes) -> Request:
+def parse(line: bytes) -> NdiCommand:
     """Parse a command: ``NAME:parametersCRC``, or ``NAME parameters`` without a CRC.
 
     Args:
@@ -69,7 +69,7 @@ def parse(line: bytes) -> Request:
         rest = rest[:-4]
     if not (name.isalnum() and name == name.upper()):
         raise CommandError(INVALID)
-    return Request(name, rest)
+    return NdiCommand(name, rest)
 
 
 def reply(text: str) -> bytes:

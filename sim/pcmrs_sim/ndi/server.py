@@ -15,14 +15,14 @@ from pcmrs_sim.ndi.system import NdiSystem
 from pcmrs_sim.tracker import SimTracker
 
 if TYPE_CHECKING:
-    from pcmrs_sim.cell import Cell
+    from pcmrs_sim.cell import CellSimulation
 
 CHUNK = 4096
 LOOPBACK = "127.0.0.1"
 
 
 @asynccontextmanager
-async def serve_ndi(cell: Cell, host: str = LOOPBACK, port: int = 0) -> AsyncIterator[tuple[str, int]]:
+async def serve_ndi(cell: CellSimulation, host: str = LOOPBACK, port: int = 0) -> AsyncIterator[tuple[str, int]]:
     """Serve the tracker of a cell on a TCP port, to any number of clients; yield host and port.
 
     Args:
@@ -64,7 +64,7 @@ async def serve_ndi(cell: Cell, host: str = LOOPBACK, port: int = 0) -> AsyncIte
 
 
 @asynccontextmanager
-async def serve_ndi_pty(cell: Cell) -> AsyncIterator[str]:
+async def serve_ndi_pty(cell: CellSimulation) -> AsyncIterator[str]:
     """Serve the tracker of a cell on a pseudo-terminal; yield its path, which clients open as a serial port."""
     system = _system(cell)
     controller, terminal = pty.openpty()
@@ -85,19 +85,19 @@ async def serve_ndi_pty(cell: Cell) -> AsyncIterator[str]:
         os.close(terminal)
 
 
-def _tracker(cell: Cell) -> SimTracker:
+def _tracker(cell: CellSimulation) -> SimTracker:
     tracker = cell.devices["tracker"]
     assert isinstance(tracker, SimTracker)
     return tracker
 
 
-def _system(cell: Cell) -> NdiSystem:
+def _system(cell: CellSimulation) -> NdiSystem:
     tracker = _tracker(cell)
     faults = tracker.faults
     return NdiSystem(lambda: tracker.newest, lambda: faults.plugged, lambda: faults.wrong_tools)
 
 
-def _answers(cell: Cell, system: NdiSystem, lines: Lines, data: bytes) -> bytes:
+def _answers(cell: CellSimulation, system: NdiSystem, lines: Lines, data: bytes) -> bytes:
     """Return the replies to the commands that `data` completes; none while the tracker is silent."""
     commands = lines.feed(data)
     if _tracker(cell).faults.silent:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 from pcmrs.messages import BodyPose
-from pcmrs_sim.ndi.protocol import INVALID, PARAMETERS, CommandError, Request, parse, reply
+from pcmrs_sim.ndi.protocol import INVALID, PARAMETERS, CommandError, NdiCommand, parse, reply
 from pcmrs_sim.ndi.replies import ENABLED, INITIALIZED, OCCUPIED, HandleReport, float_reply, text_reply
 from pcmrs_sim.tracker_faults import BODIES
 
@@ -99,7 +99,7 @@ class NdiSystem:
         except CommandError as error:
             return reply(str(error))
 
-    def _perform(self, request: Request) -> bytes:
+    def _perform(self, request: NdiCommand) -> bytes:
         if request.name in self._anytime:
             return self._anytime[request.name](request.parameters)
         if request.name in self._setting_up:

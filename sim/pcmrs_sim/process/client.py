@@ -22,16 +22,16 @@ from pcmrs.messages import Beat, BodyPose, DeviceEvent, JointSetpoint, JointStat
 from pcmrs_sim.process.channel import Channel
 from pcmrs_sim.process.wire import (
     Alive,
+    ArmState,
     Call,
     Cancel,
     Event,
-    Frame,
     Open,
     Opened,
-    Point,
     Reply,
-    State,
+    ServoPoint,
     ToWorld,
+    TrackerPoses,
     Trouble,
     pack,
     read_by_node,
@@ -40,7 +40,7 @@ from pcmrs_sim.process.wire import (
 LOST = "The simulated cell has ended. Look at the arm before you continue."
 
 
-class World:
+class WorldClient:
     """The link to a world in another process.
 
     Args:
@@ -123,7 +123,7 @@ class World:
 
     def set_point(self, setpoint: JointSetpoint) -> None:
         """Send a set point to the arm."""
-        self._channel.send(pack(Point(setpoint)), droppable=True)
+        self._channel.send(pack(ServoPoint(setpoint)), droppable=True)
 
     def close(self) -> None:
         """Close the link, which ends the world."""
@@ -135,9 +135,9 @@ class World:
 
     def _receive(self, body: bytes) -> None:
         match read_by_node(body):
-            case Frame(poses):
+            case TrackerPoses(poses):
                 self.frames.publish(poses)
-            case State(state, dropped):
+            case ArmState(state, dropped):
                 self.dropped = dropped
                 self.states.publish(state)
             case Event(event):
@@ -181,7 +181,7 @@ class WorldDevice:
         name: Name of the device.
     """
 
-    def __init__(self, world: World, name: str) -> None:
+    def __init__(self, world: WorldClient, name: str) -> None:
         self._world, self._name = world, name
 
     def __getattr__(self, method: str) -> Callable[..., Awaitable[Any]]:
@@ -205,7 +205,7 @@ class WorldRobot(WorldDevice):
         clock: The cell's clock, which stamps set points.
     """
 
-    def __init__(self, world: World, clock: Clock) -> None:
+    def __init__(self, world: WorldClient, clock: Clock) -> None:
         super().__init__(world, "robot")
         self._clock = clock
 
@@ -244,7 +244,7 @@ class WorldTracker:
         world: World with the tracker.
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: WorldClient) -> None:
         self._world = world
 
     @property
@@ -255,7 +255,7 @@ class WorldTracker:
         return self._world.frames.read()
 
 
-def devices_of(world: World, names: Collection[str], clock: Clock) -> Mapping[str, Any]:
+def devices_of(world: WorldClient, names: Collection[str], clock: Clock) -> Mapping[str, Any]:
     """Return proxies of devices in a world.
 
     Args:

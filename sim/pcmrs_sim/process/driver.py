@@ -16,7 +16,7 @@ from pcmrs.background import background_task
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.devices.deadman import DEADMAN
 from pcmrs.errors import DeviceError
-from pcmrs_sim.process.client import World, devices_of
+from pcmrs_sim.process.client import WorldClient, devices_of
 
 MODULE = "pcmrs_sim.process"
 END_TIME = 2.0
@@ -64,7 +64,7 @@ async def _opened(
         if entered and owner is not None:  # while the context is being opened, `world.open` fails by itself
             owner.cancel()
 
-    world = World(link, machine, lost)
+    world = WorldClient(link, machine, lost)
     try:
         await world.open(devices, settings)
         async with background_task(world.beat(settings.get("robot", {}).get("deadman", DEADMAN)), "heartbeats"):

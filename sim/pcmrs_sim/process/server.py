@@ -15,7 +15,7 @@ from pcmrs.devices.deadman import DEADMAN, Deadman, Silence
 from pcmrs.devices.gate import ACTS, HOLDS
 from pcmrs.errors import DeviceError, PcmrsError, UnknownOutcomeError
 from pcmrs.threads import keep_pauses_short
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.opening import open_cell
 from pcmrs_sim.process.channel import Channel
 from pcmrs_sim.process.wire import (
@@ -24,13 +24,12 @@ from pcmrs_sim.process.wire import (
     Cancel,
     Event,
     Failure,
-    Frame,
     Open,
     Opened,
-    Point,
     Reply,
-    State,
+    ServoPoint,
     ToNode,
+    TrackerPoses,
     Trouble,
     pack,
     read_by_world,
@@ -63,7 +62,7 @@ class Server:
         self._open_request: asyncio.Future[Open | None] = asyncio.get_running_loop().create_future()
         self._ended = asyncio.Event()
         self._running: dict[int, asyncio.Task[None]] = {}
-        self.cell: Cell
+        self.cell: CellSimulation
         self._deadman: Deadman
         self._served: Collection[str] = ()
         self._trouble: dict[str, str] = {}
@@ -82,7 +81,7 @@ class Server:
         except PcmrsError as error:
             self._send(Opened(Failure.of(error)))
 
-    async def _serve(self, cell: Cell, request: Open) -> None:
+    async def _serve(self, cell: CellSimulation, request: Open) -> None:
         limit = request.settings.get("robot", {}).get("deadman", DEADMAN)
         self.cell, self._served = cell, request.devices
         self._deadman = Deadman(limit, self._at_risk, self._handle_silence, self._machine)
@@ -100,12 +99,12 @@ class Server:
                     task.cancel()
                 await asyncio.gather(*tasks, return_exceptions=True)
 
-    def _streams(self, cell: Cell) -> Iterator[Coroutine[Any, Any, None]]:
+    def _streams(self, cell: CellSimulation) -> Iterator[Coroutine[Any, Any, None]]:
         """Yield a coroutine for each stream of measurements and events of the served devices."""
         if "tracker" in self._served:
-            yield self._send_all(cell.tracker.frames(), lambda frame: Frame(list(frame)), droppable=True)
+            yield self._send_all(cell.tracker.frames(), lambda frame: TrackerPoses(list(frame)), droppable=True)
         if "robot" in self._served:
-            yield self._send_all(cell.robot.states(), lambda state: State(state, cell.robot.dropped), droppable=True)
+            yield self._send_all(cell.robot.states(), lambda state: ArmState(state, cell.robot.dropped), droppable=True)
             yield self._send_all(cell.robot.events(), Event)
         if "stimulator" in self._served:
             yield self._send_all(cell.stimulator.events(), Event)
@@ -131,7 +130,7 @@ class Server:
         match read_by_world(body):
             case Alive(beat):
                 self._deadman.take_beat(beat)
-            case Point(setpoint):
+            case ServoPoint(setpoint):
                 self.cell.robot.set_point(setpoint)
             case Call() as call:
                 self._start_call(call)
@@ -182,7 +181,7 @@ class Server:
         if not self._open_request.done():
             self._open_request.set_result(None)
 
-    async def _bring_to_rest(self, cell: Cell) -> None:
+    async def _bring_to_rest(self, cell: CellSimulation) -> None:
         """Brake an arm that the node has left in motion, and wait until it rests."""
         if cell.is_active(self._served):
             self._make_safe("its node has ended")

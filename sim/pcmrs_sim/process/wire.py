@@ -73,7 +73,7 @@ class Cancel(msgspec.Struct, frozen=True, tag="cancel"):
     number: int
 
 
-class Point(msgspec.Struct, frozen=True, tag="point"):
+class ServoPoint(msgspec.Struct, frozen=True, tag="point"):
     """A set point of the running servo session."""
 
     setpoint: JointSetpoint
@@ -105,13 +105,13 @@ class Reply(msgspec.Struct, frozen=True, tag="reply"):
     failure: Failure | None = None
 
 
-class Frame(msgspec.Struct, frozen=True, tag="frame"):
+class TrackerPoses(msgspec.Struct, frozen=True, tag="frame"):
     """Poses of all bodies in one frame of the tracker."""
 
     poses: list[BodyPose]
 
 
-class State(msgspec.Struct, frozen=True, tag="state"):
+class ArmState(msgspec.Struct, frozen=True, tag="state"):
     """Measured joints, and the number of set points that the arm has dropped so far."""
 
     state: JointState
@@ -131,8 +131,8 @@ class Trouble(msgspec.Struct, frozen=True, tag="trouble"):
     text: str
 
 
-ToWorld = Open | Call | Cancel | Point | Alive
-ToNode = Opened | Reply | Frame | State | Event | Trouble
+ToWorld = Open | Call | Cancel | ServoPoint | Alive
+ToNode = Opened | Reply | TrackerPoses | ArmState | Event | Trouble
 
 _encoder = msgspec.msgpack.Encoder()
 _to_world: msgspec.msgpack.Decoder[ToWorld] = msgspec.msgpack.Decoder(ToWorld)

@@ -20,7 +20,7 @@ from pcmrs_lab.campaign.driving import injected
 from pcmrs_lab.campaign.faults.network_bus import BURST
 from pcmrs_lab.campaign.injections import injections
 from pcmrs_lab.campaign.lab import Lab, Pool
-from pcmrs_lab.campaign.report import Part
+from pcmrs_lab.campaign.report import InjectionResult
 from pcmrs_lab.campaign.run import run_injection
 
 pytest.importorskip("mujoco")
@@ -35,7 +35,7 @@ async def pool(tmp_path: Path) -> AsyncIterator[Pool]:
     await made.close()
 
 
-async def inject(fault_id: str, name: str, folder: Path, pool: Pool) -> Part:
+async def inject(fault_id: str, name: str, folder: Path, pool: Pool) -> InjectionResult:
     (way,) = (way for way in injections()[fault_id] if way.name == name)
     return await run_injection(way, 1, folder, pool, SystemClock())
 

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.clock import SystemClock
-from pcmrs.devices.kst.cabinet import Cabinet, ImpedanceSettings
+from pcmrs.devices.kst.connection import ImpedanceSettings, KstConnection
 from pcmrs.devices.kst.link import KstLink
 from pcmrs.devices.kst.wire import LONGEST, LineBuffer, parse_values, words
 from pcmrs.errors import DeviceError, DeviceRefusedError, MotionInterruptedError, PayloadError, UnknownOutcomeError
@@ -26,7 +26,7 @@ DONE = b"done\n"
 SEVEN = b"0.1_-0.2_1.0E-4_-1.5_0.0_2.5E7_-3.0_\n"
 SEVEN_VALUES = [0.1, -0.2, 1e-4, -1.5, 0.0, 2.5e7, -3.0]
 
-Step = Callable[[Cabinet], Awaitable[Any]]
+Step = Callable[[KstConnection], Awaitable[Any]]
 
 
 async def reply_of(future: "asyncio.Future[str]") -> str:
@@ -113,7 +113,7 @@ async def conversation(
 
     server = await asyncio.start_server(serve, "127.0.0.1", 0)
     host, port = server.sockets[0].getsockname()[:2]
-    cabinet = await Cabinet.open(host, port, SystemClock(), 1.0, timeout)
+    cabinet = await KstConnection.open(host, port, SystemClock(), 1.0, timeout)
     try:
         result = await step(cabinet)
     finally:
@@ -136,7 +136,7 @@ async def test_every_request_and_reply_of_the_protocol(what: str, chunk: int | N
 
 
 async def test_a_set_point_has_no_reply() -> None:
-    async def step(cabinet: Cabinet) -> None:
+    async def step(cabinet: KstConnection) -> None:
         cabinet.stream(Q)
         cabinet.stream(Q)
 
@@ -153,7 +153,7 @@ async def test_a_refused_or_interrupted_motion_is_a_typed_failure(
 ) -> None:
     _, script, _ = TRANSCRIPTS["joint motion"]
 
-    async def step(cabinet: Cabinet) -> Any:
+    async def step(cabinet: KstConnection) -> Any:
         with pytest.raises(error):
             await cabinet.ptp_joints(Q, 0.02)
         return await cabinet.joints()
@@ -166,7 +166,7 @@ async def test_a_refused_or_interrupted_motion_is_a_typed_failure(
 
 @pytest.mark.parametrize("answer", [b"nak\n", b"interrupted\n"])
 async def test_interruption_of_a_stream_is_not_taken_for_its_reply(answer: bytes) -> None:
-    async def step(cabinet: Cabinet) -> Any:
+    async def step(cabinet: KstConnection) -> Any:
         reply = cabinet.stream_for_joints(Q)
         await asyncio.wait_for(reply, 0.5)
         with pytest.raises(DeviceError):
@@ -182,7 +182,7 @@ async def test_nothing_is_sent_after_an_answer_that_never_came() -> None:
     peer = Peer()
     peer.answers["Torques_ext_J"] = None
     async with served(peer) as (host, port):
-        cabinet = await Cabinet.open(host, port, SystemClock(), 1.0, 0.05)
+        cabinet = await KstConnection.open(host, port, SystemClock(), 1.0, 0.05)
         with pytest.raises(UnknownOutcomeError, match="did not answer in time"):
             await cabinet.external_torques()
         for call in (cabinet.joints, cabinet.start_servo):
@@ -198,7 +198,7 @@ async def test_a_reply_that_is_overdue_in_a_stream_fails_the_link() -> None:
     peer = Peer()
     peer.answers["jpJP"] = None
     async with served(peer) as (host, port):
-        cabinet = await Cabinet.open(host, port, SystemClock(), 1.0, 0.05)
+        cabinet = await KstConnection.open(host, port, SystemClock(), 1.0, 0.05)
         cabinet.stream_for_joints(Q)
         cabinet.stream(Q)
         with pytest.raises(DeviceError, match="is outstanding"):
@@ -212,7 +212,7 @@ async def test_a_peer_that_goes_away_fails_what_is_awaited() -> None:
     peer = Peer()
     peer.answers["getJointsPositions"] = None
     async with served(peer) as (host, port):
-        cabinet = await Cabinet.open(host, port, SystemClock(), 1.0, 5.0)
+        cabinet = await KstConnection.open(host, port, SystemClock(), 1.0, 5.0)
         asking = asyncio.create_task(cabinet.joints())
         await asyncio.sleep(0.02)
         peer.close()
@@ -226,7 +226,7 @@ async def test_missing_application_is_reported_with_the_remedy() -> None:
     server.close()
     await server.wait_closed()
     with pytest.raises(DeviceError, match="start the KST application"):
-        await Cabinet.open(host, port, SystemClock(), 1.0, 0.5)
+        await KstConnection.open(host, port, SystemClock(), 1.0, 0.5)
 
 
 @pytest.mark.parametrize(
@@ -239,7 +239,7 @@ async def test_missing_application_is_reported_with_the_remedy() -> None:
     ],
 )
 async def test_malformed_command_is_never_sent(call: Step, text: str) -> None:
-    async def step(cabinet: Cabinet) -> None:
+    async def step(cabinet: KstConnection) -> None:
         with pytest.raises(DeviceError, match=text):
             await call(cabinet)
 
@@ -356,7 +356,7 @@ def test_whatever_answers_a_question_ends_it(data: bytes, chunk: int) -> None:
 
 @pytest.mark.parametrize("answer", [b"done\n", b"1.0_2.0_\n", b"NaN_" * 7 + b"\n", b"\xff\xfe\n", b"0.0_" * 200])
 async def test_invalid_answer_loses_the_link(answer: bytes) -> None:
-    async def step(cabinet: Cabinet) -> None:
+    async def step(cabinet: KstConnection) -> None:
         with pytest.raises(UnknownOutcomeError, match="link to the cabinet"):
             await cabinet.joints()
         with pytest.raises(UnknownOutcomeError):
@@ -372,7 +372,7 @@ async def test_answer_other_than_done_is_no_acknowledgement(what: str, answer: b
     ask, script, _ = TRANSCRIPTS[what]
     request = script[0][0]
 
-    async def step(cabinet: Cabinet) -> None:
+    async def step(cabinet: KstConnection) -> None:
         with pytest.raises(UnknownOutcomeError, match=r"The cabinet answered '.+', not 'done'"):
             await ask(cabinet)
         with pytest.raises(UnknownOutcomeError):
@@ -400,7 +400,7 @@ async def test_reply_that_arrived_while_this_process_hung_is_taken() -> None:
         serving = threading.Thread(target=serve, args=(listening,), daemon=True)
         serving.start()
         host, port = listening.getsockname()
-        cabinet = await Cabinet.open(host, port, SystemClock(), 1.0, 0.2)
+        cabinet = await KstConnection.open(host, port, SystemClock(), 1.0, 0.2)
         asking = asyncio.create_task(cabinet.joints())
         await asyncio.sleep(0)  # it is sent
         assert answered.wait(10.0)
@@ -412,7 +412,7 @@ async def test_reply_that_arrived_while_this_process_hung_is_taken() -> None:
 
 
 async def test_an_answer_nobody_asked_for_loses_the_link() -> None:
-    async def step(cabinet: Cabinet) -> None:
+    async def step(cabinet: KstConnection) -> None:
         await cabinet.joints()
         await asyncio.sleep(0.02)
         with pytest.raises(UnknownOutcomeError, match="without a request"):

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pcmrs.devices.ndi.poses import FRAMES_TO_RESTART, FROZEN_TIME, FrameReader
 from pcmrs.devices.ndi.tools import LARGEST, placeholder, read_tools
 from pcmrs.devices.ndi.wire import LARGEST as LARGEST_REPORT
-from pcmrs.devices.ndi.wire import Failed, Frame, Ready, ToolFrame, Unpacker, pack
+from pcmrs.devices.ndi.wire import Failed, NdiFrame, ToolFrame, TrackerReady, Unpacker, pack
 from pcmrs.errors import ConfigurationError, PayloadError
 
 LATENCY = 0.04
@@ -24,16 +24,16 @@ SEEN = ToolFrame("coil", 7, 0x31, (0.5, -0.5, 0.5, -0.5, 100.0, -200.0, -1500.0,
 words = st.integers(0, 2**32 - 1)
 numbers = st.tuples(*[st.floats()] * 8)
 tools = st.builds(ToolFrame, st.sampled_from(["coil", "pointer"]), words, words, st.none() | numbers)
-frames = st.builds(Frame, st.floats(0.0, 1e6), words, st.lists(tools, max_size=4))
-reports = st.one_of(frames, st.builds(Ready, st.text(), st.booleans()), st.builds(Failed, st.text()))
+frames = st.builds(NdiFrame, st.floats(0.0, 1e6), words, st.lists(tools, max_size=4))
+reports = st.one_of(frames, st.builds(TrackerReady, st.text(), st.booleans()), st.builds(Failed, st.text()))
 
 
 def _reader() -> FrameReader:
     return FrameReader(LATENCY, max_error=0.001)
 
 
-def _frame(number: int, arrived: float, **changes: Any) -> Frame:
-    return Frame(arrived, 0, [msgspec.structs.replace(SEEN, frame_number=number, **changes)])
+def _frame(number: int, arrived: float, **changes: Any) -> NdiFrame:
+    return NdiFrame(arrived, 0, [msgspec.structs.replace(SEEN, frame_number=number, **changes)])
 
 
 def test_a_pose_is_in_metres_and_as_old_as_the_tracker_takes() -> None:
@@ -62,7 +62,7 @@ def test_a_pose_is_in_metres_and_as_old_as_the_tracker_takes() -> None:
     ],
 )
 def test_status_bits_are_reasons(status: int, system: int, measured: Any, reason: str) -> None:
-    (pose,) = _reader().poses(Frame(1.0, system, [ToolFrame("coil", 1, status, measured)]), now=1.0)
+    (pose,) = _reader().poses(NdiFrame(1.0, system, [ToolFrame("coil", 1, status, measured)]), now=1.0)
     assert not pose.valid
     assert pose.reason == reason
     assert pose.body == "coil"
@@ -117,7 +117,7 @@ def test_tracker_that_runs_backwards_is_never_accepted() -> None:
 
 
 @given(frames)
-def test_no_frame_is_too_strange(frame: Frame) -> None:
+def test_no_frame_is_too_strange(frame: NdiFrame) -> None:
     reader = _reader()
     for pose in reader.poses(frame, now=1.0) + reader.poses(frame, now=1.0):
         assert pose.valid == (pose.reason is None)

@@ -11,8 +11,8 @@ import pytest
 from structlog.testing import capture_logs
 
 from pcmrs.errors import ConfigurationError
-from pcmrs.gateway import intake, links, session
-from pcmrs.gateway.session import SECOND_WITHIN
+from pcmrs.gateway import intake, links, peer_session
+from pcmrs.gateway.peer_session import SECOND_WITHIN
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.hosts import is_loopback
 from pcmrs.testing.clock import settle
@@ -54,7 +54,7 @@ async def test_a_refusal_makes_up_for_no_plan(cell: Any) -> None:
 
 
 async def test_only_what_waits_or_runs_fills_a_queue(cell: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session, "MAX_WAITING", 2)
+    monkeypatch.setattr(peer_session, "MAX_WAITING", 2)
     for number in range(5):
         assert (await cell.ask(f"rob_conn_onxxxxx_#{number};")).startswith(f"{number}_accepted")
 
@@ -68,11 +68,11 @@ async def hear_from_others(cell: Any, many: int) -> None:
 
 async def test_so_many_sessions_are_kept(cell: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     gc.collect()
-    before = {id(each) for each in gc.get_objects() if isinstance(each, session.Session)}
+    before = {id(each) for each in gc.get_objects() if isinstance(each, peer_session.PeerSession)}
     monkeypatch.setattr(intake, "MAX_SESSIONS", 3)
     await hear_from_others(cell, 10)
     gc.collect()
-    kept = [each for each in gc.get_objects() if isinstance(each, session.Session) and id(each) not in before]
+    kept = [each for each in gc.get_objects() if isinstance(each, peer_session.PeerSession) and id(each) not in before]
     assert len(kept) == 3
 
 

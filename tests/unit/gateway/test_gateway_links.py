@@ -10,7 +10,7 @@ import pytest
 from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.intake import Intake, source_of
 from pcmrs.gateway.links import open_gateway
-from pcmrs.gateway.session import MAX_WAITING
+from pcmrs.gateway.peer_session import MAX_WAITING
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
 from tests.unit.gateway.gateway_fakes import CONFIRMED, WITHIN, FakeCore, ManualClock, UdpClient
 

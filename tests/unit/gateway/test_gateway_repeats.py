@@ -10,8 +10,8 @@ import pytest
 from pcmrs.dispatcher import verdict_cache
 from pcmrs.dispatcher.verdict_cache import CommandCache
 from pcmrs.gateway import intake
+from pcmrs.gateway.command_outcome import CommandOutcome
 from pcmrs.gateway.links import open_gateway
-from pcmrs.gateway.outcome import Outcome
 from tests.unit.gateway.gateway_fakes import UdpClient
 
 
@@ -75,10 +75,10 @@ async def test_ids_are_forgotten_at_each_opening(cell: Any, tmp_path: Any) -> No
 
 @pytest.mark.usefixtures("outcomes_are_forgotten")
 async def test_a_command_under_way_is_not_forgotten() -> None:
-    remembered: CommandCache[asyncio.Future[Outcome]] = CommandCache()
+    remembered: CommandCache[asyncio.Future[CommandOutcome]] = CommandCache()
     loop = asyncio.get_running_loop()
     running, done = loop.create_future(), loop.create_future()
-    done.set_result(Outcome("accepted", "robot", "1"))
+    done.set_result(CommandOutcome("accepted", "robot", "1"))
     remembered.put("a", "1", running)
     remembered.put("a", "2", done)
     remembered.put("a", "3", done)

@@ -12,7 +12,7 @@ from pcmrs.errors import ConfigurationError, DeviceError, UnknownOutcomeError
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose, JointTrajectory, LandmarkPrompt, PoseMessage
 from pcmrs.spatial import Floats, Transform, distance
-from pcmrs_sim.cell import BATCH, LONGEST_CATCH_UP, Cell
+from pcmrs_sim.cell import BATCH, LONGEST_CATCH_UP, CellSimulation
 from pcmrs_sim.error_models import TouchErrors
 from pcmrs_sim.opening import open_devices
 from pcmrs_sim.phantoms import PHANTOMS
@@ -272,7 +272,7 @@ async def test_only_the_asked_devices_are_opened(clock: Clock) -> None:
 
 
 async def test_a_slow_machine_slows_the_cell_and_is_counted(clock: Clock) -> None:
-    cell = Cell(SimSettings(), ARMS["iiwa14"], ForceSettings(), clock)
+    cell = CellSimulation(SimSettings(), ARMS["iiwa14"], ForceSettings(), clock)
     frames = asyncio.create_task(next_frames(cell.devices, 5))
     await asyncio.sleep(0)
     now = clock.monotonic()

@@ -32,7 +32,7 @@ from pcmrs.errors import (
 )
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import JointTrajectory
-from pcmrs_sim.process.client import World, devices_of
+from pcmrs_sim.process.client import WorldClient, devices_of
 from pcmrs_sim.process.driver import open_devices
 from pcmrs_sim.process.server import Server
 from pcmrs_sim.process.wire import Failure
@@ -234,7 +234,7 @@ class LateClock(SystemClock):
 async def linked(machine: SystemClock = CLOCK) -> AsyncIterator[tuple[Server, Mapping[str, Any]]]:
     """Both ends of a link in one process, so that a test can act between two steps of the world."""
     here, there = socket.socketpair()
-    server, world = Server(there), World(here, machine, lambda: None)
+    server, world = Server(there), WorldClient(here, machine, lambda: None)
     serving = asyncio.create_task(server.run())
     try:
         await world.open(("robot", "stimulator"), {})

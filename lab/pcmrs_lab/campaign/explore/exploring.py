@@ -15,8 +15,8 @@ import msgspec
 from pcmrs.clock import Clock, SystemClock
 from pcmrs_lab.campaign.explore.faults import FAULTS
 from pcmrs_lab.campaign.explore.generate import draw_script
-from pcmrs_lab.campaign.explore.script import Act, Physics, Script, shrink
-from pcmrs_lab.campaign.explore.session import Found, forget_sessions, run_session
+from pcmrs_lab.campaign.explore.script import Act, Physics, SessionScript, shrink
+from pcmrs_lab.campaign.explore.session import ExplorationResult, forget_sessions, run_session
 from pcmrs_lab.campaign.explore.settings import workflow_of
 
 AT_A_TIME = 4
@@ -44,7 +44,7 @@ class Broken(msgspec.Struct, frozen=True):
     text: str
     at: float
     acts: int
-    script: Script
+    script: SessionScript
 
 
 class Explored(msgspec.Struct, frozen=True):
@@ -112,7 +112,7 @@ def explore(
     """
     clock = SystemClock()
     workflow_of(workflow)  # an unknown workflow is refused before any session is started
-    started, found = clock.monotonic(), list[Found]()
+    started, found = clock.monotonic(), list[ExplorationResult]()
     seeds = islice(count(seed), sessions)
     for batch in _run_all(workflow, physics, seeds, jobs, clock, None if minutes is None else started + 60.0 * minutes):
         found += batch
@@ -122,7 +122,7 @@ def explore(
     return _report(workflow, physics, seed, found, seconds)
 
 
-def run_seeds(workflow: str, physics: Physics, seeds: list[int]) -> list[Found]:
+def run_seeds(workflow: str, physics: Physics, seeds: list[int]) -> list[ExplorationResult]:
     """Run the sessions of some seeds one after the other, and return their results.
 
     Args:
@@ -136,7 +136,7 @@ def run_seeds(workflow: str, physics: Physics, seeds: list[int]) -> list[Found]:
 
 def _run_all(
     workflow: str, physics: Physics, seeds: Iterator[int], jobs: int, clock: Clock, end: float | None
-) -> Iterator[list[Found]]:
+) -> Iterator[list[ExplorationResult]]:
     def more() -> list[int]:
         return [] if end is not None and clock.monotonic() >= end else list(islice(seeds, AT_A_TIME))
 
@@ -145,7 +145,7 @@ def _run_all(
             yield run_seeds(workflow, physics, batch)
         return
     with _processes(jobs) as pool:
-        running: set[Future[list[Found]]] = set()
+        running: set[Future[list[ExplorationResult]]] = set()
         while True:
             with _ctrl_c_blocked():  # new processes inherit the mask
                 while len(running) < 2 * jobs and (batch := more()):
@@ -183,7 +183,7 @@ def _ctrl_c_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _report(workflow: str, physics: Physics, seed: int, found: list[Found], seconds: float) -> Explored:
+def _report(workflow: str, physics: Physics, seed: int, found: list[ExplorationResult], seconds: float) -> Explored:
     reached, seen = Counter[str](), Counter[str]()
     for each in found:
         reached.update(each.reached)
@@ -205,13 +205,13 @@ def _report(workflow: str, physics: Physics, seed: int, found: list[Found], seco
     )
 
 
-def _broken(workflow: str, physics: Physics, found: Found, shrunk: bool) -> Broken:
+def _broken(workflow: str, physics: Physics, found: ExplorationResult, shrunk: bool) -> Broken:
     script = draw_script(workflow_of(workflow).blueprint, workflow, found.seed, physics)
     shorter = shrink(script, lambda each: run_session(each).invariant == found.invariant) if shrunk else script
     return Broken(found.seed, found.invariant, found.text, found.at, len(script.acts), shorter)
 
 
-def as_lines(script: Script) -> list[str]:
+def as_lines(script: SessionScript) -> list[str]:
     """Return the acts of a script as text, one line each."""
     return [_line(number, act) for number, act in enumerate(script.acts, 1)]
 

@@ -8,7 +8,7 @@ from pcmrs.fsm import Blueprint
 from pcmrs_lab.campaign.explore.aiming import draw_aimed
 from pcmrs_lab.campaign.explore.faults import FAULTS
 from pcmrs_lab.campaign.explore.plans import GARBAGE, random_operation
-from pcmrs_lab.campaign.explore.script import Act, Physics, Script
+from pcmrs_lab.campaign.explore.script import Act, Physics, SessionScript
 
 OPERATORS = ("anna", "ben")
 SECOND = 0.15
@@ -33,7 +33,7 @@ BRIEF = 1.5
 """Largest pause before a fault or Stop, s."""
 
 
-def draw_script(blueprint: Blueprint, workflow: str, seed: int, physics: Physics = "kinematic") -> Script:
+def draw_script(blueprint: Blueprint, workflow: str, seed: int, physics: Physics = "kinematic") -> SessionScript:
     """Return the session of a seed.
 
     Args:
@@ -45,12 +45,14 @@ def draw_script(blueprint: Blueprint, workflow: str, seed: int, physics: Physics
     draw = random.Random(f"session {workflow} {seed}")
     coded, slow = draw.random() < CODED, draw.choice(SLOW)
     if draw.random() < AIMED:
-        return Script(seed=seed, workflow=workflow, physics=physics, coded=coded, slow=slow, acts=draw_aimed(draw))
+        return SessionScript(
+            seed=seed, workflow=workflow, physics=physics, coded=coded, slow=slow, acts=draw_aimed(draw)
+        )
     trouble = draw.choice((0.0, 0.1, 0.25, 0.4))
     acts: list[Act] = []
     for _ in range(draw.randint(FEWEST, MOST)):
         acts.append(_act(blueprint, draw, trouble, hurry=bool(acts) and not acts[-1].waits))
-    return Script(seed=seed, workflow=workflow, physics=physics, coded=coded, slow=slow, acts=acts)
+    return SessionScript(seed=seed, workflow=workflow, physics=physics, coded=coded, slow=slow, acts=acts)
 
 
 def _act(blueprint: Blueprint, draw: random.Random, trouble: float, *, hurry: bool) -> Act:

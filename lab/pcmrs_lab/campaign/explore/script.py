@@ -41,7 +41,7 @@ class Act(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     held: float = 0.0
 
 
-class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class SessionScript(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Whole session.
 
     Attributes:
@@ -61,25 +61,25 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     acts: list[Act] = []
 
 
-def read_script(path: Path) -> Script:
+def read_script(path: Path) -> SessionScript:
     """Return the script of a file.
 
     Raises:
         ConfigurationError: The file cannot be read, or is not a script.
     """
     try:
-        return msgspec.json.decode(path.read_bytes(), type=Script)
+        return msgspec.json.decode(path.read_bytes(), type=SessionScript)
     except OSError as error:
         raise ConfigurationError(f"{path} cannot be read: {error.strerror}.", file=str(path)) from None
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise ConfigurationError(f"{path} is not a script of a session: {error}.", file=str(path)) from None
 
 
-def write_script(script: Script, path: Path) -> None:
+def write_script(script: SessionScript, path: Path) -> None:
     """Write a script as indented JSON.
 
     Args:
-        script: Script to write.
+        script: SessionScript to write.
         path: File to write.
     """
     path.write_bytes(msgspec.json.format(msgspec.json.encode(script), indent=1) + b"\n")
@@ -89,7 +89,7 @@ MOST_RUNS = 200
 """Default limit of runs for shrinking, so that it ends in reasonable time."""
 
 
-def shrink(script: Script, fails: Callable[[Script], bool], most: int = MOST_RUNS) -> Script:
+def shrink(script: SessionScript, fails: Callable[[SessionScript], bool], most: int = MOST_RUNS) -> SessionScript:
     """Return the shortest script found that still fails: without any single act it passes, unless `most` was too small.
 
     Zeller, Hildebrandt, Simplifying and Isolating Failure-Inducing Input, IEEE TSE 2002, without the tests of single
@@ -122,5 +122,5 @@ def _parts(length: int, parts: int) -> list[tuple[int, int]]:
     return [(start, min(length, start + size)) for start in range(0, length, size)]
 
 
-def _with(script: Script, acts: Sequence[Act]) -> Script:
+def _with(script: SessionScript, acts: Sequence[Act]) -> SessionScript:
     return msgspec.structs.replace(script, acts=list(acts))

@@ -22,9 +22,9 @@ from pcmrs_lab.campaign.explore.injecting import Faults
 from pcmrs_lab.campaign.explore.next_step_policy import next_step_policy
 from pcmrs_lab.campaign.explore.operators import PATIENCE, Operators
 from pcmrs_lab.campaign.explore.plans import GARBAGE, landmark_commands, plan_of, pose_commands
-from pcmrs_lab.campaign.explore.script import Act, Script
+from pcmrs_lab.campaign.explore.script import Act, SessionScript
 from pcmrs_lab.campaign.explore.settings import settings_of, workflow_of
-from pcmrs_lab.campaign.explore.witness import Violation, Witness
+from pcmrs_lab.campaign.explore.witness import InvariantViolation, Witness
 from pcmrs_sim.deterministic.cell import SimulatedCell, simulated_cell
 from pcmrs_sim.deterministic.entropy import seeded_entropy
 
@@ -38,7 +38,7 @@ LONGEST_FOLLOWING = 3.0
 """Longest pause between acts while the tool follows the head, s, since each second has 60 set points."""
 
 
-class Found(msgspec.Struct, frozen=True):
+class ExplorationResult(msgspec.Struct, frozen=True):
     """Result of a session.
 
     Attributes:
@@ -66,7 +66,7 @@ class Found(msgspec.Struct, frozen=True):
     at: float = 0.0
 
 
-def run_session(script: Script, *, seconds: float = 0.0) -> Found:
+def run_session(script: SessionScript, *, seconds: float = 0.0) -> ExplorationResult:
     """Run a script to its end, or to the first violation.
 
     The process must do nothing else meanwhile, since the randomness of the operating system is replaced.
@@ -96,7 +96,7 @@ def run_session(script: Script, *, seconds: float = 0.0) -> Found:
             loop.close()
         digest, rows = _digest(path)
     violation = session.witness.violation
-    return Found(
+    return ExplorationResult(
         seed=script.seed,
         time=loop.time(),
         cost=process_time() - started,
@@ -110,7 +110,7 @@ def run_session(script: Script, *, seconds: float = 0.0) -> Found:
     )
 
 
-async def _run_script(script: Script, path: Path, seconds: float) -> Session:
+async def _run_script(script: SessionScript, path: Path, seconds: float) -> ExploredSession:
     workflow = workflow_of(script.workflow)
     witness = Witness(workflow.blueprint)
     asyncio.get_running_loop().set_exception_handler(lambda _, context: _unhandled(witness, context))
@@ -124,14 +124,14 @@ async def _run_script(script: Script, path: Path, seconds: float) -> Session:
         observe=witness.observe,
     ) as cell:
         cell.network.windows.share = script.slow
-        session = Session(cell, witness, script)
+        session = ExploredSession(cell, witness, script)
         with witness.watching(cell.devices["scene"]):
             await session.faults.start_daemon()
             await session.run(seconds)
     return session
 
 
-class Session:
+class ExploredSession:
     """Running session.
 
     Attributes:
@@ -139,7 +139,7 @@ class Session:
         faults: Faults that are present.
     """
 
-    def __init__(self, cell: SimulatedCell, witness: Witness, script: Script) -> None:
+    def __init__(self, cell: SimulatedCell, witness: Witness, script: SessionScript) -> None:
         self.witness = witness
         self._cell = cell
         self._script = script
@@ -282,4 +282,4 @@ def quiet() -> Iterator[None]:
         structlog.configure(**before)
 
 
-__all__ = ["Found", "Violation", "quiet", "run_session"]
+__all__ = ["ExplorationResult", "InvariantViolation", "quiet", "run_session"]

@@ -34,8 +34,8 @@ from pcmrs_sim.deterministic.daemon import ProcedureDispatcher
 
 
 @dataclass(frozen=True, slots=True)
-class Violation:
-    """Violation of an invariant.
+class InvariantViolation:
+    """InvariantViolation of an invariant.
 
     Attributes:
         invariant: Name of the invariant.
@@ -63,7 +63,7 @@ class Witness:
     def __init__(self, blueprint: Blueprint) -> None:
         self.view = View(blueprint)
         self.watcher = Watcher(self.view, self.break_, DEADMAN)
-        self.violation: Violation | None = None
+        self.violation: InvariantViolation | None = None
         self.violated = asyncio.Event()
         self.reader: JournalReader | None = None
         self.tracker: TamperedTracker | None = None
@@ -148,7 +148,7 @@ class Witness:
             text: Description of the violation.
         """
         if self.violation is None:
-            self.violation = Violation(invariant, text, self._loop.time())
+            self.violation = InvariantViolation(invariant, text, self._loop.time())
             self.violated.set()
 
     def published(self, run: int, message: Snapshot | Verdict | DeviceEvent) -> None:

@@ -10,7 +10,7 @@ import zenoh
 from pcmrs.bus.codec import pack, unpack
 from pcmrs.bus.commands import Envelope
 from pcmrs.bus.settings import open_session
-from pcmrs.bus.signature import Signer
+from pcmrs.bus.signature import CertificateSigner
 from pcmrs.bus.stop import Stopping
 from pcmrs.clock import SystemClock
 from pcmrs.messages import Verdict
@@ -23,7 +23,7 @@ from pcmrs_lab.campaign.reachable import CARRIED, ROUTER, ReachableCell, reachab
 from pcmrs_lab.campaign.sham import is_sham
 
 
-class Sent(NamedTuple):
+class WireCommand(NamedTuple):
     """Command as on the wire: absolute key, payload and signature."""
 
     key: str
@@ -53,7 +53,7 @@ async def taken_over_router(lab: Lab) -> Evidence:
                 reasons["changed"] = await _rejection_reason(thief, own._replace(payload=other.payload))
             control = await _request(thief, other)
             expect(control.decision == "accepted", f"The command that {CARRIED} signed was {control.decision}.")
-            stopped = await _answer(thief, Sent(_absolute(open_cell, f"stop/{CARRIED}"), b"", None))
+            stopped = await _answer(thief, WireCommand(_absolute(open_cell, f"stop/{CARRIED}"), b"", None))
             expect(unpack(stopped, Stopping).source == f"bus:{CARRIED}", "Stop was not honoured.")
     expected = {
         "unsigned": "unsigned", "by the router": "certificate", "repeated": "repeated",
@@ -71,15 +71,17 @@ def _absolute(open_cell: ReachableCell, key: str) -> str:
     return f"{open_cell.cell.ready.prefix}/{key}"
 
 
-def _command(open_cell: ReachableCell, name: str, signer: str | None) -> Sent:
+def _command(open_cell: ReachableCell, name: str, signer: str | None) -> WireCommand:
     """Return a command of the carried person, with somebody's signature."""
     key, payload, clock = _absolute(open_cell, f"cmd/{CARRIED}/{name}"), pack(Envelope(id=name)), SystemClock()
     if signer is None:
-        return Sent(key, payload, None)
-    return Sent(key, payload, Signer.read(open_cell.people.credentials(signer), clock).sign("query", key, payload))
+        return WireCommand(key, payload, None)
+    return WireCommand(
+        key, payload, CertificateSigner.read(open_cell.people.credentials(signer), clock).sign("query", key, payload)
+    )
 
 
-async def _rejection_reason(session: zenoh.Session, sent: Sent) -> str:
+async def _rejection_reason(session: zenoh.Session, sent: WireCommand) -> str:
     """Return the reason why a command is refused; empty in a sham campaign, where it is not sent."""
     if is_sham():
         return ""
@@ -89,11 +91,11 @@ async def _rejection_reason(session: zenoh.Session, sent: Sent) -> str:
     return "" if reason is None else str(reason.fields.get("why", reason.code))
 
 
-async def _request(session: zenoh.Session, sent: Sent) -> Verdict:
+async def _request(session: zenoh.Session, sent: WireCommand) -> Verdict:
     return unpack(await _answer(session, sent), Verdict)
 
 
-async def _answer(session: zenoh.Session, sent: Sent) -> bytes:
+async def _answer(session: zenoh.Session, sent: WireCommand) -> bytes:
     def ask() -> list[bytes]:
         replies = session.get(sent.key, payload=sent.payload, attachment=sent.signature, timeout=PATIENCE)
         return [reply.result.payload.to_bytes() for reply in replies]

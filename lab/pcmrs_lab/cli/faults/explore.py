@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from pcmrs_lab.campaign.explore.exploring import Explored
     from pcmrs_lab.campaign.explore.script import Physics
-    from pcmrs_lab.campaign.explore.session import Found
+    from pcmrs_lab.campaign.explore.session import ExplorationResult
 
 
 @click.command("explore")
@@ -82,7 +82,7 @@ def explore(
         sys.exit(EXIT_REJECTED)
 
 
-def _summary(found: Found) -> RenderableType:
+def _summary(found: ExplorationResult) -> RenderableType:
     from rich.markup import escape
 
     outcome = f"[bold red]{found.invariant}[/] at {found.at:.3f} s: {escape(found.text)}" if found.invariant else "held"

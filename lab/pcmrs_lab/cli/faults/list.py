@@ -15,7 +15,7 @@ from pcmrs_lab.cli.faults.options import choosing, chosen
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from pcmrs_lab.campaign.catalogue import Row
+    from pcmrs_lab.campaign.catalogue import CatalogueRow
 
 
 class Listed(msgspec.Struct, frozen=True, rename={"fault_class": "class"}):
@@ -58,7 +58,7 @@ def list_(classes: tuple[str, ...], ids: tuple[str, ...], as_json: bool) -> None
     print_report(listing, _table(listing), as_json=as_json)
 
 
-def _listed(row: Row) -> Listed:
+def _listed(row: CatalogueRow) -> Listed:
     from pcmrs_lab.campaign.injections import injections
 
     known = injections().get(row.id, [])

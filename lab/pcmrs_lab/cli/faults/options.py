@@ -19,7 +19,7 @@ from pcmrs.errors import ConfigurationError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from pcmrs_lab.campaign.catalogue import Row
+    from pcmrs_lab.campaign.catalogue import CatalogueRow
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -105,7 +105,7 @@ def choosing(function: F) -> F:
     return function
 
 
-def chosen(classes: Sequence[str], ids: Sequence[str]) -> list[Row]:
+def chosen(classes: Sequence[str], ids: Sequence[str]) -> list[CatalogueRow]:
     """Return the selected rows; raise a usage error if a class or fault is unknown.
 
     Args:

@@ -36,7 +36,7 @@ AWAY = dict.fromkeys(("placed", "following", "held"), "placement.back_off")
 """Operation that leads away from the body, by state of the placement."""
 
 
-class Operator:
+class SessionOperator:
     """Operator of a daemon on the bus.
 
     Args:

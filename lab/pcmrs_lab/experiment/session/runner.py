@@ -8,8 +8,8 @@ import msgspec
 
 from pcmrs.errors import CommandRefusedError
 from pcmrs_lab.experiment.placements import once_seen
-from pcmrs_lab.experiment.private import Bench
-from pcmrs_lab.experiment.session.operator import Operator
+from pcmrs_lab.experiment.private import ExperimentBench
+from pcmrs_lab.experiment.session.operator import SessionOperator
 from pcmrs_lab.experiment.session.setup import SessionSetup
 from pcmrs_lab.experiment.setup import ShowProgress
 
@@ -32,11 +32,11 @@ class SessionRunner:
         progress: Callback for the present step, the number of pulses, and their expected total.
     """
 
-    def __init__(self, bench: Bench, setup: SessionSetup, progress: ShowProgress) -> None:
+    def __init__(self, bench: ExperimentBench, setup: SessionSetup, progress: ShowProgress) -> None:
         self._bench = bench
         self._setup = setup
         self._progress = progress
-        self._operator = Operator(bench.client, setup.rate, setup.interval)
+        self._operator = SessionOperator(bench.client, setup.rate, setup.interval)
         self._pulses = self._invalid = 0
 
     async def run(self) -> None:

@@ -13,7 +13,7 @@ STILL = [0.0, 0.0, 0.0]
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
+class SceneFault:
     """Request to the simulated scene.
 
     Attributes:
@@ -27,10 +27,10 @@ class Fault:
     end: Mapping[str, Any]
 
 
-FAULTS: dict[str, Fault | None] = {
-    "link_lost": Fault("cut_robot", {"cut": True}, {"cut": False}),
-    "outside": Fault("occlude", {"body": "coil", "hidden": True}, {"body": "coil", "hidden": False}),
-    "reference_moved": Fault(
+FAULTS: dict[str, SceneFault | None] = {
+    "link_lost": SceneFault("cut_robot", {"cut": True}, {"cut": False}),
+    "outside": SceneFault("occlude", {"body": "coil", "hidden": True}, {"body": "coil", "hidden": False}),
+    "reference_moved": SceneFault(
         "bump_reference",
         {"offset_in_body_ref": [0.01, 0.0, 0.0], "rotvec": STILL},
         {"offset_in_body_ref": [-0.01, 0.0, 0.0], "rotvec": STILL},

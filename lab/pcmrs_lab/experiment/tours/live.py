@@ -17,7 +17,7 @@ from functools import partial
 import msgspec
 
 from pcmrs.authoring.trial.coverage_plan import DEFAULT_PATIENCE
-from pcmrs.authoring.trial.tour import Move, all_moves
+from pcmrs.authoring.trial.tour import TourCommand, all_moves
 from pcmrs.client import Client
 from pcmrs.fsm.behaviour import Joint
 from pcmrs.fsm.blueprint import Blueprint
@@ -25,7 +25,7 @@ from pcmrs.messages import Snapshot, Verdict
 from pcmrs_lab.experiment.tours.arguments import Arguments
 from pcmrs_lab.experiment.tours.faults import FAULTS, fault
 from pcmrs_lab.experiment.tours.observer import Observer
-from pcmrs_lab.experiment.tours.progress import Seen, TourProgress
+from pcmrs_lab.experiment.tours.progress import TourObservations, TourProgress
 
 ANSWER_TIME = 120.0
 """Time within which any operation of a simulated cell has ended, s of the machine."""
@@ -77,7 +77,7 @@ class LiveTour:
             without = f"there are no arguments for it: give {payload} with --arguments"
             self._progress.drop(partial(_needs_arguments, name), without)
 
-    async def run(self, seconds: float, progress: ShowProgress) -> Seen:
+    async def run(self, seconds: float, progress: ShowProgress) -> TourObservations:
         """Run the tour.
 
         Args:
@@ -105,7 +105,7 @@ class LiveTour:
             del seen.left[move]  # given up, but covered by an event in between
         return seen
 
-    def _next(self, state: Snapshot) -> Move | None:
+    def _next(self, state: Snapshot) -> TourCommand | None:
         """Return the next move; a latched Stop is released first, since nothing may move before."""
         here, agenda = tuple(state.branches.values()), self._progress.agenda
         if not state.latched:
@@ -115,14 +115,14 @@ class LiveTour:
         still = self._allowed_when_latched
         return releases or agenda.next(here, still) or agenda.towards(here, goals, still)
 
-    def _unlatches(self, move: Move) -> bool:
+    def _unlatches(self, move: TourCommand) -> bool:
         spec = self._blueprint.branches[move.branch].operations[move.operation]
         return spec.unlatches and move.decision == "accepted"
 
-    def _allowed_when_latched(self, move: Move) -> bool:
+    def _allowed_when_latched(self, move: TourCommand) -> bool:
         return not self._blueprint.branches[move.branch].operations[move.operation].blocked_when_latched
 
-    async def _perform(self, move: Move, before: Snapshot) -> Snapshot:
+    async def _perform(self, move: TourCommand, before: Snapshot) -> Snapshot:
         """Send the command of a move and compare the response."""
         self._progress.seen.tour.append(move)
         verdict = await (self._provoke(move) if move.asker == "device" else self._command(move, before))
@@ -141,7 +141,7 @@ class LiveTour:
         await self._follow(move, shown, tuple(after.branches.values()))
         return after
 
-    def _met(self, move: Move, verdict: Verdict, sequence: int) -> tuple[Move, int]:
+    def _met(self, move: TourCommand, verdict: Verdict, sequence: int) -> tuple[TourCommand, int]:
         """Return the command in the joint state in which it arrived, and the number of the commit before.
 
         The cell may have left the joint state of the move by itself.
@@ -155,7 +155,7 @@ class LiveTour:
         there = [other for other in self._moves[joint] if (other.name, other.asker) == (move.name, move.asker)]
         return min(there, key=lambda other: other.ending != move.ending), max(other.sequence for other in earlier)
 
-    def _led_to(self, move: Move, verdict: Verdict, end: Joint) -> Joint:
+    def _led_to(self, move: TourCommand, verdict: Verdict, end: Joint) -> Joint:
         """Return the joint state that a decision led to if its snapshot was overtaken by the next one.
 
         The later verdicts must lead from there to the end.
@@ -163,7 +163,7 @@ class LiveTour:
         endings = (other.after for other in self._progress.same(move) if other.decision == verdict.decision)
         return next((joint for joint in endings if self._final_joint(joint) == end), end)
 
-    async def _command(self, move: Move, before: Snapshot) -> Verdict:
+    async def _command(self, move: TourCommand, before: Snapshot) -> Verdict:
         spec = self._blueprint.branches[move.branch].operations[move.operation]
         arguments, command_id = self._arguments.next(move.name, spec.payload), uuid.uuid4().hex
         if spec.unlatches:
@@ -185,7 +185,7 @@ class LiveTour:
             self._progress.seen.stops += 1
             await self._client.stop(timeout=ANSWER_TIME)
 
-    async def _provoke(self, move: Move) -> Verdict | None:
+    async def _provoke(self, move: TourCommand) -> Verdict | None:
         """Make a simulated device report an event, and end the fault; return None if nothing was reported in time."""
         async with fault(self._client, move.operation):
             with suppress(TimeoutError):
@@ -193,7 +193,7 @@ class LiveTour:
                     return await self._observer.verdict_on(move.branch, move.operation, self._judged)
         return None
 
-    async def _follow(self, move: Move, joint: Joint, end: Joint) -> None:
+    async def _follow(self, move: TourCommand, joint: Joint, end: Joint) -> None:
         """Record operations that a step or a device has submitted; nothing else may have changed the state."""
         await self._shown(lambda: self._final_joint(joint) == end)
         others = self._observer.verdicts_beside(self._judged)
@@ -209,7 +209,7 @@ class LiveTour:
             async with asyncio.timeout(SHOWN_WITHIN):
                 await self._observer.shows(condition)
 
-    def _take(self, unrequested: list[Move], joint: Joint, verdicts: list[Verdict]) -> Joint:
+    def _take(self, unrequested: list[TourCommand], joint: Joint, verdicts: list[Verdict]) -> Joint:
         """Mark verdicts as judged and their moves as covered, and return the joint state that they led to."""
         self._judged |= {verdict.id for verdict in verdicts}
         self._progress.cover(unrequested)
@@ -220,9 +220,9 @@ class LiveTour:
         """Return the joint state to which the unrequested verdicts lead."""
         return self._unrequested(joint, self._observer.verdicts_beside(self._judged))[1]
 
-    def _unrequested(self, joint: Joint, verdicts: list[Verdict]) -> tuple[list[Move], Joint]:
+    def _unrequested(self, joint: Joint, verdicts: list[Verdict]) -> tuple[list[TourCommand], Joint]:
         """Return the moves of unrequested verdicts that are as required, and the joint state that they lead to."""
-        found: list[Move] = []
+        found: list[TourCommand] = []
         for verdict in verdicts:
             what, shown = (verdict.branch, verdict.operation, verdict.decision), self._observer.joint_at(verdict)
             there = self._moves.get(joint, []) if verdict.decision != "rejected" else []
@@ -234,22 +234,22 @@ class LiveTour:
         return found, joint
 
 
-def _live(moves: list[Move]) -> Iterator[Move]:
+def _live(moves: list[TourCommand]) -> Iterator[TourCommand]:
     """Return the moves as visible from outside: without the refusing check and the stopped step."""
     found = (msgspec.structs.replace(move, at="", how="") for move in moves if not _by_check(move))
     return iter(dict.fromkeys(found))
 
 
-def _by_check(move: Move) -> bool:
+def _by_check(move: TourCommand) -> bool:
     return bool(move.decision == "rejected" and move.at)
 
 
-def _needs_arguments(name: str, move: Move) -> bool:
+def _needs_arguments(name: str, move: TourCommand) -> bool:
     """Return whether a move requests an operation whose arguments are checked."""
     return move.name == name and move.code not in ("internal_operation", "event_operation")
 
 
-def _provoked(move: Move) -> bool:
+def _provoked(move: TourCommand) -> bool:
     return move.operation in FAULTS and move.decision == "accepted"
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from pcmrs.authoring.trial.coverage import Deviation, deviation
 from pcmrs.authoring.trial.coverage_plan import CoveragePlan
-from pcmrs.authoring.trial.tour import Move
+from pcmrs.authoring.trial.tour import TourCommand
 from pcmrs.fsm.behaviour import Joint
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.messages import Verdict
@@ -16,7 +16,7 @@ DECIDED_AT_ONCE = "is decided at once: Stop cannot come in between"
 
 
 @dataclass
-class Seen:
+class TourObservations:
     """Result of a live tour.
 
     Attributes:
@@ -29,11 +29,11 @@ class Seen:
         events: Number of events that devices reported by themselves.
     """
 
-    wanted: set[Move]
-    made: set[Move] = field(default_factory=set)
+    wanted: set[TourCommand]
+    made: set[TourCommand] = field(default_factory=set)
     deviations: list[Deviation] = field(default_factory=list)
-    left: dict[Move, str] = field(default_factory=dict)
-    tour: list[Move] = field(default_factory=list)
+    left: dict[TourCommand, str] = field(default_factory=dict)
+    tour: list[TourCommand] = field(default_factory=list)
     stops: int = 0
     events: int = 0
 
@@ -52,20 +52,22 @@ class TourProgress:
         seen: Result so far.
     """
 
-    def __init__(self, blueprint: Blueprint, moves: Mapping[Joint, list[Move]], patience: Mapping[str, int]) -> None:
+    def __init__(
+        self, blueprint: Blueprint, moves: Mapping[Joint, list[TourCommand]], patience: Mapping[str, int]
+    ) -> None:
         self.moves = moves
         self.agenda = CoveragePlan(moves, patience)
-        self.seen = Seen({move for there in moves.values() for move in there})
+        self.seen = TourObservations({move for there in moves.values() for move in there})
         self._blueprint = blueprint
         self._accepted: set[str] = set()
 
-    def cover(self, moves: Iterable[Move]) -> None:
+    def cover(self, moves: Iterable[TourCommand]) -> None:
         """Mark moves as covered."""
         for move in moves:
             self.agenda.made(move)
             self.seen.made.add(move)
 
-    def drop(self, unwanted: Callable[[Move], bool], reason: str) -> None:
+    def drop(self, unwanted: Callable[[TourCommand], bool], reason: str) -> None:
         """Exclude moves that cannot be covered, with the reason.
 
         Args:
@@ -74,11 +76,11 @@ class TourProgress:
         """
         self.seen.left |= dict.fromkeys(self.agenda.drop(unwanted), reason)
 
-    def rejected(self, move: Move, verdict: Verdict, sequence: int, after: Joint) -> None:
+    def rejected(self, move: TourCommand, verdict: Verdict, sequence: int, after: Joint) -> None:
         """Judge a rejection: it is required, or comes from a check; in both cases it commits nothing after `sequence`.
 
         Args:
-            move: Move whose command was sent.
+            move: TourCommand whose command was sent.
             verdict: Rejection.
             sequence: Number of the commit before the command.
             after: Joint state after it.
@@ -92,7 +94,7 @@ class TourProgress:
         else:
             self.judge(move, "rejected", after, code)
 
-    def ended(self, move: Move, verdict: Verdict, after: Joint, *, ran: bool) -> None:
+    def ended(self, move: TourCommand, verdict: Verdict, after: Joint, *, ran: bool) -> None:
         """Judge an ended operation: every move that fits its ending is covered, even if another ending was requested.
 
         Args:
@@ -112,11 +114,11 @@ class TourProgress:
                 self.drop(lambda m: m.name == move.name and m.decision == "failed", DECIDED_AT_ONCE)
             self.agenda.missed(move, f"the cell ended it otherwise: {fitting[0].ending}")
 
-    def judge(self, move: Move, decision: str, after: Joint, code: str) -> None:
+    def judge(self, move: TourCommand, decision: str, after: Joint, code: str) -> None:
         """Compare a response with the required one of a move.
 
         Args:
-            move: Move whose command was sent.
+            move: TourCommand whose command was sent.
             decision: Decision on it.
             after: Joint state that it led to.
             code: Code of the reason; empty if there is none.
@@ -129,7 +131,7 @@ class TourProgress:
             self.seen.made.discard(move)
             self.seen.deviations.append(found)
 
-    def same(self, move: Move) -> list[Move]:
+    def same(self, move: TourCommand) -> list[TourCommand]:
         """Return the moves of the same command in the same joint state."""
         command = (move.name, move.asker)
         return [other for other in self.moves[move.before] if (other.name, other.asker) == command]

@@ -11,7 +11,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from pcmrs.authoring.trial.coverage import Deviation, deviation
-from pcmrs.authoring.trial.tour import Move, Tour
+from pcmrs.authoring.trial.tour import Tour, TourCommand
 from pcmrs.dispatcher import Dispatcher, NoArguments, ProcedureData, Registry, Run, Workflow
 from pcmrs.errors import DeviceError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm.behaviour import Joint, joint_of
@@ -56,14 +56,14 @@ class LeapingClock:
                 self._deadlines.remove(entry)
 
 
-class Script:
+class ScriptedSteps:
     """Behaviour of checks and steps for the present move of a tour.
 
     Attributes:
         move: Present move.
     """
 
-    move: Move
+    move: TourCommand
 
     def check(self, name: str, _run: Run[None, ProcedureData]) -> None:
         """Accept, unless the move requires this check to refuse.
@@ -126,7 +126,7 @@ class NullRecorder:
         """Return None, since nothing is stored."""
 
 
-def scripted(blueprint: Blueprint, script: Script, *, outside: bool) -> Workflow[None, ProcedureData]:
+def scripted(blueprint: Blueprint, script: ScriptedSteps, *, outside: bool) -> Workflow[None, ProcedureData]:
     """Return the workflow with scripted checks and steps, and without activities.
 
     Args:
@@ -148,7 +148,9 @@ def scripted(blueprint: Blueprint, script: Script, *, outside: bool) -> Workflow
     return Workflow(blueprint, registry, ProcedureData(), lambda data, _states, _effects: data)
 
 
-def scripted_dispatcher(blueprint: Blueprint, script: Script, *, outside: bool) -> Dispatcher[None, ProcedureData]:
+def scripted_dispatcher(
+    blueprint: Blueprint, script: ScriptedSteps, *, outside: bool
+) -> Dispatcher[None, ProcedureData]:
     """Return a dispatcher of a scripted workflow, which stores nothing; see `scripted`.
 
     Args:
@@ -160,7 +162,9 @@ def scripted_dispatcher(blueprint: Blueprint, script: Script, *, outside: bool) 
     return Dispatcher(workflow, None, LeapingClock(), NullRecorder(), _hold)
 
 
-async def rehearse(blueprint: Blueprint, tour: Tour, *, outside: bool) -> AsyncIterator[tuple[Move, Deviation | None]]:
+async def rehearse(
+    blueprint: Blueprint, tour: Tour, *, outside: bool
+) -> AsyncIterator[tuple[TourCommand, Deviation | None]]:
     """Take the dispatcher through a tour.
 
     Args:
@@ -172,7 +176,7 @@ async def rehearse(blueprint: Blueprint, tour: Tour, *, outside: bool) -> AsyncI
         Every move, and its deviation if there is one; the rest of a stretch that has left the tour is skipped.
     """
     for stretch in tour.stretches:
-        script = Script()
+        script = ScriptedSteps()
         dispatcher = scripted_dispatcher(blueprint, script, outside=outside)
         for number, move in enumerate(stretch):
             script.move = move
@@ -184,12 +188,12 @@ async def rehearse(blueprint: Blueprint, tour: Tour, *, outside: bool) -> AsyncI
                 break
 
 
-def _command(number: int, move: Move) -> Command:
+def _command(number: int, move: TourCommand) -> Command:
     source = "device:tour" if move.asker == "device" else "tour:user"
     return Command(id=str(number), branch=move.branch, operation=move.operation, source=source)
 
 
-def _judged(blueprint: Blueprint, move: Move, verdict: Verdict, after: Joint) -> Deviation | None:
+def _judged(blueprint: Blueprint, move: TourCommand, verdict: Verdict, after: Joint) -> Deviation | None:
     """Compare decision, code and states, and the check or step that the verdict names."""
     fields, code = (verdict.reason.fields, verdict.reason.code) if verdict.reason is not None else ({}, "")
     at = fields.get("step") or fields.get("check") or ""

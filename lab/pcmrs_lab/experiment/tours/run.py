@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from pcmrs.authoring.trial.coverage import Deviation, coverage, is_complete
 from pcmrs.authoring.trial.engine_tour import tour_engine
-from pcmrs.authoring.trial.tour import Move, Tour, plan_tour
+from pcmrs.authoring.trial.tour import Tour, TourCommand, plan_tour
 from pcmrs.client import Client
 from pcmrs.errors import ConfigurationError, DeviceError, UnknownOutcomeError
 from pcmrs.fsm.blueprint import Blueprint
@@ -24,14 +24,14 @@ SUBJECTS = ("engine", "dispatcher, steps outside", "dispatcher, steps at once")
 
 
 @dataclass
-class _Tally:
+class _TourTally:
     """Results of one subject on a tour."""
 
     commands: int = 0
-    good: set[Move] = field(default_factory=set)
+    good: set[TourCommand] = field(default_factory=set)
     deviations: list[Deviation] = field(default_factory=list)
 
-    def take(self, move: Move, deviation: Deviation | None) -> None:
+    def take(self, move: TourCommand, deviation: Deviation | None) -> None:
         self.commands += 1
         if deviation is None:
             self.good.add(move)
@@ -39,7 +39,9 @@ class _Tally:
             self.deviations.append(deviation)
 
 
-async def tour_scripted(blueprint: Blueprint, limit: int, progress: ShowProgress) -> tuple[TourReport, list[Move]]:
+async def tour_scripted(
+    blueprint: Blueprint, limit: int, progress: ShowProgress
+) -> tuple[TourReport, list[TourCommand]]:
     """Take the engine, and the dispatcher on scripted steps, through a tour.
 
     Args:
@@ -56,7 +58,7 @@ async def tour_scripted(blueprint: Blueprint, limit: int, progress: ShowProgress
     begin = asyncio.get_running_loop().time()
     tour = plan_tour(blueprint, limit)
     moves = [move for stretch in tour.stretches for move in stretch]
-    tallies = {subject: _Tally() for subject in SUBJECTS}
+    tallies = {subject: _TourTally() for subject in SUBJECTS}
     done = 0
     async for subject, move, deviation in _toured(blueprint, tour):
         tallies[subject].take(move, deviation)
@@ -79,7 +81,7 @@ async def tour_scripted(blueprint: Blueprint, limit: int, progress: ShowProgress
     return report, moves
 
 
-async def _toured(blueprint: Blueprint, tour: Tour) -> AsyncIterator[tuple[str, Move, Deviation | None]]:
+async def _toured(blueprint: Blueprint, tour: Tour) -> AsyncIterator[tuple[str, TourCommand, Deviation | None]]:
     engine, outside, at_once = SUBJECTS
     for judged in tour_engine(blueprint, tour):
         yield engine, *judged
@@ -91,7 +93,7 @@ async def _toured(blueprint: Blueprint, tour: Tour) -> AsyncIterator[tuple[str, 
 
 async def tour_live(
     blueprint: Blueprint, client: Client, arguments: Arguments, limit: int, seconds: float, progress: ShowProgress
-) -> tuple[TourReport, list[Move]]:
+) -> tuple[TourReport, list[TourCommand]]:
     """Take a running cell on simulated devices through a tour.
 
     Args:

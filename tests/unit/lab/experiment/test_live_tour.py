@@ -21,7 +21,7 @@ from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
 from pcmrs_lab.experiment.tours import live
 from pcmrs_lab.experiment.tours.arguments import Arguments, read_arguments
 from pcmrs_lab.experiment.tours.progress import DECIDED_AT_ONCE
-from pcmrs_lab.experiment.tours.rehearsal import NullRecorder, Script, scripted
+from pcmrs_lab.experiment.tours.rehearsal import NullRecorder, ScriptedSteps, scripted
 from pcmrs_lab.experiment.tours.report import TourReport
 from pcmrs_lab.experiment.tours.run import tour_live
 from tests.support.altered import with_operation
@@ -40,7 +40,7 @@ ENDED_OTHERWISE = ("rejected", "failed", "unknown")
 EMPTY = {payload: cast(dict[str, Any], {}) for payload in PAYLOADS}
 
 
-class Dice(Script):
+class Dice(ScriptedSteps):
     """Checks that refuse now and then, and steps that end as the dice say."""
 
     def __init__(self, seed: int, refusing: float) -> None:

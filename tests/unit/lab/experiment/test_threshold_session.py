@@ -30,7 +30,7 @@ from pcmrs.report.stimulation.reading import StimulationSession
 from pcmrs.settings import read_settings
 from pcmrs.testing.plan import example_plan, read_plan
 from pcmrs_lab.experiment.session import operator as operating
-from pcmrs_lab.experiment.session.operator import Operator
+from pcmrs_lab.experiment.session.operator import SessionOperator
 from pcmrs_lab.experiment.session.setup import SessionSetup
 from pcmrs_lab.experiment.threshold_session import INTERRUPTED, read_record, run_threshold_session, true_of
 
@@ -115,8 +115,8 @@ def client(monkeypatch: pytest.MonkeyPatch) -> FakeClient:
     return made
 
 
-def operator(client: FakeClient) -> Operator:
-    return Operator(cast(Client, client), rate=1000.0)
+def operator(client: FakeClient) -> SessionOperator:
+    return SessionOperator(cast(Client, client), rate=1000.0)
 
 
 async def test_temporary_rejection_is_waited_out(client: FakeClient) -> None:

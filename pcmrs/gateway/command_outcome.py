@@ -19,7 +19,7 @@ NO_DATA = "no_data_returned;"
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class CommandOutcome:
     """Outcome of a command.
 
     Attributes:
@@ -48,14 +48,14 @@ class Outcome:
         return "".join(f"{number:.6f}_" for number in self.numbers)
 
 
-def of_verdict(verdict: Verdict) -> Outcome:
+def of_verdict(verdict: Verdict) -> CommandOutcome:
     """Return the outcome of a dispatcher's verdict."""
     if verdict.decision == "accepted":
-        return Outcome("accepted", verdict.branch, verdict.state, numbers=_numbers(verdict.result or {}))
+        return CommandOutcome("accepted", verdict.branch, verdict.state, numbers=_numbers(verdict.result or {}))
     if verdict.decision == "unknown":
-        return Outcome("failed", verdict.branch, verdict.state, UnknownOutcomeError.code)
+        return CommandOutcome("failed", verdict.branch, verdict.state, UnknownOutcomeError.code)
     code = verdict.reason.code if verdict.reason else verdict.decision
-    return Outcome(verdict.decision, verdict.branch, verdict.state, code)
+    return CommandOutcome(verdict.decision, verdict.branch, verdict.state, code)
 
 
 def _numbers(result: dict[str, Any]) -> tuple[float, ...]:

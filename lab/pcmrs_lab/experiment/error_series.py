@@ -23,7 +23,7 @@ HISTORY = 64
 
 
 @dataclass
-class Course:
+class ErrorSeries:
     """Errors of one run, mm, and their times since its beginning, s of the cell.
 
     Attributes:
@@ -44,7 +44,7 @@ class Course:
         return errors
 
 
-class Observer:
+class PlacementErrorMonitor:
     """Observes a running cell from outside.
 
     Args:
@@ -61,11 +61,11 @@ class Observer:
         self._desired = body_ref_from_coil
         self._clock, self._rate = SystemClock(), rate
         self._frames: deque[BodyPose] = deque(maxlen=HISTORY)
-        self._course: Course | None = None
+        self._series: ErrorSeries | None = None
         client.listen("state/fsm", Snapshot, self._take_snapshot)
         client.listen("state/pose/*", BodyPose, self._take_pose)
 
-    async def watch(self, duration: float, *, even_if_lost: bool = False) -> Course:
+    async def watch(self, duration: float, *, even_if_lost: bool = False) -> ErrorSeries:
         """Record the errors for some time, or until the tool does not follow any more.
 
         Args:
@@ -75,17 +75,17 @@ class Observer:
         Returns:
             Errors of the run.
         """
-        course = self._course = Course()
+        series = self._series = ErrorSeries()
         started, machine = (await self._scene.truth()).time, self._clock.monotonic()
         while True:
             truth = await self._scene.truth()
-            course.times.append(truth.time - started)
-            course.true_mm.append(self._error(truth) * 1000.0)
-            course.allowed.append(self.state("alignment") == "1")
-            course.lag = (self._clock.monotonic() - machine) * self._rate - course.times[-1]
-            if course.times[-1] >= duration or not (even_if_lost or self.state("placement") == "following"):
-                self._course = None
-                return course
+            series.times.append(truth.time - started)
+            series.true_mm.append(self._error(truth) * 1000.0)
+            series.allowed.append(self.state("alignment") == "1")
+            series.lag = (self._clock.monotonic() - machine) * self._rate - series.times[-1]
+            if series.times[-1] >= duration or not (even_if_lost or self.state("placement") == "following"):
+                self._series = None
+                return series
             await asyncio.sleep(PERIOD)
 
     async def aligned(self, timeout: float) -> bool:
@@ -116,7 +116,7 @@ class Observer:
 
     def _take_pose(self, pose: BodyPose) -> None:
         """Compare tool and body of one frame, whichever comes last."""
-        if self._course is None or not pose.valid or pose.body not in ("coil", "body_ref"):
+        if self._series is None or not pose.valid or pose.body not in ("coil", "body_ref"):
             return
         other = next((seen for seen in self._frames if seen.frame_number == pose.frame_number), None)
         if other is None or other.body == pose.body:
@@ -124,7 +124,7 @@ class Observer:
             return
         coil, body_ref = (pose, other) if pose.body == "coil" else (other, pose)
         error = distance(_transform(body_ref) @ self._desired, _transform(coil))
-        self._course.measured_mm.append(error * 1000.0)
+        self._series.measured_mm.append(error * 1000.0)
 
 
 def _transform(pose: BodyPose) -> Transform:

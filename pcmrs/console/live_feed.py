@@ -23,7 +23,7 @@ RENEW_PERIOD = 1.0
 Dial = Callable[[], AbstractAsyncContextManager[Client]]
 
 
-class Feed(CellViewModel):
+class LiveFeed(CellViewModel):
     """Newest state of the cell, as it arrives.
 
     Args:

@@ -12,12 +12,12 @@ import structlog
 from pcmrs.background import BackgroundTasks
 from pcmrs.errors import PcmrsError, RefusalError
 from pcmrs.gateway.adapter import Core
-from pcmrs.gateway.commands import Plan
+from pcmrs.gateway.commands import PlanKind
 from pcmrs.gateway.handlers import PlanLock
 from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.messages import Command, Verdict
 
-OPERATIONS = {Plan.POSE: ("toolplan", "plan"), Plan.LANDMARKS: ("registration", "plan_landmarks")}
+OPERATIONS = {PlanKind.POSE: ("toolplan", "plan"), PlanKind.LANDMARKS: ("registration", "plan_landmarks")}
 
 log = structlog.get_logger(__name__)
 
@@ -46,7 +46,7 @@ class Attempt:
     arguments: Callable[[], dict[str, Any]]
 
 
-class Planner:
+class PlanSubmitter:
     """Submits plans and Stop for one peer. It has no motions, but its plans lock the approaches of its host.
 
     While a plan is being decided, the newest of each kind waits; earlier ones are superseded and never submitted.
@@ -75,10 +75,10 @@ class Planner:
         self._tasks = tasks
         self._answer = answer
         self._refusals = refusals
-        self._waiting: dict[Plan, Attempt] = {}
+        self._waiting: dict[PlanKind, Attempt] = {}
         self._working = False
 
-    def plan(self, kind: Plan, arguments: Callable[[], dict[str, Any]]) -> None:
+    def plan(self, kind: PlanKind, arguments: Callable[[], dict[str, Any]]) -> None:
         """Begin a plan; never waits.
 
         Args:
@@ -106,7 +106,7 @@ class Planner:
             self._answer(await self._decide(kind, self._waiting.pop(kind)))
         self._working = False
 
-    async def _decide(self, kind: Plan, attempt: Attempt) -> Answer:
+    async def _decide(self, kind: PlanKind, attempt: Attempt) -> Answer:
         """Returns the answer to a plan, however it ends."""
         branch, operation = OPERATIONS[kind]
         name = f"{branch}.{operation}"

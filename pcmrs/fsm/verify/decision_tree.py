@@ -96,7 +96,7 @@ class _Split:
     branches: dict[int, _Split | Decision] = field(default_factory=dict)
 
 
-class Decisions:
+class DecisionTree:
     """The decisions of one operation.
 
     A closure reads few branches, and which it reads next depends on those it has read: that is a decision

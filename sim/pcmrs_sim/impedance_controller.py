@@ -16,7 +16,7 @@ DAMPING_RATIO = 0.7
 """Damping ratio of each joint at the home posture."""
 
 
-class Controller:
+class ImpedanceController:
     """Computes joint torques from the reference and the measured state, once per `STEP`.
 
     The torque is ``inverse dynamics of the reference by the nominal model + K e + D de/dt + integral of Ki e``, with

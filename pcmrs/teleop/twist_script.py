@@ -14,7 +14,7 @@ OPEN = "open"
 """In place of a twist: the clutch is open."""
 
 
-class Script:
+class TwistScript:
     """Lines with a time and a twist, each valid until the next; the last one ends the script.
 
     Args:
@@ -35,7 +35,7 @@ class Script:
         return Demand() if twist is None else Demand(twist, clutch=True)
 
 
-def read_script(file: Path) -> Script:
+def read_script(file: Path) -> TwistScript:
     """Return the script in a file.
 
     Each line is ``time x y z rx ry rz`` in s, m/s and rad/s, or ``time open``; ``#`` begins a remark.
@@ -55,7 +55,7 @@ def read_script(file: Path) -> Script:
         lines.append(line)
     if not lines:
         raise ConfigurationError(f"{file} has no line of a script.", file=str(file))
-    return Script(lines)
+    return TwistScript(lines)
 
 
 def _read(file: Path) -> str:

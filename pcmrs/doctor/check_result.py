@@ -9,7 +9,7 @@ from pcmrs.messages import Message
 Verdict = Literal["good", "warning", "bad"]
 
 
-class Finding(Message, frozen=True, kw_only=True, omit_defaults=False):
+class CheckResult(Message, frozen=True, kw_only=True, omit_defaults=False):
     """Result of a check, and what to do about it.
 
     Attributes:
@@ -26,17 +26,17 @@ class Finding(Message, frozen=True, kw_only=True, omit_defaults=False):
     remedy: str = ""
 
 
-def good(check: str, found: str) -> Finding:
+def good(check: str, found: str) -> CheckResult:
     """Return a finding that needs no action.
 
     Args:
         check: Name of the check.
         found: Values, with their limits.
     """
-    return Finding(check=check, verdict="good", found=found)
+    return CheckResult(check=check, verdict="good", found=found)
 
 
-def warning(check: str, found: str, remedy: str) -> Finding:
+def warning(check: str, found: str, remedy: str) -> CheckResult:
     """Return a finding with which the cell works.
 
     Args:
@@ -44,10 +44,10 @@ def warning(check: str, found: str, remedy: str) -> Finding:
         found: Values, with their limits.
         remedy: What to do.
     """
-    return Finding(check=check, verdict="warning", found=found, remedy=remedy)
+    return CheckResult(check=check, verdict="warning", found=found, remedy=remedy)
 
 
-def bad(check: str, found: str, remedy: str) -> Finding:
+def bad(check: str, found: str, remedy: str) -> CheckResult:
     """Return a finding with which the cell does not work.
 
     Args:
@@ -55,4 +55,4 @@ def bad(check: str, found: str, remedy: str) -> Finding:
         found: Values, with their limits.
         remedy: What to do.
     """
-    return Finding(check=check, verdict="bad", found=found, remedy=remedy)
+    return CheckResult(check=check, verdict="bad", found=found, remedy=remedy)

@@ -14,10 +14,10 @@ from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.verdict_cache import CommandCache
 from pcmrs.errors import PcmrsError, RefusalError
+from pcmrs.gateway.command_outcome import NO_DATA, CommandOutcome
 from pcmrs.gateway.commands import Action, Second
-from pcmrs.gateway.grammar import Request
+from pcmrs.gateway.grammar import StringCommand
 from pcmrs.gateway.handlers import CommandHandlers, Job
-from pcmrs.gateway.outcome import NO_DATA, Outcome
 
 ACKNOWLEDGEMENT = "ack"
 SECOND_WITHIN = 0.35
@@ -60,14 +60,14 @@ class Turn:
         stops: Number of halts of the session until then.
     """
 
-    request: Request
+    request: StringCommand
     job: Job
-    ended: asyncio.Future[Outcome]
+    ended: asyncio.Future[CommandOutcome]
     arrived: float
     stops: int
 
 
-class Session:
+class PeerSession:
     """Acknowledges commands without an id at once and begins them in order; begins those with one on arrival.
 
     No command waits for the end of a motion: later commands run beside it, and the daemon decides on them. A motion
@@ -87,7 +87,7 @@ class Session:
         actions: CommandHandlers,
         clock: Clock,
         tasks: BackgroundTasks,
-        outcomes: CommandCache[asyncio.Future[Outcome]],
+        outcomes: CommandCache[asyncio.Future[CommandOutcome]],
         on_overflow: Callable[[], None],
     ) -> None:
         self._actions = actions
@@ -99,7 +99,7 @@ class Session:
         self._draining = False
         self._running = 0
         self._stops = 0
-        self._motion: asyncio.Future[Outcome] | None = None
+        self._motion: asyncio.Future[CommandOutcome] | None = None
 
     @property
     def idle(self) -> bool:
@@ -107,7 +107,7 @@ class Session:
         return not self._queue and self._running == 0
 
     def receive(
-        self, request: Request, answer: ReplyChannel, arrived: float, refusal: RefusalError | None = None
+        self, request: StringCommand, answer: ReplyChannel, arrived: float, refusal: RefusalError | None = None
     ) -> None:
         """Begin a command, or reject it with `refusal`, unless it repeats an earlier one; never waits.
 
@@ -137,7 +137,7 @@ class Session:
             turn.ended.set_result(self._actions.rejected(turn.request, "stopped"))
 
     def _receive_identified(
-        self, request: Request, client_id: str, verdict: Send, arrived: float, refusal: RefusalError | None
+        self, request: StringCommand, client_id: str, verdict: Send, arrived: float, refusal: RefusalError | None
     ) -> None:
         # Stop is performed each time, whatever its id.
         repeatable = request.spec.action is Action.STOP
@@ -149,10 +149,12 @@ class Session:
             self._outcomes.put(self._actions.source, client_id, ended)
         ended.add_done_callback(lambda done: None if done.cancelled() else verdict(done.result().reply(client_id)))
 
-    def _begin(self, request: Request, arrived: float, refusal: RefusalError | None) -> asyncio.Future[Outcome]:
+    def _begin(
+        self, request: StringCommand, arrived: float, refusal: RefusalError | None
+    ) -> asyncio.Future[CommandOutcome]:
         prepared = self._actions.prepare(request, arrived) if refusal is None else self._actions.deny(request, refusal)
-        ended: asyncio.Future[Outcome] = asyncio.get_running_loop().create_future()
-        if isinstance(prepared, Outcome):
+        ended: asyncio.Future[CommandOutcome] = asyncio.get_running_loop().create_future()
+        if isinstance(prepared, CommandOutcome):
             ended.set_result(prepared)
             return ended
         turn = Turn(request, prepared, ended, arrived, self._stops)
@@ -211,7 +213,7 @@ class Session:
         finally:
             self._running -= 1
 
-    def _too_late(self, turn: Turn) -> Outcome | None:
+    def _too_late(self, turn: Turn) -> CommandOutcome | None:
         """Refusal of a command that must not begin any more, because of Stop or a stalled loop; None if it may."""
         request = turn.request
         if turn.stops != self._stops and request.spec.action is not Action.STOP:
@@ -222,7 +224,7 @@ class Session:
             return self._actions.rejected(request, "expired", text)
         return None
 
-    async def _perform(self, request: Request, job: Job) -> Outcome:
+    async def _perform(self, request: StringCommand, job: Job) -> CommandOutcome:
         """Returns the outcome of a job, however it ends: a client must not wait without end."""
         try:
             return await job()
@@ -234,7 +236,9 @@ class Session:
             _log.exception("command_broke", command=request.spec.name)
             return self._actions.failed(request, "internal_error")
 
-    async def _send_second(self, kind: Second, ended: asyncio.Future[Outcome], send: Send, acknowledged: float) -> None:
+    async def _send_second(
+        self, kind: Second, ended: asyncio.Future[CommandOutcome], send: Send, acknowledged: float
+    ) -> None:
         """Sends the second datagram, but never late: the client would take it for its next acknowledgement."""
         try:
             async with self._clock.timeout(SECOND_WITHIN):
@@ -249,7 +253,7 @@ class Session:
             _log.warning("second_datagram_not_sent", after=round(late, 3), limit=SECOND_BEFORE)
 
 
-def _report(request: Request, ended: asyncio.Future[Outcome]) -> None:
+def _report(request: StringCommand, ended: asyncio.Future[CommandOutcome]) -> None:
     """Logs a refusal, since clients without verdict replies do not receive it."""
     if not ended.cancelled() and (outcome := ended.result()).decision != "accepted":
         _log.warning(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 
 @dataclass
-class Conditions:
+class NetworkConditions:
     """Disturbances of messages between any two endpoints.
 
     Attributes:

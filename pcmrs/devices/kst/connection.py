@@ -47,7 +47,7 @@ class ImpedanceSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     null_space_stiffness: NotNegative = 100.0
 
 
-class Cabinet:
+class KstConnection:
     """A connected KST server, one command at a time.
 
     Every method raises `DeviceRefusedError` or `MotionInterruptedError` if the cabinet answers so, and

@@ -20,7 +20,7 @@ STATUS_PERIOD = 1.0
 """Limit between two status messages on a connection, s; they also detect a dead connection."""
 
 
-class Feed:
+class Broadcaster:
     """Sends new poses, states and statuses to all peers.
 
     Args:

@@ -18,7 +18,7 @@ USAGE = "coil <dx> <dy> <dz> <turn> (mm and degrees from the hot-spot), no_mep o
 SWITCH = {"on": True, "off": False}
 
 
-class Bench:
+class EmgBench:
     """The subject of a seed. The coil starts at the hot-spot.
 
     Args:
