@@ -20,6 +20,7 @@ from pcmrs_sim.opening import open_cell
 from pcmrs_sim.process.channel import Channel
 from pcmrs_sim.process.wire import (
     Alive,
+    ArmState,
     Call,
     Cancel,
     Event,
