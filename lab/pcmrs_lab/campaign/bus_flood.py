@@ -201,6 +201,7 @@ def main() -> None:
 
 async def _flood(given: argparse.Namespace) -> None:
     flood = _Flood(given.kind, BusSettings(endpoint=given.endpoint, cell=given.cell), given.user, given.most)
+    # The end of standard input stops the flood, so that it never outlives the process that started it.
     asyncio.get_running_loop().add_reader(sys.stdin.fileno(), flood.end)
     _print_line("begun")
     report = await flood.run()
