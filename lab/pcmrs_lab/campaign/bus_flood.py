@@ -1,6 +1,6 @@
 """Floods of the bus by a user who may only watch, from a separate process that does not distort measurements.
 
-Each kind is traffic that a single user sends. The user has no lease, and needs only a certificate for the bus.
+Each kind is traffic that a single user sends. The user has no lease, and needs no role, only access to the bus.
 """
 
 from __future__ import annotations
