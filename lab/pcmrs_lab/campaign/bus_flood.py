@@ -1,6 +1,6 @@
 """Floods of the bus by a user who may only watch, from a separate process that does not distort measurements.
 
-Each kind is traffic that a single user sends. The user has no lease, and needs only a certificate for the bus.
+Each kind is traffic that a single user sends. The user has no lease, and needs no role, only access to the bus.
 """
 
 from __future__ import annotations
@@ -201,6 +201,7 @@ def main() -> None:
 
 async def _flood(given: argparse.Namespace) -> None:
     flood = _Flood(given.kind, BusSettings(endpoint=given.endpoint, cell=given.cell), given.user, given.most)
+    # The end of standard input stops the flood, so that it never outlives the process that started it.
     asyncio.get_running_loop().add_reader(sys.stdin.fileno(), flood.end)
     _print_line("begun")
     report = await flood.run()

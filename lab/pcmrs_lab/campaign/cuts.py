@@ -220,6 +220,7 @@ async def _write(folder: Path, killed: Path, closed: Path) -> list[StoredRow]:
     journal = Journal.open(folder / NAME)
     for number in range(ROWS):
         await journal.append([row("base", 0, number)])
+    # SQLite rebuilds the shared-memory index when it opens a journal, so the index is not part of the copies.
     shutil.copytree(folder, killed, ignore=shutil.ignore_patterns("*-shm"))
     rows = list(journal.reader.read())
     await journal.close()

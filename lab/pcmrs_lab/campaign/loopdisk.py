@@ -55,6 +55,7 @@ class LoopDisk:
         if is_sham():
             return
         with (self.path / RESERVE).open("wb", buffering=0) as reserve:
+            # Smaller writes fill the space that a larger one does not fit into.
             for size in (1 << 20, 1 << 12, 1):
                 with suppress(OSError):
                     while reserve.write(bytes(size)):
@@ -118,6 +119,7 @@ async def loop_disk(folder: Path) -> AsyncIterator[LoopDisk]:
         NotRun: This machine does not permit mounting.
     """
     disk = _create(folder)
+    # No blocks are reserved for root (-m 0), so that root and other users have the same free space.
     await tool(["mkfs.ext4", "-q", "-O", "has_journal", "-m", "0", str(disk.image)])
     await tool(["mount", "-o", "loop,errors=remount-ro", str(disk.image), str(disk.path)])
     try:

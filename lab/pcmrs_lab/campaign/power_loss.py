@@ -149,6 +149,7 @@ class _Disk:
             inode.writes.append((numbers[-1] if call == "pwrite64" else inode.length, texts[0]))
 
     def _rename(self, call: str, arguments: str, paths: list[str]) -> None:
+        # SQLite rebuilds its shared-memory index (-shm), which never has to survive a power cut.
         if not all(path.startswith(f"{self._folder}/") for path in paths) or paths[0].endswith("-shm"):
             return
         if call == "openat" and "O_CREAT" in arguments and paths[0] not in self._names:

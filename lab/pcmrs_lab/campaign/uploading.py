@@ -16,6 +16,7 @@ NAME: Final = "patient.stl"
 """Name of every uploaded file."""
 TAKEN: Final = 200
 """Status of the answer to an accepted upload."""
+# The path under which NiceGUI serves an upload element.
 _PLACE: Final = re.compile(rb"/_nicegui/client/[\w-]+/upload/\d+")
 _BOUNDARY: Final = "lost-and-found"
 _FORM: Final = f"Content-Type: multipart/form-data; boundary={_BOUNDARY}"
