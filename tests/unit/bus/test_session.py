@@ -1,29 +1,20 @@
-"""Bus: real Zenoh sessions on a port of their own."""
+"""Bus: messages, streams and requests over real Zenoh sessions on a separate port."""
 
 import asyncio
-import json
 import sys
 import threading
-import time
 from contextlib import suppress
-from pathlib import Path
 
 import msgspec
 import pytest
 import zenoh
 
-from pcmrs.bus import Bus, BusSettings, Empty
+from pcmrs.bus import Bus
 from pcmrs.bus.codec import pack
-from pcmrs.bus.serving import ANSWERS
-from pcmrs.errors import BusError, DeviceError, PayloadError, RefusalError, UnknownOutcomeError
-from pcmrs.messages import BodyPose, DeviceReply, DeviceRequest, Snapshot
-from pcmrs.pki import Authority, read_credentials
-from pcmrs.testing.daemon import free_port
-from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus, open_pair, plain_session, snapshot
-
-
-def pose(frame_number: int) -> BodyPose:
-    return BodyPose(body="coil", frame_number=frame_number, captured=0.0, sent=0.0, valid=True)
+from pcmrs.devices.link import Link
+from pcmrs.errors import PayloadError, UnknownOutcomeError
+from pcmrs.messages import BodyPose, DeviceReply, DeviceRequest
+from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus, open_pair, plain_session, pose, sync
 
 
 async def echo(key: str, request: DeviceRequest) -> DeviceReply:
@@ -50,15 +41,6 @@ async def test_flood_of_invalid_messages_is_counted_and_hardly_logged(caplog: py
         assert 1 <= sum("Ignored a message on dev/robot/event" in line for line in caplog.messages) < 20
 
 
-async def test_a_late_joiner_gets_the_last_snapshot() -> None:
-    async with open_pair() as (router, client):
-        for sequence in range(5):
-            router.publish("state/fsm", snapshot(sequence))
-        received: asyncio.Queue[Snapshot] = asyncio.Queue()
-        client.subscribe("state/fsm", Snapshot, lambda _, message: received.put_nowait(message))
-        assert (await asyncio.wait_for(received.get(), TIMEOUT)).sequence == 4
-
-
 async def test_listener_receives_although_the_loop_is_busy() -> None:
     async with open_pair() as (router, client):
         came = threading.Event()
@@ -71,15 +53,6 @@ async def test_listener_receives_although_the_loop_is_busy() -> None:
         client.publish("daemon/beat", pose(3))
         assert came.wait(TIMEOUT), "this thread is the loop's"
         assert router.counters()["bus.ignored"] == 1
-
-
-async def test_a_process_does_not_hear_itself() -> None:
-    async with open_pair() as (router, client):
-        received: asyncio.Queue[int] = asyncio.Queue()
-        router.subscribe("dev/robot/beat", BodyPose, lambda _, message: received.put_nowait(message.frame_number))
-        router.publish("dev/robot/beat", pose(1))
-        client.publish("dev/robot/beat", pose(2))
-        assert await asyncio.wait_for(received.get(), TIMEOUT) == 2
 
 
 async def test_busy_loop_gets_the_newest_of_a_stream_and_all_events() -> None:
@@ -182,93 +155,6 @@ class Heard:
         return await asyncio.wait_for(self._frames.get(), TIMEOUT)
 
 
-async def sync(router: Bus, client: Bus) -> None:
-    async def pong(_: str, __: Empty) -> Empty:
-        return Empty()
-
-    router.serve("svc/ping", Empty, pong)
-    await client.request("svc/ping", Empty(), Empty, TIMEOUT)
-
-
-async def test_requests_run_side_by_side() -> None:
-    async with open_pair() as (router, client):
-        meet = asyncio.Barrier(5)
-
-        async def wait_for_all(key: str, request: DeviceRequest) -> DeviceReply:
-            await meet.wait()
-            return DeviceReply(result=request.method)
-
-        router.serve("dev/robot/cmd", DeviceRequest, wait_for_all)
-        asked = [client.request("dev/robot/cmd", DeviceRequest(method=f"m{n}"), DeviceReply, TIMEOUT) for n in range(5)]
-        replies = await asyncio.wait_for(asyncio.gather(*asked), TIMEOUT)
-        assert [reply.result for reply in replies] == [f"m{n}" for n in range(5)]
-
-
-@pytest.mark.parametrize(
-    ("raised", "code", "says"),
-    [
-        (RefusalError("too_far", "3 m are too far.", distance=3.0), "too_far", "3 m are too far"),
-        (ZeroDivisionError("division by zero"), "error", "ZeroDivisionError"),
-    ],
-)
-async def test_an_error_in_the_handler_is_raised_at_the_asker(raised: Exception, code: str, says: str) -> None:
-    async def fail(_: str, __: DeviceRequest) -> DeviceReply:
-        raise raised
-
-    async with open_pair() as (router, client):
-        router.serve("dev/robot/cmd", DeviceRequest, fail)
-        with pytest.raises(DeviceError, match=says) as error:
-            await client.request("dev/robot/cmd", DeviceRequest(method="follow"), DeviceReply, TIMEOUT)
-        assert error.value.fields["reason"] == code
-
-
-async def test_unsendable_reply_and_malformed_request_are_errors() -> None:
-    async def answer_object(_: str, __: DeviceRequest) -> DeviceReply:
-        return DeviceReply(result=object())
-
-    async with open_pair() as (router, client):
-        router.serve("dev/robot/cmd", DeviceRequest, answer_object)
-        for request in (DeviceRequest(method="joints"), Empty()):
-            with pytest.raises(DeviceError) as error:
-                await client.request("dev/robot/cmd", request, DeviceReply, TIMEOUT)
-            assert error.value.fields["reason"] == "malformed"
-
-
-async def test_nobody_serving_and_silence_are_unknown_outcomes() -> None:
-    async with open_pair() as (router, client):
-        with pytest.raises(UnknownOutcomeError):
-            await client.request("dev/nobody/cmd", DeviceRequest(method="joints"), DeviceReply, TIMEOUT)
-
-        async def never(_: str, __: DeviceRequest) -> DeviceReply:
-            await asyncio.Event().wait()
-            raise AssertionError
-
-        router.serve("dev/robot/cmd", DeviceRequest, never)
-        with pytest.raises(UnknownOutcomeError):
-            await client.request("dev/robot/cmd", DeviceRequest(method="follow"), DeviceReply, 0.2)
-
-
-async def test_a_server_that_closes_leaves_its_askers_with_unknown() -> None:
-    settings = new_cell()
-    async with open_bus(settings) as router:
-        server = await Bus.open(msgspec.structs.replace(settings, mode="client"))
-        asked = asyncio.Event()
-
-        async def never(_: str, __: DeviceRequest) -> DeviceReply:
-            asked.set()
-            await asyncio.Event().wait()
-            raise AssertionError
-
-        server.serve("dev/robot/cmd", DeviceRequest, never)
-        await sync(router, server)
-        request = router.request("dev/robot/cmd", DeviceRequest(method="follow"), DeviceReply, 600.0)
-        pending = asyncio.ensure_future(request)
-        await asyncio.wait_for(asked.wait(), TIMEOUT)
-        await server.close()
-        with pytest.raises(UnknownOutcomeError):
-            await asyncio.wait_for(pending, TIMEOUT)
-
-
 SERVER = """
 import asyncio, sys
 import msgspec
@@ -312,49 +198,9 @@ async def test_other_process_answers_and_its_death_is_noticed_at_once() -> None:
         await server.wait()
 
 
-async def test_a_second_daemon_is_refused() -> None:
-    settings = new_cell()
-    async with open_bus(settings):
-        with pytest.raises(BusError, match="another daemon") as error:
-            await Bus.open(settings)
-        assert error.value.fields["endpoint"] == settings.endpoint
-    # A closed one frees the endpoint.
-    async with open_bus(settings):
-        pass
-
-
-async def test_client_without_a_daemon_is_told_to_start_one() -> None:
-    with pytest.raises(BusError, match="start pcmrs-serve"):
-        await Bus.open(msgspec.structs.replace(new_cell(), mode="client"))
-
-
-async def test_refused_certificate_holder_gets_the_possible_causes(tmp_path: Path) -> None:
-    now = time.time()
-    Authority.init(tmp_path / "pki", "lab", now).issue("operator", "anna", now, into=tmp_path)
-    endpoint = f"tls/127.0.0.1:{free_port()}"
-    settings = BusSettings(endpoint=endpoint, credentials=read_credentials(tmp_path / "anna", now))
-    with pytest.raises(BusError, match=f"No router at {endpoint} accepts anna: none runs there, its certificate"):
-        await Bus.open(settings)
-
-
 async def test_names_that_are_no_part_of_a_key_are_refused() -> None:
     with pytest.raises(PayloadError, match="Lab/1"):
         await Bus.open(msgspec.structs.replace(new_cell(), site="Lab/1"))
-
-
-async def test_query_without_payload_reads_json_also_by_wildcard() -> None:
-    async def present(_: str, __: Empty) -> Snapshot:
-        return snapshot(12)
-
-    async with open_pair() as (router, _):
-        router.serve("svc/snapshot", Empty, present)
-        with plain_session(router.settings) as session:
-            for selector in (f"{router.prefix}/svc/snapshot", f"{router.prefix}/**"):
-                (reply,) = await asyncio.to_thread(lambda: list(session.get(selector)))  # noqa: B023
-                sample = reply.result
-                assert isinstance(sample, zenoh.Sample)
-                assert str(sample.key_expr) == f"{router.prefix}/svc/snapshot"
-                assert json.loads(sample.payload.to_bytes())["sequence"] == 12
 
 
 async def test_a_liveliness_token_lasts_as_long_as_the_session() -> None:
@@ -376,25 +222,7 @@ async def test_a_liveliness_token_lasts_as_long_as_the_session() -> None:
             assert await asyncio.wait_for(events.get(), TIMEOUT) == ("robot", zenoh.SampleKind.DELETE)
 
 
-async def test_requests_above_the_limit_are_refused_with_the_limit() -> None:
-    async with open_pair() as (router, client):
-        let = asyncio.Event()
-
-        async def answer(_: str, request: DeviceRequest) -> DeviceReply:
-            await let.wait()
-            return DeviceReply(result={"method": request.method})
-
-        router.serve("dev/robot/svc/read", DeviceRequest, answer)
-        request = DeviceRequest(method="read")
-        asked = [
-            asyncio.ensure_future(client.request("dev/robot/svc/read", request, DeviceReply, TIMEOUT))
-            for _ in range(ANSWERS + 5)
-        ]
-        async with asyncio.timeout(TIMEOUT):
-            while sum(each.done() for each in asked) < 5:  # noqa: ASYNC110
-                await asyncio.sleep(0.01)
-        let.set()
-        replies = await asyncio.gather(*asked, return_exceptions=True)
-        refused = [each for each in replies if isinstance(each, DeviceError)]
-        assert {(each.fields["reason"], str(ANSWERS) in each.text) for each in refused} == {("busy", True)}
-        assert (len(refused), sum(isinstance(each, DeviceReply) for each in replies)) == (5, ANSWERS)
+async def test_the_bus_is_the_link_that_devices_need() -> None:
+    async with open_pair() as (router, _):
+        link: Link = router
+        assert link is router

@@ -14,17 +14,21 @@ import pytest
 import zenoh
 
 from pcmrs.bus import KEYS
-from pcmrs.bus.access import access_control
+from pcmrs.bus.access import access_control, roles_as_markdown
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
 from pcmrs.bus.qos import class_of
 from pcmrs.clock import SystemClock
 from pcmrs.messages.identity import ROLES, Role
 from pcmrs.pki import Authority
 from pcmrs.testing.daemon import free_port
+from tests import ROOT
 
 NAMES: dict[str, Role] = {f"{role[:3]}1": role for role in ROLES if role != "router"}
+
 HERE, ELSEWHERE = "pcmrs/lab/c1", "pcmrs/lab/c2"
+
 PATIENCE = 10.0
+
 QUIET = 1.0
 """Nothing that is allowed takes so long on loopback, s: what has not come by then does not come."""
 
@@ -311,3 +315,7 @@ def test_table_never_gives_dangerous_rights() -> None:
         role for role, action, key in given if key in ("dev/x/cmd", "dev/robot/setpoint") and action in ("put", "query")
     }
     assert to_devices == {"daemon"}
+
+
+def test_the_documentation_has_the_table_of_roles() -> None:
+    assert roles_as_markdown() in (ROOT / "docs" / "access.md").read_text()

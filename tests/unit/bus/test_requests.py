@@ -1,4 +1,4 @@
-"""Requests of one sender keep their order, and wait for no other sender, whatever a send takes."""
+"""Requests of one sender keep their order and wait for no other; without an answer the outcome is unknown."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from typing import Any, cast
 
 import pytest
 
-from pcmrs.bus.qos import COMMANDS, REQUESTS
+from pcmrs.bus.qos import COMMANDS
 from pcmrs.bus.requests import send_query
+from pcmrs.errors import UnknownOutcomeError
 from pcmrs.messages import DeviceReply, DeviceRequest
-from tests.unit.bus.bus_cells import open_pair
+from tests.unit.bus.bus_cells import TIMEOUT, open_pair
 
 
 class SlowSession:
@@ -73,10 +74,6 @@ async def test_unsent_request_is_recalled_when_its_caller_is_cancelled() -> None
     assert session.sent == [b"follow 1"]
 
 
-def test_holds_have_a_queue_of_the_link_to_themselves() -> None:
-    assert COMMANDS.priority != REQUESTS.priority
-
-
 async def test_requests_of_one_sender_arrive_in_their_order() -> None:
     heard: list[int] = []
 
@@ -89,3 +86,17 @@ async def test_requests_of_one_sender_arrive_in_their_order() -> None:
         requests = [DeviceRequest(method=str(number)) for number in range(200)]
         await asyncio.gather(*(client.request("dev/robot/cmd", each, DeviceReply, 10.0, "robot") for each in requests))
     assert heard == list(range(200))
+
+
+async def test_nobody_serving_and_silence_are_unknown_outcomes() -> None:
+    async with open_pair() as (router, client):
+        with pytest.raises(UnknownOutcomeError):
+            await client.request("dev/nobody/cmd", DeviceRequest(method="joints"), DeviceReply, TIMEOUT)
+
+        async def never(_: str, __: DeviceRequest) -> DeviceReply:
+            await asyncio.Event().wait()
+            raise AssertionError
+
+        router.serve("dev/robot/cmd", DeviceRequest, never)
+        with pytest.raises(UnknownOutcomeError):
+            await client.request("dev/robot/cmd", DeviceRequest(method="follow"), DeviceReply, 0.2)

@@ -15,15 +15,21 @@ from pcmrs.errors import DeviceError, PayloadError, RefusalError, UnknownOutcome
 from pcmrs.messages import BodyPose, JointState, Message, Reason, Verdict
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
+
 integers = st.integers(-(2**63), 2**63 - 1)
+
 plain = st.recursive(
     st.none() | st.booleans() | integers | finite | st.text(),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
     max_leaves=12,
 )
+
 fields = st.dictionaries(st.text(), plain, max_size=4)
+
 reasons = st.builds(Reason, code=st.text(), text=st.text(), fields=fields)
+
 triples = st.tuples(finite, finite, finite)
+
 messages: st.SearchStrategy[Message] = st.one_of(
     st.builds(
         Verdict,
@@ -96,36 +102,6 @@ def test_first_byte_distinguishes_text_from_messagepack() -> None:
     assert is_text(b"")
     assert not is_text(pack(Envelope(id="a")))
     assert unpack(b' {"id": "a", "arguments": {"index": 3}}', Envelope) == Envelope(id="a", arguments={"index": 3})
-
-
-@pytest.mark.parametrize(
-    ("payload", "says"),
-    [
-        (b'{"id": "a", "argument": {}}', "unknown field `argument`"),
-        (b'{"id": 5}', "Expected `str | null`, got `int`"),
-        (b'{"id": ""}', "length >= 1"),
-        (b'{"ttl": -1}', ">= 0"),
-        (b'{"sent": 1e999}', "out of range"),
-        (b'{"arguments": [1]}', "Expected `object`"),
-        (b'{"arguments": {"x": 1}', "truncated"),
-        (b'{"arguments": {"n": 9223372036854775808}}', "64 bits"),
-        (b"plan the landmarks", "extra data"),
-        (b"[1, 2]", "extra data"),
-        (msgpack.packb({"arguments": {"x": [1.0, float("nan")]}}), "nan is not a finite number"),
-        (msgpack.packb({"arguments": {"x": float("-inf")}}), "-inf is not a finite number"),
-        (msgpack.packb({"arguments": {"x": msgpack.ExtType(4, b"?")}}), "ExtType"),
-        (msgpack.packb({"arguments": {"x": msgpack.Timestamp(1)}}), "Timestamp"),
-        (msgpack.packb({"arguments": {"x": {b"raw": 1}}}), "key that is not text"),
-        (b"\xdd\xff\xff\xff\xff", "Neither MessagePack"),
-        (b"\x91" * 5000 + b"\xc0", "StackError"),
-        (b'{"arguments": {"a": ' + b"[" * 5000 + b"]" * 5000 + b"}}", "recursion"),
-        (b'{"arguments": {"a": "' + b"x" * 65536 + b'"}}', "at most 65536"),
-    ],
-)
-def test_a_malformed_envelope_is_refused_with_a_reason(payload: bytes, says: str) -> None:
-    with pytest.raises(PayloadError) as refused:
-        unpack(payload, Envelope)
-    assert says.lower() in refused.value.text.lower()
 
 
 def nested(depth: int) -> dict[str, object]:
