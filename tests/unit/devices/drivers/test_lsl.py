@@ -1,4 +1,4 @@
-"""The driver for electromyographs against real streams on this machine."""
+""""""
 
 import asyncio
 from collections.abc import AsyncIterator

@@ -1,3 +1,5 @@
+""""""
+
 from __future__ import annotations
 
 import asyncio
@@ -24,7 +26,9 @@ from pcmrs.spatial import Transform
 from tests.support import openigtlink_bytes as wire
 
 KINDS = ("TRANSFORM", "POINT", "STRING", "STATUS", "TDATA")
+
 MATRIX = np.array([[0.0, -1.0, 0.0, 10.5], [1.0, 0.0, 0.0, -20.25], [0.0, 0.0, 1.0, 300.125], [0.0, 0.0, 0.0, 1.0]])
+
 HEAD = {"timestamp": wire.STAMP}
 
 

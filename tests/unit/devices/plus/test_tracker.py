@@ -1,3 +1,5 @@
+""""""
+
 from __future__ import annotations
 
 import asyncio
@@ -13,12 +15,11 @@ import pytest
 from structlog.testing import capture_logs
 
 from pcmrs.clock import Clock, SystemClock
-from pcmrs.devices.drivers.plus import PlusSettings, open_devices
+from pcmrs.devices.drivers.plus import open_devices
 from pcmrs.devices.plus import tracker
 from pcmrs.devices.plus.messages import matrix_mm
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.protocols import OpenDriver, TrackerDriver
-from pcmrs.errors import ConfigurationError
 from pcmrs.messages import BodyPose
 from pcmrs.spatial import Transform, distance
 from pcmrs.testing.clock import SetClock
@@ -27,8 +28,11 @@ from tests.support import openigtlink_bytes as wire
 DRIVER: OpenDriver = open_devices  # the type checker proves it
 
 Frame = Sequence[BodyPose]
+
 CLOCK = SystemClock()
+
 POSE = Transform.from_rotvec([0.1, -0.2, 1.3], [0.3, 0.2, -0.1])
+
 NAMES = ("CoilToTracker", "ReferenceToTracker", "StylusToTracker")
 
 
@@ -253,12 +257,3 @@ async def test_poses_continue_if_the_clock_of_both_sides_is_set(library_server: 
             assert 0.0 <= coil.sent - coil.captured < 1.0
             feed.update(coil)
     assert not feed.dropped
-
-
-async def test_it_serves_a_tracker_only_and_checks_its_table() -> None:
-    for devices, table in ((["robot"], {}), (["tracker"], {"prot": 1}), (["tracker"], {"names": {}})):
-        with pytest.raises(ConfigurationError):
-            async with open_devices(devices, {"plus": table}, SystemClock()):
-                pass
-    with pytest.raises(ConfigurationError, match="its own transform"):
-        PlusSettings(names={"coil": "A", "pointer": "A"})

@@ -1,4 +1,4 @@
-"""What is particular to a stimulator behind a trigger: its markers and its serial port."""
+"""The driver of a stimulator behind a trigger: its markers, its serial port, and its configuration."""
 
 from __future__ import annotations
 
@@ -10,20 +10,17 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, closing
 from typing import Any
 
-import msgspec
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from pcmrs.devices.drivers.trigger import TriggerStimulator, open_devices
 from pcmrs.devices.lsl.inlet import Inlet
 from pcmrs.devices.lsl.library import load_lsl
 from pcmrs.devices.lsl.markers import PulseMarker, read_pulse
-from pcmrs.devices.ttl import TriggerLine
 from pcmrs.errors import ConfigurationError, DeviceError, UnknownOutcomeError
 from pcmrs.testing.clock import ManualClock, settle
 from tests.unit.devices.contract_stimulators import next_event
 from tests.unit.devices.lsl_lab import PATIENCE, own
+from tests.unit.devices.serial_port import Port
 
 
 @pytest.fixture(autouse=True)
@@ -65,24 +62,6 @@ async def test_a_pulse_is_marked_when_it_is_given() -> None:
             ((marker, time),) = await heard(inlet, 1)
     assert marker == PulseMarker(7, 55.0)
     assert before - 1e-3 < time < after + 1e-3  # of the estimate of the clocks' offset
-
-
-def test_only_pulses_are_read_as_pulses() -> None:
-    assert read_pulse('{"pulse": 3, "intensity": 55.0}') == PulseMarker(3, 55.0)
-    assert read_pulse('{"pulse": 3}') == PulseMarker(3, None)
-    for text in ("3", "robot:0->1", '{"pulse": "x"}', '{"pulse": 1.5}', "[]", "", '{"pulse": 3'):
-        assert read_pulse(text) is None
-
-
-@given(st.binary(max_size=60) | st.text(max_size=40))
-def test_any_marker_is_a_pulse_or_none(marker: bytes | str) -> None:
-    read = read_pulse(marker)
-    assert read is None or isinstance(read.pulse, int)
-
-
-@given(st.integers(0, 10**9), st.none() | st.floats(0.0, 100.0))
-def test_a_marker_reads_back(number: int, intensity: float | None) -> None:
-    assert read_pulse(PulseMarker(number, intensity).text.encode()) == PulseMarker(number, intensity)
 
 
 async def test_intensity_is_accepted_only_if_it_is_dialled() -> None:
@@ -129,42 +108,6 @@ async def test_absent_port_is_an_error_on_arming() -> None:
         assert not (await device.state()).armed
 
 
-class Port:
-    """Stands in for a serial port whose lines can be seen, and which can fail; a pty has no lines."""
-
-    is_open = True
-    port = "/dev/pretended"
-
-    def __init__(self) -> None:
-        self.seen: list[tuple[str, object]] = []
-        self.broken = False
-
-    def __setattr__(self, name: str, value: object) -> None:
-        if name in ("dtr", "rts"):
-            self.seen.append((name, value))
-        object.__setattr__(self, name, value)
-
-    def write(self, data: bytes) -> None:
-        if self.broken:
-            raise OSError("Input/output error")
-
-    def close(self) -> None:
-        self.is_open = False
-
-
-@pytest.mark.parametrize("signal", ["dtr", "rts"])
-async def test_a_pulse_is_a_pulse_on_the_line(signal: Any) -> None:
-    line, port, clock = TriggerLine("", signal, 1, 9600, 0.01), Port(), ManualClock()
-    line._serial = port
-    pulse = asyncio.create_task(line.pulse(clock))
-    await settle()
-    await clock.advance(0.009)
-    assert port.seen == [(signal, True)]
-    await clock.advance(0.002)
-    await pulse
-    assert port.seen == [(signal, True), (signal, False)]
-
-
 async def test_failed_port_leaves_the_outcome_unknown_and_disarms() -> None:
     clock = ManualClock()
     async with stimulator(clock, port="/dev/no-such-port") as device:
@@ -200,7 +143,3 @@ async def test_bad_configuration_is_refused(devices: tuple[str, ...], table: dic
     with pytest.raises(ConfigurationError, match=text):
         async with open_devices(devices, {"trigger": table}, ManualClock()):
             pass
-
-
-def test_a_marker_is_plain_json() -> None:
-    assert msgspec.json.decode(PulseMarker(3, 55.0).text) == {"pulse": 3, "intensity": 55.0}

@@ -1,4 +1,4 @@
-"""Which tracked poses are believed."""
+""""""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ from pcmrs.spatial.transform import UNIT_QUATERNION_TOLERANCE
 from pcmrs.testing.clock import ManualClock, settle
 
 MAX_AGE = 0.25
+
 LATENCY = 0.03
+
 PERIOD = 1 / 60
 
 

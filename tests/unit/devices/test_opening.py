@@ -1,4 +1,4 @@
-"""A driver whose devices lack what a node asks of them is refused at the start."""
+""""""
 
 from __future__ import annotations
 

@@ -1,3 +1,5 @@
+""""""
+
 from __future__ import annotations
 
 import math
@@ -18,8 +20,11 @@ from pcmrs.spatial import Transform, distance, rotation_angle
 from tests.support import openigtlink_bytes as wire
 
 BODIES = {"CoilToTracker": "coil", "ReferenceToTracker": "body_ref"}
+
 POSE = Transform.from_rotvec([0.1, -0.2, 1.3], [0.3, 0.2, -0.1])
+
 NOW, WALL, LATENCY = 50.0, wire.STAMP + 0.03, 0.02
+
 COIL, BOTH = {"CoilToTracker": POSE}, dict.fromkeys(BODIES, POSE)
 
 finite = st.floats(-1e4, 1e4, width=32)

@@ -1,31 +1,21 @@
-"""From the bytes of the reader process to poses, and from files to tool definitions."""
+"""From frames of the tracker to poses, with the reason of each that is not valid."""
 
 from __future__ import annotations
 
-import hashlib
 import math
-from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 
 from pcmrs.devices.ndi.poses import FRAMES_TO_RESTART, FROZEN_TIME, FrameReader
-from pcmrs.devices.ndi.tools import LARGEST, placeholder, read_tools
-from pcmrs.devices.ndi.wire import LARGEST as LARGEST_REPORT
-from pcmrs.devices.ndi.wire import Failed, Frame, Ready, ToolFrame, Unpacker, pack
-from pcmrs.errors import ConfigurationError, PayloadError
+from pcmrs.devices.ndi.wire import Frame, ToolFrame
+from tests.unit.devices.ndi_frames import frames
 
 LATENCY = 0.04
-SEEN = ToolFrame("coil", 7, 0x31, (0.5, -0.5, 0.5, -0.5, 100.0, -200.0, -1500.0, 0.25))
 
-words = st.integers(0, 2**32 - 1)
-numbers = st.tuples(*[st.floats()] * 8)
-tools = st.builds(ToolFrame, st.sampled_from(["coil", "pointer"]), words, words, st.none() | numbers)
-frames = st.builds(Frame, st.floats(0.0, 1e6), words, st.lists(tools, max_size=4))
-reports = st.one_of(frames, st.builds(Ready, st.text(), st.booleans()), st.builds(Failed, st.text()))
+SEEN = ToolFrame("coil", 7, 0x31, (0.5, -0.5, 0.5, -0.5, 100.0, -200.0, -1500.0, 0.25))
 
 
 def _reader() -> FrameReader:
@@ -122,54 +112,3 @@ def test_no_frame_is_too_strange(frame: Frame) -> None:
     for pose in reader.poses(frame, now=1.0) + reader.poses(frame, now=1.0):
         assert pose.valid == (pose.reason is None)
         assert not pose.valid or pose.error <= 0.001
-
-
-@given(st.lists(reports, max_size=5), st.lists(st.integers(1, 50), min_size=1))
-def test_reports_survive_any_cutting_of_the_stream(sent: list[Any], sizes: list[int]) -> None:
-    stream, unpacker, got = b"".join(map(pack, sent)), Unpacker(), list[Any]()
-    while stream:
-        for size in sizes:
-            got += unpacker.feed(stream[:size])
-            stream = stream[size:]
-    assert [msgspec.msgpack.encode(each) for each in got] == [msgspec.msgpack.encode(each) for each in sent]
-
-
-@given(st.lists(st.binary(max_size=60), max_size=10))
-def test_invalid_report_raises_only_payload_errors(pieces: list[bytes]) -> None:
-    unpacker = Unpacker()
-    for piece in pieces:
-        try:
-            unpacker.feed(piece)
-        except PayloadError:
-            return
-
-
-def test_a_report_that_claims_to_be_huge_is_refused_at_once() -> None:
-    with pytest.raises(PayloadError):
-        Unpacker().feed((LARGEST_REPORT + 1).to_bytes(4, "big"))
-
-
-def test_a_tool_definition_is_read_whole_and_its_hash_checked(tmp_path: Path) -> None:
-    file = tmp_path / "coil.rom"
-    file.write_bytes(placeholder("coil"))
-    digest = hashlib.sha256(placeholder("coil")).hexdigest()
-    assert read_tools({"coil": str(file)}, {"coil": digest.upper()}) == {"coil": placeholder("coil")}
-    with pytest.raises(ConfigurationError, match=r"ndi\.tools\.coil: .* is not the agreed tool definition"):
-        read_tools({"coil": str(file)}, {"coil": "0" * 64})
-    with pytest.raises(ConfigurationError, match=r"pointer, which ndi\.tools does not"):
-        read_tools({"coil": str(file)}, {"pointer": digest})
-
-
-@pytest.mark.parametrize("content", [b"", b"something else", b"NDI".ljust(LARGEST + 1, b"x")])
-def test_invalid_tool_definition_is_refused(tmp_path: Path, content: bytes) -> None:
-    file = tmp_path / "coil.rom"
-    file.write_bytes(content)
-    with pytest.raises(ConfigurationError, match="is not a tool definition"):
-        read_tools({"coil": str(file)}, {})
-
-
-def test_a_tool_definition_that_is_missing_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"ndi\.tools\.coil: .*none\.rom cannot be read: No such file"):
-        read_tools({"coil": str(tmp_path / "none.rom")}, {})
-    with pytest.raises(ConfigurationError, match="Is a directory"):
-        read_tools({"coil": str(tmp_path)}, {})
