@@ -1,4 +1,4 @@
-"""Inverse kinematics of arms that have no closed form of ours."""
+""""""
 
 from typing import Any
 
@@ -12,18 +12,13 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.posture import cost
 from pcmrs.kinematics.track import damped_least_squares, track
 from pcmrs.kinematics.urdf_arms import find_arm
-from pcmrs.spatial import Transform, distance, rotation_angle
+from pcmrs.spatial import Transform
+from tests.unit.kinematics.reached_poses import assert_reaches
 
 
 @pytest.fixture(params=["panda", "ur5"])
 def arm(request: pytest.FixtureRequest) -> ArmModel:
     return ArmModel(find_arm(request.param))
-
-
-def assert_reaches(arm: ArmModel, q: np.ndarray, target: Transform) -> None:
-    arm.check_limits(q)
-    assert distance(arm.forward(q), target) < 1e-9
-    assert rotation_angle(arm.forward(q), target) < 1e-9
 
 
 def test_every_reachable_pose_is_reached(arm: ArmModel) -> None:

@@ -1,4 +1,4 @@
-"""The cone of an approach."""
+""""""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from pcmrs.kinematics.cone import ApproachCone
 from pcmrs.spatial import Transform
 
 CONE = ApproachCone(half_angle=radians(30.0), height=0.06, radius=0.02, depth=0.01)
+
 TARGET = Transform.from_rotvec((0.4, -0.1, 0.2), (0.5, -1.0, 2.0))
+
 angles = st.floats(-np.pi, np.pi)
 
 
