@@ -1,4 +1,4 @@
-"""A journal that failed and is written again: the procedure goes on held, latched, and with what the disk says."""
+"""Resuming after a failed journal: held, latched, and with what the disk says; and what settles unknown outcomes."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ import asyncio
 import pytest
 
 from pcmrs.dispatcher.recorder import EarlierDecision
+from pcmrs.dispatcher.recovery import PendingOutcomes
 from pcmrs.errors import JournalError, PcmrsError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, UnknownOutcome, Verdict
 from pcmrs.testing.clock import settle
+from pcmrs.workflows.opening import open_workflow
 from tests.unit.dispatcher.dispatcher_fakes import HELD, PLACED, RETRACTED, STANDOFF, Bench
 
 
@@ -336,3 +338,34 @@ async def test_of_an_operation_that_stays_unknown_the_newest_is_shown(bench: Ben
     for name in ("c1", "c2", "c3"):
         await bench.do("robot.connect", id=name)
     assert [each.command for each in bench.dispatcher.snapshot().unknown] == ["c3"]
+
+
+BLUEPRINT = open_workflow("ratms_threshold").blueprint
+
+
+SETTLING = {
+    "stimulation.fire": {"robot.acknowledge"},
+    "stimulation.arm": {"robot.acknowledge"},
+    "threshold.pulse": {"robot.acknowledge"},
+    "stimulation.set_intensity": {
+        "robot.acknowledge",
+        *(f"stimulation.{name}" for name in ("set_ceiling", "set_intensity", "arm", "disarm", "fire")),
+    },
+    "placement.home": {
+        f"placement.{name}" for name, spec in BLUEPRINT.branches["placement"].operations.items() if spec.steps
+    },
+}
+
+
+@pytest.mark.parametrize("name", SETTLING)
+def test_only_some_operations_settle_what_is_unknown(name: str) -> None:
+    branch, operation = name.split(".")
+    unknown = UnknownOutcome(command="c", source="test:user", branch=branch, operation=operation, since=5.0)
+    settling = set()
+    for other, declared in BLUEPRINT.branches.items():
+        for each in declared.operations:
+            unsettled = PendingOutcomes(BLUEPRINT, [unknown])
+            unsettled.settle_by(other, each)
+            if not unsettled.shown():
+                settling.add(f"{other}.{each}")
+    assert settling == SETTLING[name]

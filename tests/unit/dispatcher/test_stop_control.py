@@ -3,49 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from typing import Any
 
 import pytest
 
-from pcmrs.background import BackgroundTasks
-from pcmrs.clock import SystemClock
-from pcmrs.dispatcher import DispatcherListener, Run
-from pcmrs.dispatcher.stops import STANDSTILL, YOUNG, Hold, Stops
-from pcmrs.errors import DeviceError, RefusalError, UnknownOutcomeError
-from pcmrs.messages import DeviceEvent, Reason, Verdict
+from pcmrs.dispatcher import Run
+from pcmrs.errors import RefusalError, UnknownOutcomeError
+from pcmrs.messages import DeviceEvent, Reason
 from pcmrs.testing.clock import settle
 from tests.support.altered import with_operation
 from tests.support.ratms_oracle import INITIAL
-from tests.unit.dispatcher.dispatcher_fakes import HELD, PLACED, RATMS, RETRACTED, STANDOFF, Bench, Notes
-
-
-def code(verdict: Verdict) -> str:
-    assert verdict.reason is not None
-    return verdict.reason.code
-
-
-async def test_stop_before_the_task_has_started(bench: Bench) -> None:
-    await bench.go(RETRACTED)
-    bench.script.entered.clear()
-    task = asyncio.create_task(bench.dispatcher.submit(bench.command("placement.approach")))
-    await asyncio.sleep(0)  # the command is admitted in this turn of the loop; its task runs in the next
-    await bench.dispatcher.stop("test:operator")
-    assert ((await task).decision, code(await task)) == ("failed", "stopped")
-    assert (bench.script.entered, bench.joint) == ([], HELD)
-
-
-async def test_stop_while_the_intent_is_journalled(bench: Bench) -> None:
-    await bench.go(RETRACTED)
-    bench.script.entered.clear()
-    gate = bench.recorder.gates["intent"] = asyncio.Event()
-    task = await bench.begin("placement.approach")
-    stop = asyncio.create_task(bench.dispatcher.stop("test:operator"))
-    await settle()
-    assert bench.holds > 0, "the hold waits for no journal"
-    gate.set()
-    await stop
-    assert (code(await task), bench.script.entered, bench.joint) == ("stopped", [], HELD)
+from tests.unit.dispatcher.dispatcher_fakes import HELD, PLACED, RATMS, RETRACTED, STANDOFF, Bench, Notes, code
 
 
 async def test_stop_in_a_step(bench: Bench) -> None:
@@ -83,53 +51,6 @@ async def test_stop_while_it_is_committed(bench: Bench) -> None:
         shown.setdefault(snapshot.sequence, set()).add(snapshot.branches["placement"])
     assert [len(states) for states in shown.values() if len(states) > 1] == []
     assert list(shown) == sorted(shown)
-
-
-async def test_stop_cannot_be_swallowed_by_a_step(bench: Bench) -> None:
-    await bench.go(STANDOFF)
-
-    async def stubborn(run: Run[Any, Notes]) -> None:
-        with contextlib.suppress(asyncio.CancelledError):
-            await asyncio.Event().wait()
-
-    bench.script.steps["placement.confirm"] = stubborn
-    task = await bench.begin("placement.confirm")
-    await bench.dispatcher.stop("test:operator")
-    assert (code(await task), bench.joint) == ("stopped", HELD)
-
-
-async def test_a_step_may_say_on_stop_that_nobody_knows(bench: Bench) -> None:
-    await bench.go(STANDOFF)
-
-    async def silent(run: Run[Any, Notes]) -> None:
-        try:
-            await asyncio.Event().wait()
-        except asyncio.CancelledError:
-            raise UnknownOutcomeError("The robot is silent.") from None
-
-    bench.script.steps["placement.confirm"] = silent
-    task = await bench.begin("placement.confirm")
-    await bench.dispatcher.stop("test:operator")
-    assert ((await task).decision, bench.joint[4]) == ("unknown", "unknown")
-
-
-async def test_the_hold_after_stop_can_use_a_deadline(bench: Bench) -> None:
-    """The cancellation ends with the steps, or `asyncio.timeout` in the hold would take it for its caller's."""
-    await bench.go(STANDOFF)
-    cancelling: list[int] = []
-
-    async def hold() -> None:
-        task = asyncio.current_task()
-        assert task is not None
-        cancelling.append(task.cancelling())
-
-    bench.hold = hold
-    bench.script.hang("placement.confirm")
-    task = await bench.begin("placement.confirm")
-    await bench.dispatcher.stop("test:operator")
-    await task
-    assert cancelling
-    assert not any(cancelling)
 
 
 async def test_stop_rejects_what_waits(bench: Bench) -> None:
@@ -218,25 +139,6 @@ async def test_latched_operation_is_not_listed_as_allowed(bench: Bench) -> None:
     assert "back_off" not in refused.allowed
     await bench.do("robot.acknowledge")
     assert "back_off" in (await bench.do("placement.no_such_operation")).allowed
-
-
-async def _wait_for(hold: asyncio.Task[bool]) -> bool:
-    return await asyncio.shield(hold)
-
-
-async def test_cancelled_caller_does_not_end_the_hold_of_others() -> None:
-    stands = asyncio.Event()
-
-    async def standing(_latch: bool) -> None:
-        await stands.wait()
-
-    hold = Hold(standing, BackgroundTasks(print))
-    impatient, patient = (asyncio.create_task(_wait_for(hold.stop())) for _ in range(2))
-    await settle()
-    impatient.cancel()
-    await settle()
-    stands.set()
-    assert await patient
 
 
 async def test_an_acknowledgement_does_not_answer_a_later_stop(bench: Bench) -> None:
@@ -333,19 +235,6 @@ async def test_closing_stops_what_runs(bench: Bench) -> None:
     assert (await task).state == "held"
 
 
-async def test_listeners_learn_of_every_stop_before_anything_else_runs(bench: Bench) -> None:
-    told: list[bool] = []
-
-    class Listener(DispatcherListener):
-        def on_stop(self) -> None:
-            told.append(bench.dispatcher.snapshot().latched)
-
-    bench.dispatcher.add_listener(Listener())
-    await bench.dispatcher.stop("test:operator")
-    await bench.dispatcher.report(DeviceEvent(device="robot", code="force_limit", text="Too strong.", danger=True))
-    assert told == [True, True]
-
-
 async def test_unconfirmed_stop_is_in_doubt_until_it_is_acknowledged(bench: Bench) -> None:
     await bench.go(STANDOFF)
     bench.hold_error = UnknownOutcomeError("The robot is silent.")
@@ -362,113 +251,6 @@ async def test_unconfirmed_stop_is_in_doubt_until_it_is_acknowledged(bench: Benc
     assert not bench.dispatcher.in_doubt
 
 
-async def test_stops_share_a_hold_that_is_under_way(bench: Bench) -> None:
-    await asyncio.gather(*(bench.dispatcher.stop("test:operator") for _ in range(50)))
-    assert bench.holds == 1
-    assert [row[:2] for row in bench.recorder.rows] == [("event", "stopped")] * 50
-
-
-async def test_nobody_acknowledges_while_the_hold_is_under_way(bench: Bench) -> None:
-    await bench.go(HELD)
-    answered = asyncio.Event()
-    bench.hold = answered.wait
-    stop = asyncio.create_task(bench.dispatcher.stop("test:operator"))
-    await settle()
-    assert bench.dispatcher.snapshot().stop.pending == ["standstill"]
-    refused = await bench.do("robot.acknowledge")
-    assert code(refused) == "stop_pending"
-    assert refused.reason is not None
-    assert "standstill" in refused.reason.text
-    answered.set()
-    assert await stop
-    assert (bench.dispatcher.snapshot().stop.pending, bench.dispatcher.snapshot().stop.confirmed) == ([], True)
-    assert (await bench.do("robot.acknowledge")).decision == "accepted"
-
-
-async def test_the_hold_of_a_motion_is_merged_with_no_other(bench: Bench) -> None:
-    """Its request may still be on its way when the hold of the Stop is answered: only a later hold outdates it."""
-    await bench.go(STANDOFF)
-    bench.script.hang("placement.confirm")
-    motion = await bench.begin("placement.confirm")
-    answered = asyncio.Event()
-    bench.hold = answered.wait
-    stop = asyncio.create_task(bench.dispatcher.stop("test:operator"))
-    await settle()
-    assert bench.latching == [True, False]
-    answered.set()
-    assert await stop
-    assert (await motion).state == "held"
-
-
-async def test_a_stop_has_its_number_before_anything_is_awaited(bench: Bench) -> None:
-    await bench.go(HELD)
-    before = bench.dispatcher.stop_number
-    stops = [bench.dispatcher.begin_stop("test:operator") for _ in range(3)]
-    state = bench.dispatcher.snapshot().stop
-    assert (state.number, state.confirmed) == (before + 3, False)
-    await asyncio.gather(*stops)
-    rows = [message.fields["stop"] for message in bench.published if isinstance(message, DeviceEvent)]
-    assert rows == [before + 1, before + 2, before + 3]
-
-
-async def test_stops_of_a_later_run_have_greater_numbers(bench: Bench) -> None:
-    bench.dispatcher.take_up(latched=True, unknown=[], start=7)
-    assert bench.dispatcher.stop_number > 7
-    other = Bench()
-    other.dispatcher.take_up(latched=False, unknown=[], start=8)
-    for _ in range(100):
-        await bench.dispatcher.stop("test:operator")
-    await other.dispatcher.stop("test:operator")
-    assert other.dispatcher.stop_number > bench.dispatcher.stop_number
-    await other.dispatcher.close()
-
-
-async def test_acknowledgement_of_an_older_stop_releases_nothing(bench: Bench) -> None:
-    await bench.go(HELD)
-    await bench.dispatcher.stop("test:operator")
-    older = bench.dispatcher.stop_number
-    await bench.dispatcher.stop("test:operator")
-    refused = await bench.do("robot.acknowledge", arguments={"stop": older})
-    assert code(refused) == "stop_outdated"
-    assert refused.reason is not None
-    assert refused.reason.fields == {"stop": older, "newest": older + 1}
-    assert bench.dispatcher.snapshot().latched
-
-
-@pytest.mark.parametrize("name", ["7", 1.5, True, [1]])
-async def test_an_acknowledgement_that_names_no_number_is_malformed(bench: Bench, name: Any) -> None:
-    await bench.go(HELD)
-    await bench.dispatcher.stop("test:operator")
-    assert code(await bench.do("robot.acknowledge", arguments={"stop": name})) == "bad_arguments"
-    assert bench.dispatcher.snapshot().latched
-
-
-async def test_unnamed_stop_is_acknowledged_only_on_site_and_not_young(bench: Bench) -> None:
-    """Only a user on site acknowledges without naming the Stop, and only one that is not young."""
-    await bench.go(HELD)
-    await bench.dispatcher.stop("test:operator")
-    assert code(await bench.do("robot.acknowledge", arguments={}, user="local")) == "stop_not_named"
-    await bench.clock.advance(YOUNG + 0.01)
-    assert code(await bench.do("robot.acknowledge", arguments={}, user="carla")) == "stop_not_named"
-    assert bench.dispatcher.snapshot().latched
-    assert (await bench.do("robot.acknowledge", arguments={}, user="local")).decision == "accepted"
-    assert not bench.dispatcher.snapshot().latched
-
-
-async def test_an_acknowledgement_releases_the_devices_first(bench: Bench) -> None:
-    await bench.go(HELD)
-    await bench.dispatcher.stop("test:operator")
-    bench.release_error = DeviceError("The robot still moves.", code="moving")
-    refused = await bench.do("robot.acknowledge")
-    assert (refused.decision, code(refused)) == ("failed", "moving")
-    assert bench.dispatcher.snapshot().latched, "a robot that moves is not released"
-    bench.release_error = None
-    bench.still_latched = ["stimulator"]
-    accepted = await bench.do("robot.acknowledge")
-    assert (accepted.decision, accepted.result) == ("accepted", {"still_latched": ["stimulator"]})
-    assert not bench.dispatcher.snapshot().latched, "a silent stimulator keeps nobody from retreating"
-
-
 async def test_a_stop_while_the_devices_are_released_stays_latched(bench: Bench) -> None:
     await bench.go(HELD)
     await bench.dispatcher.stop("test:operator")
@@ -480,16 +262,3 @@ async def test_a_stop_while_the_devices_are_released_stays_latched(bench: Bench)
     assert await stop
     assert code(await acknowledge) == "stopped"
     assert bench.dispatcher.snapshot().latched
-
-
-async def test_stops_that_wait_for_one_hold_end_with_it() -> None:
-    """The second of two quick Stops raised in the loop when the hold ended; found by exploring."""
-    loop, errors = asyncio.get_running_loop(), list[dict[str, Any]]()
-    loop.set_exception_handler(lambda _, context: errors.append(context))
-    stops, hold = Stops(SystemClock()), loop.create_future()
-    for _ in range(2):
-        stops.begin()
-        stops.wait_for(STANDSTILL, hold)
-    hold.set_result(True)
-    await asyncio.sleep(0)
-    assert (errors, stops.state.pending) == ([], [])

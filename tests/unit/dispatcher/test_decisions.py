@@ -1,4 +1,4 @@
-"""The journal takes so many rejections of a user; the rest are answered and counted, and accepted commands are not."""
+"""From a completed command to its verdict; the journal takes a limited number of each user's rejections."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import pytest
 
 from pcmrs.dispatcher import Dispatcher, DispatcherListener, decisions
 from pcmrs.dispatcher.decisions import DROPPED, RATE_HZ, TOO_MANY, Rejections
-from pcmrs.dispatcher.recorder import CLIPPED, LONGEST, clipped
 from pcmrs.messages import Command, DeviceEvent, Verdict
 from pcmrs.testing.clock import ManualClock, settle
 from tests.unit.dispatcher.dispatcher_fakes import Bench, make_workflow
@@ -102,13 +101,3 @@ async def test_a_dispatcher_tells_of_accepted_commands_only(bench: Limited) -> N
     await bench.do("registration.plan_landmarks")
     assert accepted == ["plan_landmarks"]
     await bench.dispatcher.close()
-
-
-def test_short_arguments_are_kept_and_of_long_ones_the_hash() -> None:
-    short, long = {"text": "x"}, {"text": "x" * LONGEST}
-    assert clipped(short) == short
-    kept = clipped(long)
-    assert set(kept) == {CLIPPED}
-    assert kept[CLIPPED]["bytes"] > LONGEST
-    assert clipped({"text": "x" * (LONGEST - 1) + "y"})[CLIPPED]["sha256"] != kept[CLIPPED]["sha256"]
-    assert clipped(kept) == kept

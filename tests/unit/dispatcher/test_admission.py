@@ -1,4 +1,4 @@
-"""A motion waits for what an event is about to change, for a moment; and what moves begins in time or not at all."""
+"""Admission: what waits, for how long, and what a suspended dispatcher still takes."""
 
 from __future__ import annotations
 
@@ -8,10 +8,8 @@ import pytest
 
 from pcmrs.dispatcher import command_checks
 from pcmrs.fsm import parse_blueprint
-from pcmrs.messages import Verdict
-from pcmrs.testing.clock import settle
-from tests.unit.dispatcher.dispatcher_fakes import HELD, PLACED, RATMS, STANDOFF, Bench
-from tests.unit.dispatcher.test_locks import code
+from pcmrs.messages import DeviceEvent, Reason, Verdict
+from tests.unit.dispatcher.dispatcher_fakes import HELD, PLACED, RATMS, RETRACTED, STANDOFF, Bench, code
 
 TRACKER = "activity:watch_alignment"
 
@@ -147,24 +145,6 @@ async def test_stop_rejects_a_motion_that_waits(bench: Bench) -> None:
     await stop
 
 
-@pytest.mark.parametrize("name", ["placement.confirm", "teleoperation.engage"])
-async def test_command_that_moves_or_acts_is_checked_soon_or_refused(bench: Bench, name: str) -> None:
-    joint = STANDOFF if name == "placement.confirm" else ("111", "1", "1", "1", "guided", "0", "off")
-    await bench.go(joint)
-    bench.script.entered.clear()
-    arrived = asyncio.get_running_loop().time() - 2 * command_checks.CHECKS_BEGIN_WITHIN
-    verdict = await bench.dispatcher.submit(bench.command(name), arrived=arrived)
-    await settle()
-    assert (verdict.decision, code(verdict), bench.joint) == ("rejected", "expired", joint)
-    assert (bench.recorder.kinds(verdict.id), verdict in bench.published) == (["decision"], True)
-    assert bench.script.entered == []
-
-
-async def test_command_that_neither_moves_nor_acts_may_start_late(bench: Bench) -> None:
-    arrived = asyncio.get_running_loop().time() - 60.0
-    assert (await bench.dispatcher.submit(bench.command("toolplan.plan"), arrived=arrived)).decision == "accepted"
-
-
 @pytest.mark.parametrize("name", ["toolplan.clear", "toolplan.plan", "registration.clear_registration"])
 async def test_plan_and_registration_stay_until_standoff_is_journalled(bench: Bench, name: str) -> None:
     """A command that would take them away is rejected as busy."""
@@ -180,48 +160,64 @@ async def test_plan_and_registration_stay_until_standoff_is_journalled(bench: Be
     assert bench.joint[4] == "held"
 
 
-@pytest.mark.parametrize("name", ["toolplan.clear", "toolplan.plan", "registration.clear_registration"])
-async def test_retreat_does_not_end_at_a_standoff_that_has_changed(bench: Bench, name: str) -> None:
-    await bench.go(HELD)
-    at_the_end = bench.script.hang("placement.back_off")
-    retreat = await bench.begin("placement.back_off")
-    gate = bench.recorder.gates["decision"] = asyncio.Event()
-    change = await bench.begin(name)
-    at_the_end.set()
-    await settle()
-    gate.set()
-    assert (await change).decision == "accepted"
-    assert (code(await retreat), bench.joint[4]) == ("outcome_outdated", "held")
-
-
-async def test_retreat_does_not_end_at_a_plan_journalled_as_it_began(bench: Bench) -> None:
-    await bench.go(HELD)
-    gate = bench.recorder.gates["decision"] = asyncio.Event()
-    plan = await bench.begin("toolplan.plan")
-    retreat = await bench.begin("placement.back_off")
-    gate.set()
-    assert (await plan).decision == "accepted"
-    assert (code(await retreat), bench.joint[4]) == ("outcome_outdated", "held")
-
-
-async def test_failure_after_a_verdict_is_fail_stop_and_frees_locks(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*_: object) -> None:
-        raise RuntimeError("The test wants it to fail.")
-
-    await bench.go(STANDOFF)
-    monkeypatch.setattr(bench.dispatcher._activities, "follow", fail)
-    assert (await bench.do("placement.back_off")).decision == "accepted"
-    await settle()
-    assert bench.dispatcher.broken is not None
-    assert bench.dispatcher.broken.code == "internal_error"
-    assert bench.dispatcher._locks.running == []
-    assert (bench.holds, bench.dispatcher.snapshot().latched) == (1, True)
-    assert code(await bench.do("toolplan.plan")) == "internal_error"
-
-
 def test_no_event_moves_or_acts() -> None:
     """Nothing that moves waits for its turn, and an event is never turned away."""
     operations = (spec for branch in RATMS.branches.values() for spec in branch.operations.values())
     assert not any(spec.event and spec.blocked_when_latched for spec in operations)
+
+
+FULL = Reason(code="disk_full", text="50 MB are free.")
+
+
+async def test_commands_are_rejected_without_a_row_and_later_redecided(bench: Bench) -> None:
+    await bench.go(RETRACTED)
+    rows = len(bench.recorder.rows)
+    bench.dispatcher.suspend(FULL)
+
+    for name in ("toolplan.clear", "placement.approach", "robot.disconnect"):
+        verdict = await bench.do(name, id=f"again-{name}")
+        assert (verdict.decision, verdict.reason) == ("rejected", FULL)
+        assert verdict in bench.published
+    assert len(bench.recorder.rows) == rows
+
+    bench.dispatcher.suspend(None)
+    verdict = await bench.do("placement.approach", id="again-placement.approach")
+    assert verdict.decision == "accepted"
+    assert bench.joint == STANDOFF
+
+
+async def test_stop_events_and_running_commands_continue(bench: Bench) -> None:
+    await bench.go(RETRACTED)
+    rows = len(bench.recorder.rows)
+    bench.dispatcher.suspend(FULL)
+
+    await bench.dispatcher.report(DeviceEvent(device="robot", code="link_lost", text="gone", danger=True))
+    assert bench.dispatcher.snapshot().branches["robot"] == "0"
+    await bench.dispatcher.stop("test:operator")
+
+    assert bench.dispatcher.snapshot().latched
+    assert len(bench.recorder.rows) > rows
+    assert bench.dispatcher.broken is None
+
+
+async def test_nobody_is_kept_from_retreating(bench: Bench) -> None:
+    await bench.go(STANDOFF)
+    await bench.dispatcher.stop("test:operator")
+    bench.dispatcher.suspend(FULL)
+
+    assert (await bench.do("robot.acknowledge", arguments={"stop": 1})).decision == "accepted"
+    assert (await bench.dispatcher.dry_run(bench.command("placement.back_off"))).reason is None
+    assert (await bench.do("placement.back_off")).decision == "accepted"
+    assert (await bench.do("placement.home")).decision == "accepted"
+    assert bench.joint == RETRACTED
+    assert (await bench.do("placement.approach")).reason == FULL
+
+
+async def test_an_operation_that_runs_ends_as_it_would(bench: Bench) -> None:
+    await bench.go(RETRACTED)
+    approach = asyncio.ensure_future(bench.do("placement.approach"))
+    await asyncio.sleep(0)
+    bench.dispatcher.suspend(FULL)
+
+    assert (await approach).decision == "accepted"
+    assert bench.joint == STANDOFF
