@@ -1,4 +1,4 @@
-"""What a signature covers, and that every client makes the same one."""
+"""Signatures and keys: what a signature covers, that every client makes the same one, and which key files are taken."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pcmrs.errors import PayloadError, RefusalError
+from pcmrs.errors import ConfigurationError, PayloadError, RefusalError
 from pcmrs.gateway.auth.peers import SignedPeer, authenticate
 from pcmrs.gateway.grammar import MAX_BYTES, parse
 from pcmrs.gateway.settings import PeerConfig
@@ -25,7 +25,10 @@ from pcmrs.testing.clock import ManualClock
 from tests import ROOT
 
 CLIENTS = ROOT / "clients"
+
+
 VECTORS: list[dict[str, Any]] = json.loads((CLIENTS / "signature_vectors.json").read_text(encoding="ascii"))
+
 
 _commands = st.from_regex(rb"[ -:<-~]{0,60};", fullmatch=True)
 
@@ -147,9 +150,6 @@ def test_invalid_peer_cannot_sign(name: str, key: bytes) -> None:
         Signer(name, key)
     with pytest.raises(ValueError, match="has"):
         reference().Signer(name, key)
-
-
-# Clients -------------------------------------------------------------------------------------------------------------
 
 
 def reference() -> ModuleType:
@@ -290,3 +290,32 @@ def test_csharp_signer_matches_the_vectors_and_accepts_answers(tmp_path: Path) -
         # On a line before, mono may tell that it does not know how this process is scheduled.
         told = [vector["datagram"], vector["answer"], "refused", "refused"]
         assert ran.stdout.decode("ascii").splitlines()[-4:] == told
+
+
+@pytest.mark.parametrize("mode", [0o600, 0o400])
+def test_key_readable_by_its_owner_only_is_read(tmp_path: Path, mode: int) -> None:
+    file = tmp_path / "planner.key"
+    new_key(file)
+    file.chmod(mode)
+    assert len(read_key(file)) == 32
+
+
+@pytest.mark.parametrize("content", ["", "0" * 63, "0" * 65, "g" * 64, "0" * 64 + "\n\n", "é" * 64])
+def test_a_file_without_a_key_is_refused_and_not_shown(tmp_path: Path, content: str) -> None:
+    file = tmp_path / "planner.key"
+    file.touch(mode=0o600)
+    file.write_text(content, encoding="utf-8")
+    with pytest.raises(ConfigurationError, match="holds no key: 64 hex digits") as error:
+        read_key(file)
+    assert not content.strip() or content.strip() not in error.value.text
+
+
+def test_a_missing_key_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="pcmrs peers new"):
+        read_key(tmp_path / "none.key")
+
+
+def test_keys_differ(tmp_path: Path) -> None:
+    new_key(tmp_path / "a")
+    new_key(tmp_path / "b")
+    assert read_key(tmp_path / "a") != read_key(tmp_path / "b")

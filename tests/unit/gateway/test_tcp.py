@@ -21,10 +21,14 @@ from pcmrs.gateway.settings import GatewayConfig, LinkConfig
 from pcmrs.gateway.tcp import FIRST_WITHIN, MOST_OF_A_HOST, Frames
 from pcmrs.testing.clock import ManualClock, settle
 from tests.unit.gateway.gateway_fakes import WITHIN, FakeCore, rest_of
-from tests.unit.gateway.signed_room import open_room, peer
+from tests.unit.gateway.signed_room import Room, open_room, peer
 
 CONNECT = b"rob_conn_onxxxxx_#1;"
+
+
 STOP = b"stop_now_xxxxxxx;"
+
+
 PAGES = {
     "a page's fetch": b"POST / HTTP/1.1\r\nHost: 127.0.0.1:8058\r\nContent-Type: text/plain\r\n\r\n;" + CONNECT,
     "a page's form": b"POST /;" + CONNECT + b" HTTP/1.1\r\n\r\n",
@@ -36,7 +40,10 @@ PAGES = {
 }
 """Sent by whom, and what; each holds a command that would be taken by itself."""
 
+
 frames = st.sampled_from([CONNECT, STOP, b"start_registrati;", b"target_tslxxxxxx_1.5_-2_3e-1_#77;"])
+
+
 pieces = st.lists(st.integers(1, 40), max_size=40)
 
 
@@ -206,4 +213,90 @@ async def test_a_silent_client_of_this_machine_stays(cell: Any) -> None:
     await settle()
     writer.write(b"stop_now_xxxxxxx_#1;")
     assert (await reader.readuntil(b";")).startswith(b"1_accepted")
+    writer.close()
+
+
+async def test_a_tcp_client_that_does_not_read_is_read_from_no_more(cell: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    room = asyncio.Event()
+
+    async def drain(_writer: asyncio.StreamWriter) -> None:
+        await room.wait()
+
+    monkeypatch.setattr(asyncio.StreamWriter, "drain", drain)
+    reader, writer = await asyncio.open_connection(*cell.gateway.addresses["tcp"])
+    writer.write(b"get_jnt_angsxxxx_#1;get_jnt_angsxxxx_#2;")
+    assert (await reader.readuntil(b";")).startswith(b"1_accepted")
+    await settle()
+    assert cell.gateway.counters.received == 1
+    room.set()
+    assert (await reader.readuntil(b";")).startswith(b"2_accepted")
+    writer.close()
+
+
+async def test_a_connection_that_begins_so_signs(room: Room) -> None:
+    reader, writer = await asyncio.open_connection(*room.tcp)
+    writer.write(b"|;" + room.sign("rob_conn_onxxxxx_#1;") + b";" + room.sign("execute_motionxx_#2;") + b";")
+    replies = {(await reader.readuntil(b";"))[:10] for _ in range(2)}
+    assert replies == {b"1_accepted", b"2_accepted"}
+    assert [command.source for command in room.core.commands] == ["peer:planner"] * 2
+    writer.close()
+
+
+async def test_a_signed_frame_may_come_byte_by_byte(room: Room) -> None:
+    reader, writer = await asyncio.open_connection(*room.tcp)
+    for byte in b"|;" + room.sign("rob_conn_onxxxxx_#1;") + b";":
+        writer.write(bytes([byte]))
+        await writer.drain()
+        await asyncio.sleep(0)
+    assert (await reader.readuntil(b";")).startswith(b"1_accepted")
+    writer.close()
+
+
+async def test_forged_tcp_frame_is_not_answered_and_the_next_one_is(room: Room) -> None:
+    forged = room.sign("stop_now_xxxxxxx;")[:-32] + b"0" * 32
+    reader, writer = await asyncio.open_connection(*room.tcp)
+    writer.write(b"|;" + forged + b";" + room.sign("rob_conn_onxxxxx_#1;") + b";")
+    assert (await reader.readuntil(b";")).startswith(b"1_accepted")
+    assert room.core.stops == []
+    assert room.gateway.counters.of_peers["bad_tag"] == 1
+    writer.close()
+
+
+async def test_unsigned_command_ends_a_connection_that_signs(room: Room) -> None:
+    reader, writer = await asyncio.open_connection(*room.tcp)
+    writer.write(b"|;" + b"stop_now_xxxxxxx;" * 2)
+    assert await rest_of(reader) == b""
+    assert room.core.stops == []
+    assert room.gateway.counters.refused == 1
+    writer.close()
+
+
+@pytest.mark.parametrize("cut", [1, 30, 45])
+async def test_a_signature_that_is_cut_off_is_refused(room: Room, cut: int) -> None:
+    reader, writer = await asyncio.open_connection(*room.tcp)
+    writer.write((b"|;" + room.sign("stop_now_xxxxxxx;") + b";")[:-cut])
+    writer.write_eof()
+    assert await rest_of(reader) == b""
+    assert room.core.stops == []
+    assert room.gateway.counters.refused == 1
+    writer.close()
+
+
+async def test_tcp_signatures_without_the_opening_end_the_connection(tmp_path: Path) -> None:
+    """On loopback the command has begun at its ';', unsigned, before its signature is seen."""
+    async with open_room(tmp_path, {"planner": peer(tmp_path, "planner")}, host="127.0.0.1") as room:
+        reader, writer = await asyncio.open_connection(*room.tcp)
+        writer.write(room.sign("rob_conn_onxxxxx_#1;") + b";rob_conn_onxxxxx_#2;")
+        assert await rest_of(reader) in (b"", b"1_accepted_robot_1;")  # the answer may come too late for the connection
+        assert [command.source.startswith("tcp:127.0.0.1:") for command in room.core.commands] == [True]
+        assert room.gateway.counters.refused == 1
+        writer.close()
+
+
+async def test_one_peer_has_one_session_over_udp_and_tcp(room: Room) -> None:
+    await room.ask("target_rotxxxxxx_0_0_0_1_#1;")
+    reader, writer = await asyncio.open_connection(*room.tcp)
+    writer.write(b"|;" + room.sign("target_tslxxxxxx_0_0_0_#2;") + b";")
+    assert (await reader.readuntil(b";")).startswith(b"2_accepted")
+    assert room.core.operations == ["plan"]
     writer.close()

@@ -1,4 +1,4 @@
-"""Commands of peers whose counters are times: what was held back on its way has no effect, and answers are signed."""
+"""Signed peers with clocks: what was held back on its way has no effect, and answers are signed."""
 
 from __future__ import annotations
 

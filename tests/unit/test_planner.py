@@ -1,16 +1,30 @@
+"""The planner's client: a whole session, refusals, repetitions, signatures, and any reply."""
+
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import subprocess
 import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pcmrs import planner as planner_module
-from pcmrs.errors import CommandRefusedError, UnknownOutcomeError
-from pcmrs.planner import Planner
+from pcmrs.errors import CommandRefusedError, PayloadError, UnknownOutcomeError
+from pcmrs.planner import Planner, parse_reply
 from tests.unit.gateway.gateway_fakes import CONFIRMED
+from tests.unit.gateway.open_cell import Cell, open_cell
+
+
+@pytest.fixture
+async def cell(tmp_path: Path) -> AsyncIterator[Cell]:
+    async with open_cell(tmp_path) as opened:
+        yield opened
 
 
 async def test_a_planner_completes_the_workflow(cell: Any) -> None:
@@ -72,3 +86,9 @@ async def test_a_lost_command_is_repeated_with_the_same_id(monkeypatch: pytest.M
 def test_a_planner_needs_neither_numpy_nor_zenoh() -> None:
     code = "import sys, pcmrs.planner; sys.exit('numpy' in sys.modules or 'zenoh' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@given(st.binary(max_size=100))
+def test_the_planner_survives_any_reply(data: bytes) -> None:
+    with contextlib.suppress(PayloadError):
+        parse_reply(data)

@@ -1,4 +1,4 @@
-"""What the gateway refuses is told: the first of a reason at once, more at a bounded rate, each counted once."""
+"""Refusals by the gateway are reported: the first of a reason at once, more at a bounded rate, each counted once."""
 
 from __future__ import annotations
 
