@@ -24,9 +24,7 @@ FEW = Limits(tests=10, seconds=30.0)
 
 @pytest.fixture(scope="module")
 def coverage(tmp_path_factory: pytest.TempPathFactory) -> CoverageMap:
-    return write_map(
-        ["tests/unit/gateway/test_handlers.py", BEATS], 0, tmp_path_factory.mktemp("map") / "map.json"
-    )
+    return write_map(["tests/unit/gateway/test_handlers.py", BEATS], 0, tmp_path_factory.mktemp("map") / "map.json")
 
 
 def harmless(name: str, without: str) -> Candidate:

@@ -33,6 +33,8 @@ async def main():
 
 asyncio.run(main())
 """
+
+
 IN_JOURNAL = [name for name in FAILPOINTS if name.startswith("journal.")]
 
 
