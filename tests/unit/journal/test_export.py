@@ -55,6 +55,5 @@ async def test_a_journal_that_is_written_is_copied_with_its_head(killed_path: Pa
 
 def test_a_copy_keeps_what_tells_rows_of_a_crash_from_others(whole_path: Path, tmp_path: Path) -> None:
     leave_unnamed(whole_path, [row()])
-    (tmp_path / "copy").mkdir()
     copy_journal(whole_path, tmp_path / "copy" / NAME)
     assert macs(tmp_path / "copy" / NAME) == macs(whole_path)

@@ -1,4 +1,4 @@
-"""What nodes say of their devices: in the log once, and in refusals for want of poses."""
+"""Reports of nodes about their devices are logged once."""
 
 from __future__ import annotations
 

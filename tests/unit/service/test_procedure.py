@@ -35,6 +35,8 @@ from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.tms.data import Data
 
 DISARMED = StimulatorState(armed=False, ready=True, intensity=50.0, coil_temperature=None, pulse=0)
+
+
 RESTING = JointState(captured=1.0, sent=1.0, positions=[0.1] * 7, velocities=[0.0] * 7, torques=[0.0] * 7)
 
 

@@ -1,4 +1,4 @@
-"""What clients of the gateway are told of the tracked bodies: what is seen now, and nothing else."""
+"""Poses and joints for clients of the gateway: what is seen now, and a posture that is taken at rest only."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 
 from pcmrs.devices.poses import PoseFeed
-from pcmrs.messages import BodyPose
+from pcmrs.messages import BodyPose, JointState
 from pcmrs.service.gateway_adapter import GatewayAdapter
 from pcmrs.spatial import Transform, distance
 from pcmrs.testing.clock import ManualClock
@@ -17,6 +17,8 @@ SEEN = {
     "body_ref": Transform.from_rotvec([0.1, 0.2, 1.3], [0.1, 0.0, 0.2]),
     "coil": Transform.from_rotvec([0.0, 0.0, 0.9], [0.0, 0.3, 0.0]),
 }
+
+
 MAX_AGE = 0.2
 
 
@@ -55,3 +57,28 @@ async def test_a_log_of_poses_has_a_gap_while_tool_or_body_is_not_seen(hidden: s
     await clock.advance(0.01)
     show(feed, clock, 3, *SEEN)
     assert core.tracked() is not None
+
+
+JOINTS = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]
+
+
+@pytest.mark.parametrize(
+    ("placement", "idle", "taken"),
+    [
+        pytest.param("retracted", True, JOINTS, id="at rest and clear"),
+        pytest.param("standoff", True, None, id="near the body"),
+        pytest.param("retracted", False, None, id="on the way to the body: states change when a motion has ended"),
+    ],
+)
+def test_only_a_posture_at_rest_and_clear_of_the_body_is_kept(
+    placement: str, idle: bool, taken: list[float] | None
+) -> None:
+    zero = [0.0] * 7
+    state = JointState(captured=1.0, sent=1.0, positions=JOINTS, velocities=zero, torques=zero, moving=not idle)
+    cell = SimpleNamespace(joints=state, initial_joints=None)
+    procedure = SimpleNamespace(joint=lambda: {"robot": "1", "placement": placement})
+    dispatcher = SimpleNamespace(procedure=procedure, idle=idle, report_later=lambda _: None)
+    core = GatewayAdapter(cast(Any, dispatcher), cast(Any, cell), cast(Any, None))
+
+    assert core.remember_initial_joints() == taken
+    assert cell.initial_joints == taken

@@ -1,4 +1,4 @@
-"""Which devices a daemon waits for at its start."""
+"""Devices that a daemon waits for at its start, and refusals for want of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ from pcmrs.settings import DeviceSettings, RobotSettings, Settings
 from pcmrs.testing.clock import ManualClock, settle
 
 OTHERS = {"pointer", "scene", "stimulator", "emg"}
+
+
 NOWHERE = DeviceSettings(driver="none")
+
+
 ELSEWHERE = Settings(robot=RobotSettings(driver="none"), tracker=DeviceSettings(driver="none"))
 
 

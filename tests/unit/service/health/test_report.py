@@ -24,9 +24,17 @@ from tests import ROOT
 from tests.support.health_facts import WELL
 
 DOCS = ROOT / "docs" / "health.md"
+
+
 GONE = DeviceStatus(device="tracker", connected=False, text="Nothing listens there.", heard=0.1)
+
+
 SILENT = DeviceStatus(device="robot", connected=True, heard=SILENCE + 0.1)
+
+
 GIVEN_UP = NodeStatus(driver="ndi", devices=["tracker"], restarts=3, given_up=True)
+
+
 STUCK = TaskStanding(name="reference watch", answers=False, restarts=0)
 
 

@@ -2,34 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
 
 from pcmrs.dispatcher.recorder import EarlierDecision
 from pcmrs.errors import JournalError
-from pcmrs.journal import Journal, JournalRow
+from pcmrs.journal import Journal, JournalRow, journal_files
+from pcmrs.journal import writer as writer_module
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, PoseMessage, Verdict
+from pcmrs.service.restart import recorder as recorder_module
 from pcmrs.service.restart.recorder import JournalRecorder
+from pcmrs.service.restart.recovery import recover
+from pcmrs.settings import Settings
 from pcmrs.testing.clock import ManualClock
 from pcmrs.workflows import read_workflow
 from pcmrs.workflows.data import Landmark, PlacementData, Registered
+from tests.unit.service.restart.earlier_runs import PLANNED, WORKFLOW, Flaky, as_row, command, recorder_of, write
 
 TAG = BlueprintTag(id="ratms", version="1.0.0", hash="abc")
+
+
 COMMAND = Command(
     id="c1", branch="placement", operation="approach", source="udp:planner", arguments={"speed": 0.5}, parent="c0"
 )
+
+
 RATMS = read_workflow("ratms")
+
+
 STATES = {"robot": "1", "placement": "retracted"}
-
-
-@pytest.fixture
-async def journal(tmp_path: Path) -> AsyncIterator[Journal]:
-    opened = Journal.open(tmp_path / "journal.sqlite", durable=False)
-    yield opened
-    await opened.close()
 
 
 def _recorder(journal: Journal, session: str = "s1") -> JournalRecorder:
@@ -138,3 +142,83 @@ async def test_last_registration_can_be_taken_back_after_a_restart(journal: Jour
     later = _recorder(journal, "s2")
     taken = later.previous(later.read_back(RATMS), PlacementData())
     assert taken == PlacementData(previous=registered), "and nothing is in force"
+
+
+async def test_snapshot_is_in_the_commit_of_every_thousandth_row(
+    journal: Journal, configured: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reading continues from it."""
+    monkeypatch.setattr(recorder_module, "SNAPSHOT_EVERY", 10)
+    recorder = recorder_of(journal)
+    await recover(journal, recorder, WORKFLOW, configured)
+    await write(recorder, "toolplan.plan", previous_plan=PLANNED)
+    await recorder.intent(command("robot.connect", 77), {"robot": "0"})
+    for _ in range(20):
+        await write(recorder, "registration.clear_landmarks", "rejected")
+    assert [stored.sequence for stored in journal.reader.read(kind="snapshot")] == [11, 22, 33, 44]
+    kept = recorder_of(journal, "s2").read_back(RATMS)
+    assert [each.command for each in kept.begun] == ["c77"]
+    assert list(kept.taken_back) == ["previous_plan"]
+
+
+async def test_state_is_carried_over_from_an_earlier_journal_file(
+    tmp_path: Path, configured: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writer_module, "_CHECKPOINT_AFTER", 4)
+    path = tmp_path / "grown.sqlite"
+    journal = Journal.open(path, durable=False, largest=1.0)
+    recorder = recorder_of(journal)
+    await recover(journal, recorder, WORKFLOW, configured)
+    await write(recorder, "toolplan.plan", previous_plan=PLANNED)
+    await recorder.event(DeviceEvent(device="robot", code="force_limit", text="", danger=True), {})
+    await recorder.intent(command("robot.connect", 77), {"robot": "0"})
+    for _ in range(10):
+        await write(recorder, "registration.clear_landmarks", "rejected")
+    await journal.close()
+    assert len(journal_files(path)) > 2
+
+    again = Journal.open(path, durable=False)
+    recovered = await recover(again, recorder_of(again, "s2"), WORKFLOW, configured)
+    await again.close()
+    assert recovered.latched
+    assert [each.command for each in recovered.unknown] == ["c77"]
+    assert recovered.workflow.initial.previous_plan == PLANNED
+
+
+async def test_an_orderly_end_leaves_a_snapshot_as_the_last_row(journal: Journal, configured: Settings) -> None:
+    recorder = recorder_of(journal)
+    await recover(journal, recorder, WORKFLOW, configured)
+    await recorder.conclude()
+    (last,) = journal.reader.read(last=1)
+    assert (last.row.kind, last.row.operation) == ("snapshot", "snapshot")
+    assert last.row.result is not None
+    assert {"data", "taken_back", "latched", "sequence"} <= set(last.row.result)
+
+
+async def test_snapshot_of_an_unknown_kind_is_reported_with_the_file(journal: Journal) -> None:
+    row = as_row("intent", "robot.connect", 1, None)
+    await journal.append([msgspec.structs.replace(row, kind="snapshot", result={"latched": "perhaps"})])
+    with pytest.raises(JournalError, match=r"ratms\.sqlite.*cell\.folder"):
+        recorder_of(journal).read_back(RATMS)
+
+
+async def test_a_snapshot_never_has_what_the_disk_has_lost(
+    journal: Journal, configured: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recorder_module, "SNAPSHOT_EVERY", 10)
+    flaky: Any = Flaky(journal)
+    recorder = JournalRecorder(flaky, ManualClock(), "s1", TAG)
+    await recover(flaky, recorder, WORKFLOW, configured)
+    flaky.failing = "lost"
+    with pytest.raises(JournalError):
+        await write(recorder, "toolplan.plan", previous_plan=PLANNED)
+    flaky.failing = None
+    for _ in range(20):  # before it has been read back
+        await write(recorder, "registration.clear_landmarks", "rejected")
+    await recorder.conclude()
+    assert list(journal.reader.read(kind="snapshot")) == []
+    assert recorder.read_back(RATMS).taken_back == {}
+    await recorder.conclude()
+    (snapshot,) = journal.reader.read(kind="snapshot")
+    assert snapshot.row.result is not None
+    assert snapshot.row.result["taken_back"] == {}

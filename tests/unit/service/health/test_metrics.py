@@ -21,6 +21,8 @@ from tests import ROOT
 from tests.support.health_facts import WELL
 
 DOCS = ROOT / "docs" / "health.md"
+
+
 REASON = HealthReason(severity="degraded", code="loop_late", text="Late.", remedy="Wait.")
 
 
