@@ -362,5 +362,5 @@ async def test_values_of_types_of_an_older_program_are_reported(journal: Journal
     await journal.append([row])
     recorder = JournalRecorder(journal, ManualClock(), "s2", tag)
     kept = recorder.read_back(NEW)
-    with pytest.raises(JournalError, match=r"lamp\.sqlite.*cell\.folder"):
+    with pytest.raises(JournalError, match=r"ratms\.sqlite.*cell\.folder"):
         recorder.previous(kept, PlacementData())
