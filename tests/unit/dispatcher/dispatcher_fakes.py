@@ -21,7 +21,10 @@ from pcmrs.testing.clock import ManualClock, settle
 from tests.support.ratms_oracle import BLUEPRINT, INITIAL, Joint, all_operations, expected
 
 RATMS = load_blueprint(BLUEPRINT)
+
+
 WORLDLY_BRANCHES = ("digitization", "robot", "placement")
+
 
 Route = list[tuple[str, str, str]]
 """Branch, operation and ending, one after the other."""
@@ -352,7 +355,19 @@ def _routes() -> dict[Joint, Route]:
 
 ROUTES = _routes()
 
+
 PLACED: Joint = ("111", "1", "1", "1", "placed", "0", "off")
+
+
 STANDOFF: Joint = ("111", "1", "1", "1", "standoff", "0", "off")
+
+
 RETRACTED: Joint = ("111", "1", "1", "1", "retracted", "0", "off")
+
+
 HELD: Joint = ("111", "1", "1", "1", "held", "0", "off")
+
+
+def code(verdict: Verdict) -> str:
+    assert verdict.reason is not None
+    return verdict.reason.code
