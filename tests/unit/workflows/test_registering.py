@@ -15,7 +15,11 @@ from pcmrs.workflows.data import PlacementData, as_transform
 from tests.unit.workflows.workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
 NAMES = [landmark["name"] for landmark in LANDMARKS]
+
+
 POSITIONS = np.array([landmark["position"] for landmark in LANDMARKS])
+
+
 GATES = ["wrong_unit", "mirrored", "swapped_landmarks", "landmark_outlier", "residual_too_large", "tre_too_large"]
 
 
@@ -147,17 +151,6 @@ async def test_a_registration_teaches_the_noise_of_its_pointer_once(bench: Workf
     assert bench.data.noise[pointer].degrees == 12 + 9
     await bench.accept("registration.reinit")
     assert bench.data.noise[pointer].degrees == 12 + 9
-
-
-@pytest.mark.parametrize(("residuals", "bound"), [(1.0, 1.5), (0.0, 0.5)])
-async def test_no_noise_estimate_leaves_its_bounds(bench: WorkflowBench, residuals: float, bound: float) -> None:
-    data = PlacementData(noise={pointer_id(bench.cell): NoiseEstimate(residuals, 10_000)})
-    assert active_noise_sigma(bench.cell, data) == pytest.approx(bound * 0.00186)
-
-
-async def test_another_pointer_begins_with_the_prior(bench: WorkflowBench) -> None:
-    data = PlacementData(noise={"another": NoiseEstimate(1.0, 10_000)})
-    assert active_noise_sigma(bench.cell, data) == pytest.approx(0.00186)
 
 
 async def test_bad_sets_do_not_teach_the_workflow_to_accept_them() -> None:

@@ -6,7 +6,6 @@ import asyncio
 from types import SimpleNamespace
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
@@ -18,15 +17,29 @@ from pcmrs.workflows.settings import AlignmentSettings, ProcedureSettings
 from tests.unit.workflows.workflow_bench import WorkflowBench
 
 LIMITS = AlignmentSettings()
+
+
 PERIOD = 0.02
 
+
 Error = tuple[float, float] | None
+
+
 WITHIN: Error = (0.9, 1.9)
+
+
 BETWEEN: Error = (1.2, 2.5)
+
+
 FAR: Error = (1.6, 0.0)
+
+
 TURNED: Error = (0.0, 3.1)
 
+
 errors = st.none() | st.tuples(st.floats(0.0, 3.0), st.floats(0.0, 6.0))
+
+
 courses = st.lists(st.tuples(errors, st.integers(1, 40)), max_size=12)
 
 
@@ -86,11 +99,6 @@ def test_each_of_distance_angle_and_sight_closes_it(lost: Error) -> None:
 def test_a_moment_beyond_does_not_close_it() -> None:
     _, answers = run(AlignmentGate(LIMITS), [(WITHIN, 30), (FAR, 4), (WITHIN, 1), (FAR, 4), (BETWEEN, 30)])
     assert all(answers[26:])
-
-
-def test_settings_that_would_flicker_are_refused() -> None:
-    with pytest.raises(msgspec.ValidationError, match="must not be smaller"):
-        msgspec.convert({"on_mm": 2.0}, AlignmentSettings)
 
 
 @pytest.mark.parametrize("decided", [True, False], ids=["refused", "waiting"])

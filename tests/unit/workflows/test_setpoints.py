@@ -1,10 +1,11 @@
-"""Which set points of a teleoperator count, how late they are found to be, and how much speed that leaves."""
+"""Which set points of a teleoperator count, how late they are, and how much speed that leaves."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,12 +14,19 @@ from pcmrs.bus.codec import pack, unpack
 from pcmrs.errors import PayloadError
 from pcmrs.messages import TeleopSetpoint
 from pcmrs.messages.teleop import AT_REST, Twist
-from pcmrs.workflows.setpoints import Latency, SetpointAdmission, SpeedScale
+from pcmrs.spatial import Floats
+from pcmrs.workflows.setpoints import Latency, SetpointAdmission, SpeedScale, limit_twist
 from pcmrs.workflows.settings import TeleoperationSettings
 
 SETTINGS = TeleoperationSettings()
+
+
 BEGUN = 100.0
+
+
 UP: Twist = (0.0, 0.0, 0.01, 0.0, 0.0, 0.0)
+
+
 times = st.floats(0.0, 1.0)
 
 
@@ -40,6 +48,12 @@ sent = st.builds(
 
 def setpoint(sequence: int, seen: float, ttl: float = 1.0, twist: Twist = UP, sent: float = 0.0) -> TeleopSetpoint:
     return TeleopSetpoint(sequence=sequence, sent=sent, seen=seen, ttl=ttl, twist=twist)
+
+
+numbers = st.floats(-1.0, 1.0)
+
+
+twists = st.tuples(*[numbers] * 6).map(lambda six: np.array(six))
 
 
 @given(st.lists(sent, max_size=20))
@@ -111,6 +125,10 @@ def test_speed_falls_with_the_delay_and_returns_after_release(course: list[tuple
         assert scale.value == pytest.approx(0.0 if held else straight)
 
 
-def test_limits_of_delay_that_cannot_be_meant_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"slow_delay is 0\.6 s"):
-        TeleoperationSettings(slow_delay=0.6)
+@given(twists, st.floats(1e-3, 1.0), st.floats(1e-3, 1.0))
+def test_a_twist_is_shortened_never_turned(twist: Floats, linear: float, angular: float) -> None:
+    short = limit_twist(twist, linear, angular)
+    assert np.linalg.norm(short[:3]) <= linear + 1e-12
+    assert np.linalg.norm(short[3:]) <= angular + 1e-12
+    assert np.allclose(np.cross(short[:3], twist[:3]), 0.0)
+    assert np.linalg.norm(short) <= np.linalg.norm(twist) + 1e-12

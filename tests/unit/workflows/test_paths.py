@@ -1,12 +1,11 @@
-"""The way back from the body stays open in every shipped workflow, whatever is forgotten on the way."""
+"""Distances from the body: a retreat leads away from it, whatever is forgotten on the way."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -14,14 +13,19 @@ import pytest
 
 from pcmrs.errors import RefusalError
 from pcmrs.spatial import Transform
-from pcmrs.workflows.paths import body_centre
+from pcmrs.workflows.paths import body_centre, distance_from_body
 from tests import ROOT
-from tests.unit.workflows.workflow_bench import WorkflowBench, open_bench
+from tests.unit.workflows.workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
 PLANS = {"ratms": "ratms", "grid_mapping": "ratms", "femoroplasty": "femoroplasty"}
+
+
 PLACES = [("ratms", 0), ("ratms", 8), ("ratms", 11), ("grid_mapping", 3), ("femoroplasty", 0), ("femoroplasty", 8)]
 """Workflows, and poses of their plans: at 8 and 11 of the head a joint comes to its limit on the way back."""
+
+
 SURGEON = {"surgeon": "A. Surgeon"}
+
 
 Forget = Callable[[WorkflowBench], Awaitable[None]]
 
@@ -75,6 +79,73 @@ async def clear_and_hide(bench: WorkflowBench) -> None:
     await bench.accept("registration.clear_registration")
     await bench.scene.occlude("body_ref", True)
     await bench.clock.sleep(1.0)
+
+
+async def test_a_retreat_that_would_lead_towards_the_body_is_refused(bench: WorkflowBench) -> None:
+    await bench.to_placed()
+    assert bench.cell.joints is not None
+    bench.cell.initial_joints = bench.cell.joints.positions
+    verdict = await bench.refuse("placement.to_initial", "distance_shrinks")
+    assert verdict.reason is not None
+    assert verdict.reason.fields["shrinks"] > 0.05
+    assert bench.states["placement"] == "placed"
+
+
+async def test_a_retreat_heeds_where_the_body_is_now(bench: WorkflowBench) -> None:
+    """A posture that was clear of the body while it was away is not gone to once the body is back."""
+    await bench.to_standoff()
+    assert bench.cell.joints is not None
+    standoff = bench.cell.joints.positions
+    await bench.accept("placement.home")
+    bench.cell.initial_joints = standoff
+    await bench.scene.move_body((0.0, 5.0, 0.0))
+    await bench.clock.sleep(0.5)
+    await bench.accept("placement.to_initial")
+    await bench.accept("placement.home")
+    await bench.scene.move_body((0.0, -5.0, 0.0))
+    await bench.clock.sleep(0.5)
+    await bench.refuse("placement.to_initial", "distance_shrinks")
+
+
+async def test_retracted_means_clear_of_the_body(bench: WorkflowBench) -> None:
+    """Beside the axis of its plan, and after another plan, a retreat goes on until the tool is clear."""
+    clearance = bench.cell.settings.placement.clearance
+    await bench.to_placed()
+    await bench.accept("placement.nudge", translation=[0.015, 0.0, 0.0])
+    assert (await bench.accept("placement.back_off")).state == "retracted"
+    assert distance_from_body(bench.cell, bench.data) > clearance
+    await bench.accept("placement.approach")
+    await bench.accept("toolplan.plan", **POSES[1])
+    assert bench.states["placement"] == "held"
+    assert (await bench.accept("placement.back_off")).state == "retracted"
+    assert distance_from_body(bench.cell, bench.data) > clearance
+
+
+async def test_a_retreat_ends_clear_of_the_body_or_is_refused(bench: WorkflowBench) -> None:
+    await bench.to_standoff()
+    bench.cell.initial_joints = bench.cell.posture().tolist()
+    await bench.refuse("placement.to_initial", "not_clear")
+    assert bench.states["placement"] == "standoff"
+
+
+async def test_way_to_the_standoff_avoids_the_body_without_a_surface() -> None:
+    bare = {"body": {"surface": ""}, "placement": {"clearance": 0.14}}
+    async with open_bench(bare) as bench:
+        await bench.register()
+        await bench.accept("toolplan.plan", **POSES[8])
+        await bench.accept("placement.approach")
+        beside = bench.cell.posture().tolist()
+    async with open_bench(bare, {"arm": {"home": beside}}) as bench:
+        await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
+        await bench.accept("digitization.digitize_all")
+        await bench.accept("registration.register")
+        await bench.connect()
+        assert bench.states["placement"] == "retracted"
+        await bench.accept("toolplan.plan", **POSES[11])
+        verdict = await bench.refuse("placement.approach", "path_near_body")
+        assert verdict.reason is not None
+        assert verdict.reason.fields["distance"] < 0.06, "the head is more than 60 mm thick there"
+        assert verdict.reason.fields["limit"] == pytest.approx(0.153, abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -147,12 +218,3 @@ async def test_tool_never_seen_with_the_body_backs_off_by_standoff(registered: b
         await bench.accept("placement.back_off")
         away = (before.inverse() @ coil(bench)).translation
         assert away == pytest.approx((0.0, 0.0, bench.cell.settings.placement.standoff), abs=0.001)
-
-
-async def test_nothing_is_known_of_the_arm_before_its_first_joints(bench: WorkflowBench) -> None:
-    await bench.register()
-    silent = replace(bench.cell, joints=None, base_from_body_ref=None)
-    for ask in (silent.posture, partial(silent.frames, bench.data), partial(silent.image_from_coil, bench.data)):
-        with pytest.raises(RefusalError, match="connect it first") as refused:
-            ask()
-        assert refused.value.refusal_code == "joints_unknown"

@@ -1,4 +1,4 @@
-"""The command is corrected by the tracker until the tool is within tolerance, or the placement is refused."""
+"""The tracker corrects the command until the tool is within tolerance, or the placement is refused."""
 
 from __future__ import annotations
 
@@ -7,9 +7,36 @@ from typing import Any
 import pytest
 
 from pcmrs.messages import HeadMotion
-from tests.unit.workflows.workflow_bench import open_bench
+from tests.unit.workflows.workflow_bench import WorkflowBench, open_bench
 
 FINE: dict[str, Any] = {"placement": {"frames": 60, "settle_time": 0.3, "tolerance_mm": 0.08, "tolerance_deg": 0.03}}
+
+
+async def test_tool_lost_by_the_tracker_in_the_correction_is_held(bench: WorkflowBench) -> None:
+    await bench.to_standoff()
+    async with bench.moving("placement.confirm") as confirm:
+        await bench.scene.occlude("coil", True)
+        verdict = await confirm
+    assert verdict.decision == "failed"
+    assert verdict.reason is not None
+    assert verdict.reason.code == "pose_missing"
+    assert verdict.state == "held"
+    await bench.scene.occlude("coil", False)
+    await bench.clock.sleep(0.2)
+    assert (await bench.accept("placement.back_off")).state == "standoff"
+
+
+async def test_too_large_a_correction_is_not_followed(bench: WorkflowBench) -> None:
+    """The head moves while the tool comes down: what the tracker asks for is no small correction any more."""
+    await bench.to_standoff()
+    async with bench.moving("placement.confirm") as confirm:
+        await bench.scene.move_body((0.010, 0.0, 0.0))
+        verdict = await confirm
+    assert verdict.decision == "failed"
+    assert verdict.reason is not None
+    assert verdict.reason.code == "correction_too_large"
+    assert verdict.reason.fields["shift_mm"] == pytest.approx(10.0, abs=0.5)
+    assert verdict.state == "held"
 
 
 async def test_every_round_is_in_the_result_and_the_last_in_tolerance() -> None:

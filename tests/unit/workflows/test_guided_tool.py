@@ -15,10 +15,20 @@ from pcmrs.workflows.setpoints import limit_twist
 from pcmrs.workflows.settings import TeleoperationSettings
 
 SETTINGS = TeleoperationSettings(range=0.03, turn_deg=10.0)
+
+
 PERIOD = SETTINGS.period
+
+
 TURN = math.radians(SETTINGS.turn_deg)
+
+
 numbers = st.floats(-1.0, 1.0)
+
+
 twists = st.tuples(*[numbers] * 6).map(lambda six: np.array(six))
+
+
 courses = st.lists(st.tuples(twists, st.integers(1, 80)), min_size=1, max_size=5)
 
 
@@ -71,12 +81,3 @@ def test_a_bound_is_reached_and_braked_before_without_a_jerk(towards: tuple[floa
     )
     assert changes[0].max() <= SETTINGS.linear_acceleration * PERIOD + 1e-9
     assert changes[1].max() <= SETTINGS.angular_acceleration * PERIOD + 1e-9
-
-
-@given(twists, st.floats(1e-3, 1.0), st.floats(1e-3, 1.0))
-def test_a_twist_is_shortened_never_turned(twist: Floats, linear: float, angular: float) -> None:
-    short = limit_twist(twist, linear, angular)
-    assert np.linalg.norm(short[:3]) <= linear + 1e-12
-    assert np.linalg.norm(short[3:]) <= angular + 1e-12
-    assert np.allclose(np.cross(short[:3], twist[:3]), 0.0)
-    assert np.linalg.norm(short) <= np.linalg.norm(twist) + 1e-12
