@@ -1,32 +1,17 @@
+"""Registration of points: exact, under noise, and refused if the points do not determine it."""
+
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from pcmrs.errors import DegeneratePointsError, GeometryError, MirroredPointsError
-from pcmrs.registration import register_batch, register_points
+from pcmrs.registration import register_points
 from pcmrs.spatial import Transform, distance, rotation_angle
-
-seeds = st.integers(0, 2**32 - 1)
-SQUARE = 0.1 * np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=float)
-
-
-def random_motion(rng: np.random.Generator) -> Transform:
-    return Transform(Rotation.random(rng=rng).as_matrix(), rng.normal(size=3))
-
-
-def random_points(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Points in a box of unequal sides about corners that make them span a triangle."""
-    corners = np.array([(0.1, 0, 0), (0, 0.1, 0), (0, 0, 0.1)])
-    return np.concatenate((corners, rng.uniform(-0.1, 0.1, (count - 3, 3)))) + rng.normal(size=3)
-
-
-def random_covariances(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Deviations of 0.5 to 2 mm along axes that are turned anyhow."""
-    axes = Rotation.random(count, rng=rng).as_matrix() * rng.uniform(0.0005, 0.002, (count, 1, 3))
-    return axes @ axes.swapaxes(1, 2)
+from tests.unit.registration.random_sets import SQUARE, random_motion, random_points, seeds
 
 
 @given(seeds, st.integers(3, 12))
@@ -128,36 +113,6 @@ def test_integer_weights_are_repeated_points(seed: int, count: int) -> None:
     assert weighted.residual == pytest.approx(weighted.distances[repeats > 0].mean())
 
 
-@given(seeds, st.integers(4, 10))
-def test_with_covariances_the_most_likely_motion_is_found(seed: int, count: int) -> None:
-    """Oracle: SciPy's general least squares on the whitened differences."""
-    rng = np.random.default_rng(seed)
-    moving, truth, covariances = random_points(rng, count), random_motion(rng), random_covariances(rng, count)
-    fixed = truth @ moving + np.array([rng.multivariate_normal(np.zeros(3), c) for c in covariances])
-    whiten = np.linalg.inv(np.linalg.cholesky(covariances))
-
-    def left(motion: np.ndarray) -> np.ndarray:
-        moved = Transform.from_rotvec(motion[3:], motion[:3]) @ (truth @ moving)
-        return np.ravel(np.einsum("nij,nj->ni", whiten, moved - fixed))
-
-    expected = least_squares(left, np.zeros(6), xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale=0.01)
-    found = register_points(fixed, moving, covariances=covariances)
-    motion = found.fixed_from_moving @ truth.inverse()
-    cost = 0.5 * np.sum(left(np.concatenate((motion.rotvec, motion.translation))) ** 2)
-    assert cost <= expected.cost * (1 + 1e-9)
-    np.testing.assert_allclose(motion.rotvec, expected.x[:3], atol=1e-6)
-
-
-@given(seeds, st.floats(1e-4, 1e-2))
-def test_equal_covariances_change_nothing(seed: int, sigma: float) -> None:
-    rng = np.random.default_rng(seed)
-    moving = random_points(rng, 6)
-    fixed = random_motion(rng) @ moving + rng.normal(scale=0.002, size=moving.shape)
-    plain = register_points(fixed, moving)
-    equal = register_points(fixed, moving, covariances=np.tile(sigma**2 * np.eye(3), (6, 1, 1)))
-    np.testing.assert_allclose(equal.fixed_from_moving.matrix, plain.fixed_from_moving.matrix, atol=1e-10)
-
-
 @given(seeds, st.integers(3, 10))
 def test_frames_unit_and_order_do_not_matter(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
@@ -178,21 +133,6 @@ def test_frames_unit_and_order_do_not_matter(seed: int, count: int) -> None:
     shuffled = register_points(fixed[order], moving[order])
     np.testing.assert_allclose(shuffled.fixed_from_moving.matrix, found.fixed_from_moving.matrix, atol=1e-10)
     np.testing.assert_allclose(shuffled.distances, found.distances[order], atol=1e-10)
-
-
-@pytest.mark.parametrize("one_moving", [True, False])
-def test_a_batch_is_the_same_fit_many_times(one_moving: bool) -> None:
-    rng = np.random.default_rng(8)
-    sets = np.array([SQUARE if n % 3 == 0 else random_points(rng, 4) for n in range(60)])
-    fixed = sets + rng.normal(scale=0.002, size=sets.shape)
-    moving = sets[1] if one_moving else sets
-    if one_moving:
-        fixed = moving + rng.normal(scale=0.002, size=sets.shape)
-    rotations, translations = register_batch(fixed, moving)
-    for n in range(60):
-        single = register_points(fixed[n], moving if one_moving else moving[n]).fixed_from_moving
-        np.testing.assert_allclose(rotations[n], single.rotation, atol=1e-9)
-        np.testing.assert_allclose(translations[n], single.translation, atol=1e-9)
 
 
 @pytest.mark.parametrize(
