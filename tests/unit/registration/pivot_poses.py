@@ -8,11 +8,7 @@ from scipy.spatial.transform import Rotation
 from pcmrs.spatial import Floats, Transform
 
 TIP = np.array([0.01, -0.02, -0.15])
-
-
 PIVOT = np.array([0.1, 0.2, -1.8])
-
-
 NOISE = 1e-4
 
 

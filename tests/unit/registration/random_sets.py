@@ -9,8 +9,6 @@ from scipy.spatial.transform import Rotation
 from pcmrs.spatial import Transform
 
 seeds = st.integers(0, 2**32 - 1)
-
-
 SQUARE = 0.1 * np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], dtype=float)
 
 

@@ -14,8 +14,6 @@ from pcmrs.spatial import Floats, Transform
 from tests.unit.registration.pivot_poses import NOISE, PIVOT, TIP, poses_about, shifted
 
 coordinate = st.floats(-0.5, 0.5)
-
-
 point = st.tuples(coordinate, coordinate, coordinate)
 
 

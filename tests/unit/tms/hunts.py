@@ -11,8 +11,6 @@ from pcmrs.tms.threshold import MotorThresholdEstimator
 from pcmrs_sim.tms.recruitment import Recruitment
 
 Answer = Callable[[float], tuple[bool, float | None]]
-
-
 METHODS: tuple[ThresholdMethod, ...] = ("ml", "relative_frequency")
 
 

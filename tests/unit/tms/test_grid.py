@@ -17,17 +17,9 @@ from tests.support.trials import examples
 from tests.unit.tms.heads import TOP, phantom, sphere
 
 lengths = st.floats(-0.05, 0.05)
-
-
 BALL_RADIUS = 0.09
-
-
 BALL = trimesh.creation.icosphere(subdivisions=4, radius=BALL_RADIUS)
-
-
 SCALP = TriangleSurface(BALL.vertices, BALL.faces)
-
-
 BALL_TOP = Transform(np.eye(3), np.array((0.0, 0.0, BALL_RADIUS)))
 
 

@@ -21,8 +21,6 @@ from tests.unit.tms.heads import phantom
 from tests.unit.tms.searches import MOST_PULSES, RNG, away, begun, run, subject_at
 
 METHODS: tuple[HotspotMethod, ...] = ("adaptive", "grid")
-
-
 HOTSPOTS = [(0.0, 0.0, 0.0), (0.008, -0.004, 0.3), (-0.009, 0.009, -0.5), (0.002, 0.013, 0.1), (-0.012, -0.006, -0.2)]
 
 

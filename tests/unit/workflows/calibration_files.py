@@ -11,11 +11,7 @@ from pcmrs.messages import PoseMessage
 from pcmrs.testing.clock import EPOCH
 
 TODAY = datetime.fromtimestamp(EPOCH, UTC)
-
-
 TOOL = PoseMessage(position=(0.0, 0.0, 0.15), quat_wxyz=(0.0, 1.0, 0.0, 0.0))
-
-
 TIP = PoseMessage(position=(0.0, 0.0, -0.15), quat_wxyz=(1.0, 0.0, 0.0, 0.0))
 
 

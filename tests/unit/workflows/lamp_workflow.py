@@ -11,8 +11,6 @@ branches.lamp.states = { off = "dark", on = "lit" }
 branches.lamp.operations.light = { from = ["off"], to = "on", steps = ["strike"] }
 branches.lamp.operations.quench = { from = ["on"], to = "off" }
 """
-
-
 STRIKE = """
 from pcmrs.workflows.data import PlacementData
 

@@ -17,29 +17,13 @@ from pcmrs.workflows.settings import AlignmentSettings, ProcedureSettings
 from tests.unit.workflows.workflow_bench import WorkflowBench
 
 LIMITS = AlignmentSettings()
-
-
 PERIOD = 0.02
-
-
 Error = tuple[float, float] | None
-
-
 WITHIN: Error = (0.9, 1.9)
-
-
 BETWEEN: Error = (1.2, 2.5)
-
-
 FAR: Error = (1.6, 0.0)
-
-
 TURNED: Error = (0.0, 3.1)
-
-
 errors = st.none() | st.tuples(st.floats(0.0, 3.0), st.floats(0.0, 6.0))
-
-
 courses = st.lists(st.tuples(errors, st.integers(1, 40)), max_size=12)
 
 

@@ -29,8 +29,6 @@ RESTING_ON_IT = {
     "digitization.check_landmark",
     "digitization.digitize_surface",
 }
-
-
 WITH_A_COIL = {"placement.press", "placement.follow", "placement.guide"}
 
 

@@ -18,8 +18,6 @@ from tests.unit.workflows.lamp_workflow import LAMP, write_workflow
 from tests.unit.workflows.workflow_bench import LANDMARKS, WorkflowBench, open_bench
 
 EXAMPLES = ROOT / "examples"
-
-
 BIOPSY = EXAMPLES / "biopsy" / "biopsy.toml"
 
 

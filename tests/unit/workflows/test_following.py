@@ -19,8 +19,6 @@ from pcmrs_sim.settings import GeometrySettings
 from tests.unit.workflows.workflow_bench import DYNAMICS, WorkflowBench, open_bench
 
 Z = (0.0, 0.0, 1.0)
-
-
 BREATHING = HeadMotion(breathing_amplitude=0.002, breathing_hz=0.25, breathing_direction=Z)
 
 

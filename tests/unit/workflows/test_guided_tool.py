@@ -15,20 +15,10 @@ from pcmrs.workflows.setpoints import limit_twist
 from pcmrs.workflows.settings import TeleoperationSettings
 
 SETTINGS = TeleoperationSettings(range=0.03, turn_deg=10.0)
-
-
 PERIOD = SETTINGS.period
-
-
 TURN = math.radians(SETTINGS.turn_deg)
-
-
 numbers = st.floats(-1.0, 1.0)
-
-
 twists = st.tuples(*[numbers] * 6).map(lambda six: np.array(six))
-
-
 courses = st.lists(st.tuples(twists, st.integers(1, 80)), min_size=1, max_size=5)
 
 

@@ -13,11 +13,7 @@ from pcmrs.workflows import find_workflow
 from pcmrs.workflows.opening import open_workflow
 
 RATMS = find_workflow("ratms").blueprint
-
-
 PRESS = 'requires = { registration = ["111"], toolplan = ["1"], robot = ["1"] }\npayload = "press"'
-
-
 UNDECLARED: dict[str, tuple[str, str, str]] = {
     "a motion": (
         f'motion = "approach"\n{PRESS}',

@@ -18,15 +18,9 @@ from tests import ROOT
 from tests.unit.workflows.workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
 PLANS = {"ratms": "ratms", "grid_mapping": "ratms", "femoroplasty": "femoroplasty"}
-
-
 PLACES = [("ratms", 0), ("ratms", 8), ("ratms", 11), ("grid_mapping", 3), ("femoroplasty", 0), ("femoroplasty", 8)]
 """Workflows, and poses of their plans: at 8 and 11 of the head a joint comes to its limit on the way back."""
-
-
 SURGEON = {"surgeon": "A. Surgeon"}
-
-
 Forget = Callable[[WorkflowBench], Awaitable[None]]
 
 

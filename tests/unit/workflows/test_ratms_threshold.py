@@ -64,8 +64,6 @@ async def test_two_pulses_at_once_are_one(armed: StimulationBench) -> None:
 
 
 BLUEPRINT = find_workflow("ratms_threshold").blueprint
-
-
 WEAKER = {
     "pulse_only_armed_and_aligned": (
         '[branches.threshold.operations.pulse.requires]\nstimulation = ["armed"]\nalignment = ["1"]\n',

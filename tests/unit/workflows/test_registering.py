@@ -15,11 +15,7 @@ from pcmrs.workflows.data import PlacementData, as_transform
 from tests.unit.workflows.workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
 NAMES = [landmark["name"] for landmark in LANDMARKS]
-
-
 POSITIONS = np.array([landmark["position"] for landmark in LANDMARKS])
-
-
 GATES = ["wrong_unit", "mirrored", "swapped_landmarks", "landmark_outlier", "residual_too_large", "tre_too_large"]
 
 

@@ -19,14 +19,8 @@ from pcmrs.workflows.setpoints import Latency, SetpointAdmission, SpeedScale, li
 from pcmrs.workflows.settings import TeleoperationSettings
 
 SETTINGS = TeleoperationSettings()
-
-
 BEGUN = 100.0
-
-
 UP: Twist = (0.0, 0.0, 0.01, 0.0, 0.0, 0.0)
-
-
 times = st.floats(0.0, 1.0)
 
 
@@ -51,8 +45,6 @@ def setpoint(sequence: int, seen: float, ttl: float = 1.0, twist: Twist = UP, se
 
 
 numbers = st.floats(-1.0, 1.0)
-
-
 twists = st.tuples(*[numbers] * 6).map(lambda six: np.array(six))
 
 

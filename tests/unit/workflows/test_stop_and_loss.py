@@ -14,8 +14,6 @@ from pcmrs.workflows.data import as_transform
 from tests.unit.workflows.workflow_bench import AT_REST, POSES, WorkflowBench, open_bench
 
 Prepare = Callable[[WorkflowBench], Awaitable[Any]]
-
-
 MOTIONS: list[tuple[str, Prepare, dict[str, Any]]] = [
     ("placement.approach", WorkflowBench.register, {}),
     ("placement.confirm", WorkflowBench.to_standoff, {}),
@@ -24,8 +22,6 @@ MOTIONS: list[tuple[str, Prepare, dict[str, Any]]] = [
     ("placement.home", WorkflowBench.to_placed, {}),
     ("placement.to_initial", WorkflowBench.to_standoff, {}),
 ]
-
-
 LOST = DeviceEvent(device="robot", code="link_lost", text="The robot is silent.", danger=True)
 
 

@@ -24,20 +24,10 @@ from tests.unit.teleop.guided_bench import PERIOD, Teleoperator, danger, guided,
 from tests.unit.workflows.workflow_bench import WorkflowBench, open_bench
 
 SETTINGS = TeleoperationSettings()
-
-
 UP: Twist = (0.0, 0.0, 0.01, 0.0, 0.0, 0.0)
-
-
 AWAY: Twist = (0.0, 0.0, 0.5, 0.0, 0.0, 0.0)
-
-
 DOWN: Twist = (0.0, 0.0, -0.5, 0.0, 0.0, 0.0)
-
-
 ASIDE: Twist = (0.01, 0.0, 0.0, 0.0, 0.0, 0.1)
-
-
 MOVES = 1e-3
 """A tool that was to move has gone farther than this, m."""
 

@@ -18,8 +18,6 @@ from tests.unit.workflows.stimulation_bench import RESPONDING, SILENT, Stimulati
 from tests.unit.workflows.workflow_bench import POSES
 
 CENTRE = pose_of(ToolPose(tuple(POSES[0]["position"]), tuple(POSES[0]["quat_xyzw"])))
-
-
 HOTSPOT = CENTRE @ Transform.from_rotvec((0.005, 0.003, 0.0), (0.0, 0.0, 0.0))
 
 

@@ -1,4 +1,4 @@
-"""Pictures of responses and of threshold hunts: they say what was found."""
+"""Figures of threshold hunts: they say what was found."""
 
 from __future__ import annotations
 
@@ -7,23 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcmrs.analysis.plots import draw_mep, mep_figure
 from pcmrs.analysis.threshold_plot import draw_hunt, hunt_figure
-from pcmrs.messages import Epoch
-from pcmrs.tms.mep import judge_mep
-from pcmrs.tms.settings import MepSettings, ThresholdMethod, ThresholdSettings
+from pcmrs.tms.settings import ThresholdMethod, ThresholdSettings
 from pcmrs.tms.threshold import MotorThresholdEstimator
 from pcmrs_sim.tms.recruitment import Recruitment
-
-RATE_HZ = 4000.0
-
-
-def epoch(pulse: int, microvolts: float, rest_uv: float = 2.0) -> Epoch:
-    times = -0.12 + np.arange(900) / RATE_HZ
-    shape = np.where((times > 0.022) & (times < 0.032), np.sin((times - 0.022) * 2.0 * np.pi / 0.010), 0.0)
-    noise = np.random.default_rng(pulse).normal(0.0, rest_uv * 1e-6, len(times))
-    samples = 0.5e-6 * microvolts * shape + noise
-    return Epoch(pulse=pulse, muscle="FDI", rate_hz=RATE_HZ, start=-0.12, samples=samples.tolist())
 
 
 def hunt(method: ThresholdMethod, pulses: int) -> MotorThresholdEstimator:
@@ -33,17 +20,6 @@ def hunt(method: ThresholdMethod, pulses: int) -> MotorThresholdEstimator:
         amplitude = subject.sample(made.next_intensity(), rng)
         made = made.after(made.next_intensity(), amplitude >= 50e-6, amplitude)
     return made
-
-
-def test_responses_are_drawn_with_what_was_found(tmp_path: Path) -> None:
-    settings = MepSettings()
-    epochs = [epoch(1, 300.0), epoch(2, 20.0), epoch(3, 300.0, rest_uv=15.0)]
-    meps = [judge_mep(each, settings) for each in epochs]
-    titles = [axes.get_title(loc="left") for axes in mep_figure(epochs, meps, settings).axes]
-    assert [title.split(": ")[-1] for title in titles] == ["response", "no response", "preactivated"]
-    assert "FDI, pulse 1" in titles[0]
-    draw_mep(tmp_path / "mep.png", epochs, meps, settings)
-    assert (tmp_path / "mep.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("method", ["ml", "relative_frequency"])
