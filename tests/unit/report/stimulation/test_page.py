@@ -1,4 +1,4 @@
-"""The report of a session holds every number it should, escapes what it is told, and needs nothing from outside."""
+"""The page of a session with stimulation holds every number it should, and needs nothing from outside."""
 
 from __future__ import annotations
 
@@ -7,15 +7,12 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import msgspec
-import numpy as np
 import pytest
 
 from pcmrs.analysis.session import SessionRecord
 from pcmrs.report.pages import fixed
-from pcmrs.report.stimulation.facts import facts_of
-from pcmrs.report.stimulation.figures import draw_figures, placements_figure, responses_figure, waveforms_figure
+from pcmrs.report.stimulation.figures import draw_figures
 from pcmrs.report.stimulation.page import minutes, plain, render_report
-from pcmrs.tms.scalp import as_transform
 from tests.support.session_records import mesh, nothing, record
 
 PICTURES = {"hotspot", "hunt", "responses", "waveforms", "placements"}
@@ -150,44 +147,6 @@ def test_nothing_is_a_report_too(tmp_path: Path) -> None:
         "No pulse was given.",
     ):
         assert expected in text
-
-
-def test_pictures_are_files(tmp_path: Path) -> None:
-    drawn = draw_figures(record(), mesh(), tmp_path)
-    assert set(drawn) == PICTURES
-    for path in drawn.values():
-        assert path.read_bytes().lstrip().startswith((b"\x89PNG", b"<?xml"))
-
-
-def test_pictures_show_every_pulse() -> None:
-    figure = responses_figure(record())
-    assert figure is not None
-    drawn = [line for line in figure.axes[0].lines if line.get_label() != "least response"]
-    assert sum(len(np.atleast_1d(line.get_xdata())) for line in drawn) == sum(
-        pulse.mep is not None for pulse in record().pulses
-    )
-    placed, waves = placements_figure(record()), waveforms_figure(record())
-    assert placed is not None
-    assert waves is not None
-    assert len(waves.axes) == 6
-
-
-def test_facts_are_worked_out_from_the_truth() -> None:
-    full, facts = record(), facts_of(record())
-    assert full.truth is not None
-    assert full.hotspot is not None
-    assert full.threshold is not None
-    true, found = as_transform(full.truth.hotspot), as_transform(full.hotspot.image_from_coil)
-    assert facts.hotspot_error_mm == pytest.approx(1e3 * float(np.linalg.norm(true.translation - found.translation)))
-    assert facts.threshold_error == pytest.approx(100.0 * (full.threshold.threshold - 51.5) / 51.5)
-    assert facts.repeated == 2
-    assert facts.counted == len(full.pulses) - 2
-    assert facts.refused == 4
-
-
-def test_errors_are_unknown_without_the_truth() -> None:
-    facts = facts_of(msgspec.structs.replace(record(), truth=None))
-    assert (facts.hotspot_error_mm, facts.threshold_error, facts.inside) == (None, None, None)
 
 
 @pytest.mark.parametrize(("value", "shown"), [(69.25, "69.25"), (70.0, "70"), (None, "–"), (-1.5, "−1.5")])
