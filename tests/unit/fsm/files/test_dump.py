@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pcmrs
+from pcmrs.fsm import parse_blueprint
 from pcmrs.fsm.blueprint import (
     ActivitySpec,
     Blueprint,
@@ -28,20 +29,31 @@ from pcmrs.fsm.files.dump import LONGEST_LINE, blueprint_toml
 from pcmrs.fsm.files.load import content_hash, load_unexpanded
 from pcmrs.fsm.files.sequence import expand
 from tests.support.trials import examples
+from tests.unit.fsm.arm_workflow import arm_blueprint
+from tests.unit.fsm.files.pump_workflow import PUMP
 
 WORKFLOWS = sorted((Path(pcmrs.__file__).parent / "workflows").glob("*.toml"))
+
 TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
+
 NAME = st.sampled_from(["a", "b1", "000", "*", "states", "operations", "parent", "a.b", 'q"', "x y", ""])
+
 STATES = st.lists(NAME, max_size=3)
+
 LONG = st.lists(NAME, max_size=60)
+
 REQUIREMENT = st.dictionaries(NAME, STATES | LONG, max_size=3)
+
 TARGET = NAME | st.dictionaries(NAME, NAME, max_size=3)
+
 OUTCOME = st.builds(OutcomeSpec, to=TARGET, requires=REQUIREMENT)
+
 ANYTHING = st.recursive(
     st.booleans() | st.integers(-(2**40), 2**40) | st.floats(allow_nan=False) | TEXT,
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(NAME, inner, max_size=3),
     max_leaves=8,
 )
+
 OPERATION = st.builds(
     OperationSpec,
     title=TEXT,
@@ -53,6 +65,7 @@ OPERATION = st.builds(
     rio=st.booleans(),
     on_failure=st.none() | TARGET,
 )
+
 BRANCH = st.builds(
     BranchSpec,
     level=st.integers(1, 3),
@@ -64,7 +77,9 @@ BRANCH = st.builds(
     activities=st.dictionaries(NAME, st.builds(ActivitySpec, run=TEXT, ended=NAME, moves=st.booleans()), max_size=2),
     revocations=st.lists(st.builds(RevocationSpec, by=STATES, from_=STATES, to=NAME), max_size=2),
 )
+
 CONDITION = st.builds(Condition, states=REQUIREMENT, running=STATES)
+
 BLUEPRINT = st.builds(
     Blueprint,
     id=TEXT,
@@ -110,3 +125,17 @@ def test_defaults_are_left_out_and_tables_fit_the_line() -> None:
     assert "[branches.b.parent.compatible]\nstate_number_0 = " in text
     assert max(map(len, text.splitlines())) <= LONGEST_LINE
     assert "timeout_s" not in text
+
+
+def test_implied_keys_are_not_written_and_others_are() -> None:
+    implied = parse_blueprint((PUMP % "affects_patient = true").encode())
+    barred = parse_blueprint((PUMP % "blocked_when_latched = true").encode())
+    assert "blocked_when_latched" not in blueprint_toml(implied)
+    assert "blocked_when_latched = true" in blueprint_toml(barred)
+    assert len({implied.hash, barred.hash}) == 2
+
+
+def test_activities_are_read_back_as_written() -> None:
+    written = blueprint_toml(arm_blueprint())
+    assert "[branches.arm.activities]\nnear = {" in written
+    assert parse_blueprint(written.encode()) == arm_blueprint()

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import pytest
+from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pcmrs.cli import main
+from pcmrs.errors import BlueprintError
+from pcmrs.fsm import parse_blueprint
 from pcmrs.fsm.files.keys import MAX_DEPTH, DepthError, Key, keys_in
+from pcmrs.fsm.files.load import examine
 from pcmrs.fsm.files.toml import read_toml
+from tests import ROOT
+from tests.unit.fsm.files.pump_workflow import PUMP
 
 TEXT = '''# [not.a.table]
 a = 1 # b = 2
@@ -28,6 +36,7 @@ o = \'\'\'p = 5\'\'\'
 [t.v.w]
 "é" = 1979-05-27 07:32:00
 '''
+
 PLACES = {
     "a": (2, 1), "q.r": (3, 1), "q.r/s": (3, 1), "t": (4, 2), "t/u": (4, 2), "t/u/list": (5, 1), "t/u/list/0": (6, 3),
     "t/u/list/1": (6, 9), "t/u/list/2": (7, 3), "t/u/list/2/0": (7, 4), "t/u/list/2/1": (7, 7), "t/u/list/3": (7, 11),
@@ -36,12 +45,14 @@ PLACES = {
 }  # fmt: skip
 
 keys = st.one_of(st.sampled_from(["a", "b-1", "c_2"]), st.text(max_size=3).map(lambda text: _quoted(text)))
+
 scalars = st.one_of(
     st.integers(-5, 5).map(str),
     st.booleans().map(lambda value: str(value).lower()),
     st.text(max_size=4).map(lambda text: _quoted(text)),
     st.sampled_from(["'[#]'", '"""\n}"""', "'''\n]'''", "1979-05-27", "1e3"]),
 )
+
 gaps = st.sampled_from(["", " ", "\t", "\n", " # ] } ,\n"])
 
 
@@ -99,3 +110,38 @@ def test_the_limit_of_depth(nested: Any) -> None:
     assert keys_in(nested(MAX_DEPTH - 2))
     with pytest.raises(DepthError):
         keys_in(nested(MAX_DEPTH + 1))
+
+
+BIOPSY = ROOT / "examples/biopsy/biopsy.toml"
+
+HASH = "683b43326884"
+"""Of the biopsy as the first versions wrote it, with `acts`: journals name it."""
+
+
+def test_the_content_of_an_old_file_is_that_of_the_renamed_one() -> None:
+    new = BIOPSY.read_text()
+    old = new.replace("affects_patient = true", "acts = true")
+    assert old != new
+    assert parse_blueprint(old.encode()) == parse_blueprint(new.encode())
+    assert parse_blueprint(new.encode()).hash.startswith(HASH)
+
+
+def test_old_name_is_accepted_with_a_warning_naming_the_new_one() -> None:
+    found = examine(PUMP.replace("%s", "acts = true").encode(), origin="pump.toml")
+    assert found.sound
+    assert [str(each) for each in found.warnings] == [
+        "pump.toml:8:62: old_key: `acts` is now called `affects_patient`: rename it."
+    ]
+    assert not examine((PUMP % "affects_patient = true").encode()).warnings
+
+
+def test_verify_shows_the_warning_and_reports_sound(tmp_path: Path) -> None:
+    file = tmp_path / "pump.toml"
+    file.write_text(PUMP % "acts = true")
+    result = CliRunner().invoke(main, ["fsm", "verify", str(file)])
+    assert (result.exit_code, "old_key" in result.stderr, "sound" in result.stdout) == (0, True, True)
+
+
+def test_a_key_under_both_names_is_refused() -> None:
+    with pytest.raises(BlueprintError, match="unknown field `acts`"):
+        parse_blueprint((PUMP % "acts = true, affects_patient = false").encode())

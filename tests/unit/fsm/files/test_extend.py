@@ -15,6 +15,7 @@ from pcmrs.fsm import Blueprint, Finding, examine, load_blueprint, parse_bluepri
 from pcmrs.fsm.files.dump import blueprint_toml
 from pcmrs.fsm.files.toml import MAX_BYTES
 from tests.support.trials import examples
+from tests.unit.fsm.files.pump_workflow import PUMP
 
 BASE = """
 id = "base"
@@ -298,3 +299,15 @@ def test_the_shipped_grid_mapping_is_ratms_and_its_own() -> None:
     assert {name: branch for name, branch in grid.branches.items() if name not in ("mapping", "toolplan")} == {
         name: branch for name, branch in ratms.branches.items() if name != "toolplan"
     }
+
+
+def test_each_layer_of_an_extended_file_may_have_its_own_names(tmp_path: Path) -> None:
+    (tmp_path / "pump.toml").write_text(PUMP % "acts = true")
+    (tmp_path / "slow.toml").write_text(
+        'extends = "pump.toml"\nid = "slow"\nversion = "1"\n'
+        "[branches.pump.operations.start]\naffects_patient = true\ntimeout_s = 60\n"
+    )
+    warned: list[str] = []
+    blueprint = load_blueprint(tmp_path / "slow.toml", warn=lambda warning: warned.append(warning.file))
+    assert blueprint.branches["pump"].operations["start"].affects_patient
+    assert warned == [str(tmp_path / "pump.toml")]

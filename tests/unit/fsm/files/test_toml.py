@@ -114,3 +114,8 @@ def test_any_damage_to_a_blueprint(seed: int, cuts: int) -> None:
     findings = examine(bytes(raw)).findings
     lines = bytes(raw).count(b"\n") + 1
     assert all(finding.code and finding.text and 1 <= finding.line <= lines for finding in findings)
+
+
+def test_a_file_too_large_is_not_read() -> None:
+    found = examine(b"#" * (MAX_BYTES + 1), origin="large").findings
+    assert [finding.code for finding in found] == ["too_large"]
