@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Closure, close, load_blueprint
-from pcmrs.fsm.behaviour import behaviour
+from pcmrs.fsm.behaviour import behaviour, endings, operations
 from tests.support.ratms_oracle import (
     BLUEPRINT,
     BRANCHES,
@@ -63,3 +64,19 @@ def test_registration_and_digitization_have_4_joint_states() -> None:
 def test_every_ending_leads_where_the_specification_says(branch: str, operation: str) -> None:
     for joint in REACHABLE:
         assert decided(joint, branch, operation) == expected(joint, branch, operation), joint
+
+
+def test_too_many_joint_states_are_refused_with_the_limit() -> None:
+    assert len(behaviour(RATMS, limit=39)) == 39
+    with pytest.raises(BlueprintError, match="over 38 joint states") as refused:
+        behaviour(RATMS, limit=38)
+    assert refused.value.fields == {"limit": 38}
+
+
+def test_only_an_operation_with_steps_can_fail_or_leave_doubt() -> None:
+    states = RATMS.initial()
+    for branch, operation, spec in operations(RATMS):
+        closure = close(RATMS, states, branch, operation)
+        if isinstance(closure, Closure):
+            unconfirmed = {"failed", "unknown"} if spec.steps else set()
+            assert endings(spec, closure).keys() == closure.outcomes.keys() | unconfirmed

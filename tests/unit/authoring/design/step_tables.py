@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import tomllib
 from typing import Any
 
+import msgspec
 import tomli_w
 
 from pcmrs.authoring.design import design
+from pcmrs.authoring.design.check import paths_of
+from pcmrs.authoring.design.grouping import Group, root_groups
+from pcmrs.authoring.design.table import StepTable
 from pcmrs.fsm import Blueprint, parse_blueprint
+from pcmrs.fsm.finding import Path
 from tests import ROOT
 
 EXAMPLES = ROOT / "examples"
@@ -35,3 +41,10 @@ def step(name: str, *needs: str, **keys: Any) -> dict[str, Any]:
 def declared(keys: dict[str, Any]) -> dict[str, Any]:
     """The keys, with a declaration unless they have one or the step is done by the steps that refine it."""
     return keys if "steps" in keys.get("refined_by", {}) else {"moves": False} | keys
+
+
+def converted(*steps: dict[str, Any]) -> tuple[list[Group], dict[str, Path]]:
+    """Return the branches of a table, and the path of each step."""
+    read = msgspec.convert(tomllib.loads(table(*steps).decode()), StepTable)
+    paths = {each.name: path for path, each in paths_of(read.steps)}
+    return root_groups(read.steps, paths), paths

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pcmrs.fsm.behaviour import branch_states, endings, joint_of
+from pcmrs.fsm.behaviour import Ruling, branch_states, endings, joint_of
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.closure import Closure, close
 
@@ -42,3 +42,16 @@ def reachable_from(blueprint: Blueprint, joint: Joint) -> set[Joint]:
         found |= new
         waiting.extend(new)
     return found
+
+
+def answer_in(blueprint: Blueprint, states: dict[str, str], branch: str, operation: str) -> object:
+    """The answer to an operation, without the branches that it does not touch: a code, or endings and their targets."""
+    return essence(close(blueprint, states, branch, operation))
+
+
+def essence(answer: Ruling) -> object:
+    """An answer without the branches that it does not touch."""
+    if not isinstance(answer, Closure):
+        return answer.code
+    endings = {**answer.outcomes, "failed": answer.failure, "unknown": answer.unknown}
+    return {(name, frozenset(change.targets.items() if change else ())) for name, change in endings.items()}

@@ -1,4 +1,4 @@
-"""Poses in the lab's YAML."""
+"""Landmarks and poses in the lab's YAML."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from pcmrs.errors import FileFormatError
 from pcmrs.formats.lab_yaml import lab_pose, lab_registration
 from pcmrs.formats.reading import read_yaml
 from pcmrs.spatial import Transform, distance, rotation_angle
+from tests.unit.formats.landmark_files import check_refused, lab
 
 
 def read_lab_pose(path: Path) -> Transform:
@@ -60,3 +61,26 @@ def test_invalid_pose_is_refused(text: str, reason: str, file: Path) -> None:
     with pytest.raises(FileFormatError, match=reason) as caught:
         read_lab_pose(file)
     assert str(file) in caught.value.text
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "reason"),
+    [
+        ("a.yaml", "", "holds no keys"),
+        ("a.yaml", "NUM: 3\n", "PLANNED nor DIGITIZED"),
+        ("a.yaml", "PLANNED: 5\n", "no braces.* PLANNED"),
+        ("a.yaml", "PLANNED: {}\n", "no landmarks"),
+        ("a.yaml", "PLANNED: {p0: {x: 1, y: 2}}\n", r"x, y, z under PLANNED\.p0, not x, y"),
+        ("a.yaml", "PLANNED: {p0: {x: 1, y: 2, z: true}}\n", r"PLANNED\.p0 that is not a number"),
+        ("a.yaml", "PLANNED: {p0: {x: 1, y: 2, z: far}}\n", r"PLANNED\.p0 that is not a number"),
+        ("a.yaml", "DIGITIZED: {d0: {x: nan, y: nan, z: nan}}\n", "no point for landmark d0.*digitize"),
+        ("a.yaml", lab(num=5), "NUM: 5, but PLANNED holds 3"),
+        ("a.yaml", lab(names=("p0", "p1", "p0")), "p0 is given twice"),
+        ("a.yaml", "PLANNED: {p0: {x: 1", "is not YAML"),
+        ("a.yaml", "PLANNED: !!python/object/apply:os.getcwd []\n", "is not YAML"),
+        ("a.yaml", "WHEN: 2024-13-40\n", "is not YAML"),
+        ("a.yaml", "{" * 500, "is not YAML"),
+    ],
+)
+def test_invalid_yaml_is_refused_with_file_and_reason(name: str, text: str, reason: str, tmp_path: Path) -> None:
+    check_refused(tmp_path / name, text, reason)
