@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import msgspec
+import pytest
 
 from pcmrs.fsm import load_blueprint, parse_blueprint
+from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, OperationSpec, OutcomeSpec
+from pcmrs.messages.identity import COMMANDING
 from tests.unit.fsm.exposure_workflows import BIOPSY, BY_HAND, SHIPPED, designed
 from tests.unit.fsm.files.pump_workflow import PUMP
 from tests.unit.fsm.rules.small_workflow import SMALL
@@ -29,3 +32,36 @@ def test_a_workflow_uses_the_robot_where_it_connects_or_moves_it() -> None:
     assert designed(BIOPSY.read_bytes()).uses_robot
     ratms = load_blueprint(SHIPPED / "ratms.toml")
     assert msgspec.structs.replace(ratms, branches={"placement": ratms.branches["placement"]}).uses_robot
+
+
+@pytest.mark.parametrize("more", ["event = true", "iio = true", "affects_patient = true"])
+def test_stop_is_released_by_what_users_may_ask_for_meanwhile(more: str) -> None:
+    plain = {"from": ["*"], "to": "on", "unlatches": True}
+    other = plain | {more.partition(" ")[0]: True}
+    branch = {"states": {"on": ""}, "operations": {"acknowledge": plain, "other": other}}
+    blueprint = msgspec.convert({"id": "x", "version": "1", "branches": {"pump": branch}}, Blueprint)
+    assert blueprint.unlatching == ["pump.acknowledge"]
+
+
+def test_targets_are_apart_by_how_an_operation_ends() -> None:
+    spec = OperationSpec(
+        from_=["a", "b"],
+        outcomes={"well": OutcomeSpec(to={"a": "c", "b": "d"}), "badly": OutcomeSpec(to="a")},
+        on_failure="e",
+    )
+    assert spec.declared_targets() == {"a", "c", "d"}
+    assert spec.unconfirmed_targets() == {"e"}
+    assert spec.targets() == {"a", "c", "d", "e"}
+    assert OperationSpec(from_=["a"], to="b").endings.keys() == {START_OUTCOME}
+
+
+def test_an_operation_that_a_version_lacks_is_not_found() -> None:
+    blueprint = parse_blueprint(SMALL.encode())
+    assert blueprint.find("side", "move") is blueprint.branches["side"].operations["move"]
+    assert blueprint.find("side", "fly") is None
+    assert blueprint.find("roof", "move") is None
+
+
+def test_roles_without_any_named_are_all_that_may_command() -> None:
+    assert OperationSpec(from_=["a"], to="b").allowed_roles == list(COMMANDING)
+    assert OperationSpec(from_=["a"], to="b", roles=["operator"]).allowed_roles == ["operator"]

@@ -36,7 +36,7 @@ def test_an_arrowhead_ends_at_its_tip(towards: tuple[int, int]) -> None:
 
 
 @given(st.lists(PLACES, min_size=2, max_size=5, unique_by=lambda end: end[1]), st.integers(-300, 300))
-def test_a_bus_runs_from_the_highest_end_by_its_lane_to_the_lowest(ends: list[tuple[int, int]], lane: int) -> None:
+def test_a_bus_runs_from_the_highest_end_to_the_lowest(ends: list[tuple[int, int]], lane: int) -> None:
     path = bus(lane, ends)
     (first, top), *_, (last, bottom) = sorted(ends, key=lambda end: end[1])
     assert path.startswith(f"M{first} {top}H")

@@ -32,7 +32,7 @@ def test_each_refinement_follows_the_branch_that_it_refines() -> None:
     ]
 
 
-def test_states_are_the_possible_combinations_the_empty_one_first() -> None:
+def test_states_are_the_possible_combinations_of_steps() -> None:
     (group,), paths = converted(step("a"), step("b", "a"), step("c", "a"))
     (branch,) = root_branches(group, paths)
     assert next(iter(branch.spec.states)) == "000"

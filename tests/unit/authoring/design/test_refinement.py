@@ -41,7 +41,7 @@ def test_a_refinement_fits_where_its_step_is_possible() -> None:
     assert parent.compatible == {"00": ["00", "10"], "11": ["11"], "*": ["10"]}
 
 
-def test_a_deep_refinement_must_be_calm_before_its_step_opens_again() -> None:
+def test_a_deep_refinement_must_be_calm_when_its_step_opens() -> None:
     (group,), paths = converted(step("z"), step("a", "z", refined_by=OUTER), step("b", "z", refined_by=INNER_B))
     refinements = refinements_of(group, paths)
     assert resting_on(0, refinements, group.order) == {"outer": ["00", "11"], "inner": ["00", "11"]}

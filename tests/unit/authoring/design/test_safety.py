@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from pcmrs.authoring.design.safety import lost
 from pcmrs.fsm import Denial, Engine
 from tests.unit.authoring.design.biopsy_cell import WAY_IN, biopsy_cell, is_accepted, perform
 
@@ -25,3 +26,13 @@ def test_the_robot_is_not_disconnected_at_the_patient(cell: Engine) -> None:
     answer = cell.ask("robot", "disconnect")
     assert isinstance(answer, Denial)
     assert answer.code == "tool_near_patient"
+
+
+def test_states_with_one_end_after_a_loss_share_a_revocation() -> None:
+    ends = {"110": "101", "100": "001", "111": "101"}
+    rules = lost(ends)
+    assert [(rule.by, rule.from_, rule.to) for rule in rules] == [
+        (["robot"], ["110", "111"], "101"),
+        (["robot"], ["100"], "001"),
+    ]
+    assert lost({}) == []

@@ -15,7 +15,7 @@ def test_one_key_declares_the_effect_even_if_it_is_false(key: str) -> None:
 
 
 def test_an_operation_that_takes_back_has_the_roles_of_its_step() -> None:
-    own = ActionSpec(operation="withdraw", roles=["observer"])
+    own = ActionSpec(operation="withdraw", roles=["viewer"])
     step = StepSpec(name="placed", operation="place", roles=["operator"], reopened_by=["clear", own])
     assert step.reopeners() == [ActionSpec(operation="clear", roles=["operator"]), own]
 

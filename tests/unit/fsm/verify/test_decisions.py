@@ -49,7 +49,7 @@ def test_operations_of_free_branches_see_only_their_own() -> None:
         assert set(decide([blueprint], blueprint.initial(), branch, operation).seen) == {branch}
 
 
-def test_an_effect_that_depends_on_the_order_of_branches_is_marked() -> None:
+def test_an_effect_that_depends_on_branch_order_is_marked() -> None:
     """A door revokes the light of a lamp, which rings a bell, and it silences the bell: which comes first?"""
     file = Path(__file__).parents[1] / "unsound" / "order_dependent.toml"
     blueprint, _ = read_blueprint(file.read_bytes(), file.name)

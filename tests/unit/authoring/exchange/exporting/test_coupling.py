@@ -54,7 +54,7 @@ def test_each_ancestor_is_one_level_above(blueprint: Blueprint) -> None:
         assert levels_above == list(range(branch.level - 1, 0, -1))
 
 
-def test_too_many_combinations_are_refused_before_they_are_listed() -> None:
+def test_too_many_combinations_are_refused_unlisted() -> None:
     blueprint = free(20, 10)
     with pytest.raises(BlueprintError, match="depend on each other") as refused:
         next(combinations(blueprint, list(blueprint.branches)))
