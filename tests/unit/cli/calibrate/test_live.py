@@ -1,4 +1,4 @@
-"""`pcmrs calibrate` on files, and live on a bus where a pointer is pivoted and an arm is moved."""
+"""`pcmrs calibrate --live` on a bus where a pointer is pivoted and an arm is moved."""
 
 from __future__ import annotations
 
@@ -12,142 +12,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
-from scipy.spatial.transform import Rotation
 
 from pcmrs.bus import Bus, BusSettings, Empty
 from pcmrs.calibration import read_calibration
-from pcmrs.calibration.poses import HAND_EYE, PIVOT, read_poses, write_poses
-from pcmrs.cli import main
+from pcmrs.calibration.poses import PIVOT, read_poses
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import BlueprintTag, BodyPose, JointState, Snapshot
 from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.testing.daemon import free_port
+from tests.unit.cli.calibrate.calibrations import FLANGE_FROM_COIL, HOME, JITTER, TIP, coil_seen, pivoted, run
 
-TIP, PIVOT_POINT = np.array([0.01, -0.02, -0.15]), np.array([0.1, 0.2, 1.8])
-FLANGE_FROM_COIL = Transform.from_rotvec((0.01, 0.02, 0.15), (2.0, 1.0, 0.5))
-BASE_FROM_TRACKER = Transform.from_rotvec((1.5, 0.3, 0.9), (0.4, -2.0, 1.0))
 REFERENCE = Transform.from_rotvec((0.2, 0.0, 1.5), (0.0, 0.3, 0.0))
-JITTER = 3e-5
-HOME = np.array([0.0, 0.6, 0.0, -1.4, 0.0, 1.0, 0.0])
 FRAME = 1.0 / 60.0
-
-
-def run(*words: str) -> Result:
-    return CliRunner().invoke(main, ["calibrate", *words])
-
-
-def pivoted(rng: np.random.Generator, tilt: tuple[float, float], spin: float = 0.0) -> Transform:
-    """The pointer tilted (rad) about its tip."""
-    rotation = Rotation.from_euler("xyz", (*tilt, spin)).as_matrix()
-    return Transform(rotation, PIVOT_POINT - rotation @ TIP + rng.normal(0.0, JITTER, 3))
-
-
-def pivot_file(folder: Path, *, tilt: float = 0.6, bad: tuple[int, ...] = ()) -> str:
-    rng = np.random.default_rng(1)
-    poses = [pivoted(rng, tuple(rng.uniform(-tilt, tilt, 2)), rng.uniform(-0.6, 0.6)) for _ in range(30)]
-    lift = Transform.from_rotvec((0.0, 0.0, 0.004), (0.0, 0.0, 0.0))
-    write_poses(folder / "pivot.csv", PIVOT, [[lift @ p if i in bad else p for i, p in enumerate(poses)]])
-    return str(folder / "pivot.csv")
-
-
-def coil_seen(flange: Transform) -> Transform:
-    return BASE_FROM_TRACKER.inverse() @ flange @ FLANGE_FROM_COIL
-
-
-def hand_eye_file(folder: Path) -> str:
-    rng, arm = np.random.default_rng(2), ArmModel(ARMS["iiwa14"])
-    flange = [arm.forward(HOME + rng.uniform(-0.6, 0.6, 7)) for _ in range(15)]
-    write_poses(folder / "hand_eye.csv", HAND_EYE, [flange, [coil_seen(pose) for pose in flange]])
-    return str(folder / "hand_eye.csv")
-
-
-def test_pivot_prints_writes_and_draws(tmp_path: Path) -> None:
-    file, output, plot = pivot_file(tmp_path, bad=(4, 9)), tmp_path / "stylus.toml", tmp_path / "stylus.png"
-    ended = run("pivot", file, "-o", str(output), "--name", "stylus", "--serial", "17", "--plot", str(plot))
-    assert ended.exit_code == 0, ended.output
-    assert "pose 5, 10" in ended.stdout
-    assert ended.stdout.count("bad") == 2
-    assert "±" in ended.stdout
-    calibration = read_calibration(output)
-    assert calibration.transform().translation == pytest.approx(TIP, abs=1e-4)
-    said = (calibration.kind, calibration.name, calibration.serial, calibration.cell, calibration.version)
-    assert said == ("pointer", "stylus", "17", "lab/cell1", 1)
-    assert 0.02 < calibration.error_mm < 0.2
-    assert plot.read_bytes().startswith(b"\x89PNG")
-
-
-def test_calibrating_again_makes_the_next_version(tmp_path: Path) -> None:
-    words = ("pivot", pivot_file(tmp_path), "-o", str(tmp_path / "stylus.toml"), "--json", "--any-cell")
-    for version in (1, 2):
-        said = json.loads(run(*words).stdout)
-        assert said["accepted"]
-        assert said["version"] == version
-        assert said["tip_in_pointer"] == pytest.approx(TIP, abs=1e-4)
-    calibration = read_calibration(tmp_path / "stylus.toml")
-    assert (calibration.sha256, calibration.cell) == (said["sha256"], "")
-    other = run(*words, "--name", "another")
-    assert other.exit_code == 2
-    assert "another tool or pointer" in other.stderr
-
-
-def test_hand_eye_writes_a_tool(tmp_path: Path) -> None:
-    output = tmp_path / "guide.toml"
-    words = ("--type", "drill_guide", "--name", "guide", "--site", "or", "--cell", "2", "--valid-days", "7")
-    ended = run("hand-eye", hand_eye_file(tmp_path), "-o", str(output), "--json", *words)
-    assert ended.exit_code == 0, ended.output
-    assert json.loads(ended.stdout)["flange_from_coil"]["position"] == pytest.approx([0.01, 0.02, 0.15], abs=1e-6)
-    calibration = read_calibration(output)
-    assert (calibration.type, calibration.cell, calibration.valid_days) == ("drill_guide", "or/2", 7)
-    assert distance(calibration.transform(), FLANGE_FROM_COIL) < 1e-6
-
-
-@pytest.mark.parametrize(
-    ("words", "code"), [(("--limit-mm", "0.001"), "error_too_large"), ((), "degenerate_motion")], ids=["limit", "still"]
-)
-def test_insufficient_calibration_is_refused_and_not_written(tmp_path: Path, words: tuple[str, ...], code: str) -> None:
-    file, output = pivot_file(tmp_path, tilt=0.6 if words else 0.01), tmp_path / "stylus.toml"
-    ended = run("pivot", file, "-o", str(output), "--json", *words)
-    assert ended.exit_code == 1
-    assert json.loads(ended.stdout)["reason"]["code"] == code
-    (line,) = ended.stderr.splitlines()
-    assert line.startswith("main calibrate pivot: ")
-    assert not output.exists()
-    if words:
-        assert "rms residual" in run("pivot", file, *words).stdout
-
-
-def test_unreadable_file_ends_with_2(tmp_path: Path) -> None:
-    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
-    for words in (["pivot", str(tmp_path / "none.csv")], ["hand-eye", str(tmp_path / "other.csv")]):
-        ended = run(*words)
-        assert ended.exit_code == 2
-        assert len(ended.stderr.splitlines()) == 1
-
-
-@pytest.mark.parametrize("words", [[], ["poses.csv", "--live"]])
-def test_either_a_file_or_live(words: list[str]) -> None:
-    ended = run("pivot", *words)
-    assert ended.exit_code == 2
-    assert "either a FILE" in ended.stderr
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("pivot", "poses.csv", "--keep", "kept.csv"), "--keep is for --live only"),
-        (("hand-eye", "poses.csv", "--robot", "panda"), "--robot is for --live only"),
-        (("pivot", "poses.csv", "--limit-mm", "nan"), "nan is not finite"),
-        (("hand-eye", "poses.csv", "--limit-deg", "-1"), "not in the range"),
-        (("pivot", "poses.csv", "-o", "no_such_folder/tip.toml"), "no folder no_such_folder"),
-    ],
-)
-def test_option_that_would_be_ignored_or_is_senseless_is_refused(words: tuple[str, ...], said: str) -> None:
-    """It is a usage error."""
-    ended = run(*words)
-    assert ended.exit_code == 2
-    assert said in ended.stderr
 
 
 class Cell:
