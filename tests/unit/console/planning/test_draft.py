@@ -2,44 +2,25 @@
 
 from __future__ import annotations
 
-from typing import get_args
-
-import msgspec
 import numpy as np
 import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.console.planning.checking import BAD, GOOD, OPEN, describe_results
-from pcmrs.console.planning.draft import MOVES, TURN, TURNS, Draft, Kind, typed_point
-from pcmrs.console.planning.panel import operations
-from pcmrs.console.texts import Texts
+from pcmrs.console.planning.draft import MOVES, TURN, TURNS, Draft, typed_point
 from pcmrs.errors import GeometryError
 from pcmrs.formats.landmarks import read_landmarks
 from pcmrs.formats.mesh import read_mesh
-from pcmrs.messages import DryRunResult, Reason
 from pcmrs.registration.triangles import TriangleSurface
-from pcmrs.spatial import Floats, rotation_angle
-from pcmrs.workflows import femoroplasty, grid_mapping, read_workflow
-from pcmrs.workflows.opening import placement_registry
+from pcmrs.spatial import rotation_angle
 from tests import ROOT
+from tests.unit.console.planning.drafts import RADIUS, direction, draft
 
 EXAMPLES = ROOT / "examples"
-RADIUS = 0.09
-BALL = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS)
-SCALP = TriangleSurface(BALL.vertices, BALL.faces)
+
 FLAT = 0.001
 """Corners of the ball are flatter than a sphere by less than this, m."""
-
-
-def draft() -> Draft:
-    return Draft(surface=SCALP)
-
-
-def direction(seed: int) -> Floats:
-    found: Floats = np.random.default_rng(seed).normal(size=3)
-    return found / np.linalg.norm(found)
 
 
 @given(st.integers(0, 10_000), st.integers(0, 10_000))
@@ -140,39 +121,3 @@ def test_text_that_is_no_point_is_refused(text: str | None) -> None:
 
 def test_typed_points_are_in_mm() -> None:
     assert typed_point("4, -12 143").tolist() == [0.004, -0.012, 0.143]
-
-
-@pytest.mark.parametrize("workflow", ["grid_mapping", "femoroplasty"])
-def test_every_plan_is_taken_by_the_payload_of_its_operation(workflow: str) -> None:
-    blueprint, registry = read_workflow(workflow), placement_registry()
-    for procedure in (grid_mapping, femoroplasty):
-        procedure.register(registry)
-    plan = draft()
-    plan.place(RADIUS * direction(1))
-    plan.add_landmark(RADIUS * direction(2))
-    plan.lay_grid(0.01, 3, 3)
-    plan.entry, plan.end = np.array((0.0, 0.0, 0.09)), np.array((0.0, 0.0, 0.04))
-    found = operations(blueprint)
-    assert {"landmarks", "tool_pose"} <= found.keys()
-    assert ("grid" in found) == (workflow == "grid_mapping")
-    assert ("trajectory" in found) == (workflow == "femoroplasty")
-    for kind, name in found.items():
-        branch, operation = name.split(".")
-        assert blueprint.branches[branch].operations[operation].payload == kind
-        assert Draft().arguments(kind) is None, "what is not whole is not sent"
-        msgspec.convert(plan.arguments(kind), registry.payloads[kind])
-    assert set(found) <= {*get_args(Kind)}
-
-
-def test_the_line_says_what_the_daemon_would_say() -> None:
-    texts = Texts("en")
-    good = DryRunResult(result={"tre": 0.0012})
-    bad = DryRunResult(reason=Reason(code="unreachable", text="Too far."))
-    open_ = DryRunResult(undecided=["Whether the arm reaches it is not known before a registration."])
-    assert describe_results([good], texts)[1] == GOOD
-    assert "1.20 mm" in describe_results([good], texts)[0]
-    assert describe_results([DryRunResult()], texts)[1] == GOOD
-    assert "eachable" not in describe_results([DryRunResult()], texts)[0], "nobody has looked at its reach"
-    assert describe_results([open_], texts) == (f"? {open_.undecided[0]}", OPEN)
-    assert describe_results([bad], texts) == ("✗ Too far.", BAD)
-    assert describe_results([DryRunResult(), good, bad], texts) == ("✗ Point 2: Too far.", BAD)

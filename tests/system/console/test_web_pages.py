@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from pcmrs.testing.daemon import free_port
+from tests.system.console.consoles import CHROMIUM, FLAGS
 from tests.system.daemon.daemon_process import ServeProcess, own_settings, running_daemon
-from tests.unit.console.consoles import CHROMIUM, FLAGS
 
 pytest.importorskip("playwright")
 

@@ -16,7 +16,7 @@ import pytest
 from pcmrs.cli.running import EXIT_BAD_CONFIGURATION
 from pcmrs.console.guard import cookie_name
 from pcmrs.testing.daemon import free_port
-from tests.unit.console.consoles import console
+from tests.system.console.consoles import console
 
 HANDSHAKE = {
     "Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13",

@@ -24,7 +24,7 @@ from pcmrs.workflows.data import as_message
 from pcmrs_sim.muscle.subject import draw_subject
 from pcmrs_sim.settings import SimSettings
 from tests import ROOT
-from tests.unit.console.consoles import browser, console
+from tests.system.console.consoles import browser, console
 
 SETTINGS = (
     "workflow=ratms_threshold", "sim.arm.physics=kinematic", "procedure.max_pose_age=3", "robot.deadman=1.0",

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from tests import ROOT
-from tests.unit.console.consoles import CHROMIUM, browser, console, running_cell
-from tests.unit.console.test_console_browser import PATIENT, Operator
+from tests.system.console.consoles import CHROMIUM, browser, console, running_cell
+from tests.system.console.test_browser import PATIENT, Operator
 
 pytest.importorskip("playwright")
 nibabel = pytest.importorskip("nibabel")

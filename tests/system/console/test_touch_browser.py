@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.unit.console.consoles import CHROMIUM, browser, console, running_cell
-from tests.unit.console.test_console_browser import PATIENT, Operator
+from tests.system.console.consoles import CHROMIUM, browser, console, running_cell
+from tests.system.console.test_browser import PATIENT, Operator
 
 pytest.importorskip("playwright")
 

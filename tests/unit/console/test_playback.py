@@ -26,7 +26,7 @@ from pcmrs.service.health.report import report
 from pcmrs.workflows import read_workflow
 from pcmrs.workflows.data import as_message
 from tests.support.health_facts import WELL
-from tests.unit.console.test_console_geometry import body, setup, some_pose
+from tests.unit.console.shown_cell import body, setup, some_pose
 from tests.unit.recording.recording_bench import recording
 
 LENGTH = 20.0

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from tests import ROOT
+from tests.system.console.consoles import CHROMIUM, ask, browser, client_of, console, running_cell, to_registered_head
 from tests.system.network.remote_cell import CELL, SITE, Loopback, remote_cell
-from tests.unit.console.consoles import CHROMIUM, ask, browser, client_of, console, running_cell, to_registered_head
 
 pytest.importorskip("playwright")
 

@@ -12,7 +12,7 @@ from pcmrs.console.choices import Choice, Choices, latch_of
 from pcmrs.messages import LeaseState, Snapshot
 from pcmrs.messages.identity import COMMANDING, ROLES, Role
 from pcmrs.messages.setup import Setup
-from tests.unit.console.test_console_geometry import setup
+from tests.unit.console.shown_cell import setup
 from tests.unit.workflows.workflow_bench import WorkflowBench, open_bench
 
 STAGES: list[Callable[[WorkflowBench], Awaitable[Any]]] = [

@@ -10,46 +10,14 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.console.geometry import Arm, TrackerLocator, as_stl, placement, residuals
+from pcmrs.console.geometry import Arm, TrackerLocator, as_stl, as_zone, placement, residuals
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
-from pcmrs.messages import BodyPose, PoseMessage
-from pcmrs.messages.setup import ArmShown, LandmarkShown, ProcedureDataView, Setup
+from pcmrs.messages import PoseMessage
+from pcmrs.messages.setup import LandmarkShown, ProcedureDataView
 from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.workflows.data import as_message
-
-FLANGE_FROM_COIL = Transform.from_rotvec((0.0, 0.01, 0.15), (3.1, 0.1, 0.0))
-
-
-def shown(name: str) -> ArmShown:
-    facts = find_arm(name)
-    return ArmShown(
-        name=name,
-        joints=[as_message(each.parent_from_joint) for each in facts.joints],
-        flange=as_message(facts.joint_from_flange),
-        link_radius=facts.link_radius,
-    )
-
-
-def setup() -> Setup:
-    return Setup(
-        user="local", role="operator", lease_required=False, blueprint="", arm=shown("iiwa14"),
-        flange_from_coil=as_message(FLANGE_FROM_COIL), tool_radius=0.05, tool_half_length=0.01, boxes=[], surface=None,
-        patient="", operator="", residual_limit=0.004, drivers={},
-    )  # fmt: skip
-
-
-def body(name: str, pose: Transform, *, valid: bool = True) -> BodyPose:
-    message = as_message(pose)
-    return BodyPose(
-        body=name, frame_number=1, captured=0.0, sent=0.0, valid=valid,
-        position=message.position, quat_wxyz=message.quat_wxyz,
-    )  # fmt: skip
-
-
-def some_pose(seed: int) -> Transform:
-    numbers = np.random.default_rng(seed).normal(size=6)
-    return Transform.from_rotvec(numbers[:3], numbers[3:])
+from tests.unit.console.shown_cell import FLANGE_FROM_COIL, body, setup, shown, some_pose
 
 
 @pytest.mark.parametrize("name", ["iiwa14", "iiwa7", "panda", "ur5"])
@@ -137,3 +105,12 @@ def test_the_browser_gets_the_surface_that_the_daemon_has() -> None:
 
 def test_a_pose_that_came_over_the_bus_stays_one() -> None:
     assert PoseMessage(position=(0.0, 0.0, 0.0), quat_wxyz=(1.0, 0.0, 0.0, 0.0)) == as_message(Transform.identity())
+
+
+def test_the_zone_is_the_hull_and_its_margin() -> None:
+    corners = np.array(trimesh.creation.box((0.1, 0.1, 0.1)).vertices)
+    read = trimesh.load_mesh(io.BytesIO(as_zone(corners, 0.03)), file_type="stl")
+    assert read.bounds == pytest.approx(np.array([[-0.08] * 3, [0.08] * 3]), abs=2e-3)
+    far = np.linalg.norm(np.maximum(np.abs(read.vertices) - 0.05, 0.0), axis=1)
+    assert far.max() <= 0.03 + 1e-6
+    assert trimesh.load_mesh(io.BytesIO(as_zone(corners, 0.0)), file_type="stl").volume == pytest.approx(1e-3)

@@ -1,4 +1,4 @@
-"""The colour on the surface is the error that the daemon would predict there."""
+"""Each landmark's residual as a number, and the predicted error as colours, as the daemon computes it."""
 
 from __future__ import annotations
 
@@ -10,12 +10,50 @@ import numpy as np
 import pytest
 import trimesh
 
-from pcmrs.console.geometry import as_zone
-from pcmrs.console.residuals import coloured, colours, gradient, predicted
+from pcmrs.console.residuals import coloured, colours, each_in_words, gradient, mean_in_words, predicted
+from pcmrs.console.texts import Texts
 from pcmrs.messages.setup import LandmarkShown, ProcedureDataView, SurfaceShown
 from pcmrs.registration import predict_tre
+from pcmrs.spatial import Transform
 from pcmrs.workflows.data import as_message
-from tests.unit.console.test_console_geometry import some_pose
+from tests.unit.console.shown_cell import some_pose
+
+LIMIT = 0.003
+BODY_REF_FROM_IMAGE = Transform.from_rotvec((0.1, -0.2, 0.3), (0.2, 0.1, -0.4))
+
+
+def landmark(name: str, planned: tuple[float, float, float], off: float | None) -> LandmarkShown:
+    """One that was digitized `off` m from where the registration has it."""
+    x, y, z = (BODY_REF_FROM_IMAGE @ np.array(planned)).tolist()
+    return LandmarkShown(name=name, planned=planned, digitized=None if off is None else (x, y + off, z))
+
+
+REGISTERED = ProcedureDataView(
+    landmarks=[
+        landmark("nasion", (0.0, 0.1, 0.0), 0.00123),
+        landmark("inion", (0.0, -0.1, 0.0), None),
+        landmark("left", (0.07, 0.0, 0.0), 0.00456),
+    ],
+    body_ref_from_image=as_message(BODY_REF_FROM_IMAGE),
+    residual=0.002895,
+)
+
+
+def test_each_landmark_shows_its_residual_and_if_it_is_too_large() -> None:
+    assert mean_in_words(REGISTERED, LIMIT, Texts("en")) == "Residual: 2.90 mm (limit 3.0 mm)"
+    assert each_in_words(REGISTERED, LIMIT, Texts("en")) == [
+        ("nasion 1.23 mm", True),
+        ("left 4.56 mm, beyond 3.0 mm", False),
+    ]
+    assert mean_in_words(REGISTERED, LIMIT, Texts("de")) == "Restfehler: 2.90 mm (Grenze 3.0 mm)"
+    assert each_in_words(REGISTERED, LIMIT, Texts("de"))[1] == ("left 4.56 mm, über 3.0 mm", False)
+
+
+def test_no_residual_is_shown_before_a_registration() -> None:
+    planned = msgspec.structs.replace(REGISTERED, body_ref_from_image=None, residual=None)
+    assert mean_in_words(planned, LIMIT, Texts("en")) == ""
+    assert each_in_words(planned, LIMIT, Texts("en")) == []
+
 
 LANDMARKS = np.array([(0.09, 0.0, 0.0), (0.0, 0.09, 0.0), (-0.09, 0.0, 0.0), (0.0, 0.0, 0.09)])
 HEAD = trimesh.creation.icosphere(subdivisions=3, radius=0.1)
@@ -72,12 +110,3 @@ def test_colours_differ_in_brightness_enough_to_be_distinguished() -> None:
     assert np.all(np.diff(shades[10:21]) > 0.03)
     assert np.ptp(shades[:11]) == np.ptp(shades[20:]) == 0.0, "beyond the limit there is one colour"
     assert gradient().count("rgb(") == 9
-
-
-def test_the_zone_is_the_hull_and_its_margin() -> None:
-    corners = np.array(trimesh.creation.box((0.1, 0.1, 0.1)).vertices)
-    read = trimesh.load_mesh(io.BytesIO(as_zone(corners, 0.03)), file_type="stl")
-    assert read.bounds == pytest.approx(np.array([[-0.08] * 3, [0.08] * 3]), abs=2e-3)
-    far = np.linalg.norm(np.maximum(np.abs(read.vertices) - 0.05, 0.0), axis=1)
-    assert far.max() <= 0.03 + 1e-6
-    assert trimesh.load_mesh(io.BytesIO(as_zone(corners, 0.0)), file_type="stl").volume == pytest.approx(1e-3)

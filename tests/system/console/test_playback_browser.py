@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pcmrs.testing.daemon import own_settings, serve_command
-from tests.unit.console.consoles import CHROMIUM, browser, console
-from tests.unit.console.test_console_browser import FACE, PATIENT, Operator, state
+from tests.system.console.consoles import CHROMIUM, browser, console
+from tests.system.console.test_browser import FACE, PATIENT, Operator, state
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
