@@ -1,33 +1,27 @@
-"""The driver ros2: poses that a plain Zenoh session puts where the bridge would, as frames of the cell's tracker."""
+"""Poses that a plain Zenoh session puts where the bridge would, as frames of the cell's tracker."""
 
 from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+import sys
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import aclosing, asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-import msgspec
 import pytest
 import zenoh
-from hypothesis import given
-from hypothesis import strategies as st
 
 from pcmrs.clock import SystemClock
 from pcmrs.devices.poses import PoseFeed
-from pcmrs.devices.protocols import OpenDriver, TrackerDriver
-from pcmrs.errors import ConfigurationError, RefusalError
+from pcmrs.devices.protocols import TrackerDriver
 from pcmrs.messages import BodyPose
 from pcmrs.ros2 import cdr
-from pcmrs.ros2.driver import Ros2Settings, open_devices
-from pcmrs.ros2.poses import tracker_from_body
+from pcmrs.ros2.driver import open_devices
 from pcmrs.spatial import Transform, distance
 from pcmrs.testing.clock import SetClock
 from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus, plain_session
-
-DRIVER: OpenDriver = open_devices  # the type checker proves it
 
 Frame = dict[str, BodyPose]
 POSE = Transform.from_rotvec([0.1, -0.2, 1.3], [0.3, 0.2, -0.1])
@@ -172,52 +166,10 @@ async def test_ros_cannot_speak_of_bodies_that_are_not_configured() -> None:
 
 async def test_poses_continue_if_the_clocks_of_both_sides_are_set(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = SetClock()
-    monkeypatch.setattr("test_ros2_tracker.CLOCK", clock)
+    monkeypatch.setattr(sys.modules[__name__], "CLOCK", clock)
     async with room() as ros:
         await ros.until(seen, ros.put)
         for step in (3600.0, -3600.0, 0.1, -0.1):
             clock.ahead += step
             frame = await ros.until(seen, ros.put)
             assert 0.0 <= frame["coil"].sent - frame["coil"].captured < 1.0
-
-
-finite = st.floats(-1e3, 1e3)
-
-
-units = st.tuples(finite, finite, finite, finite).map(lambda turn: [each / (math.hypot(*turn) or 1.0) for each in turn])
-ages = st.sampled_from([-1.0, -0.02, -0.005, 0.0, 0.1, 0.19, 0.21, 1.0])  # no nearer to a limit than a stamp resolves
-
-
-@given(st.tuples(finite, finite, finite), units | st.tuples(finite, finite, finite, finite), ages)
-def test_a_pose_is_taken_or_refused_with_a_reason(
-    position: Sequence[float], quat_xyzw: Sequence[float], age: float
-) -> None:
-    message = cdr.PoseStamped(
-        cdr.header("tracker", 1e9 - age), cdr.Pose(cdr.Point(*position), cdr.Quaternion(*quat_xyzw))
-    )
-    if not -0.01 <= age <= 0.2 or not math.isclose(math.hypot(*quat_xyzw), 1.0, abs_tol=1e-3):
-        with pytest.raises(RefusalError) as refused:
-            tracker_from_body(message, "tracker", 1e9, 0.2)
-        assert refused.value.refusal_code in ("stamp_ahead", "stamp_old", "not_unit")
-    else:
-        assert tracker_from_body(message, "tracker", 1e9, 0.2).translation.tolist() == list(position)
-
-
-@pytest.mark.parametrize(
-    "table",
-    [{"names": {}}, {"names": {"coil": "a", "body_ref": "a"}}, {"names": {"coil": "a/b"}}, {"max_age": 2.0}, {"n": 1}],
-)
-async def test_a_table_that_cannot_be_meant_is_refused(table: dict[str, Any]) -> None:
-    with pytest.raises(ConfigurationError):
-        async with open_devices(["tracker"], {"ros2": table}, CLOCK):
-            pass
-
-
-async def test_only_a_tracker_is_served() -> None:
-    with pytest.raises(ConfigurationError, match="robot"):
-        async with open_devices(["robot"], {}, CLOCK):
-            pass
-
-
-def test_the_defaults_are_the_bodies_of_a_cell() -> None:
-    assert msgspec.to_builtins(Ros2Settings())["names"] == {body: body for body in BODIES}
