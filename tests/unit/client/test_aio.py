@@ -1,55 +1,20 @@
-"""Client against a small daemon on a real bus."""
+"""The asyncio client against a small daemon on a real bus."""
 
 import asyncio
 import subprocess
 import sys
-from collections.abc import AsyncIterator
-from contextlib import aclosing, asynccontextmanager
+from contextlib import aclosing
 
 import msgspec
 import pytest
 import zenoh
 
-from pcmrs.bus import Bus, CommandEdge, Empty
-from pcmrs.client import Client, Event, PlainClient
+from pcmrs.bus import Empty
+from pcmrs.client import Client, Event
 from pcmrs.errors import BusError, DeviceError, PayloadError
-from pcmrs.messages import Command, DeviceEvent, DeviceReply, DeviceRequest, Reason, Snapshot, Verdict
-from tests.unit.bus.bus_cells import TIMEOUT, accepted, new_cell, open_bus, plain_session, snapshot
-
-
-class Daemon:
-    def __init__(self, bus: Bus) -> None:
-        self.bus = bus
-        self.commands: list[Command] = []
-        self.stops: list[str] = []
-        bus.serve("svc/snapshot", Empty, self.snapshot)
-
-    async def submit(self, command: Command, *, arrived: float) -> Verdict:
-        self.commands.append(command)
-        verdict = accepted(command)
-        self.bus.publish("state/event", verdict)
-        return verdict
-
-    def stop(self, source: str, _presses: int) -> int:
-        """Numbers each Stop, from 1."""
-        self.stops.append(source)
-        return len(self.stops)
-
-    async def snapshot(self, _: str, __: Empty) -> Snapshot:
-        return snapshot(len(self.commands))
-
-
-@asynccontextmanager
-async def connected() -> AsyncIterator[tuple[Daemon, Client]]:
-    async with open_bus(new_cell()) as bus:
-        daemon = Daemon(bus)
-        edge = await CommandEdge.open(bus, daemon.submit, lambda *_: None, daemon.stop)
-        try:
-            settings = bus.settings
-            async with Client.connect(settings.endpoint, settings.site, settings.cell, user="anna") as client:
-                yield daemon, client
-        finally:
-            await edge.close()
+from pcmrs.messages import DeviceEvent, DeviceReply, DeviceRequest, Reason, Snapshot
+from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus, plain_session, snapshot
+from tests.unit.client.small_daemon import connected
 
 
 async def test_a_call_is_a_command_with_id_and_time_to_live() -> None:
@@ -196,27 +161,6 @@ def test_importing_the_client_loads_no_numerics() -> None:
     code = f"import sys, pcmrs.client; print([m for m in {heavy} if m in sys.modules])"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert ran.stdout.strip() == "[]"
-
-
-async def test_without_asyncio_a_client_does_the_same() -> None:
-    async with connected() as (daemon, _):
-        settings = daemon.bus.settings
-
-        def work() -> list[object]:
-            with PlainClient.connect(settings.endpoint, settings.site, settings.cell, user="ben") as cell:
-                first = cell.state()
-                decision = cell.call("robot.connect").decision
-                daemon.bus.publish("state/fsm", snapshot(7))
-                event = next(cell.watch())
-                shown = cell.until(lambda shown: shown.sequence == 7, TIMEOUT)
-                with pytest.raises(PayloadError):
-                    cell.call("nonsense")
-                cell.stop()
-                return [first, decision, event, shown]
-
-        assert await asyncio.to_thread(work) == [snapshot(0), "accepted", snapshot(7), snapshot(7)]
-        assert daemon.commands[0].source == "bus:ben"
-        assert {*daemon.stops} == {"bus:ben"}
 
 
 async def test_wait_for_a_state_that_does_not_come_times_out() -> None:
