@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sqlite3
+from pathlib import Path
 from typing import Any
 
 from click.testing import CliRunner, Result
@@ -39,3 +41,22 @@ def rows_of(number: int) -> list[JournalRow]:
 
 def journal_command(*words: object) -> Result:
     return CliRunner().invoke(main, ["journal", *(str(word) for word in words)])
+
+
+def damage(journal_path: Path, sequence: int) -> None:
+    with sqlite3.connect(journal_path) as connection:
+        (guard,) = connection.execute("SELECT sql FROM sqlite_schema WHERE name = 'no_update'").fetchone()
+        connection.execute("DROP TRIGGER no_update")
+        connection.execute("UPDATE journal SET body = x'00' WHERE sequence = ?", (sequence,))
+        connection.execute(guard)
+    connection.close()
+
+
+def cut(path: Path, last: int) -> None:
+    """Removes the rows after `last`, past the journal's guard."""
+    with sqlite3.connect(path) as connection:
+        (guard,) = connection.execute("SELECT sql FROM sqlite_schema WHERE name = 'no_delete'").fetchone()
+        connection.execute("DROP TRIGGER no_delete")
+        connection.execute("DELETE FROM journal WHERE sequence > ?", (last,))
+        connection.execute(guard)
+    connection.close()

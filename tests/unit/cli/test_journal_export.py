@@ -4,19 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
-import sqlite3
 from pathlib import Path
 
-from tests.unit.cli.journals import journal_command, rows_of
-
-
-def damage(journal_path: Path, sequence: int) -> None:
-    with sqlite3.connect(journal_path) as connection:
-        (guard,) = connection.execute("SELECT sql FROM sqlite_schema WHERE name = 'no_update'").fetchone()
-        connection.execute("DROP TRIGGER no_update")
-        connection.execute("UPDATE journal SET body = x'00' WHERE sequence = ?", (sequence,))
-        connection.execute(guard)
-    connection.close()
+from tests.unit.cli.journals import damage, journal_command, rows_of
 
 
 def test_a_table_holds_what_the_rows_hold(journal_path: Path, tmp_path: Path) -> None:

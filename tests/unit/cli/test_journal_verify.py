@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-import sqlite3
 from pathlib import Path
 
-from tests.unit.cli.journals import journal_command
+from tests.unit.cli.journals import cut, journal_command
 
 
 def test_a_whole_journal_is_proven(journal_path: Path) -> None:
@@ -18,12 +17,7 @@ def test_a_whole_journal_is_proven(journal_path: Path) -> None:
 
 
 def test_rows_that_are_missing_are_counted(journal_path: Path) -> None:
-    with sqlite3.connect(journal_path) as connection:
-        (guard,) = connection.execute("SELECT sql FROM sqlite_schema WHERE name = 'no_delete'").fetchone()
-        connection.execute("DROP TRIGGER no_delete")
-        connection.execute("DELETE FROM journal WHERE sequence > 7")
-        connection.execute(guard)
-    connection.close()
+    cut(journal_path, 7)
     shown = journal_command("verify", journal_path)
     assert shown.exit_code == 1
     assert "5 rows that the head names" in shown.stdout

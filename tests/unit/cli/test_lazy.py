@@ -6,8 +6,10 @@ import subprocess
 import sys
 
 import pytest
+from click.testing import CliRunner
 
 from pcmrs.cli import COMMANDS
+from pcmrs.cli.lazy import LazyGroup
 from tests.unit.cli.command_line import run
 
 
@@ -31,3 +33,13 @@ def test_help_needs_neither_kinematics_nor_simulation() -> None:
     )
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert ended.stdout.strip() == "[]"
+
+
+def test_a_command_of_a_missing_distribution_names_it() -> None:
+    group = LazyGroup(name="pcmrs", commands={"demo": "pcmrs-none", "call": "pcmrs.cli.cell:call"}, prefix=None)
+    ended = CliRunner().invoke(group, ["demo"])
+    assert ended.exit_code == 2
+    assert "'pcmrs demo' is a command of pcmrs-none, which is not installed" in ended.stderr
+    listed = CliRunner().invoke(group, ["--help"]).stdout
+    assert "call" in listed
+    assert "demo" not in listed, "what cannot be run is not offered"
