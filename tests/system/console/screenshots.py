@@ -14,6 +14,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import msgspec
+from pcmrs_sim.muscle.head_subject import draw_subject
 from playwright.sync_api import Page
 
 from pcmrs.client import Client
@@ -21,7 +22,6 @@ from pcmrs.messages import Verdict
 from pcmrs.service import Ready
 from pcmrs.testing.daemon import own_settings, serve_command
 from pcmrs.workflows.data import as_message
-from pcmrs_sim.muscle.subject import draw_subject
 from pcmrs_sim.settings import SimSettings
 from tests import ROOT
 from tests.system.console.consoles import browser, console

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from pcmrs.teleop.twist_script import read_script
 
 from pcmrs.errors import ConfigurationError
 from pcmrs.teleop.demand import Demand
-from pcmrs.teleop.script import read_script
 
 
 def test_a_script_says_when_and_ends(tmp_path: Path) -> None:
