@@ -70,7 +70,7 @@ docs: install ## Build the documentation into site/, strictly: a broken link fai
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 screenshots: install ## Take the pictures of the console that docs/console.md shows; needs `make browser`
-	$(BIN)/python -m tests.unit.console.screenshots docs/pictures
+	$(BIN)/python -m tests.system.console.screenshots docs/pictures
 
 lint: install ## Check style, format, words, types and import contracts
 	$(BIN)/ruff check
