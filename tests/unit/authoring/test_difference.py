@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.authoring.difference import Difference, Kind, compare
+from pcmrs.authoring.difference import BlueprintDifference, Kind, compare
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Blueprint, BranchSpec, OperationSpec, load_blueprint
 from pcmrs.fsm.blueprint import Condition
@@ -72,7 +72,7 @@ def shuffled(blueprint: Blueprint, rng: Random) -> Blueprint:
     return msgspec.structs.replace(blueprint, branches=mixed(branches), version="another")
 
 
-def seen(differences: list[Difference]) -> set[tuple[str, str, int, str, str]]:
+def seen(differences: list[BlueprintDifference]) -> set[tuple[str, str, int, str, str]]:
     return {(d.kind, d.subject, d.joint_states, d.old, d.new) for d in differences}
 
 

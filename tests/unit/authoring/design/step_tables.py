@@ -10,7 +10,7 @@ import tomli_w
 
 from pcmrs.authoring.design import design
 from pcmrs.authoring.design.check import paths_of
-from pcmrs.authoring.design.grouping import Group, root_groups
+from pcmrs.authoring.design.grouping import StepGroup, root_groups
 from pcmrs.authoring.design.table import StepTable
 from pcmrs.fsm import Blueprint, parse_blueprint
 from pcmrs.fsm.finding import Path
@@ -43,7 +43,7 @@ def declared(keys: dict[str, Any]) -> dict[str, Any]:
     return keys if "steps" in keys.get("refined_by", {}) else {"moves": False} | keys
 
 
-def converted(*steps: dict[str, Any]) -> tuple[list[Group], dict[str, Path]]:
+def converted(*steps: dict[str, Any]) -> tuple[list[StepGroup], dict[str, Path]]:
     """Return the branches of a table, and the path of each step."""
     read = msgspec.convert(tomllib.loads(table(*steps).decode()), StepTable)
     paths = {each.name: path for path, each in paths_of(read.steps)}

@@ -14,7 +14,7 @@ from pcmrs.authoring.design.branches import DesignedBranch
 from pcmrs.authoring.design.count import excess_of
 from pcmrs.fsm import Blueprint, examine
 from pcmrs.fsm.blueprint import BranchSpec, SequenceSpec
-from pcmrs.fsm.files.load import Examination
+from pcmrs.fsm.files.load import BlueprintExamination
 from pcmrs.fsm.finding import Finding
 from tests.support.trials import examples
 from tests.unit.authoring.design.designed_tables import RANDOMS, designed
@@ -74,7 +74,7 @@ def test_too_many_joint_states_are_reported_at_the_excess_points() -> None:
         DesignedBranch("b", BranchSpec(sequence=SequenceSpec(count=9)), path),
         DesignedBranch("a", BranchSpec(), path),
     ]
-    examination = Examination(
+    examination = BlueprintExamination(
         Blueprint(id="x", version="1", branches={}), [Finding(code="too_many_states", text="Much.")]
     )
     excess = excess_of(examination, 1, branches)

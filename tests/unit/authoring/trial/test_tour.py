@@ -7,7 +7,7 @@ from collections import defaultdict
 import msgspec
 import pytest
 
-from pcmrs.authoring.trial.tour import Move, plan_tour
+from pcmrs.authoring.trial.tour import TourCommand, plan_tour
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Blueprint, BranchSpec, OperationSpec
 from tests.support.altered import with_branch
@@ -81,4 +81,4 @@ def test_a_workflow_with_too_many_joint_states_is_refused() -> None:
 
 def test_moves_survive_json() -> None:
     for move in ratms_tour().wanted[::50]:
-        assert msgspec.json.decode(msgspec.json.encode(move), type=Move) == move
+        assert msgspec.json.decode(msgspec.json.encode(move), type=TourCommand) == move

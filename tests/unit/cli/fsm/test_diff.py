@@ -8,7 +8,7 @@ import msgspec
 import pytest
 from click.testing import CliRunner
 
-from pcmrs.authoring.difference import Difference
+from pcmrs.authoring.difference import BlueprintDifference
 from pcmrs.cli import main
 from tests.support.ratms_oracle import BLUEPRINT
 
@@ -25,5 +25,5 @@ def test_the_command_says_what_differs_and_how_it_ends(tmp_path: Any) -> None:
     assert runs[0].output == "The same behaviour.\n"
     assert "digitization.digitize_all: timeout_s changed from 300.0 to 301.0" in runs[1].output
     as_json = CliRunner().invoke(main, ["fsm", "diff", str(BLUEPRINT), str(other), "--json"])
-    (difference,) = msgspec.json.decode(as_json.output, type=list[Difference])
+    (difference,) = msgspec.json.decode(as_json.output, type=list[BlueprintDifference])
     assert (difference.kind, difference.old, difference.new) == ("changed", "300.0", "301.0")

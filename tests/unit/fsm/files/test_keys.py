@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pcmrs.cli import main
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import parse_blueprint
-from pcmrs.fsm.files.keys import MAX_DEPTH, DepthError, Key, keys_in
+from pcmrs.fsm.files.keys import MAX_DEPTH, DepthError, TomlKey, keys_in
 from pcmrs.fsm.files.load import examine
 from pcmrs.fsm.files.toml import read_toml
 from tests import ROOT
@@ -100,7 +100,7 @@ def test_all_keys_are_found_and_no_others(pairs: list[tuple[str, str]]) -> None:
     "text", ["a = 1\nb = [1 2]\n", "a = 1\nb", "a = 1\n[b", "a = 1\nb = {c = 1", 'a = 1\n"\\q" = 2']
 )
 def test_at_what_is_no_toml_it_stops(text: str) -> None:
-    assert keys_in(text)[0] == Key(0, ("a",), ())
+    assert keys_in(text)[0] == TomlKey(0, ("a",), ())
     with pytest.raises(tomllib.TOMLDecodeError):
         tomllib.loads(text)
 

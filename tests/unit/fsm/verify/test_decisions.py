@@ -6,11 +6,11 @@ from pathlib import Path
 
 import msgspec
 from hypothesis import given
+from pcmrs.fsm.verify.decision_tree import decide
 
 from pcmrs.fsm.behaviour import branch_states, operations
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.files.load import read_blueprint
-from pcmrs.fsm.verify.decisions import decide
 from pcmrs.fsm.verify.space import Space
 from tests.support.trials import examples
 from tests.unit.fsm.large_blueprints import free
