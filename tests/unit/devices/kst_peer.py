@@ -7,9 +7,9 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 import numpy as np
+from pcmrs.devices.kst.connection import KstConnection
 
 from pcmrs.clock import SystemClock
-from pcmrs.devices.kst.cabinet import Cabinet
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats
@@ -115,7 +115,7 @@ SEVEN = b"0.1_-0.2_1.0E-4_-1.5_0.0_2.5E7_-3.0_\n"
 
 SEVEN_VALUES = [0.1, -0.2, 1e-4, -1.5, 0.0, 2.5e7, -3.0]
 
-Step = Callable[[Cabinet], Awaitable[Any]]
+Step = Callable[[KstConnection], Awaitable[Any]]
 
 
 async def conversation(
@@ -136,7 +136,7 @@ async def conversation(
 
     server = await asyncio.start_server(serve, "127.0.0.1", 0)
     host, port = server.sockets[0].getsockname()[:2]
-    cabinet = await Cabinet.open(host, port, SystemClock(), 1.0, timeout)
+    cabinet = await KstConnection.open(host, port, SystemClock(), 1.0, timeout)
     try:
         result = await step(cabinet)
     finally:

@@ -13,7 +13,7 @@ from pcmrs.clock import SystemClock
 from pcmrs.devices.drivers.ndi import NdiTracker, open_devices
 from pcmrs.devices.ndi.process import MODULE
 from pcmrs.messages import BodyPose
-from pcmrs_sim.cell import Cell, running_cell
+from pcmrs_sim.cell import CellSimulation, running_cell
 from pcmrs_sim.ndi.server import serve_ndi
 
 DEADLINE = 30.0
@@ -53,6 +53,6 @@ def readers() -> list[int]:
 
 
 @asynccontextmanager
-async def served_ndi() -> AsyncIterator[tuple[Cell, str]]:
+async def served_ndi() -> AsyncIterator[tuple[CellSimulation, str]]:
     async with running_cell({}, SystemClock()) as cell, serve_ndi(cell) as (host, port):
         yield cell, f"{host}:{port}"

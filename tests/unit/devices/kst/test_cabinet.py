@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pcmrs.devices.kst.connection import ImpedanceSettings, KstConnection
 
 from pcmrs.clock import SystemClock
-from pcmrs.devices.kst.cabinet import Cabinet, ImpedanceSettings
 from pcmrs.errors import DeviceError, DeviceRefusedError, MotionInterruptedError, UnknownOutcomeError
 from tests.unit.devices.kst_peer import DONE, Q_WIRE, SEVEN, SEVEN_VALUES, Q, Step, conversation
 
@@ -91,7 +91,7 @@ async def test_every_request_and_reply_of_the_protocol(what: str, chunk: int | N
 
 
 async def test_a_set_point_has_no_reply() -> None:
-    async def step(cabinet: Cabinet) -> None:
+    async def step(cabinet: KstConnection) -> None:
         cabinet.stream(Q)
         cabinet.stream(Q)
 
@@ -108,7 +108,7 @@ async def test_a_refused_or_interrupted_motion_is_a_typed_failure(
 ) -> None:
     _, script, _ = TRANSCRIPTS["joint motion"]
 
-    async def step(cabinet: Cabinet) -> Any:
+    async def step(cabinet: KstConnection) -> Any:
         with pytest.raises(error):
             await cabinet.ptp_joints(Q, 0.02)
         return await cabinet.joints()
@@ -125,7 +125,7 @@ async def test_missing_application_is_reported_with_the_remedy() -> None:
     server.close()
     await server.wait_closed()
     with pytest.raises(DeviceError, match="start the KST application"):
-        await Cabinet.open(host, port, SystemClock(), 1.0, 0.5)
+        await KstConnection.open(host, port, SystemClock(), 1.0, 0.5)
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ async def test_missing_application_is_reported_with_the_remedy() -> None:
     ],
 )
 async def test_malformed_command_is_never_sent(call: Step, text: str) -> None:
-    async def step(cabinet: Cabinet) -> None:
+    async def step(cabinet: KstConnection) -> None:
         with pytest.raises(DeviceError, match=text):
             await call(cabinet)
 
@@ -148,7 +148,7 @@ async def test_malformed_command_is_never_sent(call: Step, text: str) -> None:
 
 @pytest.mark.parametrize("answer", [b"done\n", b"1.0_2.0_\n", b"NaN_" * 7 + b"\n", b"\xff\xfe\n", b"0.0_" * 200])
 async def test_invalid_answer_loses_the_link(answer: bytes) -> None:
-    async def step(cabinet: Cabinet) -> None:
+    async def step(cabinet: KstConnection) -> None:
         with pytest.raises(UnknownOutcomeError, match="link to the cabinet"):
             await cabinet.joints()
         with pytest.raises(UnknownOutcomeError):
@@ -164,7 +164,7 @@ async def test_answer_other_than_done_is_no_acknowledgement(what: str, answer: b
     ask, script, _ = TRANSCRIPTS[what]
     request = script[0][0]
 
-    async def step(cabinet: Cabinet) -> None:
+    async def step(cabinet: KstConnection) -> None:
         with pytest.raises(UnknownOutcomeError, match=r"The cabinet answered '.+', not 'done'"):
             await ask(cabinet)
         with pytest.raises(UnknownOutcomeError):

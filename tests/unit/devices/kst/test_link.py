@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pcmrs.devices.kst.connection import KstConnection
 
 from pcmrs.clock import SystemClock
-from pcmrs.devices.kst.cabinet import Cabinet
 from pcmrs.devices.kst.link import KstLink
 from pcmrs.errors import DeviceError, UnknownOutcomeError
 from tests.unit.devices.kst_peer import DONE, Q_WIRE, SEVEN, SEVEN_VALUES, Peer, Q, conversation, served
@@ -19,7 +19,7 @@ from tests.unit.devices.kst_peer import DONE, Q_WIRE, SEVEN, SEVEN_VALUES, Peer,
 
 @pytest.mark.parametrize("answer", [b"nak\n", b"interrupted\n"])
 async def test_interruption_of_a_stream_is_not_taken_for_its_reply(answer: bytes) -> None:
-    async def step(cabinet: Cabinet) -> Any:
+    async def step(cabinet: KstConnection) -> Any:
         reply = cabinet.stream_for_joints(Q)
         await asyncio.wait_for(reply, 0.5)
         with pytest.raises(DeviceError):
@@ -35,7 +35,7 @@ async def test_nothing_is_sent_after_an_answer_that_never_came() -> None:
     peer = Peer()
     peer.answers["Torques_ext_J"] = None
     async with served(peer) as (host, port):
-        cabinet = await Cabinet.open(host, port, SystemClock(), 1.0, 0.05)
+        cabinet = await KstConnection.open(host, port, SystemClock(), 1.0, 0.05)
         with pytest.raises(UnknownOutcomeError, match="did not answer in time"):
             await cabinet.external_torques()
         for call in (cabinet.joints, cabinet.start_servo):
@@ -51,7 +51,7 @@ async def test_a_reply_that_is_overdue_in_a_stream_fails_the_link() -> None:
     peer = Peer()
     peer.answers["jpJP"] = None
     async with served(peer) as (host, port):
-        cabinet = await Cabinet.open(host, port, SystemClock(), 1.0, 0.05)
+        cabinet = await KstConnection.open(host, port, SystemClock(), 1.0, 0.05)
         cabinet.stream_for_joints(Q)
         cabinet.stream(Q)
         with pytest.raises(DeviceError, match="is outstanding"):
@@ -65,7 +65,7 @@ async def test_a_peer_that_goes_away_fails_what_is_awaited() -> None:
     peer = Peer()
     peer.answers["getJointsPositions"] = None
     async with served(peer) as (host, port):
-        cabinet = await Cabinet.open(host, port, SystemClock(), 1.0, 5.0)
+        cabinet = await KstConnection.open(host, port, SystemClock(), 1.0, 5.0)
         asking = asyncio.create_task(cabinet.joints())
         await asyncio.sleep(0.02)
         peer.close()
@@ -125,7 +125,7 @@ async def test_reply_that_arrived_while_this_process_hung_is_taken() -> None:
         serving = threading.Thread(target=serve, args=(listening,), daemon=True)
         serving.start()
         host, port = listening.getsockname()
-        cabinet = await Cabinet.open(host, port, SystemClock(), 1.0, 0.2)
+        cabinet = await KstConnection.open(host, port, SystemClock(), 1.0, 0.2)
         asking = asyncio.create_task(cabinet.joints())
         await asyncio.sleep(0)  # it is sent
         assert answered.wait(10.0)
@@ -137,7 +137,7 @@ async def test_reply_that_arrived_while_this_process_hung_is_taken() -> None:
 
 
 async def test_an_answer_nobody_asked_for_loses_the_link() -> None:
-    async def step(cabinet: Cabinet) -> None:
+    async def step(cabinet: KstConnection) -> None:
         await cabinet.joints()
         await asyncio.sleep(0.02)
         with pytest.raises(UnknownOutcomeError, match="without a request"):

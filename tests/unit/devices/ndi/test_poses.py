@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 
 from pcmrs.devices.ndi.poses import FRAMES_TO_RESTART, FROZEN_TIME, FrameReader
-from pcmrs.devices.ndi.wire import Frame, ToolFrame
+from pcmrs.devices.ndi.wire import NdiFrame, ToolFrame
 from tests.unit.devices.ndi_frames import frames
 
 LATENCY = 0.04
@@ -22,8 +22,8 @@ def _reader() -> FrameReader:
     return FrameReader(LATENCY, max_error=0.001)
 
 
-def _frame(number: int, arrived: float, **changes: Any) -> Frame:
-    return Frame(arrived, 0, [msgspec.structs.replace(SEEN, frame_number=number, **changes)])
+def _frame(number: int, arrived: float, **changes: Any) -> NdiFrame:
+    return NdiFrame(arrived, 0, [msgspec.structs.replace(SEEN, frame_number=number, **changes)])
 
 
 def test_a_pose_is_in_metres_and_as_old_as_the_tracker_takes() -> None:
@@ -52,7 +52,7 @@ def test_a_pose_is_in_metres_and_as_old_as_the_tracker_takes() -> None:
     ],
 )
 def test_status_bits_are_reasons(status: int, system: int, measured: Any, reason: str) -> None:
-    (pose,) = _reader().poses(Frame(1.0, system, [ToolFrame("coil", 1, status, measured)]), now=1.0)
+    (pose,) = _reader().poses(NdiFrame(1.0, system, [ToolFrame("coil", 1, status, measured)]), now=1.0)
     assert not pose.valid
     assert pose.reason == reason
     assert pose.body == "coil"
@@ -107,7 +107,7 @@ def test_tracker_that_runs_backwards_is_never_accepted() -> None:
 
 
 @given(frames)
-def test_no_frame_is_too_strange(frame: Frame) -> None:
+def test_no_frame_is_too_strange(frame: NdiFrame) -> None:
     reader = _reader()
     for pose in reader.poses(frame, now=1.0) + reader.poses(frame, now=1.0):
         assert pose.valid == (pose.reason is None)

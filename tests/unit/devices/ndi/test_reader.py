@@ -12,7 +12,7 @@ from pcmrs.clock import SystemClock
 from pcmrs.devices.ndi.process import MODULE
 from pcmrs.devices.ndi.reader import without_sign_extension
 from pcmrs.devices.ndi.tools import placeholder
-from pcmrs.devices.ndi.wire import Failed, Job, Ready, Unpacker, pack
+from pcmrs.devices.ndi.wire import Failed, Job, TrackerReady, Unpacker, pack
 from pcmrs_sim.cell import running_cell
 from pcmrs_sim.ndi.server import serve_ndi_pty
 from pcmrs_sim.ndi.system import NdiSystem
@@ -47,7 +47,7 @@ async def test_serial_reader_finds_its_tracker_and_ends_with_its_input() -> None
     async with asyncio.timeout(DEADLINE), running_cell({}, SystemClock()) as cell, serve_ndi_pty(cell) as device:
         reader = await asyncio.create_subprocess_exec(sys.executable, "-m", MODULE, stdin=PIPE, stdout=PIPE)
         reported, _ = await reader.communicate(pack(Job(device, 115200, {"coil": placeholder("coil")})))
-    assert isinstance(Unpacker().feed(reported)[0], Ready)
+    assert isinstance(Unpacker().feed(reported)[0], TrackerReady)
     assert reader.returncode == 0
 
 
