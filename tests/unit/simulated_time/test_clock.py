@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.simulated_time.clock import EPOCH, SimulatedClock
+from pcmrs.simulated_time.loop import SimulatedLoop, SimulationError
 from tests.unit.simulated_time.running import simulated
 
 
@@ -60,17 +61,26 @@ def test_clocks_of_one_loop_share_their_monotonic_time(waits: list[float]) -> No
 
 
 def test_a_cancelled_wait_leaves_no_timer_behind() -> None:
-    async def wait() -> float:
+    """Time would jump to it when nothing else is due."""
+
+    async def wait() -> None:
         clock = SimulatedClock(asyncio.get_running_loop())
         waiting = asyncio.create_task(clock.sleep(1000.0))
         await clock.sleep(1.0)
         waiting.cancel()
         with pytest.raises(asyncio.CancelledError):
             await waiting
-        await clock.sleep(1.0)
-        return clock.monotonic()
+        await asyncio.get_running_loop().create_future()
 
-    assert simulated(wait()) == 2.0
+    loop = SimulatedLoop()
+    task = loop.create_task(wait())
+    with pytest.raises(SimulationError, match="no timer is set"):
+        loop.run_until_complete(task)
+    assert loop.time() == 1.0
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        loop.run_until_complete(task)
+    loop.close()
 
 
 def test_a_deadline_that_is_kept_does_not_interrupt_later() -> None:

@@ -38,7 +38,7 @@ def test_sleepers_wake_in_order_each_at_its_time(waits: list[float], steps: list
     asyncio.run(course())
 
 
-async def test_what_is_started_by_a_waiter_runs_within_the_same_advance() -> None:
+async def test_what_a_waiter_starts_runs_within_the_same_advance() -> None:
     clock, rung = ManualClock(), list[float]()
 
     async def ring() -> None:

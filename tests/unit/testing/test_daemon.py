@@ -23,11 +23,11 @@ READY = Ready("pcmrs/lab/c1", "tcp/127.0.0.1:1", {}, "/f", "/f/journal.sqlite", 
 
 PRETENDED = """
 import subprocess, sys
-child = subprocess.Popen([sys.executable, "-c", "input('pcmrs')"], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+subprocess.Popen([sys.executable, "-c", "import time; time.sleep(100)  # pcmrs"], stdout=subprocess.DEVNULL)
 print(sys.argv[1], flush=True)
 sys.stdin.read()
 """
-"""A program in place of a daemon: it starts a child, says that it is ready, and waits for its end."""
+"""A program in place of a daemon: it starts a child that outlives it, says that it is ready, and waits for its end."""
 
 
 def exists(pid: int) -> bool:

@@ -49,6 +49,6 @@ def test_every_byte_is_written_and_the_key_is_its_owners_alone(tmp_path: Path) -
     assert stat.S_IMODE((path.parent / KEY).stat().st_mode) == 0o600
 
 
-def test_a_folder_that_is_there_is_not_mixed_with_another_journal(tmp_path: Path) -> None:
+def test_an_existing_folder_is_not_mixed_with_another_journal(tmp_path: Path) -> None:
     with pytest.raises(FileExistsError):
         place({NAME: b""}, tmp_path)

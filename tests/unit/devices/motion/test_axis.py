@@ -34,7 +34,7 @@ def steady(axis: Floats = AXIS, travel: float = 0.05, start: Floats = HOME, velo
 
 @examples(10)
 @given(st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3).filter(lambda axis: np.linalg.norm(axis) > 0.1))
-def test_the_flange_goes_straight_along_the_axis_and_does_not_turn(direction: list[float]) -> None:
+def test_the_flange_goes_along_the_axis_and_does_not_turn(direction: list[float]) -> None:
     axis = np.array(direction) / np.linalg.norm(direction)
     motion, start = steady(axis), MODEL.forward(HOME)
     for _ in range(200):
@@ -44,7 +44,7 @@ def test_the_flange_goes_straight_along_the_axis_and_does_not_turn(direction: li
     assert rotation_angle(start, flange) < 1e-3
 
 
-def test_the_tool_slows_down_and_never_passes_the_end_of_its_travel() -> None:
+def test_the_tool_slows_down_and_never_passes_its_travel() -> None:
     motion = steady(travel=0.01)
     travelled = []
     for _ in range(1000):

@@ -14,7 +14,7 @@ from pcmrs.devices.motion.force import HYSTERESIS, ForceGuard, ForceSettings
 forces = st.lists(st.floats(0.0, 60.0), max_size=40)
 
 
-def test_an_excess_is_reported_once_so_that_the_arm_can_move_away() -> None:
+def test_excess_is_reported_once_so_the_arm_can_move_away() -> None:
     guard = ForceGuard(20.0)
     assert [guard.exceeded(force) for force in (20.0, 20.1, 20.1, 24.0, 16.0, 21.0)] == [False, True] + 4 * [False]
 

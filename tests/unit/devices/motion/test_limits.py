@@ -41,7 +41,7 @@ def moved(joint: int, by: float, start: Floats = HOME) -> Floats:
 
 
 @given(joints, st.floats(-0.1, 0.1))
-def test_a_start_beside_the_arm_is_refused_with_joint_and_distance(joint: int, by: float) -> None:
+def test_a_start_elsewhere_is_refused_with_joint_and_distance(joint: int, by: float) -> None:
     fields = refusal([moved(joint, by)])
     if abs(by) <= START_TOLERANCE - 1e-9:
         assert fields == {}

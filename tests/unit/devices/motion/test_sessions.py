@@ -17,7 +17,7 @@ def setpoint(session: int, number: int, by: float = 0.01) -> JointSetpoint:
     return JointSetpoint(session=session, number=number, sent=0.0, positions=(HOME + by).tolist(), velocities=[0.0] * 7)
 
 
-def test_only_newer_set_points_of_the_running_session_are_followed() -> None:
+def test_only_newer_set_points_of_the_session_are_followed() -> None:
     arm, sessions = follower(STEP), Sessions()
     first = sessions.begin(arm).session
     sessions.end(first, arm)
