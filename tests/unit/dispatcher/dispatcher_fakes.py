@@ -12,7 +12,7 @@ import msgspec
 import pytest
 
 from pcmrs.dispatcher import Activity, Dispatcher, DispatcherListener, ProcedureData, Registry, Run, Workflow
-from pcmrs.dispatcher.execution import Planner
+from pcmrs.dispatcher.execution import MotionChecker
 from pcmrs.dispatcher.recorder import EarlierDecision
 from pcmrs.errors import JournalError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm import Blueprint, Effect, load_blueprint
@@ -236,7 +236,7 @@ class Bench(DispatcherListener):
         self,
         blueprint: Blueprint = RATMS,
         worldly_branches: Collection[str] = WORLDLY_BRANCHES,
-        planner: Planner[Any, Notes] | None = None,
+        planner: MotionChecker[Any, Notes] | None = None,
         lasting: Collection[str] = (),
     ) -> None:
         self.script = Script()

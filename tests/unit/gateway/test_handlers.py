@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.errors import RefusalError
-from pcmrs.gateway.commands import Plan
+from pcmrs.gateway.commands import PlanKind
 from pcmrs.gateway.handlers import PAIR_WINDOW, LandmarkSeries, PlanLock, PosePair
 from tests.unit.gateway.gateway_fakes import CONFIRMED, UdpClient
 from tests.unit.gateway.open_cell import pass_barrier
@@ -86,8 +86,8 @@ def test_a_second_rotation_replaces_the_first() -> None:
     assert pair.translate([0.0, 0.0, 0.0], 1.8)["quat_xyzw"] == [0.0, 1.0, 0.0, 0.0]
 
 
-@given(st.lists(st.tuples(st.sampled_from(list(Plan)), st.booleans())))
-def test_lock_holds_while_a_newest_plan_is_not_accepted(plans: list[tuple[Plan, bool]]) -> None:
+@given(st.lists(st.tuples(st.sampled_from(list(PlanKind)), st.booleans())))
+def test_lock_holds_while_a_newest_plan_is_not_accepted(plans: list[tuple[PlanKind, bool]]) -> None:
     """It holds if the newest plan of any kind is not accepted."""
     lock = PlanLock()
     for kind, accepted in plans:
@@ -100,9 +100,9 @@ def test_lock_holds_while_a_newest_plan_is_not_accepted(plans: list[tuple[Plan, 
 
 def test_acceptance_of_an_older_plan_does_not_open_the_lock() -> None:
     lock = PlanLock()
-    older = lock.attempt(Plan.POSE)
-    lock.attempt(Plan.POSE)
-    lock.accept(Plan.POSE, older)
+    older = lock.attempt(PlanKind.POSE)
+    lock.attempt(PlanKind.POSE)
+    lock.accept(PlanKind.POSE, older)
     assert lock.held
 
 

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
+from pcmrs.gateway.command_outcome import CommandOutcome
 
 from pcmrs.dispatcher import verdict_cache
 from pcmrs.dispatcher.verdict_cache import CommandCache
-from pcmrs.gateway import intake, session
+from pcmrs.gateway import intake, peer_session
 from pcmrs.gateway.intake import Intake, source_of
 from pcmrs.gateway.links import open_gateway
-from pcmrs.gateway.outcome import Outcome
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
 from tests.unit.gateway.gateway_fakes import WITHIN, FakeCore, ManualClock, UdpClient
 from tests.unit.gateway.open_cell import hear_from_others, pass_barrier
@@ -31,7 +31,7 @@ def outcomes_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 async def hear_from_another(cell: Any) -> None:
-    """Another peer's command; the session and the outcomes of the first are no longer the newest."""
+    """Another peer's command; the peer_session and the outcomes of the first are no longer the newest."""
     other = await UdpClient.open()
     await other.ask("get_jnt_angsxxxx_#1;", cell.planner)
     other.transport.close()
@@ -100,10 +100,10 @@ async def test_ids_are_forgotten_at_each_opening(cell: Any, tmp_path: Any) -> No
 
 @pytest.mark.usefixtures("outcomes_are_forgotten")
 async def test_a_command_under_way_is_not_forgotten() -> None:
-    remembered: CommandCache[asyncio.Future[Outcome]] = CommandCache()
+    remembered: CommandCache[asyncio.Future[CommandOutcome]] = CommandCache()
     loop = asyncio.get_running_loop()
     running, done = loop.create_future(), loop.create_future()
-    done.set_result(Outcome("accepted", "robot", "1"))
+    done.set_result(CommandOutcome("accepted", "robot", "1"))
     remembered.put("a", "1", running)
     remembered.put("a", "2", done)
     remembered.put("a", "3", done)
@@ -113,11 +113,11 @@ async def test_a_command_under_way_is_not_forgotten() -> None:
 
 async def test_so_many_sessions_are_kept(cell: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     gc.collect()
-    before = {id(each) for each in gc.get_objects() if isinstance(each, session.Session)}
+    before = {id(each) for each in gc.get_objects() if isinstance(each, peer_session.PeerSession)}
     monkeypatch.setattr(intake, "MAX_SESSIONS", 3)
     await hear_from_others(cell, 10)
     gc.collect()
-    kept = [each for each in gc.get_objects() if isinstance(each, session.Session) and id(each) not in before]
+    kept = [each for each in gc.get_objects() if isinstance(each, peer_session.PeerSession) and id(each) not in before]
     assert len(kept) == 3
 
 

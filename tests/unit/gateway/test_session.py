@@ -6,11 +6,11 @@ import asyncio
 from typing import Any
 
 import pytest
+from pcmrs.gateway.peer_session import MAX_WAITING, SECOND_WITHIN
 from structlog.testing import capture_logs
 
-from pcmrs.gateway import intake, session
+from pcmrs.gateway import intake, peer_session
 from pcmrs.gateway.intake import Intake
-from pcmrs.gateway.session import MAX_WAITING, SECOND_WITHIN
 from pcmrs.testing.clock import settle
 from pcmrs.testing.clock import settle as settle_loop
 from tests.unit.gateway.gateway_fakes import WITHIN
@@ -52,7 +52,7 @@ async def test_a_refusal_makes_up_for_no_plan(cell: Any) -> None:
 
 
 async def test_only_what_waits_or_runs_fills_a_queue(cell: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(session, "MAX_WAITING", 2)
+    monkeypatch.setattr(peer_session, "MAX_WAITING", 2)
     for number in range(5):
         assert (await cell.ask(f"rob_conn_onxxxxx_#{number};")).startswith(f"{number}_accepted")
 
@@ -61,7 +61,7 @@ async def test_only_what_waits_or_runs_fills_a_queue(cell: Any, monkeypatch: pyt
 async def test_stop_reaches_a_client_however_many_came_after_it(
     cell: Any, monkeypatch: pytest.MonkeyPatch, queued: str
 ) -> None:
-    """What waits, or has steps to come, is not idle: its session is not forgotten."""
+    """What waits, or has steps to come, is not idle: its peer_session is not forgotten."""
     monkeypatch.setattr(intake, "MAX_SESSIONS", 1)
     for name in ("digitize_all", "to_initial"):
         cell.core.gates[name].clear()

@@ -12,7 +12,7 @@ from pcmrs.journal import Journal, copy_journal, export, verify
 from pcmrs.journal.rows import encode_row
 from pcmrs.journal.writer import JournalWriter
 from pcmrs.testing.journal import HEAD, NAME
-from pcmrs_lab.campaign.damage import leave_unnamed
+from pcmrs_lab.campaign.damage import append_past_head
 from tests.unit.journal.edited_journal import macs
 from tests.unit.journal.journal_rows import row
 
@@ -54,6 +54,6 @@ async def test_a_journal_that_is_written_is_copied_with_its_head(killed_path: Pa
 
 
 def test_a_copy_keeps_what_tells_rows_of_a_crash_from_others(whole_path: Path, tmp_path: Path) -> None:
-    leave_unnamed(whole_path, [row()])
+    append_past_head(whole_path, [row()])
     copy_journal(whole_path, tmp_path / "copy" / NAME)
     assert macs(tmp_path / "copy" / NAME) == macs(whole_path)

@@ -15,7 +15,7 @@ from pcmrs.journal.rows import chain_hash, encode_row
 from pcmrs.journal.schema import WITHOUT_MAC
 from pcmrs.journal.writer import JournalWriter
 from pcmrs.testing.journal import HEAD, NAME, place
-from pcmrs_lab.campaign.damage import append_without_key, leave_unnamed
+from pcmrs_lab.campaign.damage import append_past_head, append_without_key
 from tests.unit.journal.edited_journal import alter, check_refused, edit, operations
 from tests.unit.journal.journal_rows import outcome, row
 from tests.unit.journal.whole_journal import Sample
@@ -99,7 +99,7 @@ def test_rows_added_without_the_key_are_refused_from_the_first(whole_path: Path,
 
 async def test_unnamed_rows_with_macs_are_adopted_after_a_crash(whole_path: Path) -> None:
     rows: list[JournalRow] = [row(), outcome("late")]
-    leave_unnamed(whole_path, rows)
+    append_past_head(whole_path, rows)
     assert verify(whole_path).unnamed == 2
     await Journal.open(whole_path).close()
     assert operations(whole_path) == ["head_behind"]
@@ -110,7 +110,7 @@ async def test_unnamed_rows_with_macs_are_adopted_after_a_crash(whole_path: Path
 
 @pytest.mark.parametrize("forged", [None, bytes(32), b""])
 def test_row_forged_after_those_of_a_crash_is_refused_by_number(whole_path: Path, forged: object) -> None:
-    leave_unnamed(whole_path, [row()])
+    append_past_head(whole_path, [row()])
     append_without_key(whole_path, [row()], mac=forged)
     check_refused(whole_path, 20, "It was written without the key")
 
