@@ -1,4 +1,4 @@
-"""The chain through a journal that was edited by somebody who knows its format: the first bad row is told."""
+"""The chain through a journal that was edited by somebody who knows its format: the first bad row is reported."""
 
 from __future__ import annotations
 

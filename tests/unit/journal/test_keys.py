@@ -1,4 +1,4 @@
-"""The key pair of a journal: lost, replaced or mismatched keys are named, and not made anew."""
+"""The key pair of a journal: lost, replaced or mismatched keys are named, and no new pair takes their place."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ async def test_taken_endpoint_ends_the_start_and_frees_the_cell(tmp_path: Path) 
 class Forbidden:
     """A real-time policy that the machine does not permit."""
 
-    def __init__(self, *_: object) -> None:
+    def __init__(self) -> None:
         self.kept = False
 
     def give(self) -> None:
@@ -82,7 +82,12 @@ class Forbidden:
 
 async def test_daemon_without_real_time_permission_works_on(monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[Forbidden] = []
-    monkeypatch.setattr(daemon_module, "RealTime", lambda *_: made.append(Forbidden()) or made[-1])
+
+    def forbidden(_priority: object) -> Forbidden:
+        made.append(Forbidden())
+        return made[-1]
+
+    monkeypatch.setattr(daemon_module, "RealTime", forbidden)
     monkeypatch.setattr(daemon_module, "keep_pauses_short", lambda: None)
     with capture_logs() as logs:
         going = asyncio.create_task(go_ahead(ManualClock()))

@@ -63,6 +63,7 @@ def test_data_show_what_is_known_and_nothing_else() -> None:
         assert [each.digitized for each in after.landmarks] == list(registered.digitized)
         assert (after.residual, after.body_ref_from_image) == (registered.residual, registered.body_ref_from_image)
         assert after.plan == bench.data.plan
+        assert after.sigma is not None
         assert after.sigma > 0.0
 
     on_a_bench(look)

@@ -5,12 +5,11 @@ from __future__ import annotations
 import msgspec
 
 from pcmrs.messages import TeleopSetpoint, TeleopStatus
-from pcmrs.messages.teleop import Twist
 from pcmrs.service.teleoperation import SETPOINTS, STATUS, connect_teleoperators
 from pcmrs.workflows.teleop_port import TeleopPort
 from tests.support.memory_link import MemoryLink
 
-SETPOINT = TeleopSetpoint(sequence=1, sent=5.0, seen=4.9, ttl=0.2, twist=Twist())
+SETPOINT = TeleopSetpoint(sequence=1, sent=5.0, seen=4.9, ttl=0.2, twist=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
 
 class Link(MemoryLink):

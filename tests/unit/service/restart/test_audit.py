@@ -6,12 +6,14 @@ import asyncio
 import sys
 from pathlib import Path
 
+import msgspec
 import pytest
 from structlog.testing import capture_logs
 
 from pcmrs.journal import Journal, JournalRow, verify
 from pcmrs.messages import BlueprintTag, DeviceEvent
-from pcmrs.service.restart.audit import audit
+from pcmrs.service.restart import audit as audit_module
+from pcmrs.service.restart.audit import NICENESS, audit
 
 ROW = JournalRow(
     kind="event",
@@ -39,6 +41,13 @@ def damage(path: Path) -> None:
     path.write_bytes(content)
 
 
+@pytest.fixture
+def usual_priority(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a busy machine a process of the lowest priority takes minutes to start."""
+    monkeypatch.setattr(audit_module, "NICENESS", 0)
+
+
+@pytest.mark.usefixtures("usual_priority")
 async def test_a_sound_journal_is_logged_and_nothing_is_reported(path: Path) -> None:
     reported: list[DeviceEvent] = []
     with capture_logs() as logs:
@@ -47,6 +56,7 @@ async def test_a_sound_journal_is_logged_and_nothing_is_reported(path: Path) -> 
     assert [(each["event"], each["rows"]) for each in logs] == [("journal_verified", 3)]
 
 
+@pytest.mark.usefixtures("usual_priority")
 async def test_damaged_journal_is_reported_with_bad_row_and_remedy(path: Path) -> None:
     """The row is the first bad one."""
     damage(path)
@@ -70,3 +80,19 @@ async def test_a_journal_that_cannot_be_verified_is_no_damage(path: Path, monkey
             await audit(path, reported.append)
     assert reported == []
     assert [each["event"] for each in logs] == ["journal_not_verified"]
+
+
+async def test_everything_else_on_the_machine_goes_first(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The program that takes the place of the command line answers once it has the lowest priority."""
+    answer, program = path.with_name("answer"), path.with_name("program")
+    answer.write_bytes(msgspec.json.encode(verify(path)))
+    program.write_text(f'#!/bin/sh\nuntil [ "$(nice)" = {NICENESS} ]; do sleep 0.01; done\ncat {answer}\n')
+    program.chmod(0o700)
+    monkeypatch.setattr(sys, "executable", str(program))
+    reported: list[DeviceEvent] = []
+    with capture_logs() as logs:
+        async with asyncio.timeout(60.0):
+            await audit(path, reported.append)
+    assert reported == []
+    assert [(each["event"], each["rows"]) for each in logs] == [("journal_verified", 3)]
+    assert NICENESS == 19, "the lowest that there is"
