@@ -14,14 +14,14 @@ import pytest
 from click.testing import CliRunner
 
 from pcmrs.cli.doctor import doctor
-from pcmrs.doctor import Examination, Finding, surroundings
+from pcmrs.doctor import CheckResult, Examination, surroundings
 from pcmrs.doctor.disk import assess_times, disk, free_space
 from pcmrs.doctor.machine import clock_source, kernel, limits, scheduling
 from pcmrs.doctor.surroundings import certificates, devices, extras, is_running, peers, ports, streams
 from pcmrs.settings import Settings, read_settings
 
 
-def only(findings: Iterator[Finding], check: str) -> Finding:
+def only(findings: Iterator[CheckResult], check: str) -> CheckResult:
     (found,) = [finding for finding in findings if finding.check == check]
     assert bool(found.remedy) == (found.verdict != "good")
     return found

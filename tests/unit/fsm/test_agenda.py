@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.authoring.trial.coverage_plan import CoveragePlan
-from pcmrs.authoring.trial.tour import Move, all_moves
+from pcmrs.authoring.trial.tour import TourCommand, all_moves
 from pcmrs.fsm import Blueprint
 from tests.support.trials import examples
 from tests.unit.fsm.random_blueprints import blueprints
 
 
-def same_command(move: Move, other: Move) -> bool:
+def same_command(move: TourCommand, other: TourCommand) -> bool:
     return (move.name, move.asker) == (other.name, other.asker)
 
 
@@ -28,15 +28,15 @@ class World:
         self.drift = {joint: rng.choice(joints) for joint in joints if rng.random() < drifting}
         self._rng = rng
 
-    def end(self, move: Move) -> Move | None:
+    def end(self, move: TourCommand) -> TourCommand | None:
         """How the command of a move has ended; None when the world has done nothing."""
         possible = [m for m in self.moves[move.before] if same_command(m, move) and m not in self.never]
         return self._rng.choice(possible) if possible else None
 
 
-def tour(world: World, start: tuple[str, ...], most: int) -> tuple[set[Move], dict[Move, str]]:
+def tour(world: World, start: tuple[str, ...], most: int) -> tuple[set[TourCommand], dict[TourCommand, str]]:
     agenda = CoveragePlan(world.moves, {})
-    seen: set[Move] = set()
+    seen: set[TourCommand] = set()
     here = start
     for _ in range(most):
         move = agenda.next(here, lambda _: True)
@@ -66,8 +66,8 @@ def test_a_tour_ends_and_says_what_is_left(blueprint: Blueprint, rng: Random, ne
 
 def test_dropped_move_is_never_walked_again() -> None:
     here, there = ("a",), ("b",)
-    way = Move(branch="x", operation="go", ending="done", before=here, after=there)
-    goal = Move(branch="x", operation="stay", ending="done", before=there, after=there)
+    way = TourCommand(branch="x", operation="go", ending="done", before=here, after=there)
+    goal = TourCommand(branch="x", operation="stay", ending="done", before=there, after=there)
     agenda = CoveragePlan({here: [way], there: [goal]}, {})
     agenda.made(way)
     assert agenda.next(here, lambda _: True) == way
@@ -78,7 +78,9 @@ def test_dropped_move_is_never_walked_again() -> None:
 
 def test_missed_move_is_tried_again_after_another_was_made() -> None:
     here = ("a",)
-    shy, bold = (Move(branch="x", operation=name, ending="done", before=here, after=here) for name in ("shy", "bold"))
+    shy, bold = (
+        TourCommand(branch="x", operation=name, ending="done", before=here, after=here) for name in ("shy", "bold")
+    )
     agenda = CoveragePlan({here: [shy, bold]}, {"x.shy": 1})
     assert agenda.next(here, lambda _: True) == shy
     agenda.missed(shy, "not now")
@@ -92,7 +94,7 @@ def test_missed_move_is_tried_again_after_another_was_made() -> None:
 
 def test_impossible_move_is_neither_wanted_nor_walked() -> None:
     here, there = ("a",), ("b",)
-    motion = Move(branch="x", operation="move", ending="done", before=here, after=there)
+    motion = TourCommand(branch="x", operation="move", ending="done", before=here, after=there)
     agenda = CoveragePlan({here: [motion], there: []}, {})
     assert agenda.next(here, lambda move: move.operation != "move") is None
     assert agenda.towards(here, {there}, lambda move: move.operation != "move") is None

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.authoring.difference import Difference, Kind, compare
+from pcmrs.authoring.difference import BlueprintDifference, Kind, compare
 from pcmrs.cli import main
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Blueprint, BranchSpec, OperationSpec, load_blueprint
@@ -57,7 +57,7 @@ def shuffled(blueprint: Blueprint, rng: Random) -> Blueprint:
     return msgspec.structs.replace(blueprint, branches=mixed(branches), version="another")
 
 
-def seen(differences: list[Difference]) -> set[tuple[str, str, int, str, str]]:
+def seen(differences: list[BlueprintDifference]) -> set[tuple[str, str, int, str, str]]:
     return {(d.kind, d.subject, d.joint_states, d.old, d.new) for d in differences}
 
 
@@ -190,7 +190,7 @@ def test_the_command_says_what_differs_and_how_it_ends(tmp_path: Any) -> None:
     assert runs[0].output == "The same behaviour.\n"
     assert "digitization.digitize_all: timeout_s changed from 300.0 to 301.0" in runs[1].output
     as_json = CliRunner().invoke(main, ["fsm", "diff", str(BLUEPRINT), str(other), "--json"])
-    (difference,) = msgspec.json.decode(as_json.output, type=list[Difference])
+    (difference,) = msgspec.json.decode(as_json.output, type=list[BlueprintDifference])
     assert (difference.kind, difference.old, difference.new) == ("changed", "300.0", "301.0")
 
 

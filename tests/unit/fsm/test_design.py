@@ -20,7 +20,7 @@ from pcmrs.cli.fsm.design import design as command
 from pcmrs.fsm import Blueprint, Closure, Engine, examine, load_blueprint, parse_blueprint
 from pcmrs.fsm.blueprint import BranchSpec, SequenceSpec
 from pcmrs.fsm.codes import DESIGN
-from pcmrs.fsm.files.load import Examination
+from pcmrs.fsm.files.load import BlueprintExamination
 from pcmrs.fsm.finding import Finding
 from tests import ROOT
 from tests.support.trials import examples
@@ -427,7 +427,7 @@ def test_too_many_joint_states_are_reported_at_the_excess_points() -> None:
         DesignedBranch("b", BranchSpec(sequence=SequenceSpec(count=9)), path),
         DesignedBranch("a", BranchSpec(), path),
     ]
-    examination = Examination(
+    examination = BlueprintExamination(
         Blueprint(id="x", version="1", branches={}), [Finding(code="too_many_states", text="Much.")]
     )
     excess = excess_of(examination, 1, branches)

@@ -9,10 +9,10 @@ import pytest
 import tomli_w
 
 from pcmrs.authoring.design import design
-from pcmrs.authoring.trial.tour import Move
+from pcmrs.authoring.trial.tour import TourCommand
 from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.messages import Command, Verdict
-from pcmrs_lab.experiment.tours.rehearsal import Script, scripted_dispatcher
+from pcmrs_lab.experiment.tours.rehearsal import ScriptedSteps, scripted_dispatcher
 from tests.unit.fsm.hazard_tables import hazard_table
 
 CHUNKS, TABLES_EACH, COMMANDS = 20, 50, 30
@@ -32,7 +32,7 @@ class Walk:
         blueprint, _ = read_blueprint(result.text.encode(), "designed")  # `design` has verified it
         assert blueprint is not None
         self.blueprint = blueprint
-        self.script = Script()
+        self.script = ScriptedSteps()
         self.dispatcher = scripted_dispatcher(self.blueprint, self.script, outside=False)
         self.operations = [
             (branch, name)
@@ -63,7 +63,7 @@ class Walk:
         spec = self.blueprint.branches[branch].operations[operation]
         ending = rng.choice(list(spec.endings)) if rng else "done"
         fails = spec.steps[-1] if spec.steps and rng and rng.random() < 0.15 else ""
-        self.script.move = Move(
+        self.script.move = TourCommand(
             branch=branch, operation=operation, ending=ending, at=fails, how="refuses", before=(), after=()
         )
         command = Command(

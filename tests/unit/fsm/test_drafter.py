@@ -19,6 +19,6 @@ def test_the_drafter_ends_with_a_sound_workflow() -> None:
     codes = re.findall(r"^Round \d+: (\w+) at line \d+", rounds, re.MULTILINE)
     assert codes[:3] == ["reserved_name", "rule_1", "rule_2"]
     assert set(codes[3:]) == {"property_violated"}
-    assert rounds.count("Mended") == len(codes)
+    assert rounds.count("Repaired") == len(codes)
     blueprint = parse_blueprint(draft.encode())
     assert blueprint.branches["registration"].operations["clear"].requires == {"needle": ["away"]}

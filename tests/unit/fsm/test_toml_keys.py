@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.fsm.files.keys import MAX_DEPTH, DepthError, Key, keys_in
+from pcmrs.fsm.files.keys import MAX_DEPTH, DepthError, TomlKey, keys_in
 from pcmrs.fsm.files.toml import read_toml
 
 TEXT = '''# [not.a.table]
@@ -89,7 +89,7 @@ def test_all_keys_are_found_and_no_others(pairs: list[tuple[str, str]]) -> None:
     "text", ["a = 1\nb = [1 2]\n", "a = 1\nb", "a = 1\n[b", "a = 1\nb = {c = 1", 'a = 1\n"\\q" = 2']
 )
 def test_at_what_is_no_toml_it_stops(text: str) -> None:
-    assert keys_in(text)[0] == Key(0, ("a",), ())
+    assert keys_in(text)[0] == TomlKey(0, ("a",), ())
     with pytest.raises(tomllib.TOMLDecodeError):
         tomllib.loads(text)
 

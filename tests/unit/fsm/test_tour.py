@@ -11,7 +11,7 @@ from hypothesis import given
 
 from pcmrs.authoring.trial.coverage import coverage, is_complete
 from pcmrs.authoring.trial.engine_tour import tour_engine
-from pcmrs.authoring.trial.tour import Move, Tour, plan_tour
+from pcmrs.authoring.trial.tour import Tour, TourCommand, plan_tour
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Blueprint, BranchSpec, OperationSpec, load_blueprint
 from pcmrs.fsm.blueprint import OutcomeSpec
@@ -145,4 +145,4 @@ def test_a_workflow_with_too_many_joint_states_is_refused() -> None:
 
 def test_moves_survive_json() -> None:
     for move in ratms_tour().wanted[::50]:
-        assert msgspec.json.decode(msgspec.json.encode(move), type=Move) == move
+        assert msgspec.json.decode(msgspec.json.encode(move), type=TourCommand) == move

@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.authoring.trial.session import SimulationSession, Step
+from pcmrs.authoring.trial.session import SimulationSession, TrialStep
 from pcmrs.cli import main
 from pcmrs.errors import RefusalError
 from pcmrs.fsm import Blueprint, load_blueprint
@@ -160,7 +160,7 @@ def test_any_bytes_can_be_typed(lines: bytes) -> None:
 
 def test_random_steps_as_json_are_one_object_a_line() -> None:
     run = simulate("ratms", "--random", "30", "--seed", "5", "--json")
-    steps = [msgspec.json.decode(line, type=Step) for line in run.output.splitlines()]
+    steps = [msgspec.json.decode(line, type=TrialStep) for line in run.output.splitlines()]
     assert steps == list(SimulationSession(RATMS).random_walk(30, 5))
 
 

@@ -12,7 +12,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.tms.threshold import MotorThresholdEstimator
 from pcmrs.workflows.motion import pose_result
 from pcmrs.workflows.tms.threshold import hunted_intensity_allowed, set_hunted_intensity
-from pcmrs_sim.muscle.subject import draw_subject
+from pcmrs_sim.muscle.head_subject import draw_subject
 from pcmrs_sim.tms.recruitment import Recruitment
 from tests.unit.workflows.stimulation_bench import SILENT, StimulationBench, result_of, stimulation
 from tests.unit.workflows.workflow_bench import POSES, open_bench
