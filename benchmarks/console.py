@@ -23,7 +23,7 @@ import numpy as np
 from pcmrs.client import PlainClient
 
 sys.path.append(str(Path(__file__).parents[1]))
-from tests.unit.console.consoles import ask, browser, client_of, console, running_cell, to_registered_head
+from tests.system.console.consoles import ask, browser, client_of, console, running_cell, to_registered_head
 
 AIM_HZ = 30.0
 SETTINGS = ("cell.rate=1", "procedure.max_pose_age=3", "robot.deadman=1.0", "sim.arm.physics=kinematic")

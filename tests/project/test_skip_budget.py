@@ -77,7 +77,7 @@ def test_every_skip_of_the_budget_has_a_reason() -> None:
 
 def test_suite_ends_its_children_in_a_shell_that_ignores_ctrl_c() -> None:
     """As in a script that starts it with `&`."""
-    test = "tests/unit/cli/test_journal_command.py::test_a_journal_can_be_followed_while_it_is_written"
+    test = "tests/unit/cli/test_journal.py::test_a_journal_can_be_followed_while_it_is_written"
     command = f"trap '' INT; exec {sys.executable} -m pytest -q -p no:cacheprovider {test}"
     ended = subprocess.run(["bash", "-c", command], cwd=ROOT, capture_output=True, text=True, check=False)
 

@@ -48,9 +48,7 @@ def draw_panel(parent: Element, blueprint: Blueprint, panel: Panel, current: Map
     shade = _SHADES[branch.level % 2]
     box(into, panel.x, panel.y, panel.width, panel.height, 8, fill=shade, stroke="#8a8a8a", stroke_width="1")
     _heading(into, panel)
-    start(
-        into, panel.columns.boxes + panel.columns.box_width / 2, next(iter(panel.column.rows.values())).y - START, START
-    )
+    _start(into, panel)
     for lane in panel.column.lanes:
         _beside(into, panel, lane)
     for arrow, lines in panel.column.straight.values():

@@ -1,4 +1,4 @@
-"""Stop from every edge of the daemon while the arm moves. By a page: `unit/console/test_console_browser.py`."""
+"""Stop from every edge of the daemon while the arm moves. By a page: `system/console/test_browser.py`."""
 
 from __future__ import annotations
 

@@ -14,6 +14,6 @@ def pytest_asyncio_loop_factories(
     config: pytest.Config, item: pytest.Item
 ) -> dict[str, Callable[[], asyncio.AbstractEventLoop]]:
     """Simulated time where no process takes part."""
-    if item.path.name == "test_console_choices.py":
+    if item.path.name == "test_choices.py":
         return {"simulated": SimulatedLoop}
     return {"real": asyncio.new_event_loop}

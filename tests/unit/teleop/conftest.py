@@ -9,7 +9,7 @@ import pytest
 
 from pcmrs.simulated_time.loop import SimulatedLoop
 
-SIMULATED = ("test_teleop_session.py",)
+SIMULATED = ("test_teleoperation.py", "test_session.py")
 
 
 def pytest_asyncio_loop_factories(

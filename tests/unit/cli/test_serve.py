@@ -1,0 +1,40 @@
+"""`pcmrs-serve` and its nodes refuse a wrong configuration with the key that is wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from pcmrs.cli import main
+from pcmrs.cli.serve import serve
+
+
+@pytest.mark.parametrize(
+    ("override", "word"),
+    [
+        ("cell.nam=x", "nam"),
+        ("procedure.max_pose_age=soon", "max_pose_age"),
+        ("workflow=osteotomy", "osteotomy"),
+        ("robot.model=iiwa9", "iiwa9"),
+        ("nonsense", "key=value"),
+    ],
+)
+def test_a_bad_configuration_ends_with_4_and_names_the_key(override: str, word: str, tmp_path: Path) -> None:
+    ended = CliRunner().invoke(serve, ["--set", f"cell.folder={tmp_path}", "--set", override])
+    assert ended.exit_code == 4
+    (line,) = ended.stderr.splitlines()
+    assert word in line
+
+
+def test_a_configuration_file_that_is_missing_is_named(tmp_path: Path) -> None:
+    ended = CliRunner().invoke(serve, ["--config", str(tmp_path / "nowhere.toml")])
+    assert ended.exit_code == 4
+    assert "nowhere.toml" in ended.stderr
+
+
+def test_a_node_wants_a_configuration() -> None:
+    ended = CliRunner().invoke(main, ["node", "sim", "robot"], input="nonsense\n")
+    assert ended.exit_code == 4
+    assert "configuration" in ended.stderr

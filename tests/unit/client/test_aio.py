@@ -1,0 +1,171 @@
+"""The asyncio client against a small daemon on a real bus."""
+
+import asyncio
+import subprocess
+import sys
+from contextlib import aclosing
+
+import msgspec
+import pytest
+import zenoh
+
+from pcmrs.bus import Empty
+from pcmrs.client import Client, Event
+from pcmrs.errors import BusError, DeviceError, PayloadError
+from pcmrs.messages import DeviceEvent, DeviceReply, DeviceRequest, Reason, Snapshot
+from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus, plain_session, snapshot
+from tests.unit.client.small_daemon import connected
+
+
+async def test_a_call_is_a_command_with_id_and_time_to_live() -> None:
+    async with connected() as (daemon, client):
+        verdict = await client.call("digitization.digitize_one", {"index": 2})
+        assert verdict.decision == "accepted"
+        (command,) = daemon.commands
+        assert (command.source, command.branch, command.operation) == ("bus:anna", "digitization", "digitize_one")
+        assert (command.id, command.arguments) == (verdict.id, {"index": 2})
+        assert command.sent is not None
+        assert command.ttl is not None
+
+
+async def test_an_id_of_the_caller_is_kept() -> None:
+    async with connected() as (_, client):
+        assert (await client.call("robot.connect", id="again")).id == "again"
+
+
+@pytest.mark.parametrize("name", ["reinit", "registration.", "Registration.reinit", "registration.re/init", "a.*"])
+async def test_a_name_that_is_no_operation_is_refused_here(name: str) -> None:
+    async with connected() as (daemon, client):
+        with pytest.raises(PayloadError):
+            await client.call(name)
+        assert daemon.commands == []
+
+
+async def test_state_is_the_present_snapshot() -> None:
+    async with connected() as (_, client):
+        await client.call("robot.connect")
+        assert (await client.state()).sequence == 1
+
+
+async def test_daemon_confirms_stop_and_device_nodes_receive_it() -> None:
+    async with connected() as (daemon, client):
+        heard = asyncio.Event()
+        settings = msgspec.structs.replace(daemon.bus.settings, mode="client")
+        async with open_bus(settings) as node:
+            node.subscribe("stop/*", Empty, lambda _, __: heard.set())
+            await node.request("svc/snapshot", Empty(), Snapshot, TIMEOUT)
+            await client.stop()
+            assert "bus:anna" in daemon.stops
+            await asyncio.wait_for(heard.wait(), TIMEOUT)
+
+
+async def test_one_press_is_one_stop_whichever_message_comes_first() -> None:
+    """It is put and asked for: the second message must not stop again what has been acknowledged meanwhile."""
+    async with connected() as (daemon, client):
+        assert [(await client.stop()).number for _ in range(3)] == [1, 2, 3]
+        await client.state()
+        assert daemon.stops == ["bus:anna"] * 3
+
+
+async def test_watch_yields_the_last_snapshot_then_what_happens() -> None:
+    async with connected() as (daemon, client):
+        daemon.bus.publish("state/fsm", snapshot(41))
+        events = client.watch()
+
+        async def next_event() -> Event:
+            return await asyncio.wait_for(anext(events), TIMEOUT)
+
+        assert await next_event() == snapshot(41)
+        verdict = await client.call("robot.connect")
+        assert await next_event() == verdict
+        fault = DeviceEvent(device="robot", code="link_lost", text="The link is cut.", danger=True)
+        daemon.bus.publish("state/event", fault)
+        assert await next_event() == fault
+        await events.aclose()
+
+
+async def test_slow_watcher_gets_the_newest_and_the_number_missed() -> None:
+    def event(number: int) -> DeviceEvent:
+        return DeviceEvent(device="robot", code="told", text=str(number))
+
+    async with connected() as (daemon, client):
+        async with aclosing(client.watch()) as events:
+            daemon.bus.publish("state/fsm", snapshot(0))
+            assert await anext(events) == snapshot(0)
+            heard = asyncio.Queue[str]()
+            client.listen("state/event", DeviceEvent, lambda told: heard.put_nowait(told.text))
+            await client.state()
+            for number in range(1, 1101):
+                daemon.bus.publish("state/event", event(number))
+                assert await asyncio.wait_for(heard.get(), TIMEOUT) == str(number)
+            async with asyncio.timeout(TIMEOUT):
+                while client.missed < 1100 - 1024:  # noqa: ASYNC110 (two subscribers are told one after the other)
+                    await asyncio.sleep(0.001)
+            assert await asyncio.wait_for(anext(events), TIMEOUT) == event(1100 - 1024 + 1)
+        assert client.missed == 1100 - 1024
+
+
+async def test_a_closed_watch_is_no_subscriber_any_more() -> None:
+    async with connected() as (daemon, client):
+        with plain_session(daemon.bus.settings) as session:
+            loop, changes = asyncio.get_running_loop(), asyncio.Queue[tuple[str, bool]]()
+
+            def listen(key: str) -> zenoh.Publisher:
+                def note(status: zenoh.MatchingStatus) -> None:
+                    loop.call_soon_threadsafe(changes.put_nowait, (key, status.matching))
+
+                publisher = session.declare_publisher(f"{daemon.bus.prefix}/{key}")
+                publisher.declare_matching_listener(note)
+                return publisher
+
+            async def next_changes() -> set[tuple[str, bool]]:
+                return {await asyncio.wait_for(changes.get(), TIMEOUT) for _ in publishers}
+
+            publishers = [listen("state/fsm"), listen("state/event")]
+            daemon.bus.publish("state/fsm", snapshot(1))
+            async with aclosing(client.watch()) as events:
+                await anext(events)
+                assert await next_changes() == {("state/fsm", True), ("state/event", True)}
+            assert await next_changes() == {("state/fsm", False), ("state/event", False)}
+
+
+async def test_a_device_answers_past_the_daemon() -> None:
+    async def handle(_: str, request: DeviceRequest) -> DeviceReply:
+        if request.method == "reseed":
+            return DeviceReply(result=request.arguments["seed"])
+        return DeviceReply(failure=Reason(code="no_such_method", text="No such method.", fields={"n": 1}))
+
+    async with connected() as (daemon, client):
+        daemon.bus.serve("dev/scene/cmd", DeviceRequest, handle)
+        assert await client.request_device("scene", "reseed", {"seed": 5}) == 5
+        with pytest.raises(DeviceError) as error:
+            await client.request_device("scene", "fly")
+        assert error.value.fields == {"reason": "no_such_method", "values": {"n": 1}}
+
+
+async def test_without_a_daemon_connecting_fails() -> None:
+    with pytest.raises(BusError, match="start pcmrs-serve"):
+        async with Client.connect(new_cell().endpoint):
+            pytest.fail("connected to nothing")
+
+
+async def test_another_cell_is_no_daemon_of_ours() -> None:
+    async with connected() as (daemon, _):
+        with pytest.raises(BusError, match="pcmrs/lab/elsewhere"):
+            async with Client.connect(daemon.bus.settings.endpoint, cell="elsewhere"):
+                pytest.fail("connected to another cell")
+
+
+def test_importing_the_client_loads_no_numerics() -> None:
+    heavy = ["numpy", "scipy", "pinocchio", "mujoco", "structlog", "uvloop", "sqlite3"]
+    code = f"import sys, pcmrs.client; print([m for m in {heavy} if m in sys.modules])"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == "[]"
+
+
+async def test_wait_for_a_state_that_does_not_come_times_out() -> None:
+    async with connected() as (daemon, client):
+        daemon.bus.publish("state/fsm", snapshot(1))
+        assert await client.until(lambda shown: shown.sequence == 1, TIMEOUT) == snapshot(1)
+        with pytest.raises(TimeoutError):
+            await client.until(lambda shown: shown.sequence == 2, timeout=0.1)
