@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -45,12 +46,20 @@ def trial(number: int, off_mm: float, turned_deg: float) -> PlacementTrial:
     return PlacementTrial(Placement(str(number), planned, planned @ error), 0.010)
 
 
+def heights(axes: Any) -> list[float]:
+    return [bar.get_height() for bar in axes.patches]
+
+
+def drawn(axes: Any, line: int) -> list[float]:
+    return [float(value) for value in axes.lines[line].get_ydata()]
+
+
 def test_placements_are_drawn_in_millimetres_and_degrees() -> None:
     trials = [trial(1, 0.5, 1.0), trial(2, 1.5, 3.0)]
     errors, turned, vectors = placement_figure(trials, "two placements").axes
-    assert [bar.get_height() for bar in errors.patches] == pytest.approx([0.5, 1.5])
-    assert list(errors.lines[0].get_ydata()) == pytest.approx([1.0, 1.0])
-    assert list(turned.lines[0].get_ydata()) == pytest.approx([1.0, 3.0])
+    assert heights(errors) == pytest.approx([0.5, 1.5])
+    assert drawn(errors, 0) == pytest.approx([1.0, 1.0])
+    assert drawn(turned, 0) == pytest.approx([1.0, 3.0])
     assert "mm" in errors.get_ylabel()
     assert "°" in turned.get_ylabel()
     # The longest arrow is a quarter of the extent of the targets, which is 10 mm at least.
@@ -60,7 +69,7 @@ def test_placements_are_drawn_in_millimetres_and_degrees() -> None:
 @pytest.mark.parametrize("off_mm", [0.0, 0.3])
 def test_a_single_placement_is_drawn(off_mm: float) -> None:
     errors, *_ = placement_figure([trial(1, off_mm, 0.0)], "one placement").axes
-    assert [bar.get_height() for bar in errors.patches] == pytest.approx([off_mm], abs=1e-9)
+    assert heights(errors) == pytest.approx([off_mm], abs=1e-9)
 
 
 def test_gaps_of_a_pose_log_stay_gaps() -> None:
@@ -72,6 +81,6 @@ def test_gaps_of_a_pose_log_stay_gaps() -> None:
         "pol_tool": [None, None, None],
     }
     first, second, third = pose_log_figure(PoseLog("poses_1", series)).axes
-    np.testing.assert_allclose(first.lines[1].get_ydata(), [-1.0, np.nan, 1.0], atol=1e-9)
-    assert np.isnan(second.lines[0].get_ydata()[1]), "the identity stands for a body that was not tracked"
+    assert drawn(first, 1) == pytest.approx([-1.0, np.nan, 1.0], nan_ok=True)
+    assert np.isnan(drawn(second, 0)[1]), "the identity stands for a body that was not tracked"
     assert not third.lines

@@ -20,7 +20,7 @@ from tests.unit.replay.rows import event, outcome
 SILENT = Reason(code="outcome_unknown", text="The robot does not answer.", fields={"step": "release_stop", "link": 1})
 
 
-async def begun(work: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
+async def started(work: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
     """A task that waits already."""
     task = asyncio.create_task(work)
     await asyncio.sleep(0)
@@ -39,7 +39,7 @@ async def begun(work: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
 async def test_a_hold_is_confirmed_unless_the_next_danger_says_no(rows: list[JournalRow], confirmed: bool) -> None:
     holds = Holds(rows)
     assert not holds.answer(0), "nothing waits yet"
-    holding = await begun(holds.hold(True))
+    holding = await started(holds.hold(True))
     assert holds.answer(0)
     if confirmed:
         await holding
@@ -54,7 +54,7 @@ async def test_devices_that_stayed_latched_are_those_of_the_verdict() -> None:
         [outcome("robot.acknowledge", result={"still_latched": ["stimulator"]}), outcome("robot.acknowledge")]
     )
     for index, latched in enumerate((["stimulator"], [])):
-        released = await begun(holds.release(True))
+        released = await started(holds.release(True))
         assert holds.answer_release(index)
         assert await released == latched
 
@@ -71,7 +71,7 @@ async def test_a_release_that_failed_raises_what_was_journalled(
     decision: Any, reason: Reason | None, error: type[PcmrsError], code: str
 ) -> None:
     holds = Holds([outcome("robot.acknowledge", decision=decision, reason=reason)])
-    released = await begun(holds.release(True))
+    released = await started(holds.release(True))
     holds.answer_release(0)
     with pytest.raises(error) as raised:
         await released
@@ -82,7 +82,7 @@ async def test_a_release_that_failed_raises_what_was_journalled(
 
 async def test_after_the_end_nobody_waits() -> None:
     holds = Holds([])
-    holding = await begun(holds.hold(False))
+    holding = await started(holds.hold(False))
     holds.end()
     await holding
     await asyncio.wait_for(holds.hold(True), 1.0)

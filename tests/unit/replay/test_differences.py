@@ -74,7 +74,8 @@ def decided(
 async def test_each_part_that_differs_is_named(again: dict[str, Any], what: list[str]) -> None:
     states = {"robot": "1"}
     (row,) = stored([outcome("robot.connect", states=states, data={"joints": 0.5})])
-    replayed = decided(**({"states": states, "changes": {"joints": 0.5}} | again))
+    values: dict[str, Any] = {"states": states, "changes": {"joints": 0.5}}
+    replayed = decided(**(values | again))
     found = list(compared(row, replayed))
     assert [each.what for each in found] == what
     assert all(each.row == "outcome robot.connect [bus:test]" for each in found)

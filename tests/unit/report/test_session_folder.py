@@ -69,7 +69,8 @@ def test_a_copied_journal_has_the_rows_of_its_source(tmp_path: Path) -> None:
 def test_results_are_in_the_folder_with_a_hash_of_each(tmp_path: Path) -> None:
     write_results(record(), mesh(), tmp_path)
     write_sums(tmp_path)
-    listed = dict(reversed(line.split("  ")) for line in (tmp_path / SUMS).read_text().splitlines())
+    lines = [line.split("  ") for line in (tmp_path / SUMS).read_text().splitlines()]
+    listed = {name: digest for digest, name in lines}
     there = {path.relative_to(tmp_path).as_posix(): path for path in tmp_path.rglob("*") if path.is_file()}
     assert set(listed) == set(there) - {SUMS}
     assert all(hashlib.sha256(there[name].read_bytes()).hexdigest() == digest for name, digest in listed.items())

@@ -79,12 +79,12 @@ def test_ceiling_and_registration_are_the_last_ones() -> None:
     found = session(ROWS)
     given = accepted("stimulation.set_ceiling")[-1]["arguments"]
     assert found.ceiling() == (given["percent"], given["operator"])
-    told = accepted("registration.register")[-1]["verdict"]["result"]
+    reported = accepted("registration.register")[-1]["verdict"]["result"]
     registration = found.registration()
     assert registration is not None
-    assert registration.distances_mm == pytest.approx([1e3 * distance for distance in told["distances"]])
-    assert len(registration.landmarks) == len(told["distances"])
-    assert registration.limit_mm == pytest.approx(1e3 * told["limit"])
+    assert registration.distances_mm == pytest.approx([1e3 * distance for distance in reported["distances"]])
+    assert len(registration.landmarks) == len(reported["distances"])
+    assert registration.limit_mm == pytest.approx(1e3 * reported["limit"])
 
 
 def test_repeated_refusals_are_one_and_unfinished_commands_are_listed() -> None:
