@@ -10,7 +10,7 @@ import pytest
 from pcmrs.authoring.chart import svg
 from pcmrs.console import chart
 from pcmrs.console.chart import ChartPanel
-from pcmrs.fsm import load_blueprint
+from pcmrs.fsm import Blueprint, load_blueprint
 from pcmrs.messages import BlueprintTag, Snapshot
 from pcmrs.workflows import find_workflow
 from tests.unit.console.detached_page import DetachedPage
@@ -36,7 +36,12 @@ def test_states_and_flags_are_those_of_the_snapshot(page: DetachedPage) -> None:
 
 def test_the_same_states_are_not_drawn_again(page: DetachedPage, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Any] = []
-    monkeypatch.setattr(chart, "svg", lambda _, states: drawn.append(states) or "<svg/>")
+
+    def draw(_blueprint: Blueprint, states: dict[str, str]) -> str:
+        drawn.append(states)
+        return "<svg/>"
+
+    monkeypatch.setattr(chart, "svg", draw)
     panel = ChartPanel(BLUEPRINT)
     for sequence in range(3):
         panel.refresh(msgspec.structs.replace(SNAPSHOT, sequence=sequence))

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from nicegui import core
 
 from pcmrs.bus.codec import pack
 from pcmrs.console import recordings as module
-from pcmrs.console.playback import LoadedRecording
+from pcmrs.console.playback import LoadedRecording, load_recording
 from pcmrs.console.recordings import Recordings
 from pcmrs.recording.file import RecordingFile, Topics
 
@@ -49,9 +49,13 @@ async def test_names_are_newest_first_and_none_without_a_folder(tmp_path: Path) 
 
 
 async def test_a_recording_is_read_once_and_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    calls: list[Any] = []
-    load = module.load_recording
-    monkeypatch.setattr(module, "load_recording", lambda *words: calls.append(words) or load(*words))
+    calls: list[list[Path]] = []
+
+    def load(files: list[Path], progress: Callable[[float], None]) -> LoadedRecording:
+        calls.append(files)
+        return load_recording(files, progress)
+
+    monkeypatch.setattr(module, "load_recording", load)
     for name in ("one", "two"):
         write(tmp_path / f"{name}.mcap")
     recordings = Recordings(tmp_path)

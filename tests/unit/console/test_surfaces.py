@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 from fastapi import FastAPI
+from fastapi.routing import APIRoute
 
 from pcmrs.console.scene import SURFACE
 from pcmrs.console.surfaces import LIGHTER, MAX_COLOURED, ZONE, Surfaces
@@ -34,7 +35,7 @@ def served(known: Setup | None) -> tuple[Surfaces, dict[str, Any]]:
     feed: Any = SimpleNamespace(setup=known)
     app, surfaces = FastAPI(), Surfaces(feed)
     surfaces.declare(app)
-    return surfaces, {route.path: route.endpoint for route in app.routes if hasattr(route, "endpoint")}
+    return surfaces, {route.path: route.endpoint for route in app.routes if isinstance(route, APIRoute)}
 
 
 def test_the_whole_surface_and_its_zone_are_meshes_in_metres() -> None:
