@@ -17,7 +17,7 @@ OPTIONS :=
 WORKERS := $(shell echo $$((3 * $$(nproc) / 2)))
 EXTRAS := daemon recording report authoring hardware console imaging ros2 docs fuzz dev
 
-.PHONY: help install demo test nightly evidence mutants fuzz tools spin browser mono screenshots docs lint lock release clean
+.PHONY: help install demo test check nightly evidence mutants fuzz tools spin browser mono screenshots docs lint lock release clean
 
 help: ## List these targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  make \1\t\2/p' Makefile
@@ -71,6 +71,9 @@ docs: install ## Build the documentation into site/, strictly: a broken link fai
 
 screenshots: install ## Take the pictures of the console that docs/console.md shows; needs `make browser`
 	$(BIN)/python -m tests.system.console.screenshots docs/pictures
+
+check: lint ## Check style, types and words, and run the unit tests
+	$(BIN)/pytest -n $(WORKERS) --dist worksteal $(OPTIONS) tests/unit
 
 lint: install ## Check style, format, words, types and import contracts
 	$(BIN)/ruff check

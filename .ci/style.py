@@ -10,16 +10,33 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = ("*.md", "docs/*.md", "docs/adr/*.md", "deploy/**/*.md", ".github/**/*.md", "pcmrs/**/*.py")
+FOLDERS = (
+    "*.md",
+    "docs/*.md",
+    "docs/adr/*.md",
+    "deploy/**/*.md",
+    ".github/**/*.md",
+    "pcmrs/**/*.py",
+    "sim/**/*.py",
+    "lab/**/*.py",
+    "lab/**/*.md",
+    "lab/**/*.toml",
+    "lab/**/*.j2",
+    "benchmarks/*.py",
+    "examples/**/*.py",
+    "fuzz/*.py",
+)
 """Files that are checked, as patterns below the root."""
 LEFT_OUT = (
     "CHANGELOG.md",
+    "benchmarks/stop_real.py",
+    "benchmarks/stop_stamps.py",
     "docs/evidence.md",
     "docs/progress.md",
     "pcmrs/journal/notes.py",
     "pcmrs/service/restart/recorder.py",
 )
-"""History, a generated page, the notes of an issue, and texts that stand in journals."""
+"""History, names of times in reports, a generated page, the notes of an issue, and texts that stand in journals."""
 QUOTED = re.compile(r"```.*?```|`[^`\n]+`|(?<=\n\n)(?: {4}[^\n]*\n+)+", re.DOTALL)
 """Code and output of programs in a page."""
 NAMED = re.compile(r"`[^`\n]+`")

@@ -1,9 +1,9 @@
 """Frames that the console's scene shows per second while the arm moves, in headless Chromium.
 
-A cell in real time with a kinematic arm, the console and the browser are processes of one machine. Chromium draws and
-composes with the processor, for want of a graphics card, and takes only the time that the others leave (`chrt -i 0`).
-Counted, while the tool goes to its standoff and home: frames that the browser has drawn, and those of them in which the
-arm stood elsewhere than in the one before. The aim is 30 of the latter per second. All is simulated.
+A cell in real time with a kinematic arm, the console and the browser are processes of one machine. Chromium draws
+and composes with the processor, without a graphics card, and only takes processor time that is free (`chrt -i 0`).
+While the tool moves to its standoff and home, the benchmark counts the frames that the browser has drawn, and those of
+them in which the arm has moved. The aim is 30 of the latter per second. Everything is simulated.
 
     .venv/bin/python benchmarks/console.py [--motions 4] [--json]
 """
@@ -43,6 +43,7 @@ COUNT = """() => {
 
 
 def measure(motions: int) -> list[dict[str, float]]:
+    """Return the frame rates of some motions."""
     with (
         tempfile.TemporaryDirectory(prefix="pcmrs-") as name,
         running_cell(Path(name), *SETTINGS) as address,
@@ -60,7 +61,13 @@ def measure(motions: int) -> list[dict[str, float]]:
 
 
 def during(page: Any, cell: PlainClient, operation: str) -> dict[str, float]:
-    """From the first frame in which the arm has moved to the last one."""
+    """Return the frame rates from the first frame in which the arm has moved to the last one.
+
+    Args:
+        page: Page of the console in the browser.
+        cell: Client of the cell.
+        operation: Motion, ``branch.operation``.
+    """
     page.evaluate(COUNT)
     ask(cell, operation)
     counted = page.evaluate("() => window.counted")
@@ -76,6 +83,7 @@ def during(page: Any, cell: PlainClient, operation: str) -> dict[str, float]:
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--motions", type=int, default=4)
     parser.add_argument("--json", action="store_true")

@@ -1,16 +1,16 @@
-"""From the daemon's silence to the node's hold: how the deadman of a device node keeps its time.
+"""Time from the daemon's silence to the node's hold: how precisely the deadman of a device node expires.
 
-In every run the simulated arm approaches at real time and the daemon, a process of its own, is stopped by SIGSTOP in
-the middle of it; the node notes when it holds the arm. `silence` is what the node itself measures, from the last
-heartbeat; `stopped` is from the signal, which falls anywhere between two heartbeats. The first braking set point
-follows within one step of the arm's stream (10 ms for the simulated cell). Beside them, in the same run, how late a
-bare asyncio timer and a bare thread's wait of the same length are in processes that do nothing else: this machine's
-scheduler is in all of them. `hogs` repeats it with one process per processor that computes without end.
+In every run the simulated arm approaches at real time, and the daemon, a separate process, is stopped by SIGSTOP in the
+middle of it; the node logs when it holds the arm. `silence` is measured by the node itself, from the last heartbeat;
+`stopped` is measured from the signal, which falls anywhere between two heartbeats. The first braking set point follows
+within one step of the arm's stream (10 ms for the simulated cell). The same run measures the lateness of a bare asyncio
+timer and of a bare thread's wait of the same length in idle processes: the delay of this machine's scheduler is part of
+all times. `hogs` repeats it with one busy process per processor.
 
     .venv/bin/python benchmarks/deadman.py [idle hogs quiet] [--runs 50] [--deadman 0.1] [--json]
 
 `quiet` stops nothing: it counts how often the deadman fires in undisturbed approaches, and shows the longest time
-between two heartbeats of the daemon as a process beside the node hears them.
+between two heartbeats of the daemon as another process receives them.
 """
 
 from __future__ import annotations
@@ -59,11 +59,11 @@ Report = dict[str, dict[str, float]]
 
 
 class NotAcceptedError(Exception):
-    """The daemon did not accept what should bring the arm somewhere."""
+    """The daemon did not accept a command that moves the arm to its start."""
 
 
 class Bench:
-    """A daemon whose arm can be brought to move."""
+    """Daemon whose arm can be moved."""
 
     def __init__(self, pid: int, log: Path, client: Client, bus: Bus) -> None:
         self.pid, self.client = pid, client
@@ -77,16 +77,26 @@ class Bench:
         (self._moving.set if np.abs(state.velocities).max() > 5e-3 else self._moving.clear)()
 
     def holds(self) -> list[tuple[float, float]]:
-        """Unix time and silence, s, of every hold that a node has noted."""
+        """Return Unix time and silence, s, of every hold that a node has logged."""
         found = HELD.findall(self._log.read_text())
         return [(datetime.fromisoformat(stamp).timestamp(), float(silence)) for stamp, silence in found]
 
     async def call(self, name: str, **arguments: object) -> None:
+        """Request an operation, which must be accepted.
+
+        Args:
+            name: Operation, ``branch.operation``.
+            arguments: Arguments of the operation.
+
+        Raises:
+            NotAcceptedError: It was not accepted.
+        """
         verdict = await self.client.call(name, arguments, timeout=PATIENCE)
         if verdict.decision != "accepted":
             raise NotAcceptedError(f"{name}: {verdict.decision} {verdict.reason}")
 
     async def prepare(self) -> None:
+        """Register the head and plan a pose."""
         plan = read_plan(example_plan("ratms"))
         await self.call("robot.connect")
         await self.call("registration.plan_landmarks", landmarks=[msgspec.to_builtins(each) for each in plan.landmarks])
@@ -97,17 +107,17 @@ class Bench:
             await self.call("placement.locate")
 
     async def recover(self) -> None:
-        """Back to where an approach may begin; on a busy machine the way there may be held as well."""
+        """Move the arm back to where an approach may begin; on a busy machine this may need retries."""
         for _ in range(TRIES):
             with suppress(NotAcceptedError):
                 return await self._go_home()
-        raise NotAcceptedError("the arm does not get home")
+        raise NotAcceptedError("the arm did not reach its home pose")
 
     async def _go_home(self) -> None:
         async with asyncio.timeout(PATIENCE):
             while (await self.client.state()).running:  # noqa: ASYNC110
                 await asyncio.sleep(0.05)
-        await asyncio.sleep(0.3)  # what the node has reported is on its way
+        await asyncio.sleep(0.3)  # reports of the node are still in transit
         if (await self.client.state()).branches["robot"] == "0":
             await self.call("robot.connect")
         if (await self.client.state()).latched:
@@ -120,7 +130,7 @@ class Bench:
             await self.call("placement.home")
 
     async def stopped(self) -> tuple[float, float] | None:
-        """One run: time from the signal to the hold, and the node's own silence, s; None when it ended before."""
+        """Return the time from the signal to the hold, and the node's silence, s; None if the motion ended before."""
         before = len(self.holds())
         approach = asyncio.create_task(self.client.call("placement.approach", timeout=PATIENCE))
         moving = asyncio.create_task(self._moving.wait())
@@ -130,7 +140,7 @@ class Bench:
         found = None if approach.done() or len(self.holds()) > before else await self._silenced(before)
         verdict = await approach
         if found is not None and verdict.decision == "accepted":
-            raise RuntimeError("the approach went on")
+            raise RuntimeError("the approach continued")
         await self.recover()
         return found
 
@@ -149,6 +159,7 @@ class Bench:
 
 @asynccontextmanager
 async def bench(deadman: float) -> AsyncIterator[Bench]:
+    """Start a daemon whose nodes have a deadman, s."""
     with tempfile.TemporaryDirectory(prefix="pcmrs-") as folder:
         cell = f"deadman-{os.getpid()}"
         settings = [*own_settings(Path(folder), cell), *SLOW, f"robot.deadman={deadman}"]
@@ -164,6 +175,7 @@ async def bench(deadman: float) -> AsyncIterator[Bench]:
 
 @contextmanager
 def hogs() -> Iterator[None]:
+    """Run one busy process per processor for the length of the context."""
     processes = [multiprocessing.Process(target=_hog, daemon=True) for _ in range(os.cpu_count() or 1)]
     for process in processes:
         process.start()
@@ -181,7 +193,7 @@ def _hog() -> None:
 
 
 class Timers:
-    """A process with an asyncio timer and one with a thread's wait, each of the deadman's length; how late they are."""
+    """Processes that measure the lateness of an asyncio timer and of a thread's wait, each of the deadman's length."""
 
     def __init__(self, length: float) -> None:
         self._end = multiprocessing.Event()
@@ -203,6 +215,7 @@ class Timers:
         self._end.set()
 
     def report(self) -> Report:
+        """Return the statistics of the lateness, ms."""
         found = {f"bare {name} timer, late": stats(queue.get(timeout=10.0)) for name, queue in self._late.items()}
         for process in self._processes:
             process.join()
@@ -216,27 +229,33 @@ def _measure(name: str, length: float, end: threading.Event, queue: multiprocess
     else:
         waiting = threading.Event()
         while not end.is_set():
-            begun = time.monotonic()
+            started = time.monotonic()
             waiting.wait(length)
-            late.append(time.monotonic() - begun - length)
+            late.append(time.monotonic() - started - length)
     queue.put(late)
 
 
 async def _asyncio_timer(length: float, end: threading.Event, late: list[float]) -> None:
     while not end.is_set():
-        begun = time.monotonic()
+        started = time.monotonic()
         await asyncio.sleep(length)
-        late.append(time.monotonic() - begun - length)
+        late.append(time.monotonic() - started - length)
 
 
 def stats(seconds: list[float]) -> dict[str, float]:
+    """Return number, quantiles and maximum of times, ms."""
     found = np.array(seconds) * 1e3
     quantiles = {f"p{q:g}": round(float(np.percentile(found, q)), 2) for q in (50, 99)}
     return {"n": len(found), **quantiles, "max": round(float(found.max()), 2)}
 
 
 async def silences(made: Bench, runs: int) -> tuple[list[tuple[float, float]], int]:
-    """So many runs, as `Bench.stopped` gives them, and how many approaches that took."""
+    """Return the results of `Bench.stopped`, and the number of approaches that were needed.
+
+    Args:
+        made: Running bench.
+        runs: Number of results.
+    """
     tried = 0
     found: list[tuple[float, float]] = []
     while len(found) < runs and tried < 3 * runs:
@@ -247,6 +266,13 @@ async def silences(made: Bench, runs: int) -> tuple[list[tuple[float, float]], i
 
 
 async def stops(runs: int, deadman: float, *, hogged: bool) -> Report:
+    """Return the statistics of runs in which the daemon is stopped, ms.
+
+    Args:
+        runs: Number of runs.
+        deadman: Deadman of the nodes, s.
+        hogged: True to run busy processes at the same time.
+    """
     async with bench(deadman) as made:
         with Timers(deadman) as timers, hogs() if hogged else nullcontext():
             found, tried = await silences(made, runs)
@@ -263,6 +289,12 @@ async def stops(runs: int, deadman: float, *, hogged: bool) -> Report:
 
 
 async def quiet(runs: int, deadman: float) -> Report:
+    """Return the numbers of holds and the times between heartbeats in undisturbed approaches.
+
+    Args:
+        runs: Number of approaches.
+        deadman: Deadman of the nodes, s.
+    """
     async with bench(deadman) as made:
         made.beats.clear()
         refused = 0
@@ -280,6 +312,13 @@ async def quiet(runs: int, deadman: float) -> Report:
 
 
 async def measure(what: list[str], runs: int, deadman: float) -> dict[str, Report]:
+    """Return the results of some measurements.
+
+    Args:
+        what: Names of measurements.
+        runs: Number of runs of each.
+        deadman: Deadman of the nodes, s.
+    """
     found: dict[str, Report] = {}
     for each in what:
         found[each] = await (quiet(runs, deadman) if each == "quiet" else stops(runs, deadman, hogged=each == "hogs"))
@@ -287,6 +326,7 @@ async def measure(what: list[str], runs: int, deadman: float) -> dict[str, Repor
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", nargs="*", default=["idle", "hogs", "quiet"])
     parser.add_argument("--runs", type=int, default=50)

@@ -1,20 +1,20 @@
-"""Time at the devices: servo jitter, Stop at the node, age of poses, OpenIGTLink and EMG, each beside the bare thing.
+"""Times at the devices: servo jitter, Stop at the node, age of poses, OpenIGTLink, EMG, and bare counterparts.
 
 - `servo`: intervals between the set points of the KST driver at 200 Hz, by their arrival over TCP at a peer in a
-  process of its own, which answers as a cabinet does; beside a bare asyncio timer and a thread's `time.sleep` that
+  separate process, which answers like a cabinet; compared with a bare asyncio timer and a thread's `time.sleep` that
   send as many lines to the same peer. The three take turns.
 - `stop`: from the arrival of a Stop at the node (`DeviceNode.stop`) to the arrival of the first braking set point at
-  that peer; beside half of a bare round trip over TCP. The limit is 20 ms.
+  that peer; compared with half of a bare round trip over TCP. The limit is 20 ms.
 - `tracker`: age of the coil's newest pose in the daemon's `PoseFeed`, when it arrives and at any moment, with device
   nodes as the daemon starts them, over the bus; of the simulated tracker, and of the driver `ndi` on a virtual one. A
-  frame is published 30 ms after its exposure, 60 times a second; on the way to the driver `ndi` it takes more time,
-  which no host can know, so ages there are too small by that.
+  frame is published 30 ms after its exposure, 60 times a second. The transmission to the driver `ndi` takes additional
+  time that no host can measure, so those ages are too small by that time.
 - `openigtlink`: from a message's stamp to its arrival at `pyigtl`'s client, 100 times a second, from our link and from
   `pyigtl`'s server.
-- `emg`: from the last sample of an epoch to the epoch, streamed in blocks of 10 ms; beside a bare `pylsl` inlet that
-  is asked every millisecond until it has that sample.
+- `emg`: from the last sample of an epoch to the epoch, streamed in blocks of 10 ms; compared with a bare `pylsl`
+  inlet that is polled every millisecond until it has that sample.
 
-Everything shares the machine's processors, and all is simulated.
+All processes share the machine's processors, and everything is simulated.
 
     .venv/bin/python benchmarks/devices.py [servo stop tracker openigtlink emg] [--seconds 10] [--json]
 """
@@ -43,7 +43,7 @@ import uvloop
 
 from pcmrs.clock import SystemClock
 from pcmrs.devices.drivers import kst, lsl
-from pcmrs.devices.kst.cabinet import Cabinet
+from pcmrs.devices.kst.connection import KstConnection
 from pcmrs.devices.node import DeviceNode
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose, JointTrajectory
@@ -59,7 +59,7 @@ SET_POINTS = (b"jf_", b"jpJP_", b"jpExT_")
 
 
 class Peer:
-    """A cabinet whose arm is at once where it is told to be, and that notes when each set point comes."""
+    """Cabinet whose arm is at once where it is commanded, and that records when each set point arrives."""
 
     def __init__(self, connection: socket.socket) -> None:
         self._socket = connection
@@ -67,11 +67,12 @@ class Peer:
         self.arrivals: list[float] = []
 
     def serve(self) -> None:
+        """Answer the connection until it ends."""
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        begun = b""
+        unfinished = b""
         while data := self._socket.recv(1 << 16):
             now = time.monotonic()
-            *lines, begun = (begun + data).split(b"\n")
+            *lines, unfinished = (unfinished + data).split(b"\n")
             for line in lines:
                 if line.startswith(SET_POINTS):
                     self.arrivals.append(now)
@@ -92,7 +93,7 @@ class Peer:
 
 
 def serve_peers(pipe: Any) -> None:
-    """One connection after the other; tells the arrivals of each when it has ended."""
+    """Serve one connection after the other, and send the arrivals of each when it has ended."""
     with socket.create_server(("127.0.0.1", 0)) as listening:
         pipe.send(listening.getsockname()[1])
         while True:
@@ -105,6 +106,8 @@ def serve_peers(pipe: Any) -> None:
 
 
 class PeerProcess:
+    """Process that serves peers."""
+
     def __init__(self) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, there = context.Pipe()
@@ -113,33 +116,54 @@ class PeerProcess:
         self.port: int = self._pipe.recv()
 
     def arrivals(self) -> Floats:
+        """Return the times of arrival of the last connection, s."""
         return np.array(self._pipe.recv())
 
     def close(self) -> None:
+        """End the process."""
         self._process.terminate()
         self._process.join()
 
 
 def smooth(start: Floats, goal: Floats, duration: float) -> JointTrajectory:
-    """Minimum-jerk motion, at rest at both ends."""
+    """Return a minimum-jerk motion that starts and ends at rest.
+
+    Args:
+        start: Joint positions at the start, rad.
+        goal: Joint positions at the end, rad.
+        duration: Duration, s.
+    """
     at = np.linspace(0.0, 1.0, 1 + round(duration / PERIOD))
-    way = 10 * at**3 - 15 * at**4 + 6 * at**5
-    return JointTrajectory(period=PERIOD, positions=(start + way[:, None] * (goal - start)).tolist())
+    share = 10 * at**3 - 15 * at**4 + 6 * at**5
+    return JointTrajectory(period=PERIOD, positions=(start + share[:, None] * (goal - start)).tolist())
 
 
 @asynccontextmanager
 async def connected(port: int) -> AsyncIterator[Any]:
+    """Connect the driver to the peer at a port."""
     async with kst.open_devices(("robot",), {"kst": {"port": port}}, SystemClock()) as devices:
         await devices["robot"].connect()
         yield devices["robot"]
 
 
 async def stream_by_driver(port: int, seconds: float) -> None:
+    """Stream set points by the driver.
+
+    Args:
+        port: Port of the peer.
+        seconds: Duration, s.
+    """
     async with connected(port) as robot:
         await robot.follow(smooth(HOME, HOME + 0.2, seconds))
 
 
 async def stream_by_asyncio(port: int, seconds: float) -> None:
+    """Stream lines by a bare asyncio timer.
+
+    Args:
+        port: Port of the peer.
+        seconds: Duration, s.
+    """
     _, writer = await asyncio.open_connection("127.0.0.1", port)
     due = time.monotonic()
     for _ in range(round(seconds / PERIOD)):
@@ -150,6 +174,12 @@ async def stream_by_asyncio(port: int, seconds: float) -> None:
 
 
 def stream_by_thread(port: int, seconds: float) -> None:
+    """Stream lines by a thread's `time.sleep`.
+
+    Args:
+        port: Port of the peer.
+        seconds: Duration, s.
+    """
     with socket.create_connection(("127.0.0.1", port)) as connection:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         due = time.monotonic()
@@ -160,6 +190,7 @@ def stream_by_thread(port: int, seconds: float) -> None:
 
 
 def measure_servo(seconds: float) -> Report:
+    """Return the intervals between set points."""
     peer, turn = PeerProcess(), 2.0
     streams: dict[str, Callable[[], Any]] = {
         "set points of the driver": lambda: run(stream_by_driver(peer.port, turn)),
@@ -176,7 +207,7 @@ def measure_servo(seconds: float) -> Report:
 
 
 class Silence:
-    """A bus to which nobody listens, for the device node."""
+    """Bus without listeners, for the device node."""
 
     def publish(self, _key: str, _message: Any) -> None: ...
 
@@ -188,10 +219,15 @@ class Silence:
 
 
 async def stop_often(port: int, stops: int) -> tuple[list[float], list[int]]:
-    """When each Stop came, and how many set points had been sent by then."""
+    """Return the time of each Stop, s, and the number of set points that had been sent before.
+
+    Args:
+        port: Port of the peer.
+        stops: Number of Stops.
+    """
     sent: list[float] = []
     note_set_points(sent)
-    told, before = [], []
+    stopped_at, before = [], []
     bus: Any = Silence()
     rng = np.random.default_rng(1)
     async with connected(port) as robot:
@@ -201,19 +237,27 @@ async def stop_often(port: int, stops: int) -> tuple[list[float], list[int]]:
             going = asyncio.create_task(robot.follow(smooth(here, HOME + 0.3 * (1 - number % 2), 2.0)))
             await asyncio.sleep(0.4 + PERIOD * rng.random())
             before.append(len(sent))
-            told.append(time.monotonic())
+            stopped_at.append(time.monotonic())
             node.stop("benchmark")
             await going
-    return told, before
+    return stopped_at, before
 
 
 def note_set_points(sent: list[float]) -> None:
+    """Record the times at which the cabinet's driver sends set points."""
     for name in ("stream", "stream_for_joints", "stream_for_torques"):
-        setattr(Cabinet, name, noted(getattr(Cabinet, name), sent))
+        setattr(KstConnection, name, recording(getattr(KstConnection, name), sent))
 
 
-def noted(original: Any, sent: list[float]) -> Any:
-    def send(self: Cabinet, positions: Any) -> Any:
+def recording(original: Any, sent: list[float]) -> Any:
+    """Return a method that records the time of each call.
+
+    Args:
+        original: Method of the cabinet.
+        sent: List of times, s.
+    """
+
+    def send(self: KstConnection, positions: Any) -> Any:
         sent.append(time.monotonic())
         return original(self, positions)
 
@@ -221,6 +265,12 @@ def noted(original: Any, sent: list[float]) -> Any:
 
 
 async def round_trips(port: int, count: int) -> list[float]:
+    """Return the times of bare round trips, s.
+
+    Args:
+        port: Port of the peer.
+        count: Number of round trips.
+    """
     reader, writer = await asyncio.open_connection("127.0.0.1", port)
     found = []
     for _ in range(count):
@@ -234,16 +284,22 @@ async def round_trips(port: int, count: int) -> list[float]:
 
 
 def measure_stop(seconds: float) -> Report:
+    """Return the delays from Stop to the first braking set point."""
     peer = PeerProcess()
-    told, before = run(stop_often(peer.port, max(10, round(4 * seconds))))
-    delays = peer.arrivals()[before] - np.array(told)
+    stopped_at, before = run(stop_often(peer.port, max(10, round(4 * seconds))))
+    delays = peer.arrivals()[before] - np.array(stopped_at)
     bare = np.array(run(round_trips(peer.port, 500))) / 2
     peer.close()
     return {"Stop to first braking set point": summary(delays), "half a bare round trip": summary(bare)}
 
 
 async def tracker_ages(driver: str, seconds: float) -> tuple[Floats, Floats]:
-    """Ages on arrival, and at moments that have nothing to do with it, s."""
+    """Return the ages of poses on arrival, and at independent moments, s.
+
+    Args:
+        driver: Name of the tracker's driver.
+        seconds: Duration, s.
+    """
     from pcmrs.bus import Bus
     from pcmrs.bus.seal import Seal, new_key
     from pcmrs.devices.poses import PoseFeed
@@ -252,7 +308,7 @@ async def tracker_ages(driver: str, seconds: float) -> tuple[Floats, Floats]:
     from pcmrs.settings import read_settings
 
     def ended(_devices: list[str]) -> bool:
-        return False  # a node that has ended measures nothing: it is not begun anew
+        return False  # a node that has ended is not restarted, since it measures nothing
 
     ports = free_port(), free_port()
     with tempfile.TemporaryDirectory() as folder:
@@ -278,10 +334,17 @@ async def tracker_ages(driver: str, seconds: float) -> tuple[Floats, Floats]:
             nodes.start(supervisor)
             await feed.collect(("coil",), 60, 60.0)
             arrived.clear()
-            return await looked_at(feed, clock, seconds), np.array(arrived)
+            return await sampled_ages(feed, clock, seconds), np.array(arrived)
 
 
-async def looked_at(feed: Any, clock: SystemClock, seconds: float) -> Floats:
+async def sampled_ages(feed: Any, clock: SystemClock, seconds: float) -> Floats:
+    """Return the ages of the newest pose at random moments, s.
+
+    Args:
+        feed: Feed of poses.
+        clock: Clock of the machine.
+        seconds: Duration, s.
+    """
     rng, found, end = np.random.default_rng(1), [], time.monotonic() + seconds
     while time.monotonic() < end:
         await asyncio.sleep(0.01 * rng.random())
@@ -291,6 +354,7 @@ async def looked_at(feed: Any, clock: SystemClock, seconds: float) -> Floats:
 
 
 def measure_tracker(seconds: float) -> Report:
+    """Return the ages of poses."""
     found = {}
     for driver, name in (("ndi", "virtual NDI"), ("sim", "simulated tracker")):
         looked, arrived = run(tracker_ages(driver, seconds))
@@ -300,7 +364,7 @@ def measure_tracker(seconds: float) -> Report:
 
 
 class Daemon:
-    """What the link shows: three bodies that are always seen, and nothing else."""
+    """Data source of the link: three bodies that are always seen, and nothing else."""
 
     def __init__(self) -> None:
         from pcmrs.spatial import Transform
@@ -324,6 +388,7 @@ class Daemon:
 
 
 async def ours_to_pyigtl(count: int) -> list[float]:
+    """Return the delays of our link's messages at pyigtl's client, s."""
     from pcmrs.gateway.links import open_gateway
     from pcmrs.gateway.settings import GatewayConfig, LinkConfig, OpenIgtLinkConfig
 
@@ -344,6 +409,13 @@ async def ours_to_pyigtl(count: int) -> list[float]:
 
 
 def listen(host: str, port: int, count: int) -> list[float]:
+    """Return the delays of messages at pyigtl's client, s.
+
+    Args:
+        host: Host of the link.
+        port: Port of the link.
+        count: Number of messages.
+    """
     import pyigtl
 
     client = pyigtl.OpenIGTLinkClient(host, port)
@@ -354,11 +426,13 @@ def listen(host: str, port: int, count: int) -> list[float]:
 
 
 def delay_of(client: Any) -> float:
+    """Return the delay of the next message, s."""
     message = client.wait_for_message("CoilToImage", 5)
     return time.time() - float(message.timestamp)
 
 
 def pyigtl_to_pyigtl(count: int) -> list[float]:
+    """Return the delays of messages from pyigtl's server to its client, s."""
     import pyigtl
 
     port = free_port()
@@ -377,6 +451,7 @@ def pyigtl_to_pyigtl(count: int) -> list[float]:
 
 
 def measure_openigtlink(seconds: float) -> Report:
+    """Return the delays of OpenIGTLink messages."""
     count = max(100, round(100 * seconds))
     ours = np.array(run(ours_to_pyigtl(count)))
     return {"our link": summary(ours), "pyigtl's server": summary(np.array(pyigtl_to_pyigtl(count)))}
@@ -386,7 +461,7 @@ RATE, BLOCK = 5000, 0.010
 
 
 class Amplifier:
-    """Zeros with time stamps, and the marker outlet beside it."""
+    """Stream of zeros with time stamps, and a marker outlet."""
 
     def __init__(self, name: str) -> None:
         from pcmrs.devices.lsl.library import load_lsl
@@ -398,6 +473,7 @@ class Amplifier:
         self.markers = MarkerOutlet(f"{name}-markers")
 
     async def run(self) -> None:
+        """Send blocks until cancelled."""
         sent = int(self.lsl.local_clock() * RATE)
         while True:
             await asyncio.sleep(BLOCK)
@@ -407,7 +483,12 @@ class Amplifier:
 
 
 async def epoch_delays(count: int, after: float = 0.05) -> tuple[list[float], list[float]]:
-    """Of epochs of the driver, and of a bare inlet, s behind the time of their last sample."""
+    """Return the delays of epochs of the driver, and of a bare inlet, after their last sample, s.
+
+    Args:
+        count: Number of epochs.
+        after: Length of an epoch after the pulse, s.
+    """
     from pcmrs.devices.lsl.markers import PulseMarker
     from pcmrs.errors import DeviceError
 
@@ -441,6 +522,13 @@ async def epoch_delays(count: int, after: float = 0.05) -> tuple[list[float], li
 
 
 async def newest_sample(inlet: Any, wanted: float, clock: Callable[[], float]) -> float:
+    """Wait for a sample at a time or later, and return the delay, s.
+
+    Args:
+        inlet: Bare inlet.
+        wanted: Time of the sample, s.
+        clock: Clock of the streams.
+    """
     while True:
         _, times = inlet.pull_chunk(max_samples=1 << 16)
         if times and times[-1] >= wanted:
@@ -449,17 +537,19 @@ async def newest_sample(inlet: Any, wanted: float, clock: Callable[[], float]) -
 
 
 def measure_emg(seconds: float) -> Report:
+    """Return the delays of epochs."""
     ours, bare = run(epoch_delays(max(20, round(5 * seconds))))
     return {"epoch of the driver": summary(np.array(ours)), "bare inlet": summary(np.array(bare))}
 
 
 def run(coroutine: Any) -> Any:
-    """In the loop that device nodes and daemon have."""
+    """Run a coroutine in the kind of loop that device nodes and daemon use."""
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         return runner.run(coroutine)
 
 
 def summary(times: Floats) -> dict[str, float]:
+    """Return number, quantiles and maximum of times, ms."""
     p50, p99 = np.percentile(times, (50, 99)) * 1e3
     return {"count": len(times), "p50_ms": float(p50), "p99_ms": float(p99), "max_ms": float(times.max() * 1e3)}
 
@@ -474,6 +564,12 @@ MEASUREMENTS: dict[str, tuple[str, Callable[[float], Report]]] = {
 
 
 def show(title: str, rows: Report) -> None:
+    """Print one table.
+
+    Args:
+        title: Title of the table.
+        rows: Statistics by row; the last one is the bare counterpart.
+    """
     print(f"{title}\n  {'':34} {'count':>6} {'p50 ms':>8} {'p99 ms':>8} {'max ms':>8} {'p99, ratio':>11}")
     bare = list(rows.values())[-1]["p99_ms"]
     for name, row in rows.items():
@@ -484,15 +580,14 @@ def show(title: str, rows: Report) -> None:
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "what", nargs="*", metavar="WHAT", help=f"of {', '.join(MEASUREMENTS)}; all where none is named"
-    )
-    parser.add_argument("--seconds", type=float, default=10.0, help="about so long each")
+    parser.add_argument("what", nargs="*", metavar="WHAT", help=f"one of {', '.join(MEASUREMENTS)}; all by default")
+    parser.add_argument("--seconds", type=float, default=10.0, help="approximate duration of each, s")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     if unknown := set(arguments.what) - set(MEASUREMENTS):
-        parser.error(f"there is no {', '.join(sorted(unknown))}; choose among {', '.join(MEASUREMENTS)}")
+        parser.error(f"unknown measurement {', '.join(sorted(unknown))}; choose from {', '.join(MEASUREMENTS)}")
     structlog.configure(logger_factory=structlog.ReturnLoggerFactory())
     load = os.getloadavg()[0]
     machine = f"{platform.machine()}, {os.cpu_count()} cores, load {load:.1f}, Python {platform.python_version()}"

@@ -1,7 +1,7 @@
-"""How long a command takes to be decided: UDP and Zenoh, beside a bare echo of the same kind, in one run.
+"""Time from a command to its decision: UDP and Zenoh, compared with a bare echo of the same kind, in one run.
 
-Prints p50, p99 and max in µs and the ratio of the medians. The server runs in a process of its own: the real
-gateway, dispatcher, RATMS workflow and journal, without devices, since the commands asked for touch none
+Prints p50, p99 and max in µs and the ratio of the medians. The server runs in a separate process: the real gateway,
+dispatcher, RATMS workflow and journal, without devices, since the requested commands need none
 (`toolplan.plan`, accepted, changes a state; `registration.register`, rejected). Clients and servers share the machine.
 
     .venv/bin/python benchmarks/dispatch.py [--count 3000] [--warm-up 300]
@@ -54,11 +54,13 @@ from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.settings import ProcedureSettings
 from pcmrs.workflows.surface import read_surface
 
-PAUSE = 0.0005  # s between commands, as planners leave far more: what is measured is latency, not throughput
+PAUSE = 0.0005  # s between commands; planners leave far more, so this measures latency and not throughput
 PLAN = {"position": [0.0, 0.05, 0.1], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
 
 
 class Echo(asyncio.DatagramProtocol):
+    """Bare echo server."""
+
     def connection_made(self, transport: Any) -> None:
         self.transport = transport
 
@@ -67,7 +69,7 @@ class Echo(asyncio.DatagramProtocol):
 
 
 class Shown(DispatcherListener):
-    """Puts the messages of a dispatcher on the bus, as the daemon does."""
+    """Publishes the messages of a dispatcher on the bus, like the daemon."""
 
     def __init__(self, publishing: Publishing) -> None:
         self._publishing = publishing
@@ -77,12 +79,18 @@ class Shown(DispatcherListener):
 
 
 async def nothing_to_hold(_latch: bool) -> None:
-    """There is no arm: the Stop with which the dispatcher ends need not wait for one."""
+    """Do nothing: there is no arm for which the dispatcher's last Stop must wait."""
 
 
 @contextlib.asynccontextmanager
-async def opened(endpoint: str, folder: Path, durable: bool) -> AsyncIterator[dict[str, int]]:
-    """The server in this process; yields its ports."""
+async def running_server(endpoint: str, folder: Path, durable: bool) -> AsyncIterator[dict[str, int]]:
+    """Run the server in this process; yield its ports.
+
+    Args:
+        endpoint: Zenoh endpoint of the bus.
+        folder: Folder of the journal.
+        durable: True to synchronise every commit.
+    """
     loop, clock = asyncio.get_running_loop(), SystemClock()
     echo, _ = await loop.create_datagram_endpoint(Echo, local_addr=("127.0.0.1", 0))
     bus = await Bus.open(BusSettings(mode="router", endpoint=endpoint, cell="benchmark"))
@@ -120,17 +128,29 @@ async def opened(endpoint: str, folder: Path, durable: bool) -> AsyncIterator[di
 
 
 async def serve(endpoint: str, folder: Path, durable: bool) -> None:
-    """Run until standard input ends; print the ports as one line of JSON, and nothing else."""
+    """Run the server until standard input ends; print only the ports as one line of JSON.
+
+    Args:
+        endpoint: Zenoh endpoint of the bus.
+        folder: Folder of the journal.
+        durable: True to synchronise every commit.
+    """
     log_to_stderr()
     keep_pauses_short()
     ended = asyncio.Event()
     asyncio.get_running_loop().add_reader(sys.stdin.fileno(), ended.set)
-    async with opened(endpoint, folder, durable) as ports:
+    async with running_server(endpoint, folder, durable) as ports:
         print(json.dumps(ports), flush=True)
         await ended.wait()
 
 
 def measure_udp(port: int, datagrams: list[bytes]) -> list[float]:
+    """Return the round-trip times of datagrams, µs.
+
+    Args:
+        port: Port of the server.
+        datagrams: Datagrams to send.
+    """
     times = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
         client.settimeout(2.0)
@@ -145,6 +165,13 @@ def measure_udp(port: int, datagrams: list[bytes]) -> list[float]:
 
 
 def measure_query(session: zenoh.Session, key: str, payloads: list[bytes]) -> list[float]:
+    """Return the round-trip times of queries, µs.
+
+    Args:
+        session: Zenoh session.
+        key: Key of the queries.
+        payloads: Payloads to send.
+    """
     times = []
     for payload in payloads:
         begin = time.perf_counter_ns()
@@ -157,12 +184,17 @@ def measure_query(session: zenoh.Session, key: str, payloads: list[bytes]) -> li
 
 
 def register_datagrams(count: int) -> list[bytes]:
-    """Commands that the workflow rejects, each with an id of its own."""
+    """Return commands that the workflow rejects, each with a different id."""
     return [format_command("start_registrati", client_id=str(10_000 + n)) for n in range(count)]
 
 
 def measure_plans(port: int, count: int) -> list[float]:
-    """Time from the second half of a plan to its verdict: accepted, journalled, a state changed."""
+    """Return the times from the second half of a plan to its verdict, µs: accepted, journalled, a state changed.
+
+    Args:
+        port: Port of the planner's link.
+        count: Number of plans.
+    """
     times = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
         client.settimeout(2.0)
@@ -183,7 +215,12 @@ def measure_plans(port: int, count: int) -> list[float]:
 
 
 def measure_commit(folder: Path, count: int) -> list[float]:
-    """One SQLite commit with fsync, alone."""
+    """Return the times of single SQLite commits with fsync, µs.
+
+    Args:
+        folder: Folder of the database.
+        count: Number of commits.
+    """
     connection = sqlite3.connect(folder / "commit.sqlite", isolation_level=None)
     connection.execute("PRAGMA journal_mode=WAL")
     connection.execute("PRAGMA synchronous=FULL")
@@ -199,6 +236,13 @@ def measure_commit(folder: Path, count: int) -> list[float]:
 
 @contextlib.contextmanager
 def server(endpoint: str, folder: Path, durable: bool) -> Any:
+    """Start the server process for the length of the context; yield its ports.
+
+    Args:
+        endpoint: Zenoh endpoint of the bus.
+        folder: Folder of the journal.
+        durable: True to synchronise every commit.
+    """
     command = [sys.executable, __file__, "--serve", endpoint, str(folder), *(["--durable"] if durable else [])]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
@@ -209,6 +253,13 @@ def server(endpoint: str, folder: Path, durable: bool) -> Any:
 
 
 def row(name: str, times: list[float], base: list[float] | None = None) -> None:
+    """Print one row of the table.
+
+    Args:
+        name: Name of the row.
+        times: Times, µs.
+        base: Times of the bare counterpart; None if this is one.
+    """
     ordered = sorted(times)
     p99 = ordered[int(0.99 * (len(ordered) - 1))]
     ratio = f"{median(times) / median(base):6.2f}" if base else "  1.00"
@@ -216,6 +267,13 @@ def row(name: str, times: list[float], base: list[float] | None = None) -> None:
 
 
 def compare(durable: bool, count: int, warm_up: int) -> None:
+    """Measure all kinds of commands and print a table.
+
+    Args:
+        durable: True to synchronise every commit.
+        count: Number of commands of each kind.
+        warm_up: Number of commands before those.
+    """
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with tempfile.TemporaryDirectory(dir=os.environ.get("BENCHMARK_FOLDER")) as name:
         folder = Path(name)
@@ -240,8 +298,8 @@ def compare(durable: bool, count: int, warm_up: int) -> None:
                 empty = [b"{}"] * (count + warm_up)
                 bare = measure_query(session, f"{prefix}/svc/echo", empty)[warm_up:]
                 row("Zenoh, bare query answered in the loop", bare)
-                asked = [msgspec.json.encode({"arguments": PLAN})] * (count + warm_up)
-                planned = measure_query(session, f"{prefix}/cmd/local/toolplan/plan", asked)[warm_up:]
+                payloads = [msgspec.json.encode({"arguments": PLAN})] * (count + warm_up)
+                planned = measure_query(session, f"{prefix}/cmd/local/toolplan/plan", payloads)[warm_up:]
                 row("Zenoh query → verdict, accepted and committed", planned, bare)
             if durable:
                 commit = measure_commit(folder, count)
@@ -253,6 +311,7 @@ def compare(durable: bool, count: int, warm_up: int) -> None:
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=3000)
     parser.add_argument("--warm-up", type=int, default=300, help="commands before those that count")

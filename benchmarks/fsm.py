@@ -1,12 +1,12 @@
-"""Events per second of the state machine core, beside other state machine libraries, in one run.
+"""Events per second of the state machine core, compared with other state machine libraries in one run.
 
-The same machine everywhere: registration with 4 states, of which `planned` has a nested child with two states;
+All libraries run the same machine: registration with 4 states, of which `planned` has a nested child with two states;
 the cycle of events is plan, touch, complete, register, clear. What happens at an event differs: the peers change a
 state; PCMRS moves every branch that the closure of the command names, signals the parent (Rule 2), re-initiates the
-child (Rule 3), and checks that each branch has one active state. A closure depends on the joint state alone, so the
-engine works it out when it is first asked for in a joint state and remembers it: in this cycle all are remembered
-after the first round. The row "closures worked out anew" is the same without that memory. A bare dict dispatch is
-the limit. All take turns in short rounds, so that the machine's moods reach all alike.
+child (Rule 3), and checks that each branch has one active state. A closure depends only on the joint state, so the
+engine computes it at the first request in a joint state and caches it: in this cycle all are cached after the first
+round. The row "closures not cached" is the engine without that cache. A bare dict dispatch is the limit. All take turns
+in short rounds, so that changes of the machine's load affect all alike.
 
     .venv/bin/python benchmarks/fsm.py [--rounds 20] [--events 500] [--json]
 """
@@ -108,7 +108,7 @@ AsyncSend = Callable[[str, str], Awaitable[object]]
 
 
 class Chart(StateChart[Any]):
-    """The machine for python-statemachine."""
+    """Machine for python-statemachine."""
 
     class planned(State.Compound):  # noqa: N801
         open = State(initial=True)
@@ -125,14 +125,14 @@ class Chart(StateChart[Any]):
 
 
 class AsyncChart(Chart):
-    """With a coroutine, so that python-statemachine takes its asynchronous engine."""
+    """Machine with a coroutine, for which python-statemachine uses its asynchronous engine."""
 
     async def on_plan(self) -> None:
-        """Does nothing."""
+        """Do nothing."""
 
 
 def bare() -> Send:
-    """The limit: one dictionary, no checks."""
+    """Return the limit: one dictionary without checks."""
     table = {
         ("empty", "plan"): "open",
         ("open", "touch"): "half",
@@ -149,11 +149,12 @@ def bare() -> Send:
 
 
 def engine() -> Send:
+    """Return the engine of PCMRS."""
     return Engine(parse_blueprint(BLUEPRINT)).perform
 
 
-def engine_without_memory() -> Send:
-    """What the engine does in a joint state in which it has never been asked."""
+def engine_without_cache() -> Send:
+    """Return the engine as it behaves in a joint state without cached closures."""
     blueprint = parse_blueprint(BLUEPRINT)
     states = StateSet(blueprint)
 
@@ -199,8 +200,8 @@ async def bare_async() -> AsyncSend:
     return asend
 
 
-class Nowhere:
-    """A recorder that forgets: the dispatcher without a journal."""
+class NullRecorder:
+    """Recorder that stores nothing: the dispatcher without a journal."""
 
     def __init__(self) -> None:
         self._done: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -239,7 +240,7 @@ def dispatching(recorder: Any) -> AsyncSend:
 
 
 async def dispatcher_without_journal() -> AsyncSend:
-    return dispatching(Nowhere())
+    return dispatching(NullRecorder())
 
 
 async def transitions_async() -> AsyncSend:
@@ -262,6 +263,12 @@ async def python_statemachine_async() -> AsyncSend:
 
 
 def measure(send: Send, events: int) -> list[float]:
+    """Return the time of each event, µs.
+
+    Args:
+        send: Sends one event.
+        events: Number of events.
+    """
     times = []
     for number in range(events):
         branch, event = CYCLE[number % len(CYCLE)]
@@ -272,17 +279,30 @@ def measure(send: Send, events: int) -> list[float]:
 
 
 async def measure_async(send: AsyncSend, events: int) -> list[float]:
+    """Return the time of each event, µs.
+
+    Args:
+        send: Sends one event.
+        events: Number of events.
+    """
     times = []
     for number in range(events):
         branch, event = CYCLE[number % len(CYCLE)]
         begin = time.perf_counter_ns()
         await send(branch, event)
-        await asyncio.sleep(0)  # what was put off until the next turn of the loop belongs to the event
+        await asyncio.sleep(0)  # work that is deferred to the next turn of the loop belongs to the event
         times.append((time.perf_counter_ns() - begin) / 1000.0)
     return times
 
 
 def summary(name: str, times: Sequence[float], *, peer: bool) -> dict[str, Any]:
+    """Return one row of the results.
+
+    Args:
+        name: Name of the library.
+        times: Times, µs.
+        peer: True for another library.
+    """
     ordered = sorted(times)
     return {
         "name": name,
@@ -294,12 +314,18 @@ def summary(name: str, times: Sequence[float], *, peer: bool) -> dict[str, Any]:
 
 
 async def run(rounds: int, events: int) -> dict[str, list[dict[str, Any]]]:
+    """Measure all libraries in turn.
+
+    Args:
+        rounds: Number of rounds after the one that warms up.
+        events: Number of events per round.
+    """
     events -= events % len(CYCLE)
     peers = {"transitions", "python-statemachine", "sismic"}
     sync = {
         "bare dict": bare(),
         "PCMRS engine": engine(),
-        "PCMRS engine, closures worked out anew": engine_without_memory(),
+        "PCMRS engine, closures not cached": engine_without_cache(),
         "transitions": transitions_machine(),
         "python-statemachine": python_statemachine(),
         "sismic": sismic_interpreter(),
@@ -331,6 +357,7 @@ async def run(rounds: int, events: int) -> dict[str, list[dict[str, Any]]]:
 
 
 def report(results: dict[str, list[dict[str, Any]]]) -> None:
+    """Print the results."""
     print(f"Python {platform.python_version()}, {platform.machine()}; events per second, and µs per event")
     for kind, rows in results.items():
         fastest = max(row["events_per_s"] for row in rows if row["peer"])
@@ -342,6 +369,7 @@ def report(results: dict[str, list[dict[str, Any]]]) -> None:
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--events", type=int, default=500, help="per round")

@@ -30,7 +30,7 @@ Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def sizes(tree: Path) -> dict[str, float]:
-    """Sizes of the product's modules, and how far they are documented."""
+    """Return sizes and documentation of the product's modules."""
     sources = [path.read_text() for path in sorted((tree / PRODUCT).rglob("*.py"))]
     lines = [source.count("\n") for source in sources]
     comments = sum(map(_comments, sources))
@@ -50,14 +50,14 @@ def sizes(tree: Path) -> dict[str, float]:
 
 
 def _comments(source: str) -> int:
-    """Lines that are comments, those for tools not counted."""
+    """Return the number of comment lines, without those for tools."""
     tokens = tokenize.generate_tokens(io.StringIO(source).readline)
     texts = (token.string for token in tokens if token.type == tokenize.COMMENT)
     return sum(not text.startswith(("#!", "# noqa", "# type:", "# fmt:")) for text in texts)
 
 
 def _public(node: ast.AST) -> Iterator[Function]:
-    """Functions and methods without an underscore; not overrides, overloads, setters and commands."""
+    """Yield functions and methods without an underscore, except overrides, overloads, setters and commands."""
     for child in ast.iter_child_nodes(node):
         if (isinstance(child, ast.ClassDef) and not child.name.startswith("_")) or isinstance(child, ast.If | ast.Try):
             yield from _public(child)
@@ -74,7 +74,7 @@ def _arguments(function: Function) -> list[str]:
 
 
 class Route:
-    """Calls of functions of the product while it is entered: in the thread that made it, and in those begun since.
+    """Records calls of the product's functions while it is entered, in this thread and in later ones.
 
     Args:
         package: Folder of the product.
@@ -97,7 +97,7 @@ class Route:
         sys.setprofile(None)
 
     def found(self) -> dict[str, int]:
-        """Calls, different functions and files."""
+        """Return the numbers of calls, of different functions, and of files."""
         return {
             "calls": len(self._calls),
             "functions": len(set(self._calls)),
@@ -111,7 +111,7 @@ class Route:
 
 
 async def route() -> dict[str, int]:
-    """The route of one accepted command, after some that warm up what is made once."""
+    """Return the route of one accepted command, after some commands that initialize caches."""
     import dispatch
 
     import pcmrs
@@ -122,7 +122,7 @@ async def route() -> dict[str, int]:
     log_to_stderr()
     counted = Route(Path(pcmrs.__file__).parent)
     with tempfile.TemporaryDirectory() as folder:
-        async with dispatch.opened(f"tcp/127.0.0.1:{free_port()}", Path(folder), durable=True) as ports:
+        async with dispatch.running_server(f"tcp/127.0.0.1:{free_port()}", Path(folder), durable=True) as ports:
             reader = asyncio.Queue[bytes]()
 
             class Client(asyncio.DatagramProtocol):
@@ -134,7 +134,7 @@ async def route() -> dict[str, int]:
             for n in range(20):
                 link.sendto(format_command("target_rotxxxxxx", 0.0, 0.0, 0.0, 1.0, client_id=str(2 * n)))
                 await reader.get()
-                await asyncio.sleep(0.05)  # what follows from the command before has ended
+                await asyncio.sleep(0.05)  # effects of the earlier command have ended
                 if n < 19:
                     link.sendto(format_command("target_tslxxxxxx", 0.0, 0.05, 0.1, client_id=str(2 * n + 1)))
                     await reader.get()
@@ -149,6 +149,7 @@ async def route() -> dict[str, int]:
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tree", type=Path, default=Path(__file__).parents[1])
     parser.add_argument("--route", action="store_true")

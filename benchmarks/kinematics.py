@@ -1,15 +1,16 @@
-"""Inverse kinematics: success, accuracy and time beside pin-pink, mink, ikpy and pytracik, in one run.
+"""Inverse kinematics: success, accuracy and time, compared with pin-pink, mink, ikpy and pytracik in one run.
 
-Random targets that the arm reaches, made by forward kinematics from postures within its limits, each with a random
-posture to start from; and small steps, 3 mm and 0.3 deg at most from the posture to start from, a few of which lead
-out of the joint limits or of the workspace, so that nobody reaches them. A target counts as
-reached within 0.01 mm and 0.01 mrad and within the joint limits. PCMRS answers the random targets by `inverse` (closed
+Random targets are reachable, made by forward kinematics from postures within the limits, each with a random start
+posture. Small steps are at most 3 mm and 0.3 deg from the start posture; a few of them lead out of the joint limits or
+of the workspace, so that no solver reaches them. A target counts as reached within 0.01 mm and 0.01 mrad and within the
+joint limits. PCMRS answers the random targets by `inverse` (closed
 form for the iiwa, damped least squares with restarts for others), the small steps by `track`. The peers get one start
 each, as their users give them: pink and mink iterate to 1e-10 or 200 steps, ikpy and pytracik stop by themselves. None
-of the peers chooses among postures, and only pytracik starts anew.
+of the peers chooses between postures, and only pytracik retries from another start.
 
-All take turns on the same targets, so that the machine's moods reach all alike; PCMRS answers `--targets` more of them
-alone, for its rate of success. Peers that are not installed are named and left out (`pip install 'pcmrs[compare]'`).
+All take turns on the same targets, so that changes of the machine's load affect all alike; PCMRS answers `--targets`
+more of them alone, for its rate of success. Peers that are not installed are named and left out (`pip install
+'pcmrs[compare]'`).
 
     .venv/bin/python benchmarks/kinematics.py [--arms iiwa14 panda ur5] [--targets 10000] [--shared 100] [--json]
 """
@@ -48,6 +49,13 @@ TOLERANCE = 1e-10
 
 
 def own(arm: ArmModel, solve: Callable[[ArmModel, Transform, Floats], Floats]) -> Solve:
+    """Return a solver of PCMRS.
+
+    Args:
+        arm: Model of the arm.
+        solve: Function of PCMRS.
+    """
+
     def answer(target: Transform, seed: Floats) -> Floats | None:
         try:
             return solve(arm, target, seed)
@@ -58,6 +66,7 @@ def own(arm: ArmModel, solve: Callable[[ArmModel, Transform, Floats], Floats]) -
 
 
 def pink_solver(_arm: ArmModel, file: Path) -> Solve:
+    """Return a solver of pin-pink."""
     import pinocchio
     from pink import Configuration, solve_ik
     from pink.tasks import FrameTask
@@ -80,6 +89,7 @@ def pink_solver(_arm: ArmModel, file: Path) -> Solve:
 
 
 def mink_solver(arm: ArmModel, _file: Path) -> Solve:
+    """Return a solver of mink."""
     import mink
     import mujoco
 
@@ -100,6 +110,12 @@ def mink_solver(arm: ArmModel, _file: Path) -> Solve:
 
 
 def ikpy_solver(arm: ArmModel, file: Path) -> Solve:
+    """Return a solver of ikpy.
+
+    Args:
+        arm: Model of the arm.
+        file: URDF file of the arm.
+    """
     from ikpy.chain import Chain
 
     mask = [False, *[True] * arm.joints, False]
@@ -113,6 +129,7 @@ def ikpy_solver(arm: ArmModel, file: Path) -> Solve:
 
 
 def pytracik_solver(_arm: ArmModel, file: Path) -> Solve:
+    """Return a solver of pytracik."""
     from trac_ik import TracIK
 
     solver = TracIK("base", "flange", str(file), timeout=0.05, epsilon=1e-9)
@@ -128,11 +145,25 @@ PEERS = {"pin-pink": pink_solver, "mink": mink_solver, "ikpy": ikpy_solver, "pyt
 
 
 def random_targets(arm: ArmModel, count: int, seed: int) -> list[Problem]:
+    """Return random reachable targets, each with a start posture.
+
+    Args:
+        arm: Model of the arm.
+        count: Number of targets.
+        seed: Seed of the random numbers.
+    """
     pairs = np.random.default_rng(seed).uniform(arm.lower, arm.upper, (count, 2, arm.joints))
     return [(arm.forward(known), start) for known, start in pairs]
 
 
 def small_steps(arm: ArmModel, count: int, seed: int) -> list[Problem]:
+    """Return targets near their start posture.
+
+    Args:
+        arm: Model of the arm.
+        count: Number of targets.
+        seed: Seed of the random numbers.
+    """
     rng = np.random.default_rng(seed)
     inset = 0.1 * (arm.upper - arm.lower)
     starts = rng.uniform(arm.lower + inset, arm.upper - inset, (count, arm.joints))
@@ -144,6 +175,12 @@ def small_steps(arm: ArmModel, count: int, seed: int) -> list[Problem]:
 
 
 def peers(arm: ArmModel, file: Path) -> dict[str, Solve]:
+    """Return the solvers of the installed peers.
+
+    Args:
+        arm: Model of the arm.
+        file: URDF file of the arm.
+    """
     found: dict[str, Solve] = {}
     for name, make in PEERS.items():
         with contextlib.suppress(ImportError):
@@ -152,7 +189,13 @@ def peers(arm: ArmModel, file: Path) -> dict[str, Solve]:
 
 
 def measure(arm: ArmModel, solvers: dict[str, Solve], problems: Iterable[Problem]) -> dict[str, dict[str, float]]:
-    """Success, error and time of each solver; times are those of all its answers, reached or not."""
+    """Return success, error and time of each solver; times include targets that were not reached.
+
+    Args:
+        arm: Model of the arm.
+        solvers: Solvers by name.
+        problems: Targets with their start postures.
+    """
     times: dict[str, list[float]] = {name: [] for name in solvers}
     errors: dict[str, list[float]] = {name: [] for name in solvers}
     for target, seed in problems:
@@ -165,7 +208,13 @@ def measure(arm: ArmModel, solvers: dict[str, Solve], problems: Iterable[Problem
 
 
 def error_of(arm: ArmModel, q: Floats, target: Transform) -> float:
-    """Distance from the target, m; infinite where it is not reached or a limit is broken."""
+    """Return the distance from the target, m; infinite if it is not reached or a limit is exceeded.
+
+    Args:
+        arm: Model of the arm.
+        q: Joint positions, rad.
+        target: Target pose of the flange.
+    """
     if np.any(q < arm.lower - 1e-9) or np.any(q > arm.upper + 1e-9):
         return np.inf
     reached = arm.forward(q)
@@ -174,6 +223,12 @@ def error_of(arm: ArmModel, q: Floats, target: Transform) -> float:
 
 
 def summary(times: Floats, errors: Floats) -> dict[str, float]:
+    """Return statistics of one solver.
+
+    Args:
+        times: Times, s.
+        errors: Distances from the targets, m.
+    """
     reached = np.isfinite(errors)
     return {
         "count": len(times),
@@ -185,6 +240,12 @@ def summary(times: Floats, errors: Floats) -> dict[str, float]:
 
 
 def show(title: str, rows: dict[str, dict[str, float]]) -> None:
+    """Print one table.
+
+    Args:
+        title: Title of the table.
+        rows: Statistics by solver; the first one is PCMRS.
+    """
     print(f"  {title}\n    {'':24} {'count':>6} {'success':>9} {'error':>9} {'median':>9} {'p99':>9} {'ratio':>7}")
     first = next(iter(rows.values()))["median_ms"]
     for name, row in rows.items():
@@ -195,6 +256,13 @@ def show(title: str, rows: dict[str, dict[str, float]]) -> None:
 
 
 def compare(name: str, targets: int, shared: int) -> dict[str, Any]:
+    """Return the results for one arm.
+
+    Args:
+        name: Name of the arm.
+        targets: Number of targets that PCMRS solves alone.
+        shared: Number of targets that all solve in turn.
+    """
     arm = ArmModel(find_arm(name))
     by_inverse, by_track = {"PCMRS inverse": own(arm, inverse)}, {"PCMRS track": own(arm, track)}
     with tempfile.TemporaryDirectory() as folder:
@@ -210,6 +278,7 @@ def compare(name: str, targets: int, shared: int) -> dict[str, Any]:
 
 
 def version_of(name: str) -> str:
+    """Return the installed version of a package."""
     try:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
@@ -217,13 +286,14 @@ def version_of(name: str) -> str:
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--arms", nargs="+", default=["iiwa14", "panda", "ur5"])
-    parser.add_argument("--targets", type=int, default=10_000, help="that PCMRS answers alone")
-    parser.add_argument("--shared", type=int, default=100, help="that all answer in turns")
+    parser.add_argument("--targets", type=int, default=10_000, help="number of targets that PCMRS solves alone")
+    parser.add_argument("--shared", type=int, default=100, help="number of targets that all solve in turn")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    warnings.simplefilter("ignore")  # of the peers, about limits that they leave
+    warnings.simplefilter("ignore")  # warnings of the peers about exceeded limits
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     versions = {name: version_of(name) for name in PEERS}
     results = {name: compare(name, arguments.targets, arguments.shared) for name in arguments.arms}

@@ -1,14 +1,13 @@
-"""The demo and the paper's operator errors beside programs that compute: how many runs pass, and why the others end.
+"""Demo and operator errors on a busy machine: how many runs pass, and why the others end.
 
-Every run starts a daemon of its own. It passes when its exit status is 0; of one that does not, the last line is shown,
-which names the reason. One that ends in a traceback or by its time limit counts as `broken`. Beside them, how late a
-bare timer of 100 ms is in a process that does nothing else.
+Every run starts a separate daemon. A run passes if its exit status is 0; otherwise its last line, which names the
+reason, is shown. A run that ends in a traceback or by its time limit counts as `broken`. The lateness of a bare timer
+of 100 ms in an idle process is measured at the same time.
 
     .venv/bin/python benchmarks/loaded.py [demo failures] [--runs 20] [--hogs 8] [--without-permission] [--json]
 
-`--without-permission` takes RLIMIT_RTPRIO and, from root, CAP_SYS_NICE away from the runs, so that no thread of theirs
-has the real-time policy.
-"""
+`--without-permission` removes RLIMIT_RTPRIO and, for root, CAP_SYS_NICE from the runs, so that none of their threads
+has the real-time policy."""
 
 from __future__ import annotations
 
@@ -36,22 +35,23 @@ Report = dict[str, dict[str, object]]
 
 
 def hog() -> None:
-    """Compute in a session of its own: Linux may give all processes of a session one share of the processors."""
+    """Compute in a separate session: Linux may give all processes of a session one share of the processors."""
     os.setsid()
     while True:
         sum(range(100_000))
 
 
 def note_timer(found: multiprocessing.SimpleQueue[float]) -> None:
+    """Report the lateness of a bare timer, s, until killed."""
     while True:
-        begun = time.monotonic()
+        started = time.monotonic()
         time.sleep(PERIOD)
-        found.put(time.monotonic() - begun - PERIOD)
+        found.put(time.monotonic() - started - PERIOD)
 
 
 @contextmanager
 def beside(hogs: int) -> Iterator[multiprocessing.SimpleQueue[float]]:
-    """Processes that compute, and one with a timer."""
+    """Run busy processes, and one with a timer, for the length of the context."""
     late: multiprocessing.SimpleQueue[float] = multiprocessing.SimpleQueue()
     processes = [multiprocessing.Process(target=hog, daemon=True) for _ in range(hogs)]
     processes.append(multiprocessing.Process(target=note_timer, args=(late,), daemon=True))
@@ -66,15 +66,20 @@ def beside(hogs: int) -> Iterator[multiprocessing.SimpleQueue[float]]:
 
 
 def without_permission() -> None:
-    """Of root, the capability is taken from whatever is executed from now on."""
+    """Drop the permission of the real-time policy; of root, the capability is dropped from later executables."""
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))
     if os.getuid() == 0 and ctypes.CDLL(None).prctl(PR_CAPBSET_DROP, CAP_SYS_NICE, 0, 0, 0) != 0:
         raise OSError("CAP_SYS_NICE cannot be dropped")
 
 
 def run_once(words: tuple[str, ...], prepare: Callable[[], None] | None) -> tuple[str, str, float]:
-    """How it ended (passed, held, broken), its last line, and how long it took, s."""
-    begun = time.monotonic()
+    """Return how one run ended (passed, held, broken), its last line, and its duration, s.
+
+    Args:
+        words: Words of the command.
+        prepare: Called in the child process before the command; None for nothing.
+    """
+    started = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         environment = {**os.environ, "HOME": folder, "XDG_STATE_HOME": folder, "TMPDIR": folder}
         command = [sys.executable, "-m", "pcmrs.cli", *words]
@@ -92,12 +97,20 @@ def run_once(words: tuple[str, ...], prepare: Callable[[], None] | None) -> tupl
             return "broken", f"not ended after {LONGEST:g} s", LONGEST
     lines = [line for line in (ended.stdout + ended.stderr).splitlines() if line.strip()]
     if ended.returncode == 0:
-        return "passed", "", time.monotonic() - begun
+        return "passed", "", time.monotonic() - started
     kind = "broken" if "Traceback" in ended.stderr else "held"
-    return kind, lines[-1] if lines else f"exit status {ended.returncode}", time.monotonic() - begun
+    return kind, lines[-1] if lines else f"exit status {ended.returncode}", time.monotonic() - started
 
 
 def measure(what: list[str], runs: int, hogs: int, prepare: Callable[[], None] | None) -> Report:
+    """Return the results of some commands.
+
+    Args:
+        what: Keys of `COMMANDS`.
+        runs: Number of runs of each.
+        hogs: Number of busy processes.
+        prepare: Called in the child process before the command; None for nothing.
+    """
     found: Report = {}
     for name in what:
         with beside(hogs) as late:
@@ -119,11 +132,12 @@ def measure(what: list[str], runs: int, hogs: int, prepare: Callable[[], None] |
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", nargs="*", choices=[*COMMANDS, []], help="which of them; all by default")
+    parser.add_argument("what", nargs="*", choices=[*COMMANDS, []], help="commands; all by default")
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--hogs", type=int, default=8)
-    parser.add_argument("--processors", type=int, default=2, help="that all of them share")
+    parser.add_argument("--processors", type=int, default=2, help="number of processors that all processes share")
     parser.add_argument("--without-permission", action="store_true")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()

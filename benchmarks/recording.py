@@ -1,9 +1,9 @@
-"""What recording costs: percent of one processor, beside a bare Zenoh subscriber that counts the same messages.
+"""Cost of recording: percent of one processor, compared with a bare Zenoh subscriber to the same messages.
 
-A router in a process of its own publishes what a cell at work does: three tracked bodies at 60 Hz, joints at 100 Hz, a
-snapshot and a verdict each second. Recorder and bare subscriber hear it at the same time, each in a process of its own;
-CPU time is user and system time of the process in the middle of its run, its start left out. Wall times do not matter,
-so a busy machine changes little.
+A router in a separate process publishes the messages of a working cell: three tracked bodies at 60 Hz, joints at 100
+Hz, a snapshot and a verdict each second. Recorder and bare subscriber receive them at the same time, each in a separate
+process; CPU time is user and system time of the process in the middle of its run, without its start. Wall times do not
+matter, so a busy machine changes little.
 
     .venv/bin/python benchmarks/recording.py [--seconds 20] [--json]
 """
@@ -44,13 +44,18 @@ WARM = 3.0
 
 
 async def publish(settings: BusSettings, seconds: float) -> int:
-    """Publishes for so long; returns how many messages."""
+    """Publish messages for some time, and return their number.
+
+    Args:
+        settings: Settings of the bus.
+        seconds: Duration, s.
+    """
     bus, clock, count = await Bus.open(settings), SystemClock(), 0
     tag = BlueprintTag(id="b", version="1", hash="0" * 64)
     snapshot = Snapshot(sequence=0, branches={"robot": "1"}, flags={}, running=[], latched=False, blueprint=tag)
-    begun = clock.monotonic()
-    due = {"pose": begun, "joints": begun, "state": begun}
-    while (now := clock.monotonic()) < begun + seconds:
+    started = clock.monotonic()
+    due = {"pose": started, "joints": started, "state": started}
+    while (now := clock.monotonic()) < started + seconds:
         if now >= due["pose"]:
             due["pose"] += 1 / 60
             for body in ("coil", "body_ref", "pointer"):
@@ -74,11 +79,23 @@ async def publish(settings: BusSettings, seconds: float) -> int:
 
 
 def publisher(settings: BusSettings, seconds: float) -> None:
+    """Publish messages for some time.
+
+    Args:
+        settings: Settings of the bus.
+        seconds: Duration, s.
+    """
     asyncio.run(publish(settings, seconds))
 
 
 def bare(settings: BusSettings, seconds: float, results: Connection) -> None:
-    """Counts what comes, in Zenoh's own threads."""
+    """Count the messages in Zenoh's own threads.
+
+    Args:
+        settings: Settings of the bus.
+        seconds: Duration, s.
+        results: Connection for the result.
+    """
     count = 0
 
     def take(_sample: zenoh.Sample) -> None:
@@ -92,11 +109,17 @@ def bare(settings: BusSettings, seconds: float, results: Connection) -> None:
     time.sleep(seconds)
     used, counted = time.process_time() - before, count - counted
     results.send({"cpu_percent": 100 * used / seconds, "messages": counted})
-    os._exit(0)  # the parent has what it wants, and a session takes its time to close
+    os._exit(0)  # the parent has the result, and closing a session takes long
 
 
 def recorder(settings: BusSettings, seconds: float, results: Connection) -> None:
-    """Records into a file of its own."""
+    """Record into a temporary file.
+
+    Args:
+        settings: Settings of the bus.
+        seconds: Duration, s.
+        results: Connection for the result.
+    """
     with tempfile.TemporaryDirectory() as folder:
         results.send(asyncio.run(_record(settings, seconds, Path(folder) / "run.mcap")))
 
@@ -128,7 +151,7 @@ def _size(file: Path) -> int:
 
 
 def measure(seconds: float) -> dict[str, Any]:
-    """Both at the same time."""
+    """Return the results of both, measured at the same time."""
     router = BusSettings(mode="router", endpoint=f"tcp/127.0.0.1:{free_port()}", site="benchmark", cell="recording")
     client = msgspec.structs.replace(router, mode="client")
     spawn = multiprocessing.get_context("spawn")
@@ -150,6 +173,7 @@ def measure(seconds: float) -> dict[str, Any]:
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--json", action="store_true")

@@ -1,9 +1,9 @@
-"""How long a daemon takes to start after it was killed, with a long journal and with an empty one.
+"""Time that a killed daemon needs to start again, with a long journal and with an empty one.
 
-Makes a journal of so many rows as a daemon writes them, starts a daemon on it, kills it with SIGKILL, and measures from
-the start of the next process until it answers a query of its state; the same on an empty journal, in turn. Beside
-them, measured alone: what Python needs to import the daemon, and what opening the journal, reading it back and looking
-for a repeated command take. The arm and the tracker are simulated.
+Makes a journal of a number of rows as a daemon writes them, starts a daemon on it, kills it with SIGKILL, and measures
+from the start of the next process until it answers a query of its state; the same with an empty journal, in turn. The
+times that Python needs to import the daemon, to open the journal, to read it back and to look up a repeated command are
+also measured separately. The arm and the tracker are simulated.
 
     .venv/bin/python benchmarks/recovery.py [--rows 100000] [--starts 5] [--json]
 """
@@ -36,9 +36,13 @@ LAST = "the last command"
 
 
 async def fill(path: Path, rows: int) -> None:
-    """Writes a journal of so many rows, by the recorder of the daemon: intents and outcomes, a snapshot in 1000.
+    """Write a journal with the recorder of the daemon: intents and outcomes, and a snapshot every 1000 rows.
 
-    After the last snapshot come as many more as there may be, so that a start has the most to read.
+    The largest possible number of rows follows the last snapshot, so that a start has the most to read.
+
+    Args:
+        path: Database file of the journal.
+        rows: Number of rows.
     """
     rows += SNAPSHOT_EVERY - 2 if rows else 0
     blueprint = open_workflow("ratms").blueprint
@@ -64,7 +68,12 @@ async def fill(path: Path, rows: int) -> None:
 
 
 async def parts(path: Path, rows: int) -> dict[str, float]:
-    """Seconds of what the daemon does with the journal before anything else."""
+    """Return the times of the daemon's first steps with the journal, s.
+
+    Args:
+        path: Database file of the journal.
+        rows: Number of rows; 0 for an empty journal.
+    """
     blueprint = open_workflow("ratms").blueprint
     tag = BlueprintTag(id=blueprint.id, version=blueprint.version, hash=blueprint.hash)
     begin = time.perf_counter()
@@ -81,13 +90,13 @@ async def parts(path: Path, rows: int) -> dict[str, float]:
 
 
 def imports() -> float:
-    """Seconds that a Python process needs to import the daemon."""
+    """Return the time that a Python process needs to import the daemon, s."""
     ran = subprocess.run([sys.executable, "-c", IMPORTS], capture_output=True, text=True, check=True)
     return float(ran.stdout)
 
 
 class Cell:
-    """A cell of its own, whose daemon is started and killed."""
+    """Cell whose daemon is started and killed."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -95,7 +104,7 @@ class Cell:
         self._endpoint = f"tcp/127.0.0.1:{free_port()}"
 
     async def start(self) -> float:
-        """Starts a daemon, waits until it answers, kills it: seconds until the answer."""
+        """Start a daemon, wait until it answers, kill it, and return the time until the answer, s."""
         links = ("planner", "robot", "visualization")
         values = [
             "cell.site=bench",
@@ -106,7 +115,7 @@ class Cell:
             "gateway.mixed_reality={}",
             "gateway.mep={port=0}",
             "gateway.tcp_port=0",
-            "robot.deadman=0.5",  # a machine that starts processes leaves others alone for a while
+            "robot.deadman=0.5",  # starting processes may delay the others for a while
         ]
         words = [word for value in values for word in ("--set", value)]
         begin = time.perf_counter()
@@ -126,18 +135,24 @@ class Cell:
             await process.wait()
 
 
-async def measure(rows: int, starts: int, tell: Callable[[str], None]) -> dict[str, dict[str, list[float]]]:
-    """All durations, s, by journal and part."""
+async def measure(rows: int, starts: int, show_step: Callable[[str], None]) -> dict[str, dict[str, list[float]]]:
+    """Return all durations, s, by journal and part.
+
+    Args:
+        rows: Number of rows of the long journal.
+        starts: Number of starts with each journal.
+        show_step: Called with the current step.
+    """
     found: dict[str, dict[str, list[float]]] = {}
     with tempfile.TemporaryDirectory() as folder:
         cells = {count: Cell(Path(folder) / str(count)) for count in (rows, 0)}
         for count, cell in cells.items():
             cell.folder.mkdir()
-            tell(f"making a journal of {count} rows")
+            show_step(f"making a journal of {count} rows")
             await fill(cell.folder / "ratms.sqlite", count)
         for turn in range(starts):
             for count, cell in cells.items():
-                tell(f"start {turn + 1} of {starts} on {count} rows")
+                show_step(f"start {turn + 1} of {starts} on {count} rows")
                 times = await parts(cell.folder / "ratms.sqlite", count) | {
                     "process start to answer": await cell.start()
                 }
@@ -148,14 +163,14 @@ async def measure(rows: int, starts: int, tell: Callable[[str], None]) -> dict[s
 
 
 def main() -> None:
-    """Measures and prints."""
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rows", type=int, default=100_000)
     parser.add_argument("--starts", type=int, default=5)
     parser.add_argument("--json", action="store_true")
-    asked = parser.parse_args()
-    found = asyncio.run(measure(asked.rows, asked.starts, lambda text: print(text, file=sys.stderr)))
-    if asked.json:
+    options = parser.parse_args()
+    found = asyncio.run(measure(options.rows, options.starts, lambda text: print(text, file=sys.stderr)))
+    if options.json:
         print(json.dumps(found))
         return
     print(f"{'journal':>14} {'part':<24} {'median ms':>10} {'max ms':>10}")

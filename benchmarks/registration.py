@@ -1,10 +1,10 @@
-"""Point-based registration: accuracy and time beside SciPy, scikit-surgerycore, SimpleITK and VTK, in one run.
+"""Point-based registration: accuracy and time, compared with SciPy, scikit-surgerycore, SimpleITK and VTK in one run.
 
-Each gets NumPy arrays (N, 3) and gives a rotation matrix and a translation; what it takes to bring the points into a
-peer's own containers is part of its time. "PCMRS fit" is what the peers do: the transform alone. "PCMRS
-register_points" also checks both sets, looks for a mirror image and works out all residuals. Peers that are not
-installed are named and left out (`pip install 'pcmrs[compare]'`). All take turns in short rounds, so that the machine's
-moods reach all alike.
+Each gets NumPy arrays (N, 3) and returns a rotation matrix and a translation; converting the points into a peer's own
+containers is part of its time. "PCMRS fit" computes the transform alone, like the peers. "PCMRS register_points" also
+checks both sets, looks for a mirror image and computes all residuals. Peers that are not installed are named and left
+out (`pip install 'pcmrs[compare]'`). All take turns in short rounds, so that changes of the machine's load affect all
+alike.
 
 Accuracy: on sets without noise, the largest distance between a mapped point and the true one; on noisy sets, the
 largest distance between a mapped point and where the fit with the least sum of squares puts it. Half of the sets are
@@ -35,11 +35,23 @@ NOISE = 0.002  # m per axis
 
 
 def pcmrs_fit(fixed: Floats, moving: Floats) -> tuple[Floats, Floats]:
+    """Return rotation and translation of PCMRS' fit.
+
+    Args:
+        fixed: Fixed points, m, (N, 3).
+        moving: Moving points, m, (N, 3).
+    """
     fit = fit_rigid(fixed, moving)
     return fit.rotation, fit.translation
 
 
 def pcmrs_register(fixed: Floats, moving: Floats) -> tuple[Floats, Floats]:
+    """Return rotation and translation of PCMRS' registration.
+
+    Args:
+        fixed: Fixed points, m, (N, 3).
+        moving: Moving points, m, (N, 3).
+    """
     fixed_from_moving = register_points(fixed, moving).fixed_from_moving
     return fixed_from_moving.rotation, fixed_from_moving.translation
 
@@ -113,7 +125,7 @@ PEERS: dict[str, tuple[str, Callable[[], Fit]]] = {
 
 
 def installed_peers() -> tuple[dict[str, Fit], dict[str, str]]:
-    """The peers that can be measured, and the version of each; ``not installed`` where there is none."""
+    """Return the peers that can be measured, and the version of each; ``not installed`` if it is missing."""
     fits: dict[str, Fit] = {}
     versions: dict[str, str] = {}
     for name, (package, make) in PEERS.items():
@@ -126,7 +138,13 @@ def installed_peers() -> tuple[dict[str, Fit], dict[str, str]]:
 
 
 def make_sets(rng: np.random.Generator, sets: int, points: int) -> tuple[Floats, Floats]:
-    """Moving points, and where a rigid motion takes them, m, (sets, points, 3)."""
+    """Return moving points, and their positions after a rigid motion, m, (sets, points, 3).
+
+    Args:
+        rng: Source of randomness.
+        sets: Number of sets.
+        points: Number of points of a set.
+    """
     moving = rng.uniform(-0.1, 0.1, (sets, points, 3))
     moving[::2, :, 2] = 0.0  # flat ones
     moving = moving @ Rotation.random(sets, rng=rng).as_matrix() + rng.uniform(-0.3, 0.3, (sets, 1, 3))
@@ -135,7 +153,13 @@ def make_sets(rng: np.random.Generator, sets: int, points: int) -> tuple[Floats,
 
 
 def mapped(fit: Fit, fixed: Floats, moving: Floats) -> Floats:
-    """Where a fit puts the points of every set, (sets, points, 3)."""
+    """Return the points of every set mapped by its fit, m, (sets, points, 3).
+
+    Args:
+        fit: Fit to use.
+        fixed: Fixed points, m, (sets, points, 3).
+        moving: Moving points, m, (sets, points, 3).
+    """
     moved = []
     for target, points in zip(fixed, moving, strict=True):
         rotation, translation = fit(target, points)
@@ -144,10 +168,24 @@ def mapped(fit: Fit, fixed: Floats, moving: Floats) -> Floats:
 
 
 def farthest(a: Floats, b: Floats) -> float:
+    """Return the largest distance between corresponding points, m.
+
+    Args:
+        a: Points, m, (..., 3).
+        b: Points, m, (..., 3).
+    """
     return float(np.linalg.norm(a - b, axis=-1).max())
 
 
 def accuracy(fits: dict[str, Fit], exact: Floats, noisy: Floats, moving: Floats) -> dict[str, dict[str, float]]:
+    """Return the errors of each fit, m.
+
+    Args:
+        fits: Fits by name.
+        exact: Fixed points without noise, m.
+        noisy: Fixed points with noise, m.
+        moving: Moving points, m.
+    """
     moved = {name: mapped(fit, noisy, moving) for name, fit in fits.items()}
     squares = np.array([np.sum((each - noisy) ** 2, axis=(1, 2)) for each in moved.values()])
     best = np.array(list(moved.values()))[squares.argmin(axis=0), np.arange(len(moving))]
@@ -158,6 +196,12 @@ def accuracy(fits: dict[str, Fit], exact: Floats, noisy: Floats, moving: Floats)
 
 
 def own_batch(fixed: Floats, moving: Floats) -> None:
+    """Register all sets by one call of PCMRS.
+
+    Args:
+        fixed: Fixed points, m, (sets, points, 3).
+        moving: Moving points, m, (sets, points, 3).
+    """
     register_batch(fixed, moving)
 
 
@@ -170,7 +214,14 @@ def in_turn(fit: Fit) -> Callable[[Floats, Floats], None]:
 
 
 def times_us(batches: dict[str, Callable[[Floats, Floats], None]], noisy: Floats, moving: Floats, rounds: int) -> Any:
-    """Time per set in the best round, µs: other work of the machine only ever adds to it."""
+    """Return the time per set in the best round, µs, since other load of the machine only adds to it.
+
+    Args:
+        batches: Functions by name.
+        noisy: Fixed points with noise, m.
+        moving: Moving points, m.
+        rounds: Number of rounds after the one that warms up.
+    """
     spent: dict[str, list[float]] = {name: [] for name in batches}
     for number in range(rounds + 1):  # the first warms up
         for name, batch in batches.items():
@@ -182,6 +233,14 @@ def times_us(batches: dict[str, Callable[[Floats, Floats], None]], noisy: Floats
 
 
 def run(points: int, sets: int, rounds: int, seed: int) -> dict[str, Any]:
+    """Measure all libraries in turn.
+
+    Args:
+        points: Number of points of a set.
+        sets: Number of sets.
+        rounds: Number of rounds.
+        seed: Seed of the random numbers.
+    """
     rng = np.random.default_rng(seed)
     moving, exact = make_sets(rng, sets, points)
     noisy = exact + rng.normal(scale=NOISE, size=exact.shape)
@@ -205,6 +264,7 @@ def run(points: int, sets: int, rounds: int, seed: int) -> dict[str, Any]:
 
 
 def report(results: dict[str, Any]) -> None:
+    """Print the results."""
     print(
         f"Python {platform.python_version()}, {platform.machine()}; {results['points']} points, {results['sets']} sets"
     )
@@ -223,6 +283,7 @@ def report(results: dict[str, Any]) -> None:
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--points", type=int, default=6)
     parser.add_argument("--sets", type=int, default=100)

@@ -1,8 +1,8 @@
-"""The numbers of the fault campaign: faults, kills, power cuts, simulated sessions, and Stop under a flood.
+"""Numbers of the fault campaign: faults, kills, power cuts, simulated sessions, and Stop under a flood.
 
-All on simulated cells. Ratios and counts, not absolute claims: every time is printed beside a bare timer's lateness in
-the same run, which is what the machine's scheduler adds. In full it takes hours; the options scale each part down, and
-0 leaves it out.
+Everything runs on simulated cells. The results are ratios and counts, not absolute claims: every time is printed with a
+bare timer's lateness in the same run, which the machine's scheduler adds. The whole benchmark takes hours; the options
+scale each part down, and 0 skips it.
 
     .venv/bin/python benchmarks/reliability.py [--seeds 3] [--kills 10000] [--daemons 200] [--power 1000]
         [--sessions-minutes 60] [--stops 1000] [--datagrams 1000000] [--json]
@@ -31,8 +31,9 @@ SEED = 1
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=3, help="every fault of the catalogue so many times")
+    parser.add_argument("--seeds", type=int, default=3, help="number of injections of every fault of the catalogue")
     parser.add_argument("--kills", type=int, default=10_000, help="kills of a process that writes the journal")
     parser.add_argument("--daemons", type=int, default=200, help="kills of the daemon in operation")
     parser.add_argument("--power", type=int, default=1_000, help="power cuts")
@@ -41,34 +42,34 @@ def main() -> None:
     parser.add_argument("--datagrams", type=int, default=1_000_000, help="fuzzed datagrams")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--json", action="store_true")
-    given = parser.parse_args()
+    options = parser.parse_args()
     found: dict[str, Any] = {"machine": platform.platform(), "python": platform.python_version(), "simulated": True}
-    for name, measure in _parts(given).items():
+    for name, measure in _parts(options).items():
         found[name] = measure()
-        if not given.json:
+        if not options.json:
             print(f"{name}: {json.dumps(found[name])}", flush=True)
-    if given.json:
+    if options.json:
         print(json.dumps(found))
 
 
-def _parts(given: argparse.Namespace) -> dict[str, Callable[[], dict[str, Any]]]:
-    """What is to be measured, in this order."""
-    kills = ("kill", "--times", given.kills, "--daemons", given.daemons)
-    power = ("cut", "--cuts", 0, "--flips", 0, "--power", given.power)
-    sessions = ("explore", "--sessions", 1_000_000, "--minutes", given.sessions_minutes, "--jobs", given.jobs)
+def _parts(options: argparse.Namespace) -> dict[str, Callable[[], dict[str, Any]]]:
+    """Return the measurements in order."""
+    kills = ("kill", "--times", options.kills, "--daemons", options.daemons)
+    power = ("cut", "--cuts", 0, "--flips", 0, "--power", options.power)
+    sessions = ("explore", "--sessions", 1_000_000, "--minutes", options.sessions_minutes, "--jobs", options.jobs)
     parts: dict[str, tuple[float, Callable[[], dict[str, Any]]]] = {
-        "kills": (given.kills + given.daemons, lambda: _faults(*kills)),
-        "power cuts": (given.power, lambda: _faults(*power)),
-        "Stop": (given.stops, lambda: asyncio.run(_stops(given.stops))),
-        "fuzzed datagrams": (given.datagrams, lambda: _faults("fuzz", "--datagrams", given.datagrams)),
-        "simulated sessions": (given.sessions_minutes, lambda: _faults(*sessions)),
-        "catalogue": (given.seeds, lambda: _catalogue(given.seeds, given.jobs)),
+        "kills": (options.kills + options.daemons, lambda: _faults(*kills)),
+        "power cuts": (options.power, lambda: _faults(*power)),
+        "Stop": (options.stops, lambda: asyncio.run(_stops(options.stops))),
+        "fuzzed datagrams": (options.datagrams, lambda: _faults("fuzz", "--datagrams", options.datagrams)),
+        "simulated sessions": (options.sessions_minutes, lambda: _faults(*sessions)),
+        "catalogue": (options.seeds, lambda: _catalogue(options.seeds, options.jobs)),
     }
     return {name: measure for name, (amount, measure) in parts.items() if amount}
 
 
 def _faults(*words: object, seeds: int = SEED) -> dict[str, Any]:
-    """What a command of ``pcmrs faults`` reports, and its exit status."""
+    """Return the report of a command of ``pcmrs faults``, and its exit status."""
     options = [word for seed in range(SEED, seeds + 1) for word in ("--seed", str(seed))]
     command = [sys.executable, "-m", "pcmrs.cli", "faults", *map(str, words), *options, "--json"]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -79,7 +80,7 @@ def _faults(*words: object, seeds: int = SEED) -> dict[str, Any]:
 
 
 def _catalogue(seeds: int, jobs: int) -> dict[str, Any]:
-    """Every fault."""
+    """Return the results of all faults."""
     report = _faults("run", "--jobs", jobs, seeds=seeds)
     results = report.get("faults", [])
     rest = {f"{each['id']} seed {each['seed']}": each["response"] for each in results if each["outcome"] != "passed"}
@@ -88,7 +89,7 @@ def _catalogue(seeds: int, jobs: int) -> dict[str, Any]:
 
 
 async def _stops(stops: int) -> dict[str, Any]:
-    """Time until the daemon has begun to stop, over the bus, beside a bare timer; at rest and under a flood."""
+    """Return the times until the daemon has begun to stop, with those of a bare timer, at rest and under a flood."""
     found: dict[str, Any] = {}
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         async with open_cell(Path(folder) / "cell", ("robot.deadman=0.5",)) as cell:

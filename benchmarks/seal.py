@@ -1,6 +1,7 @@
-"""What the seal of daemon and device nodes costs, for each message and at the rates of a cell.
+"""Cost of the seal of daemon and device nodes, for each message and at the rates of a cell.
 
-Sealing and checking one message with joints and one with a pose, in one thread, beside a bare HMAC of the same bytes.
+Measures sealing and checking one message with joints and one with a pose, in one thread, and a bare HMAC of the same
+bytes.
 
     .venv/bin/python benchmarks/seal.py [--count 200000] [--json]
 """
@@ -28,15 +29,26 @@ RATE = 1000.0
 
 
 def per_call(call: Callable[[int], object], count: int) -> float:
-    """Processor time of one call, us."""
-    begun = time.thread_time()
+    """Return the processor time of one call, us.
+
+    Args:
+        call: Function; it gets the number of the call.
+        count: Number of calls.
+    """
+    started = time.thread_time()
     for number in range(count):
         call(number)
-    return (time.thread_time() - begun) / count * 1e6
+    return (time.thread_time() - started) / count * 1e6
 
 
 def measure(name: str, payload: bytes, count: int) -> dict[str, float]:
-    """Processor time for one message on a key, us, and the share of a processor at `RATE`, %."""
+    """Return the processor time for one message on a key, us, and the share of a processor at `RATE`, %.
+
+    Args:
+        name: Key below the prefix of the cell.
+        payload: Bytes of the message.
+        count: Number of messages.
+    """
     key = new_key()
     sender, receiver, taken, absolute = Seal(key), Seal(key), ReplayWindow(), f"pcmrs/lab/cell1/{name}"
     marks = [sender.put("put", absolute, payload) for _ in range(count)]
@@ -50,6 +62,7 @@ def measure(name: str, payload: bytes, count: int) -> dict[str, float]:
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=200_000)
     parser.add_argument("--json", action="store_true")

@@ -1,7 +1,7 @@
-"""What the signature of a person's message costs who sends it and the daemon that checks it.
+"""Cost of the signature of a person's message for the sender, and for the daemon that checks it.
 
-The median over single messages, in one thread, of a command and a set point: signing, and checking with a certificate
-that was verified before, as all messages of a member but the first. Names, keys and certificates are made anew.
+Medians over single messages, in one thread, of a command and a set point: signing, and checking with a certificate that
+was verified before, as for all messages of a member except the first. Names, keys and certificates are temporary.
 
     .venv/bin/python benchmarks/signature.py [--count 1000] [--json]
 """
@@ -19,7 +19,7 @@ from pathlib import Path
 from pcmrs.bus import BusSettings
 from pcmrs.bus.codec import pack
 from pcmrs.bus.commands import Envelope
-from pcmrs.bus.signature import SignatureVerifier, Signer
+from pcmrs.bus.signature import CertificateSigner, SignatureVerifier
 from pcmrs.clock import SystemClock
 from pcmrs.messages import TeleopSetpoint
 from pcmrs.pki import Authority, read_credentials
@@ -30,16 +30,26 @@ MESSAGES = {
 }
 
 
-def measure(key: str, payload: bytes, signer: Signer, signatures: SignatureVerifier, count: int) -> dict[str, float]:
-    """Medians for one message, us of processor time, and the bytes that the signature adds."""
+def measure(
+    key: str, payload: bytes, signer: CertificateSigner, signatures: SignatureVerifier, count: int
+) -> dict[str, float]:
+    """Return the medians for one message, us of processor time, and the number of bytes of the signature.
+
+    Args:
+        key: Key below the prefix of the cell.
+        payload: Bytes of the message.
+        signer: CertificateSigner of the sender.
+        signatures: Verifier of the daemon.
+        count: Number of messages.
+    """
     absolute, signing, checking = f"pcmrs/lab/cell1/{key}", [], []
     for _ in range(count):
-        begun = time.thread_time_ns()
+        started = time.thread_time_ns()
         signature = signer.sign("put", absolute, payload)
-        signing.append(time.thread_time_ns() - begun)
-        begun = time.thread_time_ns()
+        signing.append(time.thread_time_ns() - started)
+        started = time.thread_time_ns()
         error = signatures.objection(signature, "put", "tom", absolute, payload)
-        checking.append(time.thread_time_ns() - begun)
+        checking.append(time.thread_time_ns() - started)
         if error is not None:
             raise SystemExit(error.text)
     return {
@@ -50,6 +60,7 @@ def measure(key: str, payload: bytes, signer: Signer, signatures: SignatureVerif
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--json", action="store_true")
@@ -66,7 +77,7 @@ def main() -> None:
             members=tuple(authority.identities()),
         )
         signatures = SignatureVerifier(daemon, clock)
-        signer = Signer.read(read_credentials(folder / "tom", clock.wall()), clock)
+        signer = CertificateSigner.read(read_credentials(folder / "tom", clock.wall()), clock)
         found = {key: measure(key, payload, signer, signatures, options.count) for key, payload in MESSAGES.items()}
     if options.json:
         print(json.dumps(found))

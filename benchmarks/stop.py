@@ -1,34 +1,35 @@
-"""Stop at random moments of a motion: how long each part of it takes, and that nothing moves once it is confirmed.
+"""Stop at random moments of a motion: the time of each part, and that nothing moves once it is confirmed.
 
-A daemon of its own, on the simulated cell at real time, approaches, confirms, nudges, presses and follows a head that
-breathes. Stop is pressed by a route and at a moment that are drawn: before the motion begins, in it, or when it has
-ended. Routes are UDP, TCP, the bus (zenoh), the console's page, a peer that signs, and somebody far away with a
-certificate, over TLS and a router. All processes have one monotonic clock, so the times of a Stop are stamped in them:
+A separate daemon, on the simulated cell at real time, approaches, confirms, nudges, presses and follows a head that
+breathes. Stop is pressed by a random route at a random moment: before the motion begins, in it, or after its end.
+Routes are UDP, TCP, the bus (zenoh), the console's page, a peer that signs, and a remote operator with a certificate,
+over TLS and a router. All processes share one monotonic clock, so the times of a Stop are stamped in them:
 
 - `stop received to hold sent`: from the message of Stop in the daemon, or from the call that sends a datagram or opens
-  a connection, to the daemon's hold on its way; the latch is set by then. Limit 20 ms (p99).
+  a connection, until the daemon has sent its hold; the latch is set by then. Limit 20 ms (p99).
 - `hold received to braking`: from the hold, or the message of Stop, in the node to the arm's first set point that
   brakes. Limit 20 ms. `hold received to arm told` is a part of it.
 - `braking to standstill`: to the first joint state that stands. Its limit is the braking distance.
 - `sign of life to hold`: another daemon is stopped by SIGSTOP in the middle of approaches (`deadman.py`); from its
-  loop's last sign of life to the hold that its node begins by itself. Limit: deadman (100 ms) and 25 ms.
+  loop's last sign of life to the hold that its node begins by itself. Limit: deadman (100 ms) plus 25 ms.
 
-Beside them, in the same run: how late a bare timer of 10 ms is in this process. A limit is exceeded where a time is
-above the limit and the timer's lateness (p99 or max, as the limit has it).
+The same run measures the lateness of a bare timer of 10 ms in this process. A limit is exceeded if a time is larger
+than the limit plus the timer's lateness (p99 or max, like the limit).
 
 `moved after confirmed` is the largest displacement of a joint from the first joint state after the confirmation until
-half a second later; `beyond the braking distance` how far a joint went further than its speed and its brakes explain.
+half a second later; `beyond the braking distance` is the part of a joint's motion that its speed and its brakes do not
+explain.
 
-- `asked to begun, flood of ...`: daemons whose bus somebody floods (`stop_floods.py`); from a press by UDP or the bus
-  to the event that tells of it, received here. Limit 50 ms (p99), and 100 ms at most.
+- `asked to begun, flood of ...`: daemons whose bus is flooded (`stop_floods.py`); from a press by UDP or the bus to the
+  event that reports it, received here. Limit 50 ms (p99), and 100 ms at most.
 
-In simulated time (`stop_simulated.py`) the same motions are stopped as often as asked for, on both processors.
+In simulated time (`stop_simulated.py`) the same motions are stopped `--stops` times, on several processors.
 
     .venv/bin/python benchmarks/stop.py [real] [silence] [floods] [simulated] [--minutes 20] [--stops 10000]
         [--silences 50] [--pressed 100] [--flood KIND ...] [--seed 1] [--jobs 2] [--untimed] [--json]
 
 Exit status 1: a joint moved after a confirmed Stop or went beyond its braking distance, a Stop was not confirmed, the
-explorer's witness saw an invariant broken, or, unless `--untimed`, a time was above its limit.
+explorer's witness saw a violated invariant, or, unless `--untimed`, a time was above its limit.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ PARTS = ("real", "silence", "floods", "simulated")
 
 
 async def measure(options: argparse.Namespace) -> tuple[Found, list[float]]:
-    """What was found on real daemons, and how late a bare timer was meanwhile, s."""
+    """Return the results on real daemons, and the lateness of a bare timer meanwhile, s."""
     found = Found()
     async with timer_lateness() as timer:
         if "real" in options.parts:
@@ -67,7 +68,7 @@ async def measure(options: argparse.Namespace) -> tuple[Found, list[float]]:
 
 
 def simulate(options: argparse.Namespace) -> Found:
-    """The same in simulated time."""
+    """Return the results in simulated time."""
 
     def show(found: Found) -> None:
         print(f"{found.pressed.total()} of {options.stops} simulated Stops", file=sys.stderr)
@@ -76,28 +77,31 @@ def simulate(options: argparse.Namespace) -> Found:
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("parts", nargs="*", metavar="part", default=PARTS, help=f"of {', '.join(PARTS)}; all of them")
-    parser.add_argument("--minutes", type=float, default=20.0, help="of the real daemon")
+    parser.add_argument(
+        "parts", nargs="*", metavar="part", default=PARTS, help=f"one of {', '.join(PARTS)}; all by default"
+    )
+    parser.add_argument("--minutes", type=float, default=20.0, help="duration on the real daemon")
     parser.add_argument("--stops", type=int, default=10_000)
     parser.add_argument("--silences", type=int, default=50)
     parser.add_argument("--pressed", type=int, default=100, help="Stops by each route during each flood")
-    parser.add_argument("--flood", action="append", choices=KINDS, help="of the floods, only this; may be repeated")
+    parser.add_argument("--flood", action="append", choices=KINDS, help="only this flood; may be repeated")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2, help="processes of the simulated part")
-    parser.add_argument("--untimed", action="store_true", help="show the times, and hold them against no limit")
+    parser.add_argument("--jobs", type=int, default=2, help="number of processes of the simulated part")
+    parser.add_argument("--untimed", action="store_true", help="show the times without checking their limits")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     if unknown := set(options.parts) - set(PARTS):
-        parser.error(f"There is no part {', '.join(sorted(unknown))}; there are {', '.join(PARTS)}.")
+        parser.error(f"Unknown part {', '.join(sorted(unknown))}; choose from {', '.join(PARTS)}.")
     found, late = uvloop.run(measure(options))
     report: dict[str, Any] = {"real": found.report()}
     report["real"]["ms"]["bare timer, late"] = stats(late, 1e3)
     wrong = found.wrong + ([] if options.untimed else found.late(late))
     if "simulated" in options.parts:
-        begun = time.monotonic()
+        started = time.monotonic()
         simulated = simulate(options)
-        report["simulated"] = simulated.report() | {"seconds": round(time.monotonic() - begun, 1)}
+        report["simulated"] = simulated.report() | {"seconds": round(time.monotonic() - started, 1)}
         wrong += simulated.wrong + ([] if options.untimed else simulated.late([]))
     if options.json:
         print(json.dumps(report | {"wrong": wrong}, indent=2))
@@ -107,7 +111,12 @@ def main() -> None:
 
 
 def show(report: dict[str, Any], wrong: list[str]) -> None:
-    """Prints the report for people."""
+    """Print the report for people.
+
+    Args:
+        report: Results by part.
+        wrong: Descriptions of what is wrong.
+    """
     print(f"Simulated cell, {platform.processor() or platform.machine()}, {os.cpu_count()} processors.")
     for part, values in report.items():
         print(f"{part}:")

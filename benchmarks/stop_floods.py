@@ -1,9 +1,9 @@
-"""Stop while somebody floods the bus: when it has begun, for a press by UDP and one over the bus.
+"""Stop while the bus is flooded: the time until it has begun, for a press by UDP and one over the bus.
 
-Each kind of flood has a daemon of its own, on the simulated cell at real time, and one process that floods as one user
-who holds no lease. A press counts from the call to the event that names its source, as this process receives it, or to
-its answer, whichever comes first: the latch is set and the holds are sent before that. Where many press, several are
-told of as one, and only the answer is left.
+Each kind of flood has a separate daemon, on the simulated cell at real time, and one process that floods as one user
+without the lease. The time of a press is from the call to the event that names its source, as this process receives it,
+or to its answer, if that is earlier: the latch is set and the holds are sent before. If many users press, several
+presses are reported as one, and only the answer remains.
 """
 
 from __future__ import annotations
@@ -26,12 +26,20 @@ from pcmrs_lab.campaign.lateness import timer_lateness
 
 NO_FLOOD = "no flood"
 APART = 0.05
-"""Between a Stop that has begun and the next press, s."""
+"""Time between a Stop that has begun and the next press, s."""
 PATIENCE = 5.0
 
 
 async def flooded(stops: int, kinds: Sequence[Kind]) -> Found:
-    """Presses Stop so often by each route during each of these kinds of flood, and during none."""
+    """Press Stop by each route during each kind of flood, and without one.
+
+    Args:
+        stops: Number of presses by each route.
+        kinds: Kinds of floods.
+
+    Returns:
+        Results.
+    """
     found = Found()
     for kind in (None, *kinds):
         with tempfile.TemporaryDirectory(prefix="pcmrs-", ignore_cleanup_errors=True) as folder:
@@ -61,20 +69,20 @@ async def _flooded_by(cell: RunningCell, kind: Kind | None, stops: int, found: F
                 await _press(press, begun[route], f"{DURING}{name}", route, found)
         found.times[f"{TIMER}{name}"] += timer.late
     if flood is not None:
-        found.notes[f"messages per second of {name}"] = round(flood.told.rate)
+        found.notes[f"messages per second of {name}"] = round(flood.report.rate)
 
 
 async def _press(
     press: Callable[[], Awaitable[object]], begun: asyncio.Event, what: str, route: str, found: Found
 ) -> None:
-    asked = time.monotonic()
+    pressed_at = time.monotonic()
     pressing = asyncio.ensure_future(press())
     seen = asyncio.create_task(begun.wait())
     done, _ = await asyncio.wait([seen, pressing], timeout=PATIENCE, return_when=asyncio.FIRST_COMPLETED)
     if seen in done or (pressing in done and pressing.exception() is None):
-        found.times[what].append(time.monotonic() - asked)
+        found.times[what].append(time.monotonic() - pressed_at)
     else:
-        found.wrong.append(f"{what}: a Stop by {route} has not begun within {PATIENCE:g} s.")
+        found.wrong.append(f"{what}: a Stop by {route} did not begin within {PATIENCE:g} s.")
     seen.cancel()
     try:
         await pressing

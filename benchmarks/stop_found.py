@@ -1,4 +1,4 @@
-"""What the benchmark of Stop finds, in simulated time and on a real daemon, and the limits that it is held against."""
+"""Results of the benchmark of Stop, in simulated time and on a real daemon, and their limits."""
 
 from __future__ import annotations
 
@@ -18,18 +18,17 @@ from pcmrs_lab.campaign.lateness import percentile
 from pcmrs_sim.settings import SimSettings
 
 BREATHING = HeadMotion(breathing_amplitude=0.003, breathing_hz=0.3)
-"""What the tool follows."""
+"""Motion of the head that the tool follows."""
 
 LATCHED, BRAKING = "stop received to hold sent", "hold received to braking"
 STANDSTILL, SILENCE = "braking to standstill", "sign of life to hold"
 """The four times of a Stop."""
 DURING, TIMER = "asked to begun, flood of ", "bare timer, flood of "
-"""Begin the names of what was measured during a flood."""
+"""Prefixes of the names of measurements during a flood."""
 LIMITS = {LATCHED: {"p99": 0.020}, BRAKING: {"max": 0.020}, SILENCE: {"max": 0.125}}
-"""What a time may be beside a bare timer's lateness in the same run, s. How long braking may last follows from its
-distance."""
+"""Limits of the times beyond a bare timer's lateness, s. The limit of braking follows from its distance."""
 DURING_FLOODS = {"p99": 0.050, "max": 0.100}
-"""The same during a flood by somebody else, s."""
+"""Limits during a flood by another user, s."""
 
 _FACTS, _ARM = find_arm("iiwa14"), SimSettings().arm
 _LIMITS = brake_limits(_FACTS, _ARM.brake_acceleration, _ARM.brake_jerk)
@@ -37,45 +36,51 @@ _LIMITS = brake_limits(_FACTS, _ARM.brake_acceleration, _ARM.brake_jerk)
 
 @dataclass(frozen=True, slots=True)
 class Braking:
-    """How an arm that begins to brake comes to rest.
+    """Expected stop of an arm that begins to brake.
 
     Attributes:
-        begun: When, s.
+        started_at: Time at which it begins, s.
         start: Joint positions then, rad, (n,).
         end: Joint positions at rest, by its speed and the limits of its brakes, rad, (n,).
-        lasts: Until then, s.
+        lasts: Duration, s.
     """
 
-    begun: float
+    started_at: float
     start: Floats
     end: Floats
     lasts: float
 
     @classmethod
-    def at(cls, begun: float, positions: Sequence[float], velocities: Sequence[float]) -> Self:
-        """Begins with these joint positions, rad, and velocities, rad/s."""
+    def at(cls, started_at: float, positions: Sequence[float], velocities: Sequence[float]) -> Self:
+        """Return the expected stop from a state of the arm.
+
+        Args:
+            started_at: Time at which it begins, s.
+            positions: Joint positions, rad.
+            velocities: Joint velocities, rad/s.
+        """
         stop = brake(positions, velocities, _LIMITS)
         lasts = stop.period * (len(stop.positions) - 1)
-        return cls(begun, np.array(positions), np.array(stop.positions[-1]), lasts)
+        return cls(started_at, np.array(positions), np.array(stop.positions[-1]), lasts)
 
     def beyond(self, positions: Floats) -> float:
-        """How far the joint that is farthest out lies beyond its braking distance, rad; 0 where none does."""
+        """Return how far the outermost joint lies beyond its braking distance, rad; 0 if none does."""
         low, high = np.minimum(self.start, self.end), np.maximum(self.start, self.end)
         return float(np.maximum(np.maximum(low - positions, positions - high), 0.0).max())
 
 
 @dataclass
 class Found:
-    """What was measured, s and rad.
+    """Measurements, s and rad.
 
     Attributes:
-        times: By what they are.
-        moved: Of the joint that has moved farthest after a confirmed Stop, each time.
-        beyond: Of the joint that went farthest beyond its braking distance before standstill, each time it braked.
-        pressed: How often Stop was pressed, by motion and route.
-        moving: How often the arm moved then.
-        wrong: What must not be, for people.
-        notes: What did not come about without being wrong.
+        times: Times by name.
+        moved: Largest displacement of a joint after each confirmed Stop.
+        beyond: Largest motion of a joint beyond its braking distance before standstill, for each braking.
+        pressed: Number of presses by motion and route.
+        moving: Number of presses during which the arm moved.
+        wrong: Descriptions of what is wrong.
+        notes: Numbers of other incidents.
     """
 
     times: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
@@ -87,7 +92,7 @@ class Found:
     notes: Counter[str] = field(default_factory=Counter)
 
     def add(self, other: Found) -> None:
-        """Takes over what was measured elsewhere."""
+        """Add the measurements of another result."""
         for name, values in other.times.items():
             self.times[name] += values
         self.moved += other.moved
@@ -98,7 +103,7 @@ class Found:
         self.notes += other.notes
 
     def late(self, timer: Sequence[float]) -> list[str]:
-        """Which times are above their limits, for people; `timer` is how late a bare timer was meanwhile, s."""
+        """Return descriptions of the times above their limits; `timer` is the lateness of a bare timer meanwhile, s."""
         return [text for name in self.times for text in self._late(name, timer)]
 
     def _late(self, name: str, timer: Sequence[float]) -> Iterator[str]:
@@ -111,7 +116,7 @@ class Found:
                 yield text + f"{1e3 * allowed[which]:.1f} ms."
 
     def report(self) -> dict[str, Any]:
-        """For JSON: milliseconds and degrees."""
+        """Return the results for JSON: milliseconds and degrees."""
         return {
             "ms": {name: stats(values, 1e3) for name, values in self.times.items()},
             "moved after confirmed, deg": stats(np.degrees(self.moved).tolist(), 1.0),
@@ -124,12 +129,22 @@ class Found:
 
 
 def stats(values: Sequence[float], scale: float) -> dict[str, float]:
-    """Number, median, 99th percentile and largest, of values times `scale`."""
+    """Return number, median, 99th percentile and maximum of values.
+
+    Args:
+        values: Values.
+        scale: Factor for the result.
+    """
     shares = {"p50": 0.5, "p99": 0.99}
     found = {name: round(percentile(values, share) * scale, 6) for name, share in shares.items()}
     return {"n": len(values), **found, "max": round(max(values, default=0.0) * scale, 6)}
 
 
 def farthest(base: Floats, later: Iterable[Floats]) -> float:
-    """Largest displacement of a joint from `base`, rad."""
+    """Return the largest displacement of a joint, rad.
+
+    Args:
+        base: Joint positions, rad, (n,).
+        later: Later joint positions, rad, (n,).
+    """
     return max((float(np.abs(each - base).max()) for each in later), default=0.0)

@@ -1,4 +1,4 @@
-"""The console's page as its browser half talks to it, without a browser: one that is loaded, and presses its Stop."""
+"""Browser half of the console's page without a browser: it loads the page and presses its Stop."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ import socketio  # type: ignore[import-untyped]
 ELEMENTS = re.compile(r"parseElements\(String\.raw`(.*?)`\)", re.DOTALL)
 CLIENT, MESSAGE = re.compile(r"'client_id': '([0-9a-f-]+)'"), re.compile(r"'next_message_id': (\d+)")
 LOADED, PERIOD = 120.0, 0.5
-"""The page has a Stop within this, s: until the console has reached the daemon it only says that it waits."""
+"""Time within which the page shows a Stop, s, and period of the attempts: the console must reach the daemon first."""
 
 Button = tuple[int, str]
-"""Number of an element, and id of what listens to its clicks."""
+"""Number of an element, and id of its click listener."""
 
 
 class Page:
-    """A page that was loaded; use `open_page`."""
+    """Loaded page; use `open_page`."""
 
     def __init__(self, socket: socketio.AsyncClient, client: str, stop: Button) -> None:
         self._socket, self._client, self._stop = socket, client, stop
 
     async def stop(self) -> None:
-        """Sends what a click on the page's Stop sends."""
+        """Send the message of a click on the page's Stop."""
         number, listener = self._stop
         await self._socket.emit(
             "event", {"id": number, "client_id": self._client, "listener_id": listener, "args": ["{}"]}
@@ -40,7 +40,7 @@ class Page:
 
 @asynccontextmanager
 async def open_page(url: str) -> AsyncIterator[Page]:
-    """Loads the page at an address with its token, and stays connected for the length of the context."""
+    """Load the page at an address with its token, and stay connected for the length of the context."""
     parts = urlsplit(url)
     origin = f"{parts.scheme}://{parts.netloc}"
     async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as http:
@@ -67,7 +67,7 @@ async def open_page(url: str) -> AsyncIterator[Page]:
 
 
 async def _load(http: aiohttp.ClientSession, url: str) -> tuple[str, Button]:
-    """Text of the page, and its Stop."""
+    """Return the text of the page, and its Stop."""
     async with asyncio.timeout(LOADED):
         while True:
             async with http.get(url) as answer:
@@ -83,5 +83,5 @@ async def _load(http: aiohttp.ClientSession, url: str) -> tuple[str, Button]:
 def _found(pattern: re.Pattern[str], text: str) -> str:
     match = pattern.search(text)
     if match is None:
-        raise ValueError(f"The page has no {pattern.pattern}: its framework has changed.")
+        raise ValueError(f"The page has no {pattern.pattern}: NiceGUI may have changed.")
     return match[1]

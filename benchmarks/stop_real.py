@@ -30,19 +30,19 @@ MOTIONS: dict[str, tuple[Callable[[Client], Awaitable[None]], dict[str, Any]]] =
     "follow": (to_placed, {}),
 }
 LATEST = 1.5
-"""Stop is pressed within this after the motion was asked for, s."""
+"""Largest time from the request of the motion to the press of Stop, s."""
 MOVED = 2e-3
-"""A joint that has gone further than this has moved, rad: the arm has dynamics and a controller, and sways by less."""
+"""Displacement at which a joint counts as moved, rad: the arm has dynamics and a controller, and sways by less."""
 LOOK = 0.5
-"""So long the arm is looked at after a confirmed Stop, s."""
+"""Time for which the arm is observed after a confirmed Stop, s."""
 TRIES = 10
-"""Motions in a row that may not come about, as on a machine that is too busy for a cell in real time."""
+"""Number of motions in a row that may fail to start, as on a machine that is too busy for a cell in real time."""
 DEADMAN = 0.1
-"""Of the cell that is silenced, s."""
+"""Deadman of the cell whose daemon is stopped, s."""
 
 
 class _Bench:
-    """Presses Stop, and looks at the arm."""
+    """Presses Stop, and observes the arm."""
 
     def __init__(self, cell: RunningCell, presses: Mapping[str, Press], stamps: Stamps, draw: random.Random) -> None:
         self.found = Found()
@@ -51,7 +51,12 @@ class _Bench:
         cell.client.listen("state/joints", JointState, self._joints.append)
 
     async def run(self, stops: int, ends: float) -> None:
-        """Stops so often, or until a time of the machine; gives up when `TRIES` motions in a row did not come about."""
+        """Stop a number of times, or until a time of the machine; give up when `TRIES` motions in a row did not start.
+
+        Args:
+            stops: Number of Stops.
+            ends: Time of the machine, s.
+        """
         failed = 0
         while self.found.pressed.total() < stops and time.monotonic() < ends:
             try:
@@ -61,7 +66,7 @@ class _Bench:
                 failed += 1
                 self.found.notes[f"no motion: {unmet.text}"] += 1
                 if failed == TRIES:
-                    self.found.wrong.append(f"Given up after {TRIES} motions that did not come about: {unmet.text}")
+                    self.found.wrong.append(f"Given up after {TRIES} motions that did not start: {unmet.text}")
                     return
 
     async def _stop_one(self, name: str, route: str) -> None:
@@ -76,8 +81,8 @@ class _Bench:
         await asyncio.sleep(self._draw.uniform(0.0, LATEST))
         self._joints.clear()
         confirmed = asyncio.create_task(until(client, lambda shown: _is_confirmed(shown, number)))
-        await asyncio.sleep(0)  # it watches before anything happens
-        asked = time.monotonic()
+        await asyncio.sleep(0)  # the task subscribes before Stop is pressed
+        pressed_at = time.monotonic()
         pressing = asyncio.ensure_future(self._presses[route]())
         self.found.pressed[f"{name} by {route}"] += 1
         try:
@@ -94,19 +99,19 @@ class _Bench:
         await asyncio.sleep(LOOK)
         if verdict.decision == "rejected":
             self.found.notes[f"{name} rejected"] += 1
-        self._measure(f"{name} by {route}", route, asked, done)
+        self._measure(f"{name} by {route}", route, pressed_at, done)
 
-    def _measure(self, what: str, route: str, asked: float, done: float) -> None:
-        stamps, times, daemon = self._stamps.since(asked), self.found.times, self._cell.process.pid
+    def _measure(self, what: str, route: str, pressed_at: float, done: float) -> None:
+        stamps, times, daemon = self._stamps.since(pressed_at), self.found.times, self._cell.process.pid
 
-        def first(*names: str, of_daemon: bool, after: float = asked) -> float | None:
+        def first(*names: str, of_daemon: bool, after: float = pressed_at) -> float | None:
             found = (s for s in stamps if s["what"] in names and (s["process"] == daemon) is of_daemon)
             return next((float(each["at"]) for each in found if each["at"] >= after), None)
 
-        received = asked if route in BY_SOCKET else first("stop received", of_daemon=True)
+        received = pressed_at if route in BY_SOCKET else first("stop received", of_daemon=True)
         sent = first("hold sent", of_daemon=True)
         taken = first("stop received", "hold received", of_daemon=False)
-        times["asked to confirmed"].append(done - asked)
+        times["asked to confirmed"].append(done - pressed_at)
         if received is None or sent is None or taken is None:
             self.found.wrong.append(f"{what}: no hold of the robot was sent and received.")
             return
@@ -117,27 +122,29 @@ class _Bench:
         found, times = self.found, self.found.times
         after = [np.array(each.positions) for each in self._joints if each.captured > done]
         if not after:
-            found.wrong.append(f"{what}: nothing was seen of the arm after the confirmation.")
+            found.wrong.append(f"{what}: the arm was not observed after the confirmation.")
             return
         found.moved.append(farthest(after[0], after))
         if found.moved[-1] > MOVED:
             found.wrong.append(f"{what}: a joint moved by {found.moved[-1]:.4f} rad after the confirmed Stop.")
-        told = next((each["at"] for each in stamps if each["what"] == "arm told" and each["at"] >= taken), None)
+        hold_called_at = next(
+            (each["at"] for each in stamps if each["what"] == "arm told" and each["at"] >= taken), None
+        )
         stamp = next((each for each in stamps if each["what"] == "braking" and each["at"] >= taken), None)
-        if told is None or stamp is None:
-            return  # it stood
+        if hold_called_at is None or stamp is None:
+            return  # the arm stood
         found.moving[what] += 1
-        times["hold received to arm told"].append(told - taken)
+        times["hold received to arm told"].append(hold_called_at - taken)
         times[BRAKING].append(stamp["at"] - taken)
         braking = Braking.at(stamp["at"], stamp["positions"], stamp["velocities"])
-        later = [each for each in self._joints if each.captured >= braking.begun]
+        later = [each for each in self._joints if each.captured >= braking.started_at]
         found.beyond.append(max((braking.beyond(np.array(each.positions)) for each in later), default=0.0))
         if found.beyond[-1] > MOVED:
             text = f"{what}: a joint went {found.beyond[-1]:.4f} rad beyond its braking distance."
             found.wrong.append(text)
         standing = next((each.captured for each in later if not each.moving), None)
         if standing is not None:
-            times[STANDSTILL].append(standing - braking.begun)
+            times[STANDSTILL].append(standing - braking.started_at)
 
     async def _recover(self) -> None:
         client = self._cell.client
@@ -150,7 +157,16 @@ def _is_confirmed(shown: Snapshot, before: int) -> bool:
 
 
 async def stopped(minutes: float, stops: int, seed: int) -> Found:
-    """Stops a running cell so often, or for so long."""
+    """Stop a running cell at random moments.
+
+    Args:
+        minutes: Largest duration, min.
+        stops: Largest number of Stops.
+        seed: Seed of motions, routes and moments.
+
+    Returns:
+        Results.
+    """
     with tempfile.TemporaryDirectory(prefix="pcmrs-", ignore_cleanup_errors=True) as parent:
         folder, stamps = Path(parent) / "stop", Path(parent) / "stamps"
         for each in (folder, stamps):
@@ -163,7 +179,7 @@ async def stopped(minutes: float, stops: int, seed: int) -> Found:
 
 
 async def silenced(runs: int) -> Found:
-    """Stops the daemon itself, by SIGSTOP, so often: until the node holds by itself."""
+    """Stop the daemon itself by SIGSTOP, until the node holds by itself."""
     found = Found()
     async with deadman.bench(DEADMAN) as made:
         runs_found, tried = await deadman.silences(made, runs)

@@ -1,6 +1,6 @@
-"""A cell that can be stopped by every route, and the presses: sockets, bus, a page, a signing peer, and far away.
+"""Cell that can be stopped by every route: sockets, bus, a page, a signing peer, and a remote operator.
 
-The daemon has certificates and dials a router, a console serves its page, and a peer has a key. Whoever is far away has
+The daemon has certificates and dials a router, a console serves its page, and a peer has a key. The remote operator has
 a certificate and reaches the cell through the router, over TLS.
 """
 
@@ -26,7 +26,7 @@ from pcmrs.testing.daemon import free_port
 
 ROUTES = ("udp", "tcp", "zenoh", "console", "signed", "remote")
 BY_SOCKET = ("udp", "tcp", "signed")
-"""Routes of which the daemon receives the bytes that are sent; of the others it receives a message on the bus."""
+"""Routes whose bytes the daemon receives itself; by the others it receives a message on the bus."""
 START_TIME = 120.0
 END_TIME = 10.0
 SITE = "lab"
@@ -38,11 +38,11 @@ Press = Callable[[], Awaitable[object]]
 async def stoppable_cell(
     folder: Path, environment: Mapping[str, str]
 ) -> AsyncIterator[tuple[RunningCell, Mapping[str, Press]]]:
-    """A running cell, and how Stop is pressed by each route.
+    """Start a cell, and yield it with a function for each route that presses Stop.
 
     Args:
-        folder: Of everything.
-        environment: Of daemon and nodes, besides that of this process.
+        folder: Folder for all files.
+        environment: Environment variables of daemon and nodes in addition to those of this process.
     """
     endpoint, key, name, now = f"tls/127.0.0.1:{free_port()}", folder / "panel.key", folder.name, SystemClock().wall()
     new_key(key)
@@ -63,8 +63,8 @@ async def stoppable_cell(
         cell = await stack.enter_async_context(open_cell(folder, (*REAL_TIME, *access), environment=environment))
         await stack.enter_async_context(cell.client.holding())
         own = ("--endpoint", cell.ready.endpoint, "--site", SITE, "--cell", name)
-        said = await stack.enter_async_context(_command("console", "--port", "0", "--json", *own))
-        page = await stack.enter_async_context(open_page(json.loads(said)["url"]))
+        line = await stack.enter_async_context(_command("console", "--port", "0", "--json", *own))
+        page = await stack.enter_async_context(open_page(json.loads(line)["url"]))
         signing = Planner.open(*cell.ready.links["planner"], signer=Signer("panel", read_key(key)))
         panel = await stack.enter_async_context(await signing)
         credentials = read_credentials(folder / "far", now)
@@ -92,7 +92,7 @@ async def _by_tcp(cell: RunningCell) -> None:
 
 @asynccontextmanager
 async def _command(name: str, *words: str) -> AsyncIterator[str]:
-    """A command of ``pcmrs`` that runs for the length of the context; yields its first line."""
+    """Run a command of ``pcmrs`` for the length of the context; yield its first line."""
     command = (sys.executable, "-m", "pcmrs.cli", name, *words)
     process = await asyncio.create_subprocess_exec(*command, stdout=asyncio.subprocess.PIPE)
     try:
@@ -100,7 +100,7 @@ async def _command(name: str, *words: str) -> AsyncIterator[str]:
         async with asyncio.timeout(START_TIME):
             line = await process.stdout.readline()
         if not line:
-            raise RuntimeError(f"pcmrs {name} has ended: it says why on standard error.")
+            raise RuntimeError(f"pcmrs {name} has ended; see the reason on standard error.")
         yield line.decode()
     finally:
         if process.returncode is None:

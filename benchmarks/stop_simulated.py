@@ -1,10 +1,10 @@
-"""Stop in simulated time: cells that live long, each stopped again and again at random moments of its motions.
+"""Stop in simulated time: long-lived cells, each stopped repeatedly at random moments of its motions.
 
-A cell is the whole of daemon, journal, device node and simulated arm on one seeded clock, as the explorer runs it, and
-the explorer's witness holds all that happens against its invariants. The arm has no dynamics: it is exactly where its
-set points are, so that after a confirmed Stop it must not move at all. Every second cell is undisturbed, and its times
-must keep their limits. In the others messages are doubled and overtaken, and one hand-over, reply or write in ten takes
-up to 0.5 s: there only what the arm does counts, and that Stop is confirmed.
+A cell consists of daemon, journal, device node and simulated arm on one seeded clock, as the explorer runs it, and the
+explorer's witness checks all events against its invariants. The arm has no dynamics: it is exactly where its set points
+are, so that after a confirmed Stop it must not move at all. Every second cell is undisturbed, and its times must keep
+their limits. In the others messages are doubled and overtaken, and one hand-over, reply or write in ten takes up to
+0.5 s: there only the motion of the arm counts, and that Stop is confirmed.
 """
 
 from __future__ import annotations
@@ -43,25 +43,25 @@ MOTIONS: dict[str, tuple[str, dict[str, Any], float]] = {
     "press": ("placed", {"force": 3.0}, 1.5),
     "follow": ("placed", {}, 3.0),
 }
-"""Motion to where it begins, its arguments, and the time within which Stop is pressed, s of the cell."""
+"""State in which each motion begins, its arguments, and the time within which Stop is pressed, s of the cell."""
 
 ROUTES: dict[str, Callable[[Operators], None]] = {
     "bus": lambda operators: operators.stop("anna"),
     "wire": lambda operators: operators.old_client("stop_now_xxxxxxx", ()),
 }
 PER_CELL = 100
-"""Stops of one cell; then another one is started, whose errors are drawn anew."""
+"""Number of Stops of one cell; then another one is started with other errors."""
 SLOW, REORDERING, DUPLICATES = 0.1, 0.1, 0.05
 """Of a disturbed cell: parts of the windows, and of the messages."""
 CONFIRMED = 10.0
-"""Stop is confirmed within this, or never, s of the cell."""
+"""Time within which Stop must be confirmed, s of the cell."""
 QUIET = (0.6, 2.0)
-"""So long nobody does anything after a confirmed Stop, s: longer than anything may be on its way."""
+"""Range of the time without any command after a confirmed Stop, s: longer than any message is in transit."""
 LOOK = 0.05
 STEPS = 60
-"""An operator gives up after so many steps towards where a motion begins."""
+"""Number of steps towards the start of a motion after which an operator gives up."""
 EXACT = 1e-6
-"""Rounding, rad; and what the spline through the samples of a brake overshoots them."""
+"""Tolerance for rounding, and for the overshoot of the spline through the samples of a brake, rad."""
 
 READY: dict[str, dict[str, tuple[str, dict[str, Any]]]] = {
     "registration": {
@@ -76,7 +76,7 @@ READY: dict[str, dict[str, tuple[str, dict[str, Any]]]] = {
         "following": ("placement.back_off", {}),
     },
 }
-"""Branch and state to what leads on from there, wherever one wants to go."""
+"""Next operation, by branch and state, independent of the wanted placement."""
 ON: dict[tuple[str, str], str] = {
     ("standoff", "retracted"): "placement.home",
     ("placed", "retracted"): "placement.home",
@@ -85,37 +85,37 @@ ON: dict[tuple[str, str], str] = {
     ("retracted", "placed"): "placement.approach",
     ("standoff", "placed"): "placement.confirm",
 }
-"""From a placement towards another."""
+"""Operation that leads from a placement towards another."""
 
 Progress = Callable[[Found], None]
 
 
 class _LostError(Exception):
-    """The cell cannot be brought to where a motion begins; a new one is started."""
+    """The cell cannot be brought to the start of a motion; a new one is started."""
 
 
-class _Robot:
-    """The simulated robot, which tells when it is told to hold."""
+class _ReportingRobot:
+    """Simulated robot that reports calls of `hold`."""
 
-    def __init__(self, robot: Any, told: Callable[[], None]) -> None:
-        self._robot, self._told = robot, told
+    def __init__(self, robot: Any, held_at: Callable[[], None]) -> None:
+        self._robot, self._on_hold = robot, held_at
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._robot, name)
 
     async def hold(self) -> JointState:
-        self._told()
+        self._on_hold()
         state: JointState = await self._robot.hold()
         return state
 
 
 class _Cell(DispatcherListener):
-    """One cell, and what is seen of the present Stop.
+    """Cell, and observations of the present Stop.
 
     Args:
-        found: Takes what is measured.
-        witness: Of the cell.
-        draw: Of motions, routes and moments.
+        found: Results.
+        witness: Witness of the cell.
+        draw: Source of motions, routes and moments.
     """
 
     def __init__(self, found: Found, witness: Witness, draw: random.Random) -> None:
@@ -130,19 +130,24 @@ class _Cell(DispatcherListener):
         self.latched: float | None = None
         self.braking: Braking | None = None
         self.rested: float | None = None
-        self.told: float | None = None
+        self.held_at: float | None = None
         self.confirmed: float | None = None
         self._confirming: asyncio.Future[None] = self._loop.create_future()
         self._stood: Floats | None = None
         self._moved = self._beyond = 0.0
 
     def watched(self, devices: Devices) -> Devices:
-        """The devices as the node is to serve them."""
+        """Return the devices that the node serves, wrapped for observation."""
         self._arm = devices["scene"].arm
-        return {**devices, "robot": _Robot(devices["robot"], self._told_to_hold)}
+        return {**devices, "robot": _ReportingRobot(devices["robot"], self._take_hold)}
 
     def observe(self, dispatcher: ProcedureDispatcher, reader: JournalReader) -> None:
-        """A run of the daemon begins."""
+        """Observe a new run of the daemon.
+
+        Args:
+            dispatcher: Dispatcher of the run.
+            reader: Reader of its journal.
+        """
         self._witness.observe(dispatcher, reader)
         dispatcher.add_listener(self)
 
@@ -159,15 +164,15 @@ class _Cell(DispatcherListener):
         self._last = verdict
         self._witness.answered(command, verdict)
 
-    def _told_to_hold(self) -> None:
-        if self.told is None:
-            self.told = self._loop.time()
+    def _take_hold(self) -> None:
+        if self.held_at is None:
+            self.held_at = self._loop.time()
             reference = self._arm.reference
             if not reference.ended:
-                self.braking = Braking.at(self.told, reference.position.tolist(), reference.velocity.tolist())
+                self.braking = Braking.at(self.held_at, reference.position.tolist(), reference.velocity.tolist())
 
     def look(self) -> None:
-        """The simulated arm after a step."""
+        """Observe the simulated arm after a step."""
         if self._stood is not None:
             self._moved = max(self._moved, farthest(self._stood, [self._arm.positions]))
         elif self.braking is not None:
@@ -176,7 +181,12 @@ class _Cell(DispatcherListener):
                 self.rested = self._loop.time()
 
     async def run(self, cell: SimulatedCell, stops: int) -> None:
-        """Stops so often."""
+        """Stop a cell a number of times.
+
+        Args:
+            cell: Simulated cell.
+            stops: Number of Stops.
+        """
         operators = Operators(cell, self._answered, self._witness.watcher)
         for _ in range(stops):
             await self._stop_one(operators, cell)
@@ -212,9 +222,9 @@ class _Cell(DispatcherListener):
             found.wrong.append(f"{what}: a joint moved by {self._moved:.3g} rad after a confirmed Stop.")
         for name, begun, ended in (
             (LATCHED, pressed, self.latched),
-            ("pressed to hold at the driver", pressed, self.told),
+            ("pressed to hold at the driver", pressed, self.held_at),
             ("pressed to confirmed", pressed, self.confirmed),
-            (STANDSTILL, self.told, self.rested),
+            (STANDSTILL, self.held_at, self.rested),
         ):
             if begun is not None and ended is not None:
                 found.times[prefix + name].append(ended - begun)
@@ -225,10 +235,10 @@ class _Cell(DispatcherListener):
                 found.wrong.append(f"{what}: a joint went {self._beyond:.3g} rad beyond its braking distance.")
 
     async def _bring(self, operators: Operators, place: str) -> None:
-        """Takes whatever steps lead to a placement, as somebody who looks at the state does.
+        """Perform the steps that lead to a placement, like an operator who watches the state.
 
         Raises:
-            _LostError: None does.
+            _LostError: No step leads there.
         """
         for _ in range(STEPS):
             shown = self._shown()
@@ -239,13 +249,13 @@ class _Cell(DispatcherListener):
             if step is None:
                 return
             await operators.operate("anna", *step)
-            await asyncio.sleep(LOOK)  # what is published is on its way
+            await asyncio.sleep(LOOK)  # publications are in transit
         reason = self._last.reason if self._last is not None else None
         why = "" if reason is None else f", {reason.code}: {reason.text}"
         raise _LostError(f"{place}: placement {self._shown().branches['placement']}{why}")
 
     def _shown(self) -> Snapshot:
-        """As published last; to operators of a disturbed cell an older one may come later."""
+        """Return the snapshot that was published last; operators of a disturbed cell may receive an older one later."""
         snapshot = self._witness.view.snapshot
         if snapshot is None:
             raise _LostError("no daemon runs")
@@ -253,7 +263,7 @@ class _Cell(DispatcherListener):
 
 
 def _next(shown: Snapshot, place: str) -> tuple[str, dict[str, Any]] | None:
-    """What leads on to a placement; None where it is reached."""
+    """Return the next step to a placement; None if it is reached."""
     states = shown.branches
     if states["robot"] == "0":
         return "robot.connect", {}
@@ -268,10 +278,14 @@ def _next(shown: Snapshot, place: str) -> tuple[str, dict[str, Any]] | None:
 
 
 def run_cell(seed: int, stops: int) -> tuple[Found, int]:
-    """Stops the cell of a seed so often; the process must do nothing else meanwhile.
+    """Stop the cell of a seed a number of times; the process must do nothing else meanwhile.
+
+    Args:
+        seed: Seed of the cell.
+        stops: Number of Stops.
 
     Returns:
-        What was found, and how many Stops were left when the cell could not be brought to another motion.
+        Results, and the number of Stops that were left when the cell could not be brought to another motion.
     """
     found = Found()
     with tempfile.TemporaryDirectory(prefix="pcmrs-stop-") as folder, seeded_entropy(seed), quiet():
@@ -310,21 +324,21 @@ async def _run(found: Found, seed: int, stops: int, path: Path) -> None:
 
 
 def run_all(stops: int, seed: int, jobs: int, progress: Progress = lambda _: None) -> Found:
-    """Stops cells in so many processes until Stop was pressed so often.
+    """Stop cells in several processes until the number of Stops is reached.
 
     Args:
-        stops: So often.
-        seed: Of the first cell; the others have those after it.
-        jobs: Processes.
-        progress: Told what was found so far.
+        stops: Number of Stops.
+        seed: Seed of the first cell; the others have the following ones.
+        jobs: Number of processes.
+        progress: Called with the results so far.
     """
     found, seeds, running = Found(), count(seed), set[Future[tuple[Found, int]]]()
-    asked = 0
+    scheduled = 0
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
         while True:
-            while asked < stops and len(running) < 2 * jobs and not found.wrong:
-                some = min(PER_CELL, stops - asked)
-                asked += some
+            while scheduled < stops and len(running) < 2 * jobs and not found.wrong:
+                some = min(PER_CELL, stops - scheduled)
+                scheduled += some
                 running.add(pool.submit(run_cell, next(seeds), some))
             if not running:
                 return found
@@ -332,5 +346,5 @@ def run_all(stops: int, seed: int, jobs: int, progress: Progress = lambda _: Non
             for each in done:
                 part, left = each.result()
                 found.add(part)
-                asked -= left
+                scheduled -= left
             progress(found)

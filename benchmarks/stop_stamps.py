@@ -1,10 +1,9 @@
-"""Stamps of a Stop in the processes of a cell: loaded into each of them before anything of it runs.
+"""Time stamps of a Stop in the processes of a cell, by code that is loaded into each process before its program.
 
-All processes of one machine have one monotonic clock. Each stamp is one line of JSON in a file that all of them append
-to: a message on the lane of Stop where a process receives it; the hold of the robot where the daemon sends it and where
-the node receives it; when the arm's follower is told to brake, and when it gives the first set point of the brake, in
-whichever process that runs. `stamping` gives the environment of such processes.
-"""
+All processes of one machine share one monotonic clock. Each stamp is one line of JSON in a file that all of them append
+to: when a process receives a message of Stop; when the daemon sends the hold of the robot and the node receives it;
+when the arm's follower gets the hold, and when it gives the first set point of the brake, in any process. `stamping`
+returns the environment of such processes."""
 
 from __future__ import annotations
 
@@ -25,7 +24,7 @@ COMMANDS = "/dev/robot/cmd"
 
 
 def stamping(folder: Path) -> Mapping[str, str]:
-    """Environment of processes that are stamped, and of their children, with a folder for the stamps."""
+    """Return the environment of stamped processes, which their children inherit, with a folder for the stamps."""
     load = "import importlib.util, sys\n"
     load += f"spec = importlib.util.spec_from_file_location('stop_stamps', {__file__!r})\n"
     load += "module = sys.modules['stop_stamps'] = importlib.util.module_from_spec(spec)\n"
@@ -36,10 +35,10 @@ def stamping(folder: Path) -> Mapping[str, str]:
 
 
 class Stamps:
-    """Those of one cell, read as they come.
+    """Stamps of one cell, read as they come.
 
     Args:
-        folder: As given to `stamping`.
+        folder: Folder that was given to `stamping`.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -48,7 +47,7 @@ class Stamps:
         self._all: list[dict[str, Any]] = []
 
     def since(self, begun: float) -> list[dict[str, Any]]:
-        """Those from a time of the machine on, in their order."""
+        """Return the stamps from a time of the machine on, in their order."""
         if self._file.exists():
             with self._file.open("rb") as file:
                 file.seek(self._read)
@@ -61,7 +60,7 @@ class Stamps:
 
 
 def install() -> None:
-    """Stamps this process."""
+    """Stamp this process."""
     descriptor = os.open(os.environ[VARIABLE], os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
 
     def stamp(what: str, **more: object) -> None:
@@ -75,7 +74,7 @@ Stamp = Callable[..., None]
 
 
 class _Patching(MetaPathFinder):
-    """Patches modules right after they were loaded, so that no process loads more than it needs."""
+    """Patches modules right after they were loaded, so that no process loads more modules than it needs."""
 
     def __init__(self, patches: Mapping[str, Callable[[Any, Stamp], None]], stamp: Stamp) -> None:
         self._patches, self._stamp = dict(patches), stamp

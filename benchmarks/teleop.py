@@ -1,16 +1,15 @@
-"""Teleoperation through a router: how late a set point moves the robot, and what one router carries.
+"""Teleoperation through a router: the latency from a set point to the robot, and the capacity of one router.
 
 `latency`: teleoperator, router, daemon and robot node, as processes of this machine over TLS on loopback, in one run
-with bare Zenoh sessions on the same way. A teleoperator at rest asks for a motion; `robot` is the time until the first
-set point that moves a joint passes on the key of the robot's node, `bare` that of a message of the same length from
-another teleoperator's Zenoh session, through the same router and the daemon's, to a session on site. In `robot` is the
-wait for the next step of the daemon's loop, up to 10 ms.
+with bare Zenoh sessions on the same route. A teleoperator at rest commands a motion; `robot` is the time until the
+first set point that moves a joint passes on the key of the robot's node, `bare` that of a message of the same length
+from another teleoperator's Zenoh session, through the same router and the daemon's, to a session on site. `robot`
+includes the wait for the next step of the daemon's loop, up to 10 ms.
 
-`curve`: light cells, each a process that publishes 1 kHz of joints and answers commands, and viewers who hear all of
-them, on one router; one more command every 20 ms to the first cell. It ends when the p99 of these commands has doubled,
-or nobody answers any more.
-Router, cells, viewers and asker share this machine's processors: what the router alone took of one is in the column
-`router`.
+`curve`: minimal cells, each a process that publishes joints at 1 kHz and answers commands, and viewers who subscribe to
+all of them, on one router; in addition a command every 20 ms to the first cell. It ends when the p99 of these commands
+has doubled, or no cell answers any more. Router, cells, viewers and commanding client share this machine's processors;
+the column `router` is the router's share of one processor.
 
     .venv/bin/python benchmarks/teleop.py [latency curve] [--samples 200] [--seconds 6] [--plot teleop.png] [--json]
 """
@@ -54,7 +53,7 @@ from pcmrs.testing.driving import accept, showing, to_standoff, until
 
 SITE, CELL = "lab", "far1"
 STEPS = [(1, 0), (1, 1), (2, 1), (2, 2), (4, 2), (4, 4), (8, 4), (8, 8)]
-"""Cells and viewers."""
+"""Numbers of cells and viewers."""
 RATE = 1000.0
 UP: Twist = (0.0, 0.0, 0.01, 0.0, 0.0, 0.0)
 DOWN: Twist = (0.0, 0.0, -0.01, 0.0, 0.0, 0.0)
@@ -64,12 +63,12 @@ PATIENT = (
     "procedure.teleoperation.slow_delay=1",
     "procedure.teleoperation.longest_delay=2",
 )
-"""What a busy machine does is not measured here."""
+"""Long limits, since the load of the machine is not measured here."""
 PATIENCE = 20.0
 
 
 class Site:
-    """An authority, and a router that carries what it lets through."""
+    """Authority, and a router that serves its members."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -83,24 +82,38 @@ class Site:
         return self.authority.folder / "register.json"
 
     def issue(self, role: Role, name: str, hosts: tuple[str, ...] = ()) -> None:
+        """Issue a certificate.
+
+        Args:
+            role: Role of the member.
+            name: Name of the member.
+            hosts: Host names in the certificate.
+        """
         via = ("gate",) if role in PEOPLE else ()
         self.authority.issue(role, name, time.time(), hosts=hosts, via=via, into=self.folder)
 
     def credentials(self, name: str) -> Credentials:
+        """Return the credentials of a member."""
         return read_credentials(self.folder / name, time.time())
 
     def client(self, name: str, cell: str = CELL) -> BusSettings:
+        """Return the bus settings of a member at the router.
+
+        Args:
+            name: Name of the member.
+            cell: Name of the cell.
+        """
         return BusSettings(endpoint=self.endpoint, site=SITE, cell=cell, credentials=self.credentials(name))
 
     @contextmanager
     def routing(self) -> Iterator[subprocess.Popen[bytes]]:
-        """Everybody has to have a certificate before: the router reads the register once."""
+        """Run the router for the length of the context; issue all certificates before, since it reads them once."""
         words = ["router", "--identity", str(self.folder / "gate"), "--register", str(self.register), "--json"]
         command = [sys.executable, "-m", "pcmrs.cli", *words, "--listen", self.endpoint]
         with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
             try:
                 assert process.stdout is not None
-                assert process.stdout.readline(), "the router has not started"
+                assert process.stdout.readline(), "the router did not start"
                 yield process
             finally:
                 process.terminate()
@@ -110,7 +123,7 @@ class Site:
 
 
 class Latency:
-    """Asks for motions, and notes when they arrive at the robot's node; beside it messages of bare Zenoh."""
+    """Commands motions and records when they arrive at the robot's node, and messages of bare Zenoh."""
 
     def __init__(self, teleoperator: Bus, bare: zenoh.Session, on_site: zenoh.Session, prefix: str) -> None:
         self._bus, self._loop = teleoperator, asyncio.get_running_loop()
@@ -118,16 +131,21 @@ class Latency:
         self._sequence = 0
         self._moving, self._arrived = asyncio.Event(), asyncio.Event()
         self._moves = False
-        self._began = self._came = 0.0
+        self._moved_at = self._arrived_at = 0.0
         self._bare = bare.declare_publisher(f"{prefix}/teleop/bea", priority=zenoh.Priority.REAL_TIME, express=True)
         teleoperator.subscribe("state/teleop", TeleopStatus, self._take_status)
-        self._ears = [
+        self._subscribers = [
             on_site.declare_subscriber(f"{prefix}/dev/robot/setpoint", self._take_joints),
             on_site.declare_subscriber(f"{prefix}/teleop/bea", self._take_bare),
         ]
 
     async def sample(self, rest: float, twist: Twist) -> tuple[float, float]:
-        """Latency to the robot and of bare Zenoh, s, after the tool has been at rest for so long."""
+        """Return the latency to the robot and of bare Zenoh, s.
+
+        Args:
+            rest: Time for which the tool rests before, s.
+            twist: Commanded twist.
+        """
         end = time.monotonic() + rest
         while time.monotonic() < end or self._moves:
             self._send(REST)
@@ -136,13 +154,13 @@ class Latency:
         sent = time.monotonic()
         self._bare.put(pack(self._setpoint(REST)))
         await asyncio.wait_for(self._arrived.wait(), PATIENCE)
-        bare = self._came - sent
+        bare = self._arrived_at - sent
         self._moving.clear()
         sent = time.monotonic()
         while not self._moving.is_set():
             self._send(twist)
             await asyncio.wait([asyncio.ensure_future(self._moving.wait())], timeout=0.05)
-        return self._began - sent, bare
+        return self._moved_at - sent, bare
 
     def _setpoint(self, twist: Twist) -> TeleopSetpoint:
         assert self._status is not None
@@ -162,16 +180,17 @@ class Latency:
         now, setpoint = time.monotonic(), unpack(sample.payload.to_bytes(), JointSetpoint)
         moves = bool(np.any(setpoint.velocities))
         if moves and not self._moves:
-            self._began = now
+            self._moved_at = now
             self._loop.call_soon_threadsafe(self._moving.set)
         self._moves = moves
 
     def _take_bare(self, _sample: zenoh.Sample) -> None:
-        self._came = time.monotonic()
+        self._arrived_at = time.monotonic()
         self._loop.call_soon_threadsafe(self._arrived.set)
 
 
 async def latency(samples: int) -> dict[str, float]:
+    """Return the statistics of the latencies, ms."""
     with tempfile.TemporaryDirectory(prefix="pcmrs-") as name:
         site = Site(Path(name))
         site.issue("daemon", CELL)
@@ -194,7 +213,7 @@ async def latency(samples: int) -> dict[str, float]:
 
 @asynccontextmanager
 async def _guided_cell(site: Site) -> AsyncIterator[Latency]:
-    """A daemon behind the router, whose tool is guided by tom, with the clutch engaged."""
+    """Start a daemon behind the router, whose tool is guided by tom with the clutch engaged."""
     access = (
         f"access.identity={site.folder / CELL}",
         f"access.register={site.register}",
@@ -219,7 +238,7 @@ async def _guided_cell(site: Site) -> AsyncIterator[Latency]:
 
 
 async def _reached(site: Site, stack: AsyncExitStack) -> Client:
-    """A client of the daemon, as soon as both have found their way through the router."""
+    """Return a client of the daemon as soon as both are connected to the router."""
     end, credentials = time.monotonic() + PATIENCE, site.credentials("tom")
     while True:
         try:
@@ -239,11 +258,11 @@ def _close(session: Any) -> None:
 
 @dataclass
 class Step:
-    """What was measured with so many cells and viewers.
+    """Results with a number of cells and viewers.
 
     Attributes:
-        delivered: Messages that the viewers got, per second.
-        router: Part of one processor that the router took.
+        delivered: Messages that the viewers received, per second.
+        router: Share of one processor that the router used.
     """
 
     cells: int
@@ -254,8 +273,13 @@ class Step:
     router: float
 
 
-def be_cell(settings: BusSettings, ended: Event) -> None:
-    """A cell that publishes its joints and accepts every command."""
+def run_minimal_cell(settings: BusSettings, ended: Event) -> None:
+    """Run a cell that publishes its joints and accepts every command.
+
+    Args:
+        settings: Settings of its bus.
+        ended: Set when it must end.
+    """
 
     async def answer(_key: str, _envelope: Envelope) -> Verdict:
         return Verdict(id="", branch="robot", operation="connect", decision="accepted", state="1", sequence=0)
@@ -282,22 +306,31 @@ def _publish(bus: Bus, ended: Event) -> None:
         bus.publish("state/joints", state)
 
 
-def be_viewer(settings: list[BusSettings], ended: Event, heard: Any) -> None:
-    """Somebody who watches all cells."""
+def run_viewer(settings: list[BusSettings], ended: Event, received: Any) -> None:
+    """Run a viewer who watches all cells.
+
+    Args:
+        settings: Settings of the bus, one for each cell.
+        ended: Set when it must end.
+        received: Counter of received messages.
+    """
 
     def take(_sample: zenoh.Sample) -> None:
-        with heard.get_lock():
-            heard.value += 1
+        with received.get_lock():
+            received.value += 1
 
     session = open_session(settings[0])
-    ears: list[Any] = [session.declare_subscriber(f"pcmrs/{SITE}/{each.cell}/state/joints", take) for each in settings]
+    subscribers: list[Any] = [
+        session.declare_subscriber(f"pcmrs/{SITE}/{each.cell}/state/joints", take) for each in settings
+    ]
     ended.wait()
-    for ear in ears:
-        ear.undeclare()
+    for subscriber in subscribers:
+        subscriber.undeclare()
     _close(session)
 
 
 async def curve(seconds: float) -> list[Step]:
+    """Return the results for all numbers of cells and viewers."""
     most_cells, most_viewers = STEPS[-1]
     with tempfile.TemporaryDirectory(prefix="pcmrs-") as name:
         site = Site(Path(name))
@@ -322,7 +355,7 @@ async def curve(seconds: float) -> list[Step]:
 
 async def _step(site: Site, router: int, cells: int, viewers: int, seconds: float) -> Step:
     context = multiprocessing.get_context("spawn")
-    ended, heard = context.Event(), context.Value("q", 0)
+    ended, received = context.Event(), context.Value("q", 0)
     members = tuple(read_register(site.register))
     processes = []
     for number in range(cells):
@@ -335,14 +368,14 @@ async def _step(site: Site, router: int, cells: int, viewers: int, seconds: floa
             routers=(site.endpoint,),
             members=members,
         )
-        processes.append(context.Process(target=be_cell, args=(own, ended)))
+        processes.append(context.Process(target=run_minimal_cell, args=(own, ended)))
     for number in range(viewers):
         watched = [site.client(f"viewer{number}", f"cell{each}") for each in range(cells)]
-        processes.append(context.Process(target=be_viewer, args=(watched, ended, heard)))
+        processes.append(context.Process(target=run_viewer, args=(watched, ended, received)))
     for process in processes:
         process.start()
     try:
-        return await _asked(site, router, (cells, viewers), heard, seconds)
+        return await _measure_commands(site, router, (cells, viewers), received, seconds)
     finally:
         ended.set()
         for process in processes:
@@ -350,12 +383,12 @@ async def _step(site: Site, router: int, cells: int, viewers: int, seconds: floa
             process.kill()
 
 
-async def _asked(site: Site, router: int, size: tuple[int, int], heard: Any, seconds: float) -> Step:
+async def _measure_commands(site: Site, router: int, size: tuple[int, int], received: Any, seconds: float) -> Step:
     bus = await Bus.open(site.client("anna", "cell0"))
     try:
-        await _answering(bus)
+        await _wait_for_answer(bus)
         await asyncio.sleep(3.0)  # all cells and viewers have started
-        before, busy, begun = heard.value, _processor_time(router), time.monotonic()
+        before, busy, begun = received.value, _processor_time(router), time.monotonic()
         took: list[float] = []
         while time.monotonic() - begun < seconds:
             sent = time.monotonic()
@@ -364,13 +397,13 @@ async def _asked(site: Site, router: int, size: tuple[int, int], heard: Any, sec
             await asyncio.sleep(0.02)
         passed = time.monotonic() - begun
         p50, p99 = np.percentile(took, (50, 99)).tolist()
-        delivered, used = (heard.value - before) / passed, (_processor_time(router) - busy) / passed
+        delivered, used = (received.value - before) / passed, (_processor_time(router) - busy) / passed
         return Step(*size, p50_ms=p50, p99_ms=p99, delivered=delivered, router=used)
     finally:
         await bus.close()
 
 
-async def _answering(bus: Bus) -> None:
+async def _wait_for_answer(bus: Bus) -> None:
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         try:
@@ -379,16 +412,22 @@ async def _answering(bus: Bus) -> None:
             await asyncio.sleep(0.2)
         else:
             return
-    raise TimeoutError(f"no cell has answered for {PATIENCE:g} s")
+    raise TimeoutError(f"no cell answered within {PATIENCE:g} s")
 
 
 def _processor_time(pid: int) -> float:
-    """What a process has used of the processors so far, s."""
+    """Return the processor time that a process has used so far, s."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def plot(steps: list[Step], file: Path) -> None:
+    """Draw the curve.
+
+    Args:
+        steps: Results by numbers of cells and viewers.
+        file: PNG file to write.
+    """
     figure, axes = plt.subplots(figsize=(7.0, 4.0), layout="constrained")
     delivered = [each.delivered / 1000.0 for each in steps]
     axes.plot(delivered, [each.p99_ms for each in steps], "o-", label="p99")
@@ -404,10 +443,11 @@ def plot(steps: list[Step], file: Path) -> None:
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", nargs="*", default=["latency", "curve"])
     parser.add_argument("--samples", type=int, default=200)
-    parser.add_argument("--seconds", type=float, default=6.0, help="each step of the curve")
+    parser.add_argument("--seconds", type=float, default=6.0, help="duration of each step of the curve")
     parser.add_argument("--plot", type=Path)
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()

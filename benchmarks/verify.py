@@ -1,9 +1,9 @@
-"""How long the verifier takes for a million joint states, and how much memory, beside a plain search.
+"""Time and memory of the verifier for a million joint states, compared with a plain search.
 
-Each shape in a process of its own, so that its peak memory is its own. The plain search is what one would write
-first: breadth first over dictionaries, `pcmrs.fsm.close` for every operation that users or devices may ask for. It
-only collects joint states, of the same blueprint, and is ended after some thousands; the verifier finds all of them
-and also checks everything that `pcmrs fsm verify` reports.
+Each shape runs in a separate process, so that its peak memory is measured separately. The plain search is the obvious
+implementation: breadth first over dictionaries, `pcmrs.fsm.close` for every operation that users or devices may
+request. It only collects joint states of the same blueprint, and ends after some thousands; the verifier finds all of
+them and also checks everything that `pcmrs fsm verify` reports.
 
     .venv/bin/python benchmarks/verify.py [--plain 3000] [--json]
 """
@@ -36,10 +36,11 @@ SHAPES = {
     "20 of 2, a promise on what runs": lambda: promising(20),
 }
 SMALL = 8
-"""Branches of the blueprint that the plain search and the verifier must agree on first."""
+"""Number of branches of the blueprint on which both searches must agree first."""
 
 
 def verified(shape: str) -> dict[str, Any]:
+    """Return the results of the verifier for one shape."""
     blueprint = SHAPES[shape]()
     begin = time.perf_counter()
     found = verify(blueprint)
@@ -51,6 +52,12 @@ def verified(shape: str) -> dict[str, Any]:
 
 
 def searched(shape: str, most: int) -> dict[str, Any]:
+    """Return the results of the plain search for one shape.
+
+    Args:
+        shape: Key of `SHAPES`.
+        most: Number of joint states after which it ends.
+    """
     blueprint = SHAPES[shape]()
     begin = time.perf_counter()
     states = plain(blueprint, most)
@@ -58,11 +65,16 @@ def searched(shape: str, most: int) -> dict[str, Any]:
 
 
 def plain(blueprint: Blueprint, most: int) -> int:
-    """Looks at joint states until all, or `most`, have been looked at; returns how many."""
+    """Search joint states, and return how many were searched.
+
+    Args:
+        blueprint: Workflow.
+        most: Number of joint states after which it ends.
+    """
     start = blueprint.initial()
     known, waiting, done = {tuple(start.values())}, deque([start]), 0
     while waiting and done < most:
-        for after in ways(blueprint, waiting.popleft()):
+        for after in successors(blueprint, waiting.popleft()):
             key = tuple(after.values())
             if key not in known:
                 known.add(key)
@@ -71,8 +83,13 @@ def plain(blueprint: Blueprint, most: int) -> int:
     return done
 
 
-def ways(blueprint: Blueprint, states: dict[str, str]) -> Iterator[dict[str, str]]:
-    """The joint states that one command may lead to."""
+def successors(blueprint: Blueprint, states: dict[str, str]) -> Iterator[dict[str, str]]:
+    """Yield the joint states that one command may lead to.
+
+    Args:
+        blueprint: Workflow.
+        states: State of each branch.
+    """
     for name, branch in blueprint.branches.items():
         for operation, spec in branch.operations.items():
             if spec.iio or not branch.valid_in(operation, states[name]):
@@ -85,7 +102,7 @@ def ways(blueprint: Blueprint, states: dict[str, str]) -> Iterator[dict[str, str
 
 
 def agree() -> None:
-    """Both searches know the same number of joint states of something small."""
+    """Check that both searches find the same number of joint states of small blueprints."""
     for blueprint in (free(SMALL, 2), entangled(SMALL // 2, 4)):
         one, other = plain(blueprint, sys.maxsize), verify(blueprint).joint_states
         if one != other:
@@ -93,6 +110,7 @@ def agree() -> None:
 
 
 def measure(most: int) -> list[dict[str, Any]]:
+    """Return the results of all shapes."""
     rows = []
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=context, max_tasks_per_child=1) as fresh:
@@ -105,6 +123,7 @@ def measure(most: int) -> list[dict[str, Any]]:
 
 
 def report(rows: list[dict[str, Any]]) -> None:
+    """Print the results."""
     print(f"Python {platform.python_version()}, {platform.machine()}; joint states per second")
     print(f"\n{'':<36}{'states':>9}{'s':>7}{'MiB':>7}{'verify/s':>12}{'plain/s':>10}{'ratio':>8}")
     for row in rows:
@@ -115,8 +134,9 @@ def report(rows: list[dict[str, Any]]) -> None:
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--plain", type=int, default=3000, help="joint states that the plain search looks at")
+    parser.add_argument("--plain", type=int, default=3000, help="number of joint states of the plain search")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     agree()

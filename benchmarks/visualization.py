@@ -1,12 +1,12 @@
-"""Pose streams at the clients that show them: rate, jitter between frames, age of the pose; beside a bare timer.
+"""Pose streams at the clients that show them: rate, jitter between frames, age of the pose; compared with a bare timer.
 
-A daemon with the simulated cell in real time streams the tool's pose to a client as 3D Slicer is one (UDP,
-`visualization`) and to one as Unity is one (`mixed_reality`), while the tool is placed and drawn back again and again.
-Each client is a process of its own; arrivals are the kernel's stamps. Jitter is how far an interval between two
-arrivals is from the asked one. A pose is found again by its text among those of the tracker on the bus; its age runs
-from the exposure to the arrival, so it has the tracker's own latency and rate in it. `bare` is a process that does
-nothing but send as many datagrams by `time.sleep`. The paper's stream has 60 Hz. Everything shares the machine's
-processors, and all is simulated.
+A daemon with the simulated cell in real time streams the tool's pose to a client like 3D Slicer (UDP, `visualization`)
+and to one like Unity (`mixed_reality`), while the tool is placed and withdrawn repeatedly. Each client is a separate
+process; arrivals are the kernel's stamps. Jitter is the difference between an interval of two arrivals and the
+requested one. A pose is identified by its text among those of the tracker on the bus; its age runs from the exposure to
+the arrival, so it has the tracker's own latency and rate in it. `bare` is a process that does nothing but send as many
+datagrams by `time.sleep`. The paper's stream has 60 Hz. Everything shares the machine's processors, and all is
+simulated.
 
     .venv/bin/python benchmarks/visualization.py [--rates 60 100 250 500] [--seconds 15] [--tracker-hz 60] [--json]
 """
@@ -47,11 +47,17 @@ SO_TIMESTAMPNS = 35
 PREFIXES = {"slicer": "__msg_pose_", "unity": "crnt_", "bare": "bare"}
 
 Arrivals = list[tuple[float, str]]
-"""When each datagram came, s of the monotonic clock, and what it says."""
+"""Time of arrival of each datagram, s of the monotonic clock, and its text."""
 
 
 def receive(port: int, prefix: str, found: Connection) -> None:
-    """Collects datagrams until it is asked for them; a process of its own."""
+    """Collect datagrams until they are requested; it runs in a separate process.
+
+    Args:
+        port: Port to listen at.
+        prefix: Prefix of the datagrams that count.
+        found: Connection for the result.
+    """
     ahead = time.time() - time.monotonic()
     arrivals: Arrivals = []
     with socket.socket(type=socket.SOCK_DGRAM) as link:
@@ -70,7 +76,12 @@ def receive(port: int, prefix: str, found: Connection) -> None:
 
 
 def send_bare(port: int, rate: float) -> None:
-    """Sends by the simplest timer there is, until it is killed; a process of its own."""
+    """Send by the simplest timer until killed; it runs in a separate process.
+
+    Args:
+        port: Port of the receiver.
+        rate: Datagrams per second.
+    """
     with socket.socket(type=socket.SOCK_DGRAM) as link:
         due = time.monotonic()
         while True:
@@ -80,7 +91,7 @@ def send_bare(port: int, rate: float) -> None:
 
 
 class Clients:
-    """The receiving clients of one run."""
+    """Receiving clients of one run."""
 
     def __init__(self) -> None:
         self._found: dict[str, Connection] = {}
@@ -88,6 +99,7 @@ class Clients:
 
     @contextmanager
     def listening(self) -> Iterator[None]:
+        """Run the clients for the length of the context."""
         started = []
         for name, prefix in PREFIXES.items():
             self._found[name], there = multiprocessing.Pipe()
@@ -102,13 +114,14 @@ class Clients:
                 process.kill()
 
     def arrivals(self) -> dict[str, Arrivals]:
+        """Return the arrivals of all clients."""
         for found in self._found.values():
             found.send("end")
         return {name: found.recv() for name, found in self._found.items()}
 
 
 class Exposures:
-    """When the tracker exposed what each pose message says."""
+    """Exposure time of each pose message."""
 
     def __init__(self, body_ref_from_image: Transform) -> None:
         self._body_ref_from_image = body_ref_from_image
@@ -116,6 +129,7 @@ class Exposures:
         self.captured: dict[str, float] = {}
 
     def take(self, pose: BodyPose) -> None:
+        """Record a pose of the tracker."""
         if not pose.valid or pose.body not in ("coil", "body_ref"):
             return
         frame = self._seen.setdefault(pose.frame_number, {})
@@ -132,7 +146,14 @@ class Exposures:
 async def registered_cell(
     folder: Path, rate: float, tracker_hz: float, ports: dict[str, int]
 ) -> AsyncIterator[RunningCell]:
-    """A cell at the standoff of its first placement, with its streams going."""
+    """Start a cell with a registered head, a planned pose, and running streams.
+
+    Args:
+        folder: Parent of its folder.
+        rate: Rate of the streams, Hz.
+        tracker_hz: Rate of the tracker, Hz.
+        ports: Ports of the clients by name.
+    """
     links = (
         f"gateway.visualization={{port=0,stream_port={ports['slicer']}}}",
         f"gateway.mixed_reality={{stream_port={ports['unity']}}}",
@@ -152,12 +173,25 @@ async def registered_cell(
 
 
 async def place_until(cell: RunningCell, end: float) -> None:
+    """Place and withdraw the tool until a time of the machine.
+
+    Args:
+        cell: Cell.
+        end: Time, s.
+    """
     while time.monotonic() < end:
         for operation in ("placement.approach", "placement.confirm", "placement.back_off", "placement.home"):
             await accept(cell.client, operation)
 
 
 async def measure(rate: float, seconds: float, tracker_hz: float) -> dict[str, dict[str, float]]:
+    """Return the statistics of the streams at one rate.
+
+    Args:
+        rate: Rate of the streams, Hz.
+        seconds: Duration, s.
+        tracker_hz: Rate of the tracker, Hz.
+    """
     clients = Clients()
     bare = multiprocessing.Process(target=send_bare, args=(clients.ports["bare"], rate), daemon=True)
     with tempfile.TemporaryDirectory(prefix="pcmrs-") as name, clients.listening():
@@ -167,17 +201,24 @@ async def measure(rate: float, seconds: float, tracker_hz: float) -> dict[str, d
             exposures = Exposures(as_transform(registered))
             cell.client.listen("state/pose/*", BodyPose, exposures.take)
             bare.start()
-            begun = time.monotonic()
-            await place_until(cell, begun + seconds)
+            started = time.monotonic()
+            await place_until(cell, started + seconds)
             arrivals, ended = clients.arrivals(), time.monotonic()
             bare.kill()
     return {
-        name: figures([row for row in rows if begun < row[0] < ended], rate, exposures.captured)
+        name: figures([row for row in rows if started < row[0] < ended], rate, exposures.captured)
         for name, rows in arrivals.items()
     }
 
 
 def figures(arrivals: Arrivals, rate: float, captured: dict[str, float]) -> dict[str, float]:
+    """Return the statistics of one stream.
+
+    Args:
+        arrivals: Arrivals of its datagrams.
+        rate: Requested rate, Hz.
+        captured: Exposure times by text, s.
+    """
     at = np.array([time for time, _ in arrivals])
     jitter = np.abs(np.diff(at) - 1.0 / rate) * 1e3
     found = {
@@ -193,14 +234,15 @@ def figures(arrivals: Arrivals, rate: float, captured: dict[str, float]) -> dict
 
 
 def main() -> None:
+    """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--rates", type=float, nargs="+", default=[60.0, 100.0, 250.0, 500.0])
     parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--tracker-hz", type=float, default=60.0)
     parser.add_argument("--json", action="store_true")
-    given = parser.parse_args()
-    report = {f"{rate:g}": uvloop.run(measure(rate, given.seconds, given.tracker_hz)) for rate in given.rates}
-    if given.json:
+    options = parser.parse_args()
+    report = {f"{rate:g}": uvloop.run(measure(rate, options.seconds, options.tracker_hz)) for rate in options.rates}
+    if options.json:
         print(json.dumps(report))
         return
     print(f"{os.cpu_count()} cores, Python {platform.python_version()}; the paper streams at {PAPER_HZ:g} Hz")

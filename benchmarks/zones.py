@@ -1,4 +1,4 @@
-"""Times of the zones: all link pairs of one control step, and the look at a whole approach.
+"""Times of the zones: all link pairs of one control step, and the check of a whole approach.
 
 Run: ``python benchmarks/zones.py [STEPS]``. The cell is that of ``ratms`` as shipped: an iiwa 14, a coil, the hull of
 the head phantom, the table and both lines of sight.
@@ -22,21 +22,27 @@ from pcmrs.workflows.zones import CellZones
 
 STEPS = 5_000
 REPEATS = 5
-"""Of every step, of which the quickest counts: what else runs on the machine does not."""
+"""Number of repetitions of every step, of which the fastest counts, to exclude other load of the machine."""
 TRACKER, BODY_REF = (1.35, -0.5, 0.6), (0.572, -0.006, 0.085)
 BASE_FROM_IMAGE = Transform.from_quat_wxyz((0.462, 0.004, -0.015), (0.70710678, 0.0, 0.0, -0.70710678))
 AT_HEAD = (0.014, 0.530, -0.003, -1.955, -0.019, 0.670, -1.543)
-"""The posture with the coil at the vertex."""
+"""Posture with the coil at the vertex."""
 
 
 def timed(zones: CellZones, posture: Floats) -> float:
-    """All distances once, us."""
+    """Return the time to compute all distances once, us.
+
+    Args:
+        zones: Zones of the cell.
+        posture: Joint positions, rad.
+    """
     begin = time.perf_counter()
     zones.model.distances(posture)
     return (time.perf_counter() - begin) * 1e6
 
 
 def main(steps: int) -> None:
+    """Measure and print."""
     settings = msgspec.convert({"body": {"surface": "head_phantom.ply"}}, ProcedureSettings)
     flange_from_coil = Transform.from_quat_wxyz((0.0, 0.0, 0.15), (0.0, 1.0, 0.0, 0.0))
     zones = CellZones(IIWA14_R820, flange_from_coil, settings, read_surface(settings))

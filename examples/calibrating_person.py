@@ -35,7 +35,14 @@ def main(kind: str, endpoint: str, site: str, cell: str) -> None:
 
 
 async def act(kind: str, endpoint: str, site: str, cell: str) -> None:
-    """Connect to the cell and run the motion of a calibration."""
+    """Connect to the cell and run the motion of a calibration.
+
+    Args:
+        kind: ``pivot`` or ``hand-eye``.
+        endpoint: Zenoh endpoint of the bus.
+        site: Name of the site.
+        cell: Name of the cell.
+    """
     async with Client.connect(endpoint, site, cell) as client:
         await (pivot(client) if kind == "pivot" else change_postures(client))
 
@@ -62,14 +69,25 @@ async def change_postures(client: Client) -> None:
 
 
 def turned(pose: dict[str, Any], angle: float) -> dict[str, Any]:
-    """Return a planned pose that is turned about the tool's axis by `angle`, rad."""
+    """Return a planned pose, turned about the tool's axis.
+
+    Args:
+        pose: Planned pose, as in the plan's file.
+        angle: Angle, rad.
+    """
     planned = Transform.from_quat_xyzw(pose["position"], pose["quat_xyzw"])
     found = planned @ Transform.from_rotvec((0.0, 0.0, 0.0), (0.0, 0.0, angle))
     return pose | {"quat_xyzw": found.quat_xyzw.tolist()}
 
 
 async def call(client: Client, name: str, **arguments: object) -> None:
-    """Request an operation; continue if it is refused."""
+    """Request an operation; continue if it is refused.
+
+    Args:
+        client: Client of the cell.
+        name: Operation, ``branch.operation``.
+        arguments: Arguments of the operation.
+    """
     verdict = await client.call(name, arguments)
     if verdict.reason is not None:
         click.echo(f"{name} {verdict.decision}: {verdict.reason.text}", err=True)

@@ -58,7 +58,12 @@ Finding = dict[str, Any]
 
 
 def rename_operation(draft: Table, finding: Finding) -> str:
-    """Rename an operation whose name is a reserved word of Python."""
+    """Rename an operation whose name is a reserved word of Python.
+
+    Args:
+        draft: Draft, which is changed.
+        finding: Finding on it.
+    """
     _, branch, _, word = finding["path"]
     operations = draft["branches"][branch]["operations"]
     operations[f"do_{word}"] = operations.pop(word)
@@ -66,7 +71,12 @@ def rename_operation(draft: Table, finding: Finding) -> str:
 
 
 def add_reinitiation(draft: Table, finding: Finding) -> str:
-    """Add a re-initiation (Rule 1: every branch of level 2 or more has one)."""
+    """Add a re-initiation (Rule 1: every branch of level 2 or more has one).
+
+    Args:
+        draft: Draft, which is changed.
+        finding: Finding on it.
+    """
     name = finding["path"][1]
     branch = draft["branches"][name]
     start = next(iter(branch["states"]))
@@ -75,7 +85,12 @@ def add_reinitiation(draft: Table, finding: Finding) -> str:
 
 
 def mark_as_signal(draft: Table, finding: Finding) -> str:
-    """Mark the parent's operation as a signal (Rule 2: only the child calls it)."""
+    """Mark the parent's operation as a signal (Rule 2: only the child calls it).
+
+    Args:
+        draft: Draft, which is changed.
+        finding: Finding on it.
+    """
     child = finding["path"][1]
     parent, called = draft["branches"][child]["parent"]["branch"], draft["branches"][child]["emits"]["*"]
     draft["branches"][parent]["operations"][called]["iio"] = True
@@ -83,7 +98,12 @@ def mark_as_signal(draft: Table, finding: Finding) -> str:
 
 
 def forbid_last_command(draft: Table, finding: Finding) -> str:
-    """Let the last command require other states, so that it no longer leads to a forbidden joint state."""
+    """Let the last command require other states, so that it no longer leads to a forbidden joint state.
+
+    Args:
+        draft: Draft, which is changed.
+        finding: Finding on it.
+    """
     branch, operation = finding["commands"][-1].partition(":")[0].split(".")
     forbidden = draft["properties"][int(finding["path"][1])]["never"]["states"]
     requires = {
@@ -95,7 +115,7 @@ def forbid_last_command(draft: Table, finding: Finding) -> str:
     return f"{branch}.{operation} now needs {requires}"
 
 
-MENDS: dict[str, Callable[[Table, Finding], str]] = {
+REPAIRS: dict[str, Callable[[Table, Finding], str]] = {
     "reserved_name": rename_operation,
     "rule_1": add_reinitiation,
     "rule_2": mark_as_signal,
@@ -124,10 +144,10 @@ def main() -> int:
         click.echo(f"Round {number}: {finding['code']} at line {finding['line']}: {finding['text']}")
         if finding.get("commands"):
             click.echo(f"  Shown by: {', '.join(finding['commands'])}.")
-        if finding["code"] not in MENDS:
-            click.echo("  The drafter does not know how to mend that.")
+        if finding["code"] not in REPAIRS:
+            click.echo("  The drafter has no repair for this finding.")
             return 1
-        click.echo(f"  Mended: {MENDS[finding['code']](draft, finding)}.")
+        click.echo(f"  Repaired: {REPAIRS[finding['code']](draft, finding)}.")
     click.echo(f"Not sound after {MOST_ROUNDS} rounds.")
     return 1
 

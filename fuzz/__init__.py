@@ -1,1 +1,1 @@
-"""Fuzz targets: every parser that bytes from outside reach, and for each a small corpus, which the suite replays."""
+"""Fuzz targets: every parser of bytes from outside, each with a small corpus that the test suite replays."""

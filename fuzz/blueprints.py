@@ -1,4 +1,4 @@
-"""Blueprints: a workflow that was proved, or refused with what is wrong in it.
+"""Blueprints: each input is a verified workflow, or is refused with its errors.
 
 python -m fuzz.blueprints -max_total_time=60
 """
@@ -13,6 +13,7 @@ with instrumented("pcmrs.fsm"):
 
 
 def one(data: bytes) -> None:
+    """Parse a blueprint."""
     try:
         blueprint = parse_blueprint(data)
     except PcmrsError:

@@ -1,4 +1,4 @@
-"""CDR, as bridges to ROS 2 send it: a message of its kind, or refused.
+"""CDR messages of bridges to ROS 2: each input is a message of its kind, or is refused.
 
 python -m fuzz.cdr -max_total_time=60
 """
@@ -15,7 +15,7 @@ KINDS = (PoseStamped, TFMessage, JointState, String, Pose)
 
 
 def one(data: bytes) -> None:
-    """The first byte chooses the kind."""
+    """Decode a message; the first byte selects its kind."""
     kind = KINDS[data[0] % len(KINDS) if data else 0]
     try:
         message = decode(data[1:], kind)

@@ -1,4 +1,4 @@
-"""String commands of the gateway: a datagram parses or is refused, and what parses can be written again.
+"""String commands of the gateway: a datagram is parsed or refused, and a parsed one can be formatted again.
 
 python -m fuzz.commands -max_total_time=60
 """
@@ -16,7 +16,7 @@ NAMES = sorted(COMMANDS)
 
 
 def one(data: bytes) -> None:
-    """The first byte may name a command, so that its tokens are tried, too."""
+    """Parse a datagram; the first byte may select a command, so that its tokens are tried, too."""
     datagram = NAMES[data[0] % len(NAMES)].encode() + data[1:] if data[:1] > b"\x20" else data[1:]
     try:
         if parse_tool_points(datagram) is not None:

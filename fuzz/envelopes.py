@@ -1,4 +1,4 @@
-"""Envelopes of the bus, MessagePack and JSON: a message of its kind, or refused.
+"""Envelopes of the bus, MessagePack and JSON: each input is a message of its kind, or is refused.
 
 python -m fuzz.envelopes -max_total_time=60
 """
@@ -16,7 +16,7 @@ KINDS = (Command, Verdict, Snapshot, DeviceEvent, BlueprintTag)
 
 
 def one(data: bytes) -> None:
-    """The first byte chooses the kind; what is taken can be sent on."""
+    """Decode a message, whose kind the first byte selects; a decoded message can be encoded."""
     kind, payload = KINDS[data[0] % len(KINDS) if data else 0], data[1:]
     try:
         message = unpack(payload, kind)

@@ -1,4 +1,4 @@
-"""Lines on the standard input of `pcmrs-sim`, and what they do to a simulated cell.
+"""Lines on the standard input of `pcmrs-sim`, and their effect on a simulated cell.
 
 python -m fuzz.faults -max_total_time=60
 """
@@ -15,16 +15,16 @@ with instrumented("pcmrs_sim"):
     from pcmrs.devices.motion.force import ForceSettings
     from pcmrs.errors import PcmrsError
     from pcmrs.kinematics.arms import ARMS
-    from pcmrs_sim.cell import Cell
+    from pcmrs_sim.cell import CellSimulation
     from pcmrs_sim.faults import FAULTS, inject, parse_fault
     from pcmrs_sim.settings import SimSettings
 
-CELL = Cell(SimSettings(), ARMS["iiwa14"], ForceSettings(force_limit=math.inf), SystemClock())
+CELL = CellSimulation(SimSettings(), ARMS["iiwa14"], ForceSettings(force_limit=math.inf), SystemClock())
 NAMES = sorted(FAULTS)
 
 
 async def one(data: bytes) -> None:
-    """The first byte may name a fault, so that arguments are tried, too."""
+    """Inject a fault; the first byte may select it, so that arguments are tried, too."""
     text = data[1:].decode("utf-8", "replace")
     line = f"{NAMES[data[0] % len(NAMES)]} {text}" if data[:1] > b"\x20" else text
     if not line.strip():

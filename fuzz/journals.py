@@ -1,4 +1,4 @@
-"""Journals of other machines: files, heads and rows as `pcmrs journal`, exports and reports read them.
+"""Journals of other machines: files, heads and rows that `pcmrs journal`, exports and reports read.
 
 python -m fuzz.journals -max_total_time=60
 """
@@ -34,11 +34,14 @@ EMPTY = Path(FOLDER.name, "empty.sqlite").read_bytes()
 
 
 def one(data: bytes) -> None:
-    """The first byte says whether the rest is the file, the head and its key, or rows, and whether to report these."""
+    """Read a journal; the first byte selects if the rest is the file, the head and its key, or rows.
+
+    It also selects if the rows are reported.
+    """
     folder = Path(FOLDER.name)
-    for kept in ("journal", "copied"):
-        shutil.rmtree(folder / kept, ignore_errors=True)
-        (folder / kept).mkdir()
+    for name in ("journal", "copied"):
+        shutil.rmtree(folder / name, ignore_errors=True)
+        (folder / name).mkdir()
     path, kind, rest = folder / "journal" / "ratms.sqlite", data[:1], data[1:]
     if kind < b"\x40":
         path.write_bytes(rest)
@@ -51,13 +54,18 @@ def one(data: bytes) -> None:
         write(path, rest)
     sound = read(path, folder / "copied" / "ratms.sqlite")
     with suppress(JournalError):
-        # A report takes half a second, which few inputs are worth.
+        # A report takes half a second, so only a few inputs are reported.
         found = read_report(path).journal if kind >= b"\xf0" else open_source(path).journal
         assert bool(found.problems) != sound
 
 
 def write(path: Path, data: bytes) -> None:
-    """A whole journal of version 1, whose chain nobody has signed: two bytes for the length of a row, then the row."""
+    """Write a journal of version 1 with an unsigned chain: two bytes for the length of a row, then the row.
+
+    Args:
+        path: Database file to write.
+        data: Fuzzed bytes.
+    """
     path.write_bytes(EMPTY)
     previous, sequence = GENESIS, 0
     with closing(sqlite3.connect(path)) as connection:
@@ -66,7 +74,7 @@ def write(path: Path, data: bytes) -> None:
             size = int.from_bytes(data[:2])
             body, data, sequence = data[2 : 2 + size], data[2 + size :], sequence + 1
             own = chain_hash(previous, sequence, body)
-            with suppress(sqlite3.Error, UnicodeEncodeError):  # two outcomes of one command, say
+            with suppress(sqlite3.Error, UnicodeEncodeError):  # for example two outcomes of one command
                 connection.execute(INSERT, (sequence, *keys(body), body, previous, own))
                 previous = own
         connection.execute(f"PRAGMA user_version = {HEADLESS}")
@@ -75,7 +83,7 @@ def write(path: Path, data: bytes) -> None:
 
 
 def keys(body: bytes) -> tuple[object, ...]:
-    """The columns beside a row, as it gives them."""
+    """Return the columns of a row that repeat its fields."""
     row: object = {}
     with suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         row = msgspec.msgpack.decode(body)
@@ -86,7 +94,12 @@ def keys(body: bytes) -> tuple[object, ...]:
 
 
 def read(path: Path, copy: Path) -> bool:
-    """Whether it is sound: then it is read to its end; what is copied is as good as the original."""
+    """Read and copy a journal; return whether it is sound. A copy must be as sound as the original.
+
+    Args:
+        path: Database file of the journal.
+        copy: Database file of the copy.
+    """
     sound = False
     with suppress(JournalError):
         sound = verify(path).sound
@@ -95,12 +108,17 @@ def read(path: Path, copy: Path) -> bool:
         assert verify(copy).sound == sound
     rows = exported(path, json_lines)
     assert exported(path, csv_lines) == rows
-    assert rows is not None or not sound or path.stat().st_size == 0  # an empty file is a journal that has not begun
+    assert rows is not None or not sound or path.stat().st_size == 0  # an empty file is a journal without rows
     return sound
 
 
 def exported(path: Path, form: Callable[[Iterable[StoredRow]], Iterator[str]]) -> int | None:
-    """How many rows the export has; None where one is damaged."""
+    """Return the number of exported rows; None if a row is damaged.
+
+    Args:
+        path: Database file of the journal.
+        form: Function that formats the rows.
+    """
     with suppress(JournalError), JournalReader(path) as reader:
         lines = sum(1 for _ in form(reader.read_whole()))
         return lines - 1 if form is csv_lines else lines

@@ -1,4 +1,4 @@
-"""KST: replies of a cabinet as our driver reads them, and requests as the virtual cabinet does.
+"""KST: replies of a cabinet to our driver, and requests to the virtual cabinet.
 
 python -m fuzz.kst -max_total_time=60
 """
@@ -17,15 +17,16 @@ with instrumented("pcmrs.devices.kst", "pcmrs_sim.kst"):
     from pcmrs.devices.motion.force import ForceSettings
     from pcmrs.errors import PayloadError, PcmrsError
     from pcmrs.kinematics.arms import ARMS
-    from pcmrs_sim.cell import Cell
-    from pcmrs_sim.kst.cabinet import Cabinet
+    from pcmrs_sim.cell import CellSimulation
+    from pcmrs_sim.kst.cabinet import SimulatedCabinet
     from pcmrs_sim.settings import SimSettings
 
 CLOCK = SystemClock()
-CELL = Cell(SimSettings(), ARMS["iiwa14"], ForceSettings(force_limit=math.inf), CLOCK)
+CELL = CellSimulation(SimSettings(), ARMS["iiwa14"], ForceSettings(force_limit=math.inf), CLOCK)
 
 
 def read_lines(data: bytes) -> None:
+    """Split and parse replies."""
     buffer = LineBuffer()
     try:
         lines = [line for piece in pieces(data) for line in buffer.feed(piece)]
@@ -42,8 +43,8 @@ def read_lines(data: bytes) -> None:
             assert all(map(math.isfinite, values))
 
 
-def hear(data: bytes) -> None:
-    """Who waits for two replies gets both, or an error after which none follows."""
+def receive_replies(data: bytes) -> None:
+    """Check that two awaited replies arrive, or an error after which none follows."""
     link = KstLink("fuzz", CLOCK)
     replies = link.send("getJointsPositions", 60.0, 60.0)
     for piece in pieces(data):
@@ -56,9 +57,10 @@ def hear(data: bytes) -> None:
             break
 
 
-def ask_cabinet(data: bytes) -> None:
+def send_to_cabinet(data: bytes) -> None:
+    """Send requests to the virtual cabinet."""
     answers: list[str] = []
-    cabinet = Cabinet(CELL, answers.append, lambda: None)
+    cabinet = SimulatedCabinet(CELL, answers.append, lambda: None)
     for line in data.decode("latin-1").split("\n"):
         cabinet.receive(line.rstrip("\r"))
         cabinet.update()
@@ -67,14 +69,15 @@ def ask_cabinet(data: bytes) -> None:
 
 
 async def one(data: bytes) -> None:
-    await asyncio.sleep(0)  # lets what the last input has left behind end
+    """Select a target by the first byte."""
+    await asyncio.sleep(0)  # lets callbacks of the last input run
     kind, rest = data[:1], data[1:]
     if kind < b"\x55":
         read_lines(rest)
     elif kind < b"\xaa":
-        hear(rest)
+        receive_replies(rest)
     else:
-        ask_cabinet(rest)
+        send_to_cabinet(rest)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Lab Streaming Layer: markers, of which those of pulses are JSON.
+"""Lab Streaming Layer: markers; those of pulses are JSON.
 
 python -m fuzz.lsl -max_total_time=60
 """
@@ -12,6 +12,7 @@ with instrumented("pcmrs.devices.lsl"):
 
 
 def one(data: bytes) -> None:
+    """Parse a marker."""
     marker = read_pulse(data)
     if marker is not None:
         assert isinstance(marker, PulseMarker)

@@ -1,4 +1,4 @@
-"""OpenIGTLink: any bytes, and any body with the CRC it needs, up to the frames and plans that are made of them.
+"""OpenIGTLink: any bytes, and any body with a correct CRC, up to the resulting frames and plans.
 
 python -m fuzz.openigtlink -max_total_time=60
 """
@@ -25,17 +25,18 @@ NAMES = {"CoilToTracker": "coil", "a": "body_ref"}
 HEADER = struct.Struct(">H12s20sQQQ")
 
 
-def framed(data: bytes) -> bytes:
-    """A message whose header is right, of a kind and version that the data say."""
+def with_header(data: bytes) -> bytes:
+    """Return a message with a valid header, of a kind and version that the data select."""
     choice, stamp, body = data[:1], data[1:9].ljust(8, b"\0"), data[9:]
     kind, version = KINDS[choice[0] % 5 if choice else 0].encode(), 1 + (choice > b"\x7f")
     return HEADER.pack(version, kind, b"CoilToTracker", *struct.unpack(">Q", stamp), len(body), CRC64(body)) + body
 
 
 async def one(data: bytes) -> None:
+    """Read the messages of a stream."""
     raw, rest = data[:1] > b"\xc0", data[1:]
     stream = asyncio.StreamReader()
-    for piece in pieces(rest) if raw else [framed(rest)]:
+    for piece in pieces(rest) if raw else [with_header(rest)]:
         stream.feed_data(piece)
     stream.feed_eof()
     reader, frames = MessageReader(stream, KINDS), FrameAssembler(NAMES, 0.02)
@@ -48,6 +49,12 @@ async def one(data: bytes) -> None:
 
 
 def use(message: Any, frames: FrameAssembler) -> None:
+    """Convert a message to frames or plans.
+
+    Args:
+        message: Message of pyigtl.
+        frames: Assembler of frames.
+    """
     if message.message_type in ("TRANSFORM", "TDATA"):
         frames.take(readings(message), message.timestamp, 1.0, 1.7e9, whole=message.message_type == "TDATA")
     with suppress(RefusalError):

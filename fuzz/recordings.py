@@ -1,4 +1,4 @@
-"""Recordings: files of MCAP as `pcmrs play`, `pcmrs repair` and the console read them, up to what the console shows.
+"""Recordings: MCAP files that `pcmrs play`, `pcmrs repair` and the console read, up to the console's display.
 
 python -m fuzz.recordings -max_total_time=60
 """
@@ -32,7 +32,7 @@ FOLDER = tempfile.TemporaryDirectory(prefix="fuzz-recordings-")
 
 
 def one(data: bytes) -> None:
-    """The first byte says whether the rest is a file, or messages of one."""
+    """Read a recording; the first byte selects if the rest is a file, or messages of one."""
     path, rest = Path(FOLDER.name, "run.mcap"), data[1:]
     if data[:1] < b"\x80":
         path.write_bytes(rest)
@@ -45,11 +45,16 @@ def one(data: bytes) -> None:
         page = Playback(recorded, SETUP, BLUEPRINT)
         page.seek(recorded.duration / 2)
         page.seek(recorded.duration)
-    mend(path)
+    check_repair(path)
 
 
 def write(path: Path, data: bytes) -> None:
-    """A whole file of messages: a byte for the key, two for the time and two for the length, then the payload."""
+    """Write a file of messages: a byte for the key, two for the time and two for the length, then the payload.
+
+    Args:
+        path: File to write.
+        data: Fuzzed bytes.
+    """
     with path.open("wb") as file:
         writer: Any = Writer(file, compression=CompressionType.NONE, use_chunking=False)
         writer.start()
@@ -63,13 +68,13 @@ def write(path: Path, data: bytes) -> None:
         writer.finish()
 
 
-def mend(path: Path) -> None:
-    """What is repaired is whole, and has every message that was saved."""
-    mended = path.with_name("mended.mcap")
-    mended.unlink(missing_ok=True)
+def check_repair(path: Path) -> None:
+    """Check that a repaired file is complete, and has every message that was saved."""
+    repaired_path = path.with_name("repaired.mcap")
+    repaired_path.unlink(missing_ok=True)
     with suppress(PcmrsError):
-        repaired = repair(path, mended)
-        again = RecordingReader(mended)
+        repaired = repair(path, repaired_path)
+        again = RecordingReader(repaired_path)
         count = sum(type(record).__name__ == "Message" for record in again.records())
         assert again.complete, again.damage
         assert count == repaired.messages

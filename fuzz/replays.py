@@ -1,4 +1,4 @@
-"""Exports of other machines' journals, decided anew as `pcmrs journal replay` does.
+"""Exports of other machines' journals, replayed like `pcmrs journal replay`.
 
 python -m fuzz.replays -max_total_time=60
 """
@@ -19,12 +19,12 @@ with instrumented("pcmrs.replay", "pcmrs.journal"):
     from pcmrs.replay import replay
     from pcmrs.workflows.opening import open_installed
 
-OPENED = cache(open_installed)  # it is verified for seconds
+OPENED = cache(open_installed)  # verifying it takes seconds
 FOLDER = tempfile.TemporaryDirectory(prefix="fuzz-replays-")
 
 
 def one(data: bytes) -> None:
-    """Whatever the lines say, they are decided anew, or refused as no journal that can be replayed."""
+    """Replay an export, or refuse it as not replayable."""
     path = Path(FOLDER.name, "journal.jsonl")
     path.write_bytes(data)
     with suppress(JournalError, ReplayError), patch("pcmrs.replay.replay.open_installed", OPENED):

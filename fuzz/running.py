@@ -1,4 +1,4 @@
-"""How a target is run: by libFuzzer, with its options on the command line, or by the test suite, without atheris."""
+"""Runs a target: by libFuzzer, with its options on the command line, or by the test suite, without atheris."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from pathlib import Path
 import structlog
 
 CORPUS = Path(__file__).parent / "corpus"
-"""A folder for each target; its files are where libFuzzer starts, and tests."""
+"""Folder with a corpus for each target: the start of libFuzzer, and test cases."""
 
 SLOWEST = 60
-"""An input that takes longer is a defect, s."""
+"""Time above which an input counts as a defect, s."""
 
 MOST_MEMORY = 8192
-"""Of the whole process, MB. Under atheris, and not without it, the target of KST grows with each input."""
+"""Limit for the whole process, MB. Under atheris, and only there, the target of KST grows with each input."""
 MOST_AT_ONCE = 2048
-"""One allocation of more than this is a defect, MB."""
+"""Size above which a single allocation counts as a defect, MB."""
 
 Target = Callable[[bytes], Awaitable[None] | None]
 
@@ -30,7 +30,7 @@ _MAIN = Path(getattr(sys.modules["__main__"], "__file__", None) or "-")
 
 
 def instrumented(*packages: str) -> AbstractContextManager[object]:
-    """What is imported inside tells libFuzzer its branches; where a corpus is only replayed, nothing is changed."""
+    """Instrument imports inside the context for libFuzzer; do nothing if a corpus is only replayed."""
     if _MAIN.parent != CORPUS.parent:
         return nullcontext()
     import atheris
@@ -42,12 +42,12 @@ def instrumented(*packages: str) -> AbstractContextManager[object]:
 def run(target: Target) -> None:
     """Feed inputs to the target of the main module until one raises.
 
-    ``-runs=N`` and ``-max_total_time=S`` on the command line end it earlier. Inputs that reach something new are kept
-    in the folder that the command line names first, otherwise in a temporary one; the input that raised, in the corpus.
-    Where the command line names files, they are replayed and nothing else is done.
+    ``-runs=N`` and ``-max_total_time=S`` on the command line end it earlier. Inputs that reach new code are stored in
+    the first folder of the command line, or in a temporary one; the input that raised is stored in the corpus. If the
+    command line names files, they are only replayed.
 
     Args:
-        target: Raises what is a defect.
+        target: Target, which raises an error for a defect.
     """
     import atheris
 
@@ -63,13 +63,18 @@ def run(target: Target) -> None:
 
 
 def feed(target: Target, data: bytes) -> None:
-    """Feed one input to a target. Raises what is a defect."""
+    """Feed one input to a target, which raises an error for a defect.
+
+    Args:
+        target: Target.
+        data: Input.
+    """
     with asyncio.Runner() as runner:
         _in_loop(runner, target)(data)
 
 
 def pieces(data: bytes) -> list[bytes]:
-    """The rest of the data cut where its first bytes say, as a network may."""
+    """Return the rest of the data, cut at positions that its first bytes select, like packets of a network."""
     count, rest = (data[0] % 8, data[1:]) if data else (0, b"")
     sizes, rest = rest[:count], rest[count:]
     found = []
@@ -80,7 +85,7 @@ def pieces(data: bytes) -> list[bytes]:
 
 
 def _in_loop(runner: asyncio.Runner, target: Target) -> Callable[[bytes], None]:
-    """All inputs of a coroutine in one event loop, where what one has left behind is done before the next."""
+    """Return a function that runs all inputs in one event loop, so that leftovers end before the next one."""
     loop = runner.get_loop()
 
     def one(data: bytes) -> None:

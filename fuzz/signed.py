@@ -1,4 +1,4 @@
-"""Signed commands and answers, over UDP and TCP: without the key nothing is taken, and a stream ends or goes on.
+"""Signed commands and answers, over UDP and TCP: without the key nothing is accepted, and a stream ends or continues.
 
 python -m fuzz.signed -max_total_time=60
 """
@@ -18,7 +18,7 @@ KEY = bytes(range(32))
 
 
 def one(data: bytes) -> None:
-    """A datagram that splits is of the parts that it says, and nobody has its tag by chance."""
+    """Split and check a signed datagram, whose tag no random input has."""
     kind, rest = data[:1], data[1:]
     if kind < b"\x55":
         signed = split(rest)

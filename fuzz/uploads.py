@@ -1,4 +1,4 @@
-"""Files that are uploaded or read by commands: a value of its kind, or refused with the file's name.
+"""Files that are uploaded or read by commands: each is a value of its kind, or is refused with the file's name.
 
 python -m fuzz.uploads -max_total_time=60
 """
@@ -26,7 +26,7 @@ ENDINGS = (*LANDMARKS, *MESHES, *VOLUMES)
 
 
 def one(data: bytes) -> None:
-    """The first byte chooses the ending."""
+    """Read a file; the first byte selects its extension."""
     ending = ENDINGS[data[0] % len(ENDINGS) if data else 0]
     path = Path(FOLDER.name, f"file{ending}")
     path.write_bytes(data[1:])
@@ -43,7 +43,7 @@ def one(data: bytes) -> None:
         else:
             read_volume(path)
     except FileFormatError as error:
-        assert "file" in error.text  # noqa: PT017  # no test: libFuzzer finds what raises
+        assert "file" in error.text  # noqa: PT017  # not a test: libFuzzer finds inputs that raise
 
 
 if __name__ == "__main__":

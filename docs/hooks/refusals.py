@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).parents[2]
-PLACES = {"RefusalError": (0, 1), "Reason": (0, 1), "Denial": (0, 1), "Gate": (0, 4)}
+PLACES = {"RefusalError": (0, 1), "Reason": (0, 1), "Denial": (0, 1), "RegistrationGate": (0, 4)}
 """Positions of code and text among the arguments of a call that makes a refusal."""
 ELSEWHERE = ("campaign", "experiment", "replay", "report")
 """Packages that only read or repeat the refusals of the daemon."""

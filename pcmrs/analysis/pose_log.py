@@ -34,7 +34,7 @@ class PoseJitter:
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
+class PoseTrack:
     """One row of a log over all its samples.
 
     Attributes:
@@ -72,7 +72,7 @@ def seen(poses: Sequence[Transform | None]) -> list[Transform | None]:
     return [None if pose is None or _same(pose, Transform.identity()) else pose for pose in poses]
 
 
-def analyse_track(name: str, poses: Sequence[Transform | None]) -> Track:
+def analyse_track(name: str, poses: Sequence[Transform | None]) -> PoseTrack:
     """Analyse one row of a log.
 
     Args:
@@ -86,7 +86,7 @@ def analyse_track(name: str, poses: Sequence[Transform | None]) -> Track:
     spread = None
     if len(fresh) >= FEWEST:
         spread = _spread(np.array([sample for sample, _ in fresh], dtype=float), [pose for _, pose in fresh])
-    return Track(name, missing, sum(pose is None for pose in tracked) - missing, sum(frozen), spread)
+    return PoseTrack(name, missing, sum(pose is None for pose in tracked) - missing, sum(frozen), spread)
 
 
 def check_loop(log: PoseLog) -> LoopCheck | None:

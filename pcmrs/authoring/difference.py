@@ -130,7 +130,7 @@ BEGINNINGS: dict[Kind, str] = {
 }
 
 
-class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class BlueprintDifference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One difference between an old and a new blueprint.
 
     Attributes:
@@ -152,7 +152,7 @@ class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     new: str = ""
 
 
-def compare(old: Blueprint, new: Blueprint) -> list[Difference]:
+def compare(old: Blueprint, new: Blueprint) -> list[BlueprintDifference]:
     """Return all differences; empty if no user of the workflow could tell them apart.
 
     Args:
@@ -168,20 +168,20 @@ def compare(old: Blueprint, new: Blueprint) -> list[Difference]:
 # -- what is declared --------------------------------------------------------------------------------------
 
 
-def _declared(old: Blueprint, new: Blueprint) -> Iterator[Difference]:
+def _declared(old: Blueprint, new: Blueprint) -> Iterator[BlueprintDifference]:
     before, after = _declarations(old), _declarations(new)
     for subject in dict.fromkeys((*before, *after)):
         if subject not in before or subject not in after:
             kind: Kind = "added" if subject in after else "removed"
             if _owner(subject) not in before or _owner(subject) not in after:
                 continue  # added or removed with its branch
-            yield Difference(kind=kind, subject=subject, text=f"{subject}: {kind}")
+            yield BlueprintDifference(kind=kind, subject=subject, text=f"{subject}: {kind}")
             continue
         for key in dict.fromkeys((*before[subject], *after[subject])):
             was, now = before[subject].get(key), after[subject].get(key)
             if was != now:
                 text = f"{subject or 'workflow'}: {key} changed from {was} to {now}"
-                yield Difference(kind="changed", subject=subject, text=text, old=str(was), new=str(now))
+                yield BlueprintDifference(kind="changed", subject=subject, text=text, old=str(was), new=str(now))
 
 
 def _owner(subject: str) -> str:
@@ -218,7 +218,7 @@ def _declaration(spec: OperationSpec) -> dict[str, Any]:
 # -- what is answered --------------------------------------------------------------------------------------
 
 
-def _answered(old: Blueprint, new: Blueprint) -> Iterator[Difference]:
+def _answered(old: Blueprint, new: Blueprint) -> Iterator[BlueprintDifference]:
     common = [branch for branch in old.branches if branch in new.branches]
     before, after = _facets_of(old, common), _facets_of(new, common)
     reached_before, reached_after = before.pop(""), after.pop("")
@@ -247,13 +247,15 @@ class _Space:
     branches: list[str]
     joints: Collection[Joint]
 
-    def difference(self, kind: Kind, subject: str, joints: list[Joint], old: str = "", new: str = "") -> Difference:
+    def difference(
+        self, kind: Kind, subject: str, joints: list[Joint], old: str = "", new: str = ""
+    ) -> BlueprintDifference:
         """Return a difference in some of the joint states."""
         count = f"{len(joints)} joint state{'s' * (len(joints) != 1)}"
         values = f" (was: {old}; now: {new})" if old or new else ""
         text = f"{subject or 'workflow'}: {BEGINNINGS[kind]} {count}{self._where(joints)}{values}"
         example = dict(zip(self.branches, joints[0], strict=True))
-        return Difference(
+        return BlueprintDifference(
             kind=kind, subject=subject, text=text, joint_states=len(joints), example=example, old=old, new=new
         )
 
@@ -271,7 +273,9 @@ class _Space:
         return f": {line_of(narrow) or 'all there are'}"
 
 
-def _operation(operation: str, both: _Space, before: FacetsByState, after: FacetsByState) -> Iterator[Difference]:
+def _operation(
+    operation: str, both: _Space, before: FacetsByState, after: FacetsByState
+) -> Iterator[BlueprintDifference]:
     """Group the joint states in which an operation is answered differently by how it differs."""
     groups: dict[tuple[FacetKind, str], list[Joint]] = defaultdict(list)
     for joint in both.joints:

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections import deque
 from collections.abc import Callable
 from typing import Final
+
+from pcmrs.bus.fair_queue import FairQueue
 
 AT_ONCE: Final = 4
 """Number of requests that are served at the same time."""
@@ -35,7 +36,7 @@ class RoundRobin:
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop = loop
         self._lock = threading.Lock()
-        self._waiting: dict[str, deque[Start]] = {}
+        self._waiting: FairQueue[Start] = FairQueue(WAITING, KEYS)
         self._running = 0
         self._closed = False
         self.refused = 0
@@ -44,7 +45,7 @@ class RoundRobin:
     def waiting(self) -> int:
         """Number of requests that wait for their turn."""
         with self._lock:
-            return sum(map(len, self._waiting.values()))
+            return len(self._waiting)
 
     def post(self, key: str, start: Start) -> bool:
         """Queue a request, from any thread.
@@ -57,13 +58,12 @@ class RoundRobin:
             False if too many requests wait; this one is dropped then.
         """
         with self._lock:
-            full = key not in self._waiting and len(self._waiting) >= KEYS
-            if self._closed or full or len(self._waiting.get(key, ())) >= WAITING:
+            was_empty = not self._waiting
+            if self._closed or not self._waiting.put(key, start):
                 self.refused += 1
                 return False
-            if not self._waiting:
+            if was_empty:
                 self._loop.call_soon_threadsafe(self._serve)
-            self._waiting.setdefault(key, deque()).append(start)
             return True
 
     def close(self) -> None:
@@ -83,11 +83,4 @@ class RoundRobin:
 
     def _next(self) -> Start | None:
         with self._lock:
-            if not self._waiting:
-                return None
-            key = next(iter(self._waiting))
-            waiting = self._waiting.pop(key)
-            start = waiting.popleft()
-            if waiting:
-                self._waiting[key] = waiting  # at the end: the other keys come first
-            return start
+            return self._waiting.take()

@@ -30,7 +30,7 @@ from pcmrs.errors import AccessError, PayloadError, PcmrsError, SealError
 from pcmrs.messages.identity import LOCAL
 
 if TYPE_CHECKING:
-    from pcmrs.bus.signature import SignatureVerifier, Signer
+    from pcmrs.bus.signature import CertificateSigner, SignatureVerifier
 
 T = TypeVar("T")
 
@@ -52,7 +52,7 @@ class Bus:
         session: zenoh.Session,
         settings: BusSettings,
         seal: Seal | None = None,
-        signer: Signer | None = None,
+        signer: CertificateSigner | None = None,
         verifier: SignatureVerifier | None = None,
     ) -> None:
         self.settings = settings
@@ -402,16 +402,19 @@ class Bus:
         await self._loop.run_in_executor(self._pool, work, *arguments)
 
 
-def _signing(settings: BusSettings) -> tuple[Signer | None, SignatureVerifier | None]:
+def _signing(settings: BusSettings) -> tuple[CertificateSigner | None, SignatureVerifier | None]:
     """Return the signer of a process with a certificate, and the verifier of a daemon with a register."""
     own = settings.credentials
     if own is None or (settings.user == LOCAL and not settings.members):
         return None, None
-    from pcmrs.bus.signature import SignatureVerifier, Signer  # here, because it loads a library for certificates
+    from pcmrs.bus.signature import (  # here, because it loads a library for certificates
+        CertificateSigner,
+        SignatureVerifier,
+    )
 
     clock = SystemClock()
     return (
-        None if settings.user == LOCAL else Signer.read(own, clock),
+        None if settings.user == LOCAL else CertificateSigner.read(own, clock),
         SignatureVerifier(settings, clock) if settings.members else None,
     )
 

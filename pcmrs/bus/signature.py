@@ -47,7 +47,7 @@ _STEP: Final = 1_000_000
 """Greatest step of a coarse clock: messages within it may read the same time, ns."""
 
 
-class Signer:
+class CertificateSigner:
     """Signs messages with the key of a certificate. From any thread.
 
     Args:
@@ -64,7 +64,7 @@ class Signer:
         self._last = 0
 
     @classmethod
-    def read(cls, own: Credentials, clock: Clock) -> Signer:
+    def read(cls, own: Credentials, clock: Clock) -> CertificateSigner:
         """Read certificate and key.
 
         Args:

@@ -7,7 +7,7 @@ import logging
 import math
 import re
 import threading
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -17,6 +17,7 @@ import msgspec
 import zenoh
 
 from pcmrs.bus.codec import is_text, pack, pack_text, unpack
+from pcmrs.bus.fair_queue import FairQueue
 from pcmrs.bus.keys import cell_prefix
 from pcmrs.bus.serving import payload_of
 from pcmrs.bus.settings import BusSettings, open_session
@@ -37,6 +38,8 @@ OTHERS = "bus:others"
 """Source of the presses beyond the first `SOURCES` sources of one turn."""
 WAITING_ANSWERS = 64
 """Number of answers that may wait for one source. One more press still stops, but its query gets no answer."""
+ANSWERED_SOURCES = 256
+"""Number of sources for which answers may wait; for one more source, a press still stops."""
 REACHED_WITHIN = 10.0
 """Time within which messages must reach the lane after it was opened, s."""
 PROBE_PERIOD = 0.02
@@ -227,14 +230,14 @@ class StopReplies:
     """Sends the answers to Stops in its own thread, in turn over the sources: no source waits behind a flood."""
 
     def __init__(self) -> None:
-        self._waiting: dict[str, deque[tuple[zenoh.Query, Stopping | None]]] = {}
+        self._waiting: FairQueue[tuple[zenoh.Query, Stopping | None]] = FairQueue(WAITING_ANSWERS, ANSWERED_SOURCES)
         self._filled = threading.Condition()
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="pcmrs-stop", daemon=True)
         self._thread.start()
 
     def add(self, source: str, query: zenoh.Query, stopping: Stopping | None) -> None:
-        """Queue an answer; the query is dropped if too many answers of this source wait.
+        """Queue an answer; the query is dropped if too many answers wait.
 
         Args:
             source: Source of the press.
@@ -242,9 +245,7 @@ class StopReplies:
             stopping: The answer; None to leave the query to another process.
         """
         with self._filled:
-            waiting = self._waiting.setdefault(source, deque())
-            if len(waiting) < WAITING_ANSWERS:
-                waiting.append((query, stopping))
+            if self._waiting.put(source, (query, stopping)):
                 self._filled.notify()
                 return
         _drop(query)
@@ -266,14 +267,7 @@ class StopReplies:
     def _next(self) -> tuple[zenoh.Query, Stopping | None] | None:
         with self._filled:
             self._filled.wait_for(lambda: self._waiting or self._closed)
-            if not self._waiting:
-                return None
-            source = next(iter(self._waiting))
-            waiting = self._waiting.pop(source)
-            answer = waiting.popleft()
-            if waiting:
-                self._waiting[source] = waiting  # at the end: the other sources come first
-            return answer
+            return self._waiting.take()
 
 
 def _press_id(payload: bytes) -> str | None:

@@ -14,7 +14,7 @@ from pcmrs.cli.options import config_options, json_option
 from pcmrs.cli.printing import print_report
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors
-from pcmrs.journal import Verification
+from pcmrs.journal import JournalVerification
 from pcmrs.journal import verify as verify_journal
 
 LONG = 20_000
@@ -50,7 +50,7 @@ def verify(
         sys.exit(EXIT_REJECTED)
 
 
-def _table(found: Verification) -> Table:
+def _table(found: JournalVerification) -> Table:
     table = Table(title=found.journal, box=SIMPLE_HEAD, show_header=False)
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
@@ -75,7 +75,7 @@ def _table(found: Verification) -> Table:
     return table
 
 
-def _signature(found: Verification) -> str:
+def _signature(found: JournalVerification) -> str:
     if found.signature == "none":
         return f"none: version {found.version} has no head, so missing rows at the end cannot be detected"
     return found.signature

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from pcmrs.analysis.placements import PlacementTrial, Summary, summarize
-from pcmrs.analysis.pose_log import Track, analyse_track, check_loop
+from pcmrs.analysis.pose_log import PoseTrack, analyse_track, check_loop
 from pcmrs.formats.pose_log import PoseLog
 from pcmrs.spatial import Floats
 
@@ -108,7 +108,7 @@ def pose_log_report(path: Path, log: PoseLog) -> PoseLogReport:
     )
 
 
-def _track(track: Track) -> TrackReport:
+def _track(track: PoseTrack) -> TrackReport:
     spread = track.spread
     return TrackReport(
         name=track.name,

@@ -16,7 +16,7 @@ from pcmrs.errors import ConfigurationError, DegeneratePointsError
 
 if TYPE_CHECKING:
     from pcmrs.formats.landmarks import Pairs
-    from pcmrs.registration import Gate, PointRegistration, RegistrationLimits, RegistrationVerdict
+    from pcmrs.registration import PointRegistration, RegistrationGate, RegistrationLimits, RegistrationVerdict
 
 
 FARTHEST_TARGET = 1.0  # m from the origin of the image: beyond it, the value was probably meant in mm
@@ -24,7 +24,7 @@ LENGTHS = ("residual_too_large", "tre_too_large")
 """Gates whose value is a length."""
 
 
-class Point(click.ParamType[tuple[float, float, float]]):
+class PointParameter(click.ParamType[tuple[float, float, float]]):
     """X,Y,Z in m."""
 
     name = "X,Y,Z"
@@ -45,7 +45,7 @@ class Point(click.ParamType[tuple[float, float, float]]):
 @click.argument("digitized", type=click.Path(path_type=Path))
 @click.option(
     "--target",
-    type=Point(),
+    type=PointParameter(),
     help="Point at which the error matters, in the image, m; by default the centroid of the landmarks.",
 )
 @click.option(
@@ -186,7 +186,7 @@ def _registration_lines(pairs: Pairs, registration: PointRegistration) -> list[s
     ]
 
 
-def _gate_line(gate: Gate) -> str:
+def _gate_line(gate: RegistrationGate) -> str:
     scale, unit = (1000.0, " mm") if gate.name in LENGTHS else (1.0, "")
     value, limit = (f"{number * scale:.4g}{unit}" for number in (gate.value, gate.limit))
     return f"  {'passed ' if gate.accepted else 'REFUSED'} {gate.name:<20} {value}, limit {limit}"

@@ -8,7 +8,7 @@ from typing import Any
 from nicegui import background_tasks, ui
 
 from pcmrs.client import Client
-from pcmrs.console.feed import Feed
+from pcmrs.console.live_feed import LiveFeed
 from pcmrs.console.texts import Texts
 from pcmrs.errors import PcmrsError
 from pcmrs.messages import Verdict
@@ -22,7 +22,7 @@ class CommandSender:
         texts: Texts in the language of the page.
     """
 
-    def __init__(self, feed: Feed, texts: Texts) -> None:
+    def __init__(self, feed: LiveFeed, texts: Texts) -> None:
         self._feed, self._texts = feed, texts
 
     async def ask(self, name: str, arguments: Mapping[str, Any]) -> Verdict | None:

@@ -24,7 +24,7 @@ FACES = 2500
 
 
 @dataclass(frozen=True, slots=True)
-class Placement:
+class PlacementDeviation:
     """Deviation of the tool from its plan: the measured pose in the planned one.
 
     Attributes:
@@ -95,7 +95,7 @@ def along(axis: Floats) -> Floats:
     return Transform.from_rotvec((0.0, 0.0, 0.0), turn).rotation
 
 
-class Arm:
+class ArmFrames:
     """Frames of the arm's joints.
 
     Args:
@@ -138,12 +138,12 @@ class TrackerLocator:
     """
 
     def __init__(self, setup: Setup) -> None:
-        self.arm = Arm(setup.arm)
+        self.arm = ArmFrames(setup.arm)
         self._flange_from_coil = as_transform(setup.flange_from_coil)
         self.base_from_tracker: Transform | None = None
 
     def see(self, positions: npt.ArrayLike, coil: BodyPose | None, *, moving: bool) -> list[Transform]:
-        """Take the present joints and pose of the tool, and return `Arm.frames`.
+        """Take the present joints and pose of the tool, and return `ArmFrames.frames`.
 
         Args:
             positions: Joint positions, rad, (n,).
@@ -174,7 +174,9 @@ class TrackerLocator:
         return self.base_from_tracker @ as_transform(body)
 
 
-def placement(data: ProcedureDataView, coil: BodyPose | None, body_ref: BodyPose | None) -> Placement | None:
+def placement_deviation(
+    data: ProcedureDataView, coil: BodyPose | None, body_ref: BodyPose | None
+) -> PlacementDeviation | None:
     """Return the deviation of the tool from its plan, as the tracker sees it; None while unknown.
 
     Args:
@@ -191,7 +193,7 @@ def placement(data: ProcedureDataView, coil: BodyPose | None, body_ref: BodyPose
     x, y, z = (1000.0 * planned_from_measured.translation).tolist()
     away = 1000.0 * distance(planned_from_measured, Transform.identity())
     angle = np.degrees(rotation_angle(planned_from_measured, Transform.identity()))
-    return Placement((away, x, y, z), float(angle))
+    return PlacementDeviation((away, x, y, z), float(angle))
 
 
 def residuals(data: ProcedureDataView) -> list[float | None]:

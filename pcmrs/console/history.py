@@ -35,7 +35,7 @@ ACTIVITY = "activity:"
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class HistoryEntry:
     """One row of the journal, in words.
 
     Attributes:
@@ -65,7 +65,7 @@ class History:
     """
 
     def __init__(self) -> None:
-        self.entries: deque[Entry] = deque()
+        self.entries: deque[HistoryEntry] = deque()
         self.whole = False
         self._first, self._last = NEWEST, 0
 
@@ -102,15 +102,17 @@ class History:
         return not self.entries or self.entries[0].session == self.entries[-1].session
 
 
-def entries_from_events(events: Iterable[tuple[float, Verdict | DeviceEvent]]) -> list[Entry]:
+def entries_from_events(events: Iterable[tuple[float, Verdict | DeviceEvent]]) -> list[HistoryEntry]:
     """Return received events as entries, in the same order, for users who may not read the journal."""
     return [
-        Entry(number, wall, "outcome" if isinstance(event, Verdict) else "device", "", "", heading(event), why(event))
+        HistoryEntry(
+            number, wall, "outcome" if isinstance(event, Verdict) else "device", "", "", heading(event), why(event)
+        )
         for number, (wall, event) in enumerate(events)
     ]
 
 
-def matching(entries: Iterable[Entry], text: str, kinds: Iterable[str], most: int) -> list[Entry]:
+def matching(entries: Iterable[HistoryEntry], text: str, kinds: Iterable[str], most: int) -> list[HistoryEntry]:
     """Return the first entries that match a filter.
 
     Args:
@@ -142,14 +144,14 @@ def why(event: Verdict | DeviceEvent) -> str:
     return "" if event.reason is None else event.reason.text
 
 
-def _entries(rows: Iterable[dict[str, Any]]) -> Iterator[Entry]:
+def _entries(rows: Iterable[dict[str, Any]]) -> Iterator[HistoryEntry]:
     for store_upload in rows:
         row = store_upload["row"]
         if row["kind"] in KINDS:
             yield _entry(store_upload["sequence"], row)
 
 
-def _entry(sequence: int, row: dict[str, Any]) -> Entry:
+def _entry(sequence: int, row: dict[str, Any]) -> HistoryEntry:
     verdict = row.get("verdict")
     if verdict is None:
         what, result = f"{row['source']}: {row['operation']}", str((row.get("result") or {}).get("text", ""))
@@ -158,4 +160,4 @@ def _entry(sequence: int, row: dict[str, Any]) -> Entry:
         result = (verdict.get("reason") or {}).get("text", "")
     by_itself = (row.get("source") or "").startswith(ACTIVITY)
     kind, who = ("activity", "") if by_itself else (row["kind"], row.get("user") or "")
-    return Entry(sequence, row["wall"], kind, row["session_id"], who, what, result)
+    return HistoryEntry(sequence, row["wall"], kind, row["session_id"], who, what, result)

@@ -11,8 +11,8 @@ from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.chart import ChartPanel
 from pcmrs.console.choices import Choice, Choices, latch_of
 from pcmrs.console.command_sender import CommandSender
-from pcmrs.console.feed import Feed
-from pcmrs.console.geometry import placement
+from pcmrs.console.geometry import placement_deviation
+from pcmrs.console.live_feed import LiveFeed
 from pcmrs.console.planning.panel import PlanningPanel
 from pcmrs.console.playback import Playback
 from pcmrs.console.playback_bar import PlaybackBar, choose_recording
@@ -69,7 +69,7 @@ class Page:
 
     def __init__(
         self,
-        feed: Feed,
+        feed: LiveFeed,
         setup: Setup,
         blueprint: Blueprint,
         texts: Texts,
@@ -164,7 +164,7 @@ class Page:
 
     def _refresh(self) -> None:
         feed, view = self._feed, self._view
-        found = placement(view.data, view.poses.get("coil"), view.poses.get("body_ref"))
+        found = placement_deviation(view.data, view.poses.get("coil"), view.poses.get("body_ref"))
         self._error.set_text(
             self._texts("unknown") if found is None else f"{found.mm[0]:.2f} mm   {found.degrees:.2f}°"
         )

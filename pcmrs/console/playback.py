@@ -27,7 +27,7 @@ T = TypeVar("T")
 
 
 @dataclass
-class Track:
+class MessageTrack:
     """Messages of one key, in order: times, s since the beginning, and payloads."""
 
     times: list[float] = field(default_factory=list)
@@ -61,7 +61,7 @@ class LoadedRecording:
 
     started_at: float
     duration: float
-    tracks: dict[str, Track]
+    tracks: dict[str, MessageTrack]
     damage: str
 
 
@@ -78,7 +78,7 @@ def load_recording(files: Sequence[Path], progress: Callable[[float], None]) -> 
     """
     readings = [RecordingReader(path) for path in files]
     total, before = sum(each.size for each in readings), 0
-    tracks: dict[str, Track] = defaultdict(Track)
+    tracks: dict[str, MessageTrack] = defaultdict(MessageTrack)
     first = last = None
     for reading in readings:
         for at_ns, received in reading.bus_messages():
@@ -132,7 +132,7 @@ class Playback(CellViewModel):
                 self._shown[key] = count
                 self._take(key, track, count)
 
-    def _take(self, key: str, track: Track, count: int) -> None:
+    def _take(self, key: str, track: MessageTrack, count: int) -> None:
         """Show the newest of the first `count` messages, or nothing if there is none yet."""
         try:
             self._show(key, track, count)
@@ -141,7 +141,7 @@ class Playback(CellViewModel):
         if key in WHOLE:
             self.version += 1
 
-    def _show(self, key: str, track: Track, count: int) -> None:
+    def _show(self, key: str, track: MessageTrack, count: int) -> None:
         payload = track.payloads[count - 1] if count else None
         if key == "state/fsm":
             self.snapshot = _read(payload, Snapshot)
@@ -170,20 +170,20 @@ class Playback(CellViewModel):
                 self.poses[body] = unpack(payload, BodyPose)
             self._hear(body, track, count)
 
-    def _hear(self, what: str, track: Track, count: int) -> None:
+    def _hear(self, what: str, track: MessageTrack, count: int) -> None:
         self.received.pop(what, None)
         if count:
             self.received[what] = track.times[count - 1]
 
     def _events(self) -> list[tuple[float, Verdict | DeviceEvent]]:
-        track = self.recorded.tracks.get("state/event", Track())
+        track = self.recorded.tracks.get("state/event", MessageTrack())
         return [
             (at, convert_event(unpack(payload, dict))) for at, payload in zip(track.times, track.payloads, strict=True)
         ]
 
     def _check(self, setup: Setup, blueprint: Blueprint) -> None:
         """Refuse a recording that this cell's page cannot show correctly."""
-        states = self.recorded.tracks.get("state/fsm", Track())
+        states = self.recorded.tracks.get("state/fsm", MessageTrack())
         for payload in states.payloads[:1]:
             found = unpack(payload, Snapshot)
             unknown = [f"{b}={s}" for b, s in found.branches.items() if not _has(blueprint, b, s)]
@@ -192,14 +192,14 @@ class Playback(CellViewModel):
                 text = f"The recording is of the workflow {recorded}, this cell's is {here}: "
                 text += "open it in the console of a cell with that workflow."
                 raise FileFormatError(text, recorded=recorded, unknown=unknown)
-        for payload in self.recorded.tracks.get("state/joints", Track()).payloads[:1]:
+        for payload in self.recorded.tracks.get("state/joints", MessageTrack()).payloads[:1]:
             many, own = len(unpack(payload, JointState).positions), len(setup.arm.joints)
             if many != own:
                 text = f"The recording is of an arm with {many} joints, {setup.arm.name} has {own}."
                 raise FileFormatError(text, recorded=many, here=own)
 
 
-def _keep(tracks: dict[str, Track], key: str, at: float, payload: bytes) -> None:
+def _keep(tracks: dict[str, MessageTrack], key: str, at: float, payload: bytes) -> None:
     if key in WHOLE:
         tracks[key].add(at, payload)
     elif key.startswith(THINNED):

@@ -13,8 +13,8 @@ import uvicorn
 from fastapi import FastAPI
 from nicegui import ui
 
-from pcmrs.console.feed import Dial, Feed
 from pcmrs.console.guard import Guard
+from pcmrs.console.live_feed import Dial, LiveFeed
 from pcmrs.console.page import Page
 from pcmrs.console.planning.files import LARGEST as LARGEST_UPLOAD
 from pcmrs.console.playback import Playback
@@ -77,7 +77,7 @@ async def serve_console(
         BusError: The port is taken, or the address is not one of this machine.
         ConfigurationError: The folder for uploads cannot be made, or the token is too short.
     """
-    feed = Feed(dial)
+    feed = LiveFeed(dial)
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None)
     _build(app, feed, language, Recordings(recordings))
     ui.run_with(
@@ -138,7 +138,7 @@ def _listen(place: ListenAddress) -> socket.socket:
         raise BusError(text, host=place.host, port=place.port) from None
 
 
-def _build(app: FastAPI, feed: Feed, language: str, recordings: Recordings) -> None:
+def _build(app: FastAPI, feed: LiveFeed, language: str, recordings: Recordings) -> None:
     """Declare the pages that the server answers."""
     workflows: dict[str, Blueprint] = {}
     surfaces = Surfaces(feed)
@@ -166,7 +166,7 @@ def _build(app: FastAPI, feed: Feed, language: str, recordings: Recordings) -> N
         Page(feed, setup, blueprint, texts, surfaces, recordings, playback)
 
 
-def _wait(feed: Feed, texts: Texts) -> None:
+def _wait(feed: LiveFeed, texts: Texts) -> None:
     """Show a page until the daemon was reached for the first time."""
     ui.label(texts("title")).classes("text-h5")
     why = ui.label().props('data-testid="trouble"')

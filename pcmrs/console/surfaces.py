@@ -10,8 +10,8 @@ from collections.abc import Callable
 import msgspec
 from fastapi import FastAPI, Response
 
-from pcmrs.console.feed import Feed
 from pcmrs.console.geometry import as_stl, as_zone, lighter, vertices_of
+from pcmrs.console.live_feed import LiveFeed
 from pcmrs.console.residuals import coloured
 from pcmrs.console.scene import SURFACE
 from pcmrs.messages.setup import ProcedureDataView, Setup, SurfaceShown
@@ -30,7 +30,7 @@ class Surfaces:
         feed: State of the cell.
     """
 
-    def __init__(self, feed: Feed) -> None:
+    def __init__(self, feed: LiveFeed) -> None:
         self._feed = feed
         self._coloured: OrderedDict[str, bytes] = OrderedDict()
 

@@ -8,8 +8,8 @@ from datetime import datetime
 from nicegui import ui
 
 from pcmrs.console.cell_view_model import CellViewModel
-from pcmrs.console.feed import Feed
-from pcmrs.console.history import JOURNAL_READERS, KINDS, Entry, entries_from_events, matching
+from pcmrs.console.history import JOURNAL_READERS, KINDS, HistoryEntry, entries_from_events, matching
+from pcmrs.console.live_feed import LiveFeed
 from pcmrs.console.texts import Texts
 from pcmrs.errors import PcmrsError
 from pcmrs.messages.setup import Setup
@@ -30,7 +30,7 @@ class TimelinePanel:
         texts: Texts in the language of the page.
     """
 
-    def __init__(self, feed: Feed, view: CellViewModel, setup: Setup, texts: Texts) -> None:
+    def __init__(self, feed: LiveFeed, view: CellViewModel, setup: Setup, texts: Texts) -> None:
         self._feed, self._view = feed, view
         self._may_read = setup.role in JOURNAL_READERS and view is feed
         ui.label(f"{texts('patient')}: {setup.patient or texts('unknown')}").props('data-testid="patient"')
@@ -71,7 +71,7 @@ class TimelinePanel:
         self.refresh()
 
 
-def _rows(entries: Iterable[Entry]) -> list[dict[str, object]]:
+def _rows(entries: Iterable[HistoryEntry]) -> list[dict[str, object]]:
     return [
         {
             "number": each.sequence,

@@ -48,7 +48,7 @@ class Sighting:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class FeedContents:
     """Contents of a feed at one moment, for a feed in another process.
 
     Attributes:
@@ -106,12 +106,12 @@ class PoseFeed:
         self._sightings.setdefault(pose.body, deque(maxlen=HISTORY)).append(sighting)
         self._arrived.set()
 
-    def seen_lately(self, count: int) -> Seen:
+    def seen_lately(self, count: int) -> FeedContents:
         """Return the present contents, with at most `count` frames per body."""
         sightings = {body: tuple(known)[-count:] for body, known in self._sightings.items()}
-        return Seen(sightings, dict(self._last_reason), self.trouble)
+        return FeedContents(sightings, dict(self._last_reason), self.trouble)
 
-    def show(self, seen: Seen) -> None:
+    def show(self, seen: FeedContents) -> None:
         """Take over the contents of another feed, whose clock must show the same time."""
         self._sightings = {body: deque(known, maxlen=HISTORY) for body, known in seen.sightings.items()}
         self._last_reason, self.trouble = dict(seen.reasons), seen.trouble

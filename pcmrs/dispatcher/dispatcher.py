@@ -21,7 +21,7 @@ from pcmrs.dispatcher.admission import CommandAdmission
 from pcmrs.dispatcher.coordinator import CompletedCommand, Submission
 from pcmrs.dispatcher.decisions import TOO_MANY, Decisions, Rejections, reason_for
 from pcmrs.dispatcher.events import SHUTDOWN
-from pcmrs.dispatcher.execution import Checks, ExecutionContext, Planner, performing
+from pcmrs.dispatcher.execution import Checks, ExecutionContext, MotionChecker, performing
 from pcmrs.dispatcher.follow_up import FollowUp
 from pcmrs.dispatcher.lease import Lease
 from pcmrs.dispatcher.listeners import DispatcherListener, Listeners
@@ -75,7 +75,7 @@ class Dispatcher(Generic[C, D]):
         *,
         release: Callable[[bool], Awaitable[Sequence[str]]] | None = None,
         lease_required: bool = False,
-        planner: Planner[C, D] | None = None,
+        planner: MotionChecker[C, D] | None = None,
         rejections: Rejections | None = None,
     ) -> None:
         self.procedure = Procedure(workflow)

@@ -57,7 +57,7 @@ class ExecutionContext(Generic[C, D]):
     release: Callable[[bool], Awaitable[Sequence[str]]] | None
 
 
-class Planner(Protocol[C, D]):
+class MotionChecker(Protocol[C, D]):
     """Asks the checks of operations that plan motions."""
 
     async def check(self, run: Run[C, D]) -> Reason | None:
@@ -199,7 +199,7 @@ class Checks(Generic[C, D]):
     def __init__(
         self,
         context: ExecutionContext[C, D],
-        planner: Planner[C, D] | None,
+        planner: MotionChecker[C, D] | None,
     ) -> None:
         self._context = context
         self._planner = planner

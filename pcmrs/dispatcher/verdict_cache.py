@@ -19,14 +19,14 @@ MAX_REMEMBERED = 10_000
 """Commands of which a cache keeps an entry; older ones are looked up in the journal."""
 
 
-class Entry(Protocol):
+class CacheEntry(Protocol):
     """Entry of one command."""
 
     def done(self) -> bool:
         """Return whether the command has ended."""
 
 
-E = TypeVar("E", bound=Entry)
+E = TypeVar("E", bound=CacheEntry)
 
 
 class CommandCache(Generic[E]):

@@ -11,7 +11,7 @@ from pathlib import Path
 from statistics import median
 from typing import Final
 
-from pcmrs.doctor.finding import Finding, bad, good, warning
+from pcmrs.doctor.check_result import CheckResult, bad, good, warning
 
 WRITES: Final = 50
 SLOW: Final = 0.05
@@ -22,7 +22,7 @@ NOT_KEPT: Final = ("tmpfs", "ramfs", "overlay")
 REMOTE: Final = ("nfs", "nfs4", "cifs", "smb3", "9p", "fuse.sshfs")
 
 
-def disk(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> Iterator[Finding]:
+def disk(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> Iterator[CheckResult]:
     """Check the disk of a folder that may not exist yet.
 
     Args:
@@ -50,7 +50,7 @@ def disk(folder: Path, mounts: Path = Path("/proc/self/mounts")) -> Iterator[Fin
         yield assess_times(times)
 
 
-def assess_times(times: list[float]) -> Finding:
+def assess_times(times: list[float]) -> CheckResult:
     """Return the finding on the durations of single writes, s each."""
     shown = f"median {median(times) * 1e3:.2g} ms, longest of {len(times)} {max(times) * 1e3:.2g} ms"
     if max(times) > TOO_SLOW:
@@ -78,7 +78,7 @@ def _sync_times(folder: Path) -> list[float]:
     return times
 
 
-def free_space(folder: Path, warn: float, floor: float) -> Iterator[Finding]:
+def free_space(folder: Path, warn: float, floor: float) -> Iterator[CheckResult]:
     """Compare the free space with the limits of the running daemon.
 
     Args:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from pcmrs.doctor.check_result import CheckResult, Verdict
 from pcmrs.doctor.disk import disk, free_space
-from pcmrs.doctor.finding import Finding, Verdict
 from pcmrs.doctor.machine import clock_source, kernel, limits, scheduling
 from pcmrs.doctor.surroundings import certificates, devices, extras, is_running, peers, ports, streams
 from pcmrs.messages import Message
@@ -21,7 +21,7 @@ class Examination(Message, frozen=True, kw_only=True, omit_defaults=False):
     """
 
     verdict: Verdict
-    findings: list[Finding]
+    findings: list[CheckResult]
 
 
 def examine(settings: Settings) -> Examination:
@@ -36,7 +36,7 @@ def examine(settings: Settings) -> Examination:
     return Examination(verdict=verdict, findings=findings)
 
 
-def _findings(settings: Settings) -> Iterator[Finding]:
+def _findings(settings: Settings) -> Iterator[CheckResult]:
     running, folder = is_running(settings), settings.cell.path()
     yield from scheduling()
     yield from kernel()

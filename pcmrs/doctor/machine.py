@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from pcmrs.doctor.finding import Finding, bad, good, warning
+from pcmrs.doctor.check_result import CheckResult, bad, good, warning
 from pcmrs.threads.realtime import Priority
 
 ROOT: Final = Path("/")
@@ -31,7 +31,7 @@ PERMIT: Final = (
 )
 
 
-def scheduling(root: Path = ROOT) -> Iterator[Finding]:
+def scheduling(root: Path = ROOT) -> Iterator[CheckResult]:
     """Check that threads may take the policy SCHED_RR, and the share that the kernel leaves to others."""
     limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
     allowed = f"RLIMIT_RTPRIO is {UNLIMITED.get(limit, limit)}"
@@ -68,7 +68,7 @@ def _real_time_refusal() -> str:
     return "".join(refused)
 
 
-def kernel(root: Path = ROOT, version: str = "") -> Iterator[Finding]:
+def kernel(root: Path = ROOT, version: str = "") -> Iterator[CheckResult]:
     """Check that the kernel can be preempted, and counts the time that a thread waits.
 
     Args:
@@ -87,7 +87,7 @@ def kernel(root: Path = ROOT, version: str = "") -> Iterator[Finding]:
         yield warning("scheduling figures", "the kernel has no /proc/PID/schedstat", remedy)
 
 
-def limits(root: Path = ROOT) -> Iterator[Finding]:
+def limits(root: Path = ROOT) -> Iterator[CheckResult]:
     """Check the limits of this process and of its control group; a service or container has its own."""
     files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
     if files in UNLIMITED or files >= FEWEST_FILES:
@@ -104,7 +104,7 @@ def limits(root: Path = ROOT) -> Iterator[Finding]:
     yield from _group(root)
 
 
-def _processors() -> Finding:
+def _processors() -> CheckResult:
     many = len(os.sched_getaffinity(0))
     load = os.getloadavg()[0]
     shown = f"{many}, of which other programs use {load:.1f}"
@@ -115,7 +115,7 @@ def _processors() -> Finding:
     return good("processors", shown)
 
 
-def _group(root: Path) -> Iterator[Finding]:
+def _group(root: Path) -> Iterator[CheckResult]:
     """Check for a quota of processor time: it stops all threads of a group, even those with a real-time policy."""
     group = _read(root / "proc/self/cgroup").partition("0::/")[2].splitlines()[:1]
     folder = root / "sys/fs/cgroup" / (group[0] if group else "")
@@ -127,7 +127,7 @@ def _group(root: Path) -> Iterator[Finding]:
         yield good("control group", "no quota of processor time")
 
 
-def clock_source(root: Path = ROOT) -> Iterator[Finding]:
+def clock_source(root: Path = ROOT) -> Iterator[CheckResult]:
     """Check the kernel's source of time."""
     source = _read(root / "sys/devices/system/clocksource/clocksource0/current_clocksource")
     if source in EXACT_CLOCKS or not source:

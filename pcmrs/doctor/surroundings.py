@@ -16,7 +16,7 @@ import msgspec
 from pcmrs.clock import SystemClock
 from pcmrs.console.settings import HOST
 from pcmrs.devices.lsl.library import lab_configuration
-from pcmrs.doctor.finding import Finding, bad, good, warning
+from pcmrs.doctor.check_result import CheckResult, bad, good, warning
 from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.settings import UNIX_NS
 from pcmrs.hosts import is_loopback
@@ -55,7 +55,7 @@ def is_running(settings: Settings) -> bool:
     return False
 
 
-def ports(settings: Settings, *, running: bool) -> Iterator[Finding]:
+def ports(settings: Settings, *, running: bool) -> Iterator[CheckResult]:
     """Check that every port that the daemon binds is free.
 
     Args:
@@ -77,7 +77,7 @@ def ports(settings: Settings, *, running: bool) -> Iterator[Finding]:
         yield good("ports", f"{', '.join(str(port) for _, port, *_ in wanted)} are free")
 
 
-def extras(settings: Settings, wanted: Mapping[str, tuple[str, ...]] = EXTRAS) -> Iterator[Finding]:
+def extras(settings: Settings, wanted: Mapping[str, tuple[str, ...]] = EXTRAS) -> Iterator[CheckResult]:
     """Check that the packages are installed that drivers and page need.
 
     Args:
@@ -97,7 +97,7 @@ def extras(settings: Settings, wanted: Mapping[str, tuple[str, ...]] = EXTRAS) -
             yield bad("extras", f"{extra}: {', '.join(missing)} is missing", remedy)
 
 
-def devices(settings: Settings, *, running: bool) -> Iterator[Finding]:
+def devices(settings: Settings, *, running: bool) -> Iterator[CheckResult]:
     """Check that the addresses of the devices can be reached; nothing is sent to a device.
 
     Args:
@@ -116,7 +116,7 @@ def devices(settings: Settings, *, running: bool) -> Iterator[Finding]:
             yield good("devices", f"{name}: it has no address to check")
 
 
-def streams(settings: Settings) -> Iterator[Finding]:
+def streams(settings: Settings) -> Iterator[CheckResult]:
     """Check that streams of Lab Streaming Layer stay on this machine."""
     if not (LSL_DRIVERS.intersection(settings.drivers()) or settings.gateway.markers.enabled):
         yield good("streams", "Lab Streaming Layer is not used")
@@ -127,7 +127,7 @@ def streams(settings: Settings) -> Iterator[Finding]:
         yield good("streams", "Lab Streaming Layer is offered to this machine only")
 
 
-def peers(settings: Settings) -> Iterator[Finding]:
+def peers(settings: Settings) -> Iterator[CheckResult]:
     """Check that old commands of signed peers are refused."""
     growing = sorted(name for name, peer in settings.gateway.peers.items() if peer.counter != UNIX_NS)
     if growing:
@@ -138,7 +138,7 @@ def peers(settings: Settings) -> Iterator[Finding]:
         yield good("peers", f"{len(settings.gateway.peers)} peers sign their commands, all with the time")
 
 
-def certificates(settings: Settings) -> Iterator[Finding]:
+def certificates(settings: Settings) -> Iterator[CheckResult]:
     """Check that the identity can be used, is registered, and does not end soon."""
     if not settings.access.is_open:
         yield good("certificates", "none: the cell can only be reached from this machine")
@@ -223,7 +223,7 @@ def _place(driver: str, table: Mapping[str, Any]) -> Path | tuple[str, int] | No
     return Path(found.port) if driver == "trigger" and found.port else None
 
 
-def _serial(name: str, path: Path) -> Finding:
+def _serial(name: str, path: Path) -> CheckResult:
     try:
         there = stat.S_ISCHR(path.stat().st_mode)
     except OSError as error:
@@ -235,7 +235,7 @@ def _serial(name: str, path: Path) -> Finding:
     return bad("devices", f"{name}: {path} may not be used", remedy)
 
 
-def _network(driver: str, name: str, host: str, port: int) -> Finding:
+def _network(driver: str, name: str, host: str, port: int) -> CheckResult:
     where = f"{name}: {host}:{port}"
     if is_loopback(host):
         return good("devices", f"{where} is this machine: a virtual device")

@@ -4,20 +4,20 @@ from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, BranchSpec, OperationS
 from pcmrs.fsm.branch import StateSet, flags_of
 from pcmrs.fsm.closure import Change, Closure, Denial, Effect, close
 from pcmrs.fsm.engine import Engine
-from pcmrs.fsm.files.load import Examination, examine, load_blueprint, parse_blueprint
+from pcmrs.fsm.files.load import BlueprintExamination, examine, load_blueprint, parse_blueprint
 from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.state import State
 
 __all__ = [
     "START_OUTCOME",
     "Blueprint",
+    "BlueprintExamination",
     "BranchSpec",
     "Change",
     "Closure",
     "Denial",
     "Effect",
     "Engine",
-    "Examination",
     "Finding",
     "OperationSpec",
     "State",

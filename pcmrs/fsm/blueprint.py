@@ -27,7 +27,7 @@ START_OUTCOME = "done"
 """Name of the only outcome of an operation that declares none."""
 
 
-class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class BlueprintPart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Base of all parts of a blueprint; unknown keys are refused when it is read."""
 
 
@@ -41,7 +41,7 @@ def target_from(target: Target, source: str) -> str:
     return target if isinstance(target, str) else target[source]
 
 
-class OutcomeSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class OutcomeSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One declared way an operation ends.
 
     Attributes:
@@ -53,7 +53,7 @@ class OutcomeSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     requires: Requirement = {}
 
 
-class OperationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, rename={"from_": "from"}):
+class OperationSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=True, rename={"from_": "from"}):
     """One operation of a branch (SO); changing (SCO) or maintaining (SMO) by its `from` and target.
 
     Attributes:
@@ -166,7 +166,7 @@ def _states_in(endings: list[OutcomeSpec]) -> set[str]:
     return {state for states in named for state in states}
 
 
-class ParentSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ParentSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The state of a level N branch that this level N+1 branch refines.
 
     Attributes:
@@ -180,7 +180,7 @@ class ParentSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     compatible: dict[str, list[str]]
 
 
-class RevocationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, rename={"from_": "from"}):
+class RevocationSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=True, rename={"from_": "from"}):
     """A change in one of the branches `by` takes this branch from `from` to `to` in the same commit."""
 
     by: list[str]
@@ -188,7 +188,7 @@ class RevocationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True
     to: str
 
 
-class SequenceSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class SequenceSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Items that are performed in order; `pcmrs.fsm.files.sequence` makes the states and operations from it.
 
     Attributes:
@@ -213,7 +213,7 @@ class SequenceSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     abandon: dict[str, Any] = {}
 
 
-class ActivitySpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ActivitySpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Function that runs while a branch is in a state: the do-activity of UML state machines, the `<invoke>` of SCXML.
 
     Attributes:
@@ -228,7 +228,7 @@ class ActivitySpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     moves: bool = False
 
 
-class BranchSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class BranchSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One State Branch (SB).
 
     Attributes:
@@ -272,7 +272,7 @@ class BranchSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
         return state in valid or valid == ["*"]
 
 
-class Condition(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Condition(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Condition on one moment of a procedure: all given parts must hold, and an empty condition always holds.
 
     Attributes:
@@ -286,7 +286,7 @@ class Condition(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     accepted: list[str] = []
 
 
-class PropertySpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class PropertySpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A promise of the workflow, for the verifier to prove; exactly one of the four conditions is given.
 
     Attributes:
@@ -308,7 +308,7 @@ class PropertySpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
     leads_to: Condition | None = None
 
 
-class MigrationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class MigrationSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """An older blueprint of the same workflow whose journal may be continued under this one.
 
     Attributes:
@@ -322,7 +322,7 @@ class MigrationSpec(Part, frozen=True, kw_only=True, forbid_unknown_fields=True)
     why: Annotated[str, msgspec.Meta(pattern=r"\S")]
 
 
-class Blueprint(Part, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
+class Blueprint(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
     """A whole workflow.
 
     Attributes:

@@ -52,7 +52,7 @@ class Second(Enum):
     VALUES = auto()  # numbers, each followed by a separator
 
 
-class Plan(Enum):
+class PlanKind(Enum):
     """Kinds of plan that clients send."""
 
     LANDMARKS = auto()
@@ -60,7 +60,7 @@ class Plan(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class CommandStep:
     """One operation of the workflow; skipped unless its branch is in a state of `only_in`, if that is given."""
 
     branch: str
@@ -85,10 +85,10 @@ class Spec:
     branch: str
     action: Action = Action.SUBMIT
     payload: tuple[Kind, ...] = ()
-    steps: tuple[Step, ...] = ()
+    steps: tuple[CommandStep, ...] = ()
     arguments: Arguments = lambda _: {}
     second: Second | None = None
-    settles: Plan | None = None
+    settles: PlanKind | None = None
 
     @property
     def moves(self) -> bool:
@@ -103,20 +103,20 @@ class Spec:
 
 def _submit(
     name: str,
-    *operations: str | Step,
+    *operations: str | CommandStep,
     payload: tuple[Kind, ...] = (),
     arguments: Arguments = lambda _: {},
     second: Second | None = None,
-    settles: Plan | None = None,
+    settles: PlanKind | None = None,
 ) -> Spec:
-    steps = tuple(item if isinstance(item, Step) else _step(item) for item in operations)
+    steps = tuple(item if isinstance(item, CommandStep) else _step(item) for item in operations)
     branch = steps[-1].branch
     return Spec(name, branch, payload=payload, steps=steps, arguments=arguments, second=second, settles=settles)
 
 
-def _step(name: str) -> Step:
+def _step(name: str) -> CommandStep:
     branch, operation = name.split(".")
-    return Step(branch, operation)
+    return CommandStep(branch, operation)
 
 
 def _index(values: tuple[Value, ...]) -> dict[str, Any]:
@@ -130,10 +130,10 @@ def _surface(values: tuple[Value, ...]) -> dict[str, Any]:
 
 _XYZ = (Kind.NUMBER,) * 3
 _INDEX = (Kind.COUNT,)
-_BACK_OFF_UNLESS_RETRACTED = Step(
+_BACK_OFF_UNLESS_RETRACTED = CommandStep(
     "placement", "back_off", only_in=("unknown", "standoff", "placed", "following", "guided", "held")
 )
-_REOPEN_IF_ALL_DIGITIZED = Step("digitization", "redigitize_one", only_in=("1",))
+_REOPEN_IF_ALL_DIGITIZED = CommandStep("digitization", "redigitize_one", only_in=("1",))
 
 _SPECS = (
     Spec("img_fid_numxxxxx", "registration", Action.ANNOUNCE_LANDMARKS, _INDEX),
@@ -146,7 +146,7 @@ _SPECS = (
     _submit("img_dig_prevxxxx", "digitization.reuse_previous"),
     _submit("img_dig_prevhilg", "digitization.reuse_previous_except", payload=_INDEX, arguments=_index),
     _submit("start_registrati", "registration.register", second=Second.RESIDUAL),
-    _submit("start_useprevreg", "registration.use_previous", second=Second.RESIDUAL, settles=Plan.LANDMARKS),
+    _submit("start_useprevreg", "registration.use_previous", second=Second.RESIDUAL, settles=PlanKind.LANDMARKS),
     Spec("target_rotxxxxxx", "toolplan", Action.OPEN_POSE, (Kind.NUMBER,) * 4),
     Spec("target_tslxxxxxx", "toolplan", Action.PLAN_POSE, _XYZ),
     _submit("icp_digitizexxxx", "digitization.digitize_surface"),

@@ -26,7 +26,7 @@ _PRINTABLE = re.compile(rb"[\x20-\x7e]*")
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class StringCommand:
     """A well-formed command: its values in the order of `spec.payload`, and the client's id if it gave one."""
 
     spec: Spec
@@ -34,7 +34,7 @@ class Request:
     id: str | None = None
 
 
-def parse(datagram: bytes) -> Request:
+def parse(datagram: bytes) -> StringCommand:
     """Parse one datagram.
 
     Raises:
@@ -49,7 +49,7 @@ def parse(datagram: bytes) -> Request:
     client_id = match[1] if match else None
     tokens = _tokens(spec, payload[: match.start()] if match else payload)
     values = tuple(_value(kind, token, spec) for kind, token in zip(spec.payload, tokens, strict=True))
-    return Request(spec, values, client_id)
+    return StringCommand(spec, values, client_id)
 
 
 def may_become_command(beginning: bytes) -> bool:

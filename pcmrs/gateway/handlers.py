@@ -10,9 +10,9 @@ from uuid import uuid4
 from pcmrs.clock import Clock
 from pcmrs.errors import RefusalError
 from pcmrs.gateway.adapter import Core
-from pcmrs.gateway.commands import Action, Plan, Step
-from pcmrs.gateway.grammar import Request
-from pcmrs.gateway.outcome import Outcome, of_verdict
+from pcmrs.gateway.command_outcome import CommandOutcome, of_verdict
+from pcmrs.gateway.commands import Action, CommandStep, PlanKind
+from pcmrs.gateway.grammar import StringCommand
 from pcmrs.gateway.pose_files import PoseFileWriter
 from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.gateway.streams import Streams
@@ -125,7 +125,7 @@ class PlanLock:
 
     def __init__(self) -> None:
         self._attempts = 0
-        self._pending: dict[Plan, int] = {}
+        self._pending: dict[PlanKind, int] = {}
 
     @property
     def held(self) -> bool:
@@ -137,13 +137,13 @@ class PlanLock:
         """Number of the newest attempt."""
         return self._attempts
 
-    def attempt(self, kind: Plan) -> int:
+    def attempt(self, kind: PlanKind) -> int:
         """Note that a plan of `kind` has begun; return its number."""
         self._attempts += 1
         self._pending[kind] = self._attempts
         return self._attempts
 
-    def accept(self, kind: Plan, attempt: int) -> None:
+    def accept(self, kind: PlanKind, attempt: int) -> None:
         """Note that a plan was accepted; a newer one of its kind keeps the lock.
 
         Args:
@@ -154,14 +154,14 @@ class PlanLock:
             self._pending.pop(kind, None)
 
 
-Job = Callable[[], Awaitable[Outcome]]
+Job = Callable[[], Awaitable[CommandOutcome]]
 
 PARTS = {
-    Action.ANNOUNCE_LANDMARKS: Plan.LANDMARKS,
-    Action.ADD_LANDMARK: Plan.LANDMARKS,
-    Action.PLAN_LANDMARKS: Plan.LANDMARKS,
-    Action.OPEN_POSE: Plan.POSE,
-    Action.PLAN_POSE: Plan.POSE,
+    Action.ANNOUNCE_LANDMARKS: PlanKind.LANDMARKS,
+    Action.ADD_LANDMARK: PlanKind.LANDMARKS,
+    Action.PLAN_LANDMARKS: PlanKind.LANDMARKS,
+    Action.OPEN_POSE: PlanKind.POSE,
+    Action.PLAN_POSE: PlanKind.POSE,
 }
 """Commands that are part of a plan."""
 
@@ -201,7 +201,7 @@ class CommandHandlers:
         self._stops = 0
         self._landmarks = LandmarkSeries()
         self._pair = PosePair()
-        self._handlers: dict[Action, Callable[[Request], Outcome | Job]] = {
+        self._handlers: dict[Action, Callable[[StringCommand], CommandOutcome | Job]] = {
             Action.ANNOUNCE_LANDMARKS: self._announce_landmarks,
             Action.ADD_LANDMARK: self._add_landmark,
             Action.PLAN_LANDMARKS: self._plan_landmarks,
@@ -219,7 +219,7 @@ class CommandHandlers:
             Action.LOG_POSES: lambda request: self._done(request, services.pose_files.log_poses),
         }
 
-    def prepare(self, request: Request, arrived: float) -> Outcome | Job:
+    def prepare(self, request: StringCommand, arrived: float) -> CommandOutcome | Job:
         """Perform at once what need not wait, and return the rest as a job to run in its turn.
 
         Parts of a plan are collected here, on arrival, so that a motion that follows already sees the plan as begun.
@@ -235,7 +235,7 @@ class CommandHandlers:
         except RefusalError as refusal:
             return self.refused(request, refusal)
 
-    def deny(self, request: Request, refusal: RefusalError) -> Outcome:
+    def deny(self, request: StringCommand, refusal: RefusalError) -> CommandOutcome:
         """Refuse a command that is not prepared; if it is part of a plan, drop its parts, and let approaches wait.
 
         Args:
@@ -251,11 +251,11 @@ class CommandHandlers:
         """End commands of several steps after the present step, because of Stop."""
         self._stops += 1
 
-    def accepted(self, request: Request, *numbers: float) -> Outcome:
+    def accepted(self, request: StringCommand, *numbers: float) -> CommandOutcome:
         """Return the acceptance of a command that the gateway itself performs, with its results."""
-        return Outcome("accepted", request.spec.branch, self._state(request), numbers=numbers)
+        return CommandOutcome("accepted", request.spec.branch, self._state(request), numbers=numbers)
 
-    def rejected(self, request: Request, reason: str, text: str = "") -> Outcome:
+    def rejected(self, request: StringCommand, reason: str, text: str = "") -> CommandOutcome:
         """Return a refusal by the gateway because of other commands; each refusal of a motion is reported.
 
         Args:
@@ -265,7 +265,7 @@ class CommandHandlers:
         """
         return self._reject(request, reason, text or reason, each=request.spec.moves)
 
-    def refused(self, request: Request, refusal: RefusalError) -> Outcome:
+    def refused(self, request: StringCommand, refusal: RefusalError) -> CommandOutcome:
         """Return a refusal for a reason that was found elsewhere, such as the sender.
 
         Args:
@@ -274,20 +274,20 @@ class CommandHandlers:
         """
         return self._reject(request, refusal.refusal_code, refusal.text, each=False)
 
-    def _reject(self, request: Request, reason: str, text: str, *, each: bool) -> Outcome:
+    def _reject(self, request: StringCommand, reason: str, text: str, *, each: bool) -> CommandOutcome:
         self._services.refusals.add(self.source, reason, f"{request.spec.name} was refused: {text}", each=each)
-        return Outcome("rejected", request.spec.branch, self._state(request), reason)
+        return CommandOutcome("rejected", request.spec.branch, self._state(request), reason)
 
-    def failed(self, request: Request, reason: str) -> Outcome:
+    def failed(self, request: StringCommand, reason: str) -> CommandOutcome:
         """Return the failure of a command that had begun.
 
         Args:
             request: The command.
             reason: Code of the reason.
         """
-        return Outcome("failed", request.spec.branch, self._state(request), reason)
+        return CommandOutcome("failed", request.spec.branch, self._state(request), reason)
 
-    async def _submit(self, request: Request, arrived: float) -> Outcome:
+    async def _submit(self, request: StringCommand, arrived: float) -> CommandOutcome:
         if request.spec.approaches and self._lock.held:
             return self.rejected(request, "plan_not_accepted")
         attempt = self._lock.newest
@@ -296,7 +296,7 @@ class CommandHandlers:
             self._lock.accept(request.spec.settles, attempt)
         return outcome
 
-    async def _run_steps(self, request: Request, arguments: dict[str, Any], arrived: float) -> Outcome:
+    async def _run_steps(self, request: StringCommand, arguments: dict[str, Any], arrived: float) -> CommandOutcome:
         """Submits the operations in order; the first that is not accepted ends the command.
 
         The age of the first one counts from the arrival of the command, so that its wait here counts; that of each
@@ -313,18 +313,18 @@ class CommandHandlers:
                 break
         return outcome
 
-    def _applies(self, step: Step) -> bool:
+    def _applies(self, step: CommandStep) -> bool:
         return step.only_in is None or self._core.snapshot().branches.get(step.branch) in step.only_in
 
     async def _operate(
         self,
-        request: Request,
+        request: StringCommand,
         number: int,
         branch: str,
         operation: str,
         arguments: dict[str, Any],
         arrived: float | None = None,
-    ) -> Outcome:
+    ) -> CommandOutcome:
         unique = f"{self._services.run}-{request.id}-{number}" if request.id is not None else uuid4().hex
         command = Command(
             id=unique,
@@ -342,59 +342,59 @@ class CommandHandlers:
             raise RefusalError("id_reused", text, id=request.id)
         return of_verdict(verdict)
 
-    def _announce_landmarks(self, request: Request) -> Outcome:
-        self._lock.attempt(Plan.LANDMARKS)
+    def _announce_landmarks(self, request: StringCommand) -> CommandOutcome:
+        self._lock.attempt(PlanKind.LANDMARKS)
         self._landmarks.announce(int(request.values[0]))
         return self.accepted(request)
 
-    def _add_landmark(self, request: Request) -> Outcome:
+    def _add_landmark(self, request: StringCommand) -> CommandOutcome:
         index, *point = request.values
         self._landmarks.add(int(index), [float(value) for value in point])
         return self.accepted(request)
 
-    def _plan_landmarks(self, request: Request) -> Job:
-        attempt = self._lock.attempt(Plan.LANDMARKS)
+    def _plan_landmarks(self, request: StringCommand) -> Job:
+        attempt = self._lock.attempt(PlanKind.LANDMARKS)
         landmarks = self._landmarks.finish()
-        return lambda: self._plan(request, Plan.LANDMARKS, attempt, "plan_landmarks", {"landmarks": landmarks})
+        return lambda: self._plan(request, PlanKind.LANDMARKS, attempt, "plan_landmarks", {"landmarks": landmarks})
 
-    def _open_pose(self, request: Request) -> Outcome:
-        self._lock.attempt(Plan.POSE)
+    def _open_pose(self, request: StringCommand) -> CommandOutcome:
+        self._lock.attempt(PlanKind.POSE)
         self._pair.rotate([float(value) for value in request.values], self._services.clock.monotonic())
         return self.accepted(request)
 
-    def _plan_pose(self, request: Request) -> Job:
-        attempt = self._lock.attempt(Plan.POSE)
+    def _plan_pose(self, request: StringCommand) -> Job:
+        attempt = self._lock.attempt(PlanKind.POSE)
         now = self._services.clock.monotonic()
         pose = self._pair.translate([float(value) for value in request.values], now)
-        return lambda: self._plan(request, Plan.POSE, attempt, "plan", pose)
+        return lambda: self._plan(request, PlanKind.POSE, attempt, "plan", pose)
 
     async def _plan(
-        self, request: Request, kind: Plan, attempt: int, operation: str, arguments: dict[str, Any]
-    ) -> Outcome:
+        self, request: StringCommand, kind: PlanKind, attempt: int, operation: str, arguments: dict[str, Any]
+    ) -> CommandOutcome:
         outcome = await self._operate(request, 0, request.spec.branch, operation, arguments)
         if outcome.decision == "accepted":
             self._lock.accept(kind, attempt)
         return outcome
 
-    async def _stop(self, request: Request) -> Outcome:
+    async def _stop(self, request: StringCommand) -> CommandOutcome:
         stands = await self._core.stop(self.source)
         return self.accepted(request) if stands else self.failed(request, "hold_not_confirmed")
 
-    def _read_flange(self, request: Request) -> Outcome:
+    def _read_flange(self, request: StringCommand) -> CommandOutcome:
         pose = self._core.flange_pose()
         return self._numbers(request, None if pose is None else [*pose.translation, *pose.quat_xyzw])
 
-    def _numbers(self, request: Request, numbers: list[float] | None) -> Outcome:
+    def _numbers(self, request: StringCommand, numbers: list[float] | None) -> CommandOutcome:
         return self.rejected(request, "no_data") if numbers is None else self.accepted(request, *numbers)
 
-    def _done(self, request: Request, act: Callable[[], object]) -> Outcome:
+    def _done(self, request: StringCommand, act: Callable[[], object]) -> CommandOutcome:
         act()
         return self.accepted(request)
 
-    async def _save_placement(self, request: Request) -> Outcome:
+    async def _save_placement(self, request: StringCommand) -> CommandOutcome:
         await self._services.pose_files.save_placement()
         return self.accepted(request)
 
-    def _state(self, request: Request) -> str:
+    def _state(self, request: StringCommand) -> str:
         """State of the command's branch; the gateway's own services are always ready."""
         return self._core.snapshot().branches.get(request.spec.branch, "ready")

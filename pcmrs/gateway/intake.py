@@ -22,11 +22,11 @@ from pcmrs.gateway.auth.peers import (
     UNKNOWN_PEER,
     SignedPeer,
 )
+from pcmrs.gateway.command_outcome import CommandOutcome
 from pcmrs.gateway.commands import COMMANDS, Action
-from pcmrs.gateway.grammar import Request, parse, parse_tool_points
+from pcmrs.gateway.grammar import StringCommand, parse, parse_tool_points
 from pcmrs.gateway.handlers import CommandHandlers, PlanLock, Services
-from pcmrs.gateway.outcome import Outcome
-from pcmrs.gateway.session import QUEUE_FULL, ReplyChannel, Session
+from pcmrs.gateway.peer_session import QUEUE_FULL, PeerSession, ReplyChannel
 from pcmrs.gateway.signing import Signed, split
 from pcmrs.messages.identity import ON_SITE, Principal
 
@@ -88,9 +88,9 @@ class Intake(DispatcherListener):
         self._tasks = tasks
         self._unsigned_peers = unsigned_peers
         self._admission = admission
-        self._sessions: dict[str, Session] = {}
+        self._sessions: dict[str, PeerSession] = {}
         self._locks: dict[str, PlanLock] = {}
-        self._outcomes: CommandCache[asyncio.Future[Outcome]] = CommandCache()
+        self._outcomes: CommandCache[asyncio.Future[CommandOutcome]] = CommandCache()
         self._clock: Clock = services.clock
 
     def receive(
@@ -187,26 +187,31 @@ class Intake(DispatcherListener):
             self._admission.enter_when_kept(peer, enter)
 
     def _enter(
-        self, peer: SignedPeer, request: Request, answer: ReplyChannel, arrived: float, refusal: RefusalError | None
+        self,
+        peer: SignedPeer,
+        request: StringCommand,
+        answer: ReplyChannel,
+        arrived: float,
+        refusal: RefusalError | None,
     ) -> None:
         """Begins a peer's command; its session, lock and ids are its own, whatever address it sends from."""
         if refusal is not None:
             self._count(refusal.refusal_code)
         self._session(peer.source, peer.source, peer.asker).receive(request, answer, arrived, refusal)
 
-    def _session(self, source: str, holder: str, asker: Principal) -> Session:
+    def _session(self, source: str, holder: str, asker: Principal) -> PeerSession:
         """Session of a source, moved to the end of the order in which idle ones are forgotten."""
         session = self._sessions.pop(source, None) or self._new_session(source, holder, asker)
         self._sessions[source] = session
         return session
 
-    def _new_session(self, source: str, holder: str, asker: Principal) -> Session:
+    def _new_session(self, source: str, holder: str, asker: Principal) -> PeerSession:
         if len(self._sessions) >= MAX_SESSIONS:
             oldest_idle = next((key for key, session in self._sessions.items() if session.idle), None)
             if oldest_idle is not None:
                 del self._sessions[oldest_idle]
         actions = CommandHandlers(source, asker, self._services, self.lock(holder))
-        return Session(actions, self._clock, self._tasks, self._outcomes, self._count_overflow)
+        return PeerSession(actions, self._clock, self._tasks, self._outcomes, self._count_overflow)
 
     def _count(self, reason: str) -> None:
         if reason in self.counters.of_peers:
@@ -235,7 +240,7 @@ def _reason_of(error: Exception) -> str:
     return error.code if isinstance(error, PcmrsError) else LINK_ERROR
 
 
-def _as_meant(link: str, request: Request) -> Request:
+def _as_meant(link: str, request: StringCommand) -> StringCommand:
     """On the MEP link, saving a placement means logging poses."""
     if link == "mep" and request.spec.action is Action.SAVE_PLACEMENT:
         return replace(request, spec=COMMANDS["save_continupose"])

@@ -20,7 +20,7 @@ from pcmrs.clock import Clock
 from pcmrs.errors import PayloadError, RefusalError
 from pcmrs.gateway.grammar import MAX_BYTES, may_become_command
 from pcmrs.gateway.intake import Intake
-from pcmrs.gateway.session import ReplyChannel
+from pcmrs.gateway.peer_session import ReplyChannel
 from pcmrs.hosts import is_loopback
 
 SIGNS = b"|;"

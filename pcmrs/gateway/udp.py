@@ -6,7 +6,7 @@ import asyncio
 from typing import Any, cast
 
 from pcmrs.gateway.intake import Intake
-from pcmrs.gateway.session import ReplyChannel
+from pcmrs.gateway.peer_session import ReplyChannel
 from pcmrs.gateway.settings import LinkConfig
 from pcmrs.hosts import is_loopback
 

@@ -4,15 +4,15 @@ from pcmrs.journal.export import copy_journal
 from pcmrs.journal.journal import Journal
 from pcmrs.journal.reader import JournalReader, journal_files
 from pcmrs.journal.rows import JournalRow, Kind, StoredRow
-from pcmrs.journal.verification import Verification, verify
+from pcmrs.journal.verification import JournalVerification, verify
 
 __all__ = [
     "Journal",
     "JournalReader",
     "JournalRow",
+    "JournalVerification",
     "Kind",
     "StoredRow",
-    "Verification",
     "copy_journal",
     "journal_files",
     "verify",

@@ -24,7 +24,7 @@ Progress = Callable[[str, int, int], None]
 """Callback for the present step, the amount done, and the total."""
 
 
-class Verification(Message, frozen=True, kw_only=True, omit_defaults=False):
+class JournalVerification(Message, frozen=True, kw_only=True, omit_defaults=False):
     """Result of a verification.
 
     Attributes:
@@ -62,7 +62,7 @@ class Verification(Message, frozen=True, kw_only=True, omit_defaults=False):
 
 def verify(
     path: Path, *, public: Path | None = None, kept: Path | None = None, progress: Progress | None = None
-) -> Verification:
+) -> JournalVerification:
     """Verify a whole journal, also while a daemon writes it, without changing anything.
 
     Args:
@@ -180,14 +180,14 @@ class _JournalCheck:
             self._unnamed = max(0, self._end.sequence - after.head.place.sequence)
             require_named(self._path, self._unnamed, after.damaged)
 
-    def report(self, before: HeadState | None) -> Verification:
+    def report(self, before: HeadState | None) -> JournalVerification:
         """Return the result.
 
         Args:
             before: Head as it was before the rows were read.
         """
         head = before.head if before is not None else None
-        return Verification(
+        return JournalVerification(
             journal=str(self._path),
             version=self._version,
             rows=self._end.sequence,

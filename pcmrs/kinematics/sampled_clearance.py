@@ -22,7 +22,7 @@ NOISE = 0.001
 
 
 @dataclass(frozen=True, eq=False)
-class Violation:
+class ClearanceViolation:
     """The first point of a motion that is too near to a zone or a link.
 
     Attributes:
@@ -47,7 +47,7 @@ class SampledClearance:
     postures: Floats
     distances: Floats
 
-    def first_violation(self, zones: ZoneModel, limits: Floats) -> Violation | None:
+    def first_violation(self, zones: ZoneModel, limits: Floats) -> ClearanceViolation | None:
         """Return the first sample at which a pair is nearer than its limit, or None.
 
         Args:
@@ -56,7 +56,7 @@ class SampledClearance:
         """
         return self._first(zones, limits, self.distances < limits)
 
-    def first_approach(self, zones: ZoneModel, limits: Floats) -> Violation | None:
+    def first_approach(self, zones: ZoneModel, limits: Floats) -> ClearanceViolation | None:
         """Return the first sample of a retreat at which a pair is below its limit and comes nearer, or None.
 
         A retreat may start too near; from there on, distances may only grow.
@@ -68,7 +68,7 @@ class SampledClearance:
         shrinks = np.maximum.accumulate(self.distances, axis=0) - self.distances
         return self._first(zones, limits, (self.distances < limits) & (shrinks > NOISE))
 
-    def _first(self, zones: ZoneModel, limits: Floats, broken: npt.NDArray[np.bool_]) -> Violation | None:
+    def _first(self, zones: ZoneModel, limits: Floats, broken: npt.NDArray[np.bool_]) -> ClearanceViolation | None:
         samples = np.flatnonzero(broken.any(axis=1))
         if not len(samples):
             return None
@@ -76,7 +76,7 @@ class SampledClearance:
         distances, required = self.distances[sample], np.broadcast_to(limits, self.distances.shape)[sample]
         pair = int(np.argmin(np.where(broken[sample], distances - required, np.inf)))
         clearance = Clearance(*zones.pairs[pair], float(distances[pair]), float(required[pair]))
-        return Violation(clearance, self.postures[sample])
+        return ClearanceViolation(clearance, self.postures[sample])
 
 
 def sample_clearance(

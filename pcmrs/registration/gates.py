@@ -46,7 +46,7 @@ class RegistrationLimits:
 
 
 @dataclass(frozen=True)
-class Gate:
+class RegistrationGate:
     """Result of one check that a registration must pass.
 
     Attributes:
@@ -65,7 +65,7 @@ class Gate:
     text: str
 
 
-def unit_gate(ratio: float) -> Gate:
+def unit_gate(ratio: float) -> RegistrationGate:
     """Check that both sets of landmarks are in one unit. A ratio of 1000 or 1/1000 means mm for m.
 
     The value of the gate is the ratio or its inverse, whichever is larger.
@@ -83,15 +83,15 @@ def unit_gate(ratio: float) -> Gate:
         text += " both in m."
         if ratio < 1.0:
             text += " If they are, all were digitized at one place: touch each at its own."
-    return Gate("wrong_unit", accepted, either_way, UNIT_RATIO, text)
+    return RegistrationGate("wrong_unit", accepted, either_way, UNIT_RATIO, text)
 
 
-def failed_mirror_gate(error: MirroredPointsError) -> Gate:
+def failed_mirror_gate(error: MirroredPointsError) -> RegistrationGate:
     """Return the gate of a registration that was refused because a mirror image fits far better."""
-    return Gate("mirrored", False, error.fields["ratio"], MIRROR_RATIO, error.text)
+    return RegistrationGate("mirrored", False, error.fields["ratio"], MIRROR_RATIO, error.text)
 
 
-def mirror_gate(registration: PointRegistration) -> Gate:
+def mirror_gate(registration: PointRegistration) -> RegistrationGate:
     """Return the passed gate of a registration.
 
     If a mirror image fitted far better, `register_points` would have refused the points.
@@ -100,10 +100,10 @@ def mirror_gate(registration: PointRegistration) -> Gate:
         f"The best rotation leaves {registration.mirror_ratio:.2f} times as much as the best mirror image; more than "
         f"{MIRROR_RATIO:g} times is a flipped image, or left and right exchanged."
     )
-    return Gate("mirrored", True, registration.mirror_ratio, MIRROR_RATIO, text)
+    return RegistrationGate("mirrored", True, registration.mirror_ratio, MIRROR_RATIO, text)
 
 
-def order_gate(permutation: tuple[int, ...] | None, residual: float, names: Sequence[str]) -> Gate:
+def order_gate(permutation: tuple[int, ...] | None, residual: float, names: Sequence[str]) -> RegistrationGate:
     """Check that the landmarks were touched in the planned order.
 
     Args:
@@ -113,7 +113,7 @@ def order_gate(permutation: tuple[int, ...] | None, residual: float, names: Sequ
     """
     if permutation is None:
         text = "Noise explains the landmarks in the planned order, or no exchange among them explains them better."
-        return Gate("swapped_landmarks", True, 0.0, 0.0, text)
+        return RegistrationGate("swapped_landmarks", True, 0.0, 0.0, text)
     rings = [[names[index] for index in ring] for ring in cycles(permutation)]
     exchanged = "; ".join(f"{', '.join(ring[:-1])} and {ring[-1]}" for ring in rings)
     text = (
@@ -121,10 +121,10 @@ def order_gate(permutation: tuple[int, ...] | None, residual: float, names: Sequ
         f"is {residual * 1e3:.2f} mm, more than noise; exchanged back, noise explains all of it. Digitize them again "
         "in the planned order."
     )
-    return Gate("swapped_landmarks", False, float(sum(map(len, rings))), 0.0, text)
+    return RegistrationGate("swapped_landmarks", False, float(sum(map(len, rings))), 0.0, text)
 
 
-def outlier_gate(test: OutlierTest | None, sigma: float, false_alarm: float, names: Sequence[str]) -> Gate:
+def outlier_gate(test: OutlierTest | None, sigma: float, false_alarm: float, names: Sequence[str]) -> RegistrationGate:
     """Check that no landmark is off by more than noise explains.
 
     Args:
@@ -138,7 +138,7 @@ def outlier_gate(test: OutlierTest | None, sigma: float, false_alarm: float, nam
             f"Not tested: with fewer than {MIN_POINTS} landmarks, leaving any one out explains everything. Plan one "
             "more to have a wrong one named."
         )
-        return Gate("landmark_outlier", True, 0.0, 0.0, text)
+        return RegistrationGate("landmark_outlier", True, 0.0, 0.0, text)
     worst = int(np.argmax(test.statistics))
     value = float(test.statistics[worst])
     text = (
@@ -151,10 +151,12 @@ def outlier_gate(test: OutlierTest | None, sigma: float, false_alarm: float, nam
     if test.rivals:
         rivals = ", ".join(names[index] for index in test.rivals)
         text += f" If that does not help: an error of {rivals} alone would explain the residuals about as well."
-    return Gate("landmark_outlier", test.suspect is None, value, test.limit, text)
+    return RegistrationGate("landmark_outlier", test.suspect is None, value, test.limit, text)
 
 
-def residual_gate(registration: PointRegistration, limits: RegistrationLimits, names: Sequence[str]) -> Gate:
+def residual_gate(
+    registration: PointRegistration, limits: RegistrationLimits, names: Sequence[str]
+) -> RegistrationGate:
     """Check that the mean distance of the landmarks is within its limit.
 
     Args:
@@ -170,10 +172,10 @@ def residual_gate(registration: PointRegistration, limits: RegistrationLimits, n
     if not accepted:
         worst = names[int(np.argmax(registration.distances))]
         text += f" The largest deviation is at {worst}. Digitize all landmarks again."
-    return Gate("residual_too_large", accepted, registration.residual, limits.residual, text)
+    return RegistrationGate("residual_too_large", accepted, registration.residual, limits.residual, text)
 
 
-def tre_gate(tre: float, limits: RegistrationLimits, *, at_centroid: bool) -> Gate:
+def tre_gate(tre: float, limits: RegistrationLimits, *, at_centroid: bool) -> RegistrationGate:
     """Check that the predicted error at the target is within its limit.
 
     Args:
@@ -189,4 +191,4 @@ def tre_gate(tre: float, limits: RegistrationLimits, *, at_centroid: bool) -> Ga
     )
     if not accepted:
         text += " Plan more landmarks, or some farther apart and around the target."
-    return Gate("tre_too_large", accepted, tre, limits.tre, text)
+    return RegistrationGate("tre_too_large", accepted, tre, limits.tre, text)

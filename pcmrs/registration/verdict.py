@@ -12,7 +12,7 @@ from pcmrs.errors import GeometryError, MirroredPointsError
 from pcmrs.registration.accuracy import predict_tre
 from pcmrs.registration.diagnosis import detect_order, unit_ratio
 from pcmrs.registration.gates import (
-    Gate,
+    RegistrationGate,
     RegistrationLimits,
     failed_mirror_gate,
     mirror_gate,
@@ -47,7 +47,7 @@ class RegistrationVerdict:
     """
 
     registration: PointRegistration | None
-    gates: tuple[Gate, ...]
+    gates: tuple[RegistrationGate, ...]
     tre: float | None = None
     suspect: int | None = None
     permutation: tuple[int, ...] | None = None
@@ -58,7 +58,7 @@ class RegistrationVerdict:
         return self.refusal is None
 
     @property
-    def refusal(self) -> Gate | None:
+    def refusal(self) -> RegistrationGate | None:
         """First gate that does not pass, or None."""
         return next((gate for gate in self.gates if not gate.accepted), None)
 

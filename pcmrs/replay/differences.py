@@ -19,7 +19,7 @@ RELATIVE, ABSOLUTE = 1e-9, 1e-12
 """Tolerances of recomputed numbers: another machine's linear algebra rounds differently."""
 
 
-class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
+class ReplayDifference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False):
     """One difference.
 
     Attributes:
@@ -37,15 +37,17 @@ class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=False)
     decided: Any = None
 
 
-def missing(stored: StoredRow) -> Difference:
+def missing(stored: StoredRow) -> ReplayDifference:
     """Return the difference for a journalled row that was not decided again."""
     row = stored.row
     verdict = row.verdict
     decision = verdict.decision if verdict is not None else row.kind
-    return Difference(sequence=stored.sequence, row=_name(row), what="row", recorded=_with_code(decision, verdict))
+    return ReplayDifference(
+        sequence=stored.sequence, row=_name(row), what="row", recorded=_with_code(decision, verdict)
+    )
 
 
-def added(sequence: int, decided: Decided) -> Difference:
+def added(sequence: int, decided: Decided) -> ReplayDifference:
     """Return the difference for a decision that was not journalled.
 
     Args:
@@ -55,7 +57,7 @@ def added(sequence: int, decided: Decided) -> Difference:
     key, verdict = decided.key, decided.verdict
     decision = _with_code(verdict.decision if verdict is not None else key.kind, verdict)
     name = f"{key.kind} {key.what} [{key.source}]"
-    return Difference(sequence=sequence, row=name, what="row", decided=decision)
+    return ReplayDifference(sequence=sequence, row=name, what="row", decided=decision)
 
 
 def reported_already(decided: Decided, rows: Sequence[StoredRow]) -> bool:
@@ -71,7 +73,7 @@ def reported_already(decided: Decided, rows: Sequence[StoredRow]) -> bool:
     return decided.key == unconfirmed and any(stored.row.operation == NOT_CONFIRMED for stored in rows)
 
 
-def compared(stored: StoredRow, decided: Decided) -> Iterator[Difference]:
+def compared(stored: StoredRow, decided: Decided) -> Iterator[ReplayDifference]:
     """Yield the differences between a journalled row and its replayed counterpart.
 
     Args:
@@ -81,7 +83,7 @@ def compared(stored: StoredRow, decided: Decided) -> Iterator[Difference]:
     for what, before, now in _pairs(stored.row, decided):
         if not same(before, now):
             name = _name(stored.row)
-            yield Difference(sequence=stored.sequence, row=name, what=what, recorded=before, decided=now)
+            yield ReplayDifference(sequence=stored.sequence, row=name, what=what, recorded=before, decided=now)
 
 
 def _pairs(row: JournalRow, decided: Decided) -> Iterator[tuple[str, Any, Any]]:

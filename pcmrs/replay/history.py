@@ -17,7 +17,7 @@ from pcmrs.dispatcher import Dispatcher, Workflow
 from pcmrs.errors import ReplayError
 from pcmrs.journal import JournalReader, StoredRow
 from pcmrs.messages import BlueprintTag
-from pcmrs.replay.differences import Difference
+from pcmrs.replay.differences import ReplayDifference
 from pcmrs.replay.keys import COMPARED, is_rejected_report
 from pcmrs.service.restart.state import ENDED, PersistedState, RestartState
 from pcmrs.workflows.cell import Cell
@@ -34,7 +34,7 @@ class CarryOver:
     def __init__(self) -> None:
         self.state = PersistedState()
 
-    def begin(self, run: DaemonRun, workflow: Workflow[Cell, PlacementData]) -> Iterator[Difference]:
+    def begin(self, run: DaemonRun, workflow: Workflow[Cell, PlacementData]) -> Iterator[ReplayDifference]:
         """Close the operations in progress of the run before; yield those that this run closed differently.
 
         Args:
@@ -47,11 +47,11 @@ class CarryOver:
         in_flight = {(each.source, each.command): each for each in self.state.begun}
         for key in in_flight.keys() - closed.keys():
             name = f"outcome {in_flight[key].branch}.{in_flight[key].operation}"
-            yield Difference(sequence=run.rows[0].sequence, row=name, what="row", decided="unknown")
+            yield ReplayDifference(sequence=run.rows[0].sequence, row=name, what="row", decided="unknown")
         for key in closed.keys() - in_flight.keys():
             row = closed[key].row
             name = f"outcome {row.branch}.{row.operation}"
-            yield Difference(sequence=closed[key].sequence, row=name, what="row", recorded="unknown")
+            yield ReplayDifference(sequence=closed[key].sequence, row=name, what="row", recorded="unknown")
         restart_state = RestartState(workflow.blueprint, self.state)
         started = [each for each in run.rows if each.row.kind == "config"][:1]
         for stored in (*started, *closed.values()):

@@ -18,7 +18,7 @@ _DRAWN = re.compile(r"-[0-9a-f]{32}$")
 _DRAWS_IDS = ("device:", "activity:")
 
 
-class Key(NamedTuple):
+class RowKey(NamedTuple):
     """Key of a row within one run of the daemon; rows with the same key are matched in their order.
 
     Attributes:
@@ -33,17 +33,17 @@ class Key(NamedTuple):
     id: str = ""
 
 
-def command_key(kind: RowKind, command: Command) -> Key:
+def command_key(kind: RowKind, command: Command) -> RowKey:
     """Return the key of a command's intent or outcome.
 
     Args:
         kind: ``intent`` or ``outcome``.
         command: The command.
     """
-    return Key(kind, command.source, f"{command.branch}.{command.operation}", _lasting(command.source, command.id))
+    return RowKey(kind, command.source, f"{command.branch}.{command.operation}", _lasting(command.source, command.id))
 
 
-def event_key(source: str, code: str, *, danger: bool) -> Key:
+def event_key(source: str, code: str, *, danger: bool) -> RowKey:
     """Return the key of an event.
 
     Args:
@@ -51,10 +51,10 @@ def event_key(source: str, code: str, *, danger: bool) -> Key:
         code: Code of the event.
         danger: True if it stops the cell.
     """
-    return Key("device", source, f"{code}, danger" if danger else code)
+    return RowKey("device", source, f"{code}, danger" if danger else code)
 
 
-def key_of(row: JournalRow) -> Key | None:
+def key_of(row: JournalRow) -> RowKey | None:
     """Return the key of a row; None for a row that no dispatcher writes."""
     if row.kind == "device":
         return event_key(row.source or "", row.operation or "", danger=is_danger(row))

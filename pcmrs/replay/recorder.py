@@ -13,7 +13,7 @@ import msgspec
 from pcmrs.journal import StoredRow
 from pcmrs.messages import Command, DeviceEvent, Verdict
 from pcmrs.replay.durability import held_until
-from pcmrs.replay.keys import Key, command_key, event_key, key_of
+from pcmrs.replay.keys import RowKey, command_key, event_key, key_of
 
 
 @dataclass(eq=False)
@@ -27,7 +27,7 @@ class Decided:
         durable: Done when the dispatcher may take the row for durable.
     """
 
-    key: Key
+    key: RowKey
     states: dict[str, str]
     durable: asyncio.Future[None]
     verdict: Verdict | None = None
@@ -55,7 +55,7 @@ class ReplayRecorder:
         self._at: dict[int, Decided] = {}
         self._waiting: list[Decided] = []
         self._held_until = held_until([stored.row for stored in self.rows])
-        self._left: dict[Key, deque[int]] = defaultdict(deque)
+        self._left: dict[RowKey, deque[int]] = defaultdict(deque)
         for index, stored in enumerate(self.rows):
             key = key_of(stored.row)
             if key is not None:
@@ -158,7 +158,7 @@ class ReplayRecorder:
         if not row.durable.done():
             row.durable.set_result(None)
 
-    def _write(self, key: Key, states: Mapping[str, str], **more: Any) -> asyncio.Future[None]:
+    def _write(self, key: RowKey, states: Mapping[str, str], **more: Any) -> asyncio.Future[None]:
         durable: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         if self.ended:
             durable.set_result(None)

@@ -15,7 +15,7 @@ from pcmrs.dispatcher import Workflow
 from pcmrs.errors import ConfigurationError, PcmrsError, ReplayError
 from pcmrs.fsm import Blueprint, load_blueprint
 from pcmrs.messages import BlueprintTag
-from pcmrs.replay.differences import Difference, added, compared, missing, reported_already
+from pcmrs.replay.differences import ReplayDifference, added, compared, missing, reported_already
 from pcmrs.replay.history import CarryOver, DaemonRun, read_runs
 from pcmrs.replay.player import JournalPlayer
 from pcmrs.replay.world import ReplayCell
@@ -50,7 +50,7 @@ class ReplayReport(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Fals
     compared: int
     runs: int
     answered: int
-    differences: list[Difference]
+    differences: list[ReplayDifference]
     rows_per_second: float
 
     @property
@@ -98,7 +98,7 @@ def replay_runs(
         ReplayError: This program cannot replay the runs.
     """
     started_at, carry_over = clock.monotonic(), CarryOver()
-    differences: list[Difference] = []
+    differences: list[ReplayDifference] = []
     answered, total = 0, sum(len(run.rows) for run in runs)
     for run in runs:
         workflow = workflow_of(run.tag)
@@ -123,12 +123,12 @@ def replay_runs(
 
 async def _replay_run(
     name: str, run: DaemonRun, workflow: AnyWorkflow, carry_over: CarryOver, show: Callable[[int], None]
-) -> tuple[list[Difference], int]:
+) -> tuple[list[ReplayDifference], int]:
     rows, cell = run.decided(), ReplayCell(_procedure_settings(name, run), run.calibration)
     access = (run.settings or {}).get("access", {})
     player = JournalPlayer(carry_over.with_state(workflow), cell, rows, lease_required=bool(access.get("identity")))
     carry_over.restore(player.dispatcher, run)
-    differences: list[Difference] = []
+    differences: list[ReplayDifference] = []
     extra = 0
     for index, stored in enumerate(rows):
         show(stored.sequence)

@@ -151,7 +151,7 @@ class ReportedRefusal(msgspec.Struct, frozen=True, kw_only=True):
     times: int
 
 
-class UnknownOutcome(msgspec.Struct, frozen=True, kw_only=True):
+class ReportedUnknownOutcome(msgspec.Struct, frozen=True, kw_only=True):
     """An operation that started and whose outcome is unknown.
 
     Attributes:
@@ -300,7 +300,7 @@ class SessionReport(msgspec.Struct, frozen=True, kw_only=True):
     placements: tuple[ReportedPlacement, ...]
     done: tuple[AcceptedOperation, ...]
     refusals: tuple[ReportedRefusal, ...]
-    unknown: tuple[UnknownOutcome, ...]
+    unknown: tuple[ReportedUnknownOutcome, ...]
     events: tuple[ReportedEvent, ...]
     latched: bool | None
     branches: tuple[ReportedBranch, ...]

@@ -35,10 +35,10 @@ from pcmrs.report.contents import (
     ReportedRefusal,
     ReportedRegistration,
     ReportedRun,
+    ReportedUnknownOutcome,
     SessionReport,
     StateSpan,
     TimelineEntry,
-    UnknownOutcome,
 )
 from pcmrs.report.session_journal import (
     SessionJournal,
@@ -47,7 +47,7 @@ from pcmrs.report.session_journal import (
     operation_name,
     source_without_port,
 )
-from pcmrs.report.source import Source, files_of, open_source
+from pcmrs.report.source import ReportSource, files_of, open_source
 from pcmrs.service.restart.state import PersistedState, RestartState
 from pcmrs.settings import DEVICES, read_settings
 from pcmrs.spatial import Transform
@@ -89,7 +89,7 @@ def read_report(path: Path, session: str | None = None) -> SessionReport:
         raise JournalError(text, path=str(source.path)) from error
 
 
-def _report(source: Source, session: str | None) -> SessionReport:
+def _report(source: ReportSource, session: str | None) -> SessionReport:
     runs = _runs(source.rows)
     first, last = _runs_of_session(runs, session if session is not None else source.exported, source.path)
     chosen = runs[first : last + 1]
@@ -273,7 +273,7 @@ class _ReportView:
             )
         return tuple(found.values())
 
-    def unknown(self, restored: _RestoredState | None) -> list[UnknownOutcome]:
+    def unknown(self, restored: _RestoredState | None) -> list[ReportedUnknownOutcome]:
         """Return the operations whose end is unknown, among them those without an outcome, in order of their rows.
 
         Args:
@@ -286,7 +286,7 @@ class _ReportView:
         rows = [(stored.sequence, stored.row, text) for stored, text in texts]
         rows += [(outcome.sequence, outcome.row, outcome.text) for outcome in ended]
         return [
-            UnknownOutcome(
+            ReportedUnknownOutcome(
                 sequence=sequence,
                 wall=row.wall,
                 operation=operation_name(row),

@@ -19,7 +19,7 @@ CONFIRM = "placement.confirm"
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class JournalledOutcome:
     """The end of one operation.
 
     Attributes:
@@ -79,7 +79,7 @@ class SessionJournal:
     def __init__(self, rows: Sequence[StoredRow]) -> None:
         self.rows = tuple(rows)
         self.outcomes = tuple(
-            Outcome(stored.sequence, stored.row, stored.row.verdict)
+            JournalledOutcome(stored.sequence, stored.row, stored.row.verdict)
             for stored in self.rows
             if stored.row.kind == "outcome" and stored.row.verdict is not None
         )
@@ -98,13 +98,13 @@ class SessionJournal:
         with JournalReader(path) as reader:
             return cls(tuple(reader.read(**filters)))
 
-    def accepted(self, *operations: str) -> Iterator[Outcome]:
+    def accepted(self, *operations: str) -> Iterator[JournalledOutcome]:
         """Yield the accepted outcomes of these operations, of all operations if none are named."""
         for outcome in self.outcomes:
             if outcome.verdict.decision == "accepted" and (not operations or outcome.name in operations):
                 yield outcome
 
-    def not_accepted(self) -> Iterator[Outcome]:
+    def not_accepted(self) -> Iterator[JournalledOutcome]:
         """Yield the outcomes that were rejected, failed or are unknown."""
         return (outcome for outcome in self.outcomes if outcome.verdict.decision != "accepted")
 
@@ -139,7 +139,7 @@ def read_placements(path: Path, standoff_mm: float | None) -> list[PlacementTria
     return trials
 
 
-def _placement(path: Path, outcome: Outcome, standoff_mm: float | None) -> PlacementTrial:
+def _placement(path: Path, outcome: JournalledOutcome, standoff_mm: float | None) -> PlacementTrial:
     planned, measured = outcome.pose("planned"), outcome.pose("measured")
     if planned is None or measured is None:
         text = f"{path} holds no planned and measured pose in row {outcome.sequence}, an accepted placement.confirm."

@@ -26,7 +26,7 @@ MAGIC = b"\x89MCAP0\r\n"
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class ReportSource:
     """A verified journal; the session's other files are beside it.
 
     Attributes:
@@ -42,7 +42,7 @@ class Source:
     exported: str | None
 
 
-def open_source(path: Path) -> Source:
+def open_source(path: Path) -> ReportSource:
     """Read and verify a journal; a damaged one is read up to its first bad row.
 
     Args:
@@ -77,10 +77,12 @@ def open_source(path: Path) -> Source:
         last_hash=rows[-1].hash.hex(),
         key=_sha256(key) if key.is_file() else "",
     )
-    return Source(found, tuple(rows), journal, _exported(path) if path.is_dir() else None)
+    return ReportSource(found, tuple(rows), journal, _exported(path) if path.is_dir() else None)
 
 
-def files_of(source: Source, sessions: Sequence[str], calibrations: Mapping[str, str]) -> tuple[ReportedFile, ...]:
+def files_of(
+    source: ReportSource, sessions: Sequence[str], calibrations: Mapping[str, str]
+) -> tuple[ReportedFile, ...]:
     """Return journal, recordings and calibration files with their hashes.
 
     Args:

@@ -19,7 +19,7 @@ from pcmrs.devices.remote import ActingDevice, RemoteEmg, RemotePointer, RemoteR
 from pcmrs.devices.standstill import Standstill
 from pcmrs.dispatcher import Dispatcher, DispatcherListener, Recorder, Workflow
 from pcmrs.dispatcher.decisions import Rejections
-from pcmrs.dispatcher.execution import Planner
+from pcmrs.dispatcher.execution import MotionChecker
 from pcmrs.errors import DeviceError
 from pcmrs.fsm import Blueprint
 from pcmrs.kinematics.model import ArmModel
@@ -28,7 +28,7 @@ from pcmrs.messages import Beat, BodyPose, DeviceEvent, DeviceHealth, JointState
 from pcmrs.messages.setup import ProcedureDataView
 from pcmrs.service.command_metrics import CommandMetrics
 from pcmrs.service.gateway_adapter import GatewayAdapter
-from pcmrs.service.processes.heart import Heart, LoopHeart
+from pcmrs.service.processes.heart import BeatSender, LoopHeart
 from pcmrs.service.publishing import Publishing
 from pcmrs.service.setup_view import gathered
 from pcmrs.service.supervisor import Supervisor
@@ -101,8 +101,8 @@ class RunningProcedure(DispatcherListener):
         recorder: Recorder,
         clocks: Clocks,
         supervisor: Supervisor,
-        heart: Heart | None = None,
-        planner: Planner[Cell, PlacementData] | None = None,
+        heart: BeatSender | None = None,
+        planner: MotionChecker[Cell, PlacementData] | None = None,
     ) -> None:
         self._heart = heart or LoopHeart(link.publish, clocks.machine)
         self.session = self._heart.session

@@ -20,7 +20,7 @@ FORGOTTEN = 0.1
 
 
 @dataclass(frozen=True)
-class Layout:
+class ControllerLayout:
     """Meaning of the axes and buttons of a kind of device.
 
     Attributes:
@@ -40,7 +40,7 @@ class Layout:
     full: float = 350.0
 
 
-SPACEMOUSE = Layout(
+SPACEMOUSE = ControllerLayout(
     name="SpaceMouse",
     axes={X: (0, 1.0), Y: (1, -1.0), Z: (2, -1.0), RX: (3, 1.0), RY: (4, -1.0), RZ: (5, -1.0)},
     clutch=BUTTON_0,
@@ -48,7 +48,7 @@ SPACEMOUSE = Layout(
 )
 """The cap moves as the tool should move: to the right, away from the person in front of it, up."""
 
-GAMEPAD = Layout(
+GAMEPAD = ControllerLayout(
     name="gamepad",
     axes={X: (0, 1.0), Y: (1, -1.0), RY: (2, -1.0), HAT_Y: (3, 1.0), HAT_X: (4, 1.0), RX: (5, 1.0)},
     clutch=SHOULDER_LEFT,
@@ -58,7 +58,7 @@ GAMEPAD = Layout(
 """Left stick along x and y, right stick along z and about it, cross about x and y; clutch at the left shoulder."""
 
 
-class Controller:
+class ControllerState:
     """State of a device, from its events.
 
     Args:
@@ -67,7 +67,7 @@ class Controller:
         ranges: Code of an axis to its least and greatest value, if it has a range.
     """
 
-    def __init__(self, layout: Layout, mapping: Mapping, ranges: Table[int, tuple[float, float]]) -> None:
+    def __init__(self, layout: ControllerLayout, mapping: Mapping, ranges: Table[int, tuple[float, float]]) -> None:
         self._layout, self._mapping, self._ranges = layout, mapping, ranges
         self._values: dict[int, tuple[float, float]] = {}
         self._clutch = self._stop = self._leave = False

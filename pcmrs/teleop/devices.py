@@ -22,7 +22,7 @@ def open_device(name: str, mapping: Mapping, script: Path | None = None) -> Abst
         ConfigurationError: It cannot be read; raised on entering at the latest.
     """
     if script is not None:
-        from pcmrs.teleop.script import read_script
+        from pcmrs.teleop.twist_script import read_script
 
         return nullcontext(read_script(script))
     if name == "keyboard":

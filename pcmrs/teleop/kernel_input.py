@@ -9,12 +9,12 @@ from importlib import import_module
 from typing import Any
 
 from pcmrs.errors import ConfigurationError
-from pcmrs.teleop.controllers import EV_ABS, EV_KEY, EV_REL, Controller, Layout
+from pcmrs.teleop.controllers import EV_ABS, EV_KEY, EV_REL, ControllerLayout, ControllerState
 from pcmrs.teleop.demand import Mapping
 
 
 @contextmanager
-def open_controller(layout: Layout, mapping: Mapping) -> Iterator[Controller]:
+def open_controller(layout: ControllerLayout, mapping: Mapping) -> Iterator[ControllerState]:
     """Read the first device that has all axes and buttons of a layout, in the running event loop.
 
     Args:
@@ -25,7 +25,7 @@ def open_controller(layout: Layout, mapping: Mapping) -> Iterator[Controller]:
         ConfigurationError: The package is not installed, or there is no such device that this user may read.
     """
     device, ranges = _find(_evdev(), layout)
-    controller, loop = Controller(layout, mapping, ranges), asyncio.get_running_loop()
+    controller, loop = ControllerState(layout, mapping, ranges), asyncio.get_running_loop()
 
     def read() -> None:
         try:
@@ -52,7 +52,7 @@ def _evdev() -> Any:
         raise ConfigurationError(text) from None
 
 
-def _find(evdev: Any, layout: Layout) -> tuple[Any, dict[int, tuple[float, float]]]:
+def _find(evdev: Any, layout: ControllerLayout) -> tuple[Any, dict[int, tuple[float, float]]]:
     for path in evdev.list_devices():
         device = evdev.InputDevice(path)
         able = device.capabilities()

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
-from pcmrs.kinematics.sampled_clearance import Violation
+from pcmrs.kinematics.sampled_clearance import ClearanceViolation
 from pcmrs.kinematics.time_parameterization import SpeedLimitAt
 from pcmrs.kinematics.trajectory import joint_motion, straight_motion
 from pcmrs.messages import JointTrajectory
@@ -228,7 +228,7 @@ def _speed_limits(cell: Cell) -> SpeedLimitAt:
     return speed_limit_at
 
 
-def _refuse(violation: Violation | None, advice: str) -> None:
+def _refuse(violation: ClearanceViolation | None, advice: str) -> None:
     if violation is None:
         return
     found = violation.clearance

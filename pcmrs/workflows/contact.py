@@ -35,7 +35,7 @@ REFUSAL_TEXTS = {
 """Texts of the refusal of a press that failed, by the robot's reason."""
 
 
-class Press(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class PressArguments(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Arguments of `press`.
 
     Attributes:
@@ -125,6 +125,6 @@ def _not_pressed(request: PressRequest, ended: MotionResult, travel: float) -> R
 
 def register_contact_operations(registry: Registry[Cell, PlacementData]) -> None:
     """Register the names that blueprints use for pressing."""
-    registry.payload("press", Press)
+    registry.payload("press", PressArguments)
     registry.long_check(press_possible)
     registry.world_step(press_gently, moves=True)

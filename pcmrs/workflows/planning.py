@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from pcmrs.devices.poses import PoseFeed, Seen
+from pcmrs.devices.poses import FeedContents, PoseFeed
 from pcmrs.devices.protocols import LatchingRobot, Pointer
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.dispatcher import Workflow
@@ -76,7 +76,7 @@ class PlanRequest:
     states: dict[str, str]
     data: PlacementData
     cell: dict[str, Any]
-    seen: Seen
+    seen: FeedContents
     latched: bool
     monotonic: float
     wall: float

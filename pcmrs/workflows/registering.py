@@ -10,7 +10,7 @@ import numpy as np
 from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
-from pcmrs.registration import Gate, PointRegistration, RegistrationVerdict, judge
+from pcmrs.registration import PointRegistration, RegistrationGate, RegistrationVerdict, judge
 from pcmrs.spatial import Transform
 from pcmrs.workflows.accuracy import active_limits, learn_noise
 from pcmrs.workflows.cell import Cell
@@ -130,7 +130,7 @@ def _previous(run: Run) -> Registered:
     return previous
 
 
-def _gate_values(gate: Gate) -> dict[str, Any]:
+def _gate_values(gate: RegistrationGate) -> dict[str, Any]:
     return {"name": gate.name, "accepted": gate.accepted, "value": gate.value, "limit": gate.limit}
 
 

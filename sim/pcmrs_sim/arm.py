@@ -1,4 +1,4 @@
-"""The arm in MuJoCo under its controller, stepped at 1 kHz, with what it follows and what makes it brake."""
+"""The arm in MuJoCo under its controller, stepped at 1 kHz, with its reference and its brakes."""
 
 from __future__ import annotations
 
@@ -12,35 +12,40 @@ from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
 from pcmrs_sim.contact import Contact
-from pcmrs_sim.controller import Controller
 from pcmrs_sim.disturbance import PlantDisturbance
-from pcmrs_sim.errors import displaced
+from pcmrs_sim.error_models import displaced
 from pcmrs_sim.force import ForceSensor
+from pcmrs_sim.impedance_controller import ImpedanceController
 from pcmrs_sim.phantom import Phantom
 from pcmrs_sim.plant import STEP, nominal_model, plant_model
 from pcmrs_sim.settings import SimSettings
 
-REST_ERROR = 5e-5  # rad; about 0.03 mm at the flange
-REST_SPEED = 1e-3  # rad/s
-STILL_ERROR = 1e-6  # rad
-STILL_SPEED = 1e-6  # rad/s
-SETTLING_STEPS = 2000  # at the start, until the integral action holds the arm against what the model gets wrong
+REST_ERROR = 5e-5
+"""Largest control error of an arm at rest, rad: about 0.03 mm at the flange."""
+REST_SPEED = 1e-3
+"""Largest joint speed of an arm at rest, rad/s."""
+STILL_ERROR = 1e-6
+"""Control error below which the dynamics need no simulation, rad."""
+STILL_SPEED = 1e-6
+"""Joint speed below which the dynamics need no simulation, rad/s."""
+SETTLING_STEPS = 2000
+"""Steps at the start, in which the integral action settles against the errors of the nominal model."""
 
 
 class Arm(Follower):
-    """A pure simulation: nothing moves but by `step`.
+    """A pure simulation, which moves only in `step`.
 
     Args:
-        facts: The arm as everybody knows it; the true one differs from it by the geometry error.
-        settings: Its imperfections, its controller and the seed of its errors.
-        force: When the force on the tool is too great, and how it is relieved.
-        phantom: What stands before the arm, and the tool it carries for that.
+        facts: Nominal geometry and limits of the arm. The true ones differ by the geometry error.
+        settings: Imperfections of the arm, its controller, and the seed of its errors.
+        force: Limit of the force on the tool, and the relief from it.
+        phantom: The body in front of the arm, and the tool for it.
 
     Attributes:
-        contact: Between tool and body.
+        contact: Contact between tool and body.
         sensor: The arm's own estimate of the force.
-        disturbance: From outside the controller.
-        stride: So many steps of what is around it may pass at once.
+        disturbance: Disturbances from outside the controller.
+        stride: Largest number of steps between updates of the body's pose.
     """
 
     stride = 1
@@ -57,29 +62,32 @@ class Arm(Follower):
         self._plant = plant_model(true_facts, own, flange_from_coil, phantom)
         self._data = mujoco.MjData(self._plant)
         self._data.qpos[:] = home
-        self._controller = Controller(nominal_model(facts, own, flange_from_coil, phantom, rng), facts, own, home)
+        self._controller = ImpedanceController(
+            nominal_model(facts, own, flange_from_coil, phantom, rng), facts, own, home
+        )
         self.contact = Contact(self._plant, phantom, settings.contact, STEP)
         self.disturbance = PlantDisturbance(self._plant)
         self._posture, self._base_from_flange = home, self._true_model.forward(home)
         self.step(SETTLING_STEPS)
 
     def step(self, steps: int) -> None:
-        """Advances control and physics by `steps` steps of `STEP` seconds.
+        """Advance control and physics by a number of steps of `STEP`.
 
-        Of an arm that nothing moves only the noise of the force is simulated: most of the time it stands.
+        While the arm stands still, which is most of the time, only the noise of the force is simulated.
         """
         data = self._data
-        for _ in range(self._steps_awake(steps)):
-            data.ctrl[:] = self._controller.torque(self.disturbance.shifted(self.advance()), data.qpos, data.qvel)
+        for _ in range(self._skip_still_steps(steps)):
+            reference = self.disturbance.apply_offset(self.advance())
+            data.ctrl[:] = self._controller.torque(reference, data.qpos, data.qvel)
             self.contact.apply(data)
             push = self.disturbance.apply(data)
             mujoco.mj_step(self._plant, data)
             self.sensor.update(self.contact.force + push)
 
-    def _steps_awake(self, steps: int) -> int:
-        """How many of `steps` are left after those for which the arm stands still, free, and undisturbed."""
-        free = self.contact.clear(self._data) and self.disturbance.none
-        if not (free and self._stands(STILL_ERROR, STILL_SPEED)):
+    def _skip_still_steps(self, steps: int) -> int:
+        """Skip the dynamics while the arm stands still without contact and disturbance; return the remaining steps."""
+        free = self.contact.clear(self._data) and self.disturbance.inactive
+        if not (free and self._is_still(STILL_ERROR, STILL_SPEED)):
             return steps
         while steps and self.reference.ended:
             self.supervise()
@@ -88,15 +96,16 @@ class Arm(Follower):
         return steps
 
     def track(self, reference: SetPoint) -> None:
-        """Takes a reference of somebody else's making; the arm must be at rest."""
+        """Follow a given reference. The arm must be at rest."""
         self._begin(reference)
 
     @property
     def at_rest(self) -> bool:
-        """Whether the reference has ended and the arm stands still on it."""
-        return self._stands(REST_ERROR, REST_SPEED)
+        """True if the reference has ended and the arm rests on it."""
+        return self._is_still(REST_ERROR, REST_SPEED)
 
-    def _stands(self, error: float, speed: float) -> bool:
+    def _is_still(self, error: float, speed: float) -> bool:
+        """Return true if the reference has ended, with smaller control errors, rad, and joint speeds, rad/s."""
         return (
             self.reference.ended
             and bool(np.abs(self._controller.error).max() < error)
@@ -119,7 +128,7 @@ class Arm(Follower):
         return np.array(self._data.ctrl)
 
     def base_from_flange(self) -> Transform:
-        """Where the flange truly is."""
+        """Return the true pose of the flange; the same object as long as the arm stands still."""
         if not np.array_equal(self._data.qpos, self._posture):
             self._posture = self.positions
             self._base_from_flange = self._true_model.forward(self._posture)

@@ -1,4 +1,4 @@
-"""What disturbs the arm from outside its controller: a push on the tool, a joint that goes beside."""
+"""Disturbances of the arm from outside its controller: a push on the tool, and offsets of joints."""
 
 from __future__ import annotations
 
@@ -10,44 +10,48 @@ import numpy as np
 from pcmrs.spatial import Floats
 from pcmrs_sim.plant import STEP
 
-GROWTH = 0.5
-"""Speed with which a joint goes beside, rad/s."""
+OFFSET_SPEED = 0.5
+"""Speed at which a joint moves to its offset, rad/s."""
 
 
 class Disturbance:
-    """Nothing, until somebody sets it.
+    """A push and joint offsets, both zero at the start.
 
     Args:
-        joints: Of the arm.
+        joints: Number of joints of the arm.
 
     Attributes:
         push: Force on the tool along its +z, N.
-        offset: By which the arm misses what is commanded, rad, (n,).
+        offset: Deviation of the arm from its commanded posture, rad, (n,).
     """
 
     def __init__(self, joints: int) -> None:
-        self._shift = np.zeros((3, joints))
+        self._present_offset = np.zeros((3, joints))
         self.push = 0.0
         self.offset = np.zeros(joints)
 
     @property
-    def none(self) -> bool:
-        """Whether nothing is set, and nothing of what was set is left."""
-        return not (self.push or any(self.offset.tolist()) or any(self._shift[0].tolist()))
+    def inactive(self) -> bool:
+        """True if no disturbance is set, and none that was set still has an effect."""
+        return not (self.push or any(self.offset.tolist()) or any(self._present_offset[0].tolist()))
 
-    def shifted(self, sample: Floats) -> Floats:
-        """What the controller takes for wanted, where `sample` is commanded, (3, n)."""
-        missing = self.offset - self._shift[0]
+    def apply_offset(self, sample: Floats) -> Floats:
+        """Return the sample that the arm follows in place of a commanded one, (3, n), one `STEP` later.
+
+        Args:
+            sample: Commanded position rad, velocity rad/s and acceleration rad/s^2, (3, n).
+        """
+        missing = self.offset - self._present_offset[0]
         if missing.any():
-            self._shift[0] += np.clip(missing, -GROWTH * STEP, GROWTH * STEP)
-        return sample + self._shift if self._shift[0].any() else sample
+            self._present_offset[0] += np.clip(missing, -OFFSET_SPEED * STEP, OFFSET_SPEED * STEP)
+        return sample + self._present_offset if self._present_offset[0].any() else sample
 
 
 class PlantDisturbance(Disturbance):
-    """The same, with a push that the physics feels.
+    """Disturbances of an arm with dynamics, whose push is a force in the physics.
 
     Args:
-        plant: The model, with a body ``tool``.
+        plant: The arm as an ``mujoco.MjModel``, with a body ``tool``.
     """
 
     def __init__(self, plant: Any) -> None:
@@ -56,10 +60,14 @@ class PlantDisturbance(Disturbance):
         self._tool = plant.body("tool").id
 
     def apply(self, data: Any) -> float:
-        """Sets the push for the next step of the physics; the force, N."""
+        """Set the push for the next step of the physics, and return its force, N.
+
+        Args:
+            data: State of the plant, an ``mujoco.MjData``.
+        """
         data.qfrc_applied[:] = 0.0
         if self.push:
             force = self.push * data.xmat[self._tool, 2::3]
-            place = data.xpos[self._tool]
-            mujoco.mj_applyFT(self._plant, data, force, np.zeros(3), place, self._tool, data.qfrc_applied)
+            point = data.xpos[self._tool]
+            mujoco.mj_applyFT(self._plant, data, force, np.zeros(3), point, self._tool, data.qfrc_applied)
         return self.push

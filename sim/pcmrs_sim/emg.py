@@ -12,18 +12,18 @@ from pcmrs_sim.muscle.muscle import Stimulus
 from pcmrs_sim.world import World
 
 MUSCLE = "FDI"
-"""First dorsal interosseous, of the hand on the other side of the stimulated hemisphere."""
+"""First dorsal interosseous of the hand opposite the stimulated hemisphere."""
 GRACE = 0.5
-"""An epoch may come so long after its last sample was due, s."""
-LOOK_PERIOD = 0.01
-"""Seconds of the clock between looks for a pulse that was not given yet."""
+"""Time after the last sample of an epoch for which its pulse is awaited, s of the clock."""
+POLL_PERIOD = 0.01
+"""Period of polls for a pulse that was not given yet, s of the clock."""
 
 
 class SimEmg:
     """Implements `pcmrs.devices.protocols.Emg` on the muscle of a world.
 
     Args:
-        world: Whose muscle it measures.
+        world: World with the muscle.
         clock: The cell's clock.
     """
 
@@ -50,6 +50,6 @@ class SimEmg:
     async def _stimulus(self, pulse: int, deadline: float) -> Stimulus:
         while (stimulus := self._world.muscle.stimulus(pulse)) is None:
             if self._clock.monotonic() >= deadline:
-                raise DeviceError(f"Pulse {pulse} has no epoch: it was not given.", pulse=pulse)
-            await self._clock.sleep(LOOK_PERIOD)
+                raise DeviceError(f"Pulse {pulse} has no epoch: the stimulator did not give it.", pulse=pulse)
+            await self._clock.sleep(POLL_PERIOD)
         return stimulus

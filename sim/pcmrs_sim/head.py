@@ -6,16 +6,16 @@ import numpy as np
 import numpy.typing as npt
 
 from pcmrs.spatial import Floats, Transform
-from pcmrs_sim.phantom import Landmark, Phantom
+from pcmrs_sim.phantom import Phantom, PhantomLandmark
 from pcmrs_sim.shape import Shape
 from pcmrs_sim.solid import Superellipsoid
 
 CENTRE = np.array([0.004, -0.012, 0.035])
-"""Centre of the head in the image, m: scanners do not centre heads."""
+"""Centre of the head in the image, m, (3,): scanners do not centre heads."""
 SEMI_AXES = np.array([0.078, 0.098, 0.108])
-"""Half width (right), half length (anterior) and half height (superior) of the head, m."""
+"""Half width (right), half length (anterior) and half height (superior) of the head, m, (3,)."""
 EXPONENT = 2.3
-"""Exponent of the superellipsoid: 2 is an ellipsoid, a head is a little more square."""
+"""Exponent of the superellipsoid. An ellipsoid has 2; a head is slightly more square."""
 COIL_MASS = 1.0  # kg: a figure-of-eight coil without its cable
 COIL_RADIUS = 0.05  # m
 COIL_HALF_THICKNESS = 0.01  # m
@@ -23,9 +23,12 @@ COIL_CENTRE = Transform(np.eye(3), np.array([0.0, 0.0, COIL_HALF_THICKNESS]))  #
 
 
 def surface_point(direction: npt.ArrayLike) -> Floats:
-    """Where a ray from the centre of the head meets the surface, in the image, m, (3,).
+    """Return the point of the surface in a direction from the centre of the head, in the image, m, (3,).
 
     From ``sum |x_i / a_i|^e = 1`` (Barr, Superquadrics, IEEE CG&A 1981).
+
+    Args:
+        direction: Direction of any length, (3,).
     """
     ray = np.asarray(direction, dtype=float)
     scale = np.sum(np.abs(ray / SEMI_AXES) ** EXPONENT) ** (-1 / EXPONENT)
@@ -34,24 +37,30 @@ def surface_point(direction: npt.ArrayLike) -> Floats:
 
 
 def level(points: Floats) -> Floats:
-    """Of points (..., 3) of the image, (...,): negative inside of the head, 0 on its surface, positive outside."""
+    """Return the implicit function at points (..., 3) in the image, (...,): negative inside, 0 on the surface."""
     powers = np.sum(np.abs((points - CENTRE) / SEMI_AXES) ** EXPONENT, axis=-1)
     levels: Floats = powers ** (1 / EXPONENT) - 1.0
     return levels
 
 
 def outward_normal(point: npt.ArrayLike) -> Floats:
-    """Unit normal of the surface at a point of it, in the image, (3,): the gradient of the implicit function."""
+    """Return the unit normal at a point of the surface, in the image, (3,): the gradient of the implicit function."""
     offset = (np.asarray(point, dtype=float) - CENTRE) / SEMI_AXES
     gradient = np.sign(offset) * np.abs(offset) ** (EXPONENT - 1) / SEMI_AXES
     normal: Floats = gradient / np.linalg.norm(gradient)
     return normal
 
 
-def landmark(name: str, direction: tuple[float, float, float], height: float = 0.0) -> Landmark:
-    """The point in a direction from the centre, `height` (m) above the scalp along its normal."""
+def landmark(name: str, direction: tuple[float, float, float], height: float = 0.0) -> PhantomLandmark:
+    """Return a landmark on or above the scalp.
+
+    Args:
+        name: Name of the landmark.
+        direction: Direction from the centre of the head, of any length.
+        height: Height above the scalp along its normal, m.
+    """
     point = surface_point(direction)
-    return Landmark(name, point + height * outward_normal(point))
+    return PhantomLandmark(name, point + height * outward_normal(point))
 
 
 LANDMARKS = (

@@ -1,8 +1,6 @@
-"""The arm without physics: exactly where what it follows is, for the many runs in which dynamics decide nothing."""
+"""The arm without dynamics, always exactly on its reference, for the many runs in which dynamics do not matter."""
 
 from __future__ import annotations
-
-from math import sqrt
 
 import numpy as np
 
@@ -12,56 +10,33 @@ from pcmrs.devices.motion.reference import SetPoint
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
-from pcmrs_sim.contact_spring import SpringContact
+from pcmrs_sim.contact import SpringContact
 from pcmrs_sim.disturbance import Disturbance
-from pcmrs_sim.errors import displaced
+from pcmrs_sim.error_models import displaced
+from pcmrs_sim.force import TrueForce
 from pcmrs_sim.phantom import Phantom
 from pcmrs_sim.plant import STEP
 from pcmrs_sim.settings import SimSettings
 
-LOOK_STEPS = 10
-"""Steps after which contact is looked at again: the tool goes 2 mm in that time at most."""
+CONTACT_STEPS = 10
+"""Steps between updates of the contact: the tool moves at most 2 mm in that time."""
 STANDING_STEPS = 1000
-"""The same while nothing moves the arm."""
-
-
-class TrueForce:
-    """The force on the tool as it is, without noise; see `pcmrs.devices.motion.force.FlangeForce`.
-
-    Args:
-        axis: The tool's +z, along which contact pushes, in the flange's axes, (3,).
-    """
-
-    def __init__(self, axis: Floats) -> None:
-        self.axis = axis
-        self._axis = axis.tolist()
-        self.flange_force = (0.0, 0.0, 0.0)
-
-    def update(self, force: float) -> None:
-        """Takes the present force along the tool's +z, N."""
-        i, j, k = self._axis
-        self.flange_force = (force * i, force * j, force * k)
-
-    @property
-    def magnitude(self) -> float:
-        """Of the force, N."""
-        x, y, z = self.flange_force
-        return sqrt(x * x + y * y + z * z)
+"""Steps between updates of the body's pose while the arm stands."""
 
 
 class KinematicArm(Follower):
-    """Takes the place of `sim.arm.Arm`: the same references, brakes and force guard, no dynamics.
+    """Replaces `pcmrs_sim.arm.Arm`, with the same references, brakes and force guard, but without dynamics.
 
     Args:
-        facts: The arm as everybody knows it; the true one differs from it by the geometry error.
-        settings: The seed of its errors.
-        force: When the force on the tool is too great, and how it is relieved.
-        phantom: What stands before the arm.
+        facts: Nominal geometry and limits of the arm. The true ones differ by the geometry error.
+        settings: Imperfections of the arm, and the seed of its errors.
+        force: Limit of the force on the tool, and the relief from it.
+        phantom: The body in front of the arm, and the tool for it.
 
     Attributes:
-        contact: Between tool and body.
-        sensor: The force on the flange.
-        disturbance: From outside.
+        contact: Contact between tool and body.
+        sensor: The true force on the flange.
+        disturbance: Disturbances from outside.
     """
 
     def __init__(self, facts: ArmFacts, settings: SimSettings, force: ForceSettings, phantom: Phantom) -> None:
@@ -76,37 +51,37 @@ class KinematicArm(Follower):
         self.disturbance = Disturbance(len(home))
         self._sample = np.stack((home, np.zeros_like(home), np.zeros_like(home)))
         self._posture, self._base_from_flange = home, self._true_model.forward(home)
-        self._placed = self._sample
-        self._stood: tuple[SetPoint, Transform, float] | None = None
+        self._flange_sample = self._sample
+        self._last_inputs: tuple[SetPoint, Transform, float] | None = None
 
     def step(self, steps: int) -> None:
-        """Advances by `steps` steps of `STEP` seconds; a standing arm that nothing disturbs costs one look."""
+        """Advance by a number of steps of `STEP`; return at once if the arm stands and nothing has changed."""
         while steps > 0:
-            around = (self.reference, self.contact.world_from_image, self.disturbance.push)
-            undisturbed = self.disturbance.none
-            if self.reference.ended and undisturbed and around == self._stood:
+            inputs = (self.reference, self.contact.world_from_image, self.disturbance.push)
+            undisturbed = self.disturbance.inactive
+            if self.reference.ended and undisturbed and inputs == self._last_inputs:
                 return
-            self._stood = around
-            self._feel()
+            self._last_inputs = inputs
+            self._update_force()
             self.supervise()
-            taken = min(steps, LOOK_STEPS)
-            for _ in range(taken):
+            batch = min(steps, CONTACT_STEPS)
+            for _ in range(batch):
                 sample = self.advance()
-                self._sample = sample if undisturbed else self.disturbance.shifted(sample)
-            steps -= taken
+                self._sample = sample if undisturbed else self.disturbance.apply_offset(sample)
+            steps -= batch
 
     def track(self, reference: SetPoint) -> None:
-        """Takes a reference of somebody else's making; the arm must be at rest."""
+        """Follow a given reference. The arm must be at rest."""
         self._begin(reference)
 
     @property
     def stride(self) -> int:
-        """So many steps of what is around it may pass at once: any number while it stands."""
-        return STANDING_STEPS if self.reference.ended else LOOK_STEPS
+        """Largest number of steps between updates of the body's pose."""
+        return STANDING_STEPS if self.reference.ended else CONTACT_STEPS
 
     @property
     def at_rest(self) -> bool:
-        """Whether the reference has ended."""
+        """True if the reference has ended."""
         return self.reference.ended
 
     @property
@@ -123,18 +98,18 @@ class KinematicArm(Follower):
 
     @property
     def torques(self) -> Floats:
-        """There are none, N m, (n,)."""
+        """Joint torques, N m, (n,): zero, because there are no dynamics."""
         return np.zeros_like(self.positions)
 
     def base_from_flange(self) -> Transform:
-        """Where the flange truly is."""
-        if self._sample is not self._placed:
+        """Return the true pose of the flange; the same object as long as the arm stands still."""
+        if self._sample is not self._flange_sample:
             if not np.array_equal(self.positions, self._posture):
                 self._posture = self.positions
                 self._base_from_flange = self._true_model.forward(self._posture)
-            self._placed = self._sample
+            self._flange_sample = self._sample
         return self._base_from_flange
 
-    def _feel(self) -> None:
+    def _update_force(self) -> None:
         self.contact.update(self.base_from_flange() @ self._flange_from_tool)
         self.sensor.update(self.contact.force + self.disturbance.push)

@@ -1,4 +1,4 @@
-"""How the patient's head moves, and how a hand pivots the pointer: functions of time."""
+"""Motion of the patient's head, and of a pointer that a hand pivots, as functions of time."""
 
 from __future__ import annotations
 
@@ -13,21 +13,23 @@ from pcmrs.messages import HeadMotion
 from pcmrs.spatial import Floats, Transform
 
 STEP_TIME = 0.1
-"""Time that a sudden shift takes, s."""
+"""Duration of a sudden shift, s."""
 UNIT_TOLERANCE = 1e-3
+"""Largest deviation of a direction's length from 1."""
 
 TILT = radians(40.0)
-"""The shaft's greatest angle to the middle direction of a pivoting."""
+"""Largest angle of the shaft from the mean direction while it pivots, rad."""
 SPIN = radians(60.0)
-"""And its greatest turn about itself."""
-TILT_HZ, AZIMUTH_HZ, SPIN_HZ = 0.131, 0.073, 0.187  # no common period: no pose comes twice
+"""Largest rotation of the shaft about itself while it pivots, rad."""
+TILT_HZ, AZIMUTH_HZ, SPIN_HZ = 0.131, 0.073, 0.187
+"""Frequencies of tilt, azimuth and spin, Hz. They have no short common period, so that poses do not repeat."""
 
 
 def check_motion(motion: HeadMotion) -> None:
-    """Accepts directions of unit length.
+    """Check that all directions of a motion have unit length.
 
     Raises:
-        DeviceError: One has another.
+        DeviceError: A direction has another length.
     """
     for direction in (motion.breathing_direction, *(burst.direction for burst in motion.bursts)):
         length = float(np.linalg.norm(direction))
@@ -36,13 +38,19 @@ def check_motion(motion: HeadMotion) -> None:
 
 
 def head_offset(motion: HeadMotion, time: float) -> Floats:
-    """Where the head is, `time` s after the motion began, from where it was then, in the tracker's axes, m, (3,)."""
+    """Return the displacement of the head since the start of a motion, in the tracker frame, m, (3,).
+
+    Args:
+        motion: The motion.
+        time: Time since its start, s.
+    """
     phase = _phase(motion.seed)
+    # Minus the value at the start, so that a motion never begins with a jump.
     breath = sin(2 * pi * motion.breathing_hz * time + phase) - sin(phase)
     offset = time * np.array(motion.drift)
     offset += motion.breathing_amplitude * breath * np.array(motion.breathing_direction)
     for step in motion.steps:
-        offset += _smooth((time - step.time) / STEP_TIME) * np.array(step.offset)
+        offset += _minimum_jerk((time - step.time) / STEP_TIME) * np.array(step.offset)
     for burst in motion.bursts:
         moving = min(max(time - burst.time, 0.0), burst.duration)
         offset += moving * burst.speed * np.array(burst.direction)
@@ -54,21 +62,21 @@ def _phase(seed: int) -> float:
     return float(np.random.default_rng(seed).uniform(0.0, 2 * pi))
 
 
-def _smooth(part: float) -> float:
-    """From 0 to 1 with minimum jerk (Flash, Hogan, J. Neuroscience 1985)."""
-    x = min(max(part, 0.0), 1.0)
+def _minimum_jerk(fraction: float) -> float:
+    """Return a minimum-jerk motion from 0 to 1 at a fraction of its duration (Flash, Hogan, J. Neuroscience 1985)."""
+    x = min(max(fraction, 0.0), 1.0)
     return x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
 
 
 @dataclass(frozen=True, eq=False)
 class Pivot:
-    """The pointer turns about its tip, which rests in a divot.
+    """Rotation of the pointer about its tip, which rests in a divot.
 
     Attributes:
-        start: When it begins, s.
-        end: When the pointer goes away, s.
-        image_from_tip: The tip in the divot, with the shaft's middle direction along +z.
-        tip_from_pointer: The marker body on the shaft.
+        start: Time of its start, s of the cell.
+        end: Time at which the pointer is taken away, s of the cell.
+        image_from_tip: Pose of the tip in the divot, with +z along the mean direction of the shaft.
+        tip_from_pointer: Pose of the marker body on the shaft.
     """
 
     start: float
@@ -77,7 +85,7 @@ class Pivot:
     tip_from_pointer: Transform
 
     def image_from_pointer(self, time: float) -> Transform:
-        """Where the marker body is at a time, s."""
+        """Return the pose of the marker body at a time of the cell, s."""
         since = time - self.start
         tilt = TILT * sin(2 * pi * TILT_HZ * since)
         azimuth = 2 * pi * AZIMUTH_HZ * since

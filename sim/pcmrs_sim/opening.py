@@ -1,4 +1,4 @@
-"""Opening the simulated cell in this process: its devices, and the virtual ones that drivers look for."""
+"""Opening the simulated cell in this process: its devices, and virtual ones for drivers of real devices."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from pcmrs.clock import Clock
 from pcmrs.errors import ConfigurationError
-from pcmrs_sim.cell import Cell, running_cell
+from pcmrs_sim.cell import CellSimulation, running_cell
 from pcmrs_sim.serving import serve_virtual
 
 
@@ -16,10 +16,10 @@ from pcmrs_sim.serving import serve_virtual
 async def open_devices(
     devices: Collection[str], settings: Mapping[str, Any], clock: Clock
 ) -> AsyncIterator[Mapping[str, Any]]:
-    """Opens the asked devices of one simulated cell in this process; see `pcmrs.devices.protocols.OpenDriver`.
+    """Open devices of a simulated cell in this process; see `pcmrs.devices.protocols.OpenDriver`.
 
     Args:
-        devices: Among ``robot``, ``tracker``, ``pointer``, ``scene``, ``stimulator`` and ``emg``.
+        devices: Names among ``robot``, ``tracker``, ``pointer``, ``scene``, ``stimulator`` and ``emg``.
         settings: The whole configuration; ``sim`` and ``robot`` are read.
         clock: The cell's clock.
 
@@ -31,8 +31,15 @@ async def open_devices(
 
 
 @asynccontextmanager
-async def open_cell(devices: Collection[str], settings: Mapping[str, Any], clock: Clock) -> AsyncIterator[Cell]:
-    """A running cell that has these devices, and serves the virtual ones that the settings ask for; see `open_devices`.
+async def open_cell(
+    devices: Collection[str], settings: Mapping[str, Any], clock: Clock
+) -> AsyncIterator[CellSimulation]:
+    """Open a running cell that serves the virtual devices of the settings, too.
+
+    Args:
+        devices: Names of devices that the cell must have, see `open_devices`.
+        settings: The whole configuration.
+        clock: The cell's clock.
 
     Raises:
         ConfigurationError: A device or the arm is unknown, or the table ``sim`` is wrong.

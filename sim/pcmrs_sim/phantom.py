@@ -1,4 +1,4 @@
-"""What stands before the robot in place of a patient, and what the robot carries for it."""
+"""A phantom: the body in front of the robot in place of a patient, and the robot's tool for it."""
 
 from __future__ import annotations
 
@@ -6,12 +6,17 @@ from dataclasses import dataclass
 
 from pcmrs.spatial import Floats, Transform
 from pcmrs_sim.shape import Shape
-from pcmrs_sim.solid import Solid
+from pcmrs_sim.solid import ContactSolid
 
 
 @dataclass(frozen=True, eq=False)
-class Landmark:
-    """An anatomical point, in the image, m, (3,); named as a planner shows it."""
+class PhantomLandmark:
+    """An anatomical point.
+
+    Attributes:
+        name: Name that a planner shows.
+        position: Position in the image, m, (3,).
+    """
 
     name: str
     position: Floats
@@ -19,23 +24,23 @@ class Landmark:
 
 @dataclass(frozen=True, eq=False)
 class Phantom:
-    """A body part in the image frame (RAS, m), and its place in the cell.
+    """A body part in the image frame (RAS, m), and its pose in the cell.
 
     Attributes:
-        inside: A point inside of it: who touches a landmark holds the pointer away from there, (3,).
-        landmarks: In the order in which they are planned.
-        body: Its shape in the image, as it is drawn.
-        solid: The same, as a tool meets it.
-        tool: Shape of what the robot carries for it, in the frame of the tool, whose face is its plane z = 0.
-        tool_radius: Of that face, m.
-        world_from_image: Where it stands; the robot base is the world frame.
-        body_ref_from_image: Where its marker body is fixed to it.
+        inside: A point inside it, m, (3,). At a landmark, the shaft of the pointer points away from it.
+        landmarks: Landmarks in the order of the plan.
+        body: Shapes in the image, for display.
+        solid: Shape in the image, for contact.
+        tool: Shapes of the tool, in the tool frame, whose plane z = 0 is the tool's face.
+        tool_radius: Radius of that face, m.
+        world_from_image: Pose of the body; the world frame is the robot base.
+        body_ref_from_image: Pose of the image in the frame of the patient's marker body.
     """
 
     inside: Floats
-    landmarks: tuple[Landmark, ...]
+    landmarks: tuple[PhantomLandmark, ...]
     body: tuple[Shape, ...]
-    solid: Solid
+    solid: ContactSolid
     tool: tuple[Shape, ...]
     tool_radius: float
     world_from_image: Transform

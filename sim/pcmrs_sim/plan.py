@@ -1,7 +1,8 @@
-"""The plans that a planner would have made for the phantoms: their landmarks, and twelve poses of the tool each.
+"""Plans for the phantoms, as a planner makes them: the landmarks, and twelve poses of the tool.
 
 ``python -m pcmrs_sim.plan [FOLDER]`` writes ``ratms_plan.json`` and ``femoroplasty_plan.json``, and the phantoms'
-surfaces ``head_phantom.ply`` and ``femur_phantom.ply`` in m, by default to ``examples``; the same numbers every time.
+surfaces ``head_phantom.ply`` and ``femur_phantom.ply`` in m, by default to ``examples``. The files are the same each
+time.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ SITES_DEG = (
     (60, 60),
     (60, -60),
 )
-"""Where the coil goes, seen from the centre of the head: tilt from superior, azimuth from anterior to the right."""
+"""Sites of the coil, seen from the centre of the head, degrees: tilt from superior, azimuth from anterior to right."""
 TRAJECTORIES = (
     (0.45, 20, 8),
     (0.45, 20, 16),
@@ -48,21 +49,32 @@ TRAJECTORIES = (
     (0.65, 30, 12),
     (0.65, 14, 6),
 )
-"""Where drills end, as a part of the neck's length, and the way out from there: degrees inferior and posterior of
-lateral."""
+"""Drill trajectories: target, as a fraction of the neck's length, and direction from there to the entry, in degrees
+inferior and posterior of lateral."""
 DECIMALS = 9
-"""Of the numbers in a file, m and quaternion."""
+"""Decimals of positions, in m, and of quaternions in a file."""
 
 
 def coil_pose(tilt_deg: float, azimuth_deg: float) -> Transform:
-    """``image_from_coil`` with its origin on the scalp, +z the outward normal and +y as far anterior as it can be."""
+    """Return ``image_from_coil``: origin on the scalp, +z along the outward normal, +y as anterior as possible.
+
+    Args:
+        tilt_deg: Angle of the site from superior, seen from the centre of the head, degrees.
+        azimuth_deg: Angle of the site from anterior to the right, degrees.
+    """
     tilt, azimuth = radians(tilt_deg), radians(azimuth_deg)
     point = head.surface_point((sin(tilt) * sin(azimuth), sin(tilt) * cos(azimuth), cos(tilt)))
     return _pose(point, head.outward_normal(point), (0.0, 1.0, 0.0))
 
 
 def guide_pose(depth: float, inferior_deg: float, posterior_deg: float) -> Transform:
-    """``image_from_coil`` with its origin at the entry, +z the way out and +y as far superior as it can be."""
+    """Return ``image_from_coil``: origin at the entry, +z from target to entry, +y as superior as possible.
+
+    Args:
+        depth: Target, as a fraction of the neck's length.
+        inferior_deg: Direction from target to entry, degrees inferior of lateral.
+        posterior_deg: Direction from target to entry, degrees posterior of lateral.
+    """
     entry, target = trajectory(depth, inferior_deg, posterior_deg)
     return _pose(entry, (entry - target) / np.linalg.norm(entry - target), (0.0, 0.0, 1.0))
 
@@ -74,7 +86,13 @@ def _pose(origin: Floats, z: Floats, up: tuple[float, float, float]) -> Transfor
 
 
 def trajectory(depth: float, inferior_deg: float, posterior_deg: float) -> tuple[Floats, Floats]:
-    """Entry on the greater trochanter and target in the neck, in the image, m, (3,) each."""
+    """Return the entry on the greater trochanter and the target in the neck, in the image, m, (3,) each.
+
+    Args:
+        depth: Target, as a fraction of the neck's length.
+        inferior_deg: Direction from target to entry, degrees inferior of lateral.
+        posterior_deg: Direction from target to entry, degrees posterior of lateral.
+    """
     inferior, posterior = radians(inferior_deg), radians(posterior_deg)
     out = (cos(inferior) * cos(posterior), -cos(inferior) * sin(posterior), -sin(inferior))
     target = femur.BASE + depth * femur.NECK_LENGTH * femur.NECK_AXIS
@@ -82,7 +100,11 @@ def trajectory(depth: float, inferior_deg: float, posterior_deg: float) -> tuple
 
 
 def make_plan(phantom: Phantom, poses: Iterable[Transform]) -> dict[str, Any]:
-    """A plan as plain data, in image coordinates and m.
+    """Return a plan as plain data, in the image frame and m.
+
+    Args:
+        phantom: Phantom with the landmarks.
+        poses: Poses of the tool, ``image_from_coil``.
 
     Returns:
         ``landmarks``, each with ``name`` and ``position``; ``poses``, each with ``position`` and ``quat_xyzw``.
@@ -103,15 +125,15 @@ def make_plan(phantom: Phantom, poses: Iterable[Transform]) -> dict[str, Any]:
 
 
 def make_plans() -> dict[str, dict[str, Any]]:
-    """The plan of each workflow."""
+    """Return the name of each workflow with its plan."""
     return {
         "ratms": make_plan(head.HEAD, (coil_pose(*site) for site in SITES_DEG)),
-        "femoroplasty": make_plan(femur.FEMUR, (guide_pose(*course) for course in TRAJECTORIES)),
+        "femoroplasty": make_plan(femur.FEMUR, (guide_pose(*drill) for drill in TRAJECTORIES)),
     }
 
 
 def make_surfaces() -> dict[str, bytes]:
-    """The surface of each phantom as a PLY file."""
+    """Return the name of each phantom with its surface as a PLY file."""
     comment = "PCMRS {} phantom: image frame, RAS, m; made of formulas, of nobody"
     return {
         "head": surfaces.ply(*surfaces.head_surface(), comment.format("head")),
@@ -120,7 +142,7 @@ def make_surfaces() -> dict[str, bytes]:
 
 
 def main(folder: Path) -> None:
-    """Writes all plans and surfaces to `folder`."""
+    """Write all plans and surfaces to a folder."""
     for workflow, plan in make_plans().items():
         text = msgspec.json.format(msgspec.json.encode(plan), indent=2) + b"\n"
         (folder / f"{workflow}_plan.json").write_bytes(text)

@@ -1,4 +1,4 @@
-"""The arm with its tool as MuJoCo models: the plant as it is, and the controller's idea of it."""
+"""The arm with its tool as MuJoCo models: the true plant, and the controller's nominal model."""
 
 from __future__ import annotations
 
@@ -17,16 +17,23 @@ from pcmrs_sim.settings import ArmSettings
 from pcmrs_sim.shape import Shape
 
 STEP = 0.001
-"""Time of one physics and one control step, s."""
+"""Duration of a physics step, which is also a control step, s."""
 
 log = structlog.get_logger(__name__)
 
-# By itself MuJoCo writes its warnings to a file in whatever folder it was started in.
+# By default, MuJoCo writes its warnings to a file in the working directory.
 mujoco.set_mju_user_warning(lambda text: log.warning("mujoco", text=text))
 
 
 def plant_model(facts: ArmFacts, settings: ArmSettings, flange_from_tool: Transform, phantom: Phantom) -> Any:
-    """The arm as it is, with friction in its joints, before its phantom, as an ``mujoco.MjModel``."""
+    """Return the true arm with joint friction, in front of its phantom, as an ``mujoco.MjModel``.
+
+    Args:
+        facts: True geometry and inertias of the arm.
+        settings: Friction, damping and armature of the joints.
+        flange_from_tool: Pose of the tool on the flange.
+        phantom: The body, its pose, and the tool.
+    """
     text = mjcf(facts, damping=settings.damping, armature=settings.armature, frictionloss=settings.friction)
     spec = _with_tool(text, flange_from_tool, phantom.tool)
     _add_shapes(spec.worldbody, phantom.body, phantom.world_from_image)
@@ -36,7 +43,15 @@ def plant_model(facts: ArmFacts, settings: ArmSettings, flange_from_tool: Transf
 def nominal_model(
     facts: ArmFacts, settings: ArmSettings, flange_from_tool: Transform, phantom: Phantom, rng: np.random.Generator
 ) -> Any:
-    """The controller's model: it knows no friction, and every link's mass and inertia is a little wrong."""
+    """Return the controller's model, without friction and with errors of each link's inertia, as an ``mujoco.MjModel``.
+
+    Args:
+        facts: Nominal geometry and inertias of the arm.
+        settings: Armature of the joints, and relative error of masses and inertias.
+        flange_from_tool: Pose of the tool on the flange.
+        phantom: Phantom with the tool.
+        rng: Source of the signs of the errors.
+    """
     text = mjcf(facts, damping=0.0, armature=settings.armature, frictionloss=0.0)
     model = _with_tool(text, flange_from_tool, phantom.tool).compile()
     factors = 1.0 + settings.inertia_error * rng.choice((-1.0, 1.0), model.nbody)
@@ -47,11 +62,11 @@ def nominal_model(
 
 
 def _with_tool(text: str, flange_from_tool: Transform, shapes: Sequence[Shape]) -> Any:
-    """An ``mujoco.MjSpec`` of an arm and the tool on its flange."""
+    """Return an ``mujoco.MjSpec`` of an arm, given as MJCF, with a tool on its flange."""
     spec = mujoco.MjSpec.from_string(text)
     spec.option.timestep = STEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    # Tool and body meet in `sim.contact`; all other contact would only cost time.
+    # `pcmrs_sim.contact` computes the contact of tool and body. Any other contact would only cost time.
     spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     flange = spec.site("flange")
     link_from_tool = Transform.from_quat_wxyz(flange.pos, flange.quat) @ flange_from_tool

@@ -1,4 +1,4 @@
-"""The simulated arm behind the protocol of a robot driver."""
+"""The simulated arm as a robot driver."""
 
 from __future__ import annotations
 
@@ -21,21 +21,24 @@ from pcmrs.messages import (
     PressRequest,
     ServoSession,
 )
-from pcmrs_sim.robot_faults import RobotFaults, hold_beside
+from pcmrs_sim.robot_faults import RobotFaults, hold_if_deviating
 from pcmrs_sim.world import World
 
 
 class SimRobot:
-    """Answers as a robot's cabinet would, and not at all while its link is cut.
+    """Answers as a robot's cabinet does, and not at all while its link is cut.
+
+    It implements `pcmrs.devices.protocols.RobotDriver`.
 
     Args:
-        world: Holds the arm.
-        clock: Stamps what is sent.
+        world: World with the arm.
+        clock: Clock that stamps published states.
         start: Time of the first published state, s of `clock`.
 
     Attributes:
-        faults: What is wrong with it.
-        sessions: Of set points.
+        faults: Present faults.
+        sessions: Servo sessions.
+        due: Time of the next published state, s of `clock`.
     """
 
     def __init__(self, world: World, clock: Clock, start: float) -> None:
@@ -46,7 +49,7 @@ class SimRobot:
         self._events: Stream[DeviceEvent] = Stream()
         self._waiting: list[asyncio.Future[None]] = []
         self._connected = False
-        self._last_set_point: JointSetpoint | None = None
+        self._last_set_point: JointSetpoint | None = None  # for the fault `late`
         self._drops = 0
         self.faults = RobotFaults()
         self.sessions = Sessions()
@@ -62,7 +65,7 @@ class SimRobot:
 
     async def connect(self) -> JointState:
         self._check_link()
-        self._check_willing()
+        self._check_not_refusing()
         self._connected = True
         if self.faults.late and self._last_set_point is not None:
             self.sessions.take(self._last_set_point, self._arm)
@@ -80,12 +83,12 @@ class SimRobot:
     async def follow(self, trajectory: JointTrajectory) -> MotionResult:
         self._check_free()
         self._arm.follow(trajectory)
-        return await self._end()
+        return await self._motion_result()
 
     async def press(self, request: PressRequest) -> MotionResult:
         self._check_free()
         press = self._arm.press(request)
-        return await self._end(lambda: press.force)
+        return await self._motion_result(lambda: press.force)
 
     async def begin_servo(self) -> ServoSession:
         self._check_free()
@@ -94,7 +97,7 @@ class SimRobot:
     async def end_servo(self, session: int) -> MotionResult:
         self._check_connection()
         self.sessions.end(session, self._arm)
-        return await self._end()
+        return await self._motion_result()
 
     def servo(self) -> AbstractAsyncContextManager[ServoStream]:
         return servo_session(self, self.set_point, self._clock)
@@ -107,7 +110,7 @@ class SimRobot:
     async def hold(self) -> JointState:
         self.brake()
         self._check_link()
-        await self._rest()
+        await self._wait_for_rest()
         return self._state()
 
     def states(self) -> AsyncIterator[JointState]:
@@ -118,45 +121,45 @@ class SimRobot:
 
     @property
     def moving(self) -> bool:
-        """Whether the arm moves."""
+        """True while the arm moves."""
         return not self._arm.at_rest
 
     @property
     def follows(self) -> bool:
-        """Whether the arm moves by what it was asked for, or may do so at any moment."""
+        """True while the arm follows a command or a servo session, even if it is at rest at this moment."""
         return not (self._arm.reference.ended or self._arm.stopped)
 
     def brake(self) -> None:
-        """Brakes, unless nothing reaches the robot."""
+        """Brake, unless the link is cut."""
         if not self.faults.cut:
             self._arm.hold()
 
-    def lose_node(self, why: str) -> None:
-        """Brakes by itself, and says so, since its node is silent or gone.
+    def lose_node(self, reason: str) -> None:
+        """Brake, and raise an alarm, because the node is lost.
 
         Args:
-            why: Why it is taken for that, as half a sentence.
+            reason: Clause that says why the node is considered lost.
         """
-        if not self.follows:
+        if not self.follows:  # an arm that is already held or at rest needs no alarm
             return
         self._arm.hold("link_silent")
-        text = f"The robot brakes by itself: {why}. Look at the arm before going on."
+        text = f"The robot brakes by itself: {reason}. Look at the arm before you continue."
         self._arm.alarms.append(DeviceEvent(device="robot", code="link_silent", text=text, danger=True))
 
     def cut(self, cut: bool) -> None:
-        """Cuts the link, which ends the connection and makes the arm brake by itself; or restores it."""
+        """Cut the link, which ends the connection and makes the arm brake by itself, or restore it."""
         self.faults.cut = cut
         if cut:
-            self._lose()
+            self._lose_connection()
 
     def update(self, time: float) -> None:
-        """Tells those who wait that the arm rests, and publishes what is due at `time`."""
+        """End motions when the arm is at rest, and publish alarms and states that are due at a time, s of the clock."""
         self._time = time
         if self.faults.drops > self._drops:
             self._drops = self.faults.drops
-            self._drop()
+            self._fail_application()
         if self._connected:
-            hold_beside(self._arm)
+            hold_if_deviating(self._arm)
         if self._waiting and self._arm.at_rest:
             self._end_waiting(None)
         while self._arm.alarms:
@@ -165,32 +168,32 @@ class SimRobot:
                 self._events.publish(alarm)
         if time >= self.due and not self._mute:
             self._states.publish(self._state())
-        while time >= self.due:  # a cell that lags loses states
+        while time >= self.due:  # a cell that lags skips states
             self.due += self._period
 
-    def _drop(self) -> None:
-        """Its application has failed, and says so."""
+    def _fail_application(self) -> None:
+        """End the connection as a failed application does, and report it."""
         if self._connected:
-            self._lose()
-            self._events.publish(DeviceEvent(device="robot", code="link_lost", text=_silence().text, danger=True))
+            self._lose_connection()
+            self._events.publish(DeviceEvent(device="robot", code="link_lost", text=_no_answer().text, danger=True))
 
-    def _lose(self) -> None:
+    def _lose_connection(self) -> None:
         self._connected = False
         self._arm.hold()
-        self._end_waiting(_silence())
+        self._end_waiting(_no_answer())
 
     def close(self) -> None:
-        """Ends all readers, and those who wait without an answer."""
+        """End all readers, and pending motions with an unknown outcome."""
         self._states.close()
         self._events.close()
-        self._end_waiting(_silence())
+        self._end_waiting(_no_answer())
 
-    async def _end(self, force: Callable[[], float] | None = None) -> MotionResult:
-        """How the motion ended, once the arm rests; with the `force` measured then."""
+    async def _motion_result(self, force: Callable[[], float] | None = None) -> MotionResult:
+        """Wait until the arm is at rest, and return the result of its motion, with the force measured then, N."""
         try:
-            await self._rest()
+            await self._wait_for_rest()
         except asyncio.CancelledError:
-            self._arm.hold()  # nobody waits for the end any more
+            self._arm.hold()  # a motion whose caller is gone must not continue
             raise
         return MotionResult(
             outcome="stopped" if self._arm.stopped else "done",
@@ -199,11 +202,11 @@ class SimRobot:
             force=force() if force is not None else None,
         )
 
-    async def _rest(self) -> None:
+    async def _wait_for_rest(self) -> None:
         waiting = asyncio.get_running_loop().create_future()
         self._waiting.append(waiting)
         await waiting
-        self._check_link()  # it may have fallen silent meanwhile
+        self._check_link()  # the link may have been cut meanwhile
 
     def _end_waiting(self, error: UnknownOutcomeError | None) -> None:
         for waiting in self._waiting:
@@ -221,21 +224,21 @@ class SimRobot:
 
     def _check_link(self) -> None:
         if self._mute:
-            raise _silence()
+            raise _no_answer()
 
     def _check_connection(self) -> None:
         self._check_link()
         if not self._connected:
             raise DeviceError("The robot is not connected; connect it first.")
 
-    def _check_willing(self) -> None:
+    def _check_not_refusing(self) -> None:
         if self.faults.refusing:
             raise DeviceRefusedError("The robot refuses. Look at its pendant: mode, brakes, protective stop.")
 
     def _check_free(self) -> None:
-        """Accepts a new motion."""
+        """Check that a new motion can start."""
         self._check_connection()
-        self._check_willing()
+        self._check_not_refusing()
         if self.faults.drives_off:
             text = f"The robot's drives are off ({self.faults.drives_off}); release them at the robot before it moves."
             raise DeviceError(text, reason=self.faults.drives_off)
@@ -255,5 +258,5 @@ class SimRobot:
         )
 
 
-def _silence() -> UnknownOutcomeError:
-    return UnknownOutcomeError("The robot does not answer. Look at the arm before going on.")
+def _no_answer() -> UnknownOutcomeError:
+    return UnknownOutcomeError("The robot does not answer. Look at the arm before you continue.")

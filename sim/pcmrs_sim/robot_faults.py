@@ -1,4 +1,4 @@
-"""What is wrong with the robot now: its cabinet, its link and its arm."""
+"""Present faults of the robot: its cabinet, its link and its arm."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ if TYPE_CHECKING:
     from pcmrs_sim.kinematic_arm import KinematicArm
 
 Framing = Literal["mixed", "split", "merged", "whole"]
-"""How replies lie in segments: now and then split or merged; always split; merged as far as can be; one in one."""
+"""Division of replies into TCP segments: some split or merged; all split; as many as possible merged; one in each."""
 
-MOST_BESIDE = 0.02
-"""An arm that moves is held when a joint is farther than this from where it was told to be, rad."""
+LARGEST_DEVIATION = 0.02
+"""Deviation of a joint from its commanded position beyond which a moving arm is held, rad."""
 
 
 @dataclass
 class RobotFaults:
-    """What is wrong now; the virtual cabinet and the simulated robot look here.
+    """Present faults; the virtual cabinet and the simulated robot act on them.
 
     Attributes:
         cut: The link carries nothing.
-        silent: Commands are carried out and not answered.
-        drives_off: Why the drives are off, if they are.
-        framing: How replies lie in segments.
-        doubled: Every line arrives twice.
-        drops: How often the cabinet closed the connection so far.
-        restarts: How often its application was started again at the pendant so far.
-        refusing: It refuses to be connected or moved.
-        late: The last set point arrives once more when somebody connects again.
+        silent: Commands are executed and not answered.
+        drives_off: Reason for which the drives are off; None while they are on.
+        framing: Division of replies into TCP segments.
+        doubled: Each line arrives twice.
+        drops: Number of times the cabinet has closed the connection.
+        restarts: Number of times its application was restarted at the pendant.
+        refusing: Connections and motions are refused.
+        late: The last set point arrives once more after the next connection.
     """
 
     cut: bool = False
@@ -47,14 +47,14 @@ class RobotFaults:
     late: bool = False
 
 
-def hold_beside(arm: Arm | KinematicArm) -> None:
-    """Brakes an arm that has moved beside where it was told to be, and raises the alarm, once."""
+def hold_if_deviating(arm: Arm | KinematicArm) -> None:
+    """Brake a moving arm that deviates from its commanded posture, and raise the alarm once."""
     if arm.reference.ended or arm.stopped:
         return
-    beside = float(np.abs(arm.positions - arm.reference.position).max())
-    if beside <= MOST_BESIDE:
+    deviation = float(np.abs(arm.positions - arm.reference.position).max())
+    if deviation <= LARGEST_DEVIATION:
         return
     arm.hold("pose_differs")
-    text = f"The robot brakes: a joint is {beside:.3f} rad from where it was told to be, limit {MOST_BESIDE:g}."
-    text += " Look at the arm before going on."
+    text = f"The robot brakes: a joint is {deviation:.3f} rad from its commanded position, limit {LARGEST_DEVIATION:g}."
+    text += " Look at the arm before you continue."
     arm.alarms.append(DeviceEvent(device="robot", code="pose_differs", text=text, danger=True))

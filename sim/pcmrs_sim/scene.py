@@ -1,4 +1,4 @@
-"""The scene's ground truth and faults, for experiments and tests."""
+"""Ground truth and faults of the simulated scene, for experiments and tests."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from pcmrs_sim.kinematic_arm import KinematicArm
 from pcmrs_sim.motion import check_motion
 from pcmrs_sim.pointer import SimPointer
 from pcmrs_sim.settings import Triple
-from pcmrs_sim.tracker import BODIES
+from pcmrs_sim.tracker_faults import BODIES
 from pcmrs_sim.world import World
 
 
 class SimScene:
-    """What only a simulation can tell or do.
+    """Truth and acts that only a simulation has; implements `pcmrs.devices.protocols.Scene`.
 
     Args:
-        world: Holds the truth.
-        pointer: Its touches can be displaced.
-        inject: Brings about a fault of `pcmrs_sim.faults` by name with its arguments, or ends it.
-        watched: Calls a watcher whenever time has passed, as long as its context lasts.
+        world: True state of the cell.
+        pointer: The pointer, whose touches can be displaced.
+        inject: Injects or ends a fault of `pcmrs_sim.faults`, by name and arguments.
+        watched: Returns a context in which a watcher is called each time after time has passed.
 
     Attributes:
-        watched: See above.
+        watched: Returns a context in which a watcher is called each time after time has passed.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class SimScene:
 
     @property
     def arm(self) -> Arm | KinematicArm:
-        """The simulated arm as it truly is."""
+        """The simulated arm, with its true state."""
         return self._world.arm
 
     async def truth(self) -> SceneTruth:
@@ -61,7 +61,7 @@ class SimScene:
 
     async def occlude(self, body: str, hidden: bool) -> None:
         if body not in BODIES:
-            raise DeviceError(f"The tracker knows no body {body!r}; it tracks {', '.join(BODIES)}.", body=body)
+            raise DeviceError(f"The tracker does not track {body!r}; it tracks {', '.join(BODIES)}.", body=body)
         if hidden:
             self._world.hidden.add(body)
         else:

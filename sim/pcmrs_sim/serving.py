@@ -1,4 +1,4 @@
-"""The virtual devices that the simulated cell serves by itself, for drivers of real devices on the same machine."""
+"""Virtual devices that the simulated cell serves for drivers of real devices on the same machine."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ from typing import Any
 
 import structlog
 
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.lsl.serving import serve_muscle
 
 LOOPBACK = "127.0.0.1"
 PORTS = {"kst": 30001, "ndi": 8765}
-"""Where a device is looked for, and so served, unless its driver's table says otherwise."""
+"""Default TCP port of each driver's device."""
 
 DEVICES = {"kst": "robot", "ndi": "tracker"}
-"""Which device each driver drives."""
+"""Name of each driver to the name of its device."""
 
 log = structlog.get_logger(__name__)
 
 
 @asynccontextmanager
-async def serve_virtual(cell: Cell, settings: Mapping[str, Any]) -> AsyncIterator[None]:
-    """Serves a virtual device for each driver that looks for its device on this machine; a taken port is left alone.
+async def serve_virtual(cell: CellSimulation, settings: Mapping[str, Any]) -> AsyncIterator[None]:
+    """Serve a virtual device for each driver that connects to this machine. Taken ports are skipped with a warning.
 
     Args:
-        cell: The one world that all of them share.
+        cell: The running cell, which all of them share.
         settings: The whole configuration.
     """
     async with AsyncExitStack() as stack:
-        for driver, (host, port) in wanted(settings).items():
+        for driver, (host, port) in local_addresses(settings).items():
             try:
                 bound = await stack.enter_async_context(_serve(driver, cell, host, port))
             except OSError as error:
@@ -44,20 +44,25 @@ async def serve_virtual(cell: Cell, settings: Mapping[str, Any]) -> AsyncIterato
         yield
 
 
-def wanted(settings: Mapping[str, Any]) -> dict[str, tuple[str, int]]:
-    """Drivers whose device is looked for on this machine, and where."""
-    found = {}
+def local_addresses(settings: Mapping[str, Any]) -> dict[str, tuple[str, int]]:
+    """Return the drivers that connect to a device on this machine, each with host and port."""
+    addresses = {}
     for driver, device in DEVICES.items():
         if settings.get(device, {}).get("driver") != driver:
             continue
         host, port = address(driver, settings.get(driver, {}))
         if _is_loopback(host):
-            found[driver] = host, port
-    return found
+            addresses[driver] = host, port
+    return addresses
 
 
 def address(driver: str, table: Mapping[str, Any]) -> tuple[str, int]:
-    """Where the driver looks for its device; a serial port is no address of ours."""
+    """Return host and port of a driver's device; an empty host for a serial port.
+
+    Args:
+        driver: ``kst`` or ``ndi``.
+        table: The driver's table of the configuration.
+    """
     if driver == "kst":
         return table.get("host", LOOPBACK), table.get("port", PORTS[driver])
     host, _, port = str(table.get("device", f"{LOOPBACK}:{PORTS[driver]}")).rpartition(":")
@@ -71,11 +76,12 @@ def _is_loopback(host: str) -> bool:
         return False
 
 
-def _serve(driver: str, cell: Cell, host: str, port: int) -> AbstractAsyncContextManager[tuple[str, int]]:
+def _serve(driver: str, cell: CellSimulation, host: str, port: int) -> AbstractAsyncContextManager[tuple[str, int]]:
+    # Imported here, so that a cell without virtual devices does not load them.
     if driver == "kst":
         from pcmrs_sim.kst.server import serve_kst
 
-        # Nobody stands at the pendant of a cabinet that comes with the daemon.
+        # A cabinet that the daemon serves has nobody at its pendant who could restart the application.
         return serve_kst(cell, host, port, accept_timeout=math.inf)
     from pcmrs_sim.ndi.server import serve_ndi
 

@@ -1,4 +1,4 @@
-"""Everything that is configurable about the simulated cell: its errors, stated, and its geometry."""
+"""Settings of the simulated cell: its errors and its geometry."""
 
 from __future__ import annotations
 
@@ -15,11 +15,15 @@ Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Triple = tuple[float, float, float]
 
 
-class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """``a_from_b`` in configuration: translation in m and unit quaternion.
+class ConfiguredPose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A transform ``a_from_b`` in a configuration.
+
+    Attributes:
+        position: Translation, m.
+        quat_wxyz: Unit quaternion.
 
     Raises:
-        ValueError: It is no pose.
+        ValueError: The quaternion does not have unit length, or a number is not finite.
     """
 
     position: Triple = (0.0, 0.0, 0.0)
@@ -33,7 +37,7 @@ class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def transform(self) -> Transform:
-        """The same as a `Transform`."""
+        """This pose as a `Transform`."""
         return Transform.from_quat_wxyz(self.position, self.quat_wxyz)
 
 
@@ -58,15 +62,15 @@ class TrackerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DigitizationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The person with the pointer. The two deviations combine to 1.86 mm per axis, as on a head.
+    """The person with the pointer. The first two deviations combine to 1.86 mm per axis, as on a head.
 
     Attributes:
-        planning_bias_mm: Standard deviation per axis by which a planned landmark differs from the anatomical
-            point that the person touches; fixed per seed and landmark.
-        noise_mm: Standard deviation per axis of each touch anew.
+        planning_bias_mm: Standard deviation per axis of the planned landmark from the anatomical point that the person
+            touches; fixed per seed and landmark.
+        noise_mm: Standard deviation per axis of each touch.
         surface_noise_mm: Standard deviation per axis of a point touched anywhere on the skin.
-        reach_time: From the prompt until the tip rests on the landmark, s.
-        rest_time: From then until the person says so, s; longer than the tracker's latency.
+        reach_time: Time from the prompt until the tip rests on the landmark, s.
+        rest_time: Time from then until the person reports it, s; longer than the tracker's latency.
     """
 
     planning_bias_mm: NotNegative = 1.6
@@ -80,22 +84,22 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The arm's imperfections and its controller.
 
     Attributes:
-        home: Posture at the start, rad, base to flange; empty for the arm's own.
+        home: Posture at the start, rad, base to flange; empty for the default of the arm.
         friction: Coulomb friction of each joint, N m.
         damping: Viscous friction of each joint, N m s/rad.
         armature: Rotor inertia of each joint seen at its output, kg m^2; known to the controller.
-        geometry_error_mm: Root mean square distance of the true flange from where the model has it, over postures and
+        geometry_error_mm: Root mean square distance of the true flange from its nominal position, over postures and
             seeds; fixed per seed.
-        inertia_error: Relative error of the controller's masses and inertias: link by link +this or -this.
-        stiffness: Of the joint impedance, base to flange, N m/rad; empty for the arm's own.
+        inertia_error: Relative error of the controller's masses and inertias, with a random sign for each link.
+        stiffness: Stiffness of the joint impedance, base to flange, N m/rad; empty for the default of the arm.
         integral_rate: Rate at which the integral action removes a constant error, 1/s.
-        brake_acceleration: Of every joint when held, rad/s^2.
-        brake_jerk: Of every joint when held, rad/s^3.
+        brake_acceleration: Acceleration of each joint while the arm brakes, rad/s^2.
+        brake_jerk: Jerk of each joint while the arm brakes, rad/s^3.
         force_noise: Standard deviation of the measured force per axis and control step, N, before the filter.
-        force_filter_hz: Corner of the low-pass filter of the measured force.
+        force_filter_hz: Corner frequency of the low-pass filter of the measured force.
         state_rate_hz: Published joint states per second of cell time.
-        physics: ``mujoco``, or ``kinematic``: the arm is exactly where its reference is, costs next to nothing, and
-            feels the body as a spring without noise. Friction, inertias, controller and sensor then mean nothing.
+        physics: ``mujoco``, or ``kinematic``: the arm is always exactly on its reference, costs almost no time, and
+            meets the body as a spring without noise. Friction, inertias, controller and sensor are then not used.
     """
 
     physics: Literal["mujoco", "kinematic"] = "mujoco"
@@ -114,12 +118,12 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     state_rate_hz: Positive = 100.0
 
 
-class ContactSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class SkinSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The skin between tool and body.
 
     Attributes:
-        stiffness: N/m.
-        damping: Part of the spring's force that is added per speed of the tool into the body, s/m.
+        stiffness: Stiffness of the spring, N/m.
+        damping: Fraction of the spring's force that is added per speed of the tool into the body, s/m.
     """
 
     stiffness: NotNegative = 1000.0
@@ -127,35 +131,35 @@ class ContactSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class GeometrySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Where things truly stand. The robot base is the world frame.
+    """True poses. The robot base is the world frame.
 
     Attributes:
-        world_from_tracker: The camera, 1.2 m from the patient; it looks along its -z, as optical trackers do.
-        world_from_image: The patient; absent, where the phantom stands.
-        body_ref_from_image: The image in the patient's marker body: the registration that nobody knows; absent, as it
-            is on the phantom.
-        flange_from_coil: The tool on the flange; its +z points away from the patient, back along the arm.
-        pointer_from_tip: The tip in the pointer's marker body.
+        world_from_tracker: Pose of the camera, 1.2 m from the patient. It looks along its -z, as optical trackers do.
+        world_from_image: Pose of the patient; absent for the default of the phantom.
+        body_ref_from_image: Pose of the image in the patient's marker body: the true registration, which the product
+            does not know. Absent for the default of the phantom.
+        flange_from_coil: Pose of the tool on the flange; its +z points away from the patient, back along the arm.
+        pointer_from_tip: Pose of the tip in the pointer's marker body.
     """
 
-    world_from_tracker: Pose = Pose((1.35, -0.5, 0.6), (0.744115, 0.434873, 0.255881, 0.43784))
-    world_from_image: Pose | None = None
-    body_ref_from_image: Pose | None = None
-    flange_from_coil: Pose = Pose((0.0, 0.0, 0.15), (0.0, 1.0, 0.0, 0.0))
-    pointer_from_tip: Pose = Pose((0.0, 0.0, -0.15))
+    world_from_tracker: ConfiguredPose = ConfiguredPose((1.35, -0.5, 0.6), (0.744115, 0.434873, 0.255881, 0.43784))
+    world_from_image: ConfiguredPose | None = None
+    body_ref_from_image: ConfiguredPose | None = None
+    flange_from_coil: ConfiguredPose = ConfiguredPose((0.0, 0.0, 0.15), (0.0, 1.0, 0.0, 0.0))
+    pointer_from_tip: ConfiguredPose = ConfiguredPose((0.0, 0.0, -0.15))
 
 
 class StimulatorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The magnetic stimulator and its coil; temperatures in degrees Celsius.
 
     Attributes:
-        charge_time: From the command to arm until it is armed, s.
-        recharge_time: After a pulse, s.
-        armed_time: Time after which it disarms when no pulse was given, s.
+        charge_time: Time from the command to arm until it is armed, s.
+        recharge_time: Time from a pulse until the next one is possible, s.
+        armed_time: Time after which it disarms if no pulse was given, s.
         ambient: Temperature of the room.
         hottest: Temperature of the coil at which it disarms.
-        heat: By which a pulse at full output warms the coil; it goes with the square of the intensity.
-        cooling_time: Time constant with which the coil cools, s.
+        heat: Rise of the coil's temperature by a pulse at full output. It scales with the square of the intensity.
+        cooling_time: Time constant of the cooling, s.
     """
 
     charge_time: NotNegative = 1.0
@@ -168,20 +172,20 @@ class StimulatorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 
 
 class MuscleSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The electromyogram of the muscle that answers the stimulator; standard deviations and amplitudes.
+    """The electromyogram of the muscle that responds to the stimulator.
 
     Attributes:
         rate_hz: Samples per second.
-        latency: From a pulse to the onset of the response, s.
-        scale: Of the response's shape, s; the response lasts six times that.
+        latency: Time from a pulse to the onset of the response, s.
+        scale: Time scale of the response, s. The response lasts six times as long.
         noise_uv: Standard deviation of the noise.
-        hum_hz: Of the mains, 50 or 60.
-        hum_uv: Amplitude of the mains.
-        preactivation_uv: Standard deviation of the activity when the muscle is not relaxed.
-        artefact_mv: Of the stimulus at full output.
-        artefact_decay: Its time constant, s.
+        hum_hz: Frequency of the mains, 50 or 60.
+        hum_uv: Amplitude of the mains hum.
+        preactivation_uv: Standard deviation of the activity of a muscle that is not relaxed.
+        artefact_mv: Amplitude of the stimulus artefact at full output.
+        artefact_decay: Time constant of the artefact, s.
         full_scale_mv: Magnitude at which the amplifier saturates.
-        streamed: Sent on Lab Streaming Layer where ``emg.driver`` is ``lsl``; false beside a real amplifier.
+        streamed: Stream on Lab Streaming Layer if ``emg.driver`` is ``lsl``; set it to false with a real amplifier.
     """
 
     rate_hz: Annotated[int, msgspec.Meta(ge=100)] = 5000
@@ -201,8 +205,8 @@ class SimSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The table ``sim`` of the configuration.
 
     Attributes:
-        seed: All simulated errors are drawn from it; `Scene.reseed` replaces it.
-        phantom: What stands before the robot; the tool that it carries goes with it.
+        seed: Seed of all simulated errors; `Scene.reseed` replaces it.
+        phantom: The body in front of the robot, which also decides the tool.
     """
 
     seed: Annotated[int, msgspec.Meta(ge=0)] = 1
@@ -210,14 +214,14 @@ class SimSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     tracker: TrackerSettings = TrackerSettings()
     digitization: DigitizationSettings = DigitizationSettings()
     arm: ArmSettings = ArmSettings()
-    contact: ContactSettings = ContactSettings()
+    contact: SkinSettings = SkinSettings()
     geometry: GeometrySettings = GeometrySettings()
     stimulator: StimulatorSettings = StimulatorSettings()
     muscle: MuscleSettings = MuscleSettings()
 
 
 def read_settings(settings: Mapping[str, Any]) -> SimSettings:
-    """The simulation's own table of the whole configuration; absent means all defaults.
+    """Return the table ``sim`` of the whole configuration; all defaults if it is absent.
 
     Raises:
         ConfigurationError: A key is unknown, or a value has the wrong type or is out of range.

@@ -1,4 +1,4 @@
-"""Bodies as a flat face of a tool meets them: how far they reach beyond it."""
+"""Bodies for contact with the flat face of a tool: their depth beyond it."""
 
 from __future__ import annotations
 
@@ -13,55 +13,68 @@ from pcmrs.spatial import Floats
 from pcmrs_sim.shape import Capsule
 
 SPACING = 0.002
-"""Between the balls that stand for a capsule, m: its side is then true to 0.04 mm at a radius of 14 mm."""
+"""Distance between the spheres that approximate a capsule, m. At a radius of 14 mm, its side is exact to 0.04 mm."""
 
 
 class Touch(NamedTuple):
-    """How far a body reaches beyond a face, m, and where it does, in the image, m, (3,)."""
+    """Contact of a body with a face.
+
+    Attributes:
+        depth: Depth of the body beyond the face, m; positive.
+        point: Deepest point, in the image, m, (3,).
+    """
 
     depth: float
     point: Floats
 
 
-class Solid(Protocol):
+class ContactSolid(Protocol):
     """A body in the image frame.
 
     Attributes:
-        centre: Of a sphere around all of it, m, (3,).
-        reach: Radius of that sphere, m.
+        centre: Centre of a sphere that encloses the body, in the image, m, (3,).
+        bounding_radius: Radius of that sphere, m.
     """
 
     centre: Floats
-    reach: float
+    bounding_radius: float
 
     def touch(self, origin: Floats, axis: Floats, radius: float) -> Touch | None:
-        """Where the body reaches farthest along `axis` beyond a round face of `radius` m at `origin`, (3,).
+        """Return the deepest contact with a round face; None if the body does not touch it.
 
-        None where it does not reach the face.
+        Args:
+            origin: Centre of the face, in the image, m, (3,).
+            axis: Unit normal of the face, away from the body, in the image, (3,).
+            radius: Radius of the face, m.
         """
 
 
 class Superellipsoid:
     """All points with ``sum |(x_i - c_i) / a_i|^e <= 1``.
 
-    In plain floats: a tool in touch asks at every step.
-
-    Its support function is the dual norm of the direction: ``h(n) = (sum |a_i n_i|^q)^(1/q)``, ``1/e + 1/q = 1``.
+    Its support function is the dual norm of the direction: ``h(n) = (sum |a_i n_i|^q)^(1/q)``, ``1/e + 1/q = 1``. It is
+    computed in plain floats, which are faster than arrays of three numbers: contact is computed at each physics step.
 
     Args:
-        centre: c, m, (3,).
+        centre: c, in the image, m, (3,).
         semi_axes: a, m, (3,).
         exponent: e, at least 2.
     """
 
     def __init__(self, centre: Floats, semi_axes: Floats, exponent: float) -> None:
         self.centre = centre
-        self.reach = float(semi_axes.max()) * 3 ** (0.5 - 1 / exponent)
+        self.bounding_radius = float(semi_axes.max()) * 3 ** (0.5 - 1 / exponent)
         self._semi_axes = semi_axes.tolist()
         self._dual = exponent / (exponent - 1)
 
     def touch(self, origin: Floats, axis: Floats, radius: float) -> Touch | None:
-        """As of `Solid`; a body whose farthest point lies beside the face does not touch it."""
+        """See `ContactSolid`. A body whose deepest point is beside the face does not touch it.
+
+        Args:
+            origin: Centre of the face, in the image, m, (3,).
+            axis: Unit normal of the face, away from the body, in the image, (3,).
+            radius: Radius of the face, m.
+        """
         along, origin_in_image, centre, dual = axis.tolist(), origin.tolist(), self.centre.tolist(), self._dual
         weights = [a * n for a, n in zip(self._semi_axes, along, strict=True)]
         height = sum(abs(weight) ** dual for weight in weights) ** (1 / dual)
@@ -71,40 +84,49 @@ class Superellipsoid:
         ]
         offset = [p - o for p, o in zip(point, origin_in_image, strict=True)]
         depth = sum(map(mul, offset, along))
-        beside_squared = sum(map(mul, offset, offset)) - depth**2
-        return Touch(depth, np.array(point)) if depth > 0.0 and beside_squared <= radius**2 else None
+        lateral_squared = sum(map(mul, offset, offset)) - depth**2
+        return Touch(depth, np.array(point)) if depth > 0.0 and lateral_squared <= radius**2 else None
 
 
-class Balls:
-    """A union of capsules, as rows of balls.
+class CapsuleUnion:
+    """A union of capsules, each approximated by a row of spheres.
 
     Args:
-        capsules: At least one.
+        capsules: At least one capsule, in the image, m.
     """
 
     def __init__(self, capsules: Iterable[Capsule]) -> None:
-        rows = [(_along(capsule), capsule.radius) for capsule in capsules]
+        rows = [(_sphere_centres(capsule), capsule.radius) for capsule in capsules]
         self._centres = np.concatenate([centres for centres, _ in rows])
         self._radii = np.concatenate([np.full(len(centres), radius) for centres, radius in rows])
         self._squares = np.sum(self._centres**2, axis=1)
         self.centre: Floats = (self._centres.min(axis=0) + self._centres.max(axis=0)) / 2
-        self.reach = float((np.linalg.norm(self._centres - self.centre, axis=1) + self._radii).max())
+        self.bounding_radius = float((np.linalg.norm(self._centres - self.centre, axis=1) + self._radii).max())
 
     def touch(self, origin: Floats, axis: Floats, radius: float) -> Touch | None:
-        """As of `Solid`: of every ball only what lies before the face counts, so that a narrow tool fits between."""
+        """See `ContactSolid`. Only the part of a sphere in front of the face counts: a narrow tool fits between parts.
+
+        Args:
+            origin: Centre of the face, in the image, m, (3,).
+            axis: Unit normal of the face, away from the body, in the image, (3,).
+            radius: Radius of the face, m.
+        """
+        # One product for both projections, and expanded squares: contact is computed at each physics step.
         heights, along = (self._centres @ np.stack((axis, origin), axis=1)).T
         heights = heights - origin @ axis
-        beside = np.sqrt(np.maximum(self._squares - 2 * along + origin @ origin - heights**2, 0.0))
-        squared = self._radii**2 - np.maximum(beside - radius, 0.0) ** 2
+        lateral = np.sqrt(np.maximum(self._squares - 2 * along + origin @ origin - heights**2, 0.0))
+        # The highest point of a sphere is above its centre, or above the rim of the face if the centre is beside it.
+        squared = self._radii**2 - np.maximum(lateral - radius, 0.0) ** 2
         depths = np.where(squared > 0.0, heights + np.sqrt(np.maximum(squared, 0.0)), -np.inf)
         highest = int(depths.argmax())
         if depths[highest] <= 0.0:
             return None
         across = self._centres[highest] - origin - heights[highest] * axis
-        inward = min(1.0, radius / beside[highest]) if beside[highest] > 0.0 else 0.0
+        inward = min(1.0, radius / lateral[highest]) if lateral[highest] > 0.0 else 0.0
         return Touch(float(depths[highest]), origin + depths[highest] * axis + inward * across)
 
 
-def _along(capsule: Capsule) -> Floats:
+def _sphere_centres(capsule: Capsule) -> Floats:
+    """Return the centres of the spheres that approximate a capsule, m, (k, 3)."""
     length = float(np.linalg.norm(capsule.end - capsule.start))
     return np.linspace(capsule.start, capsule.end, 1 + int(np.ceil(length / SPACING)))

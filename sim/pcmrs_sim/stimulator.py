@@ -17,7 +17,7 @@ class SimStimulator:
     """Implements `pcmrs.devices.protocols.StimulatorDriver`.
 
     Args:
-        world: Where its coil is.
+        world: World with its coil and the muscle.
         clock: The cell's clock.
     """
 
@@ -28,10 +28,10 @@ class SimStimulator:
         self._arming = Arming(settings.armed_time)
         self._events: Stream[DeviceEvent] = Stream()
         self._intensity = 0.0
-        self._charging = 0
-        self._charged = -math.inf
-        self._warmth = 0.0
-        self._warmed = clock.monotonic()
+        self._charge_generation = 0  # changes when a charge starts or is cancelled
+        self._ready_at = -math.inf
+        self._heat = 0.0  # of the coil above the room, degrees Celsius, at `_heat_time`
+        self._heat_time = clock.monotonic()
 
     async def state(self) -> StimulatorState:
         return self._state()
@@ -42,29 +42,29 @@ class SimStimulator:
 
     async def arm(self) -> StimulatorState:
         self._check_coil()
-        self._charging = charging = self._charging + 1
+        self._charge_generation = generation = self._charge_generation + 1
         await self._clock.sleep(self._settings.charge_time)
-        if charging != self._charging:
+        if generation != self._charge_generation:
             raise DeviceError("The stimulator was disarmed, or armed again, while it charged.")
         self._arming.arm(self._clock.monotonic())
         return self._state()
 
     async def disarm(self) -> StimulatorState:
-        self._charging += 1
+        self._charge_generation += 1
         self._arming.disarm()
         return self._state()
 
     async def fire(self, number: int) -> FiredPulse:
         self._arming.check(number)
         now = self._clock.monotonic()
-        if now < self._charged:
+        if now < self._ready_at:
             raise DeviceError(
-                f"Pulse {number} is refused: the stimulator is ready in {self._charged - now:.2f} s.", number=number
+                f"Pulse {number} is refused: the stimulator is ready in {self._ready_at - now:.2f} s.", number=number
             )
         self._arming.take(number, now)
-        self._charged = now + self._settings.recharge_time
-        self._warmth = self._warmth_at(now) + self._settings.heat * (self._intensity / 100.0) ** 2
-        self._warmed = now
+        self._ready_at = now + self._settings.recharge_time
+        self._heat = self._heat_at(now) + self._settings.heat * (self._intensity / 100.0) ** 2
+        self._heat_time = now
         self._world.stimulate(number, self._intensity, now)
         if self._too_hot(now):
             self._events.publish(self._arming.disarmed(f"The coil is at {self._temperature(now):.1f} degrees Celsius"))
@@ -74,28 +74,28 @@ class SimStimulator:
         return self._events.read()
 
     def update(self, time: float) -> None:
-        """Disarms what has been armed for too long at `time`, s of the clock."""
+        """Disarm if it has been armed for too long at a time, s of the clock."""
         if self._arming.expired(time):
             self._events.publish(self._arming.expiry())
 
     @property
-    def acts(self) -> bool:
-        """Whether it can fire."""
+    def can_fire(self) -> bool:
+        """True while it is armed."""
         return self._arming.armed
 
-    def lose_node(self, why: str) -> None:
-        """Disarms by itself, and says so, since its node is silent or gone.
+    def lose_node(self, reason: str) -> None:
+        """Disarm, and publish an event, because the node is lost.
 
         Args:
-            why: Why it is taken for that, as half a sentence.
+            reason: Clause that says why the node is considered lost.
         """
-        self._charging += 1
+        self._charge_generation += 1
         if self._arming.armed:
-            self._events.publish(self._arming.disarmed(why.capitalize()))
+            self._events.publish(self._arming.disarmed(reason.capitalize()))
 
     def close(self) -> None:
-        """Makes it unable to fire and ends all readers."""
-        self._charging += 1
+        """Disarm and end all readers."""
+        self._charge_generation += 1
         self._arming.disarm()
         self._events.close()
 
@@ -103,7 +103,7 @@ class SimStimulator:
         now = self._clock.monotonic()
         return StimulatorState(
             armed=self._arming.armed,
-            ready=self._arming.armed and now >= self._charged,
+            ready=self._arming.armed and now >= self._ready_at,
             intensity=self._intensity,
             coil_temperature=self._temperature(now),
             pulse=self._arming.pulse,
@@ -123,9 +123,9 @@ class SimStimulator:
         return self._temperature(now) >= self._settings.hottest
 
     def _temperature(self, now: float) -> float:
-        """Of the coil, degrees Celsius."""
-        return self._settings.ambient + self._warmth_at(now)
+        """Return the temperature of the coil, degrees Celsius."""
+        return self._settings.ambient + self._heat_at(now)
 
-    def _warmth_at(self, now: float) -> float:
-        """Above the room: it cools exponentially (Newton's law)."""
-        return self._warmth * math.exp(-(now - self._warmed) / self._settings.cooling_time)
+    def _heat_at(self, now: float) -> float:
+        """Return the temperature above the room, degrees Celsius. It decays exponentially (Newton's law of cooling)."""
+        return self._heat * math.exp(-(now - self._heat_time) / self._settings.cooling_time)

@@ -1,4 +1,4 @@
-"""The optical tracker: what it saw, a latency later."""
+"""The simulated optical tracker, which publishes each frame after its latency."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from pcmrs.clock import Clock
 from pcmrs.devices.stream import Stream
 from pcmrs.messages import BodyPose
 from pcmrs.spatial import Transform
-from pcmrs_sim.errors import TrackerErrors
+from pcmrs_sim.error_models import TrackerErrors
 from pcmrs_sim.tracker_faults import BODIES, TrackerFaults
 from pcmrs_sim.world import World
 
-__all__ = ["BODIES", "SimTracker"]
-
 
 class SimTracker:
-    """Measures all bodies at its own rate and publishes each frame when it is `latency` old.
+    """Measures all bodies at its rate and publishes each frame when it is `latency` old.
+
+    It implements `pcmrs.devices.protocols.TrackerDriver`.
 
     Args:
-        world: What it looks at.
-        clock: Stamps what is sent.
+        world: World with the bodies.
+        clock: Clock that stamps published frames.
         start: Time of the first exposure, s of `clock`.
 
     Attributes:
-        newest: The last published frame; empty before the first.
-        faults: What is wrong with it.
+        newest: Last published frame; empty before the first.
+        faults: Present faults.
     """
 
     def __init__(self, world: World, clock: Clock, start: float) -> None:
@@ -39,13 +39,13 @@ class SimTracker:
         self._frame_number = 0
         self._pending: deque[list[BodyPose]] = deque()
         self._stream: Stream[Sequence[BodyPose]] = Stream()
-        self._steady: dict[str, tuple[Transform, TrackerErrors, BodyPose]] = {}
+        self._jitter_free_poses: dict[str, tuple[Transform, TrackerErrors, BodyPose]] = {}
         self.newest: Sequence[BodyPose] = ()
         self.faults = TrackerFaults()
 
     @property
     def hidden(self) -> set[str]:
-        """Bodies that something hides; may be changed."""
+        """Hidden bodies. The set may be changed."""
         return self._world.hidden
 
     @property
@@ -57,21 +57,21 @@ class SimTracker:
 
     @property
     def due(self) -> float:
-        """When `update` is needed next, s of the clock."""
+        """Time at which `update` is needed next, s of the clock."""
         return min([self._next_exposure, *(self._publication(frame) for frame in self._pending)])
 
     def update(self, time: float) -> None:
-        """Exposes and publishes what is due at `time`."""
+        """Expose and publish the frames that are due at a time, s of the clock."""
         if time >= self._next_exposure:
             self._frame_number += 1
             self._pending.append([self._expose(body, time) for body in BODIES])
-        while time >= self._next_exposure:  # a cell that lags loses frames
+        while time >= self._next_exposure:  # a cell that lags skips frames
             self._next_exposure += 1 / (self.faults.rate_hz or self._settings.rate_hz)
         while self._pending and time >= self._publication(self._pending[0]):
             self._publish(self._pending.popleft())
 
     def close(self) -> None:
-        """Ends all readers."""
+        """End all readers."""
         self._stream.close()
 
     def _publish(self, exposed: Sequence[BodyPose]) -> None:
@@ -92,9 +92,10 @@ class SimTracker:
             return BodyPose(
                 body=body, frame_number=self._frame_number, captured=time, sent=time, valid=False, reason=reason
             )
-        errors, known = self._world.tracker_errors, self._steady.get(body)
-        if known is not None and known[:2] == (tracker_from_body, errors):
-            return msgspec.structs.replace(known[2], frame_number=self._frame_number, captured=time, sent=time)
+        # Without jitter, a body at rest has the same pose in each frame, which need not be computed again.
+        errors, cached = self._world.tracker_errors, self._jitter_free_poses.get(body)
+        if cached is not None and cached[:2] == (tracker_from_body, errors):
+            return msgspec.structs.replace(cached[2], frame_number=self._frame_number, captured=time, sent=time)
         measured = errors.measure(tracker_from_body)
         x, y, z = measured.translation.tolist()
         w, i, j, k = measured.quat_wxyz.tolist()
@@ -108,6 +109,6 @@ class SimTracker:
             quat_wxyz=(w, i, j, k),
             error=errors.fit_error(),
         )
-        if errors.steady:
-            self._steady[body] = (tracker_from_body, errors, pose)
+        if errors.jitter_free:
+            self._jitter_free_poses[body] = (tracker_from_body, errors, pose)
         return pose

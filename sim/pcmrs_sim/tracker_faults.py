@@ -1,4 +1,4 @@
-"""What is wrong with the optical tracker now, and the frames that it sends then."""
+"""Present faults of the optical tracker, and the frames that it then sends."""
 
 from __future__ import annotations
 
@@ -13,37 +13,37 @@ import numpy as np
 from pcmrs.messages import BodyPose
 
 BODIES = ("coil", "body_ref", "pointer", "witness")
-"""What the tracker knows."""
+"""Tracked marker bodies."""
 
 NOT_UNIT = 1.2
-"""Length of a quaternion that is none."""
+"""Length of a quaternion that is not a unit quaternion."""
 BAD_FIT = 3e-3
-"""Fit error of a tool that is bent, or of which markers are hidden in part, m."""
+"""Fit error of a tool that is bent, or whose markers are partly hidden, m."""
 PHANTOM_OFFSET = (0.0, 0.06, 0.0)
-"""How far a reflection beside a marker body moves its pose, m."""
+"""Displacement of a pose by a reflection beside the marker body, in the tracker frame, m."""
 STAMP_OFFSET = 10.0
-"""By how much a wrong stamp is wrong, s."""
+"""Error of a wrong time stamp, s."""
 
 
 @dataclass
 class TrackerFaults:
-    """What is wrong with the tracker now.
+    """Present faults.
 
     Attributes:
-        silent: It sends and answers nothing, as if it were not there.
+        silent: The tracker sends and answers nothing, as if it were absent.
         plugged: The position sensor is connected to the unit that answers.
-        frozen: Frames repeat the last number.
+        frozen: Frames repeat the last number and stamp.
         reversed: Frame numbers and stamps run backwards.
         future: Stamps lie in the future.
-        rate_hz: In place of its own rate.
-        reasons: Bodies that are not measured, and why.
-        not_finite: Bodies whose position is not a number.
-        not_unit: Bodies whose quaternion is none.
-        bad_fit: Bodies that fit badly.
-        wrong_tools: Bodies that carry another tool than the one that is defined.
-        phantoms: Bodies that stand in every other frame where a reflection has them.
-        jumps: Bodies that are seen elsewhere, m.
-        swapped: Two bodies taken for each other.
+        rate_hz: Frame rate that replaces the configured one; None for the configured one.
+        reasons: Bodies that are not measured, with the reason.
+        not_finite: Bodies whose position is not finite.
+        not_unit: Bodies whose quaternion has not length 1.
+        bad_fit: Bodies with a large fit error.
+        wrong_tools: Bodies that carry another tool than the defined one.
+        phantoms: Bodies that a reflection displaces in every other frame.
+        jumps: Bodies that are measured with an offset in the tracker frame, m.
+        swapped: Two bodies whose names are exchanged; None if none are.
     """
 
     silent: bool = False
@@ -63,11 +63,16 @@ class TrackerFaults:
 
     @property
     def sending(self) -> bool:
-        """Whether frames go out at all."""
+        """True if frames are sent."""
         return self.plugged and not self.silent
 
     def distort(self, frame: Sequence[BodyPose], last: Sequence[BodyPose]) -> list[BodyPose]:
-        """The frame as the faulty tracker publishes it after `last`."""
+        """Return a frame as the faulty tracker publishes it.
+
+        Args:
+            frame: Poses of all bodies without faults.
+            last: Frame that was published before; empty before the first.
+        """
         poses = [self._numbered(self._distorted(pose), last) for pose in frame]
         if self.swapped is None:
             return poses

@@ -24,9 +24,7 @@ FEW = Limits(tests=10, seconds=30.0)
 
 @pytest.fixture(scope="module")
 def coverage(tmp_path_factory: pytest.TempPathFactory) -> CoverageMap:
-    return write_map(
-        ["tests/unit/gateway/test_gateway_series.py", BEATS], 0, tmp_path_factory.mktemp("map") / "map.json"
-    )
+    return write_map(["tests/unit/gateway/test_handlers.py", BEATS], 0, tmp_path_factory.mktemp("map") / "map.json")
 
 
 def harmless(name: str, without: str) -> Candidate:
@@ -42,7 +40,7 @@ def harmless(name: str, without: str) -> Candidate:
 def test_a_removed_guard_is_caught_by_a_named_test(coverage: CoverageMap) -> None:
     report = try_mutants(candidates(SHOWN[:1]), coverage, FEW, 1.0, allowed={}, jobs=1, show=lambda _: None)
     assert [each.outcome for each in report.mutants] == ["caught"]
-    assert report.mutants[0].by.partition("::")[0] == "tests/unit/gateway/test_gateway_series.py"
+    assert report.mutants[0].by.partition("::")[0] == "tests/unit/gateway/test_handlers.py"
     assert report.good
 
 
@@ -59,7 +57,7 @@ def test_removed_guard_is_caught_and_harmless_change_is_not(coverage: CoverageMa
     report = try_mutants(mutants, coverage, FEW, 1.0, allowed={}, jobs=1, show=shown.append)
 
     assert [each.outcome for each in report.mutants] == ["caught", "caught", "survived", "broken"]
-    assert {each.by.partition("::")[0] for each in report.mutants[:2]} == {"tests/unit/gateway/test_gateway_series.py"}
+    assert {each.by.partition("::")[0] for each in report.mutants[:2]} == {"tests/unit/gateway/test_handlers.py"}
     assert (report.caught, report.share, report.unfit, report.good) == (2, 0.5, [], False)
     assert shown == report.mutants
 

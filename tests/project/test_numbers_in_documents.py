@@ -86,7 +86,7 @@ def walked(file: str, test: str) -> int:
 
 def compared() -> tuple[int, ...]:
     """Workflows and charts that are compared with python-statemachine, in `make test` and nightly."""
-    scxml, charts = "unit/fsm/test_scxml_peer.py", "unit/fsm/test_exchange_scxml.py"
+    scxml, charts = "unit/authoring/exchange/exporting/test_scxml.py", "unit/authoring/exchange/importing/test_scxml.py"
     return (
         walked(scxml, "test_random_workflows"),
         walked(charts, "test_import_then_export_is_the_identity_on_behaviour"),

@@ -1,1 +1,1 @@
-"""The fault campaign: every fault of the catalogue is injected into a real cell, and its response is checked."""
+"""Fault campaign: injects every fault of the catalogue into a real cell and checks the response."""

@@ -1,4 +1,4 @@
-"""Who was let loose on which way into a cell, and what shows that it has no effect that it must not have."""
+"""Table of attackers and entry points: which tests and catalogue rows show that an attack has no forbidden effect."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ NOT_TRIED = "–"
 
 
 class Attack(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Attackers on ways in.
+    """Attack by some attackers on some entry points.
 
     Attributes:
-        ways: In, as `Attacks.ways` has them.
-        by: Attackers, as `Attacks.attackers` has them.
-        shown_by: Rows of the catalogue, and tests below ``tests/``.
+        ways: Entry points, from `Attacks.ways`.
+        by: Attackers, from `Attacks.attackers`.
+        shown_by: Proofs: rows of the catalogue, and tests below ``tests/``.
     """
 
     ways: list[str]
@@ -29,12 +29,12 @@ class Attack(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Attacks(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """All of them.
+    """All attacks that were tried.
 
     Attributes:
-        ways: Keys, ports, pages and files by which something reaches a cell.
-        attackers: Who or what tries them.
-        attacks: What was tried.
+        ways: Entry points: keys, ports, pages and files through which something reaches a cell.
+        attackers: Persons, programs or devices that try them.
+        attacks: Attacks that were tried.
     """
 
     ways: list[str]
@@ -42,25 +42,30 @@ class Attacks(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     attacks: list[Attack]
 
     def proofs(self, way: str, attacker: str) -> list[str]:
-        """Rows and tests that have this attacker on this way."""
+        """Return the rows and tests that try this attacker on this entry point.
+
+        Args:
+            way: Entry point, one of `ways`.
+            attacker: Attacker, one of `attackers`.
+        """
         found = (each.shown_by for each in self.attacks if way in each.ways and attacker in each.by)
         return list(dict.fromkeys(proof for shown_by in found for proof in shown_by))
 
 
 @cache
 def attacks() -> Attacks:
-    """What was tried."""
+    """Return the attacks of ``attacks.toml``."""
     text = files("pcmrs_lab.campaign").joinpath("attacks.toml").read_text(encoding="utf-8")
     return msgspec.convert(tomllib.loads(text), Attacks)
 
 
 def attacks_as_markdown() -> str:
-    """Table of attackers by ways in: rows of the catalogue, and numbers of the tests that are listed below it."""
+    """Return a Markdown table of attackers by entry points, with their proofs, and the tests below it."""
     known = attacks()
     tests = list(
         dict.fromkeys(each for attack in known.attacks for each in attack.shown_by if not _ROW.fullmatch(each))
     )
-    lines = ["| way in | " + " | ".join(known.attackers) + " |", "| --- " * (len(known.attackers) + 1) + "|"]
+    lines = ["| entry point | " + " | ".join(known.attackers) + " |", "| --- " * (len(known.attackers) + 1) + "|"]
     for way in known.ways:
         cells = (" ".join(_short(known.proofs(way, attacker), tests)) or NOT_TRIED for attacker in known.attackers)
         lines.append(f"| {way} | " + " | ".join(cells) + " |")

@@ -1,6 +1,6 @@
-"""Floods of the bus by somebody who may only watch, from a process of its own: whoever measures is not who floods.
+"""Floods of the bus by a user who may only watch, from a separate process that does not distort measurements.
 
-Each kind is what a single user sends. The user has no lease, and needs no role but to be let onto the bus.
+Each kind is traffic that a single user sends. The user has no lease, and needs no role, only access to the bus.
 """
 
 from __future__ import annotations
@@ -31,27 +31,28 @@ from pcmrs_lab.campaign.sham import is_sham
 
 Kind = Literal["setup", "journal", "stop-puts", "stop-names", "stop-queries", "puts", "rejected"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-AT_ONCE: Final = 100
-"""Requests that wait for their reply at the same time."""
-BURST: Final = 1_000
-"""Puts between two turns of the flooding process."""
-NAMES: Final = 10_000
-"""Different names under which one process puts Stops."""
-LONG: Final = 60_000
-"""Bytes of the arguments of a rejected command."""
-PATIENCE: Final = 10.0
+PARALLEL_REQUESTS: Final = 100
+"""Number of requests that wait for their reply at the same time."""
+BURST_SIZE: Final = 1_000
+"""Number of puts before the flooding process lets its event loop run."""
+STOP_NAMES: Final = 10_000
+"""Number of different names under which one process puts Stops."""
+ARGUMENT_SIZE: Final = 60_000
+"""Size of the arguments of a rejected command, bytes."""
+REPLY_TIMEOUT: Final = 10.0
+"""Time limit for a reply, s of the machine."""
 FLOODER: Final = "eve"
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """What a flood has done.
+class FloodReport:
+    """Result of a flood.
 
     Attributes:
-        sent: Messages.
-        seconds: For how long.
-        answered: Requests that were answered, whatever the answer was.
-        codes: Answers by what they say: the reason of a rejection or error, or ``accepted``.
+        sent: Number of messages that were sent.
+        seconds: Duration, s.
+        answered: Number of requests that were answered, with any result.
+        codes: Number of answers by result: the reason of a rejection or error, or ``accepted``.
     """
 
     sent: int = 0
@@ -65,49 +66,49 @@ class Told:
         return self.sent / self.seconds if self.seconds else 0.0
 
 
-class Flooding:
-    """A flood that runs; `told` is complete once its context has ended."""
+class BusFlood:
+    """Running flood; `report` is complete when its context has ended."""
 
     def __init__(self) -> None:
-        self.told = Told()
+        self.report = FloodReport()
 
 
 @asynccontextmanager
 async def bus_flood(
     kind: Kind, endpoint: str, cell: str, *, user: str = FLOODER, most: int = 0
-) -> AsyncIterator[Flooding]:
-    """Floods the bus of a cell for the length of the context.
+) -> AsyncIterator[BusFlood]:
+    """Flood the bus of a cell for the length of the context.
 
     Args:
-        kind: What is sent.
-        endpoint: Of the bus.
+        kind: Kind of traffic.
+        endpoint: Zenoh endpoint of the bus.
         cell: Name of the cell.
-        user: In the keys.
-        most: Ends by itself after so many messages; 0 for never.
+        user: Name of the sender in the keys.
+        most: Number of messages after which the flood ends by itself; 0 for no limit.
 
     Raises:
-        DeviceError: It does not begin.
+        DeviceError: The flooding process does not start.
     """
     if is_sham():
-        yield Flooding()
+        yield BusFlood()
         return
     words = [kind, "--endpoint", endpoint, "--cell", cell, "--user", user, "--most", str(most)]
     pipe = asyncio.subprocess.PIPE
     process = await asyncio.create_subprocess_exec(sys.executable, "-m", __name__, *words, stdin=pipe, stdout=pipe)
     reader, writer = process.stdout, process.stdin
     if reader is None or writer is None or not await reader.readline():
-        raise DeviceError(f"The flood of {kind} does not begin.")
-    flooding = Flooding()
+        raise DeviceError(f"The flood of {kind} did not start.")
+    flooding = BusFlood()
     try:
         if most:
-            flooding.told = Told(**json.loads(await reader.readline()))
+            flooding.report = FloodReport(**json.loads(await reader.readline()))
         yield flooding
     finally:
         writer.close()
         line = b"" if most else await reader.readline()
         await process.wait()
         if line:
-            flooding.told = Told(**json.loads(line))
+            flooding.report = FloodReport(**json.loads(line))
 
 
 class _Flood:
@@ -121,58 +122,60 @@ class _Flood:
         self._sent = self._answered = 0
         self._codes: dict[str, int] = {}
         self._run: Callable[[], Awaitable[object]] = {
-            "setup": lambda: self._ask(f"svc/setup/{user}", b""),
-            "journal": lambda: self._ask("svc/journal", b'{"limit": 500}'),
-            "stop-puts": lambda: self._put([f"stop/{user}"]),
-            "stop-names": lambda: self._put([f"stop/{user}{number}" for number in range(NAMES)]),
-            "puts": lambda: self._put([f"cmd/{user}/toolplan/plan"]),
-            "stop-queries": lambda: self._ask(f"stop/{user}", b""),
-            "rejected": lambda: self._ask(f"cmd/{user}/toolplan/plan", pack(Envelope(arguments={"text": "x" * LONG}))),
+            "setup": lambda: self._query_in_parallel(f"svc/setup/{user}", b""),
+            "journal": lambda: self._query_in_parallel("svc/journal", b'{"limit": 500}'),
+            "stop-puts": lambda: self._put_in_bursts([f"stop/{user}"]),
+            "stop-names": lambda: self._put_in_bursts([f"stop/{user}{number}" for number in range(STOP_NAMES)]),
+            "puts": lambda: self._put_in_bursts([f"cmd/{user}/toolplan/plan"]),
+            "stop-queries": lambda: self._query_in_parallel(f"stop/{user}", b""),
+            "rejected": lambda: self._query_in_parallel(
+                f"cmd/{user}/toolplan/plan", pack(Envelope(arguments={"text": "x" * ARGUMENT_SIZE}))
+            ),
         }[kind]
 
     def end(self) -> None:
         self._ended.set()
 
     @property
-    def _on(self) -> bool:
+    def _is_active(self) -> bool:
         return not self._ended.is_set() and (not self._most or self._sent < self._most)
 
-    async def run(self) -> Told:
+    async def run(self) -> FloodReport:
         began = time.monotonic()
         await self._run()
         taken = time.monotonic() - began
-        await asyncio.to_thread(self._session.close)  # what is still on its way is sent before it ends
-        return Told(self._sent, taken, self._answered, self._codes)
+        await asyncio.to_thread(self._session.close)  # closing flushes the messages that Zenoh still queues
+        return FloodReport(self._sent, taken, self._answered, self._codes)
 
-    async def _put(self, names: list[str]) -> None:
+    async def _put_in_bursts(self, names: list[str]) -> None:
         keys = [f"{self._prefix}/{name}" for name in names]
-        while self._on:
+        while self._is_active:
             await asyncio.to_thread(self._burst, keys)
 
     def _burst(self, keys: list[str]) -> None:
-        many = min(BURST, self._most - self._sent) if self._most else BURST
+        many = min(BURST_SIZE, self._most - self._sent) if self._most else BURST_SIZE
         for number in range(self._sent, self._sent + many):
             self._session.put(keys[number % len(keys)], b"", congestion_control=zenoh.CongestionControl.BLOCK)
         self._sent += many
 
-    async def _ask(self, key: str, payload: bytes) -> None:
+    async def _query_in_parallel(self, key: str, payload: bytes) -> None:
         async with asyncio.TaskGroup() as tasks:
-            for _ in range(AT_ONCE):
-                tasks.create_task(self._ask_on(f"{self._prefix}/{key}", payload))
+            for _ in range(PARALLEL_REQUESTS):
+                tasks.create_task(self._query_repeatedly(f"{self._prefix}/{key}", payload))
 
-    async def _ask_on(self, key: str, payload: bytes) -> None:
-        while self._on:
+    async def _query_repeatedly(self, key: str, payload: bytes) -> None:
+        while self._is_active:
             self._sent += 1
             try:
-                answer = await send_query(self._session, self._pool, key, payload, PATIENCE, REQUESTS)
-                code = _said(answer)
+                answer = await send_query(self._session, self._pool, key, payload, REPLY_TIMEOUT, REQUESTS)
+                code = _outcome_of(answer)
             except PcmrsError as error:
                 code = str(error.fields.get("reason", error.code))
             self._codes[code] = self._codes.get(code, 0) + 1
             self._answered += code != "unknown_outcome"
 
 
-def _said(answer: bytes) -> str:
+def _outcome_of(answer: bytes) -> str:
     for kind in (Verdict, Stopping):
         try:
             read = unpack(answer, kind)
@@ -185,7 +188,7 @@ def _said(answer: bytes) -> str:
 
 
 def main() -> None:
-    """Floods until standard input ends; prints what was done as one line of JSON."""
+    """Flood until standard input ends and print what was done as one line of JSON."""
     parser = argparse.ArgumentParser()
     parser.add_argument("kind", choices=KINDS)
     parser.add_argument("--endpoint", required=True)
@@ -198,14 +201,17 @@ def main() -> None:
 
 async def _flood(given: argparse.Namespace) -> None:
     flood = _Flood(given.kind, BusSettings(endpoint=given.endpoint, cell=given.cell), given.user, given.most)
+    # The end of standard input stops the flood, so that it never outlives the process that started it.
     asyncio.get_running_loop().add_reader(sys.stdin.fileno(), flood.end)
-    _say("begun")
-    told = await flood.run()
+    _print_line("begun")
+    report = await flood.run()
     asyncio.get_running_loop().remove_reader(sys.stdin.fileno())
-    _say(json.dumps({"sent": told.sent, "seconds": told.seconds, "answered": told.answered, "codes": told.codes}))
+    _print_line(
+        json.dumps({"sent": report.sent, "seconds": report.seconds, "answered": report.answered, "codes": report.codes})
+    )
 
 
-def _say(line: str) -> None:
+def _print_line(line: str) -> None:
     sys.stdout.write(line + "\n")
     sys.stdout.flush()
 

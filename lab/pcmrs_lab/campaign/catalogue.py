@@ -1,4 +1,4 @@
-"""The fault catalogue: every fault, what is required of the system, and what the reference implementation does."""
+"""Fault catalogue: each fault, the required response, and the behaviour of the reference implementation."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ RESPONSES: Mapping[str, str] = {
     "D": "new changes of state refused, Stop and status still work",
     "U": "outcome unknown: the hardware is asked, nothing is repeated blindly",
 }
-"""What the letters in `Row.required` mean."""
+"""Meaning of the letters in `CatalogueRow.required`."""
 
 
-class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"fault_class": "class"}):
+class CatalogueRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"fault_class": "class"}):
     """One fault of the catalogue.
 
     Attributes:
         id: Letter of its class and number, such as ``S3``.
-        fault_class: Who or what fails.
-        title: What happens.
-        required: The response, in words and in the letters of `RESPONSES`.
-        reference: What the reference implementation does instead; empty where nothing wrong is known of it.
+        fault_class: Person or part of the system that fails.
+        title: Description of the fault.
+        required: Required response, in words and in the letters of `RESPONSES`.
+        reference: Known wrong behaviour of the reference implementation; empty if none is known.
     """
 
     id: str
@@ -43,31 +43,35 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"faul
 
 
 class _File(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    faults: list[Row]
+    faults: list[CatalogueRow]
 
 
 @cache
-def catalogue() -> Mapping[str, Row]:
-    """All rows by id, in the catalogue's order."""
+def catalogue() -> Mapping[str, CatalogueRow]:
+    """Return all rows by id, in the order of the catalogue."""
     text = files("pcmrs_lab.campaign").joinpath("catalogue.toml").read_text(encoding="utf-8")
     rows = msgspec.convert(tomllib.loads(text), _File).faults
     return {row.id: row for row in rows}
 
 
-def choose(classes: Collection[str] = (), ids: Collection[str] = ()) -> list[Row]:
-    """The rows of these classes and these ids together; all where neither is named.
+def choose(classes: Collection[str] = (), ids: Collection[str] = ()) -> list[CatalogueRow]:
+    """Return the rows of these classes and of these ids; all rows if neither is given.
+
+    Args:
+        classes: Classes from `CLASSES`.
+        ids: Ids of rows.
 
     Raises:
-        ConfigurationError: There is no such class or id.
+        ConfigurationError: A class or an id is unknown.
     """
     rows = catalogue()
     _refuse_unknown("class", set(classes) - set(CLASSES), ", ".join(CLASSES))
-    _refuse_unknown("fault", set(ids) - rows.keys(), "`pcmrs faults list` has them all")
+    _refuse_unknown("fault", set(ids) - rows.keys(), "`pcmrs faults list` shows all ids")
     everything = not classes and not ids
     return [row for row in rows.values() if everything or row.fault_class in classes or row.id in ids]
 
 
 def _refuse_unknown(what: str, names: Collection[str], known: str) -> None:
     if names:
-        text = f"There is no {what} {', '.join(sorted(names))} in the catalogue: {known}."
+        text = f"Unknown {what} {', '.join(sorted(names))}: {known}."
         raise ConfigurationError(text, unknown=sorted(names))

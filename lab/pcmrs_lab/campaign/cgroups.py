@@ -1,4 +1,4 @@
-"""Limits on processor and memory of a process, by control groups of version 1 or 2."""
+"""Limits on processor time and memory of processes, by Linux control groups of version 1 or 2."""
 
 from __future__ import annotations
 
@@ -15,15 +15,19 @@ from pcmrs_lab.campaign.sham import is_sham
 MOUNTED = Path("/sys/fs/cgroup")
 PERIOD_US = 100_000
 REALTIME_PERIOD_US = 1_000_000
-"""The kernel's own."""
+"""Default period of the kernel for the real-time policy."""
 
 
 @contextmanager
 def processor_quota(pids: Sequence[int], share: float) -> Iterator[None]:
-    """The processes together get `share` of one processor, in periods of 0.1 s.
+    """Limit the processor time of processes together, in periods of 0.1 s, for the length of the context.
 
-    A kernel that has groups for the real-time policy (version 1) gives threads with that policy the same share, in
-    periods of 1 s, and refuses processes that have some where the group has none.
+    A kernel with groups for the real-time policy (version 1) gives threads with that policy the same share, in periods
+    of 1 s. It refuses processes with such threads if the group has no share for them.
+
+    Args:
+        pids: Ids of the processes.
+        share: Share of one processor.
     """
     quota = max(1000, int(share * PERIOD_US))
     first = {"cpu.cfs_period_us": str(PERIOD_US), "cpu.cfs_quota_us": str(quota)}
@@ -35,10 +39,14 @@ def processor_quota(pids: Sequence[int], share: float) -> Iterator[None]:
 
 @contextmanager
 def memory_limit(pids: Sequence[int], limit: int) -> Iterator[Callable[[], int]]:
-    """The processes together may not take more than `limit` bytes from now on; one that does is killed.
+    """Limit the memory of processes together for the length of the context; the kernel kills a process that exceeds it.
+
+    Args:
+        pids: Ids of the processes.
+        limit: Limit, bytes. Only memory that is allocated from now on counts.
 
     Yields:
-        How many the kernel has killed for that until now.
+        Function that returns how many processes the kernel has killed for it.
     """
     with _group("memory", {"memory.limit_in_bytes": str(limit)}, {"memory.max": str(limit)}, pids) as folder:
         yield partial(_killed, folder)
@@ -46,9 +54,9 @@ def memory_limit(pids: Sequence[int], limit: int) -> Iterator[Callable[[], int]]
 
 @contextmanager
 def _group(controller: str, first: dict[str, str], second: dict[str, str], pids: Sequence[int]) -> Iterator[Path]:
-    """A group of its own with its settings, those of version 1 or those of version 2; empty and gone at the end.
+    """Make a control group with its settings, those of version 1 or those of version 2, and remove it at the end.
 
-    In a sham campaign nobody is in it. Yields its folder.
+    It stays empty in a sham campaign. Yields its folder.
     """
     own = MOUNTED / controller
     parent, settings = (own, first) if own.is_dir() else (MOUNTED, second)
@@ -67,7 +75,7 @@ def _group(controller: str, first: dict[str, str], second: dict[str, str], pids:
 
 
 def _killed(folder: Path) -> int:
-    """How many processes of a group the kernel has killed for want of memory; 0 where it does not count."""
+    """Return how many processes of a group the kernel has killed for lack of memory; 0 if it does not count them."""
     for file in ("memory.events", "memory.oom_control"):
         if (folder / file).exists():
             lines = (line.split() for line in (folder / file).read_text().splitlines())
@@ -81,12 +89,12 @@ def _dissolve(folder: Path, parent: Path) -> None:
             try:
                 (parent / "cgroup.procs").write_text(pid)
             except OSError:
-                continue  # it has ended meanwhile
+                continue  # the process has ended meanwhile
         folder.rmdir()
 
 
 def _is_there(controller: str) -> bool:
-    """Whether the kernel has groups for this, of version 1 or of version 2."""
+    """Return whether the kernel has groups for this, of version 1 or of version 2."""
     if (MOUNTED / controller).is_dir():
         return True
     try:
@@ -97,4 +105,4 @@ def _is_there(controller: str) -> bool:
 
 PROCESSOR = (Need("control groups for the processor", lambda: _is_there("cpu")), ROOT)
 MEMORY = (Need("control groups for memory", lambda: _is_there("memory")), ROOT)
-"""What the two limits need."""
+"""Requirements of the two limits."""

@@ -1,4 +1,4 @@
-"""The required responses as checks: what is seen instead is said in `Unmet`."""
+"""Checks of the required responses; a difference is reported as `Unmet`."""
 
 from __future__ import annotations
 
@@ -20,28 +20,38 @@ if TYPE_CHECKING:
     from pcmrs.testing.cell import RunningCell
 
 STANDS_WITHIN = 2e-4
-"""An arm that has gone less than this during `LOOK` stands, m; the simulated one is held by its brakes."""
+"""Largest displacement of a standing arm during `LOOK`, m; brakes hold the simulated arm."""
 
 LOOK = 0.5
+"""Time over which an arm is observed, s of the machine."""
 BRAKING = 1.0
-"""Any motion has ended so long after it was stopped, s of the machine."""
+"""Time after which every stopped motion has ended, s of the machine."""
 
 NO_MOTION = 2e-3
-"""A joint that has gone less than this was not moved, rad."""
+"""Largest displacement of a joint that was not moved, rad."""
 
 
 def shape(snapshot: Snapshot) -> bytes:
-    """What of a snapshot must not change: all but what activities show of themselves, and what runs."""
+    """Return the part of a snapshot that must not change: everything except running operations and activities."""
     return msgspec.json.encode(msgspec.structs.replace(snapshot, running=[], activities=[]))
 
 
 async def refused(
     cell: RunningCell, name: str, arguments: dict[str, Any] | None = None, *, codes: Iterable[str]
 ) -> Verdict:
-    """Response R: a command is rejected with one of `codes`, nothing has changed, and the journal has it.
+    """Check response R: a command is rejected with one of `codes`, changes nothing, and is journalled.
+
+    Args:
+        cell: Cell that receives the command.
+        name: Operation, ``branch.operation``.
+        arguments: Arguments of the operation.
+        codes: Permitted reason codes.
+
+    Returns:
+        Verdict of the rejection.
 
     Raises:
-        Unmet: It was not so.
+        Unmet: The command was not rejected like this.
     """
     before, row = await cell.client.state(), cell.last_row()
     verdict = await cell.client.call(name, arguments)
@@ -50,10 +60,16 @@ async def refused(
 
 
 async def refused_at_edge(cell: RunningCell, name: str, arguments: dict[str, Any], *, code: str) -> None:
-    """A command that is none is rejected by the bus with `code`, and nothing has changed; see `reported`.
+    """Check that the bus rejects a malformed command with `code` and that nothing has changed; see `reported`.
+
+    Args:
+        cell: Cell that receives the command.
+        name: Operation, ``branch.operation``.
+        arguments: Arguments of the operation.
+        code: Required reason code.
 
     Raises:
-        Unmet: It was not so.
+        Unmet: The command was not rejected like this.
     """
     before = await cell.client.state()
     verdict = await cell.client.call(name, arguments)
@@ -61,12 +77,22 @@ async def refused_at_edge(cell: RunningCell, name: str, arguments: dict[str, Any
 
 
 async def reported(cell: RunningCell, after: int, *, edge: str, code: str, count: int) -> int:
-    """The journal's reports of what an edge has refused with `code` come to `count`, which is returned.
+    """Wait until the journal reports `count` commands that an edge has refused with `code`.
 
-    They come at a bounded rate.
+    The edges report refusals at a bounded rate.
+
+    Args:
+        cell: Cell with the journal.
+        after: Sequence number after which rows count.
+        edge: Source that reports, such as ``bus``.
+        code: Reason code.
+        count: Expected number.
+
+    Returns:
+        `count`.
 
     Raises:
-        Unmet: They did not within `PATIENCE`.
+        Unmet: The number was not reached within `PATIENCE`.
     """
     found = 0
     with suppress(TimeoutError):
@@ -76,7 +102,7 @@ async def reported(cell: RunningCell, after: int, *, edge: str, code: str, count
                 if found == count:
                     return found
                 await asyncio.sleep(0.5)
-    raise Unmet(f"The journal tells of {found} commands that the {edge} has refused as {code}, not {count}.")
+    raise Unmet(f"The journal has {found} commands that {edge} refused as {code}; expected {count}.")
 
 
 def _refused_by(row: JournalRow, edge: str, code: str) -> int:
@@ -86,10 +112,17 @@ def _refused_by(row: JournalRow, edge: str, code: str) -> int:
 
 
 async def check_refused(cell: RunningCell, verdict: Verdict, before: Snapshot, row: int, codes: Iterable[str]) -> None:
-    """Checks response R of a verdict: `before` and `row` are snapshot and last row of the journal before the command.
+    """Check response R of a verdict.
+
+    Args:
+        cell: Cell that gave the verdict.
+        verdict: Verdict on the command.
+        before: Snapshot before the command.
+        row: Last row of the journal before the command.
+        codes: Permitted reason codes.
 
     Raises:
-        Unmet: It was not refused so, something changed, or the journal does not have it.
+        Unmet: The command was not refused like this, something changed, or the journal does not have the verdict.
     """
     await _check_rejected(cell, verdict, before, codes)
     if not any(stored.verdict == verdict for stored in cell.rows(row)):
@@ -107,15 +140,15 @@ async def _check_rejected(cell: RunningCell, verdict: Verdict, before: Snapshot,
 
 
 async def held(cell: RunningCell, placements: Iterable[str] = ("held",), within: float = PATIENCE) -> None:
-    """Response H: the tool is held, the latch is set, the arm truly stands, and it does not move until confirmed.
+    """Check response H: the tool is held, the latch is set, the arm stands, and it does not move until confirmed.
 
     Args:
-        cell: Whose.
-        placements: States of the placement, one of which it must be in.
-        within: By then it is so, s of the machine.
+        cell: Cell with the arm.
+        placements: Permitted states of the placement.
+        within: Time limit, s of the machine.
 
     Raises:
-        Unmet: It was not so.
+        Unmet: The response was not as required.
     """
     known = tuple(placements)
     await until(cell.client, lambda shown: shown.latched and shown.branches["placement"] in known, within)
@@ -125,10 +158,10 @@ async def held(cell: RunningCell, placements: Iterable[str] = ("held",), within:
 
 
 async def stands(cell: RunningCell) -> float:
-    """Checks by the simulation's truth that the arm stands; returns how far it went during `LOOK`, m.
+    """Check by the simulator's ground truth that the arm stands, and return its displacement during `LOOK`, m.
 
     Raises:
-        Unmet: It moves.
+        Unmet: The arm moves.
     """
     await asyncio.sleep(BRAKING)
     before = await tool_position(cell)
@@ -138,10 +171,10 @@ async def stands(cell: RunningCell) -> float:
 
 @asynccontextmanager
 async def unmoved(cell: RunningCell) -> AsyncIterator[None]:
-    """Checks by the simulation's truth that an arm at rest is after `LOOK` where it was when the context began.
+    """Check by the simulator's ground truth that a resting arm is after `LOOK` where it was when the context began.
 
     Raises:
-        Unmet: It is not.
+        Unmet: The arm is elsewhere.
     """
     before = await tool_position(cell)
     yield
@@ -151,13 +184,13 @@ async def unmoved(cell: RunningCell) -> AsyncIterator[None]:
 
 @asynccontextmanager
 async def standing(cell: RunningCell) -> AsyncIterator[list[float]]:
-    """Checks by all published joints that none moves during the context, and a second after it.
+    """Check by all published joints that none moves during the context and for a second after it.
 
     Yields:
-        Where the largest displacement is put at the end, rad.
+        List that receives the largest displacement at the end, rad.
 
     Raises:
-        Unmet: One has moved, or none was published.
+        Unmet: A joint has moved, or no joints were published.
     """
     found: list[float] = []
     seen: list[tuple[float, ...]] = []
@@ -169,37 +202,45 @@ async def standing(cell: RunningCell) -> AsyncIterator[list[float]]:
         await end()
     if len(seen) < 2:
         raise Unmet("The arm's joints were not published.")
-    found.append(max(abs(now - begun) for joints in seen for now, begun in zip(joints, seen[0], strict=True)))
+    found.append(max(abs(now - first) for joints in seen for now, first in zip(joints, seen[0], strict=True)))
     if found[0] > NO_MOTION:
-        raise Unmet(f"A joint has moved by {math.degrees(found[0]):.1f}° while nothing may move.")
+        raise Unmet(f"A joint moved by {math.degrees(found[0]):.1f}° although no motion is allowed.")
 
 
 async def tool_position(cell: RunningCell) -> tuple[float, float, float]:
-    """Where the tool truly is, in the tracker's frame, m."""
+    """Return the true position of the tool in the tracker frame, m."""
     return (await cell.scene.truth()).tracker_from_coil.position
 
 
 async def _still_at(before: tuple[float, float, float], cell: RunningCell) -> float:
-    way = math.dist(before, await tool_position(cell))
-    if way > STANDS_WITHIN:
-        raise Unmet(f"The arm has moved by {way * 1e3:.2f} mm.")
-    return way
+    displacement = math.dist(before, await tool_position(cell))
+    if displacement > STANDS_WITHIN:
+        raise Unmet(f"The arm has moved by {displacement * 1e3:.2f} mm.")
+    return displacement
 
 
 async def confirmed(cell: RunningCell) -> None:
-    """Nothing went on by itself; after the operator has confirmed, the tool can be withdrawn.
+    """Check that nothing continued by itself, and that the tool can be withdrawn after the operator has confirmed.
 
     Raises:
-        Unmet: The latch was gone, or confirming or withdrawing was not accepted.
+        Unmet: The latch was released, or confirming or withdrawing was not accepted.
     """
     if not (await cell.client.state()).latched:
-        raise Unmet("The latch is gone, and nobody has confirmed.")
+        raise Unmet("The latch was released although nobody confirmed.")
     await accept(cell.client, "robot.acknowledge")
     if (await cell.client.state()).branches["placement"] == "held":
         await accept(cell.client, "placement.back_off")
 
 
 def expect(truth: bool, text: str) -> None:
-    """Raises `Unmet` with the text unless it is so."""
+    """Raise `Unmet` with a text unless a condition holds.
+
+    Args:
+        truth: Condition.
+        text: Description of what is wrong if it does not hold.
+
+    Raises:
+        Unmet: The condition does not hold.
+    """
     if not truth:
         raise Unmet(text)

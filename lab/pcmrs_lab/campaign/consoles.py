@@ -1,4 +1,4 @@
-"""Consoles as processes, and requests to them that no page has made."""
+"""Consoles as processes, and requests to them that do not come from their page."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from pcmrs_lab.campaign.checks import expect
 from pcmrs_lab.campaign.needs import module
 
 CONSOLE: Final = module("nicegui")
-"""What a console needs of the machine."""
+"""Requirement of a console on the machine."""
 START_TIME: Final = 60.0
 END_TIME: Final = 15.0
 ANSWERED_WITHIN: Final = 60.0
-"""A request is answered within this, s of the machine."""
-_TOKEN: Final = "token-of-the-campaign"  # noqa: S105  # of its own consoles
+"""Time limit for an answer, s of the machine."""
+_TOKEN: Final = "token-of-the-campaign"  # noqa: S105  # of consoles that the campaign starts
 
 
 @dataclass(frozen=True, slots=True)
 class RunningConsole:
-    """A console that serves.
+    """Console that serves its page.
 
     Attributes:
-        process: Its process.
-        port: At which it listens on loopback.
-        uploads: Folder for what is uploaded, of consoles at all ports.
+        process: Process of the console.
+        port: Port on loopback.
+        uploads: Folder for uploaded files, shared by consoles at all ports.
     """
 
     process: asyncio.subprocess.Process
@@ -44,18 +44,18 @@ class RunningConsole:
     uploads: Path
 
     async def request(self, head: str, *headers: str, body: Iterable[bytes] = ()) -> tuple[int, bytes]:
-        """Sends a request as a program that has the token; returns status and body of the answer.
+        """Send a request as a program that has the token, and return status and body of the answer.
 
         Args:
             head: Method and path.
-            headers: Further ones.
-            body: Pieces, which are sent as they are.
+            headers: Further header lines.
+            body: Pieces of the body, sent unchanged.
 
         Returns:
-            0 and nothing where the connection is ended without an answer.
+            Status and body; 0 and an empty body if the connection ends without an answer.
 
         Raises:
-            Unmet: It is not answered in time.
+            Unmet: The request is not answered in time.
         """
         name = f"{HOST}:{self.port}"
         own = (f"{head} HTTP/1.1", f"Host: {name}", f"Cookie: {cookie_name(name)}={_TOKEN}", "Connection: close")
@@ -66,18 +66,24 @@ class RunningConsole:
                 for piece in body:
                     writer.write(piece)
                     await writer.drain()
-                told, _, answer = (await reader.read()).partition(b"\r\n\r\n")
+                status_line, _, answer = (await reader.read()).partition(b"\r\n\r\n")
         except TimeoutError:
             raise Unmet(f"{head} was not answered within {ANSWERED_WITHIN:g} s.") from None
         except ConnectionError:
             return 0, b""
         finally:
             writer.close()
-        return (int(told.split()[1]) if told else 0), answer
+        return (int(status_line.split()[1]) if status_line else 0), answer
 
 
 def console_command(cell: RunningCell, port: int, token: Path) -> list[str]:
-    """The command line of a console of the cell; port 0 takes a free one."""
+    """Return the command line of a console for a cell.
+
+    Args:
+        cell: Cell that the console shows.
+        port: Port on loopback; 0 for a free one.
+        token: File with the token.
+    """
     _, site, name = cell.ready.prefix.split("/")
     words = ("--endpoint", cell.ready.endpoint, "--site", site, "--cell", name, "--port", str(port), "--json")
     return [sys.executable, "-m", "pcmrs.cli", "console", *words, "--token-file", str(token)]
@@ -85,15 +91,18 @@ def console_command(cell: RunningCell, port: int, token: Path) -> list[str]:
 
 @asynccontextmanager
 async def running_console(cell: RunningCell, folder: Path, port: int) -> AsyncIterator[RunningConsole]:
-    """A console of the cell for the length of the context.
+    """Run a console of a cell for the length of the context.
 
     Args:
-        cell: Which it shows.
-        folder: For its token and its log, and in place of the user's cache.
-        port: A free one.
+        cell: Cell that the console shows.
+        folder: Folder for its token and its log, used in place of the user's cache.
+        port: Free port on loopback.
+
+    Yields:
+        Running console.
 
     Raises:
-        Unmet: It does not serve within `START_TIME`.
+        Unmet: The console does not serve within `START_TIME`.
     """
     token = folder / "console.token"
     token.write_text(_TOKEN)
@@ -116,7 +125,7 @@ async def _until_served(process: asyncio.subprocess.Process) -> None:
     assert process.stdout is not None
     try:
         async with asyncio.timeout(START_TIME):
-            said = await process.stdout.readline()
+            line = await process.stdout.readline()
     except TimeoutError:
-        raise Unmet(f"The console does not serve within {START_TIME:g} s.") from None
-    expect(b'"url"' in said, f"The console has not started: {said.decode(errors='replace')}")
+        raise Unmet(f"The console did not serve its page within {START_TIME:g} s.") from None
+    expect(b'"url"' in line, f"The console did not start: {line.decode(errors='replace')}")

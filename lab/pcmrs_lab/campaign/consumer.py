@@ -1,9 +1,9 @@
-"""A slow consumer: a process of its own that hears the poses of a cell, and takes none for as long as it is told.
+"""Slow consumer: a separate process that subscribes to the poses of a cell and reads none until it is resumed.
 
     python -m pcmrs_lab.campaign.consumer ENDPOINT CELL busy|idle
 
-It prints a line when the first pose has come, keeps its event loop busy or idle until it is sent a line, and prints
-`Heard`.
+It prints a line when it has received the first pose, keeps its event loop busy or idle until it receives a line, and
+prints a `ConsumerReport`.
 """
 
 from __future__ import annotations
@@ -25,75 +25,76 @@ from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.driving import PATIENCE
 from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.samples import process_state
-from pcmrs_lab.campaign.sham import bring_about, is_sham
+from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
 
 Manner = Literal["frozen", "busy", "idle"]
-"""Nothing of a consumer runs, so that it does not even read its socket; its event loop is busy; or it has time."""
+"""State of a consumer: frozen (stopped by a signal, so its socket is not read), busy (its event loop is blocked), or
+idle."""
 
 POSES = "state/pose/coil"
 SETTLING = 0.2
-"""What has waited in its socket was read within this, s of the machine."""
+"""Time in which the messages that wait in the socket are read, s of the machine."""
 
 
-class Heard(msgspec.Struct, frozen=True):
-    """What has become of the poses that were sent.
+class ConsumerReport(msgspec.Struct, frozen=True):
+    """Number of poses that were sent, received and dropped.
 
     Attributes:
-        sent: By their frame numbers, from the first that was heard to the last.
-        heard: Of these.
-        counted: As dropped, by the bus of the consumer.
-        was: State of its process before it was let go on, as the kernel has it; T is stopped.
+        sent: Poses that were sent from the first that was received to the last, by their frame numbers.
+        received: Poses of these that were received.
+        counted: Poses that the consumer's bus counted as dropped.
+        was: State of the process before it was resumed, as the kernel reports it; T is stopped.
     """
 
     sent: int
-    heard: int
+    received: int
     counted: int
     was: str = ""
 
     @property
     def lost(self) -> int:
-        """Sent and not heard."""
-        return self.sent - self.heard
+        """Number of poses that were sent and not received."""
+        return self.sent - self.received
 
 
 @asynccontextmanager
-async def consumer(cell: RunningCell, manner: Manner) -> AsyncIterator[Callable[[], Awaitable[Heard]]]:
-    """A consumer that takes nothing from now on, or everything where it is idle; in a sham campaign it is always idle.
+async def consumer(cell: RunningCell, manner: Manner) -> AsyncIterator[Callable[[], Awaitable[ConsumerReport]]]:
+    """Start a consumer that reads nothing from now on, or everything if it is idle, as always in a sham campaign.
 
     Args:
-        cell: Whose poses it hears.
-        manner: What keeps it.
+        cell: Cell whose poses it subscribes to.
+        manner: State in which it is kept.
 
     Yields:
-        Lets it go on, and returns what it has heard.
+        Function that resumes it and returns its report.
 
     Raises:
-        Unmet: It hears nothing, or has ended.
+        Unmet: It receives nothing, or has ended.
     """
     pipe = asyncio.subprocess.PIPE
-    kept = "busy" if manner == "busy" and not is_sham() else "idle"
-    words = (sys.executable, "-m", "pcmrs_lab.campaign.consumer", cell.ready.endpoint, cell.name, kept)
+    state = "busy" if manner == "busy" and not is_sham() else "idle"
+    words = (sys.executable, "-m", "pcmrs_lab.campaign.consumer", cell.ready.endpoint, cell.name, state)
     process = await asyncio.create_subprocess_exec(*words, stdin=pipe, stdout=pipe)
 
-    async def go_on() -> Heard:
+    async def resume() -> ConsumerReport:
         was = process_state(process.pid)
         process.send_signal(signal.SIGCONT)
-        heard = msgspec.json.decode(await _line(process, b"\n"), type=Heard)
-        return msgspec.structs.replace(heard, was=was)
+        received = msgspec.json.decode(await _line(process, b"\n"), type=ConsumerReport)
+        return msgspec.structs.replace(received, was=was)
 
     try:
         await _line(process, b"")
         if manner == "frozen":
-            bring_about(lambda: os.kill(process.pid, signal.SIGSTOP))
-        yield go_on
+            inject_unless_sham(lambda: os.kill(process.pid, signal.SIGSTOP))
+        yield resume
     finally:
         await kill_and_wait(process)
 
 
-async def _line(process: asyncio.subprocess.Process, told: bytes) -> bytes:
+async def _line(process: asyncio.subprocess.Process, text: bytes) -> bytes:
     if process.stdin is None or process.stdout is None:
         raise ValueError("The consumer has no pipes.")
-    process.stdin.write(told)
+    process.stdin.write(text)
     async with asyncio.timeout(PATIENCE):
         line = await process.stdout.readline()
     if not line:
@@ -101,35 +102,44 @@ async def _line(process: asyncio.subprocess.Process, told: bytes) -> bytes:
     return line
 
 
-async def consume(endpoint: str, cell: str, manner: str) -> Heard:
-    """Hears poses, none while nobody has sent a line unless it is idle, and then what is left of them."""
+async def consume(endpoint: str, cell: str, manner: str) -> ConsumerReport:
+    """Receive poses; unless idle, read none until a line is received, and then the rest.
+
+    Args:
+        endpoint: Zenoh endpoint of the bus.
+        cell: Name of the cell.
+        manner: ``busy`` or ``idle``.
+
+    Returns:
+        Number of poses that were sent, received and dropped.
+    """
     bus = await Bus.open(BusSettings(endpoint=endpoint, cell=cell))
     frames: list[int] = []
-    hears = asyncio.Event()
+    ready = asyncio.Event()
 
-    def hear(_: str, pose: BodyPose) -> None:
+    def receive(_: str, pose: BodyPose) -> None:
         frames.append(pose.frame_number)
-        hears.set()
+        ready.set()
 
-    end = bus.subscribe(POSES, BodyPose, hear)
-    await hears.wait()
+    end = bus.subscribe(POSES, BodyPose, receive)
+    await ready.wait()
     before, first = bus.counters()["bus.replaced"], len(frames) - 1
-    _tell(b"hears")
+    _print_line(b"ready")
     if manner == "idle":
         await asyncio.to_thread(sys.stdin.readline)
     else:
-        sys.stdin.readline()  # in the event loop, for that very reason: it has no time for anything else
+        sys.stdin.readline()  # blocks the event loop on purpose
     await asyncio.sleep(SETTLING)
     await end()
     counted = bus.counters()["bus.replaced"] - before
     await bus.close()
-    return Heard(frames[-1] - frames[first] + 1, len(frames) - first, counted)
+    return ConsumerReport(frames[-1] - frames[first] + 1, len(frames) - first, counted)
 
 
-def _tell(line: bytes) -> None:
+def _print_line(line: bytes) -> None:
     sys.stdout.buffer.write(line + b"\n")
     sys.stdout.flush()
 
 
 if __name__ == "__main__":
-    _tell(msgspec.json.encode(asyncio.run(consume(*sys.argv[1:]))))
+    _print_line(msgspec.json.encode(asyncio.run(consume(*sys.argv[1:]))))

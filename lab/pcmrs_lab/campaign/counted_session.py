@@ -1,4 +1,4 @@
-"""A session of somebody who attacks a reachable cell, and how many of its bytes get to the daemon."""
+"""Session of an attacker at a reachable cell, which counts the bytes that reach the daemon."""
 
 from __future__ import annotations
 
@@ -18,82 +18,104 @@ from pcmrs_lab.campaign.sham import is_sham
 from pcmrs_lab.campaign.waiting import until_true
 
 ANSWERED_WITHIN = 0.5
-"""Whoever answers does so within this, s of the machine."""
+"""Time in which a component that answers at all has answered, s of the machine."""
 ARRIVED_WITHIN = 5.0
+"""Time limit for the bytes to reach the daemon, s of the machine."""
 SETTLED = 0.3
-"""A link over which nothing went for so long has been opened, s of the machine."""
+"""A link without traffic for this time has completed its handshake, s of the machine."""
 
 
 class CountedSession:
-    """Sends what is the fault: in a sham campaign nothing, and then nothing arrives. Use `counted_session`.
+    """Session whose messages are the fault: it sends nothing in a sham campaign. Use `counted_session`.
 
     Attributes:
-        zenoh: The session, for what is no fault.
+        zenoh: Session for messages that are not part of the fault.
     """
 
-    def __init__(self, session: zenoh.Session, weather: NetworkImpairment) -> None:
+    def __init__(self, session: zenoh.Session, impairment: NetworkImpairment) -> None:
         self.zenoh = session
-        self._weather = weather
-        self._before = weather.passed["towards"]
+        self._impairment = impairment
+        self._before = impairment.passed["towards"]
         self._sent = 0
 
-    async def settled(self) -> None:
-        """Waits until the handshake is over, and counts from then on."""
+    async def wait_for_handshake(self) -> None:
+        """Wait until the handshake has ended, and count from then on."""
         before = -1
-        while before != self._weather.passed["towards"]:
-            before = self._weather.passed["towards"]
+        while before != self._impairment.passed["towards"]:
+            before = self._impairment.passed["towards"]
             await asyncio.sleep(SETTLED)
         self._before = before
 
     async def put(self, key: str, payload: bytes) -> None:
-        """Puts a message, however long that takes."""
+        """Put a message, and block until it is sent.
+
+        Args:
+            key: Zenoh key.
+            payload: Bytes of the message.
+        """
         self._sent += len(key) + len(payload)
         if not is_sham():
             block = zenoh.CongestionControl.BLOCK
             await asyncio.to_thread(self.zenoh.put, key, payload, congestion_control=block)
 
     async def delete(self, key: str) -> None:
-        """Deletes a key."""
+        """Delete a key."""
         self._sent += len(key)
         if not is_sham():
             await asyncio.to_thread(self.zenoh.delete, key)
 
     async def ask(self, key: str, payload: bytes) -> list[bytes]:
-        """The answers that are no errors."""
+        """Query a key and return the answers without the errors.
+
+        Args:
+            key: Zenoh key.
+            payload: Bytes of the query.
+        """
         self._sent += len(key) + len(payload)
         if is_sham():
             return []
         replies: Any = self.zenoh.get(key, payload=payload, timeout=ANSWERED_WITHIN)
         return [each.ok.payload.to_bytes() for each in await asyncio.to_thread(list, replies) if each.ok is not None]
 
-    async def arrived(self, most: int | None = None) -> int:
-        """Bytes that have got to the daemon since the session was opened: all that was sent, and how it is wrapped.
+    async def wait_until_arrived(self, most: int | None = None) -> int:
+        """Wait until all sent bytes have reached the daemon; return their number, with the protocol's overhead.
 
         Args:
-            most: The daemon closes the link when it has had so many; None when it takes all.
+            most: Number of bytes after which the daemon closes the link; None if it accepts all.
 
         Raises:
-            Unmet: Less has arrived.
+            Unmet: Fewer bytes have arrived.
         """
         wanted = self._sent if most is None else most
-        missing = f"The fault did not take place: fewer than {wanted} bytes have got to the daemon"
+        missing = f"The fault was not injected: fewer than {wanted} bytes reached the daemon"
         await until_true(lambda: self._passed >= wanted, missing, ARRIVED_WITHIN)
         return self._passed
 
     @property
     def _passed(self) -> int:
-        return self._weather.passed["towards"] - self._before
+        return self._impairment.passed["towards"] - self._before
 
 
 @asynccontextmanager
 async def counted_session(open_cell: ReachableCell, name: str) -> AsyncIterator[CountedSession]:
-    """A session of somebody's, over a proxy that counts. Raises `BusError` when they are not let in."""
-    async with counting_endpoint(open_cell) as (endpoint, weather):
+    """Open the session of a user over a proxy that counts bytes.
+
+    Args:
+        open_cell: Cell that is reachable over TLS.
+        name: User, a key of `PEOPLE` or a name beside it.
+
+    Yields:
+        Session after its handshake.
+
+    Raises:
+        BusError: The user is not admitted.
+    """
+    async with counting_endpoint(open_cell) as (endpoint, impairment):
         settings = msgspec.structs.replace(open_cell.settings(name), endpoint=endpoint)
         session = await asyncio.to_thread(open_session, settings)
         try:
-            counted = CountedSession(session, weather)
-            await counted.settled()
+            counted = CountedSession(session, impairment)
+            await counted.wait_for_handshake()
             yield counted
         finally:
             await asyncio.to_thread(session.close)
@@ -101,7 +123,7 @@ async def counted_session(open_cell: ReachableCell, name: str) -> AsyncIterator[
 
 @asynccontextmanager
 async def counting_endpoint(open_cell: ReachableCell) -> AsyncIterator[tuple[str, NetworkImpairment]]:
-    """Where somebody dials the cell by way of a proxy, and what has passed it."""
-    weather = NetworkImpairment()
-    async with tcp_proxy(open_cell.address, weather) as (near, proxied):
-        yield f"tls/{near}:{proxied}", weather
+    """Start a counting proxy in front of a cell; yield the endpoint of the proxy and its counters."""
+    impairment = NetworkImpairment()
+    async with tcp_proxy(open_cell.address, impairment) as (near, proxied):
+        yield f"tls/{near}:{proxied}", impairment

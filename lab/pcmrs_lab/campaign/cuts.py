@@ -1,4 +1,4 @@
-"""Journals whose files were cut, bent, or lost their power: whatever is missing must be said, never passed over."""
+"""Journals with cut or changed files, or after a power loss: missing rows must be reported, never silently ignored."""
 
 from __future__ import annotations
 
@@ -16,36 +16,37 @@ from pcmrs.journal import Journal, JournalReader, StoredRow
 from pcmrs.testing.errors import Unmet
 from pcmrs.testing.journal import NAME, contents, place
 from pcmrs_lab.campaign.damage import damages
-from pcmrs_lab.campaign.journal_recovery_check import check_sound, missing_rows, taken_up
+from pcmrs_lab.campaign.journal_recovery_check import check_sound, is_recovered, missing_rows
 from pcmrs_lab.campaign.power_loss import power_cuts
 from pcmrs_lab.campaign.sham import is_sham
 from pcmrs_lab.campaign.syscall_trace import trace_journal
 from pcmrs_lab.campaign.writing import row
 
 ROWS = 60
-"""Of the journal that is damaged; some of them are in the database, some in the write-ahead log only."""
+"""Number of rows of the journal that is damaged; some are in the database, some only in the write-ahead log."""
 
 COMMITS = 400
-"""Of the writer whose power is cut: enough for the write-ahead log to be taken into the database."""
+"""Commits of the writer whose power is cut: enough for SQLite to move the write-ahead log into the database."""
 
 ShowProgress = Callable[[str, int, int], None]
 
 
 class CutReport(msgspec.Struct, frozen=True):
-    """What was found.
+    """Result of damaged journals or power cuts.
 
     Attributes:
-        what: Was done to the files.
-        tried: So many damaged journals were opened.
-        acknowledged: Rows that each, or all power cuts together, had to have.
-        reported: Journals that were refused with their reason.
-        unaffected: Journals that had all rows.
-        lost: Acknowledged rows that were missing after power cuts.
-        silent: Damage that nobody reported: rows were missing or others.
-        broken: Errors that were none of the journal's.
-        changed: Journals whose files, read back, were others than before.
-        whole: Undamaged journals, opened for the control, that had all rows.
-        seconds: s of the machine.
+        what: Kind of damage.
+        tried: Number of damaged journals that were opened.
+        acknowledged: Rows that each journal, or all power cuts together, must have.
+        reported: Number of journals that were refused with their reason.
+        unaffected: Number of journals with all rows.
+        lost: Number of acknowledged rows that were missing after power cuts.
+        silent: Damage that was not reported although rows were missing or changed.
+        broken: Unexpected errors.
+        changed: Number of journals whose files differed when read back.
+        whole: Number of undamaged journals, opened as a control, that had all rows.
+        seconds: Duration, s of the machine.
+        seed: Seed of the random damage.
     """
 
     what: str
@@ -63,7 +64,7 @@ class CutReport(msgspec.Struct, frozen=True):
 
     @property
     def violated(self) -> bool:
-        """Whether a loss was silent, or an error unexpected."""
+        """True if a loss was silent, or an error unexpected."""
         return bool(self.silent or self.broken or self.lost)
 
 
@@ -76,17 +77,21 @@ def cut_and_flip(
     minutes: float | None = None,
     progress: ShowProgress = lambda *_: None,
 ) -> CutReport:
-    """Damages copies of the journal of a killed process, one at a time, and opens them.
+    """Damage copies of the journal of a killed process, one at a time, and open them.
 
     Args:
-        cuts: So many random ones, in any file; None for every byte of the head's slots, and of the tails of the others.
-        flips: So many random bits; None for one bit of every byte there.
-        seed: Of what is random.
-        clock: The machine's.
-        minutes: Ends earlier after so long.
-        progress: Told after each.
+        cuts: Number of random cuts, in any file; None for every byte of the head's slots, and of the tails of the
+            others.
+        flips: Number of random bits; None for one bit of every byte there.
+        seed: Seed of the random choices.
+        clock: Clock of the machine.
+        minutes: Time after which the run ends early, min.
+        progress: Called after each journal.
+
+    Returns:
+        Result of all journals.
     """
-    begun, generator = clock.monotonic(), random.Random(seed)
+    started, generator = clock.monotonic(), random.Random(seed)
     with tempfile.TemporaryDirectory(prefix="pcmrs-cuts-") as name:
         killed, closed = Path(name) / "killed", Path(name) / "closed"
         rows = _written(Path(name) / "written", killed, closed)
@@ -95,13 +100,13 @@ def cut_and_flip(
             for count, flips_bits in ((cuts, False), (flips, True))
             for whole, damage in damages((killed, closed), count, generator, flips=flips_bits)
         ]
-        tally = _Tally("cut or bent", seed, len(rows))
+        tally = _CutTally("cut or bent", seed, len(rows))
         for whole in (killed, closed):
             copy = shutil.copytree(whole, Path(name) / "control")
-            tally.whole += taken_up(copy / NAME, rows)
+            tally.whole += is_recovered(copy / NAME, rows)
             shutil.rmtree(copy)
         for number, (whole, damage) in enumerate(chosen):
-            if minutes is not None and clock.monotonic() - begun >= minutes * 60.0:
+            if minutes is not None and clock.monotonic() - started >= minutes * 60.0:
                 break
             scratch = Path(name) / "scratch"
             shutil.copytree(whole, scratch)
@@ -110,7 +115,7 @@ def cut_and_flip(
             tally.judge(f"{whole.name}: {damage}", scratch, rows)
             shutil.rmtree(scratch)
             progress(str(damage), number + 1, len(chosen))
-    return tally.report(clock.monotonic() - begun)
+    return tally.report(clock.monotonic() - started)
 
 
 def cut_power(
@@ -123,31 +128,34 @@ def cut_power(
     minutes: float | None = None,
     progress: ShowProgress = lambda *_: None,
 ) -> CutReport:
-    """Cuts the power of a journal's writer at random instants, between two system calls of a recording.
+    """Cut the power of a journal's writer at random instants, between two system calls of a recording.
 
-    What was synchronised stays; of what was written since, any sectors and any first changes of names are there.
+    Synchronised data stays. Of the data written since, any sectors are present, and any first part of the name changes.
 
     Args:
-        times: So many cuts.
-        seed: Of what is random.
-        clock: The machine's.
-        commits: Of the recording.
-        durable: False for the control: a writer that waits for no disk, of which rows must be lost.
-        minutes: Ends earlier after so long.
-        progress: Told after each.
+        times: Number of cuts.
+        seed: Seed of the random choices.
+        clock: Clock of the machine.
+        commits: Number of commits of the recording.
+        durable: False for the control: a writer that does not wait for the disk and must lose rows.
+        minutes: Time after which the run ends early, min.
+        progress: Called after each cut.
+
+    Returns:
+        Result of all cuts.
 
     Raises:
-        NotRun: System calls cannot be recorded here.
+        NotRun: System calls cannot be recorded on this machine.
     """
-    begun, generator = clock.monotonic(), random.Random(seed)
-    tally = _Tally("power cut", seed, 0)
+    started, generator = clock.monotonic(), random.Random(seed)
+    tally = _CutTally("power cut", seed, 0)
     with tempfile.TemporaryDirectory(prefix="pcmrs-cuts-") as name:
         written = Path(name) / "written"
         calls = trace_journal(written, commits, seed, durable=durable)
         with JournalReader(written / NAME) as reader:
             rows = {stored.sequence: stored for stored in reader.read()}
         for number, cut in enumerate(power_cuts(written, calls, times, generator)):
-            if minutes is not None and clock.monotonic() - begun >= minutes * 60.0:
+            if minutes is not None and clock.monotonic() - started >= minutes * 60.0:
                 break
             scratch = Path(name) / "scratch"
             place(contents(written) if is_sham() else cut.files, scratch)
@@ -156,11 +164,11 @@ def cut_power(
             tally.judge_power_cut(f"cut {number} before call {cut.call}", scratch, acknowledged)
             shutil.rmtree(scratch)
             progress("power cuts", number + 1, times)
-    return tally.report(clock.monotonic() - begun)
+    return tally.report(clock.monotonic() - started)
 
 
-class _Tally:
-    """What has been found so far."""
+class _CutTally:
+    """Running totals."""
 
     def __init__(self, what: str, seed: int, acknowledged: int) -> None:
         self._what, self._seed, self._acknowledged = what, seed, acknowledged
@@ -170,26 +178,26 @@ class _Tally:
         self.changed = self.whole = 0
 
     def judge(self, what: str, folder: Path, rows: Sequence[StoredRow]) -> None:
-        """A damaged journal: reported, or without effect."""
+        """Count a damaged journal, which must be reported or have all rows."""
         self._tried += 1
         try:
-            whole = taken_up(folder / NAME, rows)
+            whole = is_recovered(folder / NAME, rows)
         except Unmet as error:
             self._silent.append(f"{what}: {error.text}")
-        except Exception as error:  # whatever it is, nobody could tell a user what to do
+        except Exception as error:  # any other error would leave a user without advice
             self._broken.append(f"{what}: {type(error).__name__}: {error}")
         else:
             self._unaffected += whole
             self._reported += not whole
 
     def judge_power_cut(self, what: str, folder: Path, rows: Sequence[StoredRow]) -> None:
-        """Power was cut: everything acknowledged must be there, and the journal must open, and be sound then."""
+        """Count a power cut: all acknowledged rows must be present, and the journal must open and verify."""
         self._tried += 1
         self._acknowledged += len(rows)
         try:
             missing = asyncio.run(missing_rows(folder / NAME, rows))
             check_sound(folder / NAME)
-        except Exception as error:  # the next daemon would not start
+        except Exception as error:  # the next daemon could not start
             self._broken.append(f"{what}: {type(error).__name__}: {error}")
         else:
             self._unaffected += not missing
@@ -203,7 +211,7 @@ class _Tally:
 
 
 def _written(folder: Path, killed: Path, closed: Path) -> list[StoredRow]:
-    """Writes a journal, copies its files as a kill would leave them and as they are once closed; returns its rows."""
+    """Write a journal, copy its files as a kill leaves them and as they are once closed, and return its rows."""
     folder.mkdir()
     return asyncio.run(_write(folder, killed, closed))
 
@@ -212,6 +220,7 @@ async def _write(folder: Path, killed: Path, closed: Path) -> list[StoredRow]:
     journal = Journal.open(folder / NAME)
     for number in range(ROWS):
         await journal.append([row("base", 0, number)])
+    # SQLite rebuilds the shared-memory index when it opens a journal, so the index is not part of the copies.
     shutil.copytree(folder, killed, ignore=shutil.ignore_patterns("*-shm"))
     rows = list(journal.reader.read())
     await journal.close()

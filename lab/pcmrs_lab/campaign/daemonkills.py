@@ -1,4 +1,4 @@
-"""kill -9 of a daemon in operation: what it had answered must be in its journal, word for word."""
+"""kill -9 of a daemon in operation: every answered verdict must be in its journal unchanged."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from pcmrs.messages import Verdict
 from pcmrs.testing.cell import RunningCell, open_cell
 from pcmrs.testing.daemon import log_tail
 from pcmrs_lab.campaign.kills import RANDOM, KillReport, ShowProgress, Tally
-from pcmrs_lab.campaign.operating import Operator
+from pcmrs_lab.campaign.operating import RandomOperator
 
 LONGEST = 4.0
-"""A daemon that is killed at a random instant lives so long at most after it was ready, s of the machine."""
+"""Longest life of a daemon that is killed at a random instant, from when it is ready, s of the machine."""
 
 LATEST = 12
-"""An armed daemon comes to its failpoint so often before it dies, after those of its start."""
+"""Number of passes of a failpoint, after those of the start, before an armed daemon dies."""
 
 AT_START = 8
-"""Rows that a start writes at most: a failpoint of the journal counts from there on."""
+"""Largest number of rows that a start writes; a failpoint of the journal counts from there."""
 
 DIES_WITHIN = 60.0
-"""An armed daemon has come to its failpoint within this, s of the machine; otherwise it is killed then."""
+"""Time in which an armed daemon reaches its failpoint, s of the machine; it is killed after that."""
 
 PER_FOLDER = 20
-"""So many daemons follow each other on one folder."""
+"""Number of daemons that use one folder one after the other."""
 
 SETTINGS = ("robot.deadman=0.5",)
 SOURCE = "bus:local"
@@ -42,16 +42,19 @@ SOURCE = "bus:local"
 async def kill_daemons(
     times: int, seed: int, clock: Clock, *, minutes: float | None = None, progress: ShowProgress = lambda *_: None
 ) -> KillReport:
-    """Kills daemons in operation, at every failpoint in turn and at random instants, each the successor of the last.
+    """Kill daemons in operation, at every failpoint in turn and at random instants, each the successor of the last.
 
-    Where one does not start, or its journal cannot be opened, nothing more can be seen, and it ends.
+    The run ends early if a daemon does not start or its journal cannot be opened, since no result can follow.
 
     Args:
-        times: So many daemons.
-        seed: Of instants, failpoints and what is operated.
-        clock: The machine's.
-        minutes: Ends earlier after so long.
-        progress: Told after each.
+        times: Number of daemons.
+        seed: Seed of the instants, failpoints and operations.
+        clock: Clock of the machine.
+        minutes: Time after which the run ends early, min.
+        progress: Called after each daemon.
+
+    Returns:
+        Result of all daemons.
     """
     tally = Tally(clock, seed, times, minutes, progress)
     while not tally.done and not tally.refused:
@@ -68,7 +71,7 @@ async def _one_folder(folder: Path, tally: Tally) -> None:
             return
         place = places[tally.kills % len(places)]
         try:
-            new, reached = await _killed(folder, place, tally.generator)
+            new, reached = await _operate_until_killed(folder, place, tally.generator)
         except (DeviceError, BusError) as error:
             tally.refused.append(error.text)
             return
@@ -80,21 +83,21 @@ async def _one_folder(folder: Path, tally: Tally) -> None:
             return
 
 
-async def _killed(folder: Path, place: str, generator: random.Random) -> tuple[dict[str, Verdict], bool]:
-    """Operates a daemon until it is killed; returns what it has answered, and whether it was killed at `place`.
+async def _operate_until_killed(folder: Path, place: str, generator: random.Random) -> tuple[dict[str, Verdict], bool]:
+    """Operate a daemon until it is killed; return its verdicts, and whether it was killed at `place`.
 
     Raises:
-        DeviceError: It did not start, or ended by itself.
+        DeviceError: The daemon did not start, or ended by itself.
     """
     at_random = place == RANDOM
     first = AT_START if place.startswith("journal.") else 1
     armed = {} if at_random else {VARIABLE: f"{place}:{generator.randrange(first, first + LATEST)}"}
-    operator: Operator | None = None
+    operator: RandomOperator | None = None
     ended = None
-    # A daemon that is killed takes its bus along, and some client of it may say so at the end of the context.
+    # The bus ends with a killed daemon, and a client may report that at the end of the context.
     with suppress(UnknownOutcomeError):
         async with open_cell(folder, (*SETTINGS, f"sim.seed={generator.randrange(1000)}"), environment=armed) as cell:
-            operator = Operator(cell.client, generator)
+            operator = RandomOperator(cell.client, generator)
             ended = await _operate(cell, operator, generator.uniform(0.0, LONGEST) if at_random else DIES_WITHIN)
     if ended is not None and (at_random or ended != -signal.SIGKILL):
         words = log_tail(folder / "log")
@@ -104,31 +107,31 @@ async def _killed(folder: Path, place: str, generator: random.Random) -> tuple[d
     return operator.verdicts, at_random or ended is not None
 
 
-async def _operate(cell: RunningCell, operator: Operator, longest: float) -> int | None:
-    """Operates a daemon until it ends, or is killed after so long; returns how it ended if it did so by itself."""
+async def _operate(cell: RunningCell, operator: RandomOperator, longest: float) -> int | None:
+    """Operate a daemon until it ends or the time is over; return its exit status if it ended by itself."""
 
-    async def go_on() -> None:
+    async def operate() -> None:
         while True:
             await operator.step()
 
-    going_on, dying = asyncio.create_task(go_on()), asyncio.create_task(cell.process.wait())
-    await asyncio.wait((dying,), timeout=longest)  # who asks may learn of its end before it has ended
+    operating, exiting = asyncio.create_task(operate()), asyncio.create_task(cell.process.wait())
+    await asyncio.wait((exiting,), timeout=longest)  # the operator may fail before the process has exited
     ended = cell.process.returncode
     if ended is None:
         with suppress(ProcessLookupError):
             cell.process.kill()
-    await dying
-    going_on.cancel()
+    await exiting
+    operating.cancel()
     with suppress(asyncio.CancelledError, UnknownOutcomeError):
-        await going_on
+        await operating
     return ended
 
 
 def _lost(journal: Path, answered: Mapping[str, Verdict]) -> int:
-    """How many verdicts are not in the journal as they were given.
+    """Return how many verdicts are missing or different in the journal.
 
     Raises:
-        JournalError: It cannot be read.
+        JournalError: The journal cannot be read.
     """
     with JournalReader(journal) as reader:
         return sum(reader.verdict_of(SOURCE, command) != verdict for command, verdict in answered.items())

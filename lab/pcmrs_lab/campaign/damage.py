@@ -1,8 +1,6 @@
-"""Ways to damage a journal: one of its files is removed or ends early, or one of its bits is another one.
+"""Damage to a journal: a removed or cut file, a flipped bit, rows without a key, or the format of an older version.
 
-A journal as an older version of the program would have left it.
-
-Rows after the last one that the head names: added without the key, or left there by a crash.
+Rows after the last one that the head names are either added without the key or left there by a crash.
 """
 
 from __future__ import annotations
@@ -25,13 +23,13 @@ from pcmrs_lab.campaign.sham import is_sham
 
 INSERT = "INSERT INTO journal VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"
 KINDS = ("intent", "outcome", "device")
-"""Rows that version 1 had; those of kind config and snapshot came later."""
+"""Kinds of rows in version 1; config and snapshot came later."""
 
 
 def as_version_1(path: Path) -> int:
-    """Replaces a closed journal by one of version 1 with the same decisions: no head, no key; returns its rows.
+    """Replace a closed journal by one of version 1 with the same decisions; return the number of rows.
 
-    In a sham campaign the journal stays as it is.
+    Version 1 has no head and no key. The journal is unchanged in a sham campaign.
     """
     with JournalReader(path) as reader:
         rows = [stored.row for stored in reader.read() if stored.row.kind in KINDS]
@@ -54,12 +52,14 @@ def as_version_1(path: Path) -> int:
 
 
 def append_without_key(file: Path, rows: Sequence[JournalRow], *, mac: object = None) -> None:
-    """Adds rows to a file of a journal as somebody does who knows the format: chained, and found by their commands.
+    """Append rows to a file of a journal as an attacker does who knows the format.
+
+    The rows are chained, and found by their commands.
 
     Args:
-        file: Of the journal, and the newest.
-        rows: To be added.
-        mac: Put into each of them where the version has MACs.
+        file: Newest file of the journal.
+        rows: Rows to append.
+        mac: Value of the MAC in each row, if the version has MACs.
     """
     with closing(sqlite3.connect(file)) as connection, connection:
         end = "SELECT sequence, hash FROM journal ORDER BY sequence DESC LIMIT 1"
@@ -75,8 +75,13 @@ def append_without_key(file: Path, rows: Sequence[JournalRow], *, mac: object = 
             previous = own
 
 
-def leave_unnamed(journal: Path, rows: Sequence[JournalRow]) -> None:
-    """Writes rows with the key and sets the head back: what a crash between the commit and the head leaves."""
+def append_past_head(journal: Path, rows: Sequence[JournalRow]) -> None:
+    """Write rows with the key and restore the old head, as a crash between commit and head update leaves them.
+
+    Args:
+        journal: Database file of the journal.
+        rows: Rows to append.
+    """
     before = head_path(journal).read_bytes()
     writer = JournalWriter(journal, durable=False)
     writer.write([(row, encode_row(row)) for row in rows])
@@ -85,17 +90,18 @@ def leave_unnamed(journal: Path, rows: Sequence[JournalRow]) -> None:
 
 
 TAIL = 2048
-"""So many bytes at the end of database and log are damaged one by one."""
+"""Number of bytes at the end of database and log that are damaged one by one."""
 
 TAILED = (NAME, f"{NAME}-wal", HEAD)
+"""Files of which the end is damaged."""
 
 
 class Damage(msgspec.Struct, frozen=True):
-    """One change of one file: it ends before `place`, or the bit `flip` of the byte there is another one.
+    """Change of one file: it is cut before `place`, or the bit `flip` of the byte there is inverted.
 
     Attributes:
-        file: Its name.
-        place: In it; -1 for a file that is removed.
+        file: Name of the file.
+        place: Offset in the file, bytes; -1 to remove it.
         flip: Number of a bit, from 0; None for a cut.
     """
 
@@ -104,7 +110,7 @@ class Damage(msgspec.Struct, frozen=True):
     flip: int | None = None
 
     def apply(self, folder: Path) -> None:
-        """Changes the file in the folder; in a sham campaign nothing."""
+        """Change the file in the folder; do nothing in a sham campaign."""
         if is_sham():
             return
         path = folder / self.file
@@ -127,13 +133,14 @@ class Damage(msgspec.Struct, frozen=True):
 def damages(
     wholes: Sequence[Path], count: int | None, generator: random.Random, *, flips: bool
 ) -> list[tuple[Path, Damage]]:
-    """Damages of the journals in these folders.
+    """Return damages of the journals in these folders, each with its folder.
 
     Args:
-        wholes: Folder of a journal each.
-        count: So many random ones, in any file; None for every byte of the head's slots and of the tails of the others.
-        generator: Of what is random.
-        flips: Bits are flipped; otherwise files are cut.
+        wholes: Folders of one undamaged journal each.
+        count: Number of random damages, in any file; None for every byte of the head's slots and of the tails of the
+            others.
+        generator: Source of randomness.
+        flips: True to flip bits, False to cut files.
     """
     first = 0 if flips else -1
     if count is None:

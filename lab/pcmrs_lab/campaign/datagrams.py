@@ -1,4 +1,4 @@
-"""Bytes at the daemon's UDP sockets, as anybody can send them, and what must not come of them."""
+"""Raw datagrams at the daemon's UDP sockets, as any program can send them, and the effects that they must not have."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from pcmrs.gateway.rejection_log import REFUSED
 from pcmrs.messages import Snapshot
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.errors import Unmet
-from pcmrs_lab.campaign.sham import bring_about
+from pcmrs_lab.campaign.sham import inject_unless_sham
 from pcmrs_lab.campaign.waiting import until_true
 
 ANSWERS_WITHIN = 10.0
-"""The daemon has come to a datagram within this, s of the machine."""
+"""Time in which the daemon has processed a datagram, s of the machine."""
 
 FENCE = "stop_visualizexx"
-"""A command that changes nothing: its verdict says that what was sent before has been looked at."""
+"""Command that changes nothing; its verdict shows that everything sent before has been processed."""
 
 _ids = itertools.count(9_100_000_000)
 
 
 class Raw(asyncio.DatagramProtocol):
-    """A socket that sends whatever it is given. Use `raw_socket`."""
+    """Socket that sends any bytes. Use `raw_socket`."""
 
     def __init__(self) -> None:
         self.answers: asyncio.Queue[bytes] = asyncio.Queue()
@@ -40,18 +40,18 @@ class Raw(asyncio.DatagramProtocol):
         self.answers.put_nowait(data)
 
     def error_received(self, _: Exception) -> None:
-        """Nobody listens there; whoever waits for an answer says so."""
+        """Ignore that no program listens; a caller that waits for an answer reports it."""
 
     def send(self, datagram: bytes) -> None:
-        """Sends one datagram."""
+        """Send one datagram."""
         self._transport.sendto(datagram)
 
     def attack(self, datagram: bytes) -> None:
-        """Sends one datagram that is the fault."""
-        bring_about(lambda: self.send(datagram))
+        """Send one datagram that is the fault; send nothing in a sham campaign."""
+        inject_unless_sham(lambda: self.send(datagram))
 
     async def fence(self) -> list[bytes]:
-        """Waits until everything sent before has been looked at; returns the answers to that.
+        """Wait until everything sent before has been processed, and return the answers to it.
 
         Raises:
             Unmet: The daemon does not answer any more.
@@ -64,17 +64,22 @@ class Raw(asyncio.DatagramProtocol):
                 while not (answer := await self.answers.get()).startswith(f"{client_id}_".encode()):
                     answers.append(answer)
         except TimeoutError:
-            raise Unmet(f"The socket does not answer within {ANSWERS_WITHIN:g} s any more.") from None
+            raise Unmet(f"The UDP socket did not answer within {ANSWERS_WITHIN:g} s.") from None
         return answers
 
     def close(self) -> None:
-        """Closes the socket."""
+        """Close the socket."""
         self._transport.close()
 
 
 @asynccontextmanager
 async def raw_socket(address: tuple[str, int], port: int = 0) -> AsyncIterator[Raw]:
-    """A socket towards one of the daemon's UDP links, at a port of its own or a free one."""
+    """Open a socket to one of the daemon's UDP links for the length of the context.
+
+    Args:
+        address: Host and port of the link.
+        port: Local port; 0 for a free one.
+    """
     loop = asyncio.get_running_loop()
     _, raw = await loop.create_datagram_endpoint(Raw, local_addr=("127.0.0.1", port), remote_addr=address)
     try:
@@ -84,25 +89,34 @@ async def raw_socket(address: tuple[str, int], port: int = 0) -> AsyncIterator[R
 
 
 def identical(before: Snapshot, after: Snapshot) -> None:
-    """Raises `Unmet` unless two snapshots are the same, byte for byte."""
+    """Raise `Unmet` unless two snapshots are equal byte for byte.
+
+    Args:
+        before: Snapshot before the fault.
+        after: Snapshot after the fault.
+
+    Raises:
+        Unmet: The snapshots differ.
+    """
     first, second = msgspec.json.encode(before), msgspec.json.encode(after)
     if first != second:
         raise Unmet(f"The state has changed: {first.decode()} became {second.decode()}.")
 
 
 async def refused_all(cell: RunningCell, datagrams: Sequence[bytes], *, refusals: int | None = None) -> dict[str, Any]:
-    """Sends datagrams that must be refused, response R: nothing changes, and the journal has the refusals.
+    """Send datagrams that must be refused; check response R: nothing changes, and the journal has the refusals.
 
     Args:
-        cell: Whose planner link takes them.
-        datagrams: In this order.
-        refusals: So many of them are refused; all by default.
+        cell: Cell whose planner link receives them.
+        datagrams: Datagrams in the order of sending.
+        refusals: Expected number of refusals; all by default.
 
     Returns:
         Details for the report.
 
     Raises:
-        Unmet: Something has changed, was accepted, or is not in the journal, or the socket is deaf afterwards.
+        Unmet: Something has changed, was accepted, or is missing in the journal, or the socket does not answer
+            afterwards.
     """
     before, rows = await cell.client.state(), cell.last_row()
     answers: list[bytes] = []
@@ -127,15 +141,15 @@ async def refused_all(cell: RunningCell, datagrams: Sequence[bytes], *, refusals
     }
 
 
-async def taken(cell: RunningCell, *commands: bytes) -> str:
-    """Sends commands by themselves that must be accepted, and returns the last one's answer: a control.
+async def send_accepted(cell: RunningCell, *commands: bytes) -> str:
+    """Send commands that must be accepted, as a control, and return the last answer.
 
     Args:
-        cell: Whose planner link takes them.
-        commands: As they are on the wire, with ids.
+        cell: Cell whose planner link receives them.
+        commands: Commands as on the wire, with ids.
 
     Raises:
-        Unmet: One was not accepted within `ANSWERS_WITHIN`.
+        Unmet: A command was not accepted within `ANSWERS_WITHIN`.
     """
     answer = b""
     async with raw_socket(cell.ready.links["planner"]) as raw:
@@ -145,14 +159,19 @@ async def taken(cell: RunningCell, *commands: bytes) -> str:
                 async with asyncio.timeout(ANSWERS_WITHIN):
                     answer = await raw.answers.get()
             except TimeoutError:
-                raise Unmet(f"{command!r} by itself is not answered.") from None
+                raise Unmet(f"{command!r} by itself was not answered.") from None
             if b"_accepted_" not in answer:
                 raise Unmet(f"{command!r} by itself was answered {answer!r}.")
     return answer.decode(errors="replace")
 
 
 def refusals_after(cell: RunningCell, after: int) -> int:
-    """How many refusals later rows tell of: the dispatcher's one by one, the gateway's by their number."""
+    """Return the number of refusals in later rows: the dispatcher's one by one, the gateway's by their count.
+
+    Args:
+        cell: Cell with the journal.
+        after: Sequence number of the last row before them.
+    """
     count = 0
     for row in cell.rows(after=after):
         if row.operation == REFUSED and row.result is not None:
@@ -163,7 +182,7 @@ def refusals_after(cell: RunningCell, after: int) -> int:
 
 
 def _reasons(cell: RunningCell, after: int) -> list[str]:
-    """Codes of the refusals that later rows tell of."""
+    """Return the reason codes of the refusals in later rows."""
     codes = set()
     for row in cell.rows(after=after):
         if row.operation == REFUSED and row.result is not None:

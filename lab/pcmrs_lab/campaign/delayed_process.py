@@ -1,4 +1,4 @@
-"""Inside a process whose transport is delayed: every frame asks the rules of `delays` first."""
+"""Code inside a process whose transport is delayed: every frame is matched with the rules of `delays` first."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pcmrs_lab.campaign.delays import VARIABLE, Delayed, Place, Rule
 
 
 class Transport:
-    """Delays the frames of this process as a folder's rules have it."""
+    """Delays the frames of this process by the rules of a folder."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -29,7 +29,13 @@ class Transport:
         self._passed: Counter[tuple[Place, str]] = Counter()
 
     def rule(self, place: Place, key: str, payload: bytes) -> Rule | None:
-        """The rule that this frame is delayed by; a frame without one is counted as passed."""
+        """Return the rule that delays this frame, or None; a frame without a rule is counted as passed.
+
+        Args:
+            place: Point at which the frame passes.
+            key: Zenoh key of the frame, or name of a failpoint.
+            payload: Bytes of the frame.
+        """
         with self._lock:
             self._read()
             for rule, left in self._left.items():
@@ -40,15 +46,26 @@ class Transport:
         return None
 
     def wait(self, rule: Rule, key: str) -> None:
-        """Waits as a rule says, in the calling thread, and writes down that it did."""
-        before, begun = self._passed[rule.place, key], time.monotonic()
+        """Wait in the calling thread for the time of a rule, and record the delay.
+
+        Args:
+            rule: Rule that delays the frame.
+            key: Zenoh key of the frame, or name of a failpoint.
+        """
+        before, started = self._passed[rule.place, key], time.monotonic()
         self._append("begun", rule)
         time.sleep(rule.seconds)
         overtaken = self._passed[rule.place, key] - before
-        self._append("done", Delayed(rule, begun, time.monotonic(), overtaken))
+        self._append("done", Delayed(rule, started, time.monotonic(), overtaken))
 
-    def later(self, rule: Rule, key: str, go_on: Callable[[], object]) -> None:
-        """Goes on in a thread of its own after the delay of a rule."""
+    def delay_in_thread(self, rule: Rule, key: str, go_on: Callable[[], object]) -> None:
+        """Continue in a separate thread after the delay of a rule.
+
+        Args:
+            rule: Rule that delays the frame.
+            key: Zenoh key of the frame.
+            go_on: Called after the delay.
+        """
 
         def work() -> None:
             self.wait(rule, key)
@@ -71,7 +88,7 @@ class Transport:
 
 
 def install() -> None:
-    """Delays this process; before anything of it runs."""
+    """Delay this process. Call it before the program starts."""
     transport = Transport(Path(os.environ[VARIABLE]))
     _delay_requests(transport)
     _delay_answers(transport)
@@ -96,7 +113,7 @@ def _delay_requests(transport: Transport) -> None:
             if rule is None:
                 receive(query)
             else:
-                transport.later(rule, str(query.key_expr), lambda: receive(query))
+                transport.delay_in_thread(rule, str(query.key_expr), lambda: receive(query))
 
         return declare(session, key, received if callable(receive) else receive, *arguments, **options)
 
@@ -124,7 +141,7 @@ def _delay_messages(transport: Transport, kind: Any) -> None:
         if rule is None:
             put(publisher, payload, *arguments, **options)
         else:
-            transport.later(rule, key, lambda: put(publisher, payload, *arguments, **options))
+            transport.delay_in_thread(rule, key, lambda: put(publisher, payload, *arguments, **options))
 
     _replace(kind, put=putting)
 
@@ -138,7 +155,7 @@ def _delay_failpoints(transport: Transport) -> None:
             transport.wait(rule, name)
         passing(name)
 
-    # A module that is imported already has the function under a name of its own.
+    # Modules that were imported before refer to the function by their own global name.
     for module in [module for module in sys.modules.values() if getattr(module, "failpoint", None) is passing]:
         _replace(module, failpoint=passed)
 

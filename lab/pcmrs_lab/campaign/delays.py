@@ -1,7 +1,7 @@
-"""A transport that delays and reorders frames of a running daemon and its nodes, and counts them.
+"""Transport that delays and reorders frames of a running daemon and its nodes, and counts them.
 
-`Delays.environment` loads `delayed_process` into a daemon and all its child processes. The rules are a file that
-every process looks at before each frame, so that they change while the daemon runs.
+`Delays.install` returns the environment that loads `delayed_process` into a daemon and all its child processes. The
+rules are a file that every process checks before each frame, so that they can change while the daemon runs.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ VARIABLE = "PCMRS_DELAYS"
 PATIENCE = 20.0
 PERIOD = 0.02
 FOLDER = "delays"
-"""Below the folder of a cell."""
+"""Name of the folder of rules below the folder of a cell."""
 
 Place = Literal["send", "receive", "answer", "publish", "pass"]
-"""Where a frame is delayed: in the thread that sends a request, on the request's way, in the thread that replies to it,
-on the way of a published message, or in whatever passes a failpoint (the disk's thread, the event loop)."""
+"""Point at which a frame is delayed: the thread that sends a request, the delivery of the request, the thread that
+replies to it, the delivery of a published message, or the code that passes a failpoint (disk thread, event loop)."""
 
 
 class Rule(msgspec.Struct, frozen=True):
-    """Which frames are delayed, and how.
+    """Rule that delays certain frames.
 
     Attributes:
-        place: Where.
+        place: Point at which they are delayed.
         key: End of the frame's key, such as ``dev/robot/cmd``, or the name of a failpoint.
-        word: The payload has it, such as the name of a method; empty for every payload.
-        seconds: Delay.
-        times: So many frames per process.
-        id: Of its own, so that no two rules are one.
+        word: Bytes that the payload must contain, such as the name of a method; empty for every payload.
+        seconds: Delay, s.
+        times: Number of frames per process that are delayed.
+        id: Unique id, so that two equal rules stay different.
     """
 
     place: Place
@@ -52,13 +52,13 @@ class Rule(msgspec.Struct, frozen=True):
 
 
 class Delayed(msgspec.Struct, frozen=True):
-    """A frame that was delayed.
+    """Record of a delayed frame.
 
     Attributes:
-        rule: By which.
-        begun: When it would have gone on, s of the machine.
-        ended: When it did.
-        overtaken: Frames of the same place and key that went on in the meantime.
+        rule: Rule that delayed it.
+        begun: Time at which it arrived, s of the machine.
+        ended: Time at which it continued, s of the machine.
+        overtaken: Number of frames of the same place and key that passed in the meantime.
     """
 
     rule: Rule
@@ -68,17 +68,17 @@ class Delayed(msgspec.Struct, frozen=True):
 
 
 class Delays:
-    """The rules of one cell's transport.
+    """Rules of one cell's transport.
 
     Args:
-        folder: Of its own.
+        folder: Folder for the rules.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
     def install(self) -> Mapping[str, str]:
-        """Begin without rules; return the variables of a process that is delayed, which its children have, too."""
+        """Create the folder without rules, and return the environment of a delayed process and its children."""
         self._folder.mkdir(parents=True, exist_ok=True)
         program = "import pcmrs_lab.campaign.delayed_process as p\n\np.install()\n"
         (self._folder / "sitecustomize.py").write_text(program)
@@ -88,48 +88,52 @@ class Delays:
 
     @asynccontextmanager
     async def delaying(self, *rules: Rule, ended: bool = True) -> AsyncIterator[None]:
-        """The rules are in force for the length of the context, beside those of contexts around it.
+        """Apply rules for the length of the context, in addition to those of contexts around it.
 
         Args:
-            rules: That come into force.
-            ended: Each must have delayed a frame to its end; otherwise the process may have ended before.
+            rules: Rules to apply.
+            ended: True if each rule must have delayed a frame to its end; False if the process may end before.
 
         Raises:
-            Unmet: One of them has delayed nothing by the end of the context and `PATIENCE`.
+            Unmet: A rule has delayed nothing by the end of the context and `PATIENCE`.
         """
         self._write([*self._rules(), *rules])
         try:
             yield
             for rule in rules:
-                await (self.took_place(rule) if ended else self.begins(rule))
+                await (self.wait_until_delayed(rule) if ended else self.wait_until_delaying(rule))
         finally:
             self._write([rule for rule in self._rules() if rule not in rules])
 
-    async def took_place(self, rule: Rule, count: int = 1) -> list[Delayed]:
-        """Waits until a rule has delayed so many frames to their end, and returns them.
+    async def wait_until_delayed(self, rule: Rule, count: int = 1) -> list[Delayed]:
+        """Wait until a rule has delayed a number of frames to their end, and return their records.
+
+        Args:
+            rule: Rule that must take effect.
+            count: Number of frames.
 
         Raises:
             Unmet: It has not within `PATIENCE`.
         """
         clock = SystemClock()
-        begun = clock.monotonic()
+        started = clock.monotonic()
         while len(found := [each for each in self._records() if each.rule == rule]) < count:
-            if clock.monotonic() - begun > PATIENCE:
-                raise Unmet(f"The fault did not take place: {rule} delayed {len(found)} frames, not {count}.")
+            if clock.monotonic() - started > PATIENCE:
+                raise Unmet(f"The fault was not injected: {rule} delayed {len(found)} of {count} frames.")
             await clock.sleep(PERIOD)
         return found
 
-    async def begins(self, rule: Rule) -> None:
-        """Waits until a frame is being delayed by a rule.
+    async def wait_until_delaying(self, rule: Rule) -> None:
+        """Wait until a rule is delaying a frame.
 
         Raises:
-            Unmet: None is within `PATIENCE`.
+            Unmet: No frame is delayed within `PATIENCE`.
         """
         clock = SystemClock()
-        begun = clock.monotonic()
-        while rule not in self._begun():
-            if clock.monotonic() - begun > PATIENCE:
-                raise Unmet(f"The fault did not take place: {rule} delays nothing.")
+        started = clock.monotonic()
+        while rule not in self._started():
+            if clock.monotonic() - started > PATIENCE:
+                raise Unmet(f"The fault was not injected: {rule} delayed no frame.")
             await clock.sleep(PERIOD / 4)
 
     def _rules(self) -> list[Rule]:
@@ -138,9 +142,9 @@ class Delays:
     def _write(self, rules: list[Rule]) -> None:
         scratch = self._folder / "rules.new"
         scratch.write_bytes(msgspec.json.encode([] if is_sham() else rules))
-        scratch.replace(self._folder / "rules")  # whole for every process that looks
+        scratch.replace(self._folder / "rules")  # replaced atomically, so that no process reads half a file
 
-    def _begun(self) -> list[Rule]:
+    def _started(self) -> list[Rule]:
         return [msgspec.json.decode(line, type=Rule) for line in self._lines("begun")]
 
     def _records(self) -> list[Delayed]:

@@ -1,4 +1,4 @@
-"""What a campaign does with a cell beside `pcmrs.testing.driving`: the tool follows, the scene has a fault."""
+"""Actions of a campaign in addition to `pcmrs.testing.driving`: the tool follows, the scene has a fault."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 
 
 FOLLOWED = 1.5
-"""So long the tool follows before a fault is injected, s of the machine."""
+"""Time for which the tool follows before a fault is injected, s of the machine."""
 
-TOO_BUSY = "The tool does not follow without the fault, either: this machine is too busy for a cell in real time."
+TOO_BUSY = "The tool does not follow without the fault either. This machine is too busy for a cell in real time."
 
 
 async def to_following(client: Client) -> None:
-    """The tool follows the head and counts as aligned.
+    """Bring the tool to the head and have it follow until it counts as aligned.
 
     Raises:
-        NotRun: It does not, and nothing was injected yet: the machine is too busy for a cell in real time.
+        NotRun: The tool does not follow before any fault was injected: the machine is too busy for a cell in real time.
     """
     await to_placed(client)
     await asyncio.sleep(SEEN)
@@ -46,13 +46,13 @@ async def to_following(client: Client) -> None:
 async def injected(
     cell: RunningCell, fault: str, begin: dict[str, Any] | None = None, end: dict[str, Any] | None = None
 ) -> AsyncIterator[None]:
-    """The simulated scene has a fault for the length of the context.
+    """Inject a fault into the simulated scene for the length of the context.
 
     Args:
-        cell: Whose.
-        fault: Name of `pcmrs-sim faults`.
-        begin: Arguments that bring it about; ``on`` is added where `end` is not given.
-        end: Arguments that end it, none where it is over at once; by default those of `begin`, with ``on`` false.
+        cell: Cell with the scene.
+        fault: Name of the fault, from `pcmrs-sim faults`.
+        begin: Arguments that inject it; ``on`` is added if `end` is not given.
+        end: Arguments that end it; empty if it ends by itself; by default those of `begin`, with ``on`` false.
     """
     began = dict(begin or {}) if end is not None else {**(begin or {}), "on": True}
     ended = end if end is not None else {**began, "on": False}
@@ -63,7 +63,7 @@ async def injected(
     try:
         yield
     except BaseException:
-        with suppress(PcmrsError):  # what went wrong says more than that this fails, too
+        with suppress(PcmrsError):  # the first error says more than a second one here
             await _end(cell, fault, ended)
         raise
     await _end(cell, fault, ended)

@@ -1,4 +1,4 @@
-"""What is asked of a daemon while its disk fails, and of its journal afterwards."""
+"""Commands to a daemon while its disk fails, and checks of its journal afterwards."""
 
 from __future__ import annotations
 
@@ -18,19 +18,24 @@ SOURCE = "bus:local"
 
 
 @dataclass
-class Asked:
-    """Commands to one cell, each with its id, and what was answered.
+class AnsweredCommands:
+    """Commands to one cell, each with its id, and their verdicts.
 
     Attributes:
-        verdicts: By id; only those that came.
+        verdicts: Verdicts by command id; commands without an answer are missing.
     """
 
     cell: RunningCell
     verdicts: dict[str, Verdict] = field(default_factory=dict)
     _number: int = 0
 
-    async def ask(self, name: str = "registration.reinit", **arguments: Any) -> Verdict | None:
-        """Asks for an operation; None when no verdict came in time."""
+    async def request(self, name: str = "registration.reinit", **arguments: Any) -> Verdict | None:
+        """Request an operation and return its verdict; None if none came in time.
+
+        Args:
+            name: Operation, ``branch.operation``.
+            arguments: Arguments of the operation.
+        """
         self._number += 1
         command = f"durable{self._number}"
         try:
@@ -41,40 +46,47 @@ class Asked:
         return verdict
 
     async def degraded(self) -> dict[str, Any]:
-        """Response D: a change of state is refused, Stop and status work.
+        """Check response D: a change of state is refused, Stop and status work.
+
+        Returns:
+            Details for the report.
 
         Raises:
-            Unmet: It was not so.
+            Unmet: The response was not as required.
         """
-        verdict = await self.ask()
+        verdict = await self.request()
         expect(verdict is None or verdict.decision != "accepted", "A change of state was accepted.")
         await self.cell.client.stop()
         snapshot = await self.cell.client.state()
         expect(self.cell.process.returncode is None, "The daemon has ended.")
-        expect(snapshot.latched, "Stop has not latched.")
-        refusal = await self.ask()  # the first may be unknown: it was being written when the disk failed
-        said = "not answered" if refusal is None else refusal.decision
-        expect(said == "rejected", f"A change of state was {said}, must be rejected.")
+        expect(snapshot.latched, "Stop did not latch.")
+        refusal = await self.request()  # the outcome of the first may be unknown: the disk failed while it was written
+        outcome = "not answered" if refusal is None else refusal.decision
+        expect(outcome == "rejected", f"A change of state was {outcome}; expected rejected.")
         reason = refusal.reason.code if refusal is not None and refusal.reason is not None else ""
         return {"refused_as": reason, "latched": snapshot.latched}
 
     async def recovers(self, within: float = PATIENCE) -> bool:
-        """Whether a change of state is accepted again, s of the machine."""
+        """Return whether a change of state is accepted again.
+
+        Args:
+            within: Time limit, s of the machine.
+        """
         clock = asyncio.get_running_loop().time
         end = clock() + within
         while clock() < end and self.cell.process.returncode is None:
-            verdict = await self.ask()
+            verdict = await self.request()
             if verdict is not None and verdict.decision == "accepted":
                 return True
             await asyncio.sleep(0.2)
         return False
 
-    def check_kept(self, journal: Path) -> int:
-        """Every accepted verdict that was answered is in the journal, word for word; returns how many.
+    def check_journalled(self, journal: Path) -> int:
+        """Check that the journal has every accepted verdict unchanged, and return how many there are.
 
         Raises:
-            Unmet: It was not so.
-            JournalError: It cannot be read.
+            Unmet: A verdict is missing or different.
+            JournalError: The journal cannot be read.
         """
         accepted = {command: verdict for command, verdict in self.verdicts.items() if verdict.decision == "accepted"}
         with JournalReader(journal) as reader:

@@ -1,4 +1,4 @@
-"""How a fault is injected and judged: functions registered under the ids of the catalogue.
+"""Registry of fault injections: functions registered under the ids of the catalogue.
 
 @fault("S3", how="simulated tracker: a position that is not a number")
 async def pose_nan(lab: Lab) -> Evidence:
@@ -20,25 +20,25 @@ if TYPE_CHECKING:
     from pcmrs_lab.campaign.lab import Lab
 
 DEADLINE = 120.0
-"""An injection that has not ended within this has failed, s of the machine."""
+"""Time after which an injection that has not ended counts as failed, s of the machine."""
 
 
 class NotRun(PcmrsError):  # noqa: N818 - see above
-    """The fault cannot be injected on this machine; the text says why."""
+    """The fault cannot be injected on this machine; the text gives the reason."""
 
     code = "not_run"
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What was seen when a fault was injected and the required response came; without any of it nothing is proved.
+    """Measurements of an injected fault and its response; a row without them proves nothing.
 
     Attributes:
-        response: In a few words.
+        response: Response in a few words.
         details: Other measured values.
-        took_place: What the receiver, or somebody else who is not the injector, has measured of the fault, by name.
-        control: What the same bytes or the same event do where they are permitted, or where the protection is out of
-            force, by name.
+        took_place: Measurements of the fault itself, by name, made by the receiver or another observer, never by the
+            injector.
+        control: Effect of the same bytes or event, by name, where they are permitted or where the protection is off.
     """
 
     response: str
@@ -48,7 +48,7 @@ class Evidence:
 
     @property
     def missing(self) -> str:
-        """What it lacks for a proof; empty when nothing does. A measurement of nothing (0, none, empty) is none."""
+        """Description of the missing proof; empty if it is complete. A measurement of 0, none or empty is none."""
         for what, measured in (("that the fault took place", self.took_place), ("of its control", self.control)):
             if not measured:
                 return f"There is no measurement {what}."
@@ -59,12 +59,12 @@ class Evidence:
 
     @property
     def measured(self) -> dict[str, Any]:
-        """All of it, for a report."""
+        """All measurements, for a report."""
         return {"took_place": dict(self.took_place), "control": dict(self.control), **self.details}
 
 
 def _is_something(value: Any) -> bool:
-    """A number that is not finite was not measured."""
+    """Return whether a value is a measurement; a number that is not finite is none."""
     return bool(value) and not (isinstance(value, float) and not math.isfinite(value))
 
 
@@ -73,15 +73,15 @@ Injector = Callable[["Lab"], Awaitable[Evidence]]
 
 @dataclass(frozen=True, slots=True)
 class Injection:
-    """One way in which a fault is injected.
+    """One way to inject a fault.
 
     Attributes:
         fault: Id of the catalogue.
-        name: Of the function.
-        how: By what means.
-        needs: What it needs of the machine; without one of them it is not run.
-        deadline: It has failed when it has not ended within this, s of the machine.
-        run: Injects the fault, checks the response; raises `Unmet` or `NotRun`.
+        name: Name of the function.
+        how: Means of injection, for the report.
+        needs: Requirements on the machine; it is not run if one is missing.
+        deadline: Time after which it counts as failed, s of the machine.
+        run: Function that injects the fault and checks the response; raises `Unmet` or `NotRun`.
     """
 
     fault: str
@@ -93,22 +93,22 @@ class Injection:
 
 
 REGISTERED: dict[str, list[Injection]] = {}
-"""Id to the ways in which that fault is injected, as far as their modules are loaded; see `injections`."""
+"""Injections by the id of their fault, of the modules that are loaded; see `injections`."""
 
 
 def fault(
     fault_id: str, *, how: str, needs: Iterable[Need] = (), deadline: float = DEADLINE
 ) -> Callable[[Injector], Injector]:
-    """Registers a way to inject a fault; several may be registered under one id, and all must pass.
+    """Register a way to inject a fault; several may be registered under one id, and all must pass.
 
     Args:
-        fault_id: Of the catalogue.
-        how: By what means it is injected, for the report.
-        needs: What it needs of the machine.
-        deadline: It has failed when it has not ended within this, s of the machine.
+        fault_id: Id of the catalogue.
+        how: Means of injection, for the report.
+        needs: Requirements on the machine.
+        deadline: Time after which it counts as failed, s of the machine.
 
     Raises:
-        ConfigurationError: The catalogue has no such id.
+        ConfigurationError: The id is not in the catalogue.
     """
     if fault_id not in catalogue():
         raise ConfigurationError(f"The catalogue has no fault {fault_id}.", fault=fault_id)

@@ -1,4 +1,4 @@
-"""Many datagrams a second from a process of its own, so that who measures is not who floods."""
+"""Flood of datagrams from a separate process, so that the load does not distort measurements."""
 
 from __future__ import annotations
 
@@ -19,18 +19,22 @@ from pcmrs_lab.campaign.fuzz import datagram
 from pcmrs_lab.campaign.sham import is_sham
 
 BURST = 0.002
-"""Datagrams are sent in bursts of so many seconds, so that the sender mostly sleeps."""
+"""Time between bursts of datagrams, s, so that the sender mostly sleeps."""
 
 BATCH = 64
-"""Without a rate, so many are sent between two looks at the answers."""
+"""Number of datagrams between two reads of the answers if there is no rate."""
 
 STORE = 4096
-"""Different datagrams of a flood."""
+"""Number of different datagrams of a flood."""
 
 
 @dataclass
-class Sent:
-    """What a flood has sent, once it has ended; `ended` is set when it has by itself."""
+class FloodResult:
+    """Result of a flood; complete when it has ended.
+
+    Attributes:
+        ended: Set when the flood has ended by itself.
+    """
 
     datagrams: int = 0
     seconds: float = 0.0
@@ -44,50 +48,50 @@ class Sent:
 
 
 @asynccontextmanager
-async def flood(address: tuple[str, int], rate: float, seed: int, *, most: int = 0) -> AsyncIterator[Sent]:
-    """Floods a UDP socket for the length of the context.
+async def flood(address: tuple[str, int], rate: float, seed: int, *, most: int = 0) -> AsyncIterator[FloodResult]:
+    """Flood a UDP socket for the length of the context.
 
     Args:
-        address: Of the socket.
-        rate: Datagrams per second; 0 for as many as can be sent.
-        seed: Of what they hold.
-        most: Ends by itself after so many; 0 for never.
+        address: Host and port of the socket.
+        rate: Datagrams per second; 0 for as many as possible.
+        seed: Seed of the contents.
+        most: Number after which the flood ends by itself; 0 for no limit.
 
     Yields:
-        What was sent; complete when the context has ended.
+        Result, complete when the context has ended.
 
     Raises:
-        DeviceError: It does not begin.
+        DeviceError: The flooding process does not start.
     """
     if is_sham():
-        yield Sent()
+        yield FloodResult()
         return
     words = [f"{address[0]}:{address[1]}", "--rate", str(rate), "--seed", str(seed), "--most", str(most)]
     pipe = asyncio.subprocess.PIPE
     process = await asyncio.create_subprocess_exec(sys.executable, "-m", __name__, *words, stdin=pipe, stdout=pipe)
     reader, writer = process.stdout, process.stdin
     if reader is None or writer is None or not await reader.readline():
-        raise DeviceError("The flood does not begin.")
-    sent = Sent()
-    telling = asyncio.create_task(_told(reader, sent))
+        raise DeviceError("The flood did not start.")
+    sent = FloodResult()
+    reading = asyncio.create_task(_read_report(reader, sent))
     try:
         yield sent
     finally:
         writer.close()
-        await telling
+        await reading
         await process.wait()
 
 
-async def _told(reader: asyncio.StreamReader, sent: Sent) -> None:
+async def _read_report(reader: asyncio.StreamReader, sent: FloodResult) -> None:
     line = await reader.readline()
     if line:
-        told = json.loads(line)
-        sent.datagrams, sent.seconds, sent.answers = told["datagrams"], told["seconds"], told["answers"]
+        report = json.loads(line)
+        sent.datagrams, sent.seconds, sent.answers = report["datagrams"], report["seconds"], report["answers"]
     sent.ended.set()
 
 
 def main() -> None:
-    """Floods until standard input ends; prints what was sent as one line of JSON."""
+    """Flood until standard input ends and print what was sent as one line of JSON."""
     parser = argparse.ArgumentParser()
     parser.add_argument("address")
     parser.add_argument("--rate", type=float, default=0.0)
@@ -100,12 +104,12 @@ def main() -> None:
     with socket.socket(type=socket.SOCK_DGRAM) as sender:
         sender.connect((host, int(port)))
         sender.setblocking(False)
-        _say("begun")
+        _print_line("begun")
         count, answers, seconds = _send(sender, store, generator, given.rate, given.most)
-    _say(json.dumps({"datagrams": count, "answers": answers, "seconds": seconds}))
+    _print_line(json.dumps({"datagrams": count, "answers": answers, "seconds": seconds}))
 
 
-def _say(line: str) -> None:
+def _print_line(line: str) -> None:
     sys.stdout.write(line + "\n")
     sys.stdout.flush()
 
@@ -113,15 +117,15 @@ def _say(line: str) -> None:
 def _send(
     sender: socket.socket, store: list[bytes], generator: random.Random, rate: float, most: int
 ) -> tuple[int, int, float]:
-    """Sends until standard input ends or there were enough: how many, the answers, and the seconds."""
-    begun, count, answers = time.monotonic(), 0, 0
+    """Send until standard input ends or the limit is reached; return numbers of datagrams and answers, and s."""
+    started, count, answers = time.monotonic(), 0, 0
     while not most or count < most:
-        due = int((time.monotonic() - begun) * rate) if rate else count + BATCH
+        due = int((time.monotonic() - started) * rate) if rate else count + BATCH
         due = min(due, most) if most else due
         for number in range(count, due):
             with suppress(OSError):
                 sender.send(store[number % len(store)])
-        if most:  # what is counted is to be different each time
+        if most:  # counted datagrams must all be different
             for number in range(count, due):
                 store[number % len(store)] = datagram(generator)
         count = max(count, due)
@@ -131,7 +135,7 @@ def _send(
         ended, _, _ = select.select([sys.stdin], [], [], BURST if rate else 0.0)
         if ended:
             break
-    return count, answers, time.monotonic() - begun
+    return count, answers, time.monotonic() - started
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Datagrams that are nearly commands, by the million, at a daemon's socket.
+"""Millions of malformed commands at a daemon's UDP socket: made by the grammar, changed at one place, or random.
 
-Datagrams that are nearly commands: made by the grammar, bent at one place, or random.
+-
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pcmrs_lab.campaign.datagrams import raw_socket
 from pcmrs_lab.campaign.samples import sample
 
 HARMLESS = (Action.STOP_TIP, Action.STOP_POSES)
-"""What a whole and right datagram may ask for, so that nothing may change whatever is sent."""
+"""Actions that a well-formed datagram may request: they change no state in any situation."""
 
 RIGHT = {Kind.COUNT: "01", Kind.NUMBER: "0.1", Kind.PATH: "surface.ply"}
 WRONG = {
@@ -32,25 +32,25 @@ WRONG = {
     Kind.NUMBER: ("nan", "-nan", "inf", "1e999", "-1e999", "1_000", "0x1p3", "+", ".", "1e", "١", "", "1,5", " 1"),
     Kind.PATH: ("", "a" * 300, "a;b", "\n", "é"),
 }
-"""A token of each kind, and what is none."""
+"""Valid token of each kind (`RIGHT`), and invalid ones."""
 SIGNATURE = b"|peer|1|" + b"0" * 32
 STRAYS = (b"\0", b"\n", b"\xff", b";", b";;", b"_#", b"_#12345678901", b"quit", b"exit")
 
 
 def datagram(generator: random.Random) -> bytes:
-    """One datagram; it does not do anything to a cell, whatever its state."""
+    """Return one random datagram; none has an effect on a cell in any state."""
     kind = generator.random()
     if kind < 0.1:
         return generator.randbytes(generator.choice((0, 1, 16, 17, 255, 256, 257, 1400)))
     spec = generator.choice(list(COMMANDS.values()))
     if spec.payload and kind < 0.5:
-        return _wrong(spec, generator)
+        return _invalid_payload(spec, generator)
     whole = _command(spec, [RIGHT[each] for each in spec.payload], generator)
-    return whole if kind < 0.6 and spec.action in HARMLESS else _bent(whole, generator)
+    return whole if kind < 0.6 and spec.action in HARMLESS else _malformed(whole, generator)
 
 
-def _wrong(spec: Spec, generator: random.Random) -> bytes:
-    """A command with one token that is none of its kind, one too few, or one too many."""
+def _invalid_payload(spec: Spec, generator: random.Random) -> bytes:
+    """Return a command with one invalid token, one token too few, or one too many."""
     tokens = [RIGHT[kind] for kind in spec.payload]
     place, way = generator.randrange(len(tokens)), generator.random()
     if way < 0.1:
@@ -67,52 +67,56 @@ def _command(spec: Spec, tokens: list[str], generator: random.Random) -> bytes:
     return ("_".join([spec.name, *tokens]) + ";").encode()
 
 
-def _bent(whole: bytes, generator: random.Random) -> bytes:
-    """The command with a fault in its name or behind its end: the grammar has no such command."""
-    place, ways = generator.randrange(NAME_LENGTH), generator.randrange(7)
-    if ways == 0:
+def _malformed(whole: bytes, generator: random.Random) -> bytes:
+    """Return the command with a fault in its name or after its end, so that the grammar has no such command."""
+    place, way = generator.randrange(NAME_LENGTH), generator.randrange(7)
+    if way == 0:
         return whole[:place] + bytes([generator.choice(b"@~ \x00\xff")]) + whole[place + 1 :]
-    if ways == 1:
+    if way == 1:
         return whole[: generator.randrange(len(whole))].rstrip(b";")
-    if ways == 2:
+    if way == 2:
         return whole + generator.choice(STRAYS) + b"!"
-    if ways == 3:
+    if way == 3:
         return whole[:place] + whole[place + 1 :]
-    if ways == 4:
+    if way == 4:
         return whole + SIGNATURE
-    if ways == 5:
+    if way == 5:
         return whole[:NAME_LENGTH] + b"!" + whole[NAME_LENGTH:]
     return whole.replace(b";", b"") + b"_" * generator.randrange(300)
 
 
 WINDOW = 100
-"""So many datagrams are sent before their looking-at is waited for: as many fit into a socket's buffer."""
+"""Number of datagrams that are sent before their processing is awaited: as many as fit into a socket's buffer."""
 
 WARM_UP = 50_000
-"""Datagrams before memory is looked at: caches and the allocator have settled."""
+"""Number of datagrams before memory is measured, so that caches and the allocator have settled."""
 
 GROWTH_MB = 10.0
-"""The daemon may have grown by less than this since then, MB."""
+"""Limit for the growth of the daemon after that, MB."""
 
 LOOKS = 10
 """Memory is the least of so many looks, `BETWEEN` s of the machine apart: at any moment a few MB may be about to go."""
 BETWEEN = 0.3
+"""Memory is the least of `LOOKS` measurements, this time apart (s of the machine), since a few MB may be about to be
+freed."""
 
 ShowProgress = Callable[[str, int, int], None]
 
 
 class FuzzReport(msgspec.Struct, frozen=True):
-    """What was found.
+    """Result of a fuzzed daemon.
 
     Attributes:
-        datagrams: Sent after the warm-up, and looked at by the daemon but for the dropped ones.
-        dropped: By the kernel, warm-up included.
-        answers: That came back.
-        rate: Sent per second.
+        datagrams: Number sent after the warm-up; the daemon processed all except the dropped ones.
+        dropped: Number dropped by the kernel, warm-up included.
+        answers: Number of answers.
+        rate: Datagrams sent per second.
         crashed: The daemon has ended, or does not answer any more.
-        state_changed: Its states or data were others at the end.
-        rows: Commands that the journal got meanwhile.
-        growth_mb: Of the daemon's memory since the warm-up, MB.
+        state_changed: States or data differed at the end.
+        rows: Number of commands that the journal received meanwhile.
+        growth_mb: Growth of the daemon's memory since the warm-up, MB.
+        seed: Seed of the contents.
+        seconds: Duration, s of the machine.
     """
 
     datagrams: int
@@ -128,7 +132,7 @@ class FuzzReport(msgspec.Struct, frozen=True):
 
     @property
     def violated(self) -> bool:
-        """Whether it crashed, did anything, or grew."""
+        """True if the daemon crashed, executed anything, or grew."""
         return self.crashed or self.state_changed or self.rows > 0 or self.growth_mb >= GROWTH_MB
 
 
@@ -141,26 +145,29 @@ async def fuzz(
     minutes: float | None = None,
     progress: ShowProgress = lambda *_: None,
 ) -> FuzzReport:
-    """Sends fuzzed datagrams to the planner's link of a daemon whose landmarks are digitized.
+    """Send fuzzed datagrams to the planner's link of a daemon with digitized landmarks.
 
     Args:
-        datagrams: So many, after a warm-up of `WARM_UP`.
-        seed: Of what they hold.
-        folder: For the daemon; it goes away with the caller.
-        clock: The machine's.
-        minutes: Ends earlier after so long.
-        progress: Told now and then.
+        datagrams: Number of datagrams, after a warm-up of `WARM_UP`.
+        seed: Seed of the contents.
+        folder: Folder for the daemon; the caller removes it.
+        clock: Clock of the machine.
+        minutes: Time after which the run ends early, min.
+        progress: Called after each window of datagrams.
+
+    Returns:
+        Result.
     """
     async with open_cell(folder / "fuzzed", ("robot.deadman=0.5",)) as cell:
         await digitize_landmarks(cell.client)
         generator, end = random.Random(seed), math.inf
         await _send(cell, WARM_UP, generator, end, clock, lambda *_: None)
         before, row, memory = await cell.client.state(), cell.last_row(), await _memory(cell, clock)
-        begun = clock.monotonic()
+        started = clock.monotonic()
         if minutes is not None:
-            end = begun + minutes * 60.0
+            end = started + minutes * 60.0
         sent, answers, alive = await _send(cell, datagrams, generator, end, clock, progress)
-        seconds = clock.monotonic() - begun
+        seconds = clock.monotonic() - started
         alive = alive and await _answers(cell)
         return FuzzReport(
             datagrams=sent,
@@ -179,7 +186,7 @@ async def fuzz(
 async def _send(
     cell: RunningCell, datagrams: int, generator: random.Random, end: float, clock: Clock, progress: ShowProgress
 ) -> tuple[int, int, bool]:
-    """Sends so many, or until `end`: how many, how many answers came, and whether the daemon still answers."""
+    """Send up to `datagrams` or until `end`; return how many were sent and answered, and if the daemon lives."""
     sent = answers = 0
     async with raw_socket(cell.ready.links["planner"]) as raw:
         while sent < datagrams and clock.monotonic() < end:
@@ -195,7 +202,7 @@ async def _send(
 
 
 async def _memory(cell: RunningCell, clock: Clock) -> int:
-    """What the daemon takes, bytes."""
+    """Return the memory of the daemon, bytes."""
     looks = []
     for _ in range(LOOKS):
         looks.append(sample(cell.process.pid).memory)
@@ -204,7 +211,7 @@ async def _memory(cell: RunningCell, clock: Clock) -> int:
 
 
 async def _answers(cell: RunningCell) -> bool:
-    """Whether the link still answers."""
+    """Return whether the link still answers."""
     if cell.process.returncode is not None:
         return False
     try:
@@ -217,6 +224,6 @@ async def _answers(cell: RunningCell) -> bool:
 
 
 def dropped(port: int) -> int:
-    """Datagrams that the kernel has dropped at the UDP sockets of a port."""
+    """Return the number of datagrams that the kernel has dropped at the UDP sockets of a port."""
     rows = [line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:]]
     return sum(int(row[-1]) for row in rows if row[1].endswith(f":{port:04X}"))

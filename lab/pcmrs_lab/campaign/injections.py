@@ -10,7 +10,7 @@ from pcmrs_lab.campaign.fault import REGISTERED, Injection
 
 
 def injections() -> dict[str, list[Injection]]:
-    """Id to all ways in which that fault is injected."""
+    """Return all injections by the id of their fault."""
     for module in iter_modules(faults.__path__):
         import_module(f"{faults.__name__}.{module.name}")
     return REGISTERED

@@ -1,4 +1,4 @@
-"""Whether a journal that may be damaged is taken up with all its rows, or refused; nothing else is right."""
+"""Check that a journal that may be damaged is recovered with all its rows, or refused."""
 
 from __future__ import annotations
 
@@ -14,12 +14,16 @@ from pcmrs.testing.journal import KEY, PUBLIC_KEY, contents
 from pcmrs_lab.campaign.writing import row
 
 
-def taken_up(path: Path, rows: Sequence[StoredRow]) -> bool:
-    """Opens and verifies a journal that may be damaged: True when it is taken up with every row, False when refused.
+def is_recovered(path: Path, rows: Sequence[StoredRow]) -> bool:
+    """Return True if a journal that may be damaged is recovered with every row, False if it is refused.
+
+    Args:
+        path: Database file of the journal.
+        rows: Rows that it must have.
 
     Raises:
-        Unmet: Something is wrong, and nobody says so: rows are missing or others, `verify` finds nothing in what is
-            refused, or what was refused was changed.
+        Unmet: Damage is not reported: rows are missing or changed, `verify` finds nothing in a refused journal, or a
+            refused journal was changed.
     """
     before = contents(path.parent)
     try:
@@ -30,19 +34,19 @@ def taken_up(path: Path, rows: Sequence[StoredRow]) -> bool:
     if refusal is None:
         missing = asyncio.run(missing_rows(path, rows))
         if missing:
-            raise Unmet(f"{missing} rows are missing or others")
+            raise Unmet(f"{missing} rows are missing or changed")
         return True
     if sound and KEY not in refusal.text:  # verifying needs no private key
-        raise Unmet(f"verify has found nothing, and opening says: {refusal.text}")
+        raise Unmet(f"verify found nothing, but opening was refused: {refusal.text}")
     after = contents(path.parent)
     changed = [name for name in before if name != PUBLIC_KEY and after.get(name) != before[name]]
     if changed:
-        raise Unmet(f"refused, and changed nevertheless: {', '.join(changed)}")
+        raise Unmet(f"refused, but changed: {', '.join(changed)}")
     return False
 
 
 async def _refusal(path: Path) -> JournalError | None:
-    """Opens and closes a journal as a daemon does; why that is refused."""
+    """Open and close a journal as a daemon does; return the error if that is refused."""
     try:
         journal = Journal.open(path)
     except JournalError as error:
@@ -52,10 +56,14 @@ async def _refusal(path: Path) -> JournalError | None:
 
 
 async def missing_rows(path: Path, rows: Iterable[StoredRow]) -> int:
-    """How many rows are missing or others, once the journal was taken up as a daemon does, and a row appended.
+    """Open a journal as a daemon does, append a row, and return how many rows are missing or changed.
+
+    Args:
+        path: Database file of the journal.
+        rows: Rows that it must have.
 
     Raises:
-        JournalError: It was refused, or cannot be read.
+        JournalError: The journal was refused, or cannot be read.
     """
     journal = Journal.open(path)
     try:
@@ -69,7 +77,7 @@ async def missing_rows(path: Path, rows: Iterable[StoredRow]) -> int:
 
 
 def check_sound(path: Path) -> None:
-    """Raises `Unmet` unless `verify` finds nothing in a journal, and `JournalError` where there is none."""
+    """Raise `Unmet` unless `verify` finds nothing in a journal, and `JournalError` if there is none."""
     verified = verify(path)
     if not verified.sound:
         raise Unmet(f"verify finds: {'; '.join(verified.problems)}")

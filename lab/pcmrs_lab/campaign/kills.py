@@ -1,4 +1,4 @@
-"""kill -9 of what writes the journal: everything that was acknowledged must be there afterwards."""
+"""kill -9 of processes that write a journal: every acknowledged row must be there afterwards."""
 
 from __future__ import annotations
 
@@ -28,35 +28,35 @@ from pcmrs_lab.campaign.writing import REFUSED, SEQUENCE, write
 RANDOM = "random instant"
 
 LATEST = 30
-"""An armed process dies before it comes to its failpoint so often."""
+"""An armed process reaches its failpoint fewer times than this before it dies."""
 
 LONGEST = 0.05
-"""A process that is killed at a random instant lives so long at most after it has begun to write, s of the machine."""
+"""Longest life of a process that is killed at a random instant, from its first write, s of the machine."""
 
 DIES_WITHIN = 30.0
-"""A process that is armed has come to its failpoint within this, s of the machine."""
+"""Time in which an armed process reaches its failpoint, s of the machine."""
 
 PER_JOURNAL = 100
-"""So many processes write one journal after the other, before a new one is begun."""
+"""Number of processes that write one journal one after the other before a new one is started."""
 
-OF_JOURNAL = tuple(name for name in FAILPOINTS if name.startswith("journal."))
+JOURNAL_FAILPOINTS = tuple(name for name in FAILPOINTS if name.startswith("journal."))
 
 ShowProgress = Callable[[str, int, int], None]
 
 
 class KillReport(msgspec.Struct, frozen=True):
-    """What was found.
+    """Result of killed processes.
 
     Attributes:
-        what: Was killed.
-        kills: Processes killed.
-        at: How many of them died at which failpoint by the failpoint itself, and how many at random instants.
-        not_reached: How many were armed for which failpoint and killed since they had not come there in time.
-        acknowledged: Rows, or decisions of a daemon, that were acknowledged before.
-        lost: Of these, how many were not there afterwards, or not as they had been.
-        refused: Journals that could not be opened afterwards, in their own words; processes that ended by themselves.
-        seed: Of the instants.
-        seconds: s of the machine.
+        what: Kind of process.
+        kills: Number of killed processes.
+        at: Number of processes that died at each failpoint by the failpoint itself, and at random instants.
+        not_reached: Number of processes, by failpoint, that were killed because they had not reached it in time.
+        acknowledged: Number of rows, or decisions of a daemon, that were acknowledged before.
+        lost: Number of these that were missing or changed afterwards.
+        refused: Errors of journals that could not be opened afterwards, and of processes that ended by themselves.
+        seed: Seed of the instants.
+        seconds: Duration, s of the machine.
     """
 
     what: str
@@ -71,23 +71,26 @@ class KillReport(msgspec.Struct, frozen=True):
 
     @property
     def violated(self) -> bool:
-        """Whether anything was lost, or cannot be read."""
+        """True if anything was lost, or cannot be read."""
         return self.lost > 0 or bool(self.refused)
 
 
 def kill_writers(
     times: int, seed: int, clock: Clock, *, minutes: float | None = None, progress: ShowProgress = lambda *_: None
 ) -> KillReport:
-    """Kills processes that write a journal: at every failpoint of the journal in turn, and at random instants.
+    """Kill processes that write a journal: at every failpoint of the journal in turn, and at random instants.
 
-    The kernel outlives them, so this is about what a process loses, not about what a disk does.
+    The kernel survives, so this shows what a process loses, not what a disk does.
 
     Args:
-        times: So many processes.
-        seed: Of instants and failpoints.
-        clock: The machine's.
-        minutes: Ends earlier after so long.
-        progress: Told after each.
+        times: Number of processes.
+        seed: Seed of the instants and failpoints.
+        clock: Clock of the machine.
+        minutes: Time after which the run ends early, min.
+        progress: Called after each process.
+
+    Returns:
+        Result of all processes.
     """
     tally = Tally(clock, seed, times, minutes, progress)
     context = multiprocessing.get_context("forkserver")
@@ -99,7 +102,15 @@ def kill_writers(
 
 
 class Tally:
-    """What has been found so far; in a sham campaign nothing is killed."""
+    """Running totals; nothing is killed in a sham campaign.
+
+    Args:
+        clock: Clock of the machine.
+        seed: Seed of the random choices.
+        times: Number of processes to kill.
+        minutes: Time after which `done` is true, min; None for no limit.
+        progress: Called after each process.
+    """
 
     def __init__(self, clock: Clock, seed: int, times: int, minutes: float | None, progress: ShowProgress) -> None:
         self.clock = clock
@@ -109,26 +120,36 @@ class Tally:
         self.acknowledged = self.lost = 0
         self.refused: list[str] = []
         self._seed, self._times, self._progress = seed, 0 if is_sham() else times, progress
-        self._begun = clock.monotonic()
-        self._end = math.inf if minutes is None else self._begun + minutes * 60.0
+        self._started = clock.monotonic()
+        self._end = math.inf if minutes is None else self._started + minutes * 60.0
 
     @property
     def kills(self) -> int:
+        """Number of killed processes."""
         return self.at.total() + self.not_reached.total()
 
     @property
     def done(self) -> bool:
+        """True if enough processes were killed, or the time is over."""
         return self.kills >= self._times or self.clock.monotonic() >= self._end
 
     def count(self, place: str, acknowledged: int, lost: int, *, reached: bool) -> None:
-        """A process was killed: at that place, or elsewhere since it had not come there."""
+        """Count a killed process.
+
+        Args:
+            place: Failpoint at which it was to die, or `RANDOM`.
+            acknowledged: Number of rows that it had acknowledged.
+            lost: Number of acknowledged rows that are missing.
+            reached: True if it died at the failpoint; False if it was killed before it got there.
+        """
         (self.at if reached else self.not_reached)[place] += 1
         self.acknowledged += acknowledged
         self.lost += lost
         self._progress(f"killed at {place}" if reached else f"{place} not reached", self.kills, self._times)
 
     def report(self, what: str) -> KillReport:
-        seconds = self.clock.monotonic() - self._begun
+        """Return the result for this kind of process."""
+        seconds = self.clock.monotonic() - self._started
         at, not_reached = (
             {name: counted[name] for name in (*FAILPOINTS, RANDOM) if name in counted}
             for counted in (self.at, self.not_reached)
@@ -139,35 +160,35 @@ class Tally:
 
 
 def _one_journal(context: ForkServerContext, path: Path, tally: Tally) -> None:
-    """One process after the other writes the same journal and is killed, until one cannot open it."""
-    checked, places = Checked(), (RANDOM, *OF_JOURNAL)
+    """Have one process after the other write the same journal and be killed, until one cannot open it."""
+    checked, places = VerifiedPrefix(), (RANDOM, *JOURNAL_FAILPOINTS)
     for _ in range(PER_JOURNAL):
         if tally.done:
             return
         number, place = tally.kills, places[tally.kills % len(places)]
         try:
-            told, reached = _killed(context, path, number, place, tally.generator, tally.clock)
-            tally.count(place, len(told), lost_rows(path, f"run{number}", told, checked), reached=reached)
+            output, reached = _run_until_killed(context, path, number, place, tally.generator, tally.clock)
+            tally.count(place, len(output), lost_rows(path, f"run{number}", output, checked), reached=reached)
         except JournalError as error:
             tally.count(place, 0, 0, reached=False)
             tally.refused.append(error.text)
             return
 
 
-class Checked(msgspec.Struct):
-    """How far a journal has been found whole."""
+class VerifiedPrefix(msgspec.Struct):
+    """End of the part of a journal that has been found whole: sequence and hash of its last row."""
 
     sequence: int = 0
     hash: bytes = GENESIS
 
 
-def _killed(
+def _run_until_killed(
     context: ForkServerContext, path: Path, number: int, place: str, generator: random.Random, clock: Clock
 ) -> tuple[list[int], bool]:
-    """Has a process write until it is killed; returns what it was acknowledged, and whether it was killed at `place`.
+    """Have a process write until it is killed; return the acknowledged sequences, and whether it was killed at `place`.
 
     Raises:
-        JournalError: It could not open the journal, or ended by itself.
+        JournalError: The process could not open the journal, or ended by itself.
     """
     at_random = place == RANDOM
     armed = "" if at_random else f"{place}:{generator.randrange(1, LATEST)}"
@@ -176,17 +197,17 @@ def _killed(
     process.start()
     sender.close()
     try:
-        told = _read(receiver.fileno(), 8, clock.monotonic() + DIES_WITHIN, clock)
+        output = _read(receiver.fileno(), 8, clock.monotonic() + DIES_WITHIN, clock)
         lives = clock.monotonic() + (generator.uniform(0.0, LONGEST) if at_random else DIES_WITHIN)
-        told += _read(receiver.fileno(), 0, lives, clock)
-        process.join(max(0.0, lives - clock.monotonic()))  # what it was told by has closed before it has ended
+        output += _read(receiver.fileno(), 0, lives, clock)
+        process.join(max(0.0, lives - clock.monotonic()))  # its pipe closes before the process has ended
         ended = process.exitcode
     finally:
         process.kill()
-    told += _read(receiver.fileno(), 0, clock.monotonic() + DIES_WITHIN, clock)
+    output += _read(receiver.fileno(), 0, clock.monotonic() + DIES_WITHIN, clock)
     receiver.close()
     process.join()
-    acknowledged = _acknowledged(told)
+    acknowledged = _acknowledged(output)
     if ended is not None and (at_random or ended != -signal.SIGKILL):
         raise JournalError(f"A process that writes the journal ended by itself, with exit status {ended}.")
     return acknowledged, at_random or ended is not None
@@ -198,7 +219,7 @@ def _run(path: Path, number: int, seed: int, armed: str, sender: Connection) -> 
 
 
 def _read(descriptor: int, enough: int, until: float, clock: Clock) -> bytes:
-    """What comes until the sender has ended, there is enough (0: never), or time is up."""
+    """Read until the sender has closed, `enough` bytes have come (0 for no limit), or the time is over."""
     read = b""
     while not enough or len(read) < enough:
         ready, _, _ = select.select([descriptor], [], [], max(0.0, until - clock.monotonic()))
@@ -209,22 +230,28 @@ def _read(descriptor: int, enough: int, until: float, clock: Clock) -> bytes:
     return read
 
 
-def _acknowledged(told: bytes) -> list[int]:
+def _acknowledged(output: bytes) -> list[int]:
     sequences = []
-    for start in range(0, len(told) - len(told) % SEQUENCE.size, SEQUENCE.size):
-        (sequence,) = SEQUENCE.unpack_from(told, start)
+    for start in range(0, len(output) - len(output) % SEQUENCE.size, SEQUENCE.size):
+        (sequence,) = SEQUENCE.unpack_from(output, start)
         if sequence == REFUSED:
-            raise JournalError(told[start + SEQUENCE.size :].decode(errors="replace"))
+            raise JournalError(output[start + SEQUENCE.size :].decode(errors="replace"))
         if sequence:
             sequences.append(sequence)
     return sequences
 
 
-def lost_rows(path: Path, run: str, acknowledged: Collection[int], checked: Checked) -> int:
-    """How many of the sequences are not there, or not of this run; the chain is followed from where it was whole.
+def lost_rows(path: Path, run: str, acknowledged: Collection[int], checked: VerifiedPrefix) -> int:
+    """Return how many acknowledged rows are missing or of another run, and verify the chain of new rows.
+
+    Args:
+        path: Database file of the journal.
+        run: Session id of the run that wrote the rows.
+        acknowledged: Acknowledged sequence numbers.
+        checked: Part of the journal that was verified before; it is updated.
 
     Raises:
-        JournalError: It cannot be read, or the chain does not hold.
+        JournalError: The journal cannot be read, or its chain is broken.
     """
     found = set()
     if not path.exists():

@@ -1,4 +1,4 @@
-"""What an injected fault works with: real daemons as processes, with folders and ports of their own."""
+"""Surroundings of an injected fault: real daemons as processes, each with its own folder and ports."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from pcmrs_lab.campaign.delays import FOLDER, Delays
 from pcmrs_lab.campaign.sham import is_sham
 
 END_TIME = 60.0
-"""A daemon that does not start has ended within this, s of the machine."""
+"""Time within which a daemon that does not start has ended, s of the machine."""
 
 
 class Lab:
-    """One injected fault's surroundings.
+    """Surroundings of one injected fault.
 
     Args:
-        seed: Of everything that is random in it.
-        folder: A temporary folder of its own.
-        pool: Keeps a daemon for the next fault; None for daemons that always end.
+        seed: Seed of everything that is random.
+        folder: Temporary folder for this fault.
+        pool: Pool that keeps a daemon for the next fault; None for daemons that always end.
 
     Attributes:
-        seed: As given.
-        folder: As given.
-        random: A generator of that seed.
+        seed: Seed.
+        folder: Folder.
+        random: Generator with that seed.
     """
 
     def __init__(self, seed: int, folder: Path, pool: Pool | None = None) -> None:
@@ -51,17 +51,17 @@ class Lab:
         environment: Mapping[str, str] | None = None,
         delayed: bool = False,
     ) -> AsyncIterator[RunningCell]:
-        """A fresh daemon for the length of the context.
+        """Start a new daemon for the length of the context.
 
         Args:
             overrides: Settings besides `QUICK`, ``key=value`` each; ``sim.seed`` is the lab's.
-            folder: The cell's folder: that of an earlier daemon for its successor; a new one by default.
+            folder: Folder of the cell: that of an earlier daemon for its successor; a new one by default.
             prefix: Words before the daemon's command line, such as ``strace`` and its options.
-            environment: Variables that it has besides those of this process.
-            delayed: The rules of `delays_of` the cell are obeyed.
+            environment: Environment variables in addition to those of this process.
+            delayed: True if the rules of `delays_of` the cell apply.
 
         Raises:
-            DeviceError: It did not start; the text has its last words.
+            DeviceError: The daemon did not start; the text has the end of its log.
         """
         self._daemons += 1
         place = folder or self.folder / f"cell{self._daemons}"
@@ -71,24 +71,30 @@ class Lab:
             yield cell
 
     @asynccontextmanager
-    async def cell(self, *overrides: str, anew: bool = True, delayed: bool = False) -> AsyncIterator[RunningCell]:
-        """A daemon that an earlier fault may have used.
+    async def cell(self, *overrides: str, fresh: bool = True, delayed: bool = False) -> AsyncIterator[RunningCell]:
+        """Start a daemon, or use one of an earlier fault, for the length of the context.
 
-        It is kept for the next fault when the context ends without an error, so what was broken must have been mended.
+        The daemon is kept for the next fault if the context ends without an error, so the fault must have been
+        reverted.
 
         Args:
             overrides: Settings besides `QUICK`, ``key=value`` each.
-            anew: Every branch is in its initial state; otherwise the head may be registered, and the tool at it.
-            delayed: The rules of `delays_of` the cell are obeyed.
+            fresh: True if every branch must be in its initial state; otherwise the head may be registered, and the tool
+                at it.
+            delayed: True if the rules of `delays_of` the cell apply.
         """
-        async with self._pool.borrow(overrides, self.seed, anew=anew, delayed=delayed) as cell:
+        async with self._pool.borrow(overrides, self.seed, fresh=fresh, delayed=delayed) as cell:
             yield cell
 
-    async def ending(self, *overrides: str, folder: Path | None = None) -> tuple[int, str]:
-        """Exit status and standard error of a daemon that is to refuse to start.
+    async def start_refused(self, *overrides: str, folder: Path | None = None) -> tuple[int, str]:
+        """Start a daemon that must refuse to start; return its exit status and standard error.
+
+        Args:
+            overrides: Settings besides `QUICK`, ``key=value`` each.
+            folder: Folder of the cell; a new one by default.
 
         Raises:
-            Unmet: It was still running after `END_TIME`.
+            Unmet: The daemon was still running after `END_TIME`.
         """
         self._daemons += 1
         place = folder or self.folder / f"cell{self._daemons}"
@@ -99,40 +105,46 @@ class Lab:
             async with asyncio.timeout(END_TIME):
                 _, errors = await process.communicate()
         except TimeoutError:
-            raise Unmet("The daemon was not refused: it runs.") from None
+            raise Unmet("The daemon started although it had to refuse.") from None
         finally:
             if process.returncode is None:
                 await kill_and_wait(process)
         return process.returncode or 0, errors.decode(errors="replace")
 
     def log_tail(self) -> str:
-        """The last lines of the newest daemon's log, for the report of a failure."""
+        """Return the last lines of the newest daemon's log, for the report of a failure."""
         logs = sorted((*self.folder.glob("*/log"), *self._pool.logs()), key=lambda log: log.stat().st_mtime)
         return log_tail(logs[-1], 5) if logs else ""
 
 
 class Pool:
-    """Keeps one daemon alive from fault to fault, as long as they ask for the same settings.
+    """Keeps one daemon alive from fault to fault while they need the same settings.
 
     Args:
-        folder: In which the cells have their folders.
+        folder: Parent of the folders of the cells.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._kept: tuple[tuple[tuple[str, ...], bool], RunningCell] | None = None
+        self._current: tuple[tuple[tuple[str, ...], bool], RunningCell] | None = None
         self._stack = AsyncExitStack()
         self._daemons = 0
 
     @asynccontextmanager
     async def borrow(
-        self, overrides: tuple[str, ...], seed: int, *, anew: bool, delayed: bool = False
+        self, overrides: tuple[str, ...], seed: int, *, fresh: bool, delayed: bool = False
     ) -> AsyncIterator[RunningCell]:
-        """The kept daemon, or a new one where the settings are others; ended when the context ends with an error.
+        """Lend the kept daemon, or a new one if the settings differ; end it if the context ends with an error.
 
-        Where no fault took place, a response that did not come breaks nothing: the daemon is kept.
+        In a sham campaign a missing response damages nothing, so the daemon is kept.
+
+        Args:
+            overrides: Settings besides `QUICK`, ``key=value`` each.
+            seed: Seed of the simulation from now on.
+            fresh: True if every branch must be in its initial state.
+            delayed: True if the rules of `delays_of` the cell apply.
         """
-        cell = await self._ready(overrides, seed, anew=anew, delayed=delayed)
+        cell = await self._ready(overrides, seed, fresh=fresh, delayed=delayed)
         try:
             yield cell
         except BaseException as error:
@@ -141,27 +153,27 @@ class Pool:
             await self.close()
             raise
 
-    async def _ready(self, overrides: tuple[str, ...], seed: int, *, anew: bool, delayed: bool) -> RunningCell:
-        if self._kept is not None and self._kept[0] == (overrides, delayed):
-            with suppress(PcmrsError):  # what an earlier fault has left must not fail this one
-                await _prepare(self._kept[1], seed, anew=anew)
-                return self._kept[1]
+    async def _ready(self, overrides: tuple[str, ...], seed: int, *, fresh: bool, delayed: bool) -> RunningCell:
+        if self._current is not None and self._current[0] == (overrides, delayed):
+            with suppress(PcmrsError):  # the state that an earlier fault left must not fail this one
+                await _prepare(self._current[1], seed, fresh=fresh)
+                return self._current[1]
         await self.close()
         self._daemons += 1
         place = self._folder / f"shared{self._daemons}"
         opening = open_cell(place, overrides, environment=_variables(place, delayed))
         cell = await self._stack.enter_async_context(opening)
-        self._kept = (overrides, delayed), cell
-        await _prepare(cell, seed, anew=anew)
+        self._current = (overrides, delayed), cell
+        await _prepare(cell, seed, fresh=fresh)
         return cell
 
     async def close(self) -> None:
-        """Ends the daemon that is kept, if any."""
-        self._kept = None
+        """End the kept daemon, if any."""
+        self._current = None
         await self._stack.aclose()
 
     def logs(self) -> list[Path]:
-        """Of all its daemons."""
+        """Return the log files of all its daemons."""
         return list(self._folder.glob("shared*/log"))
 
 
@@ -169,6 +181,6 @@ def _variables(folder: Path, delayed: bool) -> Mapping[str, str]:
     return Delays(folder / FOLDER).install() if delayed else {}
 
 
-async def _prepare(cell: RunningCell, seed: int, *, anew: bool) -> None:
+async def _prepare(cell: RunningCell, seed: int, *, fresh: bool) -> None:
     await cell.scene.reseed(seed)
-    await (reset_cell(cell.client) if anew else wait_until_stationary(cell.client))
+    await (reset_cell(cell.client) if fresh else wait_until_stationary(cell.client))

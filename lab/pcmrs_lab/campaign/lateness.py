@@ -1,4 +1,4 @@
-"""How late a bare timer of the event loop is: what the machine's scheduler adds to everything measured beside it."""
+"""Lateness of a bare timer of the event loop: the scheduling delay that the machine adds to measurements beside it."""
 
 from __future__ import annotations
 
@@ -13,29 +13,34 @@ PERIOD = 0.01
 
 
 @dataclass
-class Lateness:
-    """How late a timer was each time, s."""
+class TimerLateness:
+    """TimerLateness of a timer at each expiry, s."""
 
     late: list[float] = field(default_factory=list)
 
 
 @asynccontextmanager
-async def timer_lateness() -> AsyncIterator[Lateness]:
-    """Measures for the length of the context."""
-    found = Lateness()
+async def timer_lateness() -> AsyncIterator[TimerLateness]:
+    """Measure the lateness of a timer for the length of the context."""
+    found = TimerLateness()
     async with background_task(_measure(found)):
         yield found
 
 
-async def _measure(found: Lateness) -> None:
+async def _measure(found: TimerLateness) -> None:
     clock = asyncio.get_running_loop().time
     while True:
-        begun = clock()
+        started = clock()
         await asyncio.sleep(PERIOD)
-        found.late.append(clock() - begun - PERIOD)
+        found.late.append(clock() - started - PERIOD)
 
 
 def percentile(values: Sequence[float], share: float) -> float:
-    """The smallest value that `share` of them do not exceed; 0 of none."""
+    """Return the smallest value that a share of the values does not exceed; 0 for no values.
+
+    Args:
+        values: Values in any order.
+        share: Share between 0 and 1.
+    """
     ordered = sorted(values)
     return ordered[min(len(ordered) - 1, max(0, round(share * len(ordered) + 0.5) - 1))] if ordered else 0.0

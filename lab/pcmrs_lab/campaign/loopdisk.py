@@ -1,4 +1,4 @@
-"""A small ext4 disk of a fault's own, in a file: it can be full, fail, lose its power and come back."""
+"""Small ext4 disk in a file for one fault: it can be full, fail, lose its power and come back."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pcmrs_lab.campaign.fault import NotRun
 from pcmrs_lab.campaign.needs import ROOT, Need, program
-from pcmrs_lab.campaign.sham import bring_about, is_sham
+from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
 from pcmrs_lab.campaign.tools import tool
 
 NEEDS = (
@@ -24,33 +24,38 @@ NEEDS = (
 )
 
 MEBIBYTES = 24
-"""Size of the disk; the smallest that ext4 gives a journal of its own."""
+"""Size of the disk; the smallest for which mkfs makes an ext4 journal."""
 
 SHUTDOWN = 0x8004587D
 """EXT4_IOC_SHUTDOWN, Linux, fs/ext4/ext4.h: the file system is cut off from its disk."""
 WITHOUT_FLUSHING = 2
-"""EXT4_GOING_FLAGS_NOLOGFLUSH: what no fsync has waited for is lost, as in a power cut."""
+"""EXT4_GOING_FLAGS_NOLOGFLUSH: data that was not synchronised is lost, as in a power cut."""
 
 RESERVE, PROBE = "reserve", "probe"
 
 
 @dataclass(frozen=True, slots=True)
 class LoopDisk:
-    """A mounted disk.
+    """Mounted disk.
 
     Attributes:
-        path: Where it is mounted.
-        image: The file that holds it.
+        path: Mount point.
+        image: File with the file system.
     """
 
     path: Path
     image: Path
 
     def fill(self, leaving: int = 0) -> None:
-        """Takes all the space that is left but for some bytes; `release` gives it back; nothing in a sham campaign."""
+        """Take all free space except some bytes, until `release`; do nothing in a sham campaign.
+
+        Args:
+            leaving: Number of bytes that stay free.
+        """
         if is_sham():
             return
         with (self.path / RESERVE).open("wb", buffering=0) as reserve:
+            # Smaller writes fill the space that a larger one does not fit into.
             for size in (1 << 20, 1 << 12, 1):
                 with suppress(OSError):
                     while reserve.write(bytes(size)):
@@ -60,7 +65,7 @@ class LoopDisk:
                 os.fsync(reserve.fileno())
 
     def release(self) -> None:
-        """Gives back what `fill` has taken."""
+        """Free the space that `fill` has taken."""
         (self.path / RESERVE).unlink(missing_ok=True)
         folder = os.open(self.path, os.O_RDONLY)
         try:
@@ -69,25 +74,25 @@ class LoopDisk:
             os.close(folder)
 
     def cut_power(self) -> None:
-        """Nothing reaches the disk any more, and what was not synchronised never will; until `power_on`."""
+        """Cut the disk off until `power_on`: no write reaches it, and data that was not synchronised is lost."""
         folder = os.open(self.path, os.O_RDONLY)
         try:
-            bring_about(lambda: fcntl.ioctl(folder, SHUTDOWN, struct.pack("I", WITHOUT_FLUSHING)))
+            inject_unless_sham(lambda: fcntl.ioctl(folder, SHUTDOWN, struct.pack("I", WITHOUT_FLUSHING)))
         finally:
             os.close(folder)
 
     async def power_on(self) -> None:
-        """Mounts the disk anew, as a machine that starts does; nobody may have files of it open."""
-        await _unmounted(self.path)
+        """Mount the disk again, as a starting machine does; no program may have files of it open."""
+        await _unmount(self.path)
         await tool(["mount", "-o", "loop,errors=remount-ro", str(self.image), str(self.path)])
 
     async def make_read_only(self) -> None:
-        """The file system goes read-only by itself, as it does when it finds itself damaged."""
+        """Make the file system read-only by itself, as if it had found itself damaged."""
         if not is_sham():
             await tool(["mount", "-o", "remount,abort", str(self.path)])
 
     def error(self) -> str:
-        """What another program that writes to the disk is told, such as ``ENOSPC``; empty where it can write."""
+        """Return the error of another program that writes to the disk, such as ``ENOSPC``; empty if it can write."""
         file = self.path / PROBE
         try:
             with file.open("wb", buffering=0) as probe:
@@ -100,29 +105,30 @@ class LoopDisk:
                 file.unlink()
         return ""
 
-    def taken(self) -> float:
-        """Share of the disk's space that nobody can have any more, as the kernel counts it."""
+    def used_share(self) -> float:
+        """Return the share of the disk's space that is not available, as the kernel counts it."""
         counted = os.statvfs(self.path)
         return 1.0 - counted.f_bavail / counted.f_blocks
 
 
 @asynccontextmanager
 async def loop_disk(folder: Path) -> AsyncIterator[LoopDisk]:
-    """Makes a disk in `folder`, mounts it, and takes it away with the context.
+    """Make a disk in `folder`, mount it, and remove it at the end of the context.
 
     Raises:
-        NotRun: This machine does not let this process mount one.
+        NotRun: This machine does not permit mounting.
     """
-    disk = _prepared(folder)
+    disk = _create(folder)
+    # No blocks are reserved for root (-m 0), so that root and other users have the same free space.
     await tool(["mkfs.ext4", "-q", "-O", "has_journal", "-m", "0", str(disk.image)])
     await tool(["mount", "-o", "loop,errors=remount-ro", str(disk.image), str(disk.path)])
     try:
         yield disk
     finally:
-        await _unmounted(disk.path)
+        await _unmount(disk.path)
 
 
-def _prepared(folder: Path) -> LoopDisk:
+def _create(folder: Path) -> LoopDisk:
     disk = LoopDisk(folder / "disk", folder / "disk.ext4")
     disk.path.mkdir()
     with disk.image.open("wb") as image:
@@ -130,8 +136,8 @@ def _prepared(folder: Path) -> LoopDisk:
     return disk
 
 
-async def _unmounted(path: Path) -> None:
-    """A process that is about to end may hold the disk for a while."""
+async def _unmount(path: Path) -> None:
+    """Unmount the disk; a process that is about to end may hold it for a while."""
     for _ in range(100):
         with suppress(NotRun):
             await tool(["umount", str(path)])

@@ -1,10 +1,10 @@
-"""A cell and a teleoperator, each behind a NAT of its own, and a router between them: namespaces of this machine.
+"""A cell and a teleoperator, each behind its own NAT, and a router between them, in network namespaces of this machine.
 
     cell -- nat-cell -- router -- nat-remote -- remote
 
-Both insides have the same private network, as two places often do. The NATs let out what begins inside, and the
-answers to it back in; whatever else comes from outside is dropped. The router's namespace also passes packets on
-between the two NATs, as the Internet does: what cannot be reached is kept out by a NAT, not by a missing way.
+Both inner networks have the same private addresses, as two sites often do. The NATs pass connections from inside and
+the answers to them; they drop all other packets from outside. The router's namespace also forwards packets between the
+two NATs, as the Internet does: an unreachable address is blocked by a NAT, not by a missing route.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ INSIDE: Final = "192.168.1.2"
 """Address of the cell, and of the remote, each behind its NAT."""
 GATEWAY: Final = "192.168.1.1"
 ROUTER: Final[dict[Side, str]] = {"cell": "198.51.100.1", "remote": "203.0.113.1"}
-"""The router's address as each side dials it."""
+"""Address of the router as each side dials it."""
 OUTSIDE: Final[dict[Side, str]] = {"cell": "198.51.100.2", "remote": "203.0.113.2"}
 """Address of each NAT as others see it."""
 
@@ -48,7 +48,7 @@ table inet weather {
 
 
 def _namespaces() -> bool:
-    """Whether this process may make a network namespace with the rules that a NAT needs; tried once with one."""
+    """Return whether this process may make a network namespace with the rules of a NAT; it tries one."""
     try:
         with namespaces(["nat"]) as name:
             _nft(f"{name}-nat", NAT + _lossy(0.5))
@@ -61,7 +61,7 @@ NEEDS: Final = (ROOT, program("ip"), program("nft"), Need("network namespaces wi
 
 
 def missing() -> str:
-    """What this machine lacks for a lab, or nothing: the reason for which a test is skipped."""
+    """Return the reason for which a test is skipped: what this machine lacks for a lab; empty if nothing."""
     return next((f"no {need.name}" for need in NEEDS if not need.is_met()), "")
 
 
@@ -69,27 +69,32 @@ class NatLab(Namespaces[Place]):
     """The five namespaces; use `nat_lab`."""
 
     def lose(self, side: Side, share: float) -> None:
-        """Drops that share of the packets between a side and the router, each way, in place of what was before."""
-        self._weather(side, _lossy(share))
+        """Drop a share of the packets between a side and the router, each way, in place of earlier impairments.
+
+        Args:
+            side: Side of the link.
+            share: Share of packets between 0 and 1.
+        """
+        self._set_rule(side, _lossy(share))
 
     def cut(self, side: Side) -> None:
-        """Drops every packet of a side, each way; nothing is closed or told, as when a cable is pulled."""
-        self._weather(side, "add rule inet weather forward drop")
+        """Drop every packet of a side, each way, without closing anything, like a pulled cable."""
+        self._set_rule(side, "add rule inet weather forward drop")
 
-    def mend(self, side: Side) -> None:
-        """Drops no more packets; the NAT still knows its connections."""
-        self._weather(side, "")
+    def restore(self, side: Side) -> None:
+        """Drop no more packets; the NAT still knows its connections."""
+        self._set_rule(side, "")
 
-    def _weather(self, side: Side, rule: str) -> None:
+    def _set_rule(self, side: Side, rule: str) -> None:
         _nft(f"{self.name}-nat-{side}", f"flush chain inet weather forward\n{rule}\n")
 
 
 @contextmanager
 def nat_lab() -> Iterator[NatLab]:
-    """Makes the namespaces, and ends all that was started in them.
+    """Make the namespaces for the length of the context, and end all processes that were started in them.
 
     Raises:
-        subprocess.CalledProcessError: This machine does not permit them: ask `missing` first.
+        subprocess.CalledProcessError: This machine does not permit them; call `missing` first.
     """
     with namespaces(["router", *SIDES, *(f"nat-{side}" for side in SIDES)]) as name:
         for side in SIDES:
@@ -100,7 +105,7 @@ def nat_lab() -> Iterator[NatLab]:
 
 
 def _wire(name: str, side: Side) -> None:
-    """Lays the two cables of a side, and sets up its NAT."""
+    """Connect the two links of a side, and set up its NAT."""
     inner, nat, router = f"{name}-{side}", f"{name}-nat-{side}", f"{name}-router"
     ip("link", "add", "lan", "netns", inner, "type", "veth", "peer", "lan", "netns", nat)
     ip("link", "add", "wan", "netns", nat, "type", "veth", "peer", side, "netns", router)

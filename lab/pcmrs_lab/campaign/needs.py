@@ -1,4 +1,4 @@
-"""What a fault needs of a machine: programs, rights, parts of the kernel."""
+"""Requirements of a fault on the machine: programs, rights, kernel features."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from importlib.util import find_spec
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """Something that a machine has or has not.
+    """Requirement that a machine meets or does not meet.
 
     Attributes:
-        name: Under which it is listed.
-        is_met: Whether this machine, and this process on it, has it.
+        name: Name for reports.
+        is_met: Function that returns whether this machine, and this process on it, meets it.
     """
 
     name: str
@@ -26,7 +26,7 @@ ROOT = Need("root", lambda: os.geteuid() == 0)
 
 
 def program(name: str) -> Need:
-    """A program on the search path."""
+    """Return the requirement of a program on the search path."""
     return Need(name, lambda: shutil.which(name) is not None)
 
 

@@ -1,4 +1,4 @@
-"""What happens to messages on their way: lost, doubled, late, out of order, one way only; seeded."""
+"""Impairment of a link: messages are lost, doubled, late, out of order, or one way only; seeded."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from pcmrs_lab.campaign.sham import is_sham
 
 @dataclass
 class NetworkImpairment:
-    """How a link behaves, for each direction alike unless it is cut; may be changed while it is in use.
+    """Behaviour of a link, equal for both directions unless one is cut; it may change while in use.
 
     Attributes:
-        seed: Of everything that is random.
+        seed: Seed of everything that is random.
         loss: Share of the datagrams that never arrive.
         doubled: Share of the datagrams that arrive twice.
-        delay: Of everything, s.
-        jitter: Further delay, even between 0 and this, s: what is sent later may arrive earlier.
-        rate: Bytes per second that get through; None for all.
-        towards: Whether anything gets to the server.
-        back: Whether anything gets back from it.
-        passed: Bytes of streams that have got through, by direction.
-        counted: Datagrams by what became of them.
+        delay: Delay of every message, s.
+        jitter: Further delay, uniform between 0 and this, s; a later message may arrive earlier.
+        rate: Bytes per second that pass; None for no limit.
+        towards: True if messages pass to the server.
+        back: True if messages pass back from the server.
+        passed: Bytes of streams that have passed, by direction.
+        counted: Datagrams by what happened to them.
     """
 
     seed: int = 0
@@ -43,15 +43,19 @@ class NetworkImpairment:
 
     @property
     def narrow(self) -> float | None:
-        """`rate`; in a sham campaign everything gets through."""
+        """Limit of the rate in force, bytes/s; None in a sham campaign."""
         return None if is_sham() else self.rate
 
     def passes(self, direction: Literal["towards", "back"]) -> bool:
-        """Whether anything gets through in this direction; in a sham campaign it does."""
+        """Return whether messages pass in this direction; always in a sham campaign."""
         return is_sham() or (self.towards if direction == "towards" else self.back)
 
     def delays(self, now: float) -> list[float]:
-        """After how many seconds a datagram of this moment arrives: never when it is lost, twice when it is doubled."""
+        """Return the delays of the copies of a datagram, s: none if it is lost, two if it is doubled.
+
+        Args:
+            now: Time at which it is sent, s.
+        """
         self.counted["sent"] += 1
         if is_sham():
             return [0.0]
@@ -63,7 +67,11 @@ class NetworkImpairment:
         return [self.wait(now) for _ in range(copies)]
 
     def wait(self, now: float) -> float:
-        """How long what is sent at this moment takes, s, if it arrives."""
+        """Return the delay of a message that arrives, s.
+
+        Args:
+            now: Time at which it is sent, s.
+        """
         delay = 0.0 if is_sham() else self.delay + self.jitter * self._random.random()
         self.counted["overtaken"] += now + delay < self._latest
         self._latest = max(self._latest, now + delay)

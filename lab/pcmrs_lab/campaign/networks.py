@@ -1,6 +1,6 @@
-"""The cell's machine and another one on the same network: two namespaces and a cable between them.
+"""Machines on one network, as network namespaces of this machine, and the programs that run on them.
 
-Machines of a network that is made of namespaces of this machine, and the programs that run on them.
+`lan` makes the cell's machine and another one with a cable between them.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ END_TIME: Final = 5.0
 
 
 class Namespaces(Generic[PlaceName]):
-    """Namespaces by the names of their places.
+    """Network namespaces by the names of their places.
 
     Args:
-        name: Begins the names of all of them.
-        processes: Ends what was started in them.
+        name: Prefix of their names.
+        processes: Stack that ends the processes that were started in them.
 
     Attributes:
-        name: As given.
+        name: Prefix of their names.
     """
 
     def __init__(self, name: str, processes: ExitStack) -> None:
@@ -34,20 +34,34 @@ class Namespaces(Generic[PlaceName]):
         self._processes = processes
 
     def prefix(self, place: PlaceName) -> list[str]:
-        """The words before a command line that has it run at `place`."""
+        """Return the words before a command line that run it at `place`."""
         return ["ip", "netns", "exec", f"{self.name}-{place}"]
 
     def run(self, place: PlaceName, *command: str, timeout: float = 10.0) -> subprocess.CompletedProcess[str]:
-        """Runs a command to its end, whatever status that has.
+        """Run a command to its end, with any exit status.
+
+        Args:
+            place: Place at which it runs.
+            command: Words of the command line.
+            timeout: Time limit, s.
+
+        Returns:
+            Completed process with its output.
 
         Raises:
-            subprocess.TimeoutExpired: It has not ended after `timeout`, s, and was killed.
+            subprocess.TimeoutExpired: The command has not ended within `timeout` and was killed.
         """
         words = [*self.prefix(place), *command]
         return subprocess.run(words, capture_output=True, text=True, check=False, timeout=timeout)
 
     def start(self, place: PlaceName, *command: str, **streams: Any) -> subprocess.Popen[str]:
-        """Starts a process that ends with the namespaces at the latest."""
+        """Start a process that ends with the namespaces at the latest.
+
+        Args:
+            place: Place at which it runs.
+            command: Words of the command line.
+            streams: Arguments of `subprocess.Popen` for its standard streams.
+        """
         process = subprocess.Popen([*self.prefix(place), *command], text=True, **streams)
         self._processes.callback(_end, process)
         return process
@@ -55,11 +69,11 @@ class Namespaces(Generic[PlaceName]):
 
 @contextmanager
 def namespaces(places: Sequence[str]) -> Iterator[str]:
-    """Makes a namespace for each place, with its loopback; yields what their names begin with.
+    """Make a namespace with loopback for each place, and yield the prefix of their names.
 
     Raises:
-        OSError: There is no `ip` here.
-        subprocess.CalledProcessError: This machine does not permit them.
+        OSError: The program `ip` is missing.
+        subprocess.CalledProcessError: This machine does not permit namespaces.
     """
     name = f"pcmrs-{uuid.uuid4().hex[:8]}"
     with ExitStack() as stack:
@@ -71,16 +85,20 @@ def namespaces(places: Sequence[str]) -> Iterator[str]:
 
 
 def ip(*words: str) -> None:
-    """Runs `ip`. Raises as `namespaces`."""
+    """Run `ip`; raise errors as `namespaces` does."""
     run_quietly(["ip", *words])
 
 
 def run_quietly(words: Sequence[str], text: str = "") -> None:
-    """Runs a program with a text as its input.
+    """Run a program with a text as its input.
+
+    Args:
+        words: Words of the command line.
+        text: Standard input.
 
     Raises:
-        OSError: It is not here.
-        subprocess.CalledProcessError: It has failed.
+        OSError: The program is missing.
+        subprocess.CalledProcessError: The program has failed.
     """
     subprocess.run(words, input=text, text=True, check=True, capture_output=True, timeout=10.0)
 
@@ -99,7 +117,7 @@ ADDRESSES: Final[dict[Machine, str]] = {"cell": "192.168.1.1", "other": "192.168
 
 
 def _is_permitted() -> bool:
-    """Whether this process may make network namespaces; tried once."""
+    """Return whether this process may make network namespaces; it tries one."""
     try:
         with lan():
             return True
@@ -112,11 +130,11 @@ NEEDS: Final = (ROOT, program("ip"), Need("network namespaces", _is_permitted))
 
 @contextmanager
 def lan() -> Iterator[Namespaces[Machine]]:
-    """Makes both machines, and ends all that was started on them.
+    """Make both machines for the length of the context, and end all processes that were started on them.
 
     Raises:
-        OSError: There is no `ip` here.
-        subprocess.CalledProcessError: This machine does not permit them.
+        OSError: The program `ip` is missing.
+        subprocess.CalledProcessError: This machine does not permit namespaces.
     """
     with namespaces(tuple(ADDRESSES)) as name:
         ip("link", "add", "lan", "netns", f"{name}-cell", "type", "veth", "peer", "lan", "netns", f"{name}-other")

@@ -1,4 +1,4 @@
-"""An operator who does random but legal things: mostly on with the procedure, now and then back, or Stop."""
+"""Simulated operator with random but legal actions: mostly the next step, sometimes a step back, or Stop."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from pcmrs.testing.driving import landmarks, plan, tool_pose
 STOPS = 0.05
 """Share of the steps that are Stop."""
 GOES_BACK = 0.2
-"""Share of the steps that lead back instead of on, where there is such a way."""
+"""Share of the steps that lead back instead of forward, if a step back is legal."""
 
 PAUSE = 0.1
-"""After what was not accepted, s of the machine: something else may be under way."""
+"""Pause after a command that was not accepted, s of the machine, since another operation may be running."""
 
-Wish = tuple[str, dict[str, Any]]
-"""An operation and its arguments."""
+OperationCall = tuple[str, dict[str, Any]]
+"""Operation and its arguments."""
 
 
-class Operator:
+class RandomOperator:
     """Operates a cell over the bus.
 
     Args:
-        client: Of the cell.
-        generator: Of everything random.
+        client: Client of the cell.
+        generator: Source of randomness.
 
     Attributes:
-        verdicts: By command id: what was answered.
-        stops: How often Stop was asked for, and begun.
+        verdicts: Verdicts by command id.
+        stops: Number of Stops that were pressed and have begun.
     """
 
     def __init__(self, client: Client, generator: random.Random) -> None:
@@ -40,32 +40,32 @@ class Operator:
         self._client = client
         self._generator = generator
         self._name = f"operator{generator.randrange(1 << 40):x}"
-        self._asked = 0
+        self._commands = 0
 
     async def step(self) -> Verdict | None:
-        """Asks for one thing and waits for its verdict; None after Stop.
+        """Request one operation and return its verdict; return None after Stop.
 
         Raises:
-            UnknownOutcomeError: The daemon has fallen silent.
+            UnknownOutcomeError: The daemon does not answer any more.
         """
         if self._generator.random() < STOPS:
             await self._client.stop()
             self.stops += 1
             return None
-        name, arguments = self._wish(await self._client.state())
-        command, self._asked = f"{self._name}-{self._asked}", self._asked + 1
+        name, arguments = self._choose(await self._client.state())
+        command, self._commands = f"{self._name}-{self._commands}", self._commands + 1
         verdict = await self._client.call(name, arguments, id=command, timeout=60.0)
         self.verdicts[command] = verdict
         if verdict.decision != "accepted":
             await SystemClock().sleep(PAUSE)
         return verdict
 
-    def _wish(self, snapshot: Snapshot) -> Wish:
-        wishes = back(snapshot) if self._generator.random() < GOES_BACK else []
-        return self._generator.choice(wishes or [self._on(snapshot)])
+    def _choose(self, snapshot: Snapshot) -> OperationCall:
+        choices = steps_back(snapshot) if self._generator.random() < GOES_BACK else []
+        return self._generator.choice(choices or [self._next_step(snapshot)])
 
-    def _on(self, snapshot: Snapshot) -> Wish:
-        """The next step of the procedure."""
+    def _next_step(self, snapshot: Snapshot) -> OperationCall:
+        """Return the next step of the procedure."""
         branches = snapshot.branches
         if branches["robot"] == "0":
             return "robot.connect", {}
@@ -84,7 +84,7 @@ WAY_OUT = {"unknown": "placement.locate", "held": "placement.back_off"}
 NEXT = {"retracted": "placement.approach", "standoff": "placement.confirm", "placed": "placement.home"}
 
 
-def _register(branches: dict[str, str]) -> Wish:
+def _register(branches: dict[str, str]) -> OperationCall:
     if branches["placement"] != "retracted":
         return "placement.home", {}
     if branches["registration"] == "000":
@@ -92,8 +92,8 @@ def _register(branches: dict[str, str]) -> Wish:
     return ("registration.register", {}) if branches["registration"] == "110" else ("digitization.digitize_all", {})
 
 
-def back(snapshot: Snapshot) -> list[Wish]:
-    """What leads back, or away from the straight way, and is legal now."""
+def steps_back(snapshot: Snapshot) -> list[OperationCall]:
+    """Return the operations that lead back or away from the direct procedure, and are legal now."""
     branches = snapshot.branches
     if snapshot.latched or branches["robot"] == "0" or branches["placement"] in WAY_OUT:
         return []

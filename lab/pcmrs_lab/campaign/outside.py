@@ -1,4 +1,4 @@
-"""Device nodes that no daemon starts, as those of another machine: they outlive it, and reach it by any address."""
+"""Device nodes that no daemon starts, like those on another machine: they outlive it, and reach it anywhere."""
 
 from __future__ import annotations
 
@@ -13,18 +13,21 @@ from pcmrs.service.processes.child import end_child
 
 DEVICES = ("robot", "tracker", "pointer", "scene")
 WITHOUT_NODES = tuple(f"{device}.driver=none" for device in (*DEVICES, "stimulator", "emg"))
-"""Settings of a daemon that starts no nodes itself."""
+"""Settings of a daemon that starts no nodes."""
 
 END_TIME = 5.0
 
 
 @asynccontextmanager
 async def outside_node(settings: Sequence[str], log: Path) -> AsyncIterator[asyncio.subprocess.Process]:
-    """A node of the simulated devices for the length of the context; it keeps trying to reach its bus.
+    """Run a node of the simulated devices for the length of the context; it retries until it reaches its bus.
 
     Args:
-        settings: Those of its daemon, but with ``cell.endpoint`` where this node finds the bus.
-        log: Takes its standard error.
+        settings: Settings of its daemon, but with ``cell.endpoint`` as this node reaches the bus.
+        log: File for its standard error.
+
+    Yields:
+        Process of the node.
     """
     simulated = [setting for setting in settings if setting not in WITHOUT_NODES]
     words = [word for setting in simulated for word in ("--set", setting)]

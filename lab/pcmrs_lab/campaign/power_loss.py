@@ -1,7 +1,7 @@
-"""What a power cut leaves of a folder: the harshest that a disk is allowed.
+"""State of a folder after a power cut: the worst that a disk may leave.
 
-Of the writes to a file since its last completed fsync, any 512-byte sectors may have reached the disk, in any order; of
-the changes to the folder's names since its last fsync, any first part may.
+Of the writes to a file since its last completed fsync, any 512-byte sectors may have reached the disk, in any order. Of
+the changes to the folder's names since its last fsync, any first part may have.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 
 SECTOR = 512
 ACKNOWLEDGED = "1"
-"""Descriptor to which the process writes what it acknowledges, numbers in lines: its standard output."""
+"""Descriptor to which the process writes the numbers that it acknowledges, in lines: its standard output."""
 
 _LINE = re.compile(r"(\d+) +(\w+)\((.*)")
 _ENDED = re.compile(r"(\d+) +<\.\.\. (\w+) resumed>.*= (-?\d+)")
@@ -25,12 +25,12 @@ _DESCRIPTOR = re.compile(r"(\d+)<((?:\\x[0-9a-f]{2})*)>")
 
 @dataclass(frozen=True, slots=True)
 class PowerCut:
-    """What there is after one.
+    """State after a power cut.
 
     Attributes:
-        call: Before which of the recorded system calls it came.
-        files: Name to content of what the disk has.
-        acknowledged: Numbers that the process had acknowledged by then.
+        call: Index of the recorded system call before which it came.
+        files: Content of each file on the disk, by name.
+        acknowledged: Numbers that the process had acknowledged before.
     """
 
     call: int
@@ -39,13 +39,16 @@ class PowerCut:
 
 
 def power_cuts(folder: Path, calls: Sequence[str], times: int, chance: random.Random) -> Iterator[PowerCut]:
-    """Cuts the power at random instants, in the order of time.
+    """Cut the power at random instants, in the order of time.
 
     Args:
-        folder: That was empty, and in which everything was written.
-        calls: As `syscall_trace.trace_journal` has them.
-        times: So many cuts.
-        chance: Of the instants, and of what has reached the disk.
+        folder: Folder that was empty, and in which everything was written.
+        calls: System calls, from `syscall_trace.trace_journal`.
+        times: Number of cuts.
+        chance: Source of the instants, and of the data that has reached the disk.
+
+    Yields:
+        State after each cut.
     """
     first = next(number for number, line in enumerate(calls) if _hex(str(folder)) in line)
     disk, done = _Disk(folder), 0
@@ -58,7 +61,7 @@ def power_cuts(folder: Path, calls: Sequence[str], times: int, chance: random.Ra
 
 @dataclass(eq=False)
 class _Inode:
-    """A file: its writes in order, as offset and bytes, or a length to which it was cut; and how many are durable."""
+    """File: its writes in order, as offset and bytes, or a length to which it was cut; and how many are durable."""
 
     writes: list[tuple[int, bytes | None]] = field(default_factory=list)
     synced: int = 0
@@ -68,7 +71,7 @@ class _Inode:
         return max((offset + len(data) for offset, data in self.writes if data is not None), default=0)
 
     def after_a_cut(self, chance: random.Random) -> bytes:
-        """What the disk has: all that was synced, and of the rest what chance wants, sector by sector."""
+        """Return the content on the disk: all synchronised writes, and of the others random sectors."""
         content = bytearray()
         for number, (offset, data) in enumerate(self.writes):
             durable = number < self.synced
@@ -88,7 +91,7 @@ _Names = dict[str, _Inode]
 
 
 class _Disk:
-    """A folder as its files are written, synced, renamed and removed."""
+    """Folder whose files are written, synchronised, renamed and removed."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = str(folder)
@@ -99,7 +102,7 @@ class _Disk:
         self.acknowledged: list[int] = []
 
     def replay(self, line: str) -> None:
-        """Takes one line of the recording: a call, or the beginning or the end of one."""
+        """Replay one line of the recording: a call, or its beginning, or its end."""
         if ended := _ENDED.match(line):
             self._end(ended[1], ended[2], int(ended[3]))
         elif (begun := _LINE.match(line)) and "= -1 " not in line:
@@ -108,12 +111,12 @@ class _Disk:
                 self._end(begun[1], begun[2], 0)
 
     def after_a_cut(self, chance: random.Random) -> dict[str, bytes]:
-        """Name to content of all files."""
+        """Return the content of all files by name."""
         names = chance.choice([self._durable, *self._changes])
         return {Path(path).name: inode.after_a_cut(chance) for path, inode in names.items()}
 
     def _begin(self, thread: str, call: str, arguments: str) -> None:
-        """A call begins; what it writes may be on the disk from now on."""
+        """Begin a call: its writes may be on the disk from now on."""
         texts = [bytes.fromhex(text.replace("\\x", "")) for text in _TEXT.findall(arguments)]
         described = _DESCRIPTOR.match(arguments)
         number, path = (
@@ -129,7 +132,7 @@ class _Disk:
             self._rename(call, arguments, [text.decode() for text in texts])
 
     def _end(self, thread: str, call: str, result: int) -> None:
-        """A call has ended; a sync makes durable what had been written when it began."""
+        """End a call: a sync makes durable what had been written when it began."""
         if call not in ("fsync", "fdatasync") or result != 0:
             return
         path, writes = self._syncing.pop(thread)
@@ -146,6 +149,7 @@ class _Disk:
             inode.writes.append((numbers[-1] if call == "pwrite64" else inode.length, texts[0]))
 
     def _rename(self, call: str, arguments: str, paths: list[str]) -> None:
+        # SQLite rebuilds its shared-memory index (-shm), which never has to survive a power cut.
         if not all(path.startswith(f"{self._folder}/") for path in paths) or paths[0].endswith("-shm"):
             return
         if call == "openat" and "O_CREAT" in arguments and paths[0] not in self._names:

@@ -1,4 +1,4 @@
-"""Proxies that stand between two processes and spoil the link between them, without any right on the machine."""
+"""Proxies between two processes that impair the link between them, without special rights on the machine."""
 
 from __future__ import annotations
 
@@ -15,23 +15,27 @@ Address = tuple[str, int]
 Direction = Literal["towards", "back"]
 
 SLICE = 0.02
-"""A narrow stream is passed on in pieces of so many seconds, and a cut one is looked at as often."""
+"""Length of the pieces in which a limited stream is passed on, and period at which a cut one is checked, s."""
 
 CHUNK = 65536
 ON_THE_WAY = 256
-"""Pieces of a stream that may be under way at once; the sender of more waits."""
+"""Largest number of pieces of a stream in transit; the sender of more waits."""
 CLOCK = SystemClock()
 
 
 @asynccontextmanager
-async def udp_proxy(server: Address, weather: NetworkImpairment) -> AsyncIterator[Address]:
-    """Passes datagrams to `server` and back as the weather has it; every client has a socket of its own there.
+async def udp_proxy(server: Address, impairment: NetworkImpairment) -> AsyncIterator[Address]:
+    """Pass datagrams to `server` and back with an impairment; every client has a separate socket there.
+
+    Args:
+        server: Host and port of the server.
+        impairment: Behaviour of the link.
 
     Yields:
-        Where clients send to.
+        Host and port to which clients send.
     """
     transport, front = await asyncio.get_running_loop().create_datagram_endpoint(
-        lambda: _Front(server, weather), local_addr=("127.0.0.1", 0)
+        lambda: _Front(server, impairment), local_addr=("127.0.0.1", 0)
     )
     try:
         yield transport.get_extra_info("sockname")[:2]
@@ -40,11 +44,15 @@ async def udp_proxy(server: Address, weather: NetworkImpairment) -> AsyncIterato
 
 
 @asynccontextmanager
-async def tcp_proxy(server: Address, weather: NetworkImpairment) -> AsyncIterator[Address]:
-    """Passes connections to `server` on; a cut direction stalls, as a wire does: nothing is closed.
+async def tcp_proxy(server: Address, impairment: NetworkImpairment) -> AsyncIterator[Address]:
+    """Pass connections to `server` with an impairment; a cut direction stalls like a wire, and nothing is closed.
+
+    Args:
+        server: Host and port of the server.
+        impairment: Behaviour of the link.
 
     Yields:
-        Where clients connect to.
+        Host and port to which clients connect.
     """
     pipes: set[asyncio.Task[None]] = set()
 
@@ -54,12 +62,12 @@ async def tcp_proxy(server: Address, weather: NetworkImpairment) -> AsyncIterato
         except OSError:
             writer.close()
             return
-        ways: list[tuple[asyncio.StreamReader, asyncio.StreamWriter, Direction]] = [
+        directions: list[tuple[asyncio.StreamReader, asyncio.StreamWriter, Direction]] = [
             (reader, far_writer, "towards"),
             (far_reader, writer, "back"),
         ]
-        for source, sink, direction in ways:
-            pipe = asyncio.get_running_loop().create_task(_pass_on(source, sink, weather, direction))
+        for source, sink, direction in directions:
+            pipe = asyncio.get_running_loop().create_task(_pass_on(source, sink, impairment, direction))
             pipes.add(pipe)
             pipe.add_done_callback(pipes.discard)
 
@@ -74,25 +82,25 @@ async def tcp_proxy(server: Address, weather: NetworkImpairment) -> AsyncIterato
 
 
 async def _pass_on(
-    source: asyncio.StreamReader, sink: asyncio.StreamWriter, weather: NetworkImpairment, direction: Direction
+    source: asyncio.StreamReader, sink: asyncio.StreamWriter, impairment: NetworkImpairment, direction: Direction
 ) -> None:
-    """Each piece arrives after its delay, and none before an earlier one."""
+    """Pass a stream on: each piece arrives after its delay, and none before an earlier one."""
     on_the_way: asyncio.Queue[tuple[float, bytes]] = asyncio.Queue(ON_THE_WAY)
     arrives = 0.0
     try:
         async with asyncio.TaskGroup() as pipe:
-            pipe.create_task(_deliver(on_the_way, sink, weather, direction))
+            pipe.create_task(_deliver(on_the_way, sink, impairment, direction))
             while True:
-                data = await source.read(_most(weather))
-                if (rate := weather.narrow) is not None:
+                data = await source.read(_most(impairment))
+                if (rate := impairment.narrow) is not None:
                     await CLOCK.sleep(len(data) / rate)
                 now = CLOCK.monotonic()
-                arrives = max(arrives, now + weather.wait(now))
+                arrives = max(arrives, now + impairment.wait(now))
                 await on_the_way.put((arrives, data))
                 if not data:
                     break
     except* ConnectionError:
-        pass  # one end has gone: that is nothing of the proxy's, and the other end learns of it, as over a wire
+        pass  # one end has gone, which is not an error of the proxy; the other end notices it as over a wire
     finally:
         sink.close()
 
@@ -100,32 +108,32 @@ async def _pass_on(
 async def _deliver(
     on_the_way: asyncio.Queue[tuple[float, bytes]],
     sink: asyncio.StreamWriter,
-    weather: NetworkImpairment,
+    impairment: NetworkImpairment,
     direction: Direction,
 ) -> None:
-    """Writes what arrives, until the piece without data that ends a stream."""
+    """Write the pieces that arrive, until the empty piece that ends a stream."""
     while True:
         arrives, data = await on_the_way.get()
         await CLOCK.sleep(max(0.0, arrives - CLOCK.monotonic()))
-        while not weather.passes(direction):
+        while not impairment.passes(direction):
             await CLOCK.sleep(SLICE)
         if not data:
             return
         sink.write(data)
         await sink.drain()
-        weather.passed[direction] += len(data)
+        impairment.passed[direction] += len(data)
 
 
-def _most(weather: NetworkImpairment) -> int:
-    return CHUNK if (rate := weather.narrow) is None else max(1, int(rate * SLICE))
+def _most(impairment: NetworkImpairment) -> int:
+    return CHUNK if (rate := impairment.narrow) is None else max(1, int(rate * SLICE))
 
 
 class _Front(asyncio.DatagramProtocol):
-    """The socket that clients send to."""
+    """Socket to which clients send."""
 
-    def __init__(self, server: Address, weather: NetworkImpairment) -> None:
+    def __init__(self, server: Address, impairment: NetworkImpairment) -> None:
         self._server = server
-        self._weather = weather
+        self._impairment = impairment
         self._carriers: dict[Address, asyncio.Task[None]] = {}
         self._waiting: dict[Address, asyncio.Queue[bytes]] = {}
         self._transport: asyncio.DatagramTransport
@@ -135,7 +143,7 @@ class _Front(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
         client: Address = addr[:2]
-        if not self._weather.passes("towards"):
+        if not self._impairment.passes("towards"):
             return
         if client not in self._carriers:
             self._waiting[client] = asyncio.Queue()
@@ -143,19 +151,19 @@ class _Front(asyncio.DatagramProtocol):
         self._waiting[client].put_nowait(data)
 
     def back(self, data: bytes, client: Address) -> None:
-        """Passes an answer on to its client."""
-        if self._weather.passes("back"):
+        """Pass an answer on to its client."""
+        if self._impairment.passes("back"):
             self._later(lambda: self._transport.sendto(data, client))
 
     async def close(self) -> None:
-        """Closes all sockets."""
+        """Close all sockets."""
         for carrier in self._carriers.values():
             carrier.cancel()
         await asyncio.gather(*self._carriers.values(), return_exceptions=True)
         self._transport.close()
 
     async def _carry(self, client: Address) -> None:
-        """Passes on what one client sends, from a socket of its own, so that answers find their way back."""
+        """Pass on the datagrams of one client, from a separate socket, so that answers find their way back."""
         loop, waiting = asyncio.get_running_loop(), self._waiting[client]
         behind, _ = await loop.create_datagram_endpoint(lambda: _Behind(self, client), remote_addr=self._server)
         try:
@@ -166,7 +174,7 @@ class _Front(asyncio.DatagramProtocol):
 
     def _later(self, send: Callable[[], None]) -> None:
         loop = asyncio.get_running_loop()
-        for delay in self._weather.delays(loop.time()):
+        for delay in self._impairment.delays(loop.time()):
             if delay:
                 loop.call_later(delay, self._send, send)
             else:
@@ -178,7 +186,7 @@ class _Front(asyncio.DatagramProtocol):
 
 
 class _Behind(asyncio.DatagramProtocol):
-    """The socket by which one client's datagrams reach the server."""
+    """Socket through which one client's datagrams reach the server."""
 
     def __init__(self, front: _Front, client: Address) -> None:
         self._front = front
@@ -188,4 +196,4 @@ class _Behind(asyncio.DatagramProtocol):
         self._front.back(data, self._client)
 
     def error_received(self, _: Exception) -> None:
-        """The server's port is closed; the client learns of that as it would: by silence."""
+        """Ignore that the server's port is closed; the client notices silence, as without a proxy."""

@@ -1,4 +1,4 @@
-"""A cell that other machines can reach: an authority, people with certificates, and a daemon that listens to them."""
+"""Cell that other machines can reach: an authority, people with certificates, and a daemon that listens over TLS."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ DAY = 86400.0
 
 
 class People:
-    """Everybody who has, or had, a certificate, in a folder.
+    """Everyone who has, or had, a certificate, in a folder.
 
     Args:
-        folder: Of the authority and all identities.
+        folder: Folder of the authority and all identities.
         cell: ``<site>/<cell>`` in which they have their roles.
     """
 
@@ -55,10 +55,11 @@ class People:
 
     @property
     def register(self) -> Path:
+        """Path of the authority's register."""
         return self.authority.folder / "register.json"
 
     def credentials(self, name: str) -> Credentials:
-        """Of somebody, whether they count or not; those of `FOREIGN` are another authority's anna."""
+        """Return the credentials of a person, valid or not; those of `FOREIGN` are anna's of another authority."""
         own, user = (self.folder / FOREIGN / "anna", "anna") if name == FOREIGN else (self.folder / name, name)
         return Credentials(
             name=user,
@@ -72,13 +73,13 @@ class People:
 
 @dataclass(frozen=True)
 class ReachableCell:
-    """A running cell with access control.
+    """Running cell with access control.
 
     Attributes:
-        cell: Of the lab; its own client is on site.
-        people: Who may reach it.
-        endpoint: Where it is dialled.
-        peer_key: Of the peer ``slicer``, who signs string commands.
+        cell: Cell of the lab; its own client is on site.
+        people: People who may reach it.
+        endpoint: Endpoint at which it is dialled.
+        peer_key: Key file of the peer ``slicer``, who signs string commands.
     """
 
     cell: RunningCell
@@ -93,16 +94,16 @@ class ReachableCell:
         return host, int(port)
 
     def settings(self, name: str) -> BusSettings:
-        """How somebody dials the cell."""
+        """Return the bus settings with which a person dials the cell."""
         return BusSettings(endpoint=self.endpoint, cell=self.cell.name, credentials=self.people.credentials(name))
 
     def signer(self) -> Signer:
-        """Signs string commands as the peer."""
+        """Return a signer of string commands for the peer."""
         return Signer("slicer", read_key(self.peer_key), itertools.count(1).__next__)
 
     @asynccontextmanager
     async def client(self, name: str) -> AsyncIterator[Client]:
-        """A client of somebody's. Raises `BusError` when they are not let in."""
+        """Connect as a person for the length of the context; raise `BusError` if they are not admitted."""
         credentials = self.people.credentials(name)
         async with Client.connect(self.endpoint, cell=self.cell.name, credentials=credentials) as client:
             yield client
@@ -110,7 +111,12 @@ class ReachableCell:
 
 @asynccontextmanager
 async def reachable_cell(lab: Lab, *overrides: str) -> AsyncIterator[ReachableCell]:
-    """A cell that is reached over TLS, with everybody of `PEOPLE`, and a peer that signs."""
+    """Start a cell that is reached over TLS, with everyone of `PEOPLE`, and a peer that signs.
+
+    Args:
+        lab: Surroundings of the fault.
+        overrides: Further settings, ``key=value`` each.
+    """
     people = People(lab.folder / "people", "lab/*")
     endpoint, key = f"tls/127.0.0.1:{free_port()}", lab.folder / "slicer.key"
     new_key(key)

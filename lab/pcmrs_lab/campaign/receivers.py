@@ -1,8 +1,7 @@
-"""TCP segments that a connection has received, as the kernel counts them at the receiver's socket.
+"""Measurements at the receiver of a fault: forces, dropped set points, and TCP segments.
 
-Forces that the robot's own estimate shows to a subscriber.
-
-Set points that the robot's node counts as dropped: what of them took effect is for the receiver to say.
+Forces are those that the robot's own estimate shows to a subscriber. Set points are those that the robot's node counts
+as dropped. Segments are counted by the kernel at the receiver's socket.
 """
 
 from __future__ import annotations
@@ -25,8 +24,8 @@ if TYPE_CHECKING:
 
 
 @asynccontextmanager
-async def pushes(cell: RunningCell) -> AsyncIterator[list[float]]:
-    """Magnitudes of the force on the flange that a client of the cell receives during the context, N."""
+async def flange_forces(cell: RunningCell) -> AsyncIterator[list[float]]:
+    """Collect the magnitudes of the force on the flange that a client receives during the context, N."""
     found: list[float] = []
 
     def take(joints: JointState) -> None:
@@ -40,11 +39,15 @@ async def pushes(cell: RunningCell) -> AsyncIterator[list[float]]:
         await end()
 
 
-def over(forces: Sequence[float], limit: float) -> dict[str, float]:
-    """Details of a force over the limit, N.
+def forces_over_limit(forces: Sequence[float], limit: float) -> dict[str, float]:
+    """Return details of a force over the limit.
+
+    Args:
+        forces: Magnitudes, N.
+        limit: Limit, N.
 
     Raises:
-        Unmet: There was none.
+        Unmet: No force exceeds the limit.
     """
     most, states = max(forces, default=0.0), sum(force > limit for force in forces)
     if not states:
@@ -52,8 +55,8 @@ def over(forces: Sequence[float], limit: float) -> dict[str, float]:
     return {"most_newtons": most, "states over the limit": states}
 
 
-class Dropped:
-    """What the robot's node has published of the set points that were dropped.
+class DroppedSetpoints:
+    """Numbers of dropped set points that the robot's node has published.
 
     Args:
         kind: ``setpoints`` for those that came late or from before a hold, ``stale_setpoints`` for those that the
@@ -65,34 +68,39 @@ class Dropped:
         self._counts: list[int] = []
 
     def take(self, health: DeviceHealth) -> None:
-        """Puts a word of the node to the others."""
+        """Record a health message of the node."""
         self._counts.append(health.dropped.get(self._kind, 0))
 
-    async def now(self) -> int:
-        """How many there are by a count that was made after the call.
+    async def current(self) -> int:
+        """Return the number by a count that was made after the call.
 
         Raises:
-            Unmet: The node does not say.
+            Unmet: The node publishes no count.
         """
         known = len(self._counts)
-        # The first word after the call may have been under way before it.
-        await until_true(lambda: len(self._counts) > known + 1, "The robot's node does not say how it is")
+        # The first message after the call may have been sent before it.
+        await until_true(lambda: len(self._counts) > known + 1, "The robot's node publishes no health")
         return self._counts[-1]
 
-    async def beyond(self, before: int) -> int:
-        """Waits until more than `before` are counted, and returns how many more.
+    async def increase_since(self, before: int) -> int:
+        """Wait until more than `before` are counted, and return how many more.
 
         Raises:
-            Unmet: No more are.
+            Unmet: The count does not increase.
         """
         await until_true(lambda: self._counts[-1] > before, f"No set point was dropped as one of its {self._kind}")
         return self._counts[-1] - before
 
 
 @asynccontextmanager
-async def dropped_setpoints(cell: RunningCell, kind: str) -> AsyncIterator[Dropped]:
-    """The node's counts of one kind, as a client of the cell receives them during the context; see `Dropped`."""
-    found = Dropped(kind)
+async def dropped_setpoints(cell: RunningCell, kind: str) -> AsyncIterator[DroppedSetpoints]:
+    """Collect the node's counts of one kind that a client receives during the context; see `DroppedSetpoints`.
+
+    Args:
+        cell: Cell with the robot.
+        kind: Kind of dropped set points.
+    """
+    found = DroppedSetpoints(kind)
     end = cell.client.listen("dev/robot/state", DeviceHealth, found.take)
     try:
         yield found
@@ -101,38 +109,38 @@ async def dropped_setpoints(cell: RunningCell, kind: str) -> AsyncIterator[Dropp
 
 
 SS = program("ss")
-"""The tool that asks the kernel; it needs no rights."""
+"""Tool that reads the kernel's socket statistics; it needs no special rights."""
 
 COUNTS = ("data_segs_in", "data_segs_out")
 
 
 @dataclass(frozen=True, slots=True)
 class Segments:
-    """Segments with data of one connection, from its client's side.
+    """Segments with data of one connection, counted at its client.
 
     Attributes:
-        received: From the server.
-        sent: To it.
+        received: Number received from the server.
+        sent: Number sent to it.
     """
 
     received: int
     sent: int
 
     def since(self, before: Segments) -> Segments:
-        """What came after `before`."""
+        """Return the numbers after `before`."""
         return Segments(self.received - before.received, self.sent - before.sent)
 
     @property
     def per_request(self) -> float:
-        """Segments received for one that was sent."""
+        """Number of segments received for each one that was sent."""
         return self.received / self.sent if self.sent else 0.0
 
 
 async def segments(port: int) -> Segments:
-    """Of the one connection that this machine has to a port.
+    """Return the counts of the one connection that this machine has to a port.
 
     Raises:
-        Unmet: There is none, or several.
+        Unmet: There is no such connection, or several.
     """
     words = ("ss", "-tinH", "state", "established", f"( dport = :{port} )")
     process = await asyncio.create_subprocess_exec(*words, stdout=asyncio.subprocess.PIPE)

@@ -1,6 +1,6 @@
-"""What a campaign has found: for every fault and seed whether the required response was seen.
+"""Report of a campaign: for every fault and seed whether the required response was seen.
 
-The report of a campaign as files: JSON for programs, one page of HTML for people.
+It is written as JSON for programs and as one page of HTML for people.
 """
 
 from __future__ import annotations
@@ -11,24 +11,24 @@ from typing import Any, Literal
 import msgspec
 
 from pcmrs.report.pages import render
-from pcmrs_lab.campaign.catalogue import CLASSES, RESPONSES, Row
+from pcmrs_lab.campaign.catalogue import CLASSES, RESPONSES, CatalogueRow
 
 Outcome = Literal["passed", "failed", "not_proved", "not_run"]
 OUTCOMES: tuple[Outcome, ...] = ("passed", "failed", "not_proved", "not_run")
-"""``not_proved``: the response came, but it was not measured that the fault took place, or what happens without the
-protection."""
+"""``not_proved``: the response came, but the fault itself, or its effect without the protection, was not measured."""
 _WORST_FIRST: tuple[Outcome, ...] = ("failed", "not_proved", "not_run", "passed")
 
 
-class Part(msgspec.Struct, frozen=True):
-    """One way in which a fault was injected.
+class InjectionResult(msgspec.Struct, frozen=True):
+    """Result of one injection of a fault.
 
     Attributes:
-        name: Of the injection.
-        how: By what means.
-        response: What was seen; where it was not run, why.
-        seconds: How long it took, s of the machine.
-        details: Measured values; of a failure, the last words of the daemon.
+        name: Name of the injection.
+        how: Means of injection.
+        response: Response that was seen; the reason if it was not run.
+        seconds: Duration, s of the machine.
+        details: Measured values; of a failure, the end of the daemon's log.
+        outcome: Outcome.
     """
 
     name: str
@@ -40,16 +40,16 @@ class Part(msgspec.Struct, frozen=True):
 
 
 class FaultResult(msgspec.Struct, frozen=True, rename={"fault_class": "class"}):
-    """One fault with one seed, in all ways in which it was injected.
+    """Result of one fault with one seed, over all its injections.
 
     Attributes:
-        outcome: ``passed`` when all of them passed, ``failed`` when one failed; ``not_proved`` and ``not_run`` when
-            one was so, and none worse.
-        how: By what means, all of them.
-        response: What was seen.
-        required: What must be seen.
-        reference: What the reference implementation does; empty where nothing wrong is known of it.
-        seconds: How long it took, s of the machine.
+        outcome: ``passed`` if all passed, ``failed`` if one failed; ``not_proved`` or ``not_run`` if one was, and none
+            worse.
+        how: Means of all injections.
+        response: Response that was seen.
+        required: Required response.
+        reference: Known wrong behaviour of the reference implementation; empty if none is known.
+        seconds: Duration, s of the machine.
     """
 
     id: str
@@ -62,17 +62,17 @@ class FaultResult(msgspec.Struct, frozen=True, rename={"fault_class": "class"}):
     reference: str
     seed: int
     seconds: float
-    parts: list[Part]
+    parts: list[InjectionResult]
 
 
 class CampaignReport(msgspec.Struct, frozen=True):
-    """All results, in the catalogue's order.
+    """All results, in the order of the catalogue.
 
     Attributes:
-        seeds: Every fault was injected with each of these.
-        seconds: How long all of it took, s of the machine.
-        sham: No fault took place; a way has passed when it has found that.
-        summary: Class to how many results had each outcome.
+        seeds: Seeds with which every fault was injected.
+        seconds: Duration, s of the machine.
+        sham: True if no fault was injected; an injection has passed if it has detected that.
+        summary: Number of results with each outcome, by class.
     """
 
     simulated: bool
@@ -85,22 +85,28 @@ class CampaignReport(msgspec.Struct, frozen=True):
 
     @property
     def failed(self) -> list[FaultResult]:
-        """Faults of which the required response was not seen, or not proved."""
+        """Faults whose required response was not seen, or not proved."""
         return [result for result in self.faults if result.outcome in ("failed", "not_proved")]
 
 
-def result_of(row: Row, seed: int, parts: list[Part]) -> FaultResult:
-    """Puts the parts of one fault together: one failure fails it, and what was not proved or not run is not passed."""
+def result_of(row: CatalogueRow, seed: int, parts: list[InjectionResult]) -> FaultResult:
+    """Combine the parts of one fault: one failure fails it, and a part that was not proved or not run is not passed.
+
+    Args:
+        row: CatalogueRow of the catalogue.
+        seed: Seed of the injections.
+        parts: Results of the injections; at least one.
+    """
     found = {part.outcome for part in parts}
     outcome = next(each for each in _WORST_FIRST if each in found)
-    telling = [part for part in parts if part.outcome == outcome]
+    decisive = [part for part in parts if part.outcome == outcome]
     return FaultResult(
         id=row.id,
         fault_class=row.fault_class,
         title=row.title,
         outcome=outcome,
         how="; ".join(dict.fromkeys(part.how for part in parts if part.how)),
-        response="; ".join(dict.fromkeys(part.response for part in telling)),
+        response="; ".join(dict.fromkeys(part.response for part in decisive)),
         required=row.required,
         reference=row.reference,
         seed=seed,
@@ -110,7 +116,7 @@ def result_of(row: Row, seed: int, parts: list[Part]) -> FaultResult:
 
 
 def summarize(results: list[FaultResult]) -> dict[str, dict[Outcome, int]]:
-    """Class to how many results had each outcome, for the classes that there are results of."""
+    """Return the number of results with each outcome, for each class with results."""
     counts: dict[str, dict[Outcome, int]] = {}
     for fault_class in CLASSES:
         of_class = [result.outcome for result in results if result.fault_class == fault_class]
@@ -126,13 +132,18 @@ MARKS = {"passed": "✓", "failed": "✗", "not_proved": "?", "not_run": "–"}
 
 
 def write_report(report: CampaignReport, folder: Path) -> None:
-    """Writes both files into a folder that exists. Raises `OSError` when that cannot be done."""
+    """Write both files into an existing folder; raise `OSError` if that fails.
+
+    Args:
+        report: Report to write.
+        folder: Existing folder.
+    """
     (folder / JSON_NAME).write_bytes(msgspec.json.format(msgspec.json.encode(report), indent=1) + b"\n")
     (folder / PAGE_NAME).write_text(render_page(report), encoding="utf-8")
 
 
 def render_page(report: CampaignReport) -> str:
-    """The report as a page that needs no script and nothing from outside."""
+    """Return the report as an HTML page without scripts and external resources."""
     totals = {outcome: sum(found[outcome] for found in report.summary.values()) for outcome in OUTCOMES}
     ids = len({result.id for result in report.faults})
     return render(
@@ -142,7 +153,7 @@ def render_page(report: CampaignReport) -> str:
 
 
 def values(details: dict[str, object]) -> str:
-    """Measured values in one line."""
+    """Return measured values in one line."""
     return ", ".join(f"{name.replace('_', ' ')} {_value(value)}" for name, value in details.items())
 
 

@@ -1,4 +1,4 @@
-"""What a client of a cell receives of a robot while something is wrong with it, or does not."""
+"""Observations of a client of a cell while the robot has a fault."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pcmrs.testing.cell import RunningCell
 
 SILENCE = 0.6
-"""A robot that has sent no joints for so long is silent, s of the machine; it sends 50 a second or more."""
+"""Time without joints after which a robot counts as silent, s of the machine; it sends 50 a second or more."""
 
 ALARMS = {
     "e_stop": "drives_off",
@@ -24,11 +24,12 @@ ALARMS = {
     "push_tool": "force_limit",
     "drop_client": "link_lost",
 }
-"""By the fault's name: code of the event by which the robot says so itself; one whose link is silent says nothing."""
+"""Code of the event by which the robot reports a fault, by the fault's name; a robot whose link is silent reports
+nothing."""
 
 
-class RobotHeard:
-    """Events of the robot, and when the last joints came."""
+class RobotReports:
+    """Events of the robot, and the time of the last joints."""
 
     def __init__(self) -> None:
         self._clock = SystemClock()
@@ -36,23 +37,23 @@ class RobotHeard:
         self.codes: list[str] = []
 
     def take(self, event: DeviceEvent) -> None:
-        """Puts an event to the others."""
+        """Record an event."""
         self.codes.append(event.code)
 
-    def see(self, _: JointState) -> None:
-        """Joints have come."""
+    def take_joints(self, _: JointState) -> None:
+        """Record that joints have come."""
         self._last = self._clock.monotonic()
 
     @property
     def silence(self) -> float:
-        """For how long no joints have come, s of the machine."""
+        """Time since the last joints, s of the machine."""
         return self._clock.monotonic() - self._last
 
     def shown(self, name: str) -> dict[str, Any]:
-        """Details of how a fault was seen.
+        """Return details of how a fault was observed.
 
         Raises:
-            Unmet: It was not.
+            Unmet: It was not observed.
         """
         if name in ALARMS:
             measured: dict[str, Any] = {f"events {ALARMS[name]}": self.codes.count(ALARMS[name])}
@@ -64,12 +65,12 @@ class RobotHeard:
 
 
 @asynccontextmanager
-async def robot_heard(cell: RunningCell) -> AsyncIterator[RobotHeard]:
-    """What a client of the cell receives of the robot during the context."""
-    found = RobotHeard()
+async def robot_reports(cell: RunningCell) -> AsyncIterator[RobotReports]:
+    """Collect the reports of the robot that a client receives during the context."""
+    found = RobotReports()
     ends = (
         cell.client.listen("dev/robot/event", DeviceEvent, found.take),
-        cell.client.listen("state/joints", JointState, found.see),
+        cell.client.listen("state/joints", JointState, found.take_joints),
     )
     try:
         yield found

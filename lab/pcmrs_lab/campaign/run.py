@@ -15,39 +15,42 @@ import pcmrs
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.errors import PcmrsError
 from pcmrs.testing.errors import Unmet
-from pcmrs_lab.campaign.catalogue import Row
+from pcmrs_lab.campaign.catalogue import CatalogueRow
 from pcmrs_lab.campaign.fault import Injection, NotRun
 from pcmrs_lab.campaign.injections import injections
 from pcmrs_lab.campaign.lab import Lab, Pool
-from pcmrs_lab.campaign.report import CampaignReport, FaultResult, Outcome, Part, result_of, summarize
+from pcmrs_lab.campaign.report import CampaignReport, FaultResult, InjectionResult, Outcome, result_of, summarize
 from pcmrs_lab.campaign.sham import sham
 from pcmrs_lab.campaign.tools import require
 
-NO_INJECTION = "nothing in this version injects it"
+NO_INJECTION = "this version has no injection for it"
 
 ShowProgress = Callable[[str, int, int], None]
-"""Told what has just been found, and how many of how many faults are done."""
+"""Called with the current fault, and with how many of how many faults are done."""
 
 
 async def run_campaign(
-    rows: Sequence[Row],
+    rows: Sequence[CatalogueRow],
     seeds: Sequence[int],
     jobs: int = 1,
     progress: ShowProgress = lambda *_: None,
     *,
     is_sham: bool = False,
 ) -> CampaignReport:
-    """Injects every fault with every seed; one that hangs, fails or raises keeps none of the others from being run.
+    """Inject every fault with every seed; a fault that hangs, fails or raises does not prevent the others.
 
     Args:
-        rows: Of the catalogue.
-        seeds: Of everything that is random in them.
-        jobs: So many at a time, each with daemons of its own.
-        progress: Told after each.
-        is_sham: No fault takes place, and every way must find that: it has passed then.
+        rows: Rows of the catalogue.
+        seeds: Seeds of everything that is random.
+        jobs: Number of faults at a time, each with separate daemons.
+        progress: Called before each fault.
+        is_sham: True if no fault is injected; an injection has passed if it detects that.
+
+    Returns:
+        Report of all results.
     """
     clock = SystemClock()
-    begun = clock.monotonic()
+    started = clock.monotonic()
     waiting = [(row, seed) for seed in seeds for row in rows]
     total, results = len(waiting), list[FaultResult]()
     waiting.reverse()
@@ -71,7 +74,7 @@ async def run_campaign(
         simulated=True,
         version=pcmrs.__version__,
         seeds=list(seeds),
-        seconds=clock.monotonic() - begun,
+        seconds=clock.monotonic() - started,
         faults=results,
         summary=summarize(results),
         sham=is_sham,
@@ -79,23 +82,40 @@ async def run_campaign(
 
 
 async def run_fault(
-    row: Row, seed: int, folder: Path, pool: Pool, clock: Clock, *, is_sham: bool = False
+    row: CatalogueRow, seed: int, folder: Path, pool: Pool, clock: Clock, *, is_sham: bool = False
 ) -> FaultResult:
-    """Injects one fault in all ways in which it can be."""
+    """Inject one fault in all its ways.
+
+    Args:
+        row: Row of the catalogue.
+        seed: Seed of everything that is random.
+        folder: Parent of the temporary folders.
+        pool: Pool of daemons.
+        clock: Clock of the machine.
+        is_sham: True if no fault is injected.
+    """
     known = injections().get(row.id, [])
     if known:
         with sham() if is_sham else nullcontext():
             parts = [await run_injection(injection, seed, folder, pool, clock) for injection in known]
         if is_sham:
-            parts = list(map(_found_out, parts))
+            parts = list(map(_judge_sham, parts))
     else:
-        parts = [Part("", "", "not_run", NO_INJECTION, 0.0)]
+        parts = [InjectionResult("", "", "not_run", NO_INJECTION, 0.0)]
     return result_of(row, seed, parts)
 
 
-async def run_injection(injection: Injection, seed: int, folder: Path, pool: Pool, clock: Clock) -> Part:
-    """Injects a fault in one way, in a folder that goes away."""
-    begun = clock.monotonic()
+async def run_injection(injection: Injection, seed: int, folder: Path, pool: Pool, clock: Clock) -> InjectionResult:
+    """Run one injection in a temporary folder.
+
+    Args:
+        injection: Injection to run.
+        seed: Seed of everything that is random.
+        folder: Parent of the temporary folder.
+        pool: Pool of daemons.
+        clock: Clock of the machine.
+    """
+    started = clock.monotonic()
     with tempfile.TemporaryDirectory(dir=folder, ignore_cleanup_errors=True) as own:
         lab = Lab(seed, Path(own), pool)
         try:
@@ -103,26 +123,28 @@ async def run_injection(injection: Injection, seed: int, folder: Path, pool: Poo
             async with clock.timeout(injection.deadline):
                 evidence = await injection.run(lab)
         except NotRun as error:
-            return Part(injection.name, injection.how, "not_run", error.text, clock.monotonic() - begun)
-        except Exception as error:  # whatever an injection raises is a failure of this fault alone
+            return InjectionResult(injection.name, injection.how, "not_run", error.text, clock.monotonic() - started)
+        except Exception as error:  # any error of an injection fails only this fault
             kind = error.code if isinstance(error, PcmrsError) else type(error).__name__
             details = {"daemon": lab.log_tail(), "where": _where(error), "error": kind}
-            seconds = clock.monotonic() - begun
+            seconds = clock.monotonic() - started
             late = isinstance(error, TimeoutError) and seconds >= injection.deadline
             text = f"not ended within {injection.deadline:g} s" if late else _text(error)
-            return Part(injection.name, injection.how, "failed", text, seconds, details)
-    seconds, missing = clock.monotonic() - begun, evidence.missing
+            return InjectionResult(injection.name, injection.how, "failed", text, seconds, details)
+    seconds, missing = clock.monotonic() - started, evidence.missing
     outcome: Outcome = "not_proved" if missing else "passed"
-    return Part(injection.name, injection.how, outcome, missing or evidence.response, seconds, evidence.measured)
+    return InjectionResult(
+        injection.name, injection.how, outcome, missing or evidence.response, seconds, evidence.measured
+    )
 
 
-def _found_out(part: Part) -> Part:
-    """What a sham way has come to: it has passed when the row said by itself that its fault did not take place."""
+def _judge_sham(part: InjectionResult) -> InjectionResult:
+    """Return the result of a sham injection: it has passed if the row detected that its fault was not injected."""
     if part.outcome == "not_run":
         return part
     found = part.outcome == "not_proved" or part.details.get("error") == Unmet.code
-    said = part.response if found else f"Without its fault it {part.outcome}: {part.response}"
-    return msgspec.structs.replace(part, outcome="passed" if found else "failed", response=said)
+    response = part.response if found else f"Without its fault it {part.outcome}: {part.response}"
+    return msgspec.structs.replace(part, outcome="passed" if found else "failed", response=response)
 
 
 def _text(error: Exception) -> str:
@@ -132,6 +154,6 @@ def _text(error: Exception) -> str:
 
 
 def _where(error: Exception) -> str:
-    """File and line in which the error came up."""
+    """Return file and line at which the error was raised."""
     last = traceback.extract_tb(error.__traceback__)[-1]
     return f"{Path(last.filename).name}:{last.lineno}"

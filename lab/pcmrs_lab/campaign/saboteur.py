@@ -1,10 +1,10 @@
-"""A daemon with a saboteur inside: it does, on order, what only happens within a process.
+"""Daemon with a saboteur inside: on order it causes faults that only happen within a process.
 
     python -m pcmrs_lab.campaign.saboteur SOCKET python -m pcmrs.cli serve ...
 
-Orders are datagrams to the Unix socket, each answered when it was carried out: ``block SECONDS`` keeps the event loop
-busy; ``fail TASK`` makes what a named task waits for raise; ``eat BYTES`` takes
-memory; ``tasks`` counts tasks.
+Orders are datagrams to the Unix socket, each answered when it was carried out: ``block SECONDS`` blocks the event
+loop; ``fail TASK`` raises an error in the future that a named task awaits; ``eat BYTES`` takes memory; ``tasks`` counts
+tasks.
 """
 
 from __future__ import annotations
@@ -24,19 +24,26 @@ from pcmrs_lab.campaign.sham import is_sham
 
 PROGRAM = "pcmrs_lab.campaign.saboteur"
 ANSWERS_WITHIN = 10.0
-"""A saboteur has done what it was told within this, s of the machine."""
+"""Time within which a saboteur has carried out an order, s of the machine."""
 
 
 def sabotaged(orders: Path) -> tuple[str, ...]:
-    """The words before a daemon's command line that put a saboteur into it, listening at `orders`."""
+    """Return the words before a daemon's command line that put a saboteur into it, listening at `orders`."""
     return sys.executable, "-m", PROGRAM, str(orders)
 
 
 async def order(orders: Path, text: str) -> str:
-    """Tells the saboteur what to do, and waits until it has done that; in a sham campaign it does nothing.
+    """Send an order to the saboteur, and wait until it is carried out; send nothing in a sham campaign.
+
+    Args:
+        orders: Unix socket of the saboteur.
+        text: Order and its argument.
+
+    Returns:
+        Answer of the saboteur.
 
     Raises:
-        TimeoutError: It has not within `ANSWERS_WITHIN`.
+        TimeoutError: The order was not carried out within `ANSWERS_WITHIN`.
     """
     return "" if is_sham() else await asyncio.to_thread(_order, orders, text)
 
@@ -44,25 +51,25 @@ async def order(orders: Path, text: str) -> str:
 def _order(orders: Path, text: str) -> str:
     answer_to = orders.with_suffix(f".{threading.get_ident()}")
     answer_to.unlink(missing_ok=True)
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asker:
-        asker.bind(str(answer_to))
-        asker.settimeout(ANSWERS_WITHIN)
-        asker.sendto(text.encode(), str(orders))
-        return asker.recv(1024).decode()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+        sender.bind(str(answer_to))
+        sender.settimeout(ANSWERS_WITHIN)
+        sender.sendto(text.encode(), str(orders))
+        return sender.recv(1024).decode()
 
 
 def main(words: Sequence[str]) -> None:
-    """Runs the command line behind the first word, with orders taken at that."""
+    """Run the command line after the first word, and take orders at that socket."""
     orders, module = Path(words[0]), words.index("-m")
     loops: list[asyncio.AbstractEventLoop] = []
     make = uvloop.new_event_loop
 
-    def remembered() -> uvloop.Loop:
+    def new_event_loop() -> uvloop.Loop:
         loop = make()
         loops.append(loop)
         return loop
 
-    uvloop.new_event_loop = remembered
+    uvloop.new_event_loop = new_event_loop
     threading.Thread(target=_obey, args=(orders, loops), daemon=True).start()
     sys.argv = ["pcmrs", *words[module + 2 :]]
     runpy.run_module(words[module + 1], run_name="__main__", alter_sys=True)
@@ -70,15 +77,15 @@ def main(words: Sequence[str]) -> None:
 
 def _obey(orders: Path, loops: list[asyncio.AbstractEventLoop]) -> None:
     orders.unlink(missing_ok=True)
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ears:
-        ears.bind(str(orders))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(str(orders))
         while True:
-            text, asker = ears.recvfrom(1024)
+            text, sender = listener.recvfrom(1024)
             done: list[str] = []
             carried_out = threading.Event()
             loops[-1].call_soon_threadsafe(_carry_out, text.decode(), done, carried_out)
             carried_out.wait(ANSWERS_WITHIN)
-            ears.sendto((done[0] if done else "not carried out").encode(), asker)
+            listener.sendto((done[0] if done else "not carried out").encode(), sender)
 
 
 def _carry_out(text: str, done: list[str], carried_out: threading.Event) -> None:

@@ -1,6 +1,6 @@
-"""What a process takes of the machine: memory, file descriptors, threads.
+"""Resources of a process, as the kernel reports them: memory, file descriptors, threads.
 
-What the kernel tells of a process.
+-
 """
 
 from __future__ import annotations
@@ -12,22 +12,22 @@ import msgspec
 
 
 def process_state(pid: int) -> str:
-    """State of a process: R runs, S sleeps, T is stopped."""
+    """Return the state of a process: R runs, S sleeps, T is stopped."""
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
 
 
 def descriptors(pid: int) -> int:
-    """How many files and sockets a process has open."""
+    """Return the number of open files and sockets of a process."""
     return len(list(Path(f"/proc/{pid}/fd").iterdir()))
 
 
 class Sample(msgspec.Struct, frozen=True):
-    """Of one process, at one time.
+    """Resources of one process at one time.
 
     Attributes:
-        memory: Resident, bytes.
-        descriptors: Open files and sockets.
-        threads: Of the process.
+        memory: Resident memory, bytes.
+        descriptors: Number of open files and sockets.
+        threads: Number of threads.
     """
 
     memory: int
@@ -36,7 +36,7 @@ class Sample(msgspec.Struct, frozen=True):
 
 
 def sample(pid: int) -> Sample:
-    """What a process takes now. Raises `OSError` when it has ended."""
+    """Return the present resources of a process; raise `OSError` if it has ended."""
     folder = Path(f"/proc/{pid}")
     pages = int((folder / "statm").read_text().split()[1])
     return Sample(
@@ -51,7 +51,12 @@ def _count(folder: Path) -> int:
 
 
 def slope(times: list[float], values: list[float]) -> tuple[float, float]:
-    """Slope of values over time, per second, and its standard error, by least squares; 0 and 0 of fewer than 3."""
+    """Return slope of values over time, 1/s, and its standard error, by least squares; 0, 0 for fewer than 3.
+
+    Args:
+        times: Times, s.
+        values: Values at these times.
+    """
     count = len(times)
     if count < 3:
         return 0.0, 0.0

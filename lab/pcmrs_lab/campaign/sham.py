@@ -1,6 +1,6 @@
-"""A campaign whose faults do not take place: every row must then find that nothing was injected.
+"""Campaign without faults: every row must then detect that nothing was injected.
 
-Whatever brings a fault about asks `is_sham` first, or is done by `bring_about`. A row that passes without its fault
+All code that injects a fault checks `is_sham` first, or uses `inject_unless_sham`. A row that passes without its fault
 proves nothing.
 """
 
@@ -15,7 +15,7 @@ _sham = ContextVar("sham", default=False)
 
 @contextmanager
 def sham() -> Iterator[None]:
-    """No fault takes place during the context, in the tasks and `asyncio.to_thread` threads that it starts."""
+    """Inject no fault during the context, in the tasks and `asyncio.to_thread` threads that it starts."""
     token = _sham.set(True)
     try:
         yield
@@ -24,11 +24,11 @@ def sham() -> Iterator[None]:
 
 
 def is_sham() -> bool:
-    """Whether what brings a fault about must do nothing."""
+    """Return whether code that injects a fault must do nothing."""
     return _sham.get()
 
 
-def bring_about(act: Callable[[], object]) -> None:
-    """Does what a fault consists of, such as the sending of a signal; in a sham campaign nothing."""
+def inject_unless_sham(act: Callable[[], object]) -> None:
+    """Perform the act of a fault, such as sending a signal; do nothing in a sham campaign."""
     if not is_sham():
         act()

@@ -1,4 +1,4 @@
-"""What a subscriber sees of a tracker's fault: whether it took place is for the receiver to say."""
+"""Observations of a tracker's fault by a subscriber: the receiver decides whether it happened."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ if TYPE_CHECKING:
     from pcmrs.testing.cell import RunningCell
 
 SILENCE = 0.4
-"""A tracker that has sent nothing for so long is silent, s of the machine; 24 frames."""
+"""Time without frames after which a tracker counts as silent, s of the machine; 24 frames."""
 WRONG_LENGTH = 0.1
 BAD_FIT = 2e-3  # m
 LEAP = 0.01
-"""No body here moves so far from one frame to the next, m: that is 0.6 m/s."""
+"""No body here moves this far from one frame to the next, m: that is 0.6 m/s."""
 FUTURE = 1.0  # s
 SLOW = 0.15
-"""Between two frames, s of the tracker's clock; at 60 a second they are 0.017 s apart."""
+"""Time between two frames, s of the tracker's clock; at 60 a second they are 0.017 s apart."""
 DASH = 0.05
 """Speed of a head that dashes, m/s."""
 
 Sign = Callable[[BodyPose, BodyPose, dict[str, Any]], bool]
-"""Whether a frame shows the fault: the body's frame before it, the frame, arguments of the fault."""
+"""Returns whether a frame shows the fault, from the body's frame before it, the frame, and the fault's arguments."""
 
 
 def _leaps(last: BodyPose, pose: BodyPose, _: dict[str, Any]) -> bool:
@@ -57,22 +57,23 @@ SIGNS: dict[str, Sign] = {
     "stamp_future": lambda _last, pose, _: pose.captured > pose.sent + FUTURE,
     "dash_head": _dashes,
 }
-"""By the fault's name; not of `tracker_absent`, of which no frame comes, and `pose_nan`, whose frames no bus takes."""
+"""Signs by the name of the fault; not `tracker_absent`, of which no frame comes, and `pose_nan`, which no bus accepts.
+"""
 
 
-class Poses:
-    """Frames of the bodies that a fault is about, in the order in which they came."""
+class ReceivedPoses:
+    """Frames of the bodies that a fault concerns, in the order of arrival."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
         self._before = self._ignored
-        self.came: list[BodyPose] = []
+        self.received: list[BodyPose] = []
         self._clock = SystemClock()
         self._last = self._clock.monotonic()
 
     def take(self, pose: BodyPose) -> None:
-        """Puts a frame to the others."""
-        self.came.append(pose)
+        """Record a frame."""
+        self.received.append(pose)
         self._last = self._clock.monotonic()
 
     @property
@@ -81,41 +82,58 @@ class Poses:
 
     @property
     def not_finite(self) -> int:
-        """Frames that the subscriber's bus has not taken, for a number in them that is none."""
+        """Number of frames that the subscriber's bus rejected because a number is not finite."""
         return self._ignored - self._before
 
     @property
     def silence(self) -> float:
-        """For how long nothing has come, s of the machine."""
+        """Time since the last frame, s of the machine."""
         return self._clock.monotonic() - self._last
 
-    def showing(self, name: str, arguments: dict[str, Any]) -> int:
-        """How many frames show a fault."""
+    def count_showing(self, name: str, arguments: dict[str, Any]) -> int:
+        """Return how many frames show a fault.
+
+        Args:
+            name: Name of the fault.
+            arguments: Arguments of the fault.
+        """
         sign = SIGNS[name]
         return sum(
             sign(last, pose, arguments)
-            for body in {pose.body for pose in self.came}
-            for last, pose in pairwise([each for each in self.came if each.body == body])
+            for body in {pose.body for pose in self.received}
+            for last, pose in pairwise([each for each in self.received if each.body == body])
         )
 
 
 @asynccontextmanager
-async def poses(cell: RunningCell, body: str = "*") -> AsyncIterator[Poses]:
-    """The frames of one body, or of all, that a subscriber receives during the context, from before a fault on."""
-    found = Poses(cell.bus)
+async def poses(cell: RunningCell, body: str = "*") -> AsyncIterator[ReceivedPoses]:
+    """Collect the frames of one body, or of all, that a subscriber receives during the context.
+
+    The context begins when the first frame, still without the fault, has come.
+
+    Args:
+        cell: Cell with the tracker.
+        body: Name of a body; ``*`` for all.
+    """
+    found = ReceivedPoses(cell.bus)
     end = cell.bus.subscribe(f"state/pose/{body}", BodyPose, lambda _, pose: found.take(pose))
     try:
-        await until_true(lambda: bool(found.came), "No frame of the tracker is received without the fault")
+        await until_true(lambda: bool(found.received), "No frame of the tracker is received without the fault")
         yield found
     finally:
         await end()
 
 
-def shown(seen: Poses, name: str, arguments: dict[str, Any]) -> dict[str, float]:
-    """Details of how a tracker's fault was seen by its subscriber.
+def shown(seen: ReceivedPoses, name: str, arguments: dict[str, Any]) -> dict[str, float]:
+    """Return details of how a tracker's fault was observed by its subscriber.
+
+    Args:
+        seen: Frames that the subscriber has received.
+        name: Name of the fault.
+        arguments: Arguments of the fault.
 
     Raises:
-        Unmet: It was not.
+        Unmet: It was not observed.
     """
     measured: dict[str, float]
     if name == "tracker_absent":
@@ -123,7 +141,7 @@ def shown(seen: Poses, name: str, arguments: dict[str, Any]) -> dict[str, float]
     elif name == "pose_nan":
         measured = {"frames": seen.not_finite}
     else:
-        measured = {"frames": seen.showing(name, arguments), "of": len(seen.came)}
+        measured = {"frames": seen.count_showing(name, arguments), "of": len(seen.received)}
     if not all(measured.values()):
         raise Unmet(f"No subscriber has seen '{name}': {measured}.")
     return measured

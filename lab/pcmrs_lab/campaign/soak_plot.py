@@ -1,4 +1,4 @@
-"""The courses of a soak as a picture."""
+"""Plot of the measures of a soak test."""
 
 from __future__ import annotations
 
@@ -11,14 +11,19 @@ COLOURS = {"daemon": BLUE, "node": ORANGE, "world": GREEN, "heart": "black"}
 
 
 def draw_soak(report: SoakReport, path: Path) -> None:
-    """Draws every measure over time. Raises `OSError` when the file cannot be written."""
+    """Draw every measure over time; raise `OSError` if the file cannot be written.
+
+    Args:
+        report: Result of the soak test.
+        path: PNG file to write.
+    """
     figure = new_figure(10.0, 6.0)
     for axes, measure in zip(figure.subplots(2, 2).flat, ALLOWED, strict=True):
         scale = 1e6 if measure == "memory" else 1.0
-        for course in report.courses:
-            if course.measure == measure:
-                values = [value / scale for value in course.values]
-                axes.plot([time / 60.0 for time in course.times], values, color=COLOURS[course.process], lw=1.2)
+        for trend in report.courses:
+            if trend.measure == measure:
+                values = [value / scale for value in trend.values]
+                axes.plot([time / 60.0 for time in trend.times], values, color=COLOURS[trend.process], lw=1.2)
         axes.set_title("memory, MB" if measure == "memory" else measure)
         axes.set_xlabel("minutes")
         axes.set_ylim(bottom=0)

@@ -1,4 +1,4 @@
-"""The system calls by which a process writes a journal, recorded by strace."""
+"""System calls by which a process writes a journal, recorded by strace."""
 
 from __future__ import annotations
 
@@ -14,23 +14,24 @@ NEEDS = (program("strace"),)
 
 CALLS = "openat,write,pwrite64,ftruncate,fsync,fdatasync,rename,unlink"
 LONGEST = 100_000
-"""Most bytes of one write; more at once would be recorded in part."""
+"""Longest recorded write, bytes; of a longer one only a part would be recorded."""
 
 
 def trace_journal(folder: Path, commits: int, seed: int, *, durable: bool = True) -> list[str]:
-    """Has a process write a journal in a folder, and records what it does there.
+    """Have a process write a journal in a folder, and record its system calls.
 
     Args:
-        folder: Made for it.
-        commits: So many are written.
-        seed: Of their sizes.
-        durable: False for a writer that waits for no disk: the control, which a power cut must be seen to harm.
+        folder: Folder to create.
+        commits: Number of commits.
+        seed: Seed of their sizes.
+        durable: False for the control: a writer that does not wait for the disk, which a power cut must be seen to
+            harm.
 
     Returns:
-        The system calls in the order of time, as strace prints them: a line for each, or for its beginning and its end.
+        System calls in the order of time, as strace prints them: a line for each, or for its beginning and its end.
 
     Raises:
-        NotRun: There is no strace, or it may not trace.
+        NotRun: strace is missing, or may not trace.
     """
     require(NEEDS)
     folder.mkdir()

@@ -1,4 +1,4 @@
-"""System calls of a running process that fail or wait, by strace's injection; only those on the files named."""
+"""System calls of a running process that fail or wait, by strace's injection, optionally only on given files."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from pcmrs_lab.campaign.sham import is_sham
 NEEDS = (program("strace"), ROOT)
 
 ATTACHES_WITHIN = 10.0
-"""The tracer holds all threads within this, s of the machine."""
+"""Time within which the tracer holds all threads, s of the machine."""
 
 
 @dataclass
 class Tampered:
-    """How many calls have been tampered with so far."""
+    """Number of calls that have been tampered with so far."""
 
     calls: int = 0
 
@@ -29,17 +29,18 @@ class Tampered:
 async def injected(
     pid: int, calls: Sequence[str], action: str, *, files: Sequence[Path] = (), threads: bool = True
 ) -> AsyncIterator[Tampered]:
-    """For as long as the context lasts, the calls of a process are tampered with.
+    """Tamper with the system calls of a process for the length of the context.
 
     Args:
-        pid: Of the process.
+        pid: Id of the process.
         calls: Names of system calls.
-        action: As strace has it, such as ``error=EIO`` or ``delay_enter=2000000`` (µs), with ``when=`` if need be.
-        files: Only calls on these files; all where none is named.
-        threads: Whether all threads are meant, not the main one alone.
+        action: Action in strace's notation, such as ``error=EIO`` or ``delay_enter=2000000`` (µs), with ``when=`` if
+            needed.
+        files: Files whose calls are affected; all if empty.
+        threads: True for all threads, False for the main one only.
 
     Yields:
-        How many have been; complete when the context has ended.
+        Number of affected calls; complete when the context has ended.
 
     Raises:
         NotRun: strace may not attach.
@@ -58,18 +59,18 @@ async def injected(
         stderr=asyncio.subprocess.PIPE,
     )
     tampered = Tampered()
-    said = asyncio.create_task(_count(tracer, tampered))
+    counting = asyncio.create_task(_count(tracer, tampered))
     try:
-        await _attached(pid, tracer, threads=threads)
+        await _wait_until_attached(pid, tracer, threads=threads)
         yield tampered
     finally:
         with suppress(ProcessLookupError):
             tracer.terminate()
         await tracer.wait()
-        await said
+        await counting
 
 
-async def _attached(pid: int, tracer: asyncio.subprocess.Process, *, threads: bool) -> None:
+async def _wait_until_attached(pid: int, tracer: asyncio.subprocess.Process, *, threads: bool) -> None:
     try:
         async with asyncio.timeout(ATTACHES_WITHIN):
             while not all(map(_is_traced, _threads(pid) if threads else [pid])):
@@ -88,12 +89,12 @@ def _is_traced(thread: int) -> bool:
     try:
         status = Path(f"/proc/{thread}/status").read_text()
     except OSError:
-        return True  # it has ended
+        return True  # the thread has ended
     return "TracerPid:\t0\n" not in status
 
 
 async def _count(tracer: asyncio.subprocess.Process, tampered: Tampered) -> None:
-    """Takes what it prints, so that it never waits for a reader."""
+    """Read the tracer's output, so that it never blocks, and count the affected calls."""
     if tracer.stderr is not None:
         async for line in tracer.stderr:
             tampered.calls += line.rstrip().endswith((b"(INJECTED)", b"(DELAYED)"))

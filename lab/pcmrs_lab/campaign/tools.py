@@ -1,4 +1,4 @@
-"""What faults need of the machine: what it does not have makes a fault not run, never passed."""
+"""Programs that faults need: a missing one makes a fault not run, never passed."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from pcmrs_lab.campaign.needs import Need
 
 
 def require(needs: Iterable[Need]) -> None:
-    """Raises `NotRun`, with the names of what is missing, unless this machine meets all of the needs."""
+    """Raise `NotRun`, with the names of the missing ones, unless this machine meets all requirements."""
     missing = [need.name for need in needs if not need.is_met()]
     if missing:
         raise NotRun(f"missing here: {', '.join(missing)}; `make tools` installs what can be installed")
 
 
 async def ended(words: Sequence[str]) -> tuple[int, str]:
-    """Runs a program to its end and returns its exit status and what it printed."""
+    """Run a program to its end and return its exit status and output."""
     process = await asyncio.create_subprocess_exec(
         *words, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT
     )
@@ -26,10 +26,10 @@ async def ended(words: Sequence[str]) -> tuple[int, str]:
 
 
 async def tool(words: Sequence[str]) -> str:
-    """Runs a program of the machine and returns what it printed.
+    """Run a program of the machine and return its output.
 
     Raises:
-        NotRun: This machine does not let it do that; the text has its last words.
+        NotRun: The program fails on this machine; the text has its output.
     """
     status, output = await ended(words)
     if status != 0:

@@ -1,4 +1,4 @@
-"""Uploads to a console by a program: nobody has looked at them before they are sent."""
+"""Uploads to a console by a program, which skips the checks of the page."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.consoles import RunningConsole
 
 NAME: Final = "patient.stl"
-"""Of every file."""
+"""Name of every uploaded file."""
 TAKEN: Final = 200
-"""Status of the answer to an upload that was taken."""
+"""Status of the answer to an accepted upload."""
+# The path under which NiceGUI serves an upload element.
 _PLACE: Final = re.compile(rb"/_nicegui/client/[\w-]+/upload/\d+")
 _BOUNDARY: Final = "lost-and-found"
 _FORM: Final = f"Content-Type: multipart/form-data; boundary={_BOUNDARY}"
@@ -24,11 +25,11 @@ _END: Final = f"\r\n--{_BOUNDARY}--\r\n".encode()
 
 
 class Uploader:
-    """Sends files to the place that a page has for them.
+    """Sends files to the upload address of a page.
 
     Args:
-        console: Takes them.
-        place: Path of that place.
+        console: Console that receives them.
+        place: Path of the upload address.
     """
 
     def __init__(self, console: RunningConsole, place: str) -> None:
@@ -36,18 +37,18 @@ class Uploader:
         self._place = place
 
     async def send(self, content: bytes) -> int:
-        """Sends a file; returns the status, 0 where the connection is ended instead."""
+        """Send a file and return the status; 0 if the connection ends instead."""
         body = _BEGIN + content + _END
         status, _ = await self._post(_length(len(body)), [body])
         return status
 
     async def send_without_length(self, content: bytes) -> tuple[int, str]:
-        """Sends a file in HTTP's form of a body without a length; returns status and text of the answer."""
+        """Send a file as a chunked HTTP body without a length, and return status and text of the answer."""
         body = (b"%x\r\n%b\r\n" % (len(piece), piece) for piece in (_BEGIN, content, _END))
         return await self._post("Transfer-Encoding: chunked", [*body, b"0\r\n\r\n"])
 
     async def announce(self, length: int) -> tuple[int, str]:
-        """Sends the head of an upload of so many bytes, and none of them; returns status and text of the answer."""
+        """Send the head of an upload of `length` bytes without its body, and return status and text of the answer."""
         return await self._post(_length(length), [])
 
     async def _post(self, header: str, body: Iterable[bytes]) -> tuple[int, str]:
@@ -56,10 +57,10 @@ class Uploader:
 
 
 async def uploader(console: RunningConsole) -> Uploader:
-    """Asks for a page as a browser does, and finds the place for files in it.
+    """Request a page as a browser does, and find its upload address.
 
     Raises:
-        Unmet: There is none within `PATIENCE`: the console does not reach the daemon.
+        Unmet: The page has none within `PATIENCE`: the console does not reach the daemon.
     """
     with suppress(TimeoutError):
         async with asyncio.timeout(PATIENCE):
@@ -68,7 +69,7 @@ async def uploader(console: RunningConsole) -> Uploader:
                 if found := _PLACE.search(page):
                     return Uploader(console, found.group().decode())
                 await asyncio.sleep(0.5)
-    raise Unmet(f"The page has no place for files within {PATIENCE:g} s.")
+    raise Unmet(f"The page showed no upload within {PATIENCE:g} s.")
 
 
 def _length(length: int) -> str:

@@ -1,4 +1,4 @@
-"""Waiting for what only a look can tell: a file, a log, a process."""
+"""Waiting by polling: for a file, a log, a process."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ PERIOD = 0.02
 
 
 async def until_true(condition: Callable[[], bool], missing: str, within: float = PATIENCE) -> float:
-    """Waits until a condition holds; returns how long that took, s of the machine.
+    """Wait until a condition holds, and return how long that took, s of the machine.
 
     Args:
-        condition: Looked at again and again.
-        missing: What is not so when it does not come true, for the text.
-        within: s of the machine.
+        condition: Function that is called repeatedly.
+        missing: Start of the error text, which names the missing condition.
+        within: Time limit, s of the machine.
 
     Raises:
-        Unmet: It did not in time.
+        Unmet: The condition did not hold in time.
     """
     clock = SystemClock()
-    begun = clock.monotonic()
+    started = clock.monotonic()
     while not condition():
-        if clock.monotonic() - begun > within:
+        if clock.monotonic() - started > within:
             raise Unmet(f"{missing} within {within:g} s.")
         await clock.sleep(PERIOD)
-    return clock.monotonic() - begun
+    return clock.monotonic() - started
 
 
 async def until_ended(cell: RunningCell) -> int:
-    """Waits until a daemon has ended; returns its exit status.
+    """Wait until a daemon has ended, and return its exit status.
 
     Raises:
-        Unmet: It runs on.
+        Unmet: The daemon is still running.
     """
     try:
         return await asyncio.wait_for(cell.process.wait(), PATIENCE)
@@ -45,10 +45,14 @@ async def until_ended(cell: RunningCell) -> int:
         raise Unmet(f"The daemon has not ended within {PATIENCE:g} s.") from None
 
 
-async def until_said(cell: RunningCell, words: str) -> float:
-    """Waits until the log of a daemon has the words; returns how long that took, s of the machine.
+async def until_logged(cell: RunningCell, words: str) -> float:
+    """Wait until the log of a daemon contains some words, and return how long that took, s of the machine.
+
+    Args:
+        cell: Cell with the daemon.
+        words: Part of a line.
 
     Raises:
-        Unmet: It did not say them in time.
+        Unmet: The log does not contain them in time.
     """
-    return await until_true(lambda: words in cell.log, f"The log does not say '{words}'")
+    return await until_true(lambda: words in cell.log, f"The log does not contain '{words}'")

@@ -1,7 +1,7 @@
-"""A daemon with a wall clock that is set while it runs; its monotonic clock is the machine's.
+"""Daemon with a wall clock that is set while it runs; its monotonic clock is the machine's.
 
-libfaketime 0.9.10, which Debian 12 has, is of no use for that: under it Zenoh's threads spin, and `time.sleep` of
-Python 3.11 fails where the monotonic clock is left alone.
+libfaketime 0.9.10 of Debian 12 does not work here: Zenoh's threads spin under it, and `time.sleep` of Python 3.11 fails
+if the monotonic clock is left alone.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ class WallClock:
     """Sets the wall clock of the processes that were started with its environment.
 
     Attributes:
-        folder: Of its own; holds what the processes load, and the setting that they look at.
+        folder: Folder for the library that the processes load, and the setting that they read.
     """
 
     folder: Path
 
     @classmethod
-    def right(cls, folder: Path) -> WallClock:
-        """One that is right as yet."""
+    def create(cls, folder: Path) -> WallClock:
+        """Compile the library, and return a clock that is not shifted yet."""
         clock = cls(folder)
         folder.mkdir(parents=True, exist_ok=True)
         clock._setting.write_bytes(_SETTING.pack(0, 0))
@@ -43,19 +43,23 @@ class WallClock:
         return clock
 
     def shift(self, seconds: float) -> None:
-        """The wall clock is so much ahead of the machine's from now on; behind when negative."""
+        """Shift the wall clock against the machine's from now on.
+
+        Args:
+            seconds: Shift, s; negative to set it back.
+        """
         self._set(int(seconds * _NANO), 0)
 
-    def stand(self) -> None:
-        """The wall clock stands from now on."""
+    def freeze(self) -> None:
+        """Freeze the wall clock from now on."""
         self._set(0, int(SystemClock().wall() * _NANO))
 
     def environment(self) -> dict[str, str]:
-        """Variables for a process whose wall clock this is."""
+        """Return the environment variables of a process with this wall clock."""
         return {"LD_PRELOAD": str(self._library), "PCMRS_WALL_CLOCK": str(self._setting)}
 
     def _set(self, ahead: int, stands: int) -> None:
-        with self._setting.open("r+b") as file:  # in place: the processes have mapped it
+        with self._setting.open("r+b") as file:  # in place, since the processes have mapped the file
             file.write(_SETTING.pack(ahead, stands))
 
     @property

@@ -1,4 +1,4 @@
-"""A cell whose device node is one of another machine, behind a wire that can be spoilt."""
+"""Cell whose device node is on another machine, behind a link that can be impaired."""
 
 from __future__ import annotations
 
@@ -17,12 +17,17 @@ from pcmrs_lab.campaign.proxy import tcp_proxy
 
 
 @asynccontextmanager
-async def remote_cell(lab: Lab, weather: NetworkImpairment) -> AsyncIterator[RunningCell]:
-    """A cell whose device node is one of another machine, as far as the wire between them goes."""
+async def remote_cell(lab: Lab, impairment: NetworkImpairment) -> AsyncIterator[RunningCell]:
+    """Start a cell whose device node reaches it over an impaired link, as if on another machine.
+
+    Args:
+        lab: Surroundings of the fault.
+        impairment: Behaviour of the link.
+    """
     port = free_port()
     place = lab.folder / "remote"
     place.mkdir()
-    async with tcp_proxy(("127.0.0.1", port), weather) as (host, proxied):
+    async with tcp_proxy(("127.0.0.1", port), impairment) as (host, proxied):
         near = f"cell.endpoint=tcp/127.0.0.1:{port}"
         device_key(place)
         far = (
@@ -30,7 +35,7 @@ async def remote_cell(lab: Lab, weather: NetworkImpairment) -> AsyncIterator[Run
             f"cell.endpoint=tcp/{host}:{proxied}",
             f"access.device_key={place / DEVICE_KEY}",
             "cell.rate=1",
-            "robot.deadman=0.5",  # as the daemon's: a busy machine is no partition
+            "robot.deadman=0.5",  # as in the daemon, so that a busy machine does not look like a partition
             f"sim.seed={lab.seed}",
         )
         starting = asyncio.create_task(_node_when_router(port, far, place / "node.log"))
@@ -39,14 +44,14 @@ async def remote_cell(lab: Lab, weather: NetworkImpairment) -> AsyncIterator[Run
             async with lab.daemon(*settings, folder=place) as cell:
                 yield cell
         finally:
-            weather.rate, weather.towards, weather.back = None, True, True
+            impairment.rate, impairment.towards, impairment.back = None, True, True
             starting.cancel()
             with suppress(asyncio.CancelledError, PcmrsError):
                 await starting
 
 
 async def _node_when_router(port: int, settings: Sequence[str], log: Path) -> None:
-    """Starts the node once the daemon's router listens, and ends it when cancelled."""
+    """Start the node once the daemon's router listens, and end it when cancelled."""
     while True:
         try:
             _, writer = await asyncio.open_connection("127.0.0.1", port)

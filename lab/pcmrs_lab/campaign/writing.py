@@ -1,4 +1,4 @@
-"""A process that writes a journal, until it is killed or has done its part, and tells every row acknowledged to it."""
+"""Process that writes a journal until it is killed or has done its part, and reports every acknowledged row."""
 
 from __future__ import annotations
 
@@ -17,17 +17,23 @@ from pcmrs.messages import BlueprintTag
 
 SEQUENCE = struct.Struct("<Q")
 REFUSED = (1 << 64) - 1
-"""Told in place of a sequence when the journal cannot be opened; the error's text follows."""
+"""Sent in place of a sequence if the journal cannot be opened; the error's text follows."""
 PARALLEL = 3
-"""So many write at the same time, as parallel branches do."""
+"""Number of concurrent writers, like parallel branches."""
 SESSIONS = 2
-"""A journal that is recorded is closed and opened again so often."""
+"""Number of times that a recorded journal is opened."""
 
 TAG = BlueprintTag(id="campaign", version="1", hash="0" * 16)
 
 
 def row(run: str, writer: int, number: int) -> JournalRow:
-    """A row that says by itself who wrote it, and as what."""
+    """Return a row that contains its session, writer and number.
+
+    Args:
+        run: Session id.
+        writer: Number of the writer.
+        number: Number of the row.
+    """
     return JournalRow(
         kind="event",
         wall=0.0,
@@ -41,26 +47,26 @@ def row(run: str, writer: int, number: int) -> JournalRow:
     )
 
 
-def write(path: Path, run: str, seed: int, failpoint: str, told: int) -> None:
-    """Opens the journal and writes until killed.
+def write(path: Path, run: str, seed: int, failpoint: str, descriptor: int) -> None:
+    """Open the journal, and write until killed.
 
     Args:
-        path: Of the journal.
-        run: Unique to this process.
-        seed: Of how the writers take turns.
+        path: Database file of the journal.
+        run: Session id, unique to this process.
+        seed: Seed of the order of the writers.
         failpoint: ``name:N``, or empty.
-        told: Descriptor to which 0 is written before anything else, then the sequence of every acknowledged row.
+        descriptor: Descriptor to which 0 is written first, then the sequence of every acknowledged row.
     """
     arm(failpoint)
-    asyncio.run(_write(path, run, random.Random(seed), told))
+    asyncio.run(_write(path, run, random.Random(seed), descriptor))
 
 
-async def _write(path: Path, run: str, generator: random.Random, told: int) -> None:
-    os.write(told, SEQUENCE.pack(0))
+async def _write(path: Path, run: str, generator: random.Random, descriptor: int) -> None:
+    os.write(descriptor, SEQUENCE.pack(0))
     try:
         journal = Journal.open(path)
     except JournalError as error:
-        os.write(told, SEQUENCE.pack(REFUSED) + error.text.encode())
+        os.write(descriptor, SEQUENCE.pack(REFUSED) + error.text.encode())
         return
 
     async def one(writer: int) -> None:
@@ -68,7 +74,7 @@ async def _write(path: Path, run: str, generator: random.Random, told: int) -> N
         while True:
             rows = [row(run, writer, number + each) for each in range(generator.randrange(1, 4))]
             number += len(rows)
-            os.write(told, SEQUENCE.pack(await journal.append(rows)))
+            os.write(descriptor, SEQUENCE.pack(await journal.append(rows)))
             if generator.random() < 0.1:
                 await asyncio.sleep(0.001)
 
@@ -76,11 +82,11 @@ async def _write(path: Path, run: str, generator: random.Random, told: int) -> N
 
 
 GROWN: Final = 1.0
-"""Every file is larger than this, bytes: each session goes on in a new one."""
+"""Size limit of a file, bytes; every file exceeds it, so that each session continues in a new one."""
 
 
 async def _write_some(path: Path, commits: int, generator: random.Random, *, durable: bool) -> None:
-    """Commits groups of rows, in a new file in each session; tells on standard output which are acknowledged."""
+    """Commit groups of rows, in a new file in each session; print the acknowledged sequences."""
     for run in range(SESSIONS):
         journal = Journal.open(path, durable=durable, largest=GROWN)
 
@@ -96,7 +102,7 @@ async def _write_some(path: Path, commits: int, generator: random.Random, *, dur
 
 
 def main() -> None:
-    """Writes a journal in a folder: ``FOLDER COMMITS SEED durable|careless``."""
+    """Write a journal in a folder: ``FOLDER COMMITS SEED durable|careless``."""
     folder, commits, seed, care = sys.argv[1:]
     path = Path(folder) / "journal.sqlite"
     asyncio.run(_write_some(path, int(commits), random.Random(int(seed)), durable=care == "durable"))

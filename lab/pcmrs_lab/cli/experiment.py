@@ -14,10 +14,10 @@ from pcmrs.cli.printing import print_report, save_svg
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
 from pcmrs.cli.values import Finite
-from pcmrs_lab.cli.experiment_options import Wanted, experiment_options
+from pcmrs_lab.cli.experiment_options import ExperimentOptions, experiment_options
 
 if TYPE_CHECKING:
-    # For annotations only: asking for help must not load the experiments.
+    # For annotations only: --help must not load the experiments.
     from pcmrs_lab.experiment.placements import PlacementReport
 
 
@@ -28,28 +28,28 @@ def experiment() -> None:
 
 @experiment.command()
 @experiment_options("ratms")
-@click.option("--trials", type=click.IntRange(min=2), default=12, show_default=True, help="How many placements.")
+@click.option("--trials", type=click.IntRange(min=2), default=12, show_default=True, help="Number of placements.")
 @click.option(
-    "--seeds", default=1, show_default=True, type=click.IntRange(min=1), help="How many seeds, from --seed on."
+    "--seeds", default=1, show_default=True, type=click.IntRange(min=1), help="Number of seeds, from --seed on."
 )
 @plot_option
 @json_option
 @readable_errors
-def placements(wanted: Wanted, trials: int, seeds: int, plot: Path | None, as_json: bool) -> None:
-    """Place the tool at planned poses and measure it, beside the paper's errors.
+def placements(options: ExperimentOptions, trials: int, seeds: int, plot: Path | None, as_json: bool) -> None:
+    """Place the tool at planned poses, measure it, and compare with the paper's errors.
 
     Example: pcmrs experiment placements --seeds 10 --report placements.json --plot placements.png
 
-    With --drivers virtual robot and tracker are driven as real ones are: by the drivers kst and ndi, over TCP, from a
-    virtual cabinet and a virtual tracker that share the simulated cell; that takes real time.
+    With --drivers virtual the daemon uses the drivers of real devices, kst and ndi, over TCP. A virtual cabinet and a
+    virtual tracker, which share the simulated cell, answer them. This runs in real time.
 
-    With several seeds each has a daemon of its own, one after the other; exit status 1 when a command of one was
-    refused, such as a registration.
+    Each of several seeds runs on its own daemon, one after the other. Exit status 1: a command was refused, such as a
+    registration.
     """
     if seeds == 1:
-        _plot([_placements(wanted, trials, as_json=as_json)], plot)
+        _plot([_placements(options, trials, as_json=as_json)], plot)
     else:
-        _placements_over(wanted, trials, seeds, plot, as_json=as_json)
+        _placements_of_seeds(options, trials, seeds, plot, as_json=as_json)
 
 
 @experiment.command()
@@ -57,52 +57,54 @@ def placements(wanted: Wanted, trials: int, seeds: int, plot: Path | None, as_js
 @click.option(
     "--runs",
     type=click.IntRange(min=1),
-    help="Instead, judge simulated touches of every row so many times, without a daemon.",
+    help="Instead, judge simulated touches of every row this number of times, without a daemon.",
 )
 @plot_option
 @json_option
 @readable_errors
-def failures(wanted: Wanted, runs: int | None, plot: Path | None, as_json: bool) -> None:
-    """Inject the paper's operator errors; each must be rejected where the paper says.
+def failures(options: ExperimentOptions, runs: int | None, plot: Path | None, as_json: bool) -> None:
+    """Inject the paper's operator errors; each must be rejected in the state that the paper reports.
 
-    Exit status 1 when a run did not end as published. With --runs, false accept and false reject rates of each gate and
-    of a fixed residual limit alone; the exit status is 0 whatever they are.
+    Exit status 1: a run did not end as published. --runs prints the false accept and false reject rates of each gate
+    and of a fixed residual limit alone; the exit status is then always 0.
 
     Example: pcmrs experiment failures --runs 1000 --seed 1 --report rates.json --plot rates.png
     """
     from pcmrs_lab.experiment.published import PUBLISHED
 
-    if wanted.plan_file is not None and wanted.workflow is None:
+    if options.plan_file is not None and options.workflow is None:
         raise click.UsageError("--plan is the plan of one workflow: name it with --workflow.")
     if plot is not None and runs is None:
-        raise click.UsageError("--plot draws the rates of many runs: say how many with --runs.")
-    workflows = list(PUBLISHED) if wanted.workflow is None else [wanted.workflow]
+        raise click.UsageError("--plot draws the rates of many runs: give their number with --runs.")
+    workflows = list(PUBLISHED) if options.workflow is None else [options.workflow]
     if runs is None:
-        _failures(wanted, workflows, as_json=as_json)
+        _failures(options, workflows, as_json=as_json)
     else:
-        _failure_rates(wanted, workflows, runs, plot, as_json=as_json)
+        _failure_rates(options, workflows, runs, plot, as_json=as_json)
 
 
-def _failures(wanted: Wanted, workflows: list[str], *, as_json: bool) -> None:
+def _failures(options: ExperimentOptions, workflows: list[str], *, as_json: bool) -> None:
     from pcmrs_lab.cli.tables import failure_table
     from pcmrs_lab.experiment.failures import run_failures
 
     with progress_bar() as progress:
-        report = run(run_failures([wanted.setup(workflow, progress) for workflow in workflows]))
-    _show(report, failure_table(report), wanted, as_json=as_json)
+        report = run(run_failures([options.setup(workflow, progress) for workflow in workflows]))
+    _show(report, failure_table(report), options, as_json=as_json)
     if report.summary.as_published < report.summary.runs:
         raise SystemExit(EXIT_REJECTED)
 
 
-def _failure_rates(wanted: Wanted, workflows: list[str], runs: int, plot: Path | None, *, as_json: bool) -> None:
+def _failure_rates(
+    options: ExperimentOptions, workflows: list[str], runs: int, plot: Path | None, *, as_json: bool
+) -> None:
     from pcmrs.analysis.plots import save_png
     from pcmrs_lab.cli.experiment_tables import monte_carlo_tables
     from pcmrs_lab.experiment.monte_carlo import run_monte_carlo
     from pcmrs_lab.experiment.plots import monte_carlo_figure
 
     with progress_bar() as progress:
-        report = run_monte_carlo([wanted.setup(workflow, progress) for workflow in workflows], runs)
-    _show(report, monte_carlo_tables(report), wanted, as_json=as_json)
+        report = run_monte_carlo([options.setup(workflow, progress) for workflow in workflows], runs)
+    _show(report, monte_carlo_tables(report), options, as_json=as_json)
     if plot is not None:
         save_png(monte_carlo_figure(report), plot)
 
@@ -110,16 +112,20 @@ def _failure_rates(wanted: Wanted, workflows: list[str], runs: int, plot: Path |
 @experiment.command()
 @experiment_options("ratms", rate=1.0)
 @click.option(
-    "--duration", default=20.0, show_default=True, type=Finite(10.0), help="Of each motion of the head, s of the cell."
+    "--duration",
+    default=20.0,
+    show_default=True,
+    type=Finite(10.0),
+    help="Duration of each motion of the head, s of the cell.",
 )
 @plot_option
 @json_option
 @readable_errors
-def following(wanted: Wanted, duration: float, plot: Path | None, as_json: bool) -> None:
+def following(options: ExperimentOptions, duration: float, plot: Path | None, as_json: bool) -> None:
     """Keep the tool at its place on a simulated head that breathes, drifts, shifts and moves quickly.
 
-    Each motion with and without compensation of the tracker's latency; in the end the reference is hidden. A machine
-    that does not keep up shows it in the column lag.
+    Each motion is followed with and without compensation of the tracker's latency; at the end the reference is hidden.
+    The column lag shows whether the machine is too slow.
 
     Example: pcmrs experiment following --seed 1 --report following.json --plot following.png
     """
@@ -129,15 +135,17 @@ def following(wanted: Wanted, duration: float, plot: Path | None, as_json: bool)
     from pcmrs_lab.experiment.plots import following_figure
 
     with progress_bar() as progress:
-        report, drawn = run(run_following(wanted.setup(wanted.workflow or "ratms", progress), duration))
-    _show(report, following_tables(report), wanted, as_json=as_json)
+        report, drawn = run(run_following(options.setup(options.workflow or "ratms", progress), duration))
+    _show(report, following_tables(report), options, as_json=as_json)
     if plot is not None:
         save_png(following_figure(drawn), plot)
 
 
 @experiment.command()
-@click.option("--subjects", type=click.IntRange(min=1), default=1000, show_default=True, help="How many.")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the simulated subjects.")
+@click.option("--subjects", type=click.IntRange(min=1), default=1000, show_default=True, help="Number of subjects.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the simulated subjects."
+)
 @click.option(
     "--interval",
     type=Finite(0.02, 0.5),
@@ -149,7 +157,7 @@ def following(wanted: Wanted, duration: float, plot: Path | None, as_json: bool)
 @json_option
 @readable_errors
 def thresholds(subjects: int, seed: int, interval: float, plot: Path | None, as_json: bool) -> None:
-    """Hunt the motor thresholds of simulated subjects: pulses and errors of every method, without a daemon.
+    """Estimate the motor thresholds of simulated subjects: pulses and errors of every method, without a daemon.
 
     Example: pcmrs experiment thresholds --subjects 1000 --seed 1 --plot thresholds.png
     """
@@ -166,20 +174,22 @@ def thresholds(subjects: int, seed: int, interval: float, plot: Path | None, as_
 
 
 @experiment.command()
-@click.option("--subjects", type=click.IntRange(min=1), default=200, show_default=True, help="How many.")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the simulated subjects.")
+@click.option("--subjects", type=click.IntRange(min=1), default=200, show_default=True, help="Number of subjects.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the simulated subjects."
+)
 @click.option(
     "--intensity",
     type=Finite(50.0, 200.0),
     default=120.0,
     show_default=True,
-    help="Of the pulses, percent of the subject's motor threshold.",
+    help="Intensity of the pulses, percent of the subject's motor threshold.",
 )
 @plot_option
 @json_option
 @readable_errors
 def hotspots(subjects: int, seed: int, intensity: float, plot: Path | None, as_json: bool) -> None:
-    """Search the hot-spots of simulated subjects: pulses until 5 mm from them, and errors, without a daemon.
+    """Search the hot-spots of simulated subjects: pulses to within 5 mm, and errors, without a daemon.
 
     Example: pcmrs experiment hotspots --subjects 200 --seed 1 --plot hotspots.png
     """
@@ -198,38 +208,40 @@ def hotspots(subjects: int, seed: int, intensity: float, plot: Path | None, as_j
 @click.command()
 @experiment_options("ratms")
 @readable_errors
-def demo(wanted: Wanted) -> None:
+def demo(options: ExperimentOptions) -> None:
     """Run a whole procedure on the simulated cell: plan, digitize, register, and 12 placements.
 
     With --workflow femoroplasty the bone is drilled and injected at the last of them. With --drivers virtual the daemon
-    moves the arm and reads the tracker through the drivers of real ones.
+    moves the arm and reads the tracker through the drivers of real devices.
     """
-    speed = "in real time" if wanted.rate == 1.0 else f"{wanted.rate:g} times as fast as real time"
-    devices = ", behind a virtual KUKA cabinet and a virtual NDI tracker" if wanted.drivers == "virtual" else ""
+    speed = "in real time" if options.rate == 1.0 else f"{options.rate:g} times as fast as real time"
+    devices = ", behind a virtual KUKA cabinet and a virtual NDI tracker" if options.drivers == "virtual" else ""
     click.echo(
         f"A simulated cell, {speed}{devices}; speed limits as configured. "
         "Commands go over UDP, as from 3D Slicer.\nResearch software, not a medical device."
     )
-    _placements(wanted, 12, as_json=False)
+    _placements(options, 12, as_json=False)
 
 
-def _placements(wanted: Wanted, trials: int, *, as_json: bool) -> PlacementReport:
+def _placements(options: ExperimentOptions, trials: int, *, as_json: bool) -> PlacementReport:
     from pcmrs_lab.cli.tables import placement_table
     from pcmrs_lab.experiment.placements import run_placements
 
     with progress_bar() as progress:
-        report = run(run_placements(wanted.setup(wanted.workflow or "ratms", progress), trials))
-    _show(report, placement_table(report), wanted, as_json=as_json)
+        report = run(run_placements(options.setup(options.workflow or "ratms", progress), trials))
+    _show(report, placement_table(report), options, as_json=as_json)
     return report
 
 
-def _placements_over(wanted: Wanted, trials: int, seeds: int, plot: Path | None, *, as_json: bool) -> None:
+def _placements_of_seeds(
+    options: ExperimentOptions, trials: int, seeds: int, plot: Path | None, *, as_json: bool
+) -> None:
     from pcmrs_lab.cli.experiment_tables import seeds_tables
     from pcmrs_lab.experiment.placement_seeds import run_seeds
 
     with progress_bar() as progress:
-        report = run(run_seeds(wanted.setup(wanted.workflow or "ratms", progress), trials, seeds))
-    _show(report, seeds_tables(report), wanted, as_json=as_json)
+        report = run(run_seeds(options.setup(options.workflow or "ratms", progress), trials, seeds))
+    _show(report, seeds_tables(report), options, as_json=as_json)
     _plot(report.reports, plot)
     if len(report.reports) < seeds:
         raise SystemExit(EXIT_REJECTED)
@@ -243,9 +255,9 @@ def _plot(reports: list[PlacementReport], plot: Path | None) -> None:
         save_png(placements_figure(reports), plot)
 
 
-def _show(report: msgspec.Struct, table: RenderableType, wanted: Wanted, *, as_json: bool) -> None:
+def _show(report: msgspec.Struct, table: RenderableType, options: ExperimentOptions, *, as_json: bool) -> None:
     print_report(report, table, as_json=as_json)
-    if wanted.picture is not None:
-        save_svg(table, wanted.picture)
-    if wanted.report_file is not None:
-        wanted.report_file.write_bytes(msgspec.json.encode(report) + b"\n")
+    if options.picture is not None:
+        save_svg(table, options.picture)
+    if options.report_file is not None:
+        options.report_file.write_bytes(msgspec.json.encode(report) + b"\n")

@@ -14,17 +14,17 @@ from pcmrs.cli.options import OutputFile
 from pcmrs.cli.values import POSITIVE
 
 if TYPE_CHECKING:
-    # For annotations only: asking for help must not load the experiments.
-    from pcmrs_lab.experiment.setup import Drivers, Setup, ShowProgress
+    # For annotations only: --help must not load the experiments.
+    from pcmrs_lab.experiment.setup import Drivers, ExperimentSetup, ShowProgress
 
 DEFAULT_RATE = 5.0
 REAL_TIME = 1.0
-"""Drivers of real devices know no other."""
+"""Only rate at which drivers of real devices work."""
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
-    """The options that all experiments share; see `experiment_options` for what they mean."""
+class ExperimentOptions:
+    """Options that all experiments share; `experiment_options` explains them."""
 
     workflow: str | None
     seed: int
@@ -35,34 +35,42 @@ class Wanted:
     picture: Path | None
     report_file: Path | None
 
-    def setup(self, workflow: str, progress: ShowProgress) -> Setup:
-        """The experiment's setup for a workflow. Raises `ConfigurationError` when its plan cannot be read."""
+    def setup(self, workflow: str, progress: ShowProgress) -> ExperimentSetup:
+        """Return the experiment's setup for a workflow.
+
+        Args:
+            workflow: Name of the workflow.
+            progress: Called at every step.
+
+        Raises:
+            ConfigurationError: The plan cannot be read, or the workflow is not among the published ones.
+        """
         from pcmrs.testing.plan import example_plan, read_plan
         from pcmrs_lab.experiment.published import published
-        from pcmrs_lab.experiment.setup import Setup
+        from pcmrs_lab.experiment.setup import ExperimentSetup
 
         if self.plan_file is None:
-            published(workflow)  # an unknown workflow is refused by name, not for its missing plan
+            published(workflow)  # refuse an unknown workflow by its name before its plan is missing
         plan = read_plan(self.plan_file or example_plan(workflow))
-        return Setup(plan, workflow, self.seed, self.rate, self.drivers, self.overrides, progress)
+        return ExperimentSetup(plan, workflow, self.seed, self.rate, self.drivers, self.overrides, progress)
 
 
 def experiment_options(
     workflow: str | None, rate: float = DEFAULT_RATE
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Adds the options that all experiments share; the command gets them as `wanted`.
+    """Add the options that all experiments share; the command gets them as `options`.
 
     Args:
-        workflow: The workflow where none is named; None for all that were published.
-        rate: The speed where none is given.
+        workflow: Default workflow; None for all that were published.
+        rate: Default speed.
     """
 
     def add(function: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(function)
         def command(**given: Any) -> Any:
-            shared = {field.name: given.pop(field.name) for field in fields(Wanted)}
+            shared = {field.name: given.pop(field.name) for field in fields(ExperimentOptions)}
             shared["rate"] = _rate(shared["rate"], shared["drivers"], rate)
-            return function(wanted=Wanted(**shared), **given)
+            return function(options=ExperimentOptions(**shared), **given)
 
         for option in _options(workflow, rate):
             command = option(command)
@@ -73,19 +81,19 @@ def experiment_options(
 
 def _rate(given: float | None, drivers: Drivers, default: float) -> float:
     if drivers == "builtin":
-        return _kept(default if given is None else given)
+        return _reachable(default if given is None else given)
     if given not in (None, REAL_TIME):
         raise click.UsageError(f"--drivers virtual runs in real time: leave out --rate {given:g}.")
     return REAL_TIME
 
 
-def _kept(rate: float) -> float:
-    """The rate that the machine can do; says so where that is less."""
+def _reachable(rate: float) -> float:
+    """Return the rate that the machine can reach, and print a note if it is less than requested."""
     if rate <= REAL_TIME:
         return rate
-    from pcmrs_lab.experiment.speed import kept_speed, processor_share
+    from pcmrs_lab.experiment.speed import processor_share, reachable_speed
 
-    speed = kept_speed(rate, processor_share())
+    speed = reachable_speed(rate, processor_share())
     if speed.why:
         click.echo(speed.why, err=True)
     return speed.rate
@@ -93,7 +101,13 @@ def _kept(rate: float) -> float:
 
 def _options(workflow: str | None, rate: float) -> tuple[Callable[..., Any], ...]:
     return (
-        click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Sets one value of the daemon."),
+        click.option(
+            "--set",
+            "overrides",
+            multiple=True,
+            metavar="KEY=VALUE",
+            help="Set one value of the daemon's configuration.",
+        ),
         click.option("--picture", type=OutputFile(), help="Also save the table as this SVG file."),
         click.option(
             "--report",
@@ -122,7 +136,7 @@ def _options(workflow: str | None, rate: float) -> tuple[Callable[..., Any], ...
             help="virtual: the drivers kst and ndi, over TCP, with a virtual cabinet and tracker.",
         ),
         click.option(
-            "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the simulated errors."
+            "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the simulated errors."
         ),
         click.option("--workflow", default=workflow, show_default=workflow or "all", help="ratms or femoroplasty."),
     )

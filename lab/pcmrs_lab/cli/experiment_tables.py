@@ -1,9 +1,4 @@
-"""The placement experiment over several seeds as tables.
-
-The following experiment as tables.
-
-The Monte Carlo of the failure injections as tables.
-"""
+"""Tables of the placement experiment over several seeds, of following, and of the failure injections."""
 
 from __future__ import annotations
 
@@ -13,13 +8,13 @@ from rich.markup import escape
 from rich.table import Table
 
 from pcmrs_lab.cli.tables import spread, summary_table
-from pcmrs_lab.experiment.following import FollowingReport, Occluded, Spread
+from pcmrs_lab.experiment.following import ErrorSummary, FollowingReport, Occluded
 from pcmrs_lab.experiment.monte_carlo import FIXED_LIMIT, OFFSET, MonteCarloReport, RowRates
 from pcmrs_lab.experiment.placement_seeds import SeedsReport
 
 
 def following_tables(report: FollowingReport) -> Group:
-    """Errors of each scenario with and without compensation of the latency, and what became of a hidden head."""
+    """Return the errors of each scenario with and without compensation, and the end after an occlusion."""
     title = f"Following a head, {report.workflow}, seed {report.seed}, {report.duration:g} s each: simulated cell"
     runs = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name in ("head", "latency"):
@@ -50,7 +45,7 @@ def following_tables(report: FollowingReport) -> Group:
     return Group(runs, "; ".join(motions) + ".", _occluded(report.occlusion))
 
 
-def _numbers(spread: Spread) -> tuple[str, str]:
+def _numbers(spread: ErrorSummary) -> tuple[str, str]:
     return f"{spread.rms:.3f}", f"{spread.p99:.2f}"
 
 
@@ -63,7 +58,7 @@ def _occluded(found: Occluded) -> str:
 
 
 def monte_carlo_tables(report: MonteCarloReport) -> Group:
-    """What happened in every row, and how often each gate decides wrongly."""
+    """Return the results of every row, and the rates of wrong decisions of each gate."""
     return Group(_rows(report), _rates(report), *_noise(report))
 
 
@@ -95,7 +90,7 @@ def _refusals(row: RowRates) -> tuple[str, str, str, str]:
 def _rates(report: MonteCarloReport) -> Table:
     caption = (
         f"Controls wrongly refused; {OFFSET.replace('_', ' ')}s that this gate alone would accept. Rows with a missing "
-        "landmark are refused by the workflow itself, whatever the noise, and are not counted."
+        "landmark are refused by the workflow itself at any noise, and are not counted."
     )
     table = Table(title="Wrong decisions", box=SIMPLE_HEAD, caption=caption)
     for name in ("workflow", "gate", "false rejects", "false accepts"):
@@ -119,7 +114,7 @@ def _percent(share: float) -> str:
 
 
 def seeds_tables(report: SeedsReport) -> Group:
-    """The errors of each seed and of all together."""
+    """Return the errors of each seed and of all together."""
     title = f"Placements over {len(report.runs)} seeds, {report.workflow}: simulated cell, mean ± sd"
     seeds = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name in ("seed", "residual mm", "mm", "max", "°", "true mm", "max ", "true °", "TRE mm"):

@@ -1,4 +1,4 @@
-"""`pcmrs fsm test`: a tour that makes a workflow give every answer it can give."""
+"""`pcmrs fsm test`: a tour through every response of a workflow."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from pcmrs.cli.running import readable_errors, run
 from pcmrs.errors import PcmrsError
 
 if TYPE_CHECKING:
-    from pcmrs.authoring.trial.tour import Move
+    from pcmrs.authoring.trial.tour import TourCommand
     from pcmrs.fsm.blueprint import Blueprint
     from pcmrs_lab.experiment.tours.arguments import Arguments
     from pcmrs_lab.experiment.tours.live import ShowProgress
     from pcmrs_lab.experiment.tours.report import TourReport
 
 MOST_SHOWN = 20
-"""Deviations that are printed; --json has all."""
+"""Number of deviations that are printed; --json has all."""
 
 LIVE_ONLY = ("connect", "endpoint", "site", "cell", "rate", "seed", "overrides", "arguments_file", "time_limit")
-"""Parameters that say something of a cell."""
+"""Parameters that only apply to a running cell."""
 
 
 @click.command()
 @file_argument
-@click.option("--live", is_flag=True, help="Test a running daemon on simulated devices, by default one of its own.")
-@click.option("--connect", is_flag=True, help="With --live: test the daemon at --endpoint; it must be in nobody's use.")
+@click.option("--live", is_flag=True, help="Test a running daemon on simulated devices, by default a separate one.")
+@click.option("--connect", is_flag=True, help="With --live: test the daemon at --endpoint, which nobody else may use.")
 @address_options
-@click.option("--rate", default=10.0, show_default=True, help="Speed of the daemon's own simulation.")
-@click.option("--seed", default=1, show_default=True, help="Of its simulated errors.")
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Sets one value of that daemon.")
+@click.option("--rate", default=10.0, show_default=True, help="Speed of the separate daemon's simulation.")
+@click.option("--seed", default=1, show_default=True, help="Seed of its simulated errors.")
+@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Set one value of its configuration.")
 @click.option(
     "--arguments",
     "arguments_file",
@@ -61,9 +61,9 @@ LIVE_ONLY = ("connect", "endpoint", "site", "cell", "rate", "seed", "overrides",
 def test(file: str, live: bool, output: Path | None, as_json: bool, limit: int, **given: Any) -> None:
     """Take the workflow FILE through every operation in every joint state, accepted and rejected.
 
-    Every declared outcome, refusing check and failing step comes up. The engine and the dispatcher are told how
-    each step ends; with --live a whole simulated cell decides it, and Stop makes steps fail. Exit status 0:
-    everything as it must be, 1: something is otherwise or was not covered.
+    The tour covers every declared outcome, refusing check and failing step. A script decides how each step ends in
+    engine and dispatcher; with --live a whole simulated cell decides it, and Stop makes steps fail. Exit status 0:
+    every response was as required, 1: a response deviated or was not covered.
     """
     if not live:
         refuse_given(LIVE_ONLY, "is for --live only: without it no cell is tested.")
@@ -85,14 +85,16 @@ def test(file: str, live: bool, output: Path | None, as_json: bool, limit: int, 
         raise SystemExit(1)
 
 
-async def _scripted(blueprint: Blueprint, limit: int, progress: ShowProgress) -> tuple[TourReport, Sequence[Move]]:
+async def _scripted(
+    blueprint: Blueprint, limit: int, progress: ShowProgress
+) -> tuple[TourReport, Sequence[TourCommand]]:
     import logging
 
     import structlog
 
     from pcmrs_lab.experiment.tours.run import tour_scripted
 
-    # Steps that raise because the tour wants it are nothing to log; a dispatcher that breaks is.
+    # Errors of steps are expected, since the script raises them; critical errors of the dispatcher are still logged.
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
     return await tour_scripted(blueprint, limit, progress)
 
@@ -110,7 +112,7 @@ async def _live(
     overrides: tuple[str, ...],
     arguments_file: Path | None,
     time_limit: float,
-) -> tuple[TourReport, Sequence[Move]]:
+) -> tuple[TourReport, Sequence[TourCommand]]:
     from pcmrs_lab.experiment.private import private_bench
     from pcmrs_lab.experiment.setup import at_rate
     from pcmrs_lab.experiment.tours.run import tour_live
@@ -125,7 +127,7 @@ async def _live(
 
 
 def _arguments(blueprint: Blueprint, file: Path | None) -> Arguments:
-    """Those of the workflow's example plan, or of RATMS' where it has none, and over them those of the file."""
+    """Return the arguments of the example plan (RATMS' if there is none), overridden by those of the file."""
     from pcmrs.testing.plan import example_plan, read_plan
     from pcmrs_lab.experiment.published import PUBLISHED
     from pcmrs_lab.experiment.tours.arguments import Arguments, plan_arguments, read_arguments
@@ -147,9 +149,9 @@ def _show(report: TourReport) -> None:
             table.add_row(meaning, str(count.covered), str(count.total))
     Terminal().print(table)
     for subject, deviations in report.deviations.items():
-        told = f"{len(deviations)} not as they must be" if deviations else "all as they must be"
-        say(f"{subject}: {report.subjects[subject]} commands, {told}")
+        result = f"{len(deviations)} deviate" if deviations else "all as required"
+        say(f"{subject}: {report.subjects[subject]} commands, {result}")
         for deviation in deviations[:MOST_SHOWN]:
             say(f"    {deviation}")
     for left in report.left:
-        say(f"not seen ({left.joint_states}×): {left.command}: {left.reason}")
+        say(f"not covered ({left.joint_states}×): {left.command}: {left.reason}")

@@ -1,25 +1,25 @@
-"""The hot-spot experiment as a table."""
+"""Table of the hot-spot experiment."""
 
 from __future__ import annotations
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from pcmrs_lab.experiment.hotspots import HotspotReport, HotspotResult, Spread
+from pcmrs_lab.experiment.hotspots import HotspotReport, HotspotResult, SubjectQuantiles
 
 NAMES = {"adaptive": "adaptive", "grid": "grid"}
 
 
 def hotspot_table(report: HotspotReport) -> Table:
-    """Pulses and errors of every method, on the same subjects."""
+    """Return the pulses and errors of every method on the same subjects."""
     title = f"Hot-spots of {report.subjects} simulated subjects, seed {report.seed}"
     expected = report.expected_mm
     caption = (
-        f"Pulses at {report.intensity:g} % of the subject's threshold. Every search begins at the usual place, "
+        f"Pulses at {report.intensity:g} % of the subject's threshold. Every search starts at the usual place, "
         f"{_number(expected.median, 1)} mm from the hot-spot in the median (p95 {_number(expected.p95, 1)} mm). "
-        "To 5 mm: pulses after which the estimate is within 5 mm and stays so; a search that does not end near it "
-        "counts as beyond any number. Then whole searches, their error, that of the handle, and the stated uncertainty "
-        "of the place, mm."
+        "To 5 mm: pulses after which the estimate stays within 5 mm; a search that does not end there counts as "
+        "infinite. Then: pulses of whole searches, their error, that of the handle, and the stated uncertainty of the "
+        "place, mm."
     )
     table = Table(title=title, caption=caption, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     columns = ("method", "ends near", "to 5 mm", "p95", "pulses", "p95", "mm", "p95", "handle °", "p95")
@@ -43,7 +43,7 @@ def _row(result: HotspotResult) -> tuple[str, ...]:
     )
 
 
-def _both(spread: Spread, digits: int) -> tuple[str, str]:
+def _both(spread: SubjectQuantiles, digits: int) -> tuple[str, str]:
     return _number(spread.median, digits), _number(spread.p95, digits)
 
 

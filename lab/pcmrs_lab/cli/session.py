@@ -1,4 +1,4 @@
-"""`pcmrs session`: whole sessions on the simulated cell, and the folders that they leave."""
+"""`pcmrs session`: whole sessions on the simulated cell, and their result folders."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pcmrs.cli.values import POSITIVE, Finite
 from pcmrs_lab.cli.experiment_options import DEFAULT_RATE
 
 if TYPE_CHECKING:
-    # For annotations only: asking for help must not load the experiments.
+    # For annotations only: --help must not load the experiments.
     from rich.table import Table
 
     from pcmrs_lab.experiment.threshold_session import SessionSummary
@@ -30,7 +30,7 @@ def session() -> None:
 
 
 @session.command("ratms-threshold")
-@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of subject and errors.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of subject and errors.")
 @click.option(
     "--rate", type=POSITIVE, default=DEFAULT_RATE, show_default=True, help="Speed of the simulation against real time."
 )
@@ -39,33 +39,35 @@ def session() -> None:
     type=click.Choice(["adaptive", "grid"]),
     default="adaptive",
     show_default=True,
-    help="How the hot-spot is searched for.",
+    help="Method of the hot-spot search.",
 )
 @click.option(
     "--threshold",
     type=click.Choice(["ml", "relative_frequency"]),
     default="ml",
     show_default=True,
-    help="How the threshold is hunted: by maximum likelihood, or 5 of 10.",
+    help="Method of the threshold estimation: maximum likelihood, or 5 of 10.",
 )
 @click.option(
     "--budget",
     type=click.IntRange(1, 500),
-    help="Pulses of an adaptive search at most; by default procedure.stimulation.hotspot.max_pulses.",
+    help="Largest number of pulses of an adaptive search; by default procedure.stimulation.hotspot.max_pulses.",
 )
 @click.option(
     "--ceiling",
     type=Finite(20.0, 100.0),
     default=90.0,
     show_default=True,
-    help="Highest intensity that may be used, percent of the maximum stimulator output.",
+    help="Highest allowed intensity, percent of the maximum stimulator output.",
 )
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     help="Folder for the results, empty or new; by default sessions/DATE-SUBJECT-SEED.",
 )
-@click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Sets one value of the daemon.")
+@click.option(
+    "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Set one value of the daemon's configuration."
+)
 @json_option
 @readable_errors
 def ratms_threshold(
@@ -81,20 +83,19 @@ def ratms_threshold(
 ) -> None:
     """Register, place the coil, find hot-spot and motor threshold, and write the session's folder.
 
-    The folder holds journal, configuration, tables of all pulses and responses, the signals, pictures, report.html and
-    the hashes of all files. Ctrl-C ends the session: what was recorded until then is written, and said to be
-    incomplete.
+    The folder contains journal, configuration, tables of all pulses and responses, the signals, pictures, report.html
+    and the hashes of all files. Ctrl-C ends the session: the data up to then are written, and marked as incomplete.
 
     Example: pcmrs session ratms-threshold --seed 3 --out session3
 
-    Exit status 1 when the session ended early, such as without a threshold; 130 after Ctrl-C.
+    Exit status 1: the session ended early, for example without a threshold; 130 after Ctrl-C.
     """
     from pcmrs.testing.plan import example_plan, read_plan
     from pcmrs_lab.experiment.session.setup import SessionSetup
     from pcmrs_lab.experiment.threshold_session import INTERRUPTED, run_threshold_session
 
     if method == "grid":
-        refuse_given(["budget"], "is the budget of an adaptive search: a grid is gone through as a whole.")
+        refuse_given(["budget"], "is the budget of an adaptive search: a grid is always measured completely.")
     setup = SessionSetup(
         plan=read_plan(example_plan("ratms")),
         seed=seed,
@@ -114,7 +115,7 @@ def ratms_threshold(
 
 
 def session_table(report: SessionSummary) -> Table:
-    """What a session came to, as people read it."""
+    """Return a table of the session's results."""
     from rich.table import Table
 
     table = Table(title="Hot-spot and motor threshold, simulated", show_header=False)

@@ -1,4 +1,4 @@
-"""The experiments' results as tables."""
+"""Tables of the placement and failure experiments."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pcmrs_lab.experiment.treatment import Treated
 
 
 def placement_table(report: PlacementReport) -> Group:
-    """Planned and measured positions and all errors of each trial, mean ± sd beside the paper's, and what followed."""
+    """Return positions and errors of each trial, mean ± sd with the paper's, and the treatment."""
     trials = Table(
         title=f"Placements of the {report.tool}, {report.workflow}, seed {report.seed}: simulated cell",
         box=SIMPLE_HEAD,
@@ -40,15 +40,20 @@ def placement_table(report: PlacementReport) -> Group:
 
 
 def _treated(step: Treated) -> str:
-    said = f"{step.operation} → {step.state}"
+    text = f"{step.operation} → {step.state}"
     if "surgeon" in step.result:
-        return f"{said}, confirmed by {step.result['surgeon']}"
+        return f"{text}, confirmed by {step.result['surgeon']}"
     shift_mm, turn_deg = step.result["translation_error"] * 1000, math.degrees(step.result["rotation_error"])
-    return f"{said}: {shift_mm:.4f} mm, {turn_deg:.4f}° from where the drill began"
+    return f"{text}: {shift_mm:.4f} mm, {turn_deg:.4f}° from where the drill began"
 
 
 def summary_table(summary: PlacementSummary, caption: str) -> Table:
-    """Mean ± sd and maximum of all errors, beside the paper's."""
+    """Return mean ± sd and maximum of all errors, with the paper's.
+
+    Args:
+        summary: Statistics of the trials.
+        caption: Text below the table.
+    """
     table = Table(title=f"mean ± sd, and max, of {summary.trials} placements", box=SIMPLE_HEAD, caption=caption)
     for name in ("", "mm", "max mm", "°", "max °"):
         table.add_column(name, justify="right" if name else "left", no_wrap=True)
@@ -78,7 +83,7 @@ def _with_maximum(summary: Summary, digits: int = 4) -> tuple[str, str]:
 
 
 def failure_table(report: FailureReport) -> Table:
-    """Where each run was rejected and its residual, beside the paper's."""
+    """Return the state at which each run was rejected and its residual, with the paper's."""
     limits = " and ".join(f"{limit:g} mm for {workflow}" for workflow, limit in report.residual_limits_mm.items())
     table = Table(
         box=SIMPLE_HEAD,
@@ -111,7 +116,12 @@ def _millimetres(position: tuple[float, float, float]) -> str:
 
 
 def spread(summary: Summary | Reported, digits: int = 4) -> str:
-    """Mean ± sd, as far as there is one."""
+    """Return mean ± sd, or the mean alone if there is no sd.
+
+    Args:
+        summary: Mean and standard deviation.
+        digits: Number of decimals.
+    """
     return f"{summary.mean:.{digits}f}" + ("" if summary.sd is None else f" ± {summary.sd:.{digits}f}")
 
 

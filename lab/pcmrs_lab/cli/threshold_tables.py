@@ -1,4 +1,4 @@
-"""The threshold experiment as a table."""
+"""Table of the threshold experiment."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from pcmrs_lab.experiment.thresholds import METHODS, MethodResult, ThresholdRepo
 
 
 def threshold_table(report: ThresholdReport) -> Table:
-    """Pulses and errors of every method, on the same subjects."""
+    """Return the pulses and errors of every method on the same subjects."""
     title = f"Motor thresholds of {report.subjects} simulated subjects, seed {report.seed}"
     caption = (
         f"Errors in % of the threshold (median {report.threshold.median:.1f} % of the maximum stimulator output, MSO) "
-        f"and in % MSO; interval: share of the stated 95 % intervals that hold the true threshold. Maximum likelihood "
-        f"ends when the interval is narrower than {100.0 * report.interval:g} % of the threshold."
+        f"and in % MSO; interval: share of the stated 95 % intervals that contain the true threshold. Maximum "
+        f"likelihood ends when the interval is narrower than {100.0 * report.interval:g} % of the threshold."
     )
     table = Table(title=title, caption=caption, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     columns = ("method", "pulses", "p95", "error", "p95", "% MSO", "p95", "bias % MSO", "interval", "refused")

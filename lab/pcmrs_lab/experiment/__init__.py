@@ -1,1 +1,1 @@
-"""The paper's experiments, run through a daemon of their own by an external planner over UDP."""
+"""Experiments of the paper: each runs on its own daemon, commanded by an external planner over UDP."""

@@ -1,4 +1,4 @@
-"""The failure injections: an operator leaves something out, or digitizes badly; the workflow must refuse."""
+"""Failure injections: an operator omits a step, or digitizes badly, and the workflow must refuse."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ import msgspec
 
 from pcmrs.errors import CommandRefusedError
 from pcmrs.testing.plan import Plan
-from pcmrs_lab.experiment.private import Bench, private_bench
+from pcmrs_lab.experiment.private import ExperimentBench, private_bench
 from pcmrs_lab.experiment.published import FailureRun, published
-from pcmrs_lab.experiment.setup import Setup
+from pcmrs_lab.experiment.setup import ExperimentSetup
 from pcmrs_lab.experiment.treatment import prepare
 
 NEXT_STATE = {"000": "100", "100": "110", "110": "111"}
-"""The way of the registration: what could not be reached from where it stayed."""
+"""Next state of the registration, by the state in which it stayed."""
 
 
 class FailureResult(msgspec.Struct, frozen=True):
-    """One run beside the published one.
+    """Result of one run, with the published one.
 
     Attributes:
-        run: Its number in the paper's table.
+        run: Number in the paper's table.
         outcome: ``completed`` or ``rejected``.
-        rejected_at: The state of the registration that could not be reached.
-        residual_mm: Mean distance of the landmarks, where a registration was tried.
+        rejected_at: State of the registration that could not be reached.
+        residual_mm: Mean distance of the landmarks, if a registration was tried.
         reason: Code of the rejection.
-        motion_refused: Whether an approach was refused afterwards, in the runs that were rejected.
+        motion_refused: True if an approach was refused afterwards; None in completed runs.
     """
 
     run: int
@@ -44,7 +44,7 @@ class FailureResult(msgspec.Struct, frozen=True):
 
 
 class FailureSummary(msgspec.Struct, frozen=True):
-    """How many runs ended as the published ones."""
+    """Number of runs that ended as published."""
 
     runs: int
     as_published: int
@@ -56,8 +56,8 @@ class FailureReport(msgspec.Struct, frozen=True):
     """Results of all runs.
 
     Attributes:
-        residual_limits_mm: In force, by workflow.
-        runs: In the order of the paper's table.
+        residual_limits_mm: Limits in force, by workflow.
+        runs: Results in the order of the paper's table.
     """
 
     experiment: str
@@ -70,17 +70,20 @@ class FailureReport(msgspec.Struct, frozen=True):
     summary: FailureSummary
 
 
-async def run_failures(setups: Sequence[Setup]) -> FailureReport:
-    """Runs every published failure injection of some workflows, each workflow through a daemon of its own, over UDP.
+async def run_failures(setups: Sequence[ExperimentSetup]) -> FailureReport:
+    """Run every published failure injection of some workflows over UDP, each workflow on its own daemon.
 
-    Every run has simulated errors of its own: seed + number of the run.
+    Every run has different simulated errors: seed + number of the run.
 
     Args:
-        setups: One of each workflow, otherwise alike; at least one.
+        setups: One setup for each workflow, otherwise equal; at least one.
+
+    Returns:
+        Results of all runs.
 
     Raises:
-        ConfigurationError: A workflow was not published.
-        CommandRefusedError: The daemon refused what must be accepted.
+        ConfigurationError: A workflow is not among the published ones.
+        CommandRefusedError: The daemon refused a command that must be accepted.
         DeviceError: The daemon did not start.
     """
     total = sum(len(published(setup.workflow).failures) for setup in setups)
@@ -106,8 +109,8 @@ async def run_failures(setups: Sequence[Setup]) -> FailureReport:
     )
 
 
-async def _run_workflow(setup: Setup, results: list[FailureResult], total: int) -> float:
-    """Adds the results of one workflow; returns its residual limit, mm."""
+async def _run_workflow(setup: ExperimentSetup, results: list[FailureResult], total: int) -> float:
+    """Add the results of one workflow, and return its residual limit, mm."""
     setup.progress("starting the daemon", len(results), total)
     async with private_bench([f"workflow={setup.workflow}", *setup.settings()]) as bench:
         await bench.planner.connect()
@@ -120,8 +123,8 @@ async def _run_workflow(setup: Setup, results: list[FailureResult], total: int) 
         return _limit_mm(bench)
 
 
-async def _run(bench: Bench, setup: Setup, run: FailureRun) -> FailureResult:
-    """One procedure up to the registration, with the operator's error in it."""
+async def _run(bench: ExperimentBench, setup: ExperimentSetup, run: FailureRun) -> FailureResult:
+    """Run one procedure up to the registration, with the operator's error in it."""
     plan = setup.plan
     pose, operate = plan.poses[0], OPERATORS[run.injection]
     reason: str | None = None
@@ -149,17 +152,17 @@ async def _run(bench: Bench, setup: Setup, run: FailureRun) -> FailureResult:
     )
 
 
-async def _all_goes_well(bench: Bench, plan: Plan, _run: FailureRun) -> None:
+async def _complete_procedure(bench: ExperimentBench, plan: Plan, _run: FailureRun) -> None:
     await bench.planner.plan_landmarks([landmark.position for landmark in plan.landmarks])
     await bench.planner.digitize_all()
     await bench.planner.register()
 
 
-async def _plan_is_missing(bench: Bench, _plan: Plan, _run: FailureRun) -> None:
+async def _omit_plan(bench: ExperimentBench, _plan: Plan, _run: FailureRun) -> None:
     await bench.planner.digitize_all()
 
 
-async def _landmark_is_missing(bench: Bench, plan: Plan, run: FailureRun) -> None:
+async def _omit_landmark(bench: ExperimentBench, plan: Plan, run: FailureRun) -> None:
     await bench.planner.plan_landmarks([landmark.position for landmark in plan.landmarks])
     for index in range(len(plan.landmarks)):
         if index + 1 != run.landmark:
@@ -167,34 +170,34 @@ async def _landmark_is_missing(bench: Bench, plan: Plan, run: FailureRun) -> Non
     await bench.planner.register()
 
 
-async def _landmark_is_off(bench: Bench, plan: Plan, run: FailureRun) -> None:
+async def _displace_landmark(bench: ExperimentBench, plan: Plan, run: FailureRun) -> None:
     if run.landmark is not None and run.offset_in_image is not None:
         await bench.scene.displace_touch(run.landmark - 1, run.offset_in_image)
-    await _all_goes_well(bench, plan, run)
+    await _complete_procedure(bench, plan, run)
 
 
-OPERATORS: dict[str, Callable[[Bench, Plan, FailureRun], Coroutine[Any, Any, None]]] = {
-    "none": _all_goes_well,
-    "missing_landmark_plan": _plan_is_missing,
-    "missing_landmark": _landmark_is_missing,
-    "large_digitization_error": _landmark_is_off,
+OPERATORS: dict[str, Callable[[ExperimentBench, Plan, FailureRun], Coroutine[Any, Any, None]]] = {
+    "none": _complete_procedure,
+    "missing_landmark_plan": _omit_plan,
+    "missing_landmark": _omit_landmark,
+    "large_digitization_error": _displace_landmark,
 }
 
 
-def _reached(bench: Bench) -> tuple[str, float | None]:
-    """The state of the registration after a run, and the residual of its registration in mm, from the journal."""
+def _reached(bench: ExperimentBench) -> tuple[str, float | None]:
+    """Return the state of the registration after a run, and the residual of its registration, mm, from the journal."""
     rows = [stored.row for stored in bench.journal.read(kind="outcome")]
     begin = max((n for n, row in enumerate(rows) if row.operation == "reinit" and row.branch == "toolplan"), default=-1)
     residual: float | None = None
     for row in rows[begin + 1 :]:
         if row.operation == "register" and row.verdict is not None:
-            said = row.verdict.result or (row.verdict.reason.fields if row.verdict.reason else {})
-            residual = said["residual"] * 1000.0 if "residual" in said else None
+            fields = row.verdict.result or (row.verdict.reason.fields if row.verdict.reason else {})
+            residual = fields["residual"] * 1000.0 if "residual" in fields else None
     return (rows[-1].states or {})["registration"], residual
 
 
-def _limit_mm(bench: Bench) -> float:
-    """The residual limit in force, as accepted registrations report it."""
+def _limit_mm(bench: ExperimentBench) -> float:
+    """Return the residual limit in force, mm, as accepted registrations report it."""
     rows = [stored.row for stored in bench.journal.read(kind="outcome", branch="registration")]
     results = [row.verdict.result for row in rows if row.verdict and row.verdict.result]
     limits = [float(result["limit"]) for result in results if "limit" in result]

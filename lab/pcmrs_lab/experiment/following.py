@@ -1,4 +1,4 @@
-"""The following experiment: the tool keeps its place on a simulated head that moves."""
+"""Following experiment: the tool keeps its place on a simulated head that moves."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from pcmrs.errors import CommandRefusedError
 from pcmrs.messages import HeadMotion
 from pcmrs.spatial import Transform, distance
 from pcmrs.workflows.data import as_transform
-from pcmrs_lab.experiment.course import Course, Observer
+from pcmrs_lab.experiment.error_series import ErrorSeries, PlacementErrorMonitor
 from pcmrs_lab.experiment.head_motions import Scenario, scenarios
 from pcmrs_lab.experiment.placements import NOT_SEEN, PATIENCE, PAUSE, once_seen, registered
-from pcmrs_lab.experiment.private import Bench, private_bench
-from pcmrs_lab.experiment.setup import Setup
+from pcmrs_lab.experiment.private import ExperimentBench, private_bench
+from pcmrs_lab.experiment.setup import ExperimentSetup
 
 ALIGNED_WITHIN = 10.0
-"""A tool that follows a head at rest counts as aligned after this, s of the machine."""
+"""Time within which a tool that follows a resting head counts as aligned, s of the machine."""
 ATTEMPTS = 3
-"""On a machine that is busy with others the robot may miss its set points, and hold."""
+"""Number of attempts: on a busy machine the robot may miss its set points, and hold."""
 OCCLUDED = 3.0
-"""So long the reference is hidden in the end, s of the cell."""
+"""Time for which the reference is hidden at the end, s of the cell."""
 TO_PLACED = {"held": "back_off", "retracted": "approach", "standoff": "confirm", "following": "stop_following"}
-"""The operation by which each state of the placement leads to the planned pose."""
+"""Operation that leads to the planned pose, by state of the placement."""
 
 
-class Spread(msgspec.Struct, frozen=True):
-    """Of errors over time, mm."""
+class ErrorSummary(msgspec.Struct, frozen=True):
+    """Statistics of errors over time, mm."""
 
     rms: float
     p99: float
@@ -39,23 +39,23 @@ class Spread(msgspec.Struct, frozen=True):
 
 
 class Followed(msgspec.Struct, frozen=True):
-    """One scenario.
+    """Result of one scenario.
 
     Attributes:
-        compensated: Whether the tracker's latency was.
-        true_mm: The actual pose against the plan as registered.
-        measured_mm: The same, by the frames of the tracker.
+        compensated: True if the tracker's latency was compensated.
+        true_mm: Actual pose against the plan as registered.
+        measured_mm: Measured pose against the plan as registered, by the frames of the tracker.
         allowed: Share of the time in which the tool counted as aligned.
-        true_allowed_mm: The highest true error in that time.
-        lag: By how much the simulation fell behind its clock, s.
-        lost: Whether following ended by itself.
+        true_allowed_mm: Largest true error in that time, mm.
+        lag: Delay of the simulation behind its clock, s.
+        lost: True if following ended by itself.
     """
 
     scenario: str
     motion: str
     compensated: bool
-    true_mm: Spread
-    measured_mm: Spread
+    true_mm: ErrorSummary
+    measured_mm: ErrorSummary
     allowed: float
     true_allowed_mm: float
     lag: float
@@ -63,10 +63,10 @@ class Followed(msgspec.Struct, frozen=True):
 
 
 class Occluded(msgspec.Struct, frozen=True):
-    """What became of a tool whose reference was hidden while the head breathed.
+    """State of a tool whose reference was hidden while the head breathed.
 
     Attributes:
-        moved_mm: How far it went from where it was when that was hidden, within `seconds`.
+        moved_mm: Displacement within `seconds` after the reference was hidden, mm.
     """
 
     seconds: float
@@ -92,21 +92,24 @@ class FollowingReport(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A run as it is drawn."""
+    """Run as it is plotted."""
 
     result: Followed
-    course: Course
+    series: ErrorSeries
 
 
-async def run_following(setup: Setup, duration: float) -> tuple[FollowingReport, list[Drawn]]:
-    """Follows each kind of motion with and without compensation of the latency, each through a daemon of its own.
+async def run_following(setup: ExperimentSetup, duration: float) -> tuple[FollowingReport, list[Drawn]]:
+    """Follow each kind of motion with and without compensation of the latency, each on its own daemon.
 
     Args:
-        setup: The first of its poses is taken.
-        duration: Of each run, s of the cell.
+        setup: Setup, of which the first pose is used.
+        duration: Duration of each run, s of the cell.
+
+    Returns:
+        Report, and the runs for plotting.
 
     Raises:
-        CommandRefusedError: The daemon refused a command; the text says which and why.
+        CommandRefusedError: The daemon refused a command; the text gives it and the reason.
         DeviceError: A daemon did not start.
     """
     drawn = [*await _variant(setup, duration, compensated=False), *await _variant(setup, duration, compensated=True)]
@@ -127,46 +130,46 @@ async def run_following(setup: Setup, duration: float) -> tuple[FollowingReport,
     return report, drawn
 
 
-async def _variant(setup: Setup, duration: float, *, compensated: bool) -> list[Drawn]:
-    """All scenarios one after the other through one daemon."""
+async def _variant(setup: ExperimentSetup, duration: float, *, compensated: bool) -> list[Drawn]:
+    """Run all scenarios one after the other on one daemon."""
     drawn = []
     async with _bench(setup, compensated=compensated) as bench:
-        observer = await _placed(bench, setup)
+        monitor = await _placed(bench, setup)
         for scenario in scenarios(duration, setup.seed):
             name = f"{scenario.name}, latency {'' if compensated else 'not '}compensated"
             setup.progress(name, 1 if compensated else 0, 3)
-            await _begin(bench, observer)
+            await _begin(bench, monitor)
             await bench.scene.set_motion(scenario.motion)
-            course = await observer.watch(duration)
+            series = await monitor.watch(duration)
             await bench.scene.set_motion(HeadMotion())
-            drawn.append(Drawn(_result(scenario, course, observer, compensated=compensated), course))
+            drawn.append(Drawn(_result(scenario, series, monitor, compensated=compensated), series))
     return drawn
 
 
-async def _occlusion(setup: Setup, duration: float) -> Occluded:
-    """Hides the reference of a head that breathes, while the tool follows it."""
+async def _occlusion(setup: ExperimentSetup, duration: float) -> Occluded:
+    """Hide the reference of a head that breathes, while the tool follows it."""
     async with _bench(setup, compensated=True) as bench:
-        observer = await _placed(bench, setup)
-        await _begin(bench, observer)
+        monitor = await _placed(bench, setup)
+        await _begin(bench, monitor)
         (breathing,) = (each for each in scenarios(duration, setup.seed) if each.name == "breathing")
         await bench.scene.set_motion(breathing.motion)
-        await observer.watch(1.0)
+        await monitor.watch(1.0)
         await bench.scene.occlude("body_ref", True)
         where = as_transform((await bench.scene.truth()).tracker_from_coil)
-        await observer.watch(OCCLUDED, whatever=True)
+        await monitor.watch(OCCLUDED, even_if_lost=True)
         moved = distance(where, as_transform((await bench.scene.truth()).tracker_from_coil))
-        latched = observer.snapshot is not None and observer.snapshot.latched
-        state, alignment = observer.state("placement"), observer.state("alignment")
+        latched = monitor.snapshot is not None and monitor.snapshot.latched
+        state, alignment = monitor.state("placement"), monitor.state("alignment")
     return Occluded(OCCLUDED, state, alignment, latched, moved * 1000.0)
 
 
-def _bench(setup: Setup, *, compensated: bool) -> AbstractAsyncContextManager[Bench]:
+def _bench(setup: ExperimentSetup, *, compensated: bool) -> AbstractAsyncContextManager[ExperimentBench]:
     own = [f"workflow={setup.workflow}", f"sim.seed={setup.seed}", *setup.settings()]
     return private_bench([*own, f"procedure.following.compensated={str(compensated).lower()}"])
 
 
-async def _begin(bench: Bench, observer: Observer) -> None:
-    """Brings the tool to its place, wherever it is, and has it follow until it counts as aligned.
+async def _begin(bench: ExperimentBench, monitor: PlacementErrorMonitor) -> None:
+    """Bring the tool from any state to its place, and have it follow until it counts as aligned.
 
     Raises:
         CommandRefusedError: A command was refused, or following ended by itself each time.
@@ -175,16 +178,16 @@ async def _begin(bench: Bench, observer: Observer) -> None:
         if (await bench.client.state()).latched:
             await bench.client.acknowledge()
         while (state := (await bench.client.state()).branches["placement"]) != "placed":
-            await _ask(bench, f"placement.{TO_PLACED[state]}")
-        await _ask(bench, "placement.follow")
-        if await observer.aligned(ALIGNED_WITHIN):
+            await _request(bench, f"placement.{TO_PLACED[state]}")
+        await _request(bench, "placement.follow")
+        if await monitor.aligned(ALIGNED_WITHIN):
             return
-    text = f"Of {ATTEMPTS} times that the tool began to follow a head at rest, it was not aligned within "
-    raise CommandRefusedError(f"{text}{ALIGNED_WITHIN:g} s once: the machine does not keep up; end what else it does.")
+    text = f"In {ATTEMPTS} attempts to follow a resting head the tool was never aligned within "
+    raise CommandRefusedError(f"{text}{ALIGNED_WITHIN:g} s: the machine is too slow or too busy. Stop other programs.")
 
 
-async def _ask(bench: Bench, name: str) -> None:
-    """Asks for an operation, and again where the tracker has not shown yet where all is."""
+async def _request(bench: ExperimentBench, name: str) -> None:
+    """Request an operation, again if the tracker has not shown all bodies yet."""
     for _ in range(PATIENCE):
         verdict = await bench.client.call(name)
         if verdict.reason is None or verdict.decision != "rejected" or verdict.reason.code not in NOT_SEEN:
@@ -195,29 +198,29 @@ async def _ask(bench: Bench, name: str) -> None:
         raise CommandRefusedError(f"{name} was {verdict.decision} in {verdict.state}: {reason}")
 
 
-def _result(scenario: Scenario, course: Course, observer: Observer, *, compensated: bool) -> Followed:
-    allowed = course.true_allowed_mm()
+def _result(scenario: Scenario, series: ErrorSeries, monitor: PlacementErrorMonitor, *, compensated: bool) -> Followed:
+    allowed = series.true_allowed_mm()
     return Followed(
         scenario=scenario.name,
         motion=scenario.text,
         compensated=compensated,
-        true_mm=_spread(course.true_mm),
-        measured_mm=_spread(course.measured_mm),
-        allowed=float(np.mean(course.allowed)),
+        true_mm=_error_summary(series.true_mm),
+        measured_mm=_error_summary(series.measured_mm),
+        allowed=float(np.mean(series.allowed)),
         true_allowed_mm=float(allowed.max()) if len(allowed) else 0.0,
-        lag=course.lag,
-        lost=observer.state("placement") != "following",
+        lag=series.lag,
+        lost=monitor.state("placement") != "following",
     )
 
 
-def _spread(errors_mm: Sequence[float]) -> Spread:
+def _error_summary(errors_mm: Sequence[float]) -> ErrorSummary:
     errors = np.array(errors_mm)
     rms = float(np.sqrt(np.mean(errors**2)))
-    return Spread(rms, float(np.percentile(errors, 99.0)), float(errors.max()))
+    return ErrorSummary(rms, float(np.percentile(errors, 99.0)), float(errors.max()))
 
 
-async def _placed(bench: Bench, setup: Setup) -> Observer:
-    """A registered head with the tool at its place, and who looks at it."""
+async def _placed(bench: ExperimentBench, setup: ExperimentSetup) -> PlacementErrorMonitor:
+    """Register the head and plan the first pose; return an monitor of the tool there."""
     plan, planner = setup.plan, bench.planner
     await planner.connect()
     await planner.plan_landmarks([landmark.position for landmark in plan.landmarks])
@@ -227,4 +230,4 @@ async def _placed(bench: Bench, setup: Setup) -> Observer:
     await once_seen(lambda: planner.plan_pose(pose.position, pose.quat_xyzw))
     body_ref_from_image = as_transform(registered(bench).body_ref_from_image)
     planned = Transform.from_quat_xyzw(pose.position, pose.quat_xyzw)
-    return Observer(bench.client, bench.scene, body_ref_from_image @ planned, setup.rate)
+    return PlacementErrorMonitor(bench.client, bench.scene, body_ref_from_image @ planned, setup.rate)

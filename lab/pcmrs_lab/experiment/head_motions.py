@@ -1,4 +1,4 @@
-"""How a simulated head moves in the following experiment."""
+"""Motions of a simulated head in the following experiment."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pcmrs.messages import HeadBurst, HeadMotion, HeadStep
 
 DRIFT, DRIFT_TIME = 0.060, 1800.0
-"""Of a head in half an hour, m and s."""
+"""Drift of a head in half an hour, m and s."""
 STEP = 0.005
-"""Of a head that shifts, m."""
+"""Offset of a head that shifts, m."""
 BURST_SPEED, BURST_TIME = 0.086, 0.4
-"""Of quick voluntary motion, m/s and s."""
+"""Speed and duration of quick voluntary motion, m/s and s."""
 BREATHING, BREATHING_HZ = 0.002, 0.25
-"""Amplitude, m, and frequency of what breathing moves a head by."""
+"""Amplitude, m, and frequency, Hz, of the motion by breathing."""
 EVERY = 5.0
 """Time between two steps or two bursts, s."""
 
@@ -23,7 +23,7 @@ ALONG: tuple[Direction, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """One kind of motion, of the length of a run."""
+    """Kind of motion for one run."""
 
     name: str
     text: str
@@ -31,7 +31,12 @@ class Scenario:
 
 
 def scenarios(duration: float, seed: int) -> list[Scenario]:
-    """All kinds of motion for runs of `duration` (s); the head goes there and back but for the drift."""
+    """Return all kinds of motion; except for the drift, the head returns each time.
+
+    Args:
+        duration: Duration of a run, s.
+        seed: Seed of the irregular motions.
+    """
     x, _, z = ALONG
     times = [EVERY * (number + 0.2) for number in range(int(duration / EVERY))]
     steps = [HeadStep(time=time, offset=_along(number, STEP)) for number, time in enumerate(times)]
@@ -59,7 +64,7 @@ def scenarios(duration: float, seed: int) -> list[Scenario]:
 
 
 def _along(number: int, length: float) -> Direction:
-    """There and back along one axis of the tracker after the other."""
+    """Return an offset to and fro along one axis of the tracker after the other."""
     x, y, z = ALONG[number // 2 % len(ALONG)]
     signed = length if number % 2 == 0 else -length
     return signed * x, signed * y, signed * z

@@ -1,7 +1,8 @@
-"""Hot-spots of simulated subjects: after how many pulses each method is near the true one, and stays there.
+"""Hot-spots of simulated subjects: number of pulses after which each method stays near the true one.
 
-The subjects are those of `pcmrs_sim.tms.subject` on the head phantom. Every method gets the same subjects and begins at
-the same usual place, which is not theirs. No daemon: the coil is where it should be, and amplitudes are as they are.
+The subjects are those of `pcmrs_sim.tms.subject` on the head phantom. Every method gets the same subjects and starts at
+the same usual place, which is not theirs. There is no daemon: the coil is exactly where it should be, and amplitudes
+are measured without noise.
 """
 
 from __future__ import annotations
@@ -25,16 +26,16 @@ from pcmrs_sim.tms.subject import Subject, draw
 
 METHODS: tuple[HotspotMethod, ...] = get_args(HotspotMethod)
 NEAR = 0.005
-"""As far as an estimate may be from the hot-spot, m."""
+"""Largest distance from the hot-spot at which an estimate counts as near, m."""
 
 
 @dataclass(frozen=True, slots=True)
-class Searched:
-    """One search of one subject.
+class SearchResult:
+    """Result of one search of one subject.
 
     Attributes:
         errors: Distance of the estimate from the hot-spot after every pulse, m; infinite before the first response.
-        heading_error: Of the handle in the end, rad; None where there was no response.
+        heading_error: Final error of the handle, rad; None if there was no response.
     """
 
     subject: Subject
@@ -44,48 +45,48 @@ class Searched:
 
     @property
     def near_after(self) -> int | None:
-        """Pulses after which the estimate was within `NEAR` and stayed so; None where it is not in the end."""
+        """Number of pulses after which the estimate stayed within `NEAR`; None if it is not at the end."""
         far = [number for number, error in enumerate(self.errors, 1) if not error <= NEAR]
         last = far[-1] if far else 0
         return None if last == len(self.errors) else last + 1
 
 
-class Spread(msgspec.Struct, frozen=True):
-    """Of a series over all subjects: half of it is not above the median, 95 % not above p95; None is beyond any."""
+class SubjectQuantiles(msgspec.Struct, frozen=True):
+    """Median and 95th percentile over all subjects; None if it exceeds every number."""
 
     median: float | None
     p95: float | None
 
 
 class HotspotResult(msgspec.Struct, frozen=True):
-    """One method over all subjects.
+    """Result of one method over all subjects.
 
     Attributes:
         near: Share of the searches that ended within 5 mm of the hot-spot.
-        pulses_until_near: After which the estimate was within 5 mm and stayed so.
-        pulses: Of whole searches.
-        error_mm: Distance of the final estimate.
-        heading_error_deg: Of its handle.
-        uncertainty_mm: That the method states in the end.
-        unanswered: Searches without any response; they are in no error, and not near.
+        pulses_until_near: Number of pulses after which the estimate was within 5 mm and stayed there.
+        pulses: Number of pulses of whole searches.
+        error_mm: Distance of the final estimate, mm.
+        heading_error_deg: Error of its handle, °.
+        uncertainty_mm: Final uncertainty that the method states, mm.
+        unanswered: Number of searches without any response; they count as not near, and have no error.
     """
 
     method: str
     near: float
-    pulses_until_near: Spread
-    pulses: Spread
-    error_mm: Spread
-    heading_error_deg: Spread
-    uncertainty_mm: Spread
+    pulses_until_near: SubjectQuantiles
+    pulses: SubjectQuantiles
+    error_mm: SubjectQuantiles
+    heading_error_deg: SubjectQuantiles
+    uncertainty_mm: SubjectQuantiles
     unanswered: int
 
 
 class HotspotReport(msgspec.Struct, frozen=True):
-    """All methods on the same subjects.
+    """Results of all methods on the same subjects.
 
     Attributes:
-        intensity: Of all pulses, percent of the subject's threshold at the hot-spot.
-        expected_mm: How far the hot-spots are from where every search begins.
+        intensity: Intensity of all pulses, percent of the subject's threshold at the hot-spot.
+        expected_mm: Distance of the hot-spots from the start of every search, mm.
     """
 
     experiment: str
@@ -93,35 +94,35 @@ class HotspotReport(msgspec.Struct, frozen=True):
     subjects: int
     simulated: bool
     intensity: float
-    expected_mm: Spread
+    expected_mm: SubjectQuantiles
     methods: list[HotspotResult]
 
 
 def run_hotspots(
     subjects: int, seed: int, intensity: float, progress: Callable[[str, int, int], None]
-) -> tuple[HotspotReport, dict[str, list[Searched]], Mesh]:
-    """Searches every subject's hot-spot by every method; one seed gives one result.
+) -> tuple[HotspotReport, dict[str, list[SearchResult]], Mesh]:
+    """Search every subject's hot-spot by every method; equal seeds give equal results.
 
     Args:
-        subjects: How many, at least one.
-        seed: Of subjects and of their variability.
+        subjects: Number of subjects, at least one.
+        seed: Seed of subjects and of their variability.
         intensity: Percent of the subject's motor threshold at the hot-spot.
-        progress: Told how many subjects of how many are done.
+        progress: Called with the number of finished subjects.
 
     Returns:
-        The report, of each method its searches, and the head that they were made on.
+        Report, the searches by method, and the mesh of the head.
     """
     mesh = read_mesh(find_surface(BodySettings(surface="head_phantom.ply")), "m", "RAS")
     closest = TriangleSurface(mesh.vertices, mesh.faces).closest
     centre = hand_area(closest, mesh.vertices[np.argmax(mesh.vertices[:, 2])])
-    begun = {method: HotspotSearch.begin(HotspotSettings(method=method), closest, centre) for method in METHODS}
-    searched: dict[str, list[Searched]] = {method: [] for method in METHODS}
+    started = {method: HotspotSearch.begin(HotspotSettings(method=method), closest, centre) for method in METHODS}
+    searched: dict[str, list[SearchResult]] = {method: [] for method in METHODS}
     for number in range(subjects):
         progress("hot-spots", number, subjects)
         subject = draw(closest, centre, np.random.default_rng((seed, number)))
         for index, method in enumerate(METHODS):
             rng = np.random.default_rng((seed, number, index))
-            searched[method].append(search_hotspot(subject, begun[method], intensity, rng))
+            searched[method].append(search_hotspot(subject, started[method], intensity, rng))
     progress("done", subjects, subjects)
     distances = [float(np.linalg.norm(_place(each.subject) - centre.translation)) for each in searched[METHODS[0]]]
     report = HotspotReport(
@@ -130,14 +131,24 @@ def run_hotspots(
         subjects=subjects,
         simulated=True,
         intensity=intensity,
-        expected_mm=_spread([1e3 * value for value in distances]),
+        expected_mm=_quantiles([1e3 * value for value in distances]),
         methods=[_result(method, found) for method, found in searched.items()],
     )
     return report, searched, mesh
 
 
-def search_hotspot(subject: Subject, search: HotspotSearch, intensity: float, rng: np.random.Generator) -> Searched:
-    """One whole search; the intensity in percent of the subject's threshold, as far as the stimulator goes."""
+def search_hotspot(subject: Subject, search: HotspotSearch, intensity: float, rng: np.random.Generator) -> SearchResult:
+    """Perform one whole search.
+
+    Args:
+        subject: Simulated subject.
+        search: Search before the first pulse.
+        intensity: Intensity, percent of the subject's threshold; limited by the stimulator's maximum.
+        rng: Source of randomness.
+
+    Returns:
+        Result of the search.
+    """
     percent = min(intensity / 100.0 * subject.recruitment.threshold, 100.0)
     errors = []
     while not search.finished:
@@ -145,7 +156,7 @@ def search_hotspot(subject: Subject, search: HotspotSearch, intensity: float, rn
         search = search.after(pose, subject.response(as_transform(pose), percent, rng))
         errors.append(_error(subject, search))
     turned = heading(subject.image_from_hotspot, _estimate(search)) if search.responded else None
-    return Searched(subject, search, tuple(errors), None if turned is None else abs(turned))
+    return SearchResult(subject, search, tuple(errors), None if turned is None else abs(turned))
 
 
 def _error(subject: Subject, search: HotspotSearch) -> float:
@@ -160,26 +171,26 @@ def _place(subject: Subject) -> Floats:
     return subject.image_from_hotspot.translation
 
 
-def _result(method: str, found: list[Searched]) -> HotspotResult:
+def _result(method: str, found: list[SearchResult]) -> HotspotResult:
     answered = [each for each in found if each.search.responded]
     near = [each.near_after for each in found]
     return HotspotResult(
         method=method,
         near=sum(each is not None for each in near) / len(near),
-        pulses_until_near=_spread([float("inf") if each is None else each for each in near]),
-        pulses=_spread([len(each.search.pulses) for each in found]),
-        error_mm=_spread([1e3 * each.errors[-1] for each in answered]),
-        heading_error_deg=_spread(
+        pulses_until_near=_quantiles([float("inf") if each is None else each for each in near]),
+        pulses=_quantiles([len(each.search.pulses) for each in found]),
+        error_mm=_quantiles([1e3 * each.errors[-1] for each in answered]),
+        heading_error_deg=_quantiles(
             [np.degrees(each.heading_error) for each in answered if each.heading_error is not None]
         ),
-        uncertainty_mm=_spread([1e3 * each.search.estimate.uncertainty for each in answered]),
+        uncertainty_mm=_quantiles([1e3 * each.search.estimate.uncertainty for each in answered]),
         unanswered=len(found) - len(answered),
     )
 
 
-def _spread(values: list[float]) -> Spread:
-    """Of numbers that may be infinite; whole ones stay so: the smallest that enough of them do not exceed."""
+def _quantiles(values: list[float]) -> SubjectQuantiles:
+    """Return median and p95 of numbers that may be infinite: the smallest value that enough of them do not exceed."""
     if not values:
-        return Spread(None, None)
+        return SubjectQuantiles(None, None)
     median, p95 = np.quantile(values, (0.5, 0.95), method="inverted_cdf").tolist()
-    return Spread(*(value if np.isfinite(value) else None for value in (median, p95)))
+    return SubjectQuantiles(*(value if np.isfinite(value) else None for value in (median, p95)))

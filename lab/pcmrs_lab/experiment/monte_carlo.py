@@ -1,7 +1,8 @@
-"""The published failure injections many times over: how often the verdict errs, gate by gate.
+"""Monte Carlo of the published failure injections: how often the verdict errs, by gate.
 
-No daemon and no robot: touches are the planned landmarks, a planning error, the noise of the touch and the injected
-offset, seen from a body that lies anyhow; `judge` decides. What is left out is the tracker's error, a twentieth of it.
+There is no daemon and no robot: touches are the planned landmarks, a planning error, the noise of the touch and the
+injected offset, seen from a body in a random pose; `judge` decides. The tracker's error, a twentieth of that, is left
+out.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from pcmrs.settings import DRIVER_SETTINGS, Settings, read_settings
 from pcmrs.spatial import Floats, Transform
 from pcmrs.testing.plan import Plan
 from pcmrs_lab.experiment.published import FailureRun, published
-from pcmrs_lab.experiment.setup import Setup
+from pcmrs_lab.experiment.setup import ExperimentSetup
 
 ALL_GATES = "verdict"
 FIXED_LIMIT = "fixed_limit"
@@ -31,14 +32,15 @@ PROGRESS_EVERY = 20
 
 
 class RowRates(msgspec.Struct, frozen=True):
-    """One row of the published table, many times.
+    """Results of many runs of one row of the published table.
 
     Attributes:
-        by_construction: The workflow cannot go on without the landmark, whatever the noise: nothing was simulated.
-        refused: By any gate.
-        refused_by: Runs that each gate refuses, and that a fixed residual limit alone would.
-        named: Runs in which the landmark that is off is the suspect.
-        residual_mm: Mean distance of the landmarks, over the runs.
+        by_construction: True if the workflow cannot continue without the landmark under any noise: nothing was
+            simulated.
+        refused: Number of runs that any gate refuses.
+        refused_by: Number of runs that each gate refuses, and that a fixed residual limit alone would refuse.
+        named: Number of runs in which the displaced landmark is the suspect.
+        residual_mm: Mean distance of the landmarks over the runs, mm.
     """
 
     run: int
@@ -55,13 +57,13 @@ class RowRates(msgspec.Struct, frozen=True):
 
 
 class GateRates(msgspec.Struct, frozen=True):
-    """How often one gate, or all, decide wrongly; rows that are refused by construction are not among them.
+    """Wrong decisions of one gate, or of all; rows that are refused by construction are not counted.
 
     Attributes:
-        gate: Its code, ``verdict`` for all together, or ``fixed_limit`` for a residual limit alone.
+        gate: Code of the gate, ``verdict`` for all together, or ``fixed_limit`` for a residual limit alone.
         false_rejects: Share of the controls that it refuses.
-        false_accepts: Share of the runs with a displaced landmark that it does not refuse. A gate that is not asked,
-            since a wrong unit, side or order was found before, refuses nothing; ``fixed_limit`` is always asked.
+        false_accepts: Share of the runs with a displaced landmark that it does not refuse. A gate that is skipped,
+            because a wrong unit, side or order was found before, refuses nothing; ``fixed_limit`` is never skipped.
     """
 
     workflow: str
@@ -74,8 +76,9 @@ class NoiseUsed(msgspec.Struct, frozen=True):
     """Simulated errors and limits of one workflow.
 
     Attributes:
-        planning_bias_mm: Simulated, standard deviation per axis, as `noise_mm` of a touch.
-        sigma_mm: What the verdict expects of both together.
+        planning_bias_mm: Simulated bias of the plan, standard deviation per axis, mm.
+        sigma_mm: Standard deviation that the verdict expects of both together, mm.
+        noise_mm: Simulated noise of a touch, standard deviation per axis, mm.
     """
 
     planning_bias_mm: float
@@ -99,15 +102,18 @@ class MonteCarloReport(msgspec.Struct, frozen=True):
     rates: list[GateRates]
 
 
-def run_monte_carlo(setups: Sequence[Setup], runs: int) -> MonteCarloReport:
-    """Judges every published row `runs` times with simulated touches; one seed gives one result.
+def run_monte_carlo(setups: Sequence[ExperimentSetup], runs: int) -> MonteCarloReport:
+    """Judge every published row `runs` times with simulated touches; equal seeds give equal results.
 
     Args:
-        setups: One of each workflow, otherwise alike; at least one.
-        runs: Of each row.
+        setups: One setup for each workflow, otherwise equal; at least one.
+        runs: Number of runs of each row.
+
+    Returns:
+        Rows and rates.
 
     Raises:
-        ConfigurationError: A workflow was not published, or the settings cannot be used.
+        ConfigurationError: A workflow is not among the published ones, or the settings cannot be used.
     """
     noise = {setup.workflow: _noise(setup) for setup in setups}
     rows: list[RowRates] = []
@@ -129,8 +135,8 @@ def run_monte_carlo(setups: Sequence[Setup], runs: int) -> MonteCarloReport:
     )
 
 
-def _noise(setup: Setup) -> NoiseUsed:
-    """As this workflow and its simulated cell are configured."""
+def _noise(setup: ExperimentSetup) -> NoiseUsed:
+    """Return errors and limits as this workflow and its simulated cell are configured."""
     settings = read_settings(overrides=[f"workflow={setup.workflow}", *setup.overrides])
     limits = settings.procedure.registration
     bias_mm, touch_mm = _touch_errors_mm(settings)
@@ -145,19 +151,21 @@ def _noise(setup: Setup) -> NoiseUsed:
 
 
 def _touch_errors_mm(settings: Settings) -> tuple[float, float]:
-    """Planning bias and noise of a touch, mm per axis, of the simulated pointer."""
+    """Return planning bias and noise of a touch of the simulated pointer, mm per axis."""
     for point in entry_points(group=DRIVER_SETTINGS, name="sim"):
         errors = msgspec.convert(settings.sim, point.load()).digitization
         return errors.planning_bias_mm, errors.noise_mm
-    raise ConfigurationError("The simulated cell is not installed; its errors are what this experiment draws from.")
+    raise ConfigurationError(
+        "The simulated cell, from which this experiment takes its errors, is not installed: install pcmrs-sim."
+    )
 
 
-def _row(setup: Setup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[int, int]) -> RowRates:
+def _row(setup: ExperimentSetup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[int, int]) -> RowRates:
     displaced = run.injection == OFFSET
     by_construction = not displaced and run.injection != "none"
     verdicts = [] if by_construction else list(_verdicts(setup, run, noise, runs, at))
     refused_by = Counter(gate.name for verdict in verdicts for gate in verdict.gates if not gate.accepted)
-    refused_by[FIXED_LIMIT] = sum(_over(verdict, noise) for verdict in verdicts)
+    refused_by[FIXED_LIMIT] = sum(_exceeds_fixed_limit(verdict, noise) for verdict in verdicts)
     residuals_mm = [verdict.registration.residual * 1e3 for verdict in verdicts if verdict.registration is not None]
     return RowRates(
         run=run.run,
@@ -175,7 +183,7 @@ def _row(setup: Setup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[i
 
 
 def _verdicts(
-    setup: Setup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[int, int]
+    setup: ExperimentSetup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[int, int]
 ) -> Iterator[RegistrationVerdict]:
     rng = np.random.default_rng((setup.seed, run.run))
     limits = RegistrationLimits(
@@ -195,7 +203,7 @@ def _verdicts(
 
 
 def _touched(rng: np.random.Generator, plan: Plan, run: FailureRun, noise: NoiseUsed) -> Floats:
-    """The landmarks as one person digitizes them, in body_ref, m, (N, 3)."""
+    """Return the landmarks as a simulated person digitizes them, in body_ref, m, (N, 3)."""
     points = np.array([landmark.position for landmark in plan.landmarks])
     points += rng.normal(0.0, noise.planning_bias_mm / 1e3, points.shape)
     points += rng.normal(0.0, noise.noise_mm / 1e3, points.shape)
@@ -205,15 +213,15 @@ def _touched(rng: np.random.Generator, plan: Plan, run: FailureRun, noise: Noise
     return body_ref_from_image @ points
 
 
-def _over(verdict: RegistrationVerdict, noise: NoiseUsed) -> bool:
-    """Whether a fixed residual limit alone would refuse, or there is no registration at all."""
+def _exceeds_fixed_limit(verdict: RegistrationVerdict, noise: NoiseUsed) -> bool:
+    """Return whether a fixed residual limit alone would refuse, or there is no registration at all."""
     return verdict.registration is None or verdict.registration.residual * 1e3 > noise.residual_limit_mm
 
 
 def _rates(workflow: str, rows: Sequence[RowRates]) -> Iterator[GateRates]:
-    mine = [row for row in rows if row.workflow == workflow and not row.by_construction]
-    controls = [row for row in mine if row.injection == "none"]
-    displaced = [row for row in mine if row.injection == OFFSET]
+    own = [row for row in rows if row.workflow == workflow and not row.by_construction]
+    controls = [row for row in own if row.injection == "none"]
+    displaced = [row for row in own if row.injection == OFFSET]
     yield GateRates(
         workflow,
         ALL_GATES,

@@ -1,4 +1,4 @@
-"""The placement experiment as a picture: every placement of every seed."""
+"""Plot of the placement experiment: every placement of every seed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MEASURED, TRUE, REGISTRATION = (BLUE, "o", "tracker-measured"), (ORANGE, "^", "t
 
 
 def placements_figure(reports: Sequence[PlacementReport]) -> Figure:
-    """Three panels over the seeds, a line at each mean: translation, rotation, and target registration error."""
+    """Return three panels over the seeds, each with its mean: translation, rotation, registration error."""
     figure = new_figure(width=12.0)
     figure.suptitle(f"Placements of the {reports[0].tool}, {reports[0].workflow}: simulated cell")
     translation, rotation, registration = figure.subplots(1, 3)
@@ -31,7 +31,9 @@ def placements_figure(reports: Sequence[PlacementReport]) -> Figure:
     registration.set_ylabel("target registration error, mm")
     for axes in (translation, rotation, registration):
         axes.set_xlabel("seed")
-        axes.set_xlim(reports[0].seed - 0.5, reports[-1].seed + 0.5)  # else one seed gets an axis of hundredths
+        axes.set_xlim(
+            reports[0].seed - 0.5, reports[-1].seed + 0.5
+        )  # without limits the axis of a single seed would have a scale of hundredths
         axes.set_ylim(bottom=0.0)
         axes.xaxis.get_major_locator().set_params(integer=True)
         axes.legend()

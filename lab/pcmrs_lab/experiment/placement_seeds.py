@@ -1,4 +1,4 @@
-"""The placement experiment over several seeds of the simulated errors: one registration says little about others."""
+"""Placement experiment over several seeds of the simulated errors, since one registration says little about others."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import msgspec
 
 from pcmrs.errors import CommandRefusedError
 from pcmrs_lab.experiment.placements import PlacementReport, PlacementSummary, run_placements, summary_of
-from pcmrs_lab.experiment.setup import Setup
+from pcmrs_lab.experiment.setup import ExperimentSetup
 
 
 class SeedRun(msgspec.Struct, frozen=True):
-    """One seed: its report, or why a command of it was refused, such as a registration that was not accepted."""
+    """Result of one seed: its report, or the reason why a command was refused, such as a registration."""
 
     seed: int
     report: PlacementReport | None
@@ -23,7 +23,7 @@ class SeedsReport(msgspec.Struct, frozen=True):
     """Results of the experiment over several seeds.
 
     Attributes:
-        pooled: All placements of all seeds that came to their end; None where none did.
+        pooled: All placements of all completed seeds; None if none was completed.
     """
 
     experiment: str
@@ -36,20 +36,23 @@ class SeedsReport(msgspec.Struct, frozen=True):
 
     @property
     def reports(self) -> list[PlacementReport]:
-        """Of the seeds that came to their end."""
+        """Reports of the completed seeds."""
         return [run.report for run in self.runs if run.report is not None]
 
 
-async def run_seeds(setup: Setup, trials: int, seeds: int) -> SeedsReport:
-    """Repeats the experiment, each time through a daemon of its own, one after the other.
+async def run_seeds(setup: ExperimentSetup, trials: int, seeds: int) -> SeedsReport:
+    """Repeat the experiment, each time on its own daemon, one after the other.
 
     Args:
-        setup: Its seed is the first.
-        trials: How many placements with each seed.
-        seeds: How many seeds.
+        setup: Setup; its seed is the first.
+        trials: Number of placements with each seed.
+        seeds: Number of seeds.
+
+    Returns:
+        Results of all seeds.
 
     Raises:
-        ConfigurationError: See `run_placements`.
+        ConfigurationError: As for `run_placements`.
         DeviceError: A daemon did not start.
     """
     runs = [await _run(setup, trials, index, seeds) for index in range(seeds)]
@@ -65,7 +68,7 @@ async def run_seeds(setup: Setup, trials: int, seeds: int) -> SeedsReport:
     )
 
 
-async def _run(setup: Setup, trials: int, index: int, seeds: int) -> SeedRun:
+async def _run(setup: ExperimentSetup, trials: int, index: int, seeds: int) -> SeedRun:
     seed = setup.seed + index
 
     def progress(text: str, done: int, total: int) -> None:

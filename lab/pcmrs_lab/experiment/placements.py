@@ -1,4 +1,4 @@
-"""The placement experiment: register a phantom, then place the tool at planned poses."""
+"""Placement experiment: register a phantom, then place the tool at planned poses."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from pcmrs.messages import PoseMessage, SceneTruth
 from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.workflows.data import Registered, as_message, as_transform
 from pcmrs.workflows.toolplan import ToolPose
-from pcmrs_lab.experiment.private import Bench, private_bench
+from pcmrs_lab.experiment.private import ExperimentBench, private_bench
 from pcmrs_lab.experiment.published import Reported, published
-from pcmrs_lab.experiment.setup import Setup
+from pcmrs_lab.experiment.setup import ExperimentSetup
 from pcmrs_lab.experiment.treatment import Treated, prepare, treat
 
 PATIENCE = 50
-"""So often a planner asks again on a machine that is too busy to show poses in time."""
+"""Number of times that a planner repeats a request on a machine that is too busy to publish poses in time."""
 PAUSE = 0.2
-"""Between two of these, s of the machine."""
+"""Pause between two requests, s of the machine."""
 NOT_SEEN = ("pose_missing", "pose_stale")
-"""Reasons for which it does."""
+"""Reasons for which a request is repeated."""
 
 
 class Trial(msgspec.Struct, frozen=True):
@@ -33,9 +33,9 @@ class Trial(msgspec.Struct, frozen=True):
     Attributes:
         planned: ``image_from_coil`` as planned.
         measured: ``image_from_coil`` as the tracker measured it at the target.
-        translation_error_mm: Measured against planned, all from the tracker.
-        true_translation_error_mm: The actual pose against the plan mapped by the estimated registration.
-        target_registration_error_mm: The plan mapped by the estimated against the true registration.
+        translation_error_mm: Measured against planned, both from the tracker.
+        true_translation_error_mm: Actual pose against the plan mapped by the estimated registration.
+        target_registration_error_mm: Plan mapped by the estimated against the true registration.
     """
 
     trial: int
@@ -50,7 +50,7 @@ class Trial(msgspec.Struct, frozen=True):
 
 
 class PlacementSummary(msgspec.Struct, frozen=True):
-    """All trials, beside what the paper has."""
+    """Statistics of all trials, with the paper's values."""
 
     trials: int
     translation_error_mm: Summary
@@ -66,10 +66,10 @@ class PlacementReport(msgspec.Struct, frozen=True):
     """Results of one run of the experiment.
 
     Attributes:
-        settings: What differs from the default configuration.
-        tool: What was placed.
-        residual_mm: Of the registration.
-        treatment: What was done at the last pose, in workflows that treat.
+        settings: Settings that differ from the default configuration.
+        tool: Name of the tool.
+        residual_mm: Residual of the registration, mm.
+        treatment: Operations at the last pose, in workflows that treat.
     """
 
     experiment: str
@@ -85,16 +85,19 @@ class PlacementReport(msgspec.Struct, frozen=True):
     summary: PlacementSummary
 
 
-async def run_placements(setup: Setup, trials: int) -> PlacementReport:
-    """Runs the experiment through a daemon of its own, commanded over UDP; at the last pose the patient is treated.
+async def run_placements(setup: ExperimentSetup, trials: int) -> PlacementReport:
+    """Run the experiment on its own daemon, commanded over UDP; at the last pose the patient is treated.
 
     Args:
-        setup: Its poses are taken in order, again from the first when there are fewer than trials.
-        trials: How many placements.
+        setup: Setup; its poses are used in order, and again from the first if there are fewer than trials.
+        trials: Number of placements, at least 2.
+
+    Returns:
+        Results.
 
     Raises:
-        ConfigurationError: There are no trials or poses, or the workflow was not published.
-        CommandRefusedError: The daemon refused a command; the text says which and why.
+        ConfigurationError: There are too few trials or poses, or the workflow is not among the published ones.
+        CommandRefusedError: The daemon refused a command; the text gives it and the reason.
         DeviceError: The daemon did not start.
     """
     plan, progress = setup.plan, setup.progress
@@ -141,8 +144,8 @@ async def run_placements(setup: Setup, trials: int) -> PlacementReport:
     )
 
 
-async def _place(bench: Bench, number: int, pose: ToolPose, body_ref_from_image: Transform) -> Trial:
-    """Brings the tool to a pose, leaves it there and measures it."""
+async def _place(bench: ExperimentBench, number: int, pose: ToolPose, body_ref_from_image: Transform) -> Trial:
+    """Bring the tool to a pose, leave it there and measure it."""
     await once_seen(lambda: bench.planner.plan_pose(pose.position, pose.quat_xyzw))
     await once_seen(bench.planner.approach)
     placement = await bench.planner.confirm()
@@ -150,22 +153,22 @@ async def _place(bench: Bench, number: int, pose: ToolPose, body_ref_from_image:
     planned = Transform.from_quat_xyzw(pose.position, pose.quat_xyzw)
     measured = Transform.from_quat_xyzw(placement.position, placement.quat_xyzw)
     actual, true_registration = _actual(truth, body_ref_from_image), as_transform(truth.body_ref_from_image)
-    mapped, meant = body_ref_from_image @ planned, true_registration @ planned
+    mapped, true_target = body_ref_from_image @ planned, true_registration @ planned
     return Trial(
         trial=number,
         translation_error_mm=placement.translation_error_mm,
         rotation_error_deg=placement.rotation_error_deg,
         true_translation_error_mm=distance(actual, planned) * 1000.0,
         true_rotation_error_deg=math.degrees(rotation_angle(actual, planned)),
-        target_registration_error_mm=distance(mapped, meant) * 1000.0,
-        target_registration_error_deg=math.degrees(rotation_angle(mapped, meant)),
+        target_registration_error_mm=distance(mapped, true_target) * 1000.0,
+        target_registration_error_deg=math.degrees(rotation_angle(mapped, true_target)),
         planned=as_message(planned),
         measured=as_message(measured),
     )
 
 
 async def once_seen(ask: Callable[[], Awaitable[None]]) -> None:
-    """Asks, and asks again where that was refused because the tracker has not shown yet where all is at rest."""
+    """Send a request, and repeat it while it is refused because the tracker has not shown all bodies at rest yet."""
     for _ in range(PATIENCE):
         try:
             return await ask()
@@ -177,20 +180,25 @@ async def once_seen(ask: Callable[[], Awaitable[None]]) -> None:
 
 
 def _actual(truth: SceneTruth, body_ref_from_image: Transform) -> Transform:
-    """``image_from_coil`` as it really is, in the image as it was registered."""
+    """Return the true ``image_from_coil`` in the image as it was registered."""
     tracker_from_image = as_transform(truth.tracker_from_body_ref) @ body_ref_from_image
     return tracker_from_image.inverse() @ as_transform(truth.tracker_from_coil)
 
 
-def registered(bench: Bench) -> Registered:
-    """The registration in force, as the journal has it."""
+def registered(bench: ExperimentBench) -> Registered:
+    """Return the registration in force from the journal."""
     rows = [stored.row for stored in bench.journal.read(kind="outcome", branch="registration")]
-    kept = [row.result["registered"] for row in rows if row.result and row.result.get("registered")]
-    return msgspec.convert(kept[-1], Registered)
+    registrations = [row.result["registered"] for row in rows if row.result and row.result.get("registered")]
+    return msgspec.convert(registrations[-1], Registered)
 
 
 def summary_of(workflow: str, trials: Sequence[Trial]) -> PlacementSummary:
-    """Of one or more trials of a workflow."""
+    """Return the statistics of one or more trials.
+
+    Args:
+        workflow: Name of the workflow.
+        trials: Trials, at least one.
+    """
 
     def over_all(field: str) -> Summary:
         return summarize([getattr(trial, field) for trial in trials])

@@ -1,11 +1,4 @@
-"""The threshold experiment as a picture: errors over the true threshold, and the pulses they took.
-
-The following experiment as a picture: errors over time, shaded where the tool did not count as aligned.
-
-The hot-spot experiment as a picture: the maps of one subject on the head, and the errors of all.
-
-The Monte Carlo of the failure injections as a picture.
-"""
+"""Plots of the experiments on thresholds, following, hot-spots, and the Monte Carlo of the failure injections."""
 
 from __future__ import annotations
 
@@ -18,20 +11,20 @@ from pcmrs.analysis.hotspot_map import draw_head, draw_map
 from pcmrs.analysis.plots import BLUE, GREEN, ORANGE, new_figure
 from pcmrs.formats.mesh import Mesh
 from pcmrs_lab.experiment.following import Drawn
-from pcmrs_lab.experiment.hotspots import NEAR, HotspotReport, Searched
+from pcmrs_lab.experiment.hotspots import NEAR, HotspotReport, SearchResult
 from pcmrs_lab.experiment.monte_carlo import MonteCarloReport
-from pcmrs_lab.experiment.thresholds import METHODS, Hunted, ThresholdReport
+from pcmrs_lab.experiment.thresholds import METHODS, ThresholdReport, ThresholdResult
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 HEIGHT = 1.9
-"""Of one scenario, inches."""
+"""Height of the panel of one scenario, inches."""
 
 
 def following_figure(runs: Sequence[Drawn]) -> Figure:
-    """A panel for each scenario: true errors with and without compensation of the tracker's latency."""
+    """Return a panel for each scenario: true errors with and without compensation of the tracker's latency."""
     names = list(dict.fromkeys(run.result.scenario for run in runs))
     figure = new_figure(width=12.0, height=HEIGHT * len(names) + 1.0)
     figure.suptitle("Following a simulated head; shaded: treatment blocked (with compensation)")
@@ -46,11 +39,11 @@ def following_figure(runs: Sequence[Drawn]) -> Figure:
 def _draw(axes: Axes, runs: Sequence[Drawn]) -> None:
     for run in runs:
         color, label = (BLUE, "compensated") if run.result.compensated else (ORANGE, "not compensated")
-        axes.plot(run.course.times, run.course.true_mm, color=color, linewidth=0.8, label=label)
+        axes.plot(run.series.times, run.series.true_mm, color=color, linewidth=0.8, label=label)
         if run.result.compensated:
-            blocked = ~np.array(run.course.allowed, dtype=bool)
+            blocked = ~np.array(run.series.allowed, dtype=bool)
             transform = axes.get_xaxis_transform()
-            axes.fill_between(run.course.times, 0, 1, where=blocked, transform=transform, color="0.85", linewidth=0)
+            axes.fill_between(run.series.times, 0, 1, where=blocked, transform=transform, color="0.85", linewidth=0)
     axes.set_ylim(bottom=0.0)
     axes.set_ylabel(f"{runs[0].result.scenario}\ntrue error, mm")
 
@@ -58,8 +51,14 @@ def _draw(axes: Axes, runs: Sequence[Drawn]) -> None:
 HIGHEST_MM = 20.0
 
 
-def hotspots_figure(report: HotspotReport, searched: dict[str, list[Searched]], mesh: Mesh) -> Figure:
-    """The first subject's maps by both methods, and the distance from the hot-spot pulse by pulse over all subjects."""
+def hotspots_figure(report: HotspotReport, searched: dict[str, list[SearchResult]], mesh: Mesh) -> Figure:
+    """Return the first subject's maps by both methods, and the error by pulse over all subjects.
+
+    Args:
+        report: Report of the experiment.
+        searched: Searches by method.
+        mesh: Surface of the head, m.
+    """
     figure = new_figure(width=11.0, height=9.6)
     figure.suptitle(f"Hot-spots of {report.subjects} simulated subjects, seed {report.seed}; maps: subject 1")
     (head, errors), maps = figure.subplots(2, 2)
@@ -76,8 +75,8 @@ def hotspots_figure(report: HotspotReport, searched: dict[str, list[Searched]], 
     return figure
 
 
-def _draw_errors(axes: Axes, method: str, found: list[Searched]) -> None:
-    """Median and p95 over the subjects; a search that has ended keeps its last estimate."""
+def _draw_errors(axes: Axes, method: str, found: list[SearchResult]) -> None:
+    """Draw median and p95 over the subjects; a search that has ended keeps its last estimate."""
     longest = max(len(each.errors) for each in found)
     errors_mm = np.array([each.errors + each.errors[-1:] * (longest - len(each.errors)) for each in found]) * 1e3
     pulses = np.arange(1, longest + 1)
@@ -88,7 +87,7 @@ def _draw_errors(axes: Axes, method: str, found: list[Searched]) -> None:
 
 
 def monte_carlo_figure(report: MonteCarloReport) -> Figure:
-    """Residuals of every simulated row beside the paper's and the limits, and the share of each that is refused."""
+    """Return the residuals of every row with the paper's and the limits, and the share of refused runs."""
     figure = new_figure(width=12.0)
     figure.suptitle(f"Failure injections, {report.runs} simulated runs of each row, seed {report.seed}")
     residuals, refused = figure.subplots(1, 2)
@@ -132,8 +131,13 @@ COLORS = dict(zip(METHODS, (BLUE, GREEN, ORANGE), strict=True))
 STYLES = dict(zip(METHODS, ("-", "--", ":"), strict=True))
 
 
-def thresholds_figure(report: ThresholdReport, hunted: dict[str, list[Hunted]]) -> Figure:
-    """Share of the subjects within an error, and within a number of pulses, by method."""
+def thresholds_figure(report: ThresholdReport, hunted: dict[str, list[ThresholdResult]]) -> Figure:
+    """Return the share of the subjects within an error, and within a number of pulses, by method.
+
+    Args:
+        report: Report of the experiment.
+        hunted: Estimates of every subject, by method.
+    """
     figure = new_figure(width=11.0)
     figure.suptitle(f"Motor thresholds of {report.subjects} simulated subjects, seed {report.seed}")
     errors, pulses = figure.subplots(1, 2, sharey=True)

@@ -1,4 +1,4 @@
-"""A daemon of an experiment's own: free ports, a folder that goes away, nobody else on it."""
+"""Separate daemon of an experiment: free ports, a temporary folder, no other clients."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from pcmrs.threads import Load, Threads
 
 
 @dataclass(frozen=True, slots=True)
-class Bench:
-    """What an experiment works with.
+class ExperimentBench:
+    """Connections of an experiment to its daemon.
 
     Attributes:
-        planner: Sends the commands that string commands have, over UDP.
-        client: Sends the others, over the bus.
+        planner: Sends the commands that have string commands, over UDP.
+        client: Sends the other commands, over the bus.
         scene: Ground truth and faults of the simulation, for the report only.
-        journal: What the daemon decided.
+        journal: Journal of the daemon.
     """
 
     planner: Planner
@@ -38,14 +38,14 @@ class Bench:
 
 
 @asynccontextmanager
-async def private_bench(overrides: Sequence[str]) -> AsyncIterator[Bench]:
-    """Starts a daemon, waits until it is ready, and ends it with the context.
+async def private_bench(overrides: Sequence[str]) -> AsyncIterator[ExperimentBench]:
+    """Start a daemon, wait until it is ready, and end it at the end of the context.
 
     Args:
         overrides: Settings of the daemon, ``key=value`` each.
 
     Raises:
-        DeviceError: It did not start; the text has its last words.
+        DeviceError: The daemon did not start; the text has the end of its log.
     """
     with tempfile.TemporaryDirectory(prefix="pcmrs-") as folder:
         cell = f"experiment-{os.getpid()}"
@@ -54,7 +54,7 @@ async def private_bench(overrides: Sequence[str]) -> AsyncIterator[Bench]:
             ready = daemon.ready
             bus = await Bus.open(BusSettings(endpoint=ready.endpoint, cell=cell))
             stack.push_async_callback(bus.close)
-            bench = Bench(
+            bench = ExperimentBench(
                 planner=await stack.enter_async_context(await Planner.open(*ready.links["planner"])),
                 client=await stack.enter_async_context(Client.connect(ready.endpoint, cell=cell)),
                 scene=RemoteScene(bus, SystemClock()),
@@ -67,12 +67,15 @@ async def private_bench(overrides: Sequence[str]) -> AsyncIterator[Bench]:
 
 
 def explained(error: CommandRefusedError, journal: JournalReader, load: Load) -> CommandRefusedError:
-    """The refusal with the danger that was reported last, and with what the machine has to do where that is too much.
+    """Return the refusal with the text of the last danger event, and with the load of the machine if it is overloaded.
 
     Args:
-        error: Its text has the code of the reason only, as the string commands give it.
-        journal: Of the daemon.
-        load: Of the machine.
+        error: Refusal, whose text has only the code of the reason, as string commands give it.
+        journal: Journal of the daemon.
+        load: Load of the machine.
+
+    Returns:
+        Refusal with the additional text.
     """
     text = error.text
     reported = [stored.row.result or {} for stored in journal.read(kind="device")]

@@ -1,4 +1,4 @@
-"""What the paper reports: Liu, Kheradmand, Armand, Toward Process Controlled Medical Robotic System (2023)."""
+"""Results of the paper: Liu, Kheradmand, Armand, Toward Process Controlled Medical Robotic System (2023)."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ class FailureRun:
     """One row of the table of failure injections.
 
     Attributes:
-        run: Its number in the table.
+        run: Number in the table.
         landmark: Number of the affected landmark, from 1.
-        offset_in_image: Injected error of its digitization, m.
-        residual_mm: Average registration residual, where one was computed.
+        offset_in_image: Injected error of its digitization in the image, m.
+        residual_mm: Average registration residual, mm, if one was computed.
         rejected_at: State that could not be reached; None for the controls.
     """
 
@@ -33,7 +33,7 @@ class FailureRun:
 
 
 class Reported(msgspec.Struct, frozen=True):
-    """A mean, and the standard deviation where the paper has one."""
+    """Mean, and the standard deviation if the paper has one."""
 
     mean: float
     sd: float | None = None
@@ -41,13 +41,13 @@ class Reported(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """The results of one workflow.
+    """Results of one workflow.
 
     Attributes:
-        tool: What was placed.
-        translation_error_mm: Mean of 12 placements, and their standard deviation where it was reported.
-        rotation_error_deg: The same of the angles.
-        failures: The failure injections.
+        tool: Name of the tool.
+        translation_error_mm: Mean of 12 placements, mm, and their standard deviation if it was reported.
+        rotation_error_deg: Mean of the angles, °, and their standard deviation if it was reported.
+        failures: Failure injections.
     """
 
     tool: str
@@ -95,8 +95,8 @@ PUBLISHED = {
 
 
 def published(workflow: str) -> Published:
-    """What was published of a workflow. Raises `ConfigurationError` when nothing was."""
+    """Return the published results of a workflow; raise `ConfigurationError` if there are none."""
     if workflow not in PUBLISHED:
-        text = f"There is no experiment with {workflow!r}; there is one with {' and with '.join(PUBLISHED)}."
+        text = f"The paper has no experiment with workflow {workflow!r}. Use {' or '.join(PUBLISHED)}."
         raise ConfigurationError(text, workflow=workflow)
     return PUBLISHED[workflow]

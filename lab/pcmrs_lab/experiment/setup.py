@@ -1,4 +1,4 @@
-"""What every experiment is told: the plan, the workflow, the simulation's seed, speed and drivers, further settings."""
+"""Common setup of all experiments: plan, workflow, seed, speed and drivers of the simulation, further settings."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Literal
 from pcmrs.testing.plan import Plan
 
 PATIENT_DEADMAN = "robot.deadman=0.5"
-"""An experiment is not about the deadman, and shares the machine with whatever else is computed there."""
+"""Long deadman, since an experiment does not test the deadman and shares the machine with other programs."""
 
 ShowProgress = Callable[[str, int, int], None]
-"""Told what is being done, and how many of how many steps are done."""
+"""Called with the current step, and with how many of how many steps are done."""
 
 
 Drivers = Literal["builtin", "virtual"]
-"""How the daemon reaches arm and tracker: simulated ones of its own, or virtual ones by the drivers of real ones."""
+"""Devices of the daemon: built-in simulated ones, or virtual ones through the drivers of real devices."""
 
 SETTINGS_OF: dict[Drivers, tuple[str, ...]] = {
     "builtin": (),
@@ -25,17 +25,17 @@ SETTINGS_OF: dict[Drivers, tuple[str, ...]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Setup:
-    """One experiment on a simulated cell.
+class ExperimentSetup:
+    """ExperimentSetup of one experiment on a simulated cell.
 
     Attributes:
         plan: Landmarks and poses.
         workflow: Name of the workflow.
-        seed: Of the simulated errors.
+        seed: Seed of the simulated errors.
         rate: Seconds of the simulated cell per second of the machine; 1 with virtual devices.
         drivers: Built-in devices, or virtual ones that speak the protocols of real ones.
         overrides: Further settings of the daemon, ``key=value`` each.
-        progress: Told about every step.
+        progress: Called at every step.
     """
 
     plan: Plan
@@ -47,10 +47,10 @@ class Setup:
     progress: ShowProgress
 
     def settings(self) -> list[str]:
-        """What differs from the default configuration, for the daemon and for the report."""
+        """Return the settings that differ from the default configuration, for the daemon and for the report."""
         return [*at_rate(self.rate), *SETTINGS_OF[self.drivers], *self.overrides]
 
 
 def at_rate(rate: float) -> list[str]:
-    """Settings of a simulated cell that is `rate` times as fast as real time."""
+    """Return the settings of a simulated cell that is `rate` times as fast as real time."""
     return [f"cell.rate={rate:g}", PATIENT_DEADMAN]

@@ -1,4 +1,4 @@
-"""How fast a simulated cell may run on this machine, as busy as it is now."""
+"""Speed at which a simulated cell can run on this machine under its present load."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from typing import NamedTuple
 from pcmrs.threads import Threads
 
 TRIAL = 0.5
-"""For so long a loop computes to see which part of a processor it gets, s."""
+"""Time for which a loop computes to measure its share of a processor, s."""
 ENOUGH = 0.5
-"""With this part of a processor a cell keeps the rate that it would keep on a machine that does nothing else."""
+"""Share of a processor with which a cell reaches the rate that it reaches on an idle machine."""
 
 
 class Speed(NamedTuple):
     """Seconds of the simulated cell per second of the machine.
 
     Attributes:
-        rate: That the machine can do.
-        why: It is less than what was wanted; empty where it is not.
+        rate: Rate that the machine can reach.
+        why: Reason why it is less than requested; empty if it is not.
     """
 
     rate: float
@@ -26,21 +26,24 @@ class Speed(NamedTuple):
 
 
 def processor_share() -> float:
-    """The part of a processor that a thread which computes gets now, measured for `TRIAL`."""
-    begun, ran = time.monotonic(), time.thread_time()
-    while (passed := time.monotonic() - begun) < TRIAL:
+    """Return the share of a processor that a computing thread gets now, measured for `TRIAL`."""
+    started, ran = time.monotonic(), time.thread_time()
+    while (passed := time.monotonic() - started) < TRIAL:
         sum(range(1000))
     return (time.thread_time() - ran) / passed
 
 
-def kept_speed(wanted: float, share: float) -> Speed:
-    """Lowers a rate to what the machine can do, but not below real time.
+def reachable_speed(wanted: float, share: float) -> Speed:
+    """Reduce a rate to what the machine can reach, but not below real time.
 
-    A simulation that falls behind its own clock moves more slowly and shows poses late, while the limits of time pass.
+    A simulation that falls behind its own clock moves more slowly and publishes poses late, while time limits expire.
 
     Args:
-        wanted: Seconds of the cell per second of the machine.
-        share: Of `processor_share`.
+        wanted: Requested seconds of the cell per second of the machine.
+        share: Result of `processor_share`.
+
+    Returns:
+        Rate, with the reason if it is reduced.
     """
     rate = max(min(wanted, 1.0), round(wanted * min(1.0, share / ENOUGH), 1))
     if rate == wanted:

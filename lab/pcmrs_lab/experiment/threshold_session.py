@@ -25,7 +25,7 @@ from pcmrs.report.session_journal import SessionJournal
 from pcmrs.report.stimulation.facts import facts_of
 from pcmrs.report.stimulation.reading import StimulationSession
 from pcmrs.tms.scalp import as_transform
-from pcmrs_lab.experiment.private import Bench, private_bench
+from pcmrs_lab.experiment.private import ExperimentBench, private_bench
 from pcmrs_lab.experiment.session.runner import SessionRunner
 from pcmrs_lab.experiment.session.setup import SessionSetup
 from pcmrs_lab.experiment.setup import ShowProgress
@@ -94,7 +94,7 @@ async def run_threshold_session(setup: SessionSetup, folder: Path, progress: Sho
     progress("starting the daemon", 0, setup.expected_pulses)
     async with private_bench(setup.settings()) as bench:
         truth = await bench.scene.truth()
-        ended = await _carried_out(bench, setup, progress)
+        ended = await _run_to_end(bench, setup, progress)
         write_journal(bench.journal.path, folder)
     progress("writing the report", 1, 1)
     record = read_record(folder / JOURNAL, setup, truth, ended)
@@ -104,20 +104,20 @@ async def run_threshold_session(setup: SessionSetup, folder: Path, progress: Sho
     return report_of(record, folder)
 
 
-async def _carried_out(bench: Bench, setup: SessionSetup, progress: ShowProgress) -> str:
+async def _run_to_end(bench: ExperimentBench, setup: SessionSetup, progress: ShowProgress) -> str:
     """Run the session; return why it ended early, or an empty text. If it did, stop the cell."""
     try:
         await SessionRunner(bench, setup, progress).run()
     except asyncio.CancelledError:
         task = asyncio.current_task()
         if task is not None:
-            task.uncancel()  # what follows takes a moment, and ends by itself
+            task.uncancel()  # writing the results takes only a moment
         ended = INTERRUPTED
     except PcmrsError as error:
         ended = error.text
     else:
         return ""
-    with suppress(PcmrsError):  # the daemon may have ended with us
+    with suppress(PcmrsError):  # the daemon may have ended by the same Ctrl-C
         await bench.client.stop()
     return ended
 
@@ -165,7 +165,7 @@ def true_of(scene: SceneTruth, image_from_coil: PoseMessage | None) -> Truth | N
 
     Args:
         scene: Truth of the simulation.
-        image_from_coil: Pose at which the threshold was hunted; None if it was not.
+        image_from_coil: Pose at which the threshold was estimated; None if it was not.
     """
     if scene.image_from_hotspot is None or scene.threshold is None:
         return None

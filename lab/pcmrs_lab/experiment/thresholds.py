@@ -1,8 +1,8 @@
-"""Motor thresholds of simulated subjects: how many pulses each method takes, and how far off it is.
+"""Motor thresholds of simulated subjects: number of pulses that each method needs, and its error.
 
-The subjects are those of a published population (`pcmrs_sim.tms.recruitment`), whose model is not the estimator's; the
-true threshold is the intensity at which half of the pulses give a response, which their model says exactly. Every
-method gets the same subjects. No daemon, and amplitudes as they are: what the electromyogram adds is measured
+The subjects are those of a published population (`pcmrs_sim.tms.recruitment`), whose model is not the estimator's. The
+true threshold is the intensity at which half of the pulses give a response, which their model gives exactly. Every
+method gets the same subjects. There is no daemon, and amplitudes have no noise of the electromyogram, which is measured
 elsewhere.
 """
 
@@ -26,12 +26,12 @@ METHODS = {
 PROGRESS_EVERY = 10
 
 
-class Hunted(msgspec.Struct, frozen=True):
-    """What one method found of one subject, percent of the maximum stimulator output.
+class ThresholdResult(msgspec.Struct, frozen=True):
+    """Result of one method for one subject, percent of the maximum stimulator output.
 
     Attributes:
-        estimate: None where the hunt was refused.
-        held: Whether the stated interval holds the true threshold; None where none is stated.
+        estimate: Estimated threshold; None if the estimation was refused.
+        held: True if the stated interval contains the true threshold; None if none is stated.
     """
 
     threshold: float
@@ -41,26 +41,26 @@ class Hunted(msgspec.Struct, frozen=True):
 
     @property
     def error(self) -> float:
-        """Signed; nan where the hunt was refused."""
+        """Signed error; nan if the estimation was refused."""
         return float("nan") if self.estimate is None else self.estimate - self.threshold
 
 
 class Middle(msgspec.Struct, frozen=True):
-    """Of a series: half of it lies below the median, 95 % below p95."""
+    """Median and 95th percentile of a series."""
 
     median: float
     p95: float
 
 
 class MethodResult(msgspec.Struct, frozen=True):
-    """One method over all subjects.
+    """Results of one method over all subjects.
 
     Attributes:
-        refused: Hunts without a threshold; they are not among the errors.
-        error_percent: Magnitude, percent of the true threshold.
-        error_mso: Magnitude, percent of the maximum stimulator output.
-        bias_mso: Mean with sign, percent of the maximum stimulator output.
-        held: Share of the intervals that hold the true threshold; None where the method states none.
+        refused: Number of estimations without a threshold; they are not among the errors.
+        error_percent: Magnitude of the error, percent of the true threshold.
+        error_mso: Magnitude of the error, percent of the maximum stimulator output.
+        bias_mso: Mean signed error, percent of the maximum stimulator output.
+        held: Share of the intervals that contain the true threshold; None if the method states none.
     """
 
     method: str
@@ -73,11 +73,11 @@ class MethodResult(msgspec.Struct, frozen=True):
 
 
 class ThresholdReport(msgspec.Struct, frozen=True):
-    """All methods on the same subjects.
+    """Results of all methods on the same subjects.
 
     Attributes:
-        threshold: True ones, percent of the maximum stimulator output.
-        interval: At which maximum likelihood ends, share of the threshold.
+        threshold: True thresholds, percent of the maximum stimulator output.
+        interval: Width of the interval at which maximum likelihood ends, share of the threshold.
     """
 
     experiment: str
@@ -91,25 +91,25 @@ class ThresholdReport(msgspec.Struct, frozen=True):
 
 def run_thresholds(
     subjects: int, seed: int, interval: float, progress: Callable[[str, int, int], None]
-) -> tuple[ThresholdReport, dict[str, list[Hunted]]]:
-    """Hunts every subject's threshold with every method; one seed gives one result.
+) -> tuple[ThresholdReport, dict[str, list[ThresholdResult]]]:
+    """Estimate every subject's threshold with every method; equal seeds give equal results.
 
     Args:
-        subjects: How many, at least one.
-        seed: Of subjects and of their variability.
-        interval: At which maximum likelihood ends, share of the threshold.
-        progress: Told how many subjects of how many are done.
+        subjects: Number of subjects, at least one.
+        seed: Seed of subjects and of their variability.
+        interval: Width of the interval at which maximum likelihood ends, share of the threshold.
+        progress: Called with the number of finished subjects.
 
     Returns:
-        The report, and of each method what it found of every subject.
+        Report, and the results of all subjects by method.
     """
-    hunted: dict[str, list[Hunted]] = {method: [] for method in METHODS}
+    hunted: dict[str, list[ThresholdResult]] = {method: [] for method in METHODS}
     for number in range(subjects):
         if number % PROGRESS_EVERY == 0:
             progress("motor thresholds", number, subjects)
         subject = draw(np.random.default_rng((seed, number)))
         for index, method in enumerate(METHODS):
-            hunted[method].append(_hunt(subject, method, interval, np.random.default_rng((seed, number, index))))
+            hunted[method].append(_estimate(subject, method, interval, np.random.default_rng((seed, number, index))))
     progress("done", subjects, subjects)
     report = ThresholdReport(
         experiment="thresholds",
@@ -123,7 +123,7 @@ def run_thresholds(
     return report, hunted
 
 
-def _hunt(subject: Recruitment, method: str, interval: float, rng: np.random.Generator) -> Hunted:
+def _estimate(subject: Recruitment, method: str, interval: float, rng: np.random.Generator) -> ThresholdResult:
     by: ThresholdMethod = "relative_frequency" if method == "relative_frequency" else "ml"
     hunt = MotorThresholdEstimator.begin(ThresholdSettings(method=by, interval=interval))
     while not hunt.finished and hunt.refusal is None:
@@ -131,13 +131,13 @@ def _hunt(subject: Recruitment, method: str, interval: float, rng: np.random.Gen
         amplitude = subject.sample(intensity, rng)
         hunt = hunt.after(intensity, amplitude >= RESPONSE, amplitude if method == "ml" else None)
     if not hunt.finished:
-        return Hunted(subject.threshold, len(hunt.pulses), None, None)
+        return ThresholdResult(subject.threshold, len(hunt.pulses), None, None)
     found = hunt.estimate
     held = None if found.low is None or found.high is None else found.low <= subject.threshold <= found.high
-    return Hunted(subject.threshold, len(hunt.pulses), found.threshold, held)
+    return ThresholdResult(subject.threshold, len(hunt.pulses), found.threshold, held)
 
 
-def _result(method: str, found: list[Hunted]) -> MethodResult:
+def _result(method: str, found: list[ThresholdResult]) -> MethodResult:
     ended = [each for each in found if each.estimate is not None]
     held = [each.held for each in ended if each.held is not None]
     return MethodResult(
@@ -152,7 +152,7 @@ def _result(method: str, found: list[Hunted]) -> MethodResult:
 
 
 def _middle(values: list[float]) -> Middle:
-    """Nan for no values."""
+    """Return median and p95; nan for no values."""
     if not values:
         return Middle(float("nan"), float("nan"))
     median, p95 = np.percentile(values, (50.0, 95.0))

@@ -1,4 +1,4 @@
-"""What workflows that treat ask for: a word before the first motion, and the treatment after the last placement."""
+"""Operations of workflows that treat: confirmation before the first motion, treatment after the last placement."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from pcmrs.client import Client
 from pcmrs.errors import CommandRefusedError
 
 CONFIRMED = {"surgeon": "simulated surgeon"}
-"""Stands for the surgeon's own confirmation, and says so in the journal."""
+"""Confirmation in place of the surgeon's; its name shows that in the journal."""
 
-Asked = tuple[tuple[str, dict[str, str]], ...]
+OperationList = tuple[tuple[str, dict[str, str]], ...]
 """Operations and their arguments, in order."""
 
-PREPARATIONS: dict[str, Asked] = {"femoroplasty": (("treatment.confirm_clear", CONFIRMED),)}
+PREPARATIONS: dict[str, OperationList] = {"femoroplasty": (("treatment.confirm_clear", CONFIRMED),)}
 
-TREATMENTS: dict[str, Asked] = {
+TREATMENTS: dict[str, OperationList] = {
     "femoroplasty": (
         ("treatment.start_drilling", CONFIRMED),
         ("treatment.confirm_drilled", CONFIRMED),
@@ -29,7 +29,7 @@ TREATMENTS: dict[str, Asked] = {
 
 
 class Treated(msgspec.Struct, frozen=True):
-    """One accepted operation, the state it led to, and what it has on record."""
+    """Accepted operation, the state that it led to, and its journalled result."""
 
     operation: str
     state: str
@@ -37,26 +37,40 @@ class Treated(msgspec.Struct, frozen=True):
 
 
 async def prepare(client: Client, workflow: str) -> list[Treated]:
-    """Says what the workflow must hear before the robot may move; where it need not hear anything, does nothing.
+    """Perform the operations that a workflow requires before the robot may move; do nothing if there are none.
+
+    Args:
+        client: Client of the daemon.
+        workflow: Name of the workflow.
+
+    Returns:
+        Accepted operations.
 
     Raises:
         CommandRefusedError: An operation was not accepted.
     """
-    return await _ask(client, PREPARATIONS.get(workflow, ()))
+    return await _perform(client, PREPARATIONS.get(workflow, ()))
 
 
 async def treat(client: Client, workflow: str) -> list[Treated]:
-    """Treats with the tool where it is, as the workflow has it; where it has nothing, does nothing.
+    """Perform the treatment of a workflow with the tool at its place; do nothing if there is none.
+
+    Args:
+        client: Client of the daemon.
+        workflow: Name of the workflow.
+
+    Returns:
+        Accepted operations.
 
     Raises:
         CommandRefusedError: An operation was not accepted.
     """
-    return await _ask(client, TREATMENTS.get(workflow, ()))
+    return await _perform(client, TREATMENTS.get(workflow, ()))
 
 
-async def _ask(client: Client, asked: Asked) -> list[Treated]:
+async def _perform(client: Client, requested: OperationList) -> list[Treated]:
     done = []
-    for operation, arguments in asked:
+    for operation, arguments in requested:
         verdict = await client.call(operation, arguments)
         if verdict.decision != "accepted":
             reason = verdict.reason.text if verdict.reason is not None else verdict.decision

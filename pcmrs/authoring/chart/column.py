@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from pcmrs.authoring.chart.arrows import Arrow, StateRef, arrows
-from pcmrs.authoring.chart.links import Link
-from pcmrs.authoring.chart.row import CAPTION_COLUMNS, Port, Row, row
+from pcmrs.authoring.chart.links import BranchLink
+from pcmrs.authoring.chart.row import CAPTION_COLUMNS, Port, StateRow, row
 from pcmrs.authoring.chart.text import activity_line, flow
 from pcmrs.fsm.blueprint import BranchSpec
 
@@ -23,7 +23,7 @@ class Lane:
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class StateColumn:
     """A branch's states from top to bottom.
 
     Attributes:
@@ -34,14 +34,14 @@ class Column:
         links: Ports at the left, of the links that end at a state.
     """
 
-    rows: dict[str, Row]
+    rows: dict[str, StateRow]
     straight: dict[str, tuple[Arrow, list[str]]]
     entries: list[tuple[Arrow, Port]]
     lanes: list[Lane]
-    links: dict[tuple[Link, StateRef], Port]
+    links: dict[tuple[BranchLink, StateRef], Port]
 
 
-def column(name: str, branch: BranchSpec, links: Iterable[Link]) -> Column:
+def column(name: str, branch: BranchSpec, links: Iterable[BranchLink]) -> StateColumn:
     """Arrange the states of a branch.
 
     Args:
@@ -63,7 +63,7 @@ def column(name: str, branch: BranchSpec, links: Iterable[Link]) -> Column:
     ports = {(link, place): _link_port(link, place) for link in links for place in link.places if place.branch == name}
     _fill_left(name, rows, entries, ports)
     _fill_right(rows, lanes, order)
-    return Column(rows, straight, entries, lanes, ports)
+    return StateColumn(rows, straight, entries, lanes, ports)
 
 
 def caption(arrow: Arrow) -> list[str]:
@@ -97,15 +97,15 @@ def _rows_passed(arrow: Arrow, order: Mapping[str, int]) -> int:
     return (2 << max(ends)) - (1 << min(ends))
 
 
-def _link_port(link: Link, place: StateRef) -> Port:
+def _link_port(link: BranchLink, place: StateRef) -> Port:
     return Port(link, flow([link.label], CAPTION_COLUMNS) if place in link.heads else [])
 
 
 def _fill_left(
     name: str,
-    rows: dict[str, Row],
+    rows: dict[str, StateRow],
     entries: Iterable[tuple[Arrow, Port]],
-    ports: dict[tuple[Link, StateRef], Port],
+    ports: dict[tuple[BranchLink, StateRef], Port],
 ) -> None:
     """Order the left ports of each state: lines from above, arrows from any state, then lines to below."""
     for from_above in (True, False):
@@ -117,7 +117,7 @@ def _fill_left(
             rows[arrow.target].left.append(port)
 
 
-def _fill_right(rows: dict[str, Row], lanes: Iterable[Lane], order: Mapping[str, int]) -> None:
+def _fill_right(rows: dict[str, StateRow], lanes: Iterable[Lane], order: Mapping[str, int]) -> None:
     """Order the right ports of each state for the fewest crossings.
 
     Upward arrows come first, inner lanes first; then downward arrows, outer lanes first.

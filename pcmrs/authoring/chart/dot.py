@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from pcmrs.authoring.chart.arrows import Kind, StateRef, edges
 from pcmrs.authoring.chart.canvas import STROKES
 from pcmrs.authoring.chart.current import check_current
-from pcmrs.authoring.chart.links import Link, links
+from pcmrs.authoring.chart.links import BranchLink, links
 from pcmrs.authoring.chart.text import activity_line, clean
 from pcmrs.fsm.blueprint import Blueprint
 
@@ -59,7 +59,7 @@ def _cluster(blueprint: Blueprint, name: str, current: Mapping[str, str]) -> Ite
     yield "}"
 
 
-def _link(blueprint: Blueprint, link: Link) -> Iterator[str]:
+def _link(blueprint: Blueprint, link: BranchLink) -> Iterator[str]:
     looks = f"label={_quoted(link.label or 'revokes')}, {_style(link.kind)}"
     for tail, head in itertools.product(link.tails, link.heads):
         begin, end = (_node(StateRef(p.branch, p.state or blueprint.branches[p.branch].start)) for p in (tail, head))

@@ -24,9 +24,9 @@ from pcmrs.authoring.chart.canvas import (
 )
 from pcmrs.authoring.chart.column import Lane
 from pcmrs.authoring.chart.layout import Layout
-from pcmrs.authoring.chart.links import Link
+from pcmrs.authoring.chart.links import BranchLink
 from pcmrs.authoring.chart.panel import PAD, PITCH, START, STRAIGHT_X, TITLE, TITLE_LINE, Panel
-from pcmrs.authoring.chart.row import LABEL, LINE, MEANING, NAME, Port, Row
+from pcmrs.authoring.chart.row import LABEL, LINE, MEANING, NAME, Port, StateRow
 from pcmrs.fsm.blueprint import Blueprint
 
 _SHADES = ("#ffffff", "#f3f3f3")
@@ -48,9 +48,7 @@ def draw_panel(parent: Element, blueprint: Blueprint, panel: Panel, current: Map
     shade = _SHADES[branch.level % 2]
     box(into, panel.x, panel.y, panel.width, panel.height, 8, fill=shade, stroke="#8a8a8a", stroke_width="1")
     _heading(into, panel)
-    start(
-        into, panel.columns.boxes + panel.columns.box_width / 2, next(iter(panel.column.rows.values())).y - START, START
-    )
+    _start(into, panel)
     for lane in panel.column.lanes:
         _beside(into, panel, lane)
     for arrow, lines in panel.column.straight.values():
@@ -89,7 +87,7 @@ def _heading(into: Element, panel: Panel) -> None:
     text(into, x, y + TITLE_LINE * len(panel.title) + LABEL, panel.subtitle, LABEL, fill="#444444")
 
 
-def _state(into: Element, panel: Panel, state: str, row: Row, meaning: str, *, highlighted: bool) -> None:
+def _state(into: Element, panel: Panel, state: str, row: StateRow, meaning: str, *, highlighted: bool) -> None:
     kind = "state current" if highlighted else "state"
     drawn = group(into, kind, meaning, branch=panel.name, state=state)
     drawn.set("id", f"state-{panel.name}-{state}")
@@ -107,7 +105,7 @@ def _state(into: Element, panel: Panel, state: str, row: Row, meaning: str, *, h
     _loops(drawn, panel, row, y + 5)
 
 
-def _loops(drawn: Element, panel: Panel, row: Row, y: float) -> None:
+def _loops(drawn: Element, panel: Panel, row: StateRow, y: float) -> None:
     if not row.loops:
         return
     x = panel.columns.boxes + PAD
@@ -154,7 +152,7 @@ def _group(into: Element, panel: Panel, arrow: Arrow) -> Element:
     return group(into, f"arrow {arrow.kind}", " ".join(arrow.words), **data)
 
 
-def draw_link(parent: Element, layout: Layout, link: Link) -> None:
+def draw_link(parent: Element, layout: Layout, link: BranchLink) -> None:
     """Draw a link with all its ends.
 
     Args:
@@ -181,7 +179,7 @@ def draw_link(parent: Element, layout: Layout, link: Link) -> None:
         _head(drawn, layout, link, place)
 
 
-def _trunk(drawn: Element, link: Link, lane: float, ends: list[tuple[float, float]], bus_y: float | None) -> None:
+def _trunk(drawn: Element, link: BranchLink, lane: float, ends: list[tuple[float, float]], bus_y: float | None) -> None:
     """Draw the vertical part in one gutter, with the lines to its ends."""
     ends = sorted(ends, key=lambda end: end[1])
     inner = ends[1:-1]
@@ -196,19 +194,19 @@ def _trunk(drawn: Element, link: Link, lane: float, ends: list[tuple[float, floa
         dot(drawn, link.kind, lane, y)
 
 
-def _end(layout: Layout, link: Link, place: StateRef) -> tuple[float, float]:
+def _end(layout: Layout, link: BranchLink, place: StateRef) -> tuple[float, float]:
     """Return the point where the line meets a state or a heading, short of the arrowhead if there is one."""
     x, y = _edge(layout.panels[place.branch], link, place)
     return (x - HEAD if place in link.heads else x), y
 
 
-def _edge(panel: Panel, link: Link, place: StateRef) -> tuple[float, float]:
+def _edge(panel: Panel, link: BranchLink, place: StateRef) -> tuple[float, float]:
     if place.state:
         return panel.columns.boxes, panel.column.links[link, place].y
     return panel.columns.labels - 4, panel.bars[link]
 
 
-def _head(drawn: Element, layout: Layout, link: Link, place: StateRef) -> None:
+def _head(drawn: Element, layout: Layout, link: BranchLink, place: StateRef) -> None:
     panel = layout.panels[place.branch]
     x, y = _edge(panel, link, place)
     head(drawn, link.kind, x, y, (1, 0))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pcmrs.authoring.chart.links import Link, links
+from pcmrs.authoring.chart.links import BranchLink, links
 from pcmrs.authoring.chart.panel import PITCH, Panel, panel
 from pcmrs.fsm.blueprint import Blueprint
 
@@ -30,8 +30,8 @@ class Layout:
 
     panels: dict[str, Panel]
     roots: list[Panel]
-    links: list[Link]
-    buses: dict[Link, float]
+    links: list[BranchLink]
+    buses: dict[BranchLink, float]
     width: float
     bottom: float
 

@@ -10,7 +10,7 @@ from pcmrs.fsm.blueprint import Blueprint
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class BranchLink:
     """A line from branch to branch, with several beginnings and ends.
 
     Attributes:
@@ -31,12 +31,12 @@ class Link:
         return (*self.tails, *self.heads)
 
 
-def links(blueprint: Blueprint) -> list[Link]:
+def links(blueprint: Blueprint) -> list[BranchLink]:
     """Return all links of a workflow: child states to the parent's operations, parent states to RIOs, revocations."""
     return [link for name in blueprint.branches for link in (*_rules(blueprint, name), *_revocations(blueprint, name))]
 
 
-def _rules(blueprint: Blueprint, name: str) -> Iterator[Link]:
+def _rules(blueprint: Blueprint, name: str) -> Iterator[BranchLink]:
     branch = blueprint.branches[name]
     if branch.parent is None:
         return
@@ -45,12 +45,12 @@ def _rules(blueprint: Blueprint, name: str) -> Iterator[Link]:
         tails = tuple(StateRef(name, state) for state in branch.states if branch.emits.get(state) == called)
         reached = blueprint.branches[above].operations[called].targets()
         heads = tuple(StateRef(above, state) for state in blueprint.branches[above].states if state in reached)
-        yield Link("signal", tails, heads, called)
-    yield Link("call", (StateRef(above, branch.parent.start),), (StateRef(name, branch.start),), branch.rio or "")
+        yield BranchLink("signal", tails, heads, called)
+    yield BranchLink("call", (StateRef(above, branch.parent.start),), (StateRef(name, branch.start),), branch.rio or "")
 
 
-def _revocations(blueprint: Blueprint, name: str) -> Iterator[Link]:
+def _revocations(blueprint: Blueprint, name: str) -> Iterator[BranchLink]:
     for by in dict.fromkeys(tuple(rule.by) for rule in blueprint.branches[name].revocations):
         tails = tuple(StateRef(other, "") for other in by if other != name)
         if tails:
-            yield Link("revocation", tails, (StateRef(name, ""),), "")
+            yield BranchLink("revocation", tails, (StateRef(name, ""),), "")

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from pcmrs.authoring.chart.arrows import StateRef, edges
 from pcmrs.authoring.chart.current import check_current
-from pcmrs.authoring.chart.links import Link, links
+from pcmrs.authoring.chart.links import BranchLink, links
 from pcmrs.authoring.chart.text import activity_line, clean
 from pcmrs.fsm.blueprint import Blueprint
 
@@ -62,7 +62,7 @@ def _states(blueprint: Blueprint, name: str) -> Iterator[str]:
         yield from _notes(link, name)
 
 
-def _notes(link: Link, name: str) -> Iterator[str]:
+def _notes(link: BranchLink, name: str) -> Iterator[str]:
     """Return the notes of a link at its beginnings in this branch; a revocation needs none, since it has an arrow."""
     heads = ", ".join(f"{place.branch} {place.state}" for place in link.heads)
     texts = {"signal": f"Rule 2, calls {link.label} ({heads})", "call": f"Rule 3, calls {link.label} ({heads})"}

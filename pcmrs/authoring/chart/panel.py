@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from pcmrs.authoring.chart.arrows import StateRef
-from pcmrs.authoring.chart.column import Column, column
-from pcmrs.authoring.chart.links import Link
+from pcmrs.authoring.chart.column import StateColumn, column
+from pcmrs.authoring.chart.links import BranchLink
 from pcmrs.authoring.chart.row import LABEL, LINE, Port
 from pcmrs.authoring.chart.text import BOLD, clean, mono_width, sans_width, widest, wrap
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec
@@ -79,14 +79,14 @@ class Panel:
     name: str
     title: list[str]
     subtitle: str
-    column: Column
+    column: StateColumn
     x: float
     y: float
     width: float
     height: float
     columns: _PanelColumns
-    gutter: dict[Link, float]
-    bars: dict[Link, float]
+    gutter: dict[BranchLink, float]
+    bars: dict[BranchLink, float]
     children: list[Panel]
 
     def walk(self) -> list[Panel]:
@@ -94,7 +94,7 @@ class Panel:
         return [self, *(inner for child in self.children for inner in child.walk())]
 
 
-def panel(blueprint: Blueprint, links: Sequence[Link], name: str, x: float, y: float) -> Panel:
+def panel(blueprint: Blueprint, links: Sequence[BranchLink], name: str, x: float, y: float) -> Panel:
     """Lay out a branch and those that refine it.
 
     Args:
@@ -121,11 +121,11 @@ def panel(blueprint: Blueprint, links: Sequence[Link], name: str, x: float, y: f
     return Panel(name, title, subtitle, here, x, y, *size, columns, gutter, bars, children)
 
 
-def _tracks(links: Iterable[Link], begin: float) -> dict[Link, float]:
+def _tracks(links: Iterable[BranchLink], begin: float) -> dict[BranchLink, float]:
     return {link: begin + PITCH * (number + 0.5) for number, link in enumerate(links)}
 
 
-def _columns(here: Column, labels: float) -> _PanelColumns:
+def _columns(here: StateColumn, labels: float) -> _PanelColumns:
     boxes = labels + widest(port.width + _BESIDE + PAD for port in _captions(here, "left"))
     captions = (line for _, lines in here.straight.values() for line in lines)
     straight = widest(STRAIGHT_X + _INDENT + mono_width(line, LABEL) for line in captions)
@@ -140,7 +140,7 @@ def _heading(name: str, branch: BranchSpec) -> tuple[list[str], str]:
     return wrap(clean(branch.title) or clean(name), 40, 2), clean(f"{name}: level {branch.level}{refined}")
 
 
-def _runs_in(blueprint: Blueprint, link: Link, name: str) -> bool:
+def _runs_in(blueprint: Blueprint, link: BranchLink, name: str) -> bool:
     """Return true if a link runs in the gutter of a branch.
 
     Links of Rules 2 and 3 run in the parent's gutter, revocations in those of the root branches.
@@ -155,11 +155,11 @@ def _root(blueprint: Blueprint, name: str) -> str:
     return name if parent is None else _root(blueprint, parent.branch)
 
 
-def _captions(here: Column, side: str) -> Iterable[Port]:
+def _captions(here: StateColumn, side: str) -> Iterable[Port]:
     return (port for row in here.rows.values() for port in (row.left if side == "left" else row.right))
 
 
-def _stack(here: Column, y: float) -> float:
+def _stack(here: StateColumn, y: float) -> float:
     """Place the rows from `y` down, with room between them for straight arrows, and return the lower edge."""
     bottom = y
     for state, row in here.rows.items():

@@ -47,7 +47,7 @@ class Port:
 
 
 @dataclass(slots=True)
-class Row:
+class StateRow:
     """One state.
 
     Attributes:
@@ -100,7 +100,7 @@ class Row:
                 port.y = top - _BARE / 2
 
 
-def row(state: str, meaning: str, activity: str, loops: Sequence[str]) -> Row:
+def row(state: str, meaning: str, activity: str, loops: Sequence[str]) -> StateRow:
     """Return a state without ports.
 
     Args:
@@ -110,7 +110,9 @@ def row(state: str, meaning: str, activity: str, loops: Sequence[str]) -> Row:
         loops: The operations that keep it.
     """
     lines = wrap(clean(meaning), MEANING_COLUMNS, MEANING_LINES)
-    return Row(cut(clean(state), NAME_COLUMNS), lines, cut(clean(activity), NAME_COLUMNS), flow(loops, CAPTION_COLUMNS))
+    return StateRow(
+        cut(clean(state), NAME_COLUMNS), lines, cut(clean(activity), NAME_COLUMNS), flow(loops, CAPTION_COLUMNS)
+    )
 
 
 def _total(ports: Sequence[Port]) -> float:

@@ -10,7 +10,7 @@ import msgspec
 from pcmrs.authoring.design.branches import DesignedBranch, root_branches
 from pcmrs.authoring.design.check import Ask, check_table, fill_in, paths_of
 from pcmrs.authoring.design.count import Combinations, Impossible, count_combinations, excess_of
-from pcmrs.authoring.design.grouping import Group, UndesignableError, root_groups
+from pcmrs.authoring.design.grouping import StepGroup, UndesignableError, root_groups
 from pcmrs.authoring.design.hazards import GuardedOrder, hazards_in
 from pcmrs.authoring.design.safety import ROBOT, SAFETY, robot_branch, safety_branch
 from pcmrs.authoring.design.table import StepTable
@@ -111,7 +111,7 @@ def _check_names(branches: Iterable[DesignedBranch]) -> None:
         seen.add(branch.name)
 
 
-def _blueprint(table: StepTable, groups: Sequence[Group], branches: Iterable[DesignedBranch]) -> Blueprint:
+def _blueprint(table: StepTable, groups: Sequence[StepGroup], branches: Iterable[DesignedBranch]) -> Blueprint:
     return Blueprint(
         id=table.id,
         version=table.version,
@@ -121,7 +121,7 @@ def _blueprint(table: StepTable, groups: Sequence[Group], branches: Iterable[Des
     )
 
 
-def _safety_branches(table: StepTable, groups: Iterable[Group]) -> Iterator[DesignedBranch]:
+def _safety_branches(table: StepTable, groups: Iterable[StepGroup]) -> Iterator[DesignedBranch]:
     """Return the branches for the connection of the robot and for the release of Stop, if they are needed."""
     hazards = list(hazards_in(step for _, step in paths_of(table.steps)))
     if any(hazard.moves for hazard in hazards):

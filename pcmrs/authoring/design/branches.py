@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import msgspec
 
 from pcmrs.authoring.design.commands import REINIT, StepOperation, check_operations, operations_of
-from pcmrs.authoring.design.grouping import Group, UndesignableError
+from pcmrs.authoring.design.grouping import StepGroup, UndesignableError
 from pcmrs.authoring.design.hazards import GuardedOrder
 from pcmrs.authoring.design.operations import Operations, reinit_of
 from pcmrs.authoring.design.order import Order
@@ -35,7 +35,7 @@ class DesignedBranch:
     commands: Sequence[StepOperation] = ()
 
 
-def root_branches(group: Group, paths: Mapping[str, Path]) -> Iterator[DesignedBranch]:
+def root_branches(group: StepGroup, paths: Mapping[str, Path]) -> Iterator[DesignedBranch]:
     """Return the branch of a group of steps, then those that refine them, each before its own refinements.
 
     Args:
@@ -49,7 +49,7 @@ def root_branches(group: Group, paths: Mapping[str, Path]) -> Iterator[DesignedB
 
 
 def _branches(
-    group: Group, refinements: Sequence[Refinement], paths: Mapping[str, Path], above: Requirement, level: int
+    group: StepGroup, refinements: Sequence[Refinement], paths: Mapping[str, Path], above: Requirement, level: int
 ) -> Iterator[DesignedBranch]:
     order, commands = group.order, list(operations_of(group, paths))
     for finding in check_operations(group, commands):
@@ -77,7 +77,7 @@ def _when_lost(order: Order) -> list[RevocationSpec]:
 
 
 def _refining(
-    refinement: Refinement, owner: Group, paths: Mapping[str, Path], above: Requirement, level: int
+    refinement: Refinement, owner: StepGroup, paths: Mapping[str, Path], above: Requirement, level: int
 ) -> Iterator[DesignedBranch]:
     step = owner.order.steps[refinement.step]
     if refinement.group is None:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from pcmrs.authoring.design.grouping import Group
+from pcmrs.authoring.design.grouping import StepGroup
 from pcmrs.authoring.design.hazards import NONE, GuardedOrder, Hazard, hazard_of
 from pcmrs.authoring.design.table import ActionSpec, StepSpec
 from pcmrs.fsm.finding import Finding, Path
@@ -44,7 +44,7 @@ class StepOperation:
     title: str = ""
 
 
-def operations_of(group: Group, paths: Mapping[str, Path]) -> Iterator[StepOperation]:
+def operations_of(group: StepGroup, paths: Mapping[str, Path]) -> Iterator[StepOperation]:
     """Return the operations of a branch, in the order of its steps.
 
     Args:
@@ -90,7 +90,7 @@ def _reports(order: GuardedOrder, paths: Mapping[str, Path]) -> Iterator[StepOpe
         yield StepOperation(action.operation, "allow", i, action, paths[step.name], title=title)
 
 
-def check_operations(group: Group, commands: Sequence[StepOperation]) -> Iterator[Finding]:
+def check_operations(group: StepGroup, commands: Sequence[StepOperation]) -> Iterator[Finding]:
     """Return names that are used twice: steps may share only re-opening operations with the same declaration.
 
     Args:

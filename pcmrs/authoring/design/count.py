@@ -12,7 +12,7 @@ from math import prod
 from pcmrs.authoring.design.branches import DesignedBranch
 from pcmrs.authoring.design.order import Order
 from pcmrs.fsm.blueprint import BranchSpec
-from pcmrs.fsm.files.load import Examination
+from pcmrs.fsm.files.load import BlueprintExamination
 from pcmrs.fsm.files.toml import MAX_BYTES
 from pcmrs.fsm.finding import Finding
 
@@ -82,7 +82,7 @@ def _broken(order: Order) -> Iterator[tuple[str, str, int]]:
         before |= 1 << step
 
 
-def excess_of(examination: Examination, size: int, branches: Sequence[DesignedBranch]) -> Finding | None:
+def excess_of(examination: BlueprintExamination, size: int, branches: Sequence[DesignedBranch]) -> Finding | None:
     """Return the finding for a table that makes too large a blueprint, at the step of the largest branch; else None.
 
     Args:

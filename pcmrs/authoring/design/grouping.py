@@ -17,7 +17,7 @@ UNNAMED = "procedure"
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
+class StepGroup:
     """The steps of one branch.
 
     Attributes:
@@ -39,7 +39,7 @@ class UndesignableError(Exception):
         self.finding = finding
 
 
-def root_groups(steps: Sequence[StepSpec], paths: Mapping[str, Path]) -> list[Group]:
+def root_groups(steps: Sequence[StepSpec], paths: Mapping[str, Path]) -> list[StepGroup]:
     """Return the branches of level 1: the connected parts of the dependencies.
 
     Args:
@@ -55,7 +55,7 @@ def root_groups(steps: Sequence[StepSpec], paths: Mapping[str, Path]) -> list[Gr
     return [group(name or next(unnamed), "", part, paths) for name, part in zip(names, parts, strict=True)]
 
 
-def group(name: str, title: str, steps: Sequence[StepSpec], paths: Mapping[str, Path]) -> Group:
+def group(name: str, title: str, steps: Sequence[StepSpec], paths: Mapping[str, Path]) -> StepGroup:
     """Return steps as one branch.
 
     Args:
@@ -82,7 +82,7 @@ def group(name: str, title: str, steps: Sequence[StepSpec], paths: Mapping[str, 
         )
         text += f"is irreversible; the limit is {MAX_STEPS_OF_A_BRANCH}. Refine some."
         raise UndesignableError(Finding(code="step_count", text=text, path=where))
-    return Group(name, title, order)
+    return StepGroup(name, title, order)
 
 
 def _connected(steps: Sequence[StepSpec]) -> list[list[StepSpec]]:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from pcmrs.authoring.design.grouping import Group, UndesignableError, group
+from pcmrs.authoring.design.grouping import StepGroup, UndesignableError, group
 from pcmrs.authoring.design.hazards import hazard_of
 from pcmrs.authoring.design.order import Order
 from pcmrs.authoring.design.safety import CONNECTED, ROBOT, UNCONNECTED
@@ -34,7 +34,7 @@ class Refinement:
     name: str
     title: str
     step: int
-    group: Group | None
+    group: StepGroup | None
     sequence: SequenceSpec | None
     states: tuple[str, ...]
     complete: str
@@ -61,7 +61,7 @@ class Refinement:
         return {each.name: [each.start, each.complete] for each in self.subtree() if each.partial}
 
 
-def refinements_of(owner: Group, paths: Mapping[str, Path]) -> list[Refinement]:
+def refinements_of(owner: StepGroup, paths: Mapping[str, Path]) -> list[Refinement]:
     """Return the refinements of a branch's steps.
 
     Args:
@@ -118,7 +118,7 @@ def _states_in_order(name: str, sequence: SequenceSpec, path: Path) -> tuple[str
         raise UndesignableError(finding) from None
 
 
-def parent_of(refinement: Refinement, owner: Group) -> ParentSpec:
+def parent_of(refinement: Refinement, owner: StepGroup) -> ParentSpec:
     """Return the parent of a refinement.
 
     Complete fits where the step is achieved, begun where it is possible, the start wherever it is not achieved.

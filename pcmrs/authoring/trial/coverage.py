@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 import msgspec
 
-from pcmrs.authoring.trial.tour import Move
+from pcmrs.authoring.trial.tour import TourCommand
 from pcmrs.fsm.behaviour import Joint, branch_states, line_of, operations
 from pcmrs.fsm.blueprint import Blueprint
 
@@ -52,7 +52,7 @@ class Deviation(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.command} in {self.before}: expected {self.expected}, found {self.found}"
 
 
-def coverage(blueprint: Blueprint, done: Iterable[Move], wanted: Iterable[Move]) -> dict[str, Count]:
+def coverage(blueprint: Blueprint, done: Iterable[TourCommand], wanted: Iterable[TourCommand]) -> dict[str, Count]:
     """Count what has been covered, by the keys of `MEANINGS`.
 
     Args:
@@ -71,7 +71,7 @@ def is_complete(counts: dict[str, Count]) -> bool:
     return all(count.covered == count.total for count in counts.values())
 
 
-def deviation(blueprint: Blueprint, move: Move, decision: str, after: Joint, code: str) -> Deviation | None:
+def deviation(blueprint: Blueprint, move: TourCommand, decision: str, after: Joint, code: str) -> Deviation | None:
     """Return how the result of a move deviates from the expected one, or None.
 
     Args:
@@ -92,7 +92,7 @@ def deviation(blueprint: Blueprint, move: Move, decision: str, after: Joint, cod
     return Deviation(command=str(move), before=before, expected=expected, found=found)
 
 
-def _counted(moves: Iterable[Move]) -> Iterator[tuple[str, object]]:
+def _counted(moves: Iterable[TourCommand]) -> Iterator[tuple[str, object]]:
     for move in moves:
         pair = (move.before, move.name)
         yield "pairs", pair

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 
-from pcmrs.authoring.trial.tour import Move, exits, shortest_path
+from pcmrs.authoring.trial.tour import TourCommand, exits, shortest_path
 from pcmrs.fsm.behaviour import Joint
 
 DEFAULT_PATIENCE = 3
@@ -23,19 +23,19 @@ class CoveragePlan:
         patience: ``branch.operation`` to the number of tries before such a move is put aside, if not the default.
     """
 
-    def __init__(self, moves: Mapping[Joint, Iterable[Move]], patience: Mapping[str, int]) -> None:
+    def __init__(self, moves: Mapping[Joint, Iterable[TourCommand]], patience: Mapping[str, int]) -> None:
         self._moves = {joint: list(there) for joint, there in moves.items()}
         self._left = {joint: sorted(there, key=_rank) for joint, there in self._moves.items() if there}
         self._patience = patience
-        self._misses: Counter[Move] = Counter()
-        self._aside: dict[Move, str] = {}
-        self._blocked: set[Move] = set()
+        self._misses: Counter[TourCommand] = Counter()
+        self._aside: dict[TourCommand, str] = {}
+        self._blocked: set[TourCommand] = set()
         self._gained = False
 
     def __len__(self) -> int:
         return sum(map(len, self._left.values())) + len(self._aside)
 
-    def next(self, here: Joint, able: Callable[[Move], bool]) -> Move | None:
+    def next(self, here: Joint, able: Callable[[TourCommand], bool]) -> TourCommand | None:
         """Return a wanted move here, or the first move on the path to the nearest one; None if none can be reached.
 
         Args:
@@ -53,7 +53,7 @@ class CoveragePlan:
                 break
         return None
 
-    def towards(self, here: Joint, goals: set[Joint], able: Callable[[Move], bool]) -> Move | None:
+    def towards(self, here: Joint, goals: set[Joint], able: Callable[[TourCommand], bool]) -> TourCommand | None:
         """Return the first move on the path to one of `goals`; None if there is none, or it is here.
 
         Args:
@@ -64,13 +64,13 @@ class CoveragePlan:
         path = shortest_path(lambda joint: self._ways(joint, able), here, goals)
         return path[0] if path else None
 
-    def made(self, move: Move) -> None:
+    def made(self, move: TourCommand) -> None:
         """Note that a move has ended as wanted. It is not wanted again, but paths may use it."""
         self._blocked.discard(move)
         wanted = self._remove(move) or self._aside.pop(move, None) is not None
         self._gained = self._gained or wanted
 
-    def missed(self, move: Move, reason: str) -> None:
+    def missed(self, move: TourCommand, reason: str) -> None:
         """Note that a move has not ended as wanted. After too many misses, it is put aside.
 
         Args:
@@ -81,7 +81,7 @@ class CoveragePlan:
         if self._misses[move] >= self._patience.get(move.name, DEFAULT_PATIENCE):
             self.put_aside(move, reason)
 
-    def put_aside(self, move: Move, reason: str) -> None:
+    def put_aside(self, move: TourCommand, reason: str) -> None:
         """Bar all paths over a move for now.
 
         Args:
@@ -92,7 +92,7 @@ class CoveragePlan:
         if self._remove(move):
             self._aside[move] = reason
 
-    def drop(self, unwanted: Callable[[Move], bool]) -> list[Move]:
+    def drop(self, unwanted: Callable[[TourCommand], bool]) -> list[TourCommand]:
         """Drop moves for good, bar all paths over them, and return them."""
         dropped = [move for there in self._left.values() for move in there if unwanted(move)]
         dropped += [move for move in self._aside if unwanted(move)]
@@ -102,14 +102,14 @@ class CoveragePlan:
         self._moves = {joint: [m for m in there if not unwanted(m)] for joint, there in self._moves.items()}
         return dropped
 
-    def unseen(self) -> dict[Move, str]:
+    def unseen(self) -> dict[TourCommand, str]:
         """Return the moves that have not been seen, each with the reason if it was tried."""
         return {move: "" for there in self._left.values() for move in there} | self._aside
 
-    def _ways(self, joint: Joint, able: Callable[[Move], bool]) -> list[Move]:
+    def _ways(self, joint: Joint, able: Callable[[TourCommand], bool]) -> list[TourCommand]:
         return exits(move for move in self._moves.get(joint, ()) if move not in self._blocked and able(move))
 
-    def _remove(self, move: Move) -> bool:
+    def _remove(self, move: TourCommand) -> bool:
         there = self._left.get(move.before, [])
         if move not in there:
             return False
@@ -131,5 +131,5 @@ class CoveragePlan:
         return True
 
 
-def _rank(move: Move) -> tuple[int, bool]:
+def _rank(move: TourCommand) -> tuple[int, bool]:
     return ORDER.index(move.decision), move.after != move.before

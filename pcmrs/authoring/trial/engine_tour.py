@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from pcmrs.authoring.trial.coverage import Deviation, deviation
-from pcmrs.authoring.trial.tour import Move, Tour
+from pcmrs.authoring.trial.tour import Tour, TourCommand
 from pcmrs.fsm.behaviour import joint_of
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.closure import Denial
 from pcmrs.fsm.engine import Engine
 
 
-def tour_engine(blueprint: Blueprint, tour: Tour) -> Iterator[tuple[Move, Deviation | None]]:
+def tour_engine(blueprint: Blueprint, tour: Tour) -> Iterator[tuple[TourCommand, Deviation | None]]:
     """Take the engine through a tour. It does not see the checks and roles that its callers are responsible for.
 
     Args:
@@ -32,7 +32,7 @@ def tour_engine(blueprint: Blueprint, tour: Tour) -> Iterator[tuple[Move, Deviat
                 break
 
 
-def _performed(engine: Engine, move: Move) -> tuple[str, str]:
+def _performed(engine: Engine, move: TourCommand) -> tuple[str, str]:
     """Return the decision and code of the engine. A command that it wrongly allows is not performed."""
     answer = engine.ask(move.branch, move.operation)
     if isinstance(answer, Denial):
@@ -45,5 +45,5 @@ def _performed(engine: Engine, move: Move) -> tuple[str, str]:
     return move.decision, ""
 
 
-def _of_callers(move: Move) -> bool:
+def _of_callers(move: TourCommand) -> bool:
     return bool(move.ending == "rejected" and move.at) or move.code in ("internal_operation", "event_operation")

@@ -24,7 +24,7 @@ WORDS = {
 """Texts of each kind of effect."""
 
 
-class Step(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class TrialStep(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One command and its result.
 
     Attributes:
@@ -62,7 +62,7 @@ class SimulationSession:
 
     def __init__(self, blueprint: Blueprint) -> None:
         self.blueprint = blueprint
-        self.steps: list[Step] = []
+        self.steps: list[TrialStep] = []
         self._engine = Engine(blueprint)
 
     def states(self) -> dict[str, str]:
@@ -73,7 +73,7 @@ class SimulationSession:
         """Return every command that can be given now, with every way in which it can end."""
         return [command for branch, operation in self._available() for command in self._commands(branch, operation)]
 
-    def ask(self, command: str) -> Step:
+    def ask(self, command: str) -> TrialStep:
         """Give the command ``branch.operation`` or ``branch.operation:ending``, and move on if it is allowed.
 
         Raises:
@@ -106,7 +106,7 @@ class SimulationSession:
         self.steps.clear()
         self._engine.place(self.blueprint.initial())
 
-    def random_walk(self, count: int, seed: int) -> Iterator[Step]:
+    def random_walk(self, count: int, seed: int) -> Iterator[TrialStep]:
         """Give random commands, allowed or not.
 
         Args:
@@ -142,7 +142,7 @@ class SimulationSession:
             raise RefusalError("unknown_operation", text)
         return branch, operation
 
-    def _step(self, command: str) -> Step:
+    def _step(self, command: str) -> TrialStep:
         name, _, ending = command.partition(":")
         branch, operation = self._found(name)
         if self.blueprint.branches[branch].operations[operation].iio:
@@ -151,14 +151,14 @@ class SimulationSession:
             denial = self.denial(name)
         if denial is not None:
             states = self.states()
-            return Step(command=command, decision="rejected", code=denial.code, text=denial.text, states=states)
+            return TrialStep(command=command, decision="rejected", code=denial.code, text=denial.text, states=states)
         possible = self._endings(branch, operation)
         ending = ending or _only_outcome(possible)
         if ending not in possible:
             ways = ", ".join(_command(name, way) for way in possible)
             raise RefusalError("unknown_outcome", f"{command} does not name an ending; choose from {ways}.")
         change = possible[ending]
-        return Step(
+        return TrialStep(
             command=_command(name, ending),
             decision=ending if ending in ("failed", "unknown") else "accepted",
             effects=change.effects if change is not None else (),

@@ -27,7 +27,7 @@ How = Literal["", "refuses", "raises", "late", "silent"]
 FAILURES: tuple[How, ...] = ("refuses", "raises", "late")
 
 
-class Move(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+class TourCommand(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One command of a tour and its expected result.
 
     Attributes:
@@ -76,8 +76,8 @@ class Tour:
         wanted: All moves that a tour has to make.
     """
 
-    stretches: list[list[Move]]
-    wanted: list[Move]
+    stretches: list[list[TourCommand]]
+    wanted: list[TourCommand]
 
 
 def plan_tour(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> Tour:
@@ -94,7 +94,7 @@ def plan_tour(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> Tour:
     ways = {joint: exits(there) for joint, there in moves.items()}
     left = {joint: deque(sorted(there, key=_leaves)) for joint, there in moves.items()}
     start = here = joint_of(blueprint, blueprint.initial())
-    stretches: list[list[Move]] = [[]]
+    stretches: list[list[TourCommand]] = [[]]
     while left:
         path = shortest_path(ways.__getitem__, here, left)
         if path is None:
@@ -112,7 +112,9 @@ def plan_tour(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> Tour:
     return Tour(stretches, [move for there in moves.values() for move in there])
 
 
-def shortest_path(ways: Callable[[Joint], list[Move]], here: Joint, goals: Container[Joint]) -> list[Move] | None:
+def shortest_path(
+    ways: Callable[[Joint], list[TourCommand]], here: Joint, goals: Container[Joint]
+) -> list[TourCommand] | None:
     """Return the shortest path from a joint state to one of `goals`, or None.
 
     Args:
@@ -120,12 +122,12 @@ def shortest_path(ways: Callable[[Joint], list[Move]], here: Joint, goals: Conta
         here: The first joint state.
         goals: Joint states.
     """
-    came: dict[Joint, Move | None] = {here: None}
+    came: dict[Joint, TourCommand | None] = {here: None}
     waiting = deque([here])
     while waiting:
         joint = waiting.popleft()
         if joint in goals:
-            path: list[Move] = []
+            path: list[TourCommand] = []
             while (move := came[joint]) is not None:
                 path.append(move)
                 joint = move.before
@@ -137,16 +139,16 @@ def shortest_path(ways: Callable[[Joint], list[Move]], here: Joint, goals: Conta
     return None
 
 
-def exits(moves: Iterable[Move]) -> list[Move]:
+def exits(moves: Iterable[TourCommand]) -> list[TourCommand]:
     """Return one move to each other joint state, if possible one that succeeds."""
-    found: dict[Joint, Move] = {}
+    found: dict[Joint, TourCommand] = {}
     for move in sorted(moves, key=lambda move: move.decision != "accepted"):
         if _leaves(move):
             found.setdefault(move.after, move)
     return list(found.values())
 
 
-def all_moves(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> dict[Joint, list[Move]]:
+def all_moves(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> dict[Joint, list[TourCommand]]:
     """Return, for each reachable joint state, every command of every tour there.
 
     Args:
@@ -168,8 +170,8 @@ def all_moves(blueprint: Blueprint, limit: int = MAX_JOINT_STATES) -> dict[Joint
 
 def _moves(
     blueprint: Blueprint, joint: Joint, branch: str, operation: str, spec: OperationSpec, ruling: Ruling
-) -> Iterator[Move]:
-    command = Move(branch=branch, operation=operation, ending="rejected", before=joint, after=joint)
+) -> Iterator[TourCommand]:
+    command = TourCommand(branch=branch, operation=operation, ending="rejected", before=joint, after=joint)
     if spec.iio or spec.event:
         code = "internal_operation" if spec.iio else "event_operation"
         yield msgspec.structs.replace(command, code=code)
@@ -186,7 +188,7 @@ def _moves(
         yield from _at_steps(ended, list(dict.fromkeys(spec.steps)))
 
 
-def _at_steps(move: Move, steps: list[str]) -> Iterator[Move]:
+def _at_steps(move: TourCommand, steps: list[str]) -> Iterator[TourCommand]:
     """Return a failure or doubt at every step, in every way."""
     if move.decision == "accepted":
         yield move
@@ -200,5 +202,5 @@ def _after(blueprint: Blueprint, joint: Joint, change: Change | None) -> Joint:
     return joint if change is None else joint_of(blueprint, change.states)
 
 
-def _leaves(move: Move) -> bool:
+def _leaves(move: TourCommand) -> bool:
     return move.after != move.before

@@ -59,7 +59,7 @@ output_option = click.option(
 )
 
 
-class Source(NamedTuple):
+class SourceFile(NamedTuple):
     """A file that was read.
 
     Attributes:
@@ -73,7 +73,7 @@ class Source(NamedTuple):
     folder: Path | None
 
 
-def fetch(file: str) -> Source:
+def fetch(file: str) -> SourceFile:
     """Return the bytes of a file, with its origin.
 
     Args:
@@ -84,9 +84,9 @@ def fetch(file: str) -> Source:
     """
     try:
         if file == "-":
-            return Source(_standard_input(), "<stdin>", None)
+            return SourceFile(_standard_input(), "<stdin>", None)
         path = _installed(file) if file.isidentifier() else Path(file)
-        return Source(read_bounded(path), printable(str(path)), path.parent)
+        return SourceFile(read_bounded(path), printable(str(path)), path.parent)
     except (OSError, ValueError) as error:  # a ValueError for a text that cannot be a path
         reason = error.strerror if isinstance(error, OSError) else str(error)
         raise ConfigurationError(f"{printable(file)} cannot be read: {reason}.", file=file) from None
@@ -97,7 +97,7 @@ def printable(text: str) -> str:
     return text.encode(errors="backslashreplace").decode()
 
 
-def read(file: str) -> Source:
+def read(file: str) -> SourceFile:
     """Return the bytes of a file, with its origin, or end the command if it cannot be read."""
     try:
         return fetch(file)

@@ -18,7 +18,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.fsm.behaviour import line_of
 
 if TYPE_CHECKING:
-    from pcmrs.authoring.trial.session import SimulationSession, Step
+    from pcmrs.authoring.trial.session import SimulationSession, TrialStep
 
 HELP = """\
 <number>                    ask for that line of the list
@@ -49,7 +49,7 @@ def simulate(file: str, count: int | None, seed: int, as_json: bool) -> None:
     from pcmrs.authoring.trial.session import SimulationSession
 
     walk = SimulationSession(sound(file))
-    show: Callable[[Step], None] = _show_json if as_json else _show
+    show: Callable[[TrialStep], None] = _show_json if as_json else _show
     if count is not None:
         for step in walk.random_walk(count, seed):
             show(step)
@@ -57,7 +57,7 @@ def simulate(file: str, count: int | None, seed: int, as_json: bool) -> None:
         _converse(walk, show, tables=not as_json)
 
 
-def _converse(walk: SimulationSession, show: Callable[[Step], None], *, tables: bool) -> None:
+def _converse(walk: SimulationSession, show: Callable[[TrialStep], None], *, tables: bool) -> None:
     """Answer line after line until there are no more; at a terminal every answer ends with the new state."""
     if tables:
         _show_state(walk)
@@ -88,7 +88,7 @@ def _lines() -> Iterator[str]:
         yield line.decode(errors="replace").strip()
 
 
-def _ask(walk: SimulationSession, line: str, show: Callable[[Step], None]) -> None:
+def _ask(walk: SimulationSession, line: str, show: Callable[[TrialStep], None]) -> None:
     try:
         show(walk.ask(_chosen(walk.choices(), int(line)) if line.isdecimal() else line))
     except RefusalError as error:
@@ -130,11 +130,11 @@ def _where(walk: SimulationSession) -> str:
     return line_of(walk.states())
 
 
-def _show_json(step: Step) -> None:
+def _show_json(step: TrialStep) -> None:
     say_json(step)
 
 
-def _show(step: Step) -> None:
+def _show(step: TrialStep) -> None:
     click.echo(f"{step.command}: {step.decision}")
     for line in step.lines():
         click.echo(f"    {line}")

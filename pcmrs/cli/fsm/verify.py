@@ -17,7 +17,7 @@ from pcmrs.extras import missing_module
 from pcmrs.fsm.finding import unreadable_file
 
 if TYPE_CHECKING:
-    from pcmrs.fsm import Examination
+    from pcmrs.fsm import BlueprintExamination
     from pcmrs.fsm.rules.declared import KnownHazards
 
 
@@ -46,14 +46,14 @@ def verify(files: tuple[str, ...], limit: int, as_json: bool) -> None:
         sys.exit(EXIT_UNSOUND)
 
 
-def _examine(file: str, limit: int) -> tuple[str, Examination]:
-    from pcmrs.fsm import Examination, examine
+def _examine(file: str, limit: int) -> tuple[str, BlueprintExamination]:
+    from pcmrs.fsm import BlueprintExamination, examine
 
     try:
         raw, origin, folder = fetch(file)
     except ConfigurationError as error:
         origin = printable(file)
-        return origin, Examination(None, [unreadable_file(origin, error.text)])
+        return origin, BlueprintExamination(None, [unreadable_file(origin, error.text)])
     with search_bar(origin) as progress:
         return origin, examine(raw, origin=origin, folder=folder, limit=limit, progress=progress, known=_known(raw))
 
@@ -73,7 +73,7 @@ def _known(raw: bytes) -> KnownHazards | None:
     return placement_registry().known
 
 
-def _as_object(origin: str, examination: Examination) -> dict[str, Any]:
+def _as_object(origin: str, examination: BlueprintExamination) -> dict[str, Any]:
     return {
         "file": origin,
         "readable": examination.readable,
@@ -85,7 +85,7 @@ def _as_object(origin: str, examination: Examination) -> dict[str, Any]:
     }
 
 
-def _show(origin: str, examination: Examination) -> None:
+def _show(origin: str, examination: BlueprintExamination) -> None:
     for warning in examination.warnings:
         say(warning.heading, err=True)
     if examination.blueprint is not None and examination.sound:

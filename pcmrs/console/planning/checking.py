@@ -8,7 +8,7 @@ from typing import Any
 from nicegui import ui
 
 from pcmrs.client import Client
-from pcmrs.console.feed import Feed
+from pcmrs.console.live_feed import LiveFeed
 from pcmrs.console.texts import Texts
 from pcmrs.errors import PcmrsError
 from pcmrs.messages import DryRunResult
@@ -30,7 +30,7 @@ class PlanCheck:
         texts: Texts in the language of the page.
     """
 
-    def __init__(self, feed: Feed, setup: Setup, texts: Texts) -> None:
+    def __init__(self, feed: LiveFeed, setup: Setup, texts: Texts) -> None:
         self._feed, self._texts = feed, texts
         self._may_ask = setup.role in COMMANDING
         self._wanted: Requests | None = None

@@ -9,8 +9,8 @@ from nicegui import ui
 
 from pcmrs.console.choices import Choice
 from pcmrs.console.command_sender import CommandSender
-from pcmrs.console.feed import Feed
 from pcmrs.console.geometry import vertices_of
+from pcmrs.console.live_feed import LiveFeed
 from pcmrs.console.planning.canvas import Canvas
 from pcmrs.console.planning.checking import PlanCheck, Requests
 from pcmrs.console.planning.draft import Draft, Kind, as_arguments
@@ -57,7 +57,7 @@ class PlanningPanel:
         sender: Sends commands to the daemon.
     """
 
-    def __init__(self, feed: Feed, setup: Setup, blueprint: Blueprint, texts: Texts, sender: CommandSender) -> None:
+    def __init__(self, feed: LiveFeed, setup: Setup, blueprint: Blueprint, texts: Texts, sender: CommandSender) -> None:
         self._sender = sender
         self._operations = operations(blueprint)
         draft = self._draft = Draft(

@@ -20,7 +20,7 @@ Points = list[list[float | None]]
 
 
 @dataclass(frozen=True, slots=True)
-class Response:
+class ChartedResponse:
     """Response to one pulse.
 
     Attributes:
@@ -63,7 +63,7 @@ class EstimatorHistory:
     width: Points
 
 
-def responses(events: Iterable[tuple[float, Verdict | DeviceEvent]]) -> list[Response]:
+def responses(events: Iterable[tuple[float, Verdict | DeviceEvent]]) -> list[ChartedResponse]:
     """Return the responses to the pulses among the decisions, in order."""
     results = (event.result for _, event in events if isinstance(event, Verdict) and event.result is not None)
     return [_response(result) for result in results if "pulse" in result and "mep" in result]
@@ -112,9 +112,9 @@ def _estimate(hunt: MotorThresholdEstimator) -> Estimate:
     return hunt.estimate
 
 
-def _response(result: Mapping[str, Any]) -> Response:
+def _response(result: Mapping[str, Any]) -> ChartedResponse:
     mep = result["mep"]
-    return Response(
+    return ChartedResponse(
         pulse=result["pulse"],
         intensity=result["intensity"],
         microvolts=None if mep is None else 1e6 * mep["peak_to_peak"],

@@ -7,7 +7,7 @@ from math import radians
 from typing import NamedTuple
 
 from pcmrs.console.cell_view_model import CellViewModel
-from pcmrs.console.geometry import placement
+from pcmrs.console.geometry import placement_deviation
 from pcmrs.messages import BodyPose
 from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.workflows.data import as_transform
@@ -43,7 +43,7 @@ class Traces:
         if self.moments and view.now < self.moments[-1].at:
             self.moments.clear()
             self._reference = None
-        found = placement(view.data, coil, body_ref)
+        found = placement_deviation(view.data, coil, body_ref)
         tool = None if found is None else (found.mm[0] / 1000.0, radians(found.degrees))
         self.moments.append(Moment(view.now, tool, self._moved(body_ref)))
         while self.moments[0].at < view.now - SHOWN:

@@ -18,7 +18,7 @@ from typing import Any
 import structlog
 
 from pcmrs.clock import Clock
-from pcmrs.devices.kst.cabinet import JOINTS, Cabinet
+from pcmrs.devices.kst.connection import JOINTS, KstConnection
 from pcmrs.devices.kst.drive import Drive
 from pcmrs.devices.kst.settings import KstSettings
 from pcmrs.devices.motion.force import ForceSettings
@@ -155,7 +155,7 @@ class KstRobot:
         """Open a new connection: nothing of an earlier one is sent, and the reference starts at the measured joints."""
         await self._stop_driving()
         own = self._settings
-        cabinet = await Cabinet.open(own.host, own.port, self._clock, own.connect_timeout, own.reply_timeout)
+        cabinet = await KstConnection.open(own.host, own.port, self._clock, own.connect_timeout, own.reply_timeout)
         try:
             posture = await cabinet.joints()
         except BaseException as error:

@@ -18,7 +18,7 @@ from pcmrs.clock import Clock
 from pcmrs.devices.ndi.poses import FrameReader
 from pcmrs.devices.ndi.process import read_reports
 from pcmrs.devices.ndi.tools import placeholder, read_tools
-from pcmrs.devices.ndi.wire import Job, Ready
+from pcmrs.devices.ndi.wire import Job, TrackerReady
 from pcmrs.devices.tables import check_devices, read_table
 from pcmrs.errors import ConfigurationError, PcmrsError
 from pcmrs.messages import BodyPose
@@ -103,12 +103,12 @@ class NdiTracker:
     async def _connection(self) -> AsyncGenerator[Sequence[BodyPose], None]:
         async with aclosing(read_reports(self._job, self._clock)) as reports:
             async for report in reports:
-                if isinstance(report, Ready):
+                if isinstance(report, TrackerReady):
                     self._ready(report)
                 elif poses := self._reader.poses(report, self._clock.monotonic()):
                     yield poses
 
-    def _ready(self, report: Ready) -> None:
+    def _ready(self, report: TrackerReady) -> None:
         self._reader.restart()
         self.trouble = ""
         version = " ".join(line for line in report.version.splitlines() if line.startswith("Freeze Tag:"))

@@ -10,7 +10,7 @@ import numpy as np
 
 from pcmrs.clock import Clock
 from pcmrs.devices.kst.arm import MeasuredArm
-from pcmrs.devices.kst.cabinet import Cabinet
+from pcmrs.devices.kst.connection import KstConnection
 from pcmrs.devices.kst.settings import KstSettings
 from pcmrs.devices.motion.follower import Follower, brake_limits
 from pcmrs.devices.motion.force import ForceSettings
@@ -41,7 +41,7 @@ class Drive:
     """Follows a reference and streams its set points to the cabinet.
 
     Args:
-        cabinet: Cabinet that was just connected.
+        cabinet: Connection to the cabinet, just opened.
         posture: Measured joints, at which the reference starts, rad, (n,).
         settings: Settings of the stream.
         model: Model of the arm.
@@ -57,7 +57,7 @@ class Drive:
 
     def __init__(
         self,
-        cabinet: Cabinet,
+        cabinet: KstConnection,
         posture: Floats,
         settings: KstSettings,
         model: ArmModel,

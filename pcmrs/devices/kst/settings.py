@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from pcmrs.devices.kst.cabinet import ImpedanceSettings
+from pcmrs.devices.kst.connection import ImpedanceSettings
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Triple = tuple[float, float, float]

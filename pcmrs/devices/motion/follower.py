@@ -6,7 +6,7 @@ from collections import deque
 
 from pcmrs.devices.motion.force import FlangeForce, ForceGuard, ForceSettings
 from pcmrs.devices.motion.limits import check_press, check_trajectory
-from pcmrs.devices.motion.press import Press, Relief
+from pcmrs.devices.motion.press import PressMotion, Relief
 from pcmrs.devices.motion.reference import Reference, SetPoint
 from pcmrs.devices.motion.servo import Servo
 from pcmrs.kinematics.arms import ArmFacts
@@ -64,14 +64,14 @@ class Follower:
         check_trajectory(trajectory, self.reference.position, self._model.facts)
         self._begin(Reference.along(trajectory, self.reference, self._step))
 
-    def press(self, request: PressRequest) -> Press:
+    def press(self, request: PressRequest) -> PressMotion:
         """Start to press; the arm must be at rest.
 
         Raises:
             DeviceError: A value of the request is out of range.
         """
         check_press(request)
-        press = Press(self._model, self.reference.position, request, self._force, self._step)
+        press = PressMotion(self._model, self.reference.position, request, self._force, self._step)
         self._begin(press)
         return press
 

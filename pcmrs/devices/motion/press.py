@@ -27,7 +27,7 @@ RELIEVED = 1.0
 """Force below which the tool stops giving way, N."""
 
 
-class Press(AxisMotion):
+class PressMotion(AxisMotion):
     """Moves along an axis with a speed in proportion to the missing force.
 
     Args:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from pcmrs.devices.ndi.wire import Frame, ToolFrame
+from pcmrs.devices.ndi.wire import NdiFrame, ToolFrame
 from pcmrs.messages import BodyPose
 
 OUT_OF_VOLUME, PARTIALLY_OUT, PORT_INTERFERENCE = 0x040, 0x080, 0x200
@@ -44,7 +44,7 @@ class FrameReader:
         """Continue the frame numbers after the tracker was set up again, if it restarts its count."""
         self._restarted = True
 
-    def poses(self, frame: Frame, now: float) -> list[BodyPose]:
+    def poses(self, frame: NdiFrame, now: float) -> list[BodyPose]:
         """Return the bodies of a new frame; empty for a repeated one.
 
         A frame that should be new but is not gives bodies without a pose, with the reason ``frozen`` or ``reversed``.
@@ -81,11 +81,11 @@ class FrameReader:
         self._behind.clear()
         return True
 
-    def _refuse(self, reason: str, frame: Frame, now: float) -> list[BodyPose]:
+    def _refuse(self, reason: str, frame: NdiFrame, now: float) -> list[BodyPose]:
         self.refused[reason] += 1
         return [self._unseen(tool, frame, now, reason) for tool in frame.tools]
 
-    def _pose(self, tool: ToolFrame, frame: Frame, now: float) -> BodyPose:
+    def _pose(self, tool: ToolFrame, frame: NdiFrame, now: float) -> BodyPose:
         reason = reason_of(tool, frame.system_status, self._max_error)
         if reason is not None or tool.numbers is None:
             return self._unseen(tool, frame, now, reason or "missing")
@@ -101,7 +101,7 @@ class FrameReader:
             error=error_mm / 1000.0,
         )
 
-    def _unseen(self, tool: ToolFrame, frame: Frame, now: float, reason: str) -> BodyPose:
+    def _unseen(self, tool: ToolFrame, frame: NdiFrame, now: float, reason: str) -> BodyPose:
         return BodyPose(
             body=tool.body,
             frame_number=self._offset + tool.frame_number,

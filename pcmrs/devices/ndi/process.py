@@ -10,7 +10,7 @@ from collections.abc import AsyncGenerator
 from contextlib import suppress
 
 from pcmrs.clock import Clock
-from pcmrs.devices.ndi.wire import Failed, Frame, Job, Ready, Unpacker, pack
+from pcmrs.devices.ndi.wire import Failed, Job, NdiFrame, TrackerReady, Unpacker, pack
 from pcmrs.errors import DeviceError
 from pcmrs.killing import kill_and_wait
 
@@ -25,7 +25,7 @@ MODULE = "pcmrs.devices.ndi.reader"
 """Module that the reader process runs."""
 
 
-async def read_reports(job: Job, clock: Clock) -> AsyncGenerator[Ready | Frame, None]:
+async def read_reports(job: Job, clock: Clock) -> AsyncGenerator[TrackerReady | NdiFrame, None]:
     """Start a reader process and yield its reports; the process ends with this iterator.
 
     Args:

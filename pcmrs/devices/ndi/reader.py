@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 import ndicapy
 
 from pcmrs.clock import SystemClock
-from pcmrs.devices.ndi.wire import Failed, Frame, Job, Ready, Report, ToolFrame, pack, read_job
+from pcmrs.devices.ndi.wire import Failed, Job, NdiFrame, Report, ToolFrame, TrackerReady, pack, read_job
 
 SETUP_TIME = 8.0
 """Longest wait for the answer to a set-up command, s: longer than the 5 s that `ndicapi` waits on a serial link."""
@@ -60,7 +60,7 @@ def _reports(job: Job) -> Iterator[Report]:
     version = _command(device, "VER:0")
     _command(device, "TSTART:")
     binary = _is_binary(device)
-    yield Ready(version, binary)
+    yield TrackerReady(version, binary)
     clock = SystemClock()
     while not select.select([sys.stdin], [], [], POLL_TIME)[0]:
         _command(device, "BX:0001" if binary else "TX:0001", ANSWER_TIME)
@@ -149,7 +149,7 @@ def _command(device: Device, command: str, time: float = SETUP_TIME) -> str:
         raise OSError(f"{command.partition(':')[0]} failed: {error}") from None
 
 
-def _frame(device: Device, handles: dict[str, int], binary: bool, arrived: float) -> Frame:
+def _frame(device: Device, handles: dict[str, int], binary: bool, arrived: float) -> NdiFrame:
     if binary:
         transform, status, number = ndicapy.ndiGetBXTransform, ndicapy.ndiGetBXPortStatus, ndicapy.ndiGetBXFrame
         system = ndicapy.ndiGetBXSystemStatus(device)
@@ -162,7 +162,7 @@ def _frame(device: Device, handles: dict[str, int], binary: bool, arrived: float
         numbers = transform(device, port)
         seen = None if isinstance(numbers, str) else numbers
         tools.append(ToolFrame(body, number(device, port), without_sign_extension(status(device, port)), seen))
-    return Frame(arrived, without_sign_extension(system), tools)
+    return NdiFrame(arrived, without_sign_extension(system), tools)
 
 
 def without_sign_extension(status: int) -> int:

@@ -43,7 +43,7 @@ class ToolFrame(msgspec.Struct, frozen=True, array_like=True):
     numbers: tuple[float, float, float, float, float, float, float, float] | None
 
 
-class Frame(msgspec.Struct, frozen=True, tag="frame"):
+class NdiFrame(msgspec.Struct, frozen=True, tag="frame"):
     """All tools in the answer to one poll.
 
     Attributes:
@@ -57,7 +57,7 @@ class Frame(msgspec.Struct, frozen=True, tag="frame"):
     tools: list[ToolFrame]
 
 
-class Ready(msgspec.Struct, frozen=True, tag="ready"):
+class TrackerReady(msgspec.Struct, frozen=True, tag="ready"):
     """The tracker tracks.
 
     Attributes:
@@ -75,7 +75,7 @@ class Failed(msgspec.Struct, frozen=True, tag="failed"):
     text: str
 
 
-Report = Frame | Ready | Failed
+Report = NdiFrame | TrackerReady | Failed
 
 _encoder = msgspec.msgpack.Encoder()
 _decoder = msgspec.msgpack.Decoder(Report)

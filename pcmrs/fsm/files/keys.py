@@ -68,7 +68,7 @@ _STRING = re.compile(
 _SCALAR = re.compile(r"[^\s,\]}#][^,\]}#\n]*")
 
 
-class Key(NamedTuple):
+class TomlKey(NamedTuple):
     """A key of a table, or an element of an array.
 
     Attributes:
@@ -94,7 +94,7 @@ class DepthError(Exception):
         self.at = at
 
 
-def keys_in(text: str) -> list[Key]:
+def keys_in(text: str) -> list[TomlKey]:
     """Return all keys and elements in the order of the text, up to the first place that is not TOML.
 
     Raises:
@@ -112,7 +112,7 @@ class _MalformedError(Exception):
 
 class _Scanner:
     def __init__(self, text: str) -> None:
-        self.found: list[Key] = []
+        self.found: list[TomlKey] = []
         self._text = text
         self._at = 0
         self._lengths: dict[Path, int] = {}  # of arrays of tables
@@ -128,14 +128,14 @@ class _Scanner:
                 start, keys = self._key(0)
                 self._take(_CLOSING)
                 table = self._resolved(keys, new=opening.startswith("[["))
-                self.found.append(Key(start, table, ()))
+                self.found.append(TomlKey(start, table, ()))
             else:
                 self._pair(table, 0)
 
     def _pair(self, above: Path, depth: int) -> None:
         start, keys = self._key(depth)
         path = (*above, *keys)
-        self.found.append(Key(start, path, above))
+        self.found.append(TomlKey(start, path, above))
         self._take(_EQUALS)
         self._value(path, depth + len(keys) + 1)
 
@@ -153,7 +153,7 @@ class _Scanner:
         if first == "[":
             for index in self._items("]"):
                 element = (*path, str(index))
-                self.found.append(Key(self._at, element, path))
+                self.found.append(TomlKey(self._at, element, path))
                 self._value(element, depth + 1)
         elif first == "{":
             for _ in self._items("}"):

@@ -24,7 +24,7 @@ from pcmrs.fsm.verify import MAX_JOINT_STATES, verify
 
 
 @dataclass(frozen=True, slots=True)
-class Examination:
+class BlueprintExamination:
     """Result of reading and verifying a blueprint file.
 
     Attributes:
@@ -104,7 +104,7 @@ def examine(
     limit: int = MAX_JOINT_STATES,
     progress: Callable[[int, int], None] | None = None,
     known: KnownHazards | None = None,
-) -> Examination:
+) -> BlueprintExamination:
     """Read a blueprint, check its rules, and search all its joint states.
 
     Args:
@@ -118,13 +118,13 @@ def examine(
     try:
         blueprint, places, warnings = _read(raw, origin, folder)
     except BlueprintError as error:
-        return Examination(None, error.fields["findings"])
+        return BlueprintExamination(None, error.fields["findings"])
     broken = list(check_rules(blueprint)) or list(check_declared(blueprint, known or KnownHazards()))
     if broken:
-        return Examination(blueprint, with_locations(broken, places), warnings=warnings)
+        return BlueprintExamination(blueprint, with_locations(broken, places), warnings=warnings)
     found = verify(blueprint, limit=limit, progress=progress)
     findings = with_locations(found.findings, places)
-    return Examination(blueprint, findings, found.joint_states, found.transitions, warnings)
+    return BlueprintExamination(blueprint, findings, found.joint_states, found.transitions, warnings)
 
 
 def read_blueprint(raw: bytes, origin: str, folder: FilePath | None = None) -> tuple[Blueprint | None, list[Finding]]:

@@ -9,7 +9,7 @@ from copy import copy
 
 import msgspec
 
-from pcmrs.fsm.files.keys import Key
+from pcmrs.fsm.files.keys import TomlKey
 from pcmrs.fsm.finding import Finding, Path
 
 Spot = tuple[str, int, int]
@@ -25,7 +25,7 @@ class Places:
         origin: Name of the file in findings.
     """
 
-    def __init__(self, text: str, keys: Iterable[Key], origin: str) -> None:
+    def __init__(self, text: str, keys: Iterable[TomlKey], origin: str) -> None:
         self._origin = origin
         self._places: dict[Path, Spot] = {}
         lines = [0, *(match.end() for match in re.finditer("\n", text))]

@@ -9,7 +9,7 @@ from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.verify import hazards, liveness, structure
 from pcmrs.fsm.verify.liveness import TimedOperations
 from pcmrs.fsm.verify.properties import check_properties
-from pcmrs.fsm.verify.search import Progress, TooManyError
+from pcmrs.fsm.verify.search import Progress, SearchLimitError
 from pcmrs.fsm.verify.space import Space
 
 __all__ = ["MAX_JOINT_STATES", "Verification", "verify"]
@@ -62,6 +62,6 @@ def verify(blueprint: Blueprint, *, limit: int = MAX_JOINT_STATES, progress: Pro
         }  # the order of the effects of a broken operation does not matter
         findings += [finding for finding in structure.order(space) if finding.path not in broken]
         findings += check_properties(TimedOperations(space, progress)) if whole else ()
-    except TooManyError as error:
+    except SearchLimitError as error:
         return Verification([Finding(code="too_many_states", text=str(error), path=("branches",))], limit)
     return Verification(findings, len(space.reached), space.taken)

@@ -12,7 +12,7 @@ from pcmrs.fsm.behaviour import line_of
 from pcmrs.fsm.blueprint import OperationSpec
 from pcmrs.fsm.closure import Closure
 from pcmrs.fsm.finding import Finding
-from pcmrs.fsm.verify.decisions import Decision, Decisions
+from pcmrs.fsm.verify.decision_tree import Decision, DecisionTree
 from pcmrs.fsm.verify.encoding import Batch
 from pcmrs.fsm.verify.moments import Moments
 from pcmrs.fsm.verify.search import Progress, SearchBudget, states_leading_to
@@ -44,7 +44,7 @@ class TimedOperations:
         """Return the moments that can occur while these operations are watched.
 
         Raises:
-            TooManyError: There are too many of them.
+            SearchLimitError: There are too many of them.
         """
         return Moments(self.space, observed, self.work)
 
@@ -68,7 +68,7 @@ def stranded(moments: Moments, name: str) -> Iterator[Finding]:
         yield Finding(code="cannot_conclude", text=text, path=path_of(name), commands=moments.path_to(code))
 
 
-def _may_be_denied_at_its_end(operation: Decisions) -> bool:
+def _may_be_denied_at_its_end(operation: DecisionTree) -> bool:
     """Return true if two joint states with the same states of its locked branches may differ in their answer to it."""
     accepted = [decision for decision in operation.known if isinstance(decision.answer, Closure)]
     denied = [decision for decision in operation.known if not isinstance(decision.answer, Closure)]

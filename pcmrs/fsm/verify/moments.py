@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pcmrs.fsm.behaviour import line_of
 from pcmrs.fsm.blueprint import Condition
 from pcmrs.fsm.closure import Closure
-from pcmrs.fsm.verify.decisions import Decision, Decisions
+from pcmrs.fsm.verify.decision_tree import Decision, DecisionTree
 from pcmrs.fsm.verify.encoding import Batch, Encoding
 from pcmrs.fsm.verify.search import Reached, SearchBudget, Visited, search, states_leading_to
 from pcmrs.fsm.verify.space import Ending, Space, check_encodable, digits, endings_of, guard
@@ -46,7 +46,7 @@ class Moments:
         transitions: All transitions between moments.
 
     Raises:
-        TooManyError: The search exceeds the budget, or there are more combinations than can be encoded.
+        SearchLimitError: The search exceeds the budget, or there are more combinations than can be encoded.
     """
 
     def __init__(self, space: Space, observed: frozenset[str], work: SearchBudget) -> None:
@@ -134,7 +134,7 @@ class Moments:
         self._work.spend(len(reached))
         return reached
 
-    def _begins(self, operation: Decisions, decision: Decision) -> list[Transition]:
+    def _begins(self, operation: DecisionTree, decision: Decision) -> list[Transition]:
         """Add the transitions of an operation that begins, or happens at once, where a decision is taken."""
         closure = decision.answer
         if not isinstance(closure, Closure):
@@ -151,7 +151,7 @@ class Moments:
         self.transitions += found
         return found
 
-    def _ends(self, operation: Decisions, decision: Decision) -> None:
+    def _ends(self, operation: DecisionTree, decision: Decision) -> None:
         """Add the transitions of an operation that is watched and ends where a decision is taken."""
         if operation.name not in self._locks or not isinstance(decision.answer, Closure):
             return
@@ -162,7 +162,7 @@ class Moments:
                 found = self._transition(operation, ending, {**where, digit: (held,)}, {digit: 0})
                 self.transitions.append(found)
 
-    def _stays(self, operation: Decisions, decision: Decision) -> list[Transition]:
+    def _stays(self, operation: DecisionTree, decision: Decision) -> list[Transition]:
         """Return the transitions that stand for a watched operation which runs where it is denied."""
         if operation.name not in self._locks or isinstance(decision.answer, Closure):
             return []
@@ -170,7 +170,7 @@ class Moments:
         where = {**guard(self._encoding, decision), digit: tuple(range(1, self._encoding.sizes[digit]))}
         return [self._transition(operation, Ending(operation.name, declared=False, targets={}), where, {})]
 
-    def _free(self, operation: Decisions, locks: Locks) -> dict[int, tuple[int, ...]]:
+    def _free(self, operation: DecisionTree, locks: Locks) -> dict[int, tuple[int, ...]]:
         """Return the values of the other watched operations that do not conflict with these locks."""
         free: dict[int, tuple[int, ...]] = {}
         for name, held in self._locks.items():
@@ -180,7 +180,7 @@ class Moments:
         return free
 
     def _transition(
-        self, operation: Decisions, ending: Ending, where: dict[int, tuple[int, ...]], running: dict[int, int]
+        self, operation: DecisionTree, ending: Ending, where: dict[int, tuple[int, ...]], running: dict[int, int]
     ) -> Transition:
         self._work.spend(COST_OF_TRANSITION)
         intended = ending.declared and (
@@ -191,7 +191,7 @@ class Moments:
         return Transition.of(self._encoding, ending.command, requested, intended, where, targets)
 
 
-def _locks(operation: Decisions) -> set[Locks]:
+def _locks(operation: DecisionTree) -> set[Locks]:
     closures = (decision.answer for decision in operation.known)
     return {(closure.writes, closure.reads) for closure in closures if isinstance(closure, Closure)}
 

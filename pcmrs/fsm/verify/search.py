@@ -37,7 +37,7 @@ class SearchBudget:
         """Subtract so many examined moments, or what takes as long.
 
         Raises:
-            TooManyError: The budget is exhausted.
+            SearchLimitError: The budget is exhausted.
         """
         self._check(moments)
         self._left -= moments
@@ -51,7 +51,7 @@ class SearchBudget:
             known: Moments that it has found.
 
         Raises:
-            TooManyError: The search goes beyond the budget.
+            SearchLimitError: The search goes beyond the budget.
         """
         self._check(known)
         if self._progress is not None:
@@ -60,7 +60,7 @@ class SearchBudget:
     def _check(self, moments: int) -> None:
         if moments > self._left:
             text = f"The properties watch too many joint states and running operations: over {self._limit} moments. "
-            raise TooManyError(f"{text}Reduce the properties of `running`, `leads_to` or Stop, or raise the limit.")
+            raise SearchLimitError(f"{text}Reduce the properties of `running`, `leads_to` or Stop, or raise the limit.")
 
 
 MAX_BITMAP = 2**27
@@ -131,7 +131,7 @@ Progress = Callable[[int, int], None]
 Key = TypeVar("Key", bound=Hashable)
 
 
-class TooManyError(Exception):
+class SearchLimitError(Exception):
     """A search would go beyond its limit; never leaves the package."""
 
 
@@ -217,7 +217,7 @@ def search(
         within: Set that the search may not leave; None for no limit.
 
     Raises:
-        TooManyError: There are more than `limit`.
+        SearchLimitError: There are more than `limit`.
     """
     known = visited(encoding.combinations)
     levels = [np.sort(known.add(initial))]
@@ -232,7 +232,7 @@ def search(
             # After each batch, not each level: one level alone may exceed the memory.
             if found > limit:
                 text = f"There are more than {limit} joint states, which is the limit: "
-                raise TooManyError(f"{text}reduce the branches or states, or raise the limit.")
+                raise SearchLimitError(f"{text}reduce the branches or states, or raise the limit.")
             looked_at += len(batch.codes)
             if progress is not None:
                 progress(looked_at, found)

@@ -11,9 +11,9 @@ import numpy as np
 from pcmrs.fsm.behaviour import endings
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint
 from pcmrs.fsm.closure import Closure
-from pcmrs.fsm.verify.decisions import Decision, Decisions
+from pcmrs.fsm.verify.decision_tree import Decision, DecisionTree
 from pcmrs.fsm.verify.encoding import MAX_COMBINATIONS, Batch, Codes, Encoding, Rows
-from pcmrs.fsm.verify.search import Progress, TooManyError, search
+from pcmrs.fsm.verify.search import Progress, SearchLimitError, search
 from pcmrs.fsm.verify.transition import Transition
 
 MAX_DECISIONS = 10_000
@@ -33,12 +33,12 @@ class Space:
 
     Attributes:
         encoding: Encoding of the joint states.
-        operations: Decisions of every operation that may be asked for from outside.
+        operations: Decision tree of every operation that may be asked for from outside.
         reached: The joint states that can be reached.
         taken: Number of transitions between them: accepted commands, with each of their endings.
 
     Raises:
-        TooManyError: There are more than `limit` joint states, or more combinations than can be encoded or decided on.
+        SearchLimitError: There are more than `limit` joint states, or combinations than can be encoded or decided on.
     """
 
     def __init__(self, blueprint: Blueprint, limit: int, progress: Progress | None = None) -> None:
@@ -49,7 +49,7 @@ class Space:
         # A closure that depends on the order of the branches differs, as a rule, in the reverse order.
         other = msgspec.structs.replace(blueprint, branches=dict(reversed(blueprint.branches.items())))
         self.operations = [
-            Decisions(blueprint, other, self.encoding, name, operation, self._count)
+            DecisionTree(blueprint, other, self.encoding, name, operation, self._count)
             for name, branch in blueprint.branches.items()
             for operation, spec in branch.operations.items()
             if not spec.iio
@@ -65,7 +65,7 @@ class Space:
         """Every transition that can be taken."""
         return [transition for found in self._transitions.values() for transition in found]
 
-    def decisions(self) -> Iterator[tuple[Decisions, Decision]]:
+    def decisions(self) -> Iterator[tuple[DecisionTree, Decision]]:
         """Return every operation with each decision about it that occurs."""
         for operation in self.operations:
             for decision in operation.known:
@@ -87,14 +87,14 @@ class Space:
         self._left -= 1
         if self._left < 0:
             text = "The operations depend on too many combinations of the states of several branches: "
-            raise TooManyError(f"{text}reduce the states, or let commands touch fewer branches.")
+            raise SearchLimitError(f"{text}reduce the states, or let commands touch fewer branches.")
 
     def _following(self, batch: Batch) -> Iterator[Codes]:
         for operation in self.operations:
             for decision, rows in operation.split(batch):
                 yield from self._after(operation, decision, batch, rows)
 
-    def _after(self, operation: Decisions, decision: Decision, batch: Batch, rows: Rows) -> Iterator[Codes]:
+    def _after(self, operation: DecisionTree, decision: Decision, batch: Batch, rows: Rows) -> Iterator[Codes]:
         if decision not in self._transitions:
             self._transitions[decision] = list(self._transitions_of(operation, decision))
         self.taken += len(rows) * len(self._transitions[decision])
@@ -102,7 +102,7 @@ class Space:
             if transition.shift:
                 yield batch.codes[rows] + transition.shift
 
-    def _transitions_of(self, operation: Decisions, decision: Decision) -> Iterator[Transition]:
+    def _transitions_of(self, operation: DecisionTree, decision: Decision) -> Iterator[Transition]:
         where, requested = guard(self.encoding, decision), (operation.branch, operation.operation)
         for ending in endings_of(operation, decision):
             intended = ending.declared and not operation.spec.event
@@ -129,7 +129,7 @@ class Ending:
     targets: dict[str, str]
 
 
-def endings_of(operation: Decisions, decision: Decision) -> Iterator[Ending]:
+def endings_of(operation: DecisionTree, decision: Decision) -> Iterator[Ending]:
     """Return every way the operation may end where the decision is taken; none where it is denied.
 
     Args:
@@ -146,11 +146,11 @@ def check_encodable(encoding: Encoding) -> None:
     """Refuse an encoding with more combinations than a 64-bit integer can tell apart.
 
     Raises:
-        TooManyError: There are more than `MAX_COMBINATIONS`.
+        SearchLimitError: There are more than `MAX_COMBINATIONS`.
     """
     if encoding.combinations > MAX_COMBINATIONS:
         text = "The states of the branches and what runs in them have more than 2^62 combinations: "
-        raise TooManyError(f"{text}reduce the branches, the states, or the operations that properties watch.")
+        raise SearchLimitError(f"{text}reduce the branches, the states, or the operations that properties watch.")
 
 
 def guard(encoding: Encoding, decision: Decision) -> dict[int, tuple[int, ...]]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from pcmrs.fsm.closure import Closure, Denial
 from pcmrs.fsm.finding import Finding
-from pcmrs.fsm.verify.decisions import Decision, Decisions, changes
+from pcmrs.fsm.verify.decision_tree import Decision, DecisionTree, changes
 from pcmrs.fsm.verify.space import Space
 
 UNSOUND = {
@@ -114,12 +114,12 @@ def _is_unsound(decision: Decision) -> bool:
     return isinstance(decision.answer, Denial) and decision.answer.code in UNSOUND
 
 
-def _first_of_each(space: Space, wanted: Callable[[Decision], bool]) -> Iterator[tuple[Decisions, Decision]]:
+def _first_of_each(space: Space, wanted: Callable[[Decision], bool]) -> Iterator[tuple[DecisionTree, Decision]]:
     """Return one wanted decision of each operation that has one."""
     for operation in space.operations:
         yield from ((operation, decision) for decision in [*filter(wanted, operation.known)][:1])
 
 
-def _shown(space: Space, operation: Decisions, decision: Decision, code: str, text: str) -> Finding:
+def _shown(space: Space, operation: DecisionTree, decision: Decision, code: str, text: str) -> Finding:
     commands = (*space.path_to(space.nearest(decision)), operation.name)
     return Finding(code=code, text=text, path=path_of(operation.name), commands=commands)

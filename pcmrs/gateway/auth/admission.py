@@ -11,7 +11,7 @@ from pcmrs.clock import Clock
 from pcmrs.errors import RefusalError
 from pcmrs.gateway.auth.counters import CounterWriter
 from pcmrs.gateway.auth.peers import SignedPeer, authenticate
-from pcmrs.gateway.session import MAX_WAITING, QUEUE_FULL
+from pcmrs.gateway.peer_session import MAX_WAITING, QUEUE_FULL
 from pcmrs.gateway.signing import Signed
 
 KEPT_WITHIN = 1.0

@@ -9,7 +9,7 @@ from pcmrs.bucket import TokenBucket
 from pcmrs.clock import Clock
 from pcmrs.errors import RefusalError
 from pcmrs.gateway.commands import Action, Spec, allowed
-from pcmrs.gateway.session import ReplyChannel, Send
+from pcmrs.gateway.peer_session import ReplyChannel, Send
 from pcmrs.gateway.settings import UNIX_NS, PeerConfig
 from pcmrs.gateway.signing import Signed, read_key, sign_answer
 from pcmrs.messages.identity import Principal

@@ -16,9 +16,9 @@ from pcmrs.dispatcher import DispatcherListener
 from pcmrs.errors import PayloadError
 from pcmrs.gateway.adapter import Core
 from pcmrs.gateway.intake import Intake, source_of
-from pcmrs.gateway.openigtlink.feed import Feed
+from pcmrs.gateway.openigtlink.broadcaster import Broadcaster
 from pcmrs.gateway.openigtlink.peer import KINDS, Peer
-from pcmrs.gateway.openigtlink.planner import Answer, Planner
+from pcmrs.gateway.openigtlink.plan_submitter import Answer, PlanSubmitter
 from pcmrs.gateway.periodic_timer import PeriodicTask, kernel_beats
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.hosts import is_loopback
@@ -64,7 +64,7 @@ class OpenIgtLink(DispatcherListener):
         self._peers: dict[tuple[str, int], Peer] = {}
         self._server: asyncio.Server | None = None
         self._exposed = False
-        self._feed = Feed(core, clock, together=self._config.poses == "TDATA")
+        self._feed = Broadcaster(core, clock, together=self._config.poses == "TDATA")
         self._ticks = PeriodicTask(kernel_beats, self._config.rate_hz, self._tick, tasks)
         core.add_listener(self)
 
@@ -146,8 +146,8 @@ class OpenIgtLink(DispatcherListener):
         host = address[0]
         lock, source = self._intake.lock(host), source_of(LINK, address)
 
-        def planner(answer: Callable[[Answer], None]) -> Planner:
-            return Planner(source, self._core, lock, self._jobs, answer, self._intake.refusals)
+        def planner(answer: Callable[[Answer], None]) -> PlanSubmitter:
+            return PlanSubmitter(source, self._core, lock, self._jobs, answer, self._intake.refusals)
 
         trusted = not self._exposed and host in self._gateway.unsigned_peers
         return Peer(self._config, planner, self._clock.wall, trusted=trusted)

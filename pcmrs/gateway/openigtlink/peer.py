@@ -8,16 +8,16 @@ from typing import Any
 
 from pcmrs.devices.plus.messages import STATUS_EMERGENCY, STATUS_ERROR, STATUS_OK, StatusMessage, text_message
 from pcmrs.errors import PayloadError
-from pcmrs.gateway.commands import Plan
+from pcmrs.gateway.commands import PlanKind
 from pcmrs.gateway.openigtlink import plans
 from pcmrs.gateway.openigtlink.outbox import Outbox
-from pcmrs.gateway.openigtlink.planner import Answer, Planner
+from pcmrs.gateway.openigtlink.plan_submitter import Answer, PlanSubmitter
 from pcmrs.gateway.settings import OpenIgtLinkConfig
 
 KINDS = ("TRANSFORM", "POINT", "STRING")
 STOP = "stop"
 
-Plans = Callable[[Callable[[Answer], None]], Planner]
+Plans = Callable[[Callable[[Answer], None]], PlanSubmitter]
 
 
 class Peer:
@@ -41,7 +41,7 @@ class Peer:
         self._planner = planner(self._take_answer)
         self._wall = wall
         self._trusted = trusted
-        self._last: dict[Plan, object] = {}
+        self._last: dict[PlanKind, object] = {}
         self._wrong: Answer | None = None
         self._latched = False
 
@@ -57,10 +57,10 @@ class Peer:
             self._planner.stop()
         elif kind == "TRANSFORM" and name == self._config.target:
             matrix = message.matrix.tolist()
-            self._plan(Plan.POSE, repr(matrix), partial(plans.target, matrix))
+            self._plan(PlanKind.POSE, repr(matrix), partial(plans.target, matrix))
         elif kind == "POINT" and name == self._config.landmarks:
             points = message.positions, message.names
-            self._plan(Plan.LANDMARKS, repr(points), partial(plans.landmarks, *points))
+            self._plan(PlanKind.LANDMARKS, repr(points), partial(plans.landmarks, *points))
 
     def halt(self) -> None:
         """Reject the commands that wait, because of Stop."""
@@ -78,7 +78,7 @@ class Peer:
             status = StatusMessage(STATUS_OK, **self._header("PcmrsStatus"))
         self.outbox.put_pose("PcmrsStatus", status.pack())
 
-    def _plan(self, kind: Plan, content: str, arguments: Callable[[], dict[str, Any]]) -> None:
+    def _plan(self, kind: PlanKind, content: str, arguments: Callable[[], dict[str, Any]]) -> None:
         """Submits a plan if it has changed: Slicer resends a node whenever it is touched."""
         self._check_trusted()
         if self._last.get(kind) == content:

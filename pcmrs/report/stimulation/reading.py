@@ -10,7 +10,7 @@ import msgspec
 from pcmrs.analysis.session import Phase, PlacementRecord, PulseRecord, RefusalRecord, RegistrationRecord
 from pcmrs.errors import JournalError
 from pcmrs.messages import BlueprintTag, Epoch, PoseMessage
-from pcmrs.report.session_journal import CONFIRM, Outcome, SessionJournal, operation_name, source_without_port
+from pcmrs.report.session_journal import CONFIRM, JournalledOutcome, SessionJournal, operation_name, source_without_port
 from pcmrs.spatial import Transform
 from pcmrs.tms.hotspot import HotspotSearch
 from pcmrs.tms.settings import Estimate, Hotspot
@@ -132,7 +132,7 @@ class StimulationSession:
     def _onset(self, monotonic: float) -> float:
         return monotonic - self._first.monotonic
 
-    def _pulse(self, outcome: Outcome) -> PulseRecord:
+    def _pulse(self, outcome: JournalledOutcome) -> PulseRecord:
         data = outcome.data
         response = msgspec.convert(data["response"], Response)
         epoch = data.get("epoch")
@@ -151,7 +151,7 @@ class StimulationSession:
             epoch=None if epoch is None else msgspec.convert(epoch, Epoch),
         )
 
-    def _placement(self, outcome: Outcome, tre: float | None) -> PlacementRecord:
+    def _placement(self, outcome: JournalledOutcome, tre: float | None) -> PlacementRecord:
         result = outcome.result
         return PlacementRecord(
             onset=self._onset(outcome.row.monotonic),
@@ -162,7 +162,7 @@ class StimulationSession:
             tre_mm=None if tre is None else 1e3 * tre,
         )
 
-    def _refusal(self, outcome: Outcome) -> RefusalRecord:
+    def _refusal(self, outcome: JournalledOutcome) -> RefusalRecord:
         return RefusalRecord(
             onset=self._onset(outcome.row.monotonic),
             operation=outcome.name,

@@ -31,7 +31,7 @@ ENDING_TIME = 2.0
 """Limit for its process to end after the last sign of life before it is killed, s."""
 
 
-class Heart(Protocol):
+class BeatSender(Protocol):
     """Sends beats.
 
     Attributes:
@@ -55,7 +55,7 @@ class LoopHeart:
         clock: The machine's.
 
     Attributes:
-        session: See `Heart`.
+        session: See `BeatSender`.
     """
 
     def __init__(self, publish: Callable[[str, Beat], None], clock: Clock) -> None:
@@ -84,7 +84,7 @@ class HeartProcess:
         device_key: Key of daemon and nodes to seal their messages.
 
     Attributes:
-        session: See `Heart`.
+        session: See `BeatSender`.
         report: Takes the event that the process has ended by itself.
     """
 

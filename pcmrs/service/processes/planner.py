@@ -35,7 +35,7 @@ PAUSE = 10.0
 
 
 class PlanningProcess:
-    """Asks the checks that take long in a child process; implements `pcmrs.dispatcher.execution.Planner`.
+    """Asks the checks that take long in a child process; implements `pcmrs.dispatcher.execution.MotionChecker`.
 
     A process that has ended, or does not answer in time, is restarted. Until the new one is ready, and for requests to
     the old one, the answer is a refusal: ``planner_lost`` or ``planner_late``.
@@ -59,7 +59,7 @@ class PlanningProcess:
         self._process: asyncio.subprocess.Process | None = None
 
     async def check(self, run: Run[Cell, PlacementData]) -> Reason | None:
-        """See `Planner`; the present joints must be those of the plan."""
+        """See `MotionChecker`; the present joints must be those of the plan."""
         request = request_of(run)
         try:
             answer = await self._ask(request, f"{request.command.branch}.{request.command.operation}")

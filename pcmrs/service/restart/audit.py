@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 import structlog
 
-from pcmrs.journal import Verification
+from pcmrs.journal import JournalVerification
 from pcmrs.killing import kill_and_wait
 from pcmrs.messages import DeviceEvent
 
@@ -47,7 +47,7 @@ async def audit(journal: Path, report: Callable[[DeviceEvent], None]) -> None:
     report(DeviceEvent(device="daemon", code="journal_damaged", text=text, fields=fields))
 
 
-async def _verified(journal: Path) -> Verification:
+async def _verified(journal: Path) -> JournalVerification:
     process = await asyncio.create_subprocess_exec(
         sys.executable,
         "-m",
@@ -68,4 +68,4 @@ async def _verified(journal: Path) -> Verification:
     finally:
         if process.returncode is None:
             await kill_and_wait(process)
-    return msgspec.json.decode(output, type=Verification)
+    return msgspec.json.decode(output, type=JournalVerification)

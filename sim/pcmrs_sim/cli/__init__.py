@@ -10,8 +10,8 @@ COMMANDS = {
     "cell": "pcmrs_sim.cli.commands:cell",
     "kst": "pcmrs_sim.cli.commands:kst",
     "ndi": "pcmrs_sim.cli.commands:ndi",
-    "muscle": "pcmrs_sim.lsl.command:muscle",
-    "faults": "pcmrs_sim.cli.faults:faults",
+    "muscle": "pcmrs_sim.cli.muscle:muscle",
+    "faults": "pcmrs_sim.cli.commands:faults",
 }
 
 
@@ -20,6 +20,6 @@ COMMANDS = {
 def main() -> None:
     """Virtual devices that speak the protocols of real ones: KUKA cabinet, tracker, muscle.
 
-    Drivers of real devices connect to them; faults are typed, or scheduled, while they run. Simulated devices only:
+    Drivers of real devices connect to them. Type or schedule faults while they run. These are simulated devices only:
     nothing here has been compared with hardware.
     """

@@ -1,14 +1,9 @@
-"""Lines that change a running cell: faults, and what the person with the pointer does."""
+"""Lines that change a running cell: faults, and acts of the person with the pointer."""
 
 from __future__ import annotations
 
 import asyncio
 import math
-import signal
-import sys
-import threading
-from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import cast
 
@@ -16,107 +11,107 @@ import click
 
 from pcmrs.errors import ConfigurationError, PcmrsError
 from pcmrs.messages import LandmarkPrompt
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
+from pcmrs_sim.cli.terminal import forward_lines
 from pcmrs_sim.faults import inject, parse_fault
 from pcmrs_sim.pointer import SimPointer
 
-HAND = ("touch", "touch_surface", "release")
-"""What the person can be told: ``touch 0`` for the first landmark, ``touch_surface``, ``release``."""
+POINTER_WORDS = ("touch", "touch_surface", "release")
+"""Words for the person with the pointer: ``touch 0`` for the first landmark, ``touch_surface``, ``release``."""
 
 Schedule = list[tuple[float, str]]
-"""Seconds from the start, and the line for then."""
+"""Times from the start, s, each with the line that is due then."""
 
 
 def check_line(line: str) -> None:
-    """Accepts a line that a cell could act on.
+    """Check that a line names a fault, or begins with a word for the person with the pointer.
+
+    Args:
+        line: The line. It must hold at least one word.
 
     Raises:
-        PcmrsError: It is neither a fault nor anything for the person.
+        PcmrsError: It does neither.
     """
-    if line.split()[0] not in HAND:
+    if line.split()[0] not in POINTER_WORDS:
         parse_fault(line)
 
 
-async def act(cell: Cell, line: str) -> None:
-    """Acts on a line.
+async def apply_line(cell: CellSimulation, line: str) -> None:
+    """Inject a fault, or move the pointer, as a line says.
+
+    Args:
+        cell: The running cell.
+        line: The line. It must hold at least one word.
 
     Raises:
-        PcmrsError: It cannot be done.
+        PcmrsError: The line is wrong, or the cell refuses.
     """
     word, *rest = line.split()
-    if word in HAND:
-        await _move_hand(cell, word, rest)
+    if word in POINTER_WORDS:
+        await _move_pointer(cell, word, rest)
     else:
         inject(cell, *parse_fault(line))
 
 
 def read_schedule(file: Path) -> Schedule:
-    """A schedule from a file with lines such as ``5.0 occlude coil``; ``#`` begins a comment.
+    """Read a schedule, in the order of time, from lines such as ``5.0 occlude coil``; ``#`` begins a comment.
+
+    Args:
+        file: File in UTF-8. Times are in s from the start.
 
     Raises:
-        ConfigurationError: A line is none; its number is named.
+        ConfigurationError: A line is wrong; the error names its number.
     """
-    found = []
+    schedule = []
     for number, text in enumerate(file.read_text(encoding="utf-8").splitlines(), start=1):
         if line := text.partition("#")[0].strip():
             try:
                 time, _, action = line.partition(" ")
                 check_line(action)
-                found.append((_seconds(time), action))
+                schedule.append((_parse_seconds(time), action))
             except (PcmrsError, ValueError, IndexError) as error:
                 reason = error.text if isinstance(error, PcmrsError) else "write: seconds, then a fault"
                 raise ConfigurationError(f"{file}, line {number}: {reason}", file=str(file), line=number) from None
-    return sorted(found)
+    return sorted(schedule)
 
 
-def _seconds(word: str) -> float:
+def _parse_seconds(word: str) -> float:
     seconds = float(word)
     if not 0.0 <= seconds < math.inf:
         raise ConfigurationError(f"the time is {word}; it must be 0 s or later from the start")
     return seconds
 
 
-async def follow_schedule(cell: Cell, schedule: Schedule) -> None:
-    """Acts on every line when its time has come."""
+async def follow_schedule(cell: CellSimulation, schedule: Schedule) -> None:
+    """Apply each line of a schedule when it is due, and print errors to standard error.
+
+    Args:
+        cell: The running cell, in whose time the schedule runs.
+        schedule: Lines in the order of time.
+    """
     start = cell.clock.monotonic()
     for time, line in schedule:
         await cell.clock.sleep(start + time - cell.clock.monotonic())
-        await try_line(cell, line)
+        await _try_line(cell, line)
 
 
-async def follow_input(cell: Cell) -> None:
-    """Acts on the lines of standard input, one after the other, until it ends."""
+async def follow_input(cell: CellSimulation) -> None:
+    """Apply the lines of standard input, one after the other, until cancelled."""
     lines: asyncio.Queue[str] = asyncio.Queue()
-    loop = asyncio.get_running_loop()
-    _read_in_thread(lambda line: loop.call_soon_threadsafe(lines.put_nowait, line))
+    forward_lines(lines.put_nowait)
     while True:
-        await try_line(cell, await lines.get())
+        await _try_line(cell, await lines.get())
 
 
-async def try_line(cell: Cell, line: str) -> None:
-    """Acts on a line; what cannot be done is said on standard error."""
-    if not line.strip():
-        return
+async def _try_line(cell: CellSimulation, line: str) -> None:
+    """Apply a line, and print an error to standard error."""
     try:
-        await act(cell, line)
+        await apply_line(cell, line)
     except PcmrsError as error:
         click.echo(error.text, err=True)
 
 
-def _read_in_thread(take: Callable[[str], object]) -> None:
-    """Standard input may be a terminal, a pipe or a file, and only a thread can wait for all of them."""
-
-    def read() -> None:
-        with suppress(RuntimeError, OSError):  # the loop has ended; the terminal listens to somebody else
-            for line in sys.stdin:
-                take(line)
-
-    # In the background of a shell ("pcmrs-sim cell &") reading from the terminal would stop the whole process.
-    signal.signal(signal.SIGTTIN, signal.SIG_IGN)
-    threading.Thread(target=read, name="standard input", daemon=True).start()
-
-
-async def _move_hand(cell: Cell, word: str, rest: list[str]) -> None:
+async def _move_pointer(cell: CellSimulation, word: str, rest: list[str]) -> None:
     pointer = cast(SimPointer, cell.devices["pointer"])
     if word == "release":
         await pointer.release()

@@ -18,36 +18,40 @@ host_option = click.option("--host", default="127.0.0.1", show_default=True, hel
 
 
 def world_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Adds which world there is, and for how long.
+    """Add the options of the simulated world to a command, which then gets their result.
 
     The command gets `settings`, `schedule`, `duration` and `as_json`.
     """
 
     @functools.wraps(function)
-    def command(*, seed: int, phantom: str, model: str, overrides: tuple[str, ...], **given: Any) -> Any:
+    def command(*, seed: int, phantom: str, model: str, overrides: tuple[str, ...], **options: Any) -> Any:
         settings: dict[str, Any] = {"sim": {"seed": seed, "phantom": phantom}, "robot": {"model": model}}
         values: dict[str, Any] = {}
         set_values(values, overrides)
-        # The arm does not guard the force by itself: that is the driver's, as on a real arm.
-        return function(settings=merge_tables(merge_tables(settings, values), {"robot": {"driver": "kst"}}), **given)
+        # As on a real arm, the driver guards the force, and not the arm itself.
+        return function(settings=merge_tables(merge_tables(settings, values), {"robot": {"driver": "kst"}}), **options)
 
     for option in (
-        click.option("--json", "as_json", is_flag=True, help="Say where it listens as one line of JSON."),
-        click.option("--duration", type=Finite(min=0.0), metavar="S", help="End after so many seconds."),
+        click.option("--json", "as_json", is_flag=True, help="Print the addresses as one line of JSON."),
+        click.option("--duration", type=Finite(min=0.0), metavar="S", help="End after this time, s."),
         click.option(
             "--schedule",
             type=click.Path(exists=True, dir_okay=False, path_type=Path),
             metavar="FILE",
-            help="Faults to come: lines such as '5.0 occlude coil'.",
+            help="File of faults: lines such as '5.0 occlude coil' (time in s, then the fault).",
         ),
         click.option(
-            "--set", "overrides", multiple=True, metavar="KEY=VALUE", help="As of pcmrs-serve: sim.tracker.rate_hz=20."
+            "--set",
+            "overrides",
+            multiple=True,
+            metavar="KEY=VALUE",
+            help="A setting, such as sim.tracker.rate_hz=20.",
         ),
-        click.option("--model", default="iiwa14", show_default=True, help="The arm."),
+        click.option("--model", default="iiwa14", show_default=True, help="Model of the arm."),
         click.option(
-            "--phantom", type=click.Choice(["head", "femur"]), default="head", show_default=True, help="The body."
+            "--phantom", type=click.Choice(["head", "femur"]), default="head", show_default=True, help="Body part."
         ),
-        click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of all errors."),
+        click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of all errors."),
     ):
         command = option(command)
     return command

@@ -1,9 +1,8 @@
-"""One world, its virtual devices, and what is typed meanwhile."""
+"""One simulated world, its virtual devices, and the lines that change it while it runs."""
 
 from __future__ import annotations
 
 import asyncio
-import signal
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import AbstractAsyncContextManager, AsyncExitStack
@@ -16,27 +15,35 @@ import msgspec
 from pcmrs.cli.log import log_to_stderr
 from pcmrs.clock import SystemClock
 from pcmrs.errors import DeviceError
-from pcmrs_sim.cell import Cell, running_cell
+from pcmrs_sim.cell import CellSimulation, running_cell
 from pcmrs_sim.cli.lines import follow_input, follow_schedule, read_schedule
+from pcmrs_sim.cli.terminal import termination
 
 Address = tuple[str, int] | str
 """Host and port, or the path of a pseudo-terminal."""
-Servers = Mapping[str, Callable[[Cell], AbstractAsyncContextManager[Address]]]
-"""Name of each virtual device to what serves it."""
+Servers = Mapping[str, Callable[[CellSimulation], AbstractAsyncContextManager[Address]]]
+"""Name of each virtual device to the function that serves it."""
 
 
 async def serve(
     servers: Servers, settings: Mapping[str, Any], schedule: Path | None, duration: float | None, *, as_json: bool
 ) -> None:
-    """Serves until SIGTERM, SIGINT or the end of the time given.
+    """Serve virtual devices until SIGTERM, SIGINT, or the end of a time.
+
+    Args:
+        servers: The devices to serve.
+        settings: The whole configuration.
+        schedule: File of faults; None for none. See `pcmrs_sim.cli.lines.read_schedule`.
+        duration: Time after which it ends, s; None for no end.
+        as_json: Print the addresses as JSON and not as text.
 
     Raises:
         ConfigurationError: A setting or a line of the schedule is wrong.
         DeviceError: A port is taken.
     """
     log_to_stderr()
-    planned = read_schedule(schedule) if schedule else []
-    ended = _ended()
+    lines = read_schedule(schedule) if schedule else []
+    ended = termination()
     async with AsyncExitStack() as stack:
         cell = await stack.enter_async_context(running_cell(settings, SystemClock()))
         addresses = {}
@@ -45,9 +52,9 @@ async def serve(
         click.echo(msgspec.json.encode(addresses).decode() if as_json else _text(addresses))
         sys.stdout.flush()
         async with asyncio.TaskGroup() as tasks:
-            lines = [tasks.create_task(follow_schedule(cell, planned)), tasks.create_task(follow_input(cell))]
+            following = [tasks.create_task(follow_schedule(cell, lines)), tasks.create_task(follow_input(cell))]
             await _wait(ended, duration)
-            for task in lines:
+            for task in following:
                 task.cancel()
 
 
@@ -64,14 +71,7 @@ async def _wait(ended: asyncio.Event, duration: float | None) -> None:
         async with asyncio.timeout(duration):
             await ended.wait()
     except TimeoutError:
-        pass  # its time is over
-
-
-def _ended() -> asyncio.Event:
-    ended = asyncio.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        asyncio.get_running_loop().add_signal_handler(number, ended.set)
-    return ended
+        pass  # the requested duration is over
 
 
 def _text(addresses: Mapping[str, Address]) -> str:

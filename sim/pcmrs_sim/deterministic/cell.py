@@ -27,31 +27,31 @@ from pcmrs_sim.deterministic.network import Endpoint, Network
 
 DRIVER = "sim"
 SIMULATIONS = "pcmrs.simulations"
-"""Group of the entry points that open devices in the process that asks, as simulated time needs it."""
+"""Group of entry points that open devices in the calling process. Simulated time needs all devices in one process."""
 NODE, DAEMON = "node", "daemon"
-NOTICED = 0.005
-"""The end of a node's process is noticed by its daemon after this, s."""
+EXIT_NOTICE_TIME = 0.005
+"""Time after which the daemon notices that the node's process has ended, s."""
 
 Devices = Mapping[str, Any]
 
 
 class SimulatedCell:
-    """Use `simulated_cell`.
+    """A daemon, a device node and the simulated devices. Open one with `simulated_cell`.
 
     Args:
-        network: Between its processes.
+        network: Network between its processes.
         settings: The whole configuration; all devices are simulated ones.
-        workflow: The procedure, as opened.
+        workflow: The opened procedure.
         devices: The opened devices, as the node serves them.
-        path: Of the journal.
-        observe: Called with dispatcher and journal of every run of the daemon before anything is decided.
+        path: Journal file.
+        observe: Called with the dispatcher and the journal of each run of the daemon, before its first decision.
 
     Attributes:
-        network: Between its processes.
-        clock: Of the daemon's host.
-        disk: Under the journal.
+        network: Network between its processes.
+        clock: Clock of the daemon's host.
+        disk: Disk that holds the journal.
         devices: The opened devices.
-        daemon: The present run of the daemon; None while there is none.
+        daemon: The present run of the daemon; None while no daemon runs.
     """
 
     def __init__(
@@ -75,7 +75,11 @@ class SimulatedCell:
         self._observe = observe
 
     async def start_daemon(self) -> None:
-        """Starts the daemon on the journal as it is; returns when it takes commands."""
+        """Start the daemon on the existing journal, unless it runs; return when it takes commands.
+
+        Raises:
+            PcmrsError: The daemon cannot start.
+        """
         if self.daemon is None:
             link = self.network.endpoint(DAEMON)
             self.daemon = SimulatedDaemon(
@@ -84,26 +88,31 @@ class SimulatedCell:
             await self.daemon.start()
 
     async def crash_daemon(self) -> None:
-        """Ends the daemon as SIGKILL does."""
+        """End the daemon as SIGKILL does."""
         daemon, self.daemon = self.daemon, None
         if daemon is not None:
             await daemon.crash()
 
     async def end_daemon(self) -> None:
-        """Ends the daemon as SIGTERM does."""
+        """End the daemon as SIGTERM does."""
         daemon, self.daemon = self.daemon, None
         if daemon is not None:
             await daemon.end()
 
     def hold_up(self, process: str, seconds: float) -> None:
-        """The loop of a process, ``daemon`` or ``node``, does nothing for so long, s."""
+        """Stall the event loop of a process.
+
+        Args:
+            process: ``daemon`` or ``node``.
+            seconds: Length of the stall, s.
+        """
         if process == NODE and self._node is not None:
             self._node.hold_up(seconds)
         elif process == DAEMON and self.daemon is not None:
             self.daemon.link.hold_up(seconds)
 
     def start_node(self) -> None:
-        """Starts the process that serves the devices."""
+        """Start the process that serves the devices, unless it runs."""
         if self._node is None:
             link = self._node = self.network.endpoint(NODE)
             clock = SimulatedClock(asyncio.get_running_loop())
@@ -112,15 +121,16 @@ class SimulatedCell:
             link.spawn(node.run())
 
     async def crash_node(self) -> None:
-        """Ends the node as SIGKILL does; the devices live on, and the arm brakes by itself as its link is gone."""
+        """End the node as SIGKILL does. The devices continue; the arm brakes by itself because its link is gone."""
         link, self._node = self._node, None
         if link is None:
             return
         link.leave()
+        # The arm brakes as if its link broke. The link is restored for the next node.
         await self.devices["scene"].cut_robot(True)
         await link.ended()
         await self.devices["scene"].cut_robot(False)
-        await asyncio.sleep(NOTICED)
+        await asyncio.sleep(EXIT_NOTICE_TIME)
         if self.daemon is not None:
             self.daemon.lose([name for name in self.devices if name != "scene"])
 
@@ -136,16 +146,19 @@ async def simulated_cell(
     watched: Callable[[Devices], Devices] = lambda devices: devices,
     observe: Observe = lambda *_: None,
 ) -> AsyncIterator[SimulatedCell]:
-    """A cell that takes commands, in the simulated time of the running loop.
+    """Open a cell in the simulated time of the running loop; yield it when it takes commands.
 
     Args:
         settings: The whole configuration; all devices are simulated ones.
-        workflow: The procedure, as opened.
-        path: Of the journal.
-        seed: Of the network.
-        coded: Whether messages are packed and unpacked.
-        watched: Gives the devices as the node is to serve them.
+        workflow: The opened procedure.
+        path: Journal file.
+        seed: Seed of the network's delays, losses and order.
+        coded: Pack and unpack each message, as the real bus does.
+        watched: Takes the opened devices, and returns the ones that the node serves in their place.
         observe: See `SimulatedCell`.
+
+    Raises:
+        PcmrsError: The daemon cannot start.
     """
     loop = cast(SimulatedLoop, asyncio.get_running_loop())
     names = settings.drivers().get(DRIVER, [])

@@ -1,4 +1,4 @@
-"""The daemon of a simulated cell: everything of `pcmrs.service` but sockets, child processes and the real bus."""
+"""The daemon of a simulated cell: all of `pcmrs.service` except sockets, child processes and the real bus."""
 
 from __future__ import annotations
 
@@ -33,20 +33,21 @@ Observe = Callable[[ProcedureDispatcher, JournalReader], None]
 
 
 class SimulatedDaemon:
-    """One run of the daemon; after a crash or an end, another one is made.
+    """One run of the daemon. Each restart makes a new one.
 
     Args:
-        link: Its endpoint.
+        link: Its endpoint on the network.
         settings: The whole configuration.
-        workflow: The procedure, as opened.
-        clock: Of the daemon's host.
-        disk: Under its journal.
-        path: Of the journal.
-        observe: Called with dispatcher and journal before anything is decided.
+        workflow: The opened procedure.
+        clock: Clock of the daemon's host.
+        disk: Disk that holds its journal.
+        path: Journal file.
+        observe: Called with the dispatcher and the journal before the first decision.
 
     Attributes:
-        procedure: What runs; None before it has started.
-        journal: Where it writes.
+        procedure: The running procedure; None before it has started.
+        journal: Journal that it writes.
+        link: Its endpoint on the network.
     """
 
     def __init__(
@@ -74,10 +75,10 @@ class SimulatedDaemon:
         self._main: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
-        """Returns when it takes commands.
+        """Start; return when it takes commands.
 
         Raises:
-            PcmrsError: As `pcmrs.service.daemon.Daemon` does.
+            PcmrsError: It cannot start, for a reason for which `pcmrs.service.daemon.Daemon` cannot start, either.
         """
         self._main = self.link.spawn(self._run())
         await asyncio.wait([self._main, self._started], return_when=asyncio.FIRST_COMPLETED)
@@ -85,17 +86,17 @@ class SimulatedDaemon:
             self._main.result()
 
     async def end(self) -> None:
-        """An orderly end: the robot is held first."""
+        """End in order: hold the robot, then close everything."""
         self._ending.set()
         if self._main is not None:
             await asyncio.wait([self._main])
         self.link.leave()
         await self.link.ended()
-        await self.journal.close()
+        await self.journal.close()  # last, because the end of the procedure still writes rows
 
     async def crash(self) -> None:
-        """Ends at once, as by SIGKILL: nothing more is sent, written or answered."""
-        self.journal.abandon()
+        """End at once, as SIGKILL does: nothing more is sent, written or answered."""
+        self.journal.abandon()  # first: rows that tasks append while they are cancelled must not become durable
         self.link.leave()
         await self.link.ended()
         await self.journal.close()
@@ -103,13 +104,25 @@ class SimulatedDaemon:
     def receive(
         self, port: int, data: bytes, answer: Callable[[str], None], acknowledge: Callable[[str], None] | None
     ) -> None:
-        """A datagram has arrived at the planner link; see `SimulatedGateway.receive`."""
+        """Take a datagram at the planner link. It is lost while the gateway does not run.
+
+        Args:
+            port: UDP port from which the client sent it.
+            data: Payload.
+            answer: Called with the verdict.
+            acknowledge: Called with the acknowledgement that old clients expect; None for other clients.
+        """
         if self._gateway is not None:
             self._gateway.receive(port, data, answer, acknowledge)
 
     def lose(self, devices: list[str]) -> None:
-        """It notices that the process which serves these devices has ended."""
+        """Report that the process that served these devices has ended.
+
+        Args:
+            devices: Names of the devices.
+        """
         if self.procedure is not None:
+            # In the daemon's context, so that the tasks which this starts end with the daemon.
             self.link.context.copy().run(self.procedure.lose, devices)
 
     async def _run(self) -> None:

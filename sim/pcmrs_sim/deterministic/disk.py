@@ -1,4 +1,4 @@
-"""The disk under a simulated daemon's journal: it can be slow, and it can fail."""
+"""The disk that holds a simulated daemon's journal. It can be slow, and it can fail."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ FAILURE = "The journal cannot be written: the simulated disk fails."
 
 @dataclass
 class Disk:
-    """What is wrong with it now.
+    """Present speed and failures of a disk.
 
     Attributes:
-        window: Opens a window by its name and tells how long it lasts, s: a write, and the way back from its thread.
-        delay: Until the next rows are durable, s.
+        window: Opens a window by its name and returns how long it lasts, s. A write is one window, and the
+            notification of the event loop by the writer's thread is another.
+        delay: Time until the next rows are durable, s.
         failing: Writes fail.
-        landing: A write that fails reaches the disk all the same, as one may whose fsync has failed.
+        landing: A failed write reaches the disk nevertheless, as it may after a failed fsync.
     """
 
     window: Callable[[str], float] = lambda _: 0.0
@@ -32,22 +33,30 @@ class Disk:
 
 
 class SimulatedJournal(Journal):
-    """A journal that does not wait for the real disk, but for a simulated one; use `on_disk`.
+    """A journal that waits for a simulated disk and not for the real one. Open it with `on_disk`.
 
     Attributes:
-        disk: Under it.
+        disk: Disk that holds it.
     """
 
     disk: Disk
-    _under_way = 0
-    _due = 0.0
-    _back = 0.0
-    _gone = False
+    _unwritten = 0
+    _write_due = 0.0
+    _notify_due = 0.0
+    _abandoned = False
     _error: JournalError | None = None
 
     @classmethod
     def on_disk(cls, path: Path, disk: Disk) -> SimulatedJournal:
-        """Opens the journal, or makes it; see `Journal.open`."""
+        """Open the journal, or create it; see `Journal.open`.
+
+        Args:
+            path: Journal file.
+            disk: Disk that holds it.
+
+        Raises:
+            JournalError: The file is not a journal, or cannot be opened.
+        """
         journal = cls.open(path, durable=False)
         journal.disk = disk  # type: ignore[attr-defined]
         return journal  # type: ignore[return-value]
@@ -58,23 +67,25 @@ class SimulatedJournal(Journal):
 
     @property
     def waiting(self) -> int:
-        return self._under_way
+        return self._unwritten
 
     def append(self, rows: Sequence[JournalRow]) -> asyncio.Future[int]:
-        if self._gone:
+        if self._abandoned:
             raise JournalError("The daemon is gone: nothing can be appended.", sequence=None)
         if self._error is not None:
             raise JournalError(self._error.text, sequence=None)
         name = _name_of(rows)
-        writing, back = self.disk.window(f"write:{name}"), self.disk.window(f"written:{name}")
+        write_time, notify_time = self.disk.window(f"write:{name}"), self.disk.window(f"written:{name}")
         loop = asyncio.get_running_loop()
-        queued = self._under_way or self._back > loop.time()  # nobody learns of a later row first
-        if not (self.disk.delay or self.disk.failing or queued or writing or back):
+        # A row that needs no wait must not overtake earlier ones: the real writer's queue keeps their order.
+        queued = self._unwritten or self._notify_due > loop.time()
+        if not (self.disk.delay or self.disk.failing or queued or write_time or notify_time):
             return super().append(rows)
         durable: asyncio.Future[int] = loop.create_future()
-        self._under_way += len(rows)
-        self._due = max(self._due, loop.time() + self.disk.delay + writing)  # in the order in which they came
-        loop.call_at(self._due, self._write, rows, durable, back, context=Context())  # by the writer's thread
+        self._unwritten += len(rows)
+        self._write_due = max(self._write_due, loop.time() + self.disk.delay + write_time)
+        # An empty context belongs to no process, as the writer's thread does not: a stalled loop does not delay it.
+        loop.call_at(self._write_due, self._write, rows, durable, notify_time, context=Context())
         return durable
 
     async def reopen(self) -> int:
@@ -84,48 +95,49 @@ class SimulatedJournal(Journal):
         return next((stored.sequence for stored in self.reader.read(last=1)), 0)
 
     async def close(self) -> None:
-        """Closes it, in an orderly end when what is under way has been written."""
-        if self._under_way and not self._gone:
-            await asyncio.sleep(self._due - asyncio.get_running_loop().time())
+        """Close the journal. Unless it was abandoned, pending rows are written first."""
+        if self._unwritten and not self._abandoned:
+            await asyncio.sleep(self._write_due - asyncio.get_running_loop().time())
         await super().close()
 
     def abandon(self) -> None:
-        """The daemon is gone: what is not durable never will be."""
-        self._gone = True
+        """Drop all rows that are not durable yet, as the death of the daemon does."""
+        self._abandoned = True
 
-    def _write(self, rows: Sequence[JournalRow], durable: asyncio.Future[int], back: float) -> None:
-        self._under_way -= len(rows)
-        if self._gone:
+    def _write(self, rows: Sequence[JournalRow], durable: asyncio.Future[int], notify_time: float) -> None:
+        self._unwritten -= len(rows)
+        if self._abandoned:
             return
         sequence: int | None = None
         if self._error is None and self.disk.failing:
             self._error = JournalError(FAILURE)
-            sequence = self._now(rows) if self.disk.landing else None
+            sequence = self._commit(rows) if self.disk.landing else None
         elif self._error is None:
-            sequence = self._now(rows)
+            sequence = self._commit(rows)
         error = None if self._error is None else JournalError(self._error.text, sequence=sequence)
         loop = asyncio.get_running_loop()
-        self._back = max(self._back, loop.time() + back)  # the loop is told in the same order
-        if self._back > loop.time():
-            loop.call_at(self._back, self._tell, durable, error, sequence, context=Context())
+        # The writer's thread notifies the loop in the order of its writes.
+        self._notify_due = max(self._notify_due, loop.time() + notify_time)
+        if self._notify_due > loop.time():
+            loop.call_at(self._notify_due, self._notify, durable, error, sequence, context=Context())
         else:
-            self._tell(durable, error, sequence)
+            self._notify(durable, error, sequence)
 
-    def _tell(self, durable: asyncio.Future[int], error: JournalError | None, sequence: int | None) -> None:
-        if self._gone or durable.done():
+    def _notify(self, durable: asyncio.Future[int], error: JournalError | None, sequence: int | None) -> None:
+        if self._abandoned or durable.done():
             return
         if error is not None:
             durable.set_exception(error)
         else:
             durable.set_result(sequence or 0)
 
-    def _now(self, rows: Sequence[JournalRow]) -> int:
-        """Without a simulated wait the real journal has committed when it returns."""
+    def _commit(self, rows: Sequence[JournalRow]) -> int:
+        """Commit rows to the real journal, which is done when the call returns; return the last sequence number."""
         written = super().append(rows)
         return written.result() if isinstance(written, asyncio.Future) else 0
 
 
 def _name_of(rows: Sequence[JournalRow]) -> str:
-    """Of the first row, such as ``outcome:placement.back_off`` or ``device:reference_moved``."""
+    """Return the name of the first row, such as ``outcome:placement.back_off`` or ``device:reference_moved``."""
     row = rows[0]
     return f"{row.kind}:{row.branch}.{row.operation}" if row.branch else f"{row.kind}:{row.operation or ''}"

@@ -1,4 +1,4 @@
-"""Randomness of the operating system, replaced by a seeded one for the length of a simulation."""
+"""A seeded source in place of the operating system's randomness, for the length of a simulation."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from contextlib import contextmanager
 
 @contextmanager
 def seeded_entropy(seed: int) -> Iterator[None]:
-    """Has `os.urandom`, and so `uuid.uuid4`, draw from `seed`: what is journalled is then the same in every run.
+    """Make `os.urandom`, and so `uuid.uuid4`, draw from `seed`, so that the journal is the same in each run.
 
-    Only for a process that does nothing else meanwhile: a key made now would be no secret.
+    Use it only in a process that does nothing else meanwhile: a key that is made now is not secret.
     """
     draw, real = random.Random(f"entropy {seed}"), os.urandom
     os.urandom = draw.randbytes

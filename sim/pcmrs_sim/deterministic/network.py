@@ -1,9 +1,9 @@
-"""The network of a simulated cell: endpoints that publish, ask and answer, and what happens to messages in between.
+"""The network of a simulated cell: endpoints that publish, request and reply, and what happens to their messages.
 
-Messages pass as the immutable structs that they are; a network that is told to packs and unpacks each one, as the real
-bus does. Between two endpoints those of one channel keep their order, as those of one priority on one TCP connection
-do, unless reordering is asked for; Stop has a connection of its own. Requests are sent by threads (`senders`), and so
-not in the order in which they were asked for.
+Messages pass as immutable structs. A *coded* network packs and unpacks each one, as the real bus does. Between two
+endpoints, the messages of one channel keep their order, as those of one priority on one TCP connection do, unless
+reordering is set. Stop has a separate connection. Threads send the requests (`senders`), so that two requests may leave
+in another order than they were made.
 """
 
 from __future__ import annotations
@@ -19,31 +19,31 @@ import msgspec
 from pcmrs.bus.qos import class_of
 from pcmrs.errors import PcmrsError, UnknownOutcomeError
 from pcmrs.simulated_time.loop import OWNER, SimulatedLoop, SimulationError
-from pcmrs_sim.deterministic.conditions import Conditions
+from pcmrs_sim.deterministic.network_conditions import NetworkConditions
 from pcmrs_sim.deterministic.senders import Senders, name_of
 from pcmrs_sim.deterministic.windows import Windows
 
 M = TypeVar("M", bound=msgspec.Struct)
 
 LATENCY = 0.0005
-"""Of a message when nothing is wrong: a part of this, s."""
-OVERTAKEN = 0.05
-"""A message that is overtaken comes so much later at most, s."""
-ENDING = 0.001
-"""A task that goes on although it was cancelled is cancelled again after this, s."""
+"""Longest latency of a message without disturbances, s; each message takes a random part of it."""
+LONGEST_OVERTAKE = 0.05
+"""Longest extra delay of a message that others overtake, s."""
+CANCEL_PERIOD = 0.001
+"""Time after which a task that continues after its cancellation is cancelled again, s."""
 
-ATTEMPTS = 1000
-"""So often."""
+CANCEL_ATTEMPTS = 1000
+"""Number of cancellations after which the end of a process has failed."""
 
 DATAGRAMS, REQUESTS, STOPS = "datagrams", str(class_of("cmd/**").priority), "stops"
-"""Channels: each keeps its order, and none waits for another. Others bear the names of the bus's priorities."""
+"""Channels. Each keeps its order, and none waits for another. The other channels have the names of bus priorities."""
 
 Handler = Callable[[str, Any], None]
-Answer = Callable[[str, Any], Awaitable[msgspec.Struct]]
+RequestHandler = Callable[[str, Any], Awaitable[msgspec.Struct]]
 
 
 class _Packet(NamedTuple):
-    """What is on its way from one endpoint to another, sent at one moment."""
+    """Messages from one endpoint to another that were sent at one instant. They arrive together."""
 
     sent: float
     due: float
@@ -52,24 +52,25 @@ class _Packet(NamedTuple):
 
 
 class Network:
-    """Carries messages between endpoints, each of which stands for a process.
+    """Messages between endpoints, each of which stands for a process.
 
     Args:
-        loop: In whose time it carries them.
-        seed: Of delays, losses and order.
-        coded: Whether every message is packed and unpacked.
+        loop: Event loop in whose time messages travel.
+        seed: Seed of delays, losses and order.
+        coded: Pack and unpack each message.
 
     Attributes:
-        conditions: What is wrong now.
-        windows: How long what is in the hands of threads takes; a part of it is drawn, or told by a script.
-        counts: How many messages were lost, doubled or overtaken, by those names.
+        conditions: Present disturbances.
+        windows: Durations of hand-overs to and from threads, drawn from the seed or set by a script.
+        counts: Numbers of messages that were ``lost``, ``doubled`` or ``overtaken``.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, seed: int, *, coded: bool = False) -> None:
-        self.conditions = Conditions()
+        self.conditions = NetworkConditions()
         self.windows = Windows(loop, seed)
         self.counts = {"lost": 0, "doubled": 0, "overtaken": 0}
         self._loop = loop
+        # A context without an owner: calls in it are neither stalled nor ended with a process, as those of threads.
         self._outside = copy_context()
         self._draw = random.Random(f"network {seed}")
         self._coded = coded
@@ -79,25 +80,31 @@ class Network:
         self._packets: dict[tuple[str, str, str], _Packet] = {}
 
     def endpoint(self, name: str) -> Endpoint:
-        """Joins the network under a name that nobody has; an endpoint that has crashed leaves its name free."""
+        """Join the network under an unused name, and return the new endpoint. A crashed endpoint frees its name."""
         endpoint = self._endpoints[name] = Endpoint(self, name)
         self.forget_routes()
         return endpoint
 
     def leave(self, endpoint: Endpoint) -> None:
-        """An endpoint is gone: nothing of what is on its way to it arrives."""
+        """Remove an endpoint. Requests that others have pending there fail."""
         if self._endpoints.get(endpoint.name) is endpoint:
             del self._endpoints[endpoint.name]
         self.forget_routes()
         for other in self._endpoints.values():
-            other.lose(endpoint)
+            other.fail_requests_to(endpoint)
 
     def forget_routes(self) -> None:
-        """Somebody listens who did not before, or no more."""
+        """Clear the cached routes, because endpoints or subscriptions have changed."""
         self._routes.clear()
 
     def publish(self, source: Endpoint, key: str, message: msgspec.Struct) -> None:
-        """Sends a message to everybody else who listens to `key`."""
+        """Send a message to all other endpoints that subscribe to its key.
+
+        Args:
+            source: Endpoint that publishes. It does not receive its own message.
+            key: Key relative to the cell.
+            message: The message.
+        """
         route = self._routes.get((source.name, key))
         if route is None:
             route = self._routes[source.name, key] = self._find_route(source, key)
@@ -108,52 +115,79 @@ class Network:
         if channel is None:
             channel = self._channels[key] = _channel_of(key)
         for target, handler, kind in route:
-            heard = msgspec.msgpack.decode(packed, type=kind) if self._coded else message
-            self.carry(source, target, handler, key, heard, channel=channel)
+            received = msgspec.msgpack.decode(packed, type=kind) if self._coded else message
+            self.carry(source, target, handler, key, received, channel=channel)
 
     def server(self, key: str) -> Endpoint | None:
-        """Who answers requests on `key`."""
-        return next((each for each in self._endpoints.values() if each.service(key) is not None), None)
+        """Return the endpoint that answers requests on `key`; None if there is none."""
+        return next((each for each in self._endpoints.values() if each.serves(key)), None)
 
     def carry(
-        self, source: Endpoint, target: Endpoint, call: Callable[..., None], *what: Any, channel: str = DATAGRAMS
+        self, source: Endpoint, target: Endpoint, call: Callable[..., None], *arguments: Any, channel: str = DATAGRAMS
     ) -> None:
-        """Has `target` called with `what` when the message arrives, if it does: once, twice or out of order."""
+        """Carry a message that may be lost, duplicated or overtaken.
+
+        Args:
+            source: Sending endpoint.
+            target: Receiving endpoint.
+            call: Called in the target's process each time the message arrives.
+            *arguments: Arguments of the call.
+            channel: Channel in which messages keep their order.
+        """
         conditions, draw = self.conditions, self._draw
-        if conditions.fine:
-            self._arrive(source, target, channel, LATENCY * draw.random(), call, what)
+        if conditions.undisturbed:
+            self._arrive(source, target, channel, LATENCY * draw.random(), call, arguments)
             return
         if conditions.lost(source.name, target.name, draw):
             self.counts["lost"] += 1
             return
         if draw.random() < conditions.duplicates:
             self.counts["doubled"] += 1
-            self._later(target, (LATENCY + conditions.delay + OVERTAKEN) * draw.random(), call, what)
+            self._arrive_alone(target, (LATENCY + conditions.delay + LONGEST_OVERTAKE) * draw.random(), call, arguments)
         if draw.random() < conditions.reordering:
             self.counts["overtaken"] += 1
-            self._later(target, conditions.delay + OVERTAKEN * draw.random(), call, what)
+            self._arrive_alone(target, conditions.delay + LONGEST_OVERTAKE * draw.random(), call, arguments)
             return
-        self._arrive(source, target, channel, (LATENCY + conditions.delay) * draw.random(), call, what)
+        self._arrive(source, target, channel, (LATENCY + conditions.delay) * draw.random(), call, arguments)
 
-    def carry_reliably(self, source: Endpoint, target: Endpoint, call: Callable[..., None], *what: Any) -> None:
-        """As a connection does it: late or not at all, but in order and never twice."""
+    def carry_reliably(self, source: Endpoint, target: Endpoint, call: Callable[..., None], *arguments: Any) -> None:
+        """Carry a message as a connection does: late or not at all, but in order and never twice.
+
+        Args:
+            source: Sending endpoint.
+            target: Receiving endpoint.
+            call: Called in the target's process when the message arrives.
+            *arguments: Arguments of the call.
+        """
         if self.conditions.lost(source.name, target.name, self._draw):
             self.counts["lost"] += 1
             return
-        self._arrive(source, target, REQUESTS, (LATENCY + self.conditions.delay) * self._draw.random(), call, what)
+        delay = (LATENCY + self.conditions.delay) * self._draw.random()
+        self._arrive(source, target, REQUESTS, delay, call, arguments)
 
     def copy(self, message: msgspec.Struct, kind: type[M]) -> M:
-        """The message as the other side has it."""
+        """Return a message as its receiver gets it.
+
+        Args:
+            message: The message that was sent.
+            kind: Type that the receiver expects.
+        """
         if not self._coded:
             return message  # type: ignore[return-value]  # structs are immutable: they may be shared
         return msgspec.msgpack.decode(msgspec.msgpack.encode(message), type=kind)
 
-    def by_thread(self, delay: float, call: Callable[..., None], *what: Any) -> None:
-        """Has a thread of a process call something after `delay` s; a loop that is held up does not hold it up."""
+    def call_from_thread(self, delay: float, call: Callable[..., None], *arguments: Any) -> None:
+        """Call a function as a thread of a process does: a stalled event loop does not delay it.
+
+        Args:
+            delay: Time until the call, s. Without delay, the call is made at once.
+            call: The function.
+            *arguments: Arguments of the call.
+        """
         if delay > 0.0:
-            self._loop.call_later(delay, call, *what, context=self._outside)
+            self._loop.call_later(delay, call, *arguments, context=self._outside)
         else:
-            call(*what)
+            call(*arguments)
 
     def _arrive(
         self,
@@ -162,20 +196,23 @@ class Network:
         channel: str,
         delay: float,
         call: Callable[..., None],
-        what: tuple[Any, ...],
+        arguments: tuple[Any, ...],
     ) -> None:
-        """After `delay`, but not before what the channel took earlier; what is sent at one moment goes together."""
-        pair, now = (source.name, target.name, channel), self._loop.time()
-        packet = self._packets.get(pair)
+        """Schedule an arrival after `delay`, in the order of the channel. Messages of one instant stay together."""
+        route, now = (source.name, target.name, channel), self._loop.time()
+        packet = self._packets.get(route)
         if packet is not None and packet.sent == now and packet.target is target:
-            packet.calls.append((call, what))
+            packet.calls.append((call, arguments))
             return
         due = max(now + delay, packet.due if packet is not None else 0.0)
-        packet = self._packets[pair] = _Packet(now, due, target, [(call, what)])
+        packet = self._packets[route] = _Packet(now, due, target, [(call, arguments)])
         self._loop.call_at(due, target.receive, packet.calls, context=target.context)
 
-    def _later(self, target: Endpoint, delay: float, call: Callable[..., None], what: tuple[Any, ...]) -> None:
-        self._loop.call_later(delay, target.receive, [(call, what)], context=target.context)
+    def _arrive_alone(
+        self, target: Endpoint, delay: float, call: Callable[..., None], arguments: tuple[Any, ...]
+    ) -> None:
+        """Schedule an arrival that keeps no order."""
+        self._loop.call_later(delay, target.receive, [(call, arguments)], context=target.context)
 
     def _find_route(self, source: Endpoint, key: str) -> tuple[tuple[Endpoint, Handler, type[Any]], ...]:
         others = (each for each in self._endpoints.values() if each.name != source.name)
@@ -183,13 +220,17 @@ class Network:
 
 
 class Endpoint:
-    """One process on the network; implements `pcmrs.devices.link.Link`. A process does not hear itself.
+    """One process on the network; implements `pcmrs.devices.link.Link`. It does not receive its own messages.
+
+    Args:
+        network: Network that it has joined.
+        name: Name of the process.
 
     Attributes:
-        name: Of the process.
-        context: In which its tasks run: what they start ends with the process, too.
-        prefix: Of its keys, for who shows it.
-        alive_tokens: What it has declared itself to be.
+        name: Name of the process.
+        context: Context in which its tasks run. Tasks that they start inherit it, and so end with the process.
+        prefix: Prefix of its keys, for display.
+        alive_tokens: Components whose liveliness it has declared.
     """
 
     prefix = "pcmrs/lab/simulated"
@@ -199,11 +240,11 @@ class Endpoint:
         self.alive_tokens: list[str] = []
         self._network = network
         self._listeners: dict[str, list[tuple[Handler, type[Any]]]] = {}
-        self._services: dict[str, tuple[type[Any], Answer]] = {}
+        self._services: dict[str, tuple[type[Any], RequestHandler]] = {}
         self._tasks: dict[asyncio.Task[Any], None] = {}
         self.context = copy_context()
         self.context.run(OWNER.set, self._tasks)
-        self._asked: dict[asyncio.Future[Any], Endpoint] = {}
+        self._pending_requests: dict[asyncio.Future[Any], Endpoint] = {}
         self._senders = Senders(network.windows)
         self._gone = False
 
@@ -222,7 +263,7 @@ class Endpoint:
         self._services[key] = (kind, handler)
 
     def end(self, *keys: str) -> None:
-        """Takes no more messages and requests on keys."""
+        """Stop taking messages and requests on keys."""
         for key in keys:
             self._listeners.pop(key, None)
             self._services.pop(key, None)
@@ -236,90 +277,103 @@ class Endpoint:
         timeout: float,
         sender: str = "",
         *,
-        urgent: bool = False,  # noqa: ARG002  # here no queue of the link is ever full
+        urgent: bool = False,  # noqa: ARG002  # no queue of this link is ever full
     ) -> M:
         server = self._network.server(key)
         if server is None or self._gone:
             raise UnknownOutcomeError(f"Nobody answers on {key}.", key=key)
-        answered: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
-        self._asked[answered] = server
+        replied: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
+        self._pending_requests[replied] = server
         kind, _ = server._services[_pattern(server._services, key)]
         delay = self._senders.delay(name_of(key, message), asyncio.get_running_loop().time(), sender)
-        # Whoever asked may be cancelled: what a thread has taken is sent all the same.
-        self._network.by_thread(delay, self._send_request, server, key, self._network.copy(message, kind), answered)
+        # The thread sends what it has taken, even if the requester is cancelled meanwhile.
+        copied = self._network.copy(message, kind)
+        self._network.call_from_thread(delay, self._send_request, server, key, copied, replied)
         try:
             async with asyncio.timeout(timeout):
-                answer = await answered
+                answer = await replied
         except TimeoutError:
             raise UnknownOutcomeError(f"Nobody answered on {key} within {timeout:g} s.", key=key) from None
         finally:
-            del self._asked[answered]
+            del self._pending_requests[replied]
         if isinstance(answer, PcmrsError):
             raise answer
         return self._network.copy(answer, reply)
 
-    def _send_request(self, server: Endpoint, key: str, message: msgspec.Struct, answered: asyncio.Future[Any]) -> None:
+    def _send_request(self, server: Endpoint, key: str, message: msgspec.Struct, replied: asyncio.Future[Any]) -> None:
         if not self._gone:
-            self._network.carry_reliably(self, server, server._serve, key, message, self, answered)
+            self._network.carry_reliably(self, server, server._serve, key, message, self, replied)
 
     def alive(self, component: str) -> None:
         self.alive_tokens.append(component)
 
-    def send(self, target: Endpoint, call: Callable[..., None], *what: Any) -> None:
-        """A datagram: may be lost, doubled or overtaken."""
+    def send(self, target: Endpoint, call: Callable[..., None], *arguments: Any) -> None:
+        """Send a datagram, which may be lost, duplicated or overtaken.
+
+        Args:
+            target: Receiving endpoint.
+            call: Called in the target's process when the datagram arrives.
+            *arguments: Arguments of the call.
+        """
         if not self._gone:
-            self._network.carry(self, target, call, *what)
+            self._network.carry(self, target, call, *arguments)
 
     def spawn(self, work: Any) -> asyncio.Task[None]:
-        """Runs `work` as a task that ends with this process."""
+        """Run a coroutine as a task that ends with this process."""
+        # Each task needs its own copy, because a context cannot be entered twice at once.
         return asyncio.get_running_loop().create_task(work, context=self.context.copy())
 
     def hold_up(self, seconds: float) -> None:
-        """The process's loop does nothing for so long, s; its threads go on."""
+        """Stall the process's event loop for a time, s. Its threads continue."""
         cast(SimulatedLoop, asyncio.get_running_loop()).hold_up(self._tasks, seconds)
 
     def receive(self, calls: list[tuple[Callable[..., None], tuple[Any, ...]]]) -> None:
-        """Messages have arrived."""
-        for call, what in calls:
+        """Process messages that have arrived together, each a function and its arguments."""
+        for call, arguments in calls:
             if self._gone:
                 return
-            call(*what)
+            call(*arguments)
 
     def leave(self) -> None:
-        """The process is gone: it hears and answers nothing; who waits for its answer learns that at once."""
+        """End the process at once: it receives and answers nothing more, and requests to it fail."""
         self._gone = True
         self._network.leave(self)
         for task in tuple(self._tasks):
             task.cancel()
 
     async def ended(self) -> None:
-        """Returns when nothing of the process runs any more, after `leave`.
+        """Return when all tasks of the process have ended, after `leave`.
 
         Raises:
-            SimulationError: Something goes on although it is cancelled again and again.
+            SimulationError: A task continues after many cancellations.
         """
-        for _ in range(ATTEMPTS):
+        for _ in range(CANCEL_ATTEMPTS):
             if not self._tasks:
                 return
             for task in tuple(self._tasks):
                 task.cancel()
-            await asyncio.wait(tuple(self._tasks), timeout=ENDING)
+            await asyncio.wait(tuple(self._tasks), timeout=CANCEL_PERIOD)
         raise SimulationError(f"{self.name} cannot be ended: {', '.join(map(str, self._tasks))}.")
 
     def listeners(self, key: str) -> list[tuple[Handler, type[Any]]]:
-        """Who listens to `key` here."""
+        """Return the handlers of messages on `key`, each with the type of message that it expects."""
         return [each for pattern, all_ in self._listeners.items() if _matches(pattern, key) for each in all_]
 
-    def service(self, key: str) -> str | None:
-        """Under which key it answers requests on `key`; None where it does not."""
-        return _pattern(self._services, key) if any(_matches(each, key) for each in self._services) else None
+    def serves(self, key: str) -> bool:
+        """Return true if this process answers requests on `key`."""
+        return any(_matches(each, key) for each in self._services)
 
-    def _serve(self, key: str, message: msgspec.Struct, asker: Endpoint, answered: asyncio.Future[Any]) -> None:
+    def _serve(self, key: str, message: msgspec.Struct, requester: Endpoint, replied: asyncio.Future[Any]) -> None:
         _, handler = self._services[_pattern(self._services, key)]
-        self.spawn(self._answer(handler, key, message, asker, answered))
+        self.spawn(self._answer(handler, key, message, requester, replied))
 
     async def _answer(
-        self, handler: Answer, key: str, message: msgspec.Struct, asker: Endpoint, answered: asyncio.Future[Any]
+        self,
+        handler: RequestHandler,
+        key: str,
+        message: msgspec.Struct,
+        requester: Endpoint,
+        replied: asyncio.Future[Any],
     ) -> None:
         answer: msgspec.Struct | PcmrsError
         try:
@@ -327,28 +381,29 @@ class Endpoint:
         except PcmrsError as error:
             answer = error
         delay = self._network.windows.open(f"reply:{name_of(key, message)}")
-        self._network.by_thread(delay, self._send_reply, asker, answered, answer)
+        self._network.call_from_thread(delay, self._send_reply, requester, replied, answer)
 
-    def _send_reply(self, asker: Endpoint, answered: asyncio.Future[Any], answer: msgspec.Struct | PcmrsError) -> None:
+    def _send_reply(
+        self, requester: Endpoint, replied: asyncio.Future[Any], answer: msgspec.Struct | PcmrsError
+    ) -> None:
         if not self._gone:
-            self._network.carry_reliably(self, asker, _settle, answered, answer)
+            self._network.carry_reliably(self, requester, _resolve, replied, answer)
 
-    def lose(self, server: Endpoint) -> None:
-        """Who asked a process that is gone learns that at once."""
-        for answered, asked in tuple(self._asked.items()):
-            if asked is server and not answered.done():
-                answered.set_result(
-                    UnknownOutcomeError("Who was asked has ended before it answered.", name=server.name)
-                )
+    def fail_requests_to(self, server: Endpoint) -> None:
+        """Fail the pending requests to a process that has ended."""
+        for replied, asked in tuple(self._pending_requests.items()):
+            if asked is server and not replied.done():
+                text = f"The process {server.name} has ended before it answered."
+                replied.set_result(UnknownOutcomeError(text, name=server.name))
 
 
 def _channel_of(key: str) -> str:
     return STOPS if key.startswith("stop/") else str(class_of(key).priority)
 
 
-def _settle(answered: asyncio.Future[Any], answer: Any) -> None:
-    if not answered.done():
-        answered.set_result(answer)
+def _resolve(replied: asyncio.Future[Any], answer: Any) -> None:
+    if not replied.done():
+        replied.set_result(answer)
 
 
 def _pattern(services: dict[str, Any], key: str) -> str:
@@ -356,7 +411,7 @@ def _pattern(services: dict[str, Any], key: str) -> str:
 
 
 def _matches(pattern: str, key: str) -> bool:
-    """Whether a key expression with ``*`` for one level holds a key."""
+    """Return true if a key expression, with ``*`` for one level, matches a key."""
     if pattern == key:
         return True
     if "*" not in pattern:

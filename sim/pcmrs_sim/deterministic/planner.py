@@ -1,4 +1,4 @@
-"""The planning process of a simulated daemon: it takes as long as a window, and answers by what was known before."""
+"""The planning process of a simulated daemon. It takes as long as a window, and plans with the state before it."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ Run = AnyRun[Cell, PlacementData]
 
 
 class SimulatedPlanner:
-    """Implements `pcmrs.dispatcher.execution.Planner`.
+    """Implements `pcmrs.dispatcher.execution.MotionChecker`.
 
     Args:
-        workflow: With the checks.
-        settings: Of the daemon.
-        clock: In whose time a window lasts.
-        window: Opens a window by its name, such as ``plan:placement.approach``, and tells how long it lasts, s.
+        workflow: The opened procedure, with its checks.
+        settings: Settings of the daemon.
+        clock: Clock in whose time a window lasts.
+        window: Opens a window by its name, such as ``plan:placement.approach``, and returns how long it lasts, s.
     """
 
     def __init__(
@@ -43,10 +43,10 @@ class SimulatedPlanner:
         self._cell: PlanningCell | None = None
 
     async def check(self, run: Run) -> Reason | None:
-        """See `Planner`. A window that takes no time needs no copy of the cell: nothing can change in it."""
+        """Check a command; see `MotionChecker`. In a window of no length nothing changes, so no copy is needed."""
         branch, operation = run.command.branch, run.command.operation
-        lasts = self._window(f"plan:{branch}.{operation}")
-        if not lasts:
+        duration = self._window(f"plan:{branch}.{operation}")
+        if not duration:
             spec = self._workflow.blueprint.branches[branch].operations[operation]
             return refusal(self._workflow.registry, spec, run)
         if self._cell is None:
@@ -54,5 +54,5 @@ class SimulatedPlanner:
             self._cell = PlanningCell(self._workflow, self._settings.procedure, arm, run.cell.surface)
         request = request_of(run)
         answer = self._cell.answer(request)
-        await self._clock.sleep(lasts)
+        await self._clock.sleep(duration)
         return apply_answer(run, request, answer)

@@ -1,7 +1,7 @@
-"""The threads through which a simulated process sends requests: what they keep in order, and what they do not.
+"""The threads through which a simulated process sends requests.
 
-`pcmrs.bus` hands every request to a pool of threads, so that two requests are not ordered: the later one overtakes
-the earlier whose thread was not scheduled.
+`pcmrs.bus` gives each request to a pool of threads. The pool keeps no order: a later request overtakes an earlier one
+whose thread was not scheduled. A sender with its own thread keeps the order of its requests.
 """
 
 from __future__ import annotations
@@ -14,37 +14,42 @@ from pcmrs.bus.keys import named_in
 from pcmrs_sim.deterministic.windows import Windows
 
 THREADS = 4
-"""Of the pool of one process."""
+"""Number of threads in the pool of a process."""
 
 
 class Senders:
-    """When a request that the loop hands over now is sent.
+    """Sending threads of one process.
 
     Args:
-        windows: How long a hand-over takes.
+        windows: Durations of the hand-overs from event loop to thread.
     """
 
     def __init__(self, windows: Windows) -> None:
         self._windows = windows
         self._free: dict[str, list[float]] = {"": [0.0] * THREADS}
 
-    def delay(self, what: str, now: float, sender: str = "") -> float:
-        """Until it is sent, s.
+    def delay(self, name: str, now: float, sender: str = "") -> float:
+        """Return the time until a request that is handed over now is sent, s.
 
         Args:
-            what: Its name; see `name_of`.
-            now: s of the simulation.
-            sender: Has a thread to itself, so that its requests keep their order; empty for the pool.
+            name: Name of the request, see `name_of`.
+            now: Present time of the simulation, s.
+            sender: Name of a sender with its own thread, whose requests keep their order; empty for the pool.
         """
-        lasts = self._windows.open(f"send:{what}")
+        duration = self._windows.open(f"send:{name}")
         free = self._free.setdefault(sender, [0.0])
-        begun = max(now, free[0])
-        heapq.heapreplace(free, begun + lasts)
-        return begun + lasts - now
+        start = max(now, free[0])  # by the thread that is free first
+        heapq.heapreplace(free, start + duration)
+        return start + duration - now
 
 
 def name_of(key: str, message: msgspec.Struct) -> str:
-    """Short name of a request, such as ``robot.follow``; that of a command is its branch and operation."""
+    """Return the short name of a request, such as ``robot.follow``; of a command, its branch and operation.
+
+    Args:
+        key: Key of the request.
+        message: The request.
+    """
     method = getattr(message, "method", None)
     if method is not None:
         return f"{named_in(key)}.{method}"

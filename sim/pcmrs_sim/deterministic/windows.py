@@ -1,9 +1,9 @@
-"""Windows: the moments in which work is in other hands, how long each lasts, and who waits to act inside one.
+"""Windows: intervals in which work is handed over between the event loop, threads, the disk and other processes.
 
-A request is in other hands between the loop and its sender's thread, a row between the loop and the disk, a reply
-between the device and the one who asked. In a real cell each takes as long as the scheduler likes. Here every one has
-a name, such as ``send:robot.follow`` or ``write:outcome:placement.back_off``; it lasts as long as the seed draws, or as
-a script says, and a script can act inside it.
+Examples are a request between the loop and its sender's thread, a row between the loop and the disk, and a reply
+between the device and the requester. In a real cell, the scheduler decides how long each takes. Here each window has a
+name, such as ``send:robot.follow`` or ``write:outcome:placement.back_off``. Its duration is drawn from the seed or set
+by a script, and a script can act inside it.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from fnmatch import fnmatchcase
 from typing import NamedTuple
 
 LONGEST = 0.5
-"""A hand-over, a callback or a write takes this at most, s."""
+"""Longest drawn duration of a hand-over, a callback or a write, s."""
 
 
 class _Wait(NamedTuple):
-    """Somebody who acts in the next window of a name."""
+    """A script that waits for the next window of a name."""
 
     pattern: str
-    held: float
+    duration: float
     opened: asyncio.Future[None]
 
 
@@ -30,14 +30,14 @@ class Windows:
     """All windows of one cell.
 
     Args:
-        loop: In whose time they last.
-        seed: Of how long they last.
-        share: Part of the windows that take time by themselves.
+        loop: Event loop in whose time they last.
+        seed: Seed of their durations.
+        share: Fraction of the windows that take time without a script.
 
     Attributes:
-        share: See above.
-        opened: Name to how many windows there were.
-        slow: How many of them took time.
+        share: Fraction of the windows that take time without a script. It may be changed.
+        opened: Name to number of windows so far.
+        slow: Number of windows so far that took time.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, seed: int, share: float = 0.0) -> None:
@@ -49,36 +49,36 @@ class Windows:
         self._waits: list[_Wait] = []
 
     def open(self, name: str) -> float:
-        """Opens a window; returns how long it lasts, s."""
+        """Open a window and return its duration, s."""
         self.opened[name] += 1
-        lasts = self._drawn(name) if self.share else 0.0
+        duration = self._draw_duration(name) if self.share else 0.0
         for wait in self._waits:
             if not wait.opened.done() and fnmatchcase(name, wait.pattern):
-                lasts = max(lasts, wait.held)
+                duration = max(duration, wait.duration)
                 wait.opened.set_result(None)
-        self.slow += lasts > 0.0
-        return lasts
+        self.slow += duration > 0.0
+        return duration
 
-    async def reached(self, pattern: str, held: float, patience: float) -> bool:
-        """Returns when the next window of a name opens, which then lasts `held` s.
+    async def reached(self, pattern: str, duration: float, timeout: float) -> bool:
+        """Wait until the next window of a name opens, and make it last.
 
         Args:
-            pattern: Of names, as in a shell.
-            held: At least, s.
-            patience: Returns after this anyhow, s.
+            pattern: Shell-style pattern of the name.
+            duration: Shortest duration of that window, s.
+            timeout: Longest wait, s.
 
         Returns:
-            Whether it has opened.
+            True if the window has opened, false after the timeout.
         """
-        wait = _Wait(pattern, held, self._loop.create_future())
+        wait = _Wait(pattern, duration, self._loop.create_future())
         self._waits.append(wait)
         try:
-            await asyncio.wait([wait.opened], timeout=patience)
+            await asyncio.wait([wait.opened], timeout=timeout)
         finally:
             self._waits.remove(wait)
         return wait.opened.done()
 
-    def _drawn(self, name: str) -> float:
-        """By seed, name and number: a window lasts as long as before when an act elsewhere is left out."""
+    def _draw_duration(self, name: str) -> float:
+        """Draw by seed, name and number, so that the duration stays if a shrunk script leaves out other acts."""
         draw = random.Random(f"{self._seed} {name} {self.opened[name]}")
         return draw.uniform(0.0, LONGEST) if draw.random() < self.share else 0.0

@@ -1,4 +1,4 @@
-"""Every fault that can be brought about in the simulated cell, by name; and how a line of text asks for one."""
+"""All faults that can be injected into the simulated cell, by name, and lines of text that name them."""
 
 from __future__ import annotations
 
@@ -8,47 +8,56 @@ from typing import Any
 
 from pcmrs.errors import DeviceError
 from pcmrs_sim.faults import muscle, robot, scene, tracker
-from pcmrs_sim.faults.fault import Fault, Faulty
+from pcmrs_sim.faults.fault import Fault, FaultTarget
 
 FAULTS: Mapping[str, Fault] = {
     fault.name: fault for fault in (*robot.FAULTS, *tracker.FAULTS, *scene.FAULTS, *muscle.FAULTS)
 }
-"""By name."""
+"""Name to fault."""
 
-_TRUTH = {"on": True, "true": True, "off": False, "false": False}
+_SWITCH_WORDS = {"on": True, "true": True, "off": False, "false": False}
 
 
 def find_fault(name: str) -> Fault:
-    """The fault of that name.
+    """Return the fault of a name.
 
     Raises:
-        DeviceError: There is none.
+        DeviceError: No fault has this name.
     """
     if name not in FAULTS:
         raise DeviceError(f"There is no fault {name!r}; `pcmrs-sim faults` lists them.", fault=name)
     return FAULTS[name]
 
 
-def inject(cell: Faulty, name: str, arguments: Mapping[str, Any]) -> None:
-    """Brings about a fault in a cell, or ends it.
+def inject(cell: FaultTarget, name: str, arguments: Mapping[str, Any]) -> None:
+    """Inject a fault into a cell, or end it.
+
+    Args:
+        cell: The running cell.
+        name: Name of the fault.
+        arguments: Arguments of the fault by name. Which values end it depends on the fault.
 
     Raises:
-        DeviceError: There is no such fault, or it cannot use these arguments.
+        DeviceError: No fault has this name, or an argument is missing, unknown or out of range.
     """
     fault = find_fault(name)
     unknown = sorted(set(arguments) - set(fault.arguments))
     if unknown:
-        raise DeviceError(f"{_usage(fault)} is called with {', '.join(unknown)}, which it does not know.", fault=name)
+        text = f"The fault {name} has no argument {', '.join(unknown)}; write: {_usage(fault)}."
+        raise DeviceError(text, fault=name)
     fault.apply(cell, arguments)
 
 
 def parse_fault(line: str) -> tuple[str, dict[str, Any]]:
-    """Name and arguments of a line such as ``occlude coil on``: the fault, then its arguments in their order.
+    """Return name and arguments of a line such as ``occlude coil on``: the fault, then its arguments in order.
 
-    ``on`` and ``off`` become truth values and numbers become numbers; arguments at the end may be left out.
+    ``on`` and ``off`` become truth values and numbers become numbers. Arguments at the end may be left out.
+
+    Args:
+        line: The line. It must hold at least one word.
 
     Raises:
-        DeviceError: There is no such fault, or it has fewer arguments.
+        DeviceError: No fault has this name, or the line holds too many arguments.
     """
     name, *words = line.split()
     fault = find_fault(name)
@@ -58,8 +67,8 @@ def parse_fault(line: str) -> tuple[str, dict[str, Any]]:
 
 
 def _value(word: str) -> bool | float | str:
-    if word in _TRUTH:
-        return _TRUTH[word]
+    if word in _SWITCH_WORDS:
+        return _SWITCH_WORDS[word]
     try:
         value = float(word)
     except ValueError:

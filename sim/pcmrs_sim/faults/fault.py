@@ -1,6 +1,6 @@
-"""Injectable faults, and the cells in which they can be brought about.
+"""Injectable faults, the cell as they change it, and checks of their arguments.
 
-Arguments of faults, as words of a line or as data from the bus.
+Arguments come as words of a line or as data from the bus.
 """
 
 from __future__ import annotations
@@ -17,10 +17,14 @@ from pcmrs_sim.world import World
 
 
 def switch(arguments: Mapping[str, Any], name: str) -> bool:
-    """A truth value; true where it is left out.
+    """Return a truth value; true if the argument is missing.
+
+    Args:
+        arguments: Arguments of a fault by name.
+        name: Name of the argument.
 
     Raises:
-        DeviceError: It is something else.
+        DeviceError: The argument is not a truth value.
     """
     value = arguments.get(name, True)
     if isinstance(value, bool):
@@ -29,10 +33,16 @@ def switch(arguments: Mapping[str, Any], name: str) -> bool:
 
 
 def number(arguments: Mapping[str, Any], name: str, lowest: float, highest: float) -> float:
-    """A number within a range.
+    """Return a number within a range.
+
+    Args:
+        arguments: Arguments of a fault by name.
+        name: Name of the argument.
+        lowest: Smallest allowed number, in the argument's unit.
+        highest: Largest allowed number, in the argument's unit.
 
     Raises:
-        DeviceError: It is none, or outside.
+        DeviceError: The argument is missing, not a number, or out of range.
     """
     value = arguments.get(name)
     if isinstance(value, int | float) and not isinstance(value, bool) and lowest <= value <= highest:
@@ -42,10 +52,15 @@ def number(arguments: Mapping[str, Any], name: str, lowest: float, highest: floa
 
 
 def choice(arguments: Mapping[str, Any], name: str, known: Sequence[str]) -> Any:
-    """One of the words in `known`.
+    """Return one of some known words.
+
+    Args:
+        arguments: Arguments of a fault by name.
+        name: Name of the argument.
+        known: Allowed words.
 
     Raises:
-        DeviceError: It is none of them.
+        DeviceError: The argument is missing or not among the words.
     """
     value = arguments.get(name)
     if value in known:
@@ -55,13 +70,13 @@ def choice(arguments: Mapping[str, Any], name: str, known: Sequence[str]) -> Any
     )
 
 
-class Faulty(Protocol):
-    """A cell, as faults change it.
+class FaultTarget(Protocol):
+    """The cell as faults change it.
 
     Attributes:
-        facts: The arm.
-        world: The truth.
-        tracker: Has faults of its own.
+        facts: Geometry and limits of the arm.
+        world: True state of the cell.
+        tracker: The tracker, with its present faults.
     """
 
     facts: ArmFacts
@@ -70,7 +85,7 @@ class Faulty(Protocol):
 
     @property
     def robot_faults(self) -> RobotFaults:
-        """What is wrong with the robot."""
+        """Present faults of the robot."""
 
     def cut_robot(self, cut: bool) -> None:
         """Cut the robot's link, or restore it."""
@@ -78,25 +93,25 @@ class Faulty(Protocol):
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault of the catalogue that can be brought about in a simulated cell, and ended.
+    """One fault of the catalogue that can be injected into a simulated cell, and ended.
 
     Attributes:
-        name: By which it is asked for.
-        row: Of the fault catalogue, such as ``S5``.
-        help: One line: what happens.
-        arguments: Names of its arguments, in the order in which a line of text gives them.
-        apply: Brings it about or ends it; raises `DeviceError` for an argument that it cannot use.
-        also: Other rows of the catalogue that it brings about.
+        name: Name of the fault.
+        row: Row of the fault catalogue, such as ``S5``.
+        help: Effect of the fault, in one line.
+        arguments: Names of its arguments, in the order of a line of text.
+        apply: Injects or ends the fault in a cell; raises `DeviceError` for a wrong argument.
+        also: Other rows of the catalogue that this fault covers.
     """
 
     name: str
     row: str
     help: str
     arguments: tuple[str, ...]
-    apply: Callable[[Faulty, Mapping[str, Any]], None]
+    apply: Callable[[FaultTarget, Mapping[str, Any]], None]
     also: tuple[str, ...] = ()
 
     @property
     def rows(self) -> tuple[str, ...]:
-        """All rows of the catalogue that it brings about."""
+        """All rows of the catalogue that this fault covers."""
         return (self.row, *self.also)

@@ -1,22 +1,22 @@
-"""Faults of the muscle: row S14 of the fault catalogue, and what makes a response unusable."""
+"""Faults of the muscle: row S14 of the fault catalogue, and preactivation, which makes responses unusable."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-from pcmrs_sim.faults.fault import Fault, Faulty, number, switch
+from pcmrs_sim.faults.fault import Fault, FaultTarget, number, switch
 
-STRONGEST_UV = 1000.0
-"""Electromyogram of a strong contraction, uV."""
+LARGEST_EMG_UV = 1000.0
+"""Electromyogram (rms) of a strong contraction, uV."""
 
 
-def _no_mep(cell: Faulty, arguments: Mapping[str, Any]) -> None:
+def _no_mep(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     cell.world.muscle.silent = switch(arguments, "on")
 
 
-def _preactivation(cell: Faulty, arguments: Mapping[str, Any]) -> None:
-    rms = number(arguments, "microvolts", 0.0, STRONGEST_UV) * 1e-6
+def _preactivation(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
+    rms = number(arguments, "microvolts", 0.0, LARGEST_EMG_UV) * 1e-6
     cell.world.muscle.preactivate(rms, cell.world.time)
 
 
@@ -25,9 +25,9 @@ FAULTS = (
     Fault(
         "preactivation",
         "S14",
-        "The muscle is tense, with an EMG of so many uV; 0 relaxes it.",
+        "The muscle is tense, with an EMG of this rms, uV; 0 relaxes it.",
         ("microvolts",),
         _preactivation,
     ),
 )
-"""For the registry."""
+"""Faults of the muscle, for the registry `pcmrs_sim.faults.FAULTS`."""

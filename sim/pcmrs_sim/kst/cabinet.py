@@ -1,9 +1,9 @@
-"""What the cabinet does with each line that it hears: the KST server without its socket.
+"""The KST server without its socket: the reaction to each line of the client.
 
-Like the real one it has two threads of thought. The *reader* takes every line as it comes and acts at once on set
-points, stops and questions for the joints. Everything else it lays into the one slot of the *main loop*, which is busy
-as long as a motion or a servo lasts: what lies in the slot is lost when another line comes, or when a point-to-point
-motion ends. What neither of them knows stays latched: nothing is answered any more.
+Like the real one, it has two threads of control. The *reader* takes each line when it arrives. It processes set points,
+stops and queries of the joints at once, and puts all other lines into the single slot of the *main loop*, which is busy
+during a motion or a servo session. A line in the slot is lost if another line arrives, or if a point-to-point motion
+ends. A line that neither of them knows latches the server: it answers nothing more.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.kst.java import numbers, reply
 from pcmrs_sim.kst.main_loop import DONE, JOINTS, MainLoop, Targets
 from pcmrs_sim.kst.readings import Readings
@@ -27,19 +27,19 @@ SET_POINTS: dict[str, Callable[[Readings], list[float]] | None] = {
     "jpMT": Readings.torques,
     "jpEEfP": Readings.force,
 }
-"""Requests that set the joints, and what they are answered with; ``jp`` with ``done``, ``jf`` not at all."""
+"""Requests that set the joints, each with the reading in its reply. ``jp`` is answered ``done``, and ``jf`` is not."""
 
 
-class Cabinet:
+class SimulatedCabinet:
     """One run of the cabinet's application, with one client.
 
     Args:
-        cell: Its arm is moved.
-        send: Takes what the client is told.
-        close: Ends the connection.
+        cell: The running cell, whose arm it moves.
+        send: Called with each reply to the client.
+        close: Closes the connection.
     """
 
-    def __init__(self, cell: Cell, send: Callable[[str], None], close: Callable[[], None]) -> None:
+    def __init__(self, cell: CellSimulation, send: Callable[[str], None], close: Callable[[], None]) -> None:
         self._faults = cell.robot_faults
         self._targets = Targets()
         self._readings = Readings(cell.world.arm, ArmModel(cell.facts))
@@ -48,27 +48,28 @@ class Cabinet:
         self._drops, self._lost, self._latched = cell.robot_faults.drops, False, False
 
     def receive(self, line: str) -> None:
-        """Acts on a line of the client."""
+        """Process a line of the client, without its line feed."""
         if self._faults.cut or self._latched:
             return
-        self._main.slot = ""
+        self._main.slot = ""  # any new line overwrites the slot, as in the real server
         try:
-            self._act(line)
-        except ValueError:  # ends the reader's thread in the real one
+            self._dispatch(line)
+        except ValueError:  # in the real server, this ends the reader's thread
             self._latched = True
 
     def update(self) -> None:
-        """Looks at link and arm, after time has passed."""
+        """Check link and arm after time has passed."""
+        # A TCP connection does not notice that its link is cut. It fails when the link is restored.
         self._lost = self._lost or self._faults.cut
         if self._faults.drops > self._drops or (self._lost and not self._faults.cut):
             self._close()
         self._main.update()
 
     def leave(self) -> None:
-        """The client has gone: the arm brakes."""
+        """Brake the arm because the client has gone."""
         self._main.leave()
 
-    def _act(self, line: str) -> None:
+    def _dispatch(self, line: str) -> None:
         name = line.partition("_")[0]
         if name in SET_POINTS:
             self._set_joints(name, line)
@@ -82,15 +83,15 @@ class Cabinet:
             self._send(DONE)
         elif line == "end":
             self._close()
-        elif self._main.knows(line):
+        elif self._main.accepts(line):
             self._main.slot = line
-            self._main.work()
+            self._main.process_slot()
         else:
             self._latched = True
 
     def _set_joints(self, name: str, line: str) -> None:
         _overwrite(self._targets.joints, numbers(line))
-        self._main.servo()
+        self._main.update_servo()
         reading = SET_POINTS[name]
         if reading is not None:
             self._send(reply(reading(self._readings)))
@@ -99,10 +100,10 @@ class Cabinet:
 
 
 def check_arm(facts: ArmFacts) -> None:
-    """Accepts an arm that a Sunrise cabinet could move.
+    """Check that a Sunrise cabinet could move an arm.
 
     Raises:
-        ConfigurationError: It has not seven joints.
+        ConfigurationError: The arm does not have seven joints.
     """
     if len(facts.joints) != JOINTS:
         text = f"A KST cabinet moves an iiwa with {JOINTS} joints; {facts.name} has {len(facts.joints)}. Choose iiwa14."
@@ -110,6 +111,6 @@ def check_arm(facts: ArmFacts) -> None:
 
 
 def _overwrite(array: Floats, values: list[float]) -> None:
-    """Too many numbers are passed over, and too few leave the rest as it was."""
+    """Write values into an array. Surplus values are ignored; with too few, the rest of the array stays as it was."""
     count = min(len(values), len(array))
     array[:count] = values[:count]

@@ -8,14 +8,14 @@ from math import isfinite, isnan
 
 _DECIMAL = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?[dDfF]?\s*", re.ASCII)
 _PLAIN = (1e-3, 1e7)
-"""Within this range of magnitudes there is no exponent."""
+"""Range of magnitudes that Java writes without an exponent."""
 
 
 def java_double(value: float) -> str:
-    """``Double.toString(value)``: the shortest digits that tell the number, at least one of them behind the point.
+    """Return ``Double.toString(value)``: the shortest digits that identify the number, at least one after the point.
 
-    Where one digit tells it, the nearest of those with two is taken, which differs for the tiniest numbers only.
-    Since JDK 19 this is what the specification says; older ones sometimes write a digit more.
+    If one digit identifies it, the nearest number of two digits is taken, which differs for the tiniest numbers only.
+    This follows the specification since JDK 19; older JDKs sometimes write one more digit.
     """
     if isnan(value):
         return "NaN"
@@ -30,13 +30,13 @@ def java_double(value: float) -> str:
 
 
 def parse_double(token: str) -> float:
-    """``Double.parseDouble(token)`` for a decimal number.
+    """Return ``Double.parseDouble(token)`` for a decimal number.
 
     Raises:
-        ValueError: It is none, or not finite.
+        ValueError: The token is not a decimal number, or the number is not finite.
     """
     if _DECIMAL.fullmatch(token) is None:
-        raise ValueError(f"{token!r} is no decimal number")
+        raise ValueError(f"{token!r} is not a decimal number")
     value = float(token.strip().rstrip("dDfF"))
     if not isfinite(value):
         raise ValueError(f"{token!r} is too great")
@@ -44,14 +44,14 @@ def parse_double(token: str) -> float:
 
 
 def numbers(line: str) -> list[float]:
-    """The numbers after the name of a request; empty tokens are passed over, as ``StringTokenizer`` does.
+    """Return the numbers after the name of a request. Empty tokens are skipped, as ``StringTokenizer`` does.
 
     Raises:
-        ValueError: A token is no number.
+        ValueError: A token is not a number.
     """
     return [parse_double(token) for token in line.split("_")[1:] if token]
 
 
 def reply(values: list[float]) -> str:
-    """A reply of numbers: each followed by ``_``, ended by a line feed."""
+    """Return a reply of numbers, each followed by ``_``, with a line feed at the end."""
     return "".join(f"{java_double(value)}_" for value in values) + "\n"

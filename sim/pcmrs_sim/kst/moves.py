@@ -12,32 +12,35 @@ from pcmrs.kinematics.time_parameterization import PERIOD, joint_request, sample
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform
 
-ACCELERATION = 3.0  # rad/s^2
-JERK = 30.0  # rad/s^3
-SLOWEST_PART, SLOWEST = 1e-2, 1e-3
-"""Of the joints' speed, and of a line in m/s: a slower motion takes hours, and none is planned as a whole."""
+ACCELERATION = 3.0
+"""Acceleration of each joint, rad/s^2."""
+JERK = 30.0
+"""Jerk of each joint, rad/s^3."""
+SMALLEST_FRACTION, SLOWEST = 1e-2, 1e-3
+"""Smallest fraction of the joints' speed, and slowest speed along a line, m/s. A slower motion would take hours, and a
+motion is planned as a whole."""
 FARTHEST = 10.0
-"""No goal of an iiwa is as far from its base, m."""
+"""Largest coordinate of a goal in the base frame, m: beyond the reach of any iiwa."""
 
 
-def joint_move(arm: ArmModel, start: Floats, goal: Floats, part: float) -> JointTrajectory:
-    """From rest to rest with all joints together.
+def joint_move(arm: ArmModel, start: Floats, goal: Floats, fraction: float) -> JointTrajectory:
+    """Plan a motion of all joints from rest to rest. They start and end together.
 
     Args:
-        arm: The arm.
-        start: rad, (n,).
-        goal: rad, (n,).
-        part: Of the speed of every joint.
+        arm: Model of the arm.
+        start: Posture at the start, rad, (n,).
+        goal: Posture at the end, rad, (n,).
+        fraction: Fraction of each joint's speed.
 
     Raises:
-        DeviceError: The part is not in [0.01, 1].
+        DeviceError: The fraction is not in [0.01, 1].
         UnreachableError: The goal is out of the joints' ranges.
     """
-    if not SLOWEST_PART <= part <= 1.0:
-        text = f"The relative joint speed is {part:g}, must be in [{SLOWEST_PART:g}, 1]; send jRelVel first."
-        raise DeviceError(text, part=part)
+    if not SMALLEST_FRACTION <= fraction <= 1.0:
+        text = f"The relative joint speed is {fraction:g}, must be in [{SMALLEST_FRACTION:g}, 1]; send jRelVel first."
+        raise DeviceError(text, part=fraction)
     arm.check_limits(goal)
-    request = joint_request(part * arm.velocity, _limits(arm, 1.0))
+    request = joint_request(fraction * arm.velocity, _limits(arm, 1.0))
     request.current_position, request.target_position = start.tolist(), goal.tolist()
     profile = solve(request)
     times = sample_times(profile.duration, 1.0, PERIOD)
@@ -47,14 +50,14 @@ def joint_move(arm: ArmModel, start: Floats, goal: Floats, part: float) -> Joint
 def straight_move(
     arm: ArmModel, start: Floats, base_from_tool: Transform, flange_from_tool: Transform, speed: float
 ) -> JointTrajectory:
-    """From rest to rest with the tool frame on a straight line.
+    """Plan a motion from rest to rest with the tool frame on a straight line.
 
     Args:
-        arm: The arm.
-        start: rad, (n,).
-        base_from_tool: The goal.
+        arm: Model of the arm.
+        start: Posture at the start, rad, (n,).
+        base_from_tool: Goal of the tool frame.
         flange_from_tool: The tool frame.
-        speed: Of its origin, m/s.
+        speed: Speed of its origin, m/s.
 
     Raises:
         DeviceError: The speed is below 1 mm/s, or the goal is farther than any arm reaches.

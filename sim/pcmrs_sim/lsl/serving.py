@@ -1,4 +1,4 @@
-"""What the simulated cell does on Lab Streaming Layer for drivers of real devices on the same machine."""
+"""The simulated cell on Lab Streaming Layer, for drivers of real devices on the same machine."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ import structlog
 from pcmrs.background import background_task
 from pcmrs.devices.lsl.library import EMG
 from pcmrs.devices.lsl.markers import PULSES, MarkerOutlet, PulseMarker
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.lsl.streams import EmgOutlet, PulseInlet, lsl_minus
 
 log = structlog.get_logger(__name__)
 
 
 @asynccontextmanager
-async def serve_muscle(cell: Cell, settings: Mapping[str, Any]) -> AsyncIterator[None]:
-    """Serves the muscle of the cell's world as the drivers of stimulator and electromyograph need it.
+async def serve_muscle(cell: CellSimulation, settings: Mapping[str, Any]) -> AsyncIterator[None]:
+    """Serve the muscle of a cell as the drivers of stimulator and electromyograph need it.
 
-    With ``emg.driver = "lsl"`` its electromyogram is streamed, and the pulses of a simulated stimulator are marked;
-    with ``stimulator.driver = "trigger"`` the markers of that stimulator stimulate it.
+    With ``emg.driver = "lsl"``, its electromyogram is streamed, and a simulated stimulator sends a marker per pulse.
+    With ``stimulator.driver = "trigger"``, the markers of that stimulator stimulate it.
 
     Args:
-        cell: The one world that all devices share.
+        cell: The running cell.
         settings: The whole configuration.
 
     Raises:
@@ -33,25 +33,25 @@ async def serve_muscle(cell: Cell, settings: Mapping[str, Any]) -> AsyncIterator
     """
     stimulator, emg = (settings.get(device, {}).get("driver") for device in ("stimulator", "emg"))
     lsl, world = settings.get("lsl", {}), cell.world
-    works = []
+    streams = []
     if stimulator == "trigger":
         markers = settings.get("trigger", {}).get("markers", PULSES)
-        works.append(PulseInlet(markers, world.stimulate, cell.clock).run())
+        streams.append(PulseInlet(markers, world.stimulate, cell.clock).run())
     if emg == "lsl" and world.settings.muscle.streamed:
         stream = lsl.get("stream", EMG)
         outlet = EmgOutlet(stream, world.settings.muscle.rate_hz, lambda *of: world.muscle.samples(*of), cell.clock)
-        works.append(outlet.run())
+        streams.append(outlet.run())
         log.info("virtual_muscle_streamed", stream=stream)
         if stimulator == "sim":
-            world.pulse_listeners.append(_marking(lsl.get("markers", PULSES), cell))
+            world.pulse_listeners.append(_marker(lsl.get("markers", PULSES), cell))
     async with AsyncExitStack() as stack:
-        for work in works:
-            await stack.enter_async_context(background_task(work))
+        for stream in streams:
+            await stack.enter_async_context(background_task(stream))
         yield
 
 
-def _marking(name: str, cell: Cell) -> Any:
-    """What marks a pulse of the simulated stimulator on a stream of that name."""
+def _marker(name: str, cell: CellSimulation) -> Any:
+    """Return a function that sends a marker for each pulse of the simulated stimulator, on a stream of a name."""
     outlet, offset = MarkerOutlet(name), lsl_minus(cell.clock)
 
     def mark(number: int, intensity: float, time: float) -> None:

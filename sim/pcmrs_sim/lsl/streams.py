@@ -1,4 +1,4 @@
-"""The muscle on Lab Streaming Layer: its electromyogram as a stream, and pulses heard as markers, both ways."""
+"""The muscle on Lab Streaming Layer: its electromyogram as a stream out, and pulses as markers in."""
 
 from __future__ import annotations
 
@@ -13,27 +13,28 @@ from pcmrs.devices.lsl.markers import read_pulse
 from pcmrs.spatial import Floats
 
 PERIOD = 0.01
-"""Seconds between packets, and between looks for markers."""
+"""Period of packets, and of polls for markers, s."""
 LATENCY = 0.1
-"""Age of the newest sample that is sent, s: an amplifier's buffers, and time in which a pulse's marker arrives."""
+"""Age of the newest sample that is sent, s. It stands for an amplifier's buffers, and lets a pulse's marker arrive
+before the samples that the pulse changes."""
 CATCH_UP = 1.0
-"""Samples that are older than this are left out after a stall, s."""
+"""Age beyond which samples are left out after a stall, s."""
 MICROVOLTS = 1e6
 
 
 def lsl_minus(clock: Clock) -> float:
-    """Time of Lab Streaming Layer minus time of `clock`, s: constant where both run at the machine's rate."""
+    """Return the time of Lab Streaming Layer minus the time of a clock, s: constant if both run at the same rate."""
     return float(load_lsl().local_clock() - clock.monotonic())
 
 
 class EmgOutlet:
-    """A stream of electromyogram that follows the clock.
+    """An electromyogram as a stream that follows a clock.
 
     Args:
-        name: Of the stream.
-        rate: Whole samples per second.
-        samples: Tells samples by the number of the first and their count, V.
-        clock: The cell's clock, at the machine's rate; sample number n is of its time n / rate.
+        name: Name of the stream.
+        rate: Samples per second, an integer.
+        samples: Returns samples, V, by the number of the first one and their count.
+        clock: The cell's clock, at the machine's rate. Sample number n belongs to its time n / rate.
 
     Raises:
         ConfigurationError: Lab Streaming Layer is not installed.
@@ -53,13 +54,13 @@ class EmgOutlet:
         self._next = self._due()
 
     async def run(self) -> None:
-        """Sends until cancelled."""
+        """Send until cancelled."""
         while True:
             await self._clock.sleep(PERIOD)
             self._send()
 
     def _due(self) -> int:
-        """Number of the first sample that is not to be sent yet."""
+        """Return the number of the first sample that is not due yet."""
         return int((self._clock.monotonic() - LATENCY) * self._rate)
 
     def _send(self) -> None:
@@ -73,11 +74,12 @@ class EmgOutlet:
 
 
 class PulseInlet:
-    """Hears the pulses of another stimulator by its markers.
+    """Receives the markers of another stimulator.
 
     Args:
-        name: Of the stream of markers.
-        stimulate: Called with number, intensity in percent, and time of the cell's clock, s, of each pulse.
+        name: Name of the stream of markers.
+        stimulate: Called for each pulse with its number, its intensity (percent of the maximum stimulator output) and
+            its time on the cell's clock, s.
         clock: The cell's clock, at the machine's rate.
 
     Raises:
@@ -91,17 +93,17 @@ class PulseInlet:
         self._offset = lsl_minus(clock)
 
     async def run(self) -> None:
-        """Hears until cancelled."""
+        """Receive until cancelled."""
         try:
             while True:
                 await self._clock.sleep(PERIOD)
-                self._hear()
+                self._poll()
         finally:
             self._inlet.close()
 
-    def _hear(self) -> None:
+    def _poll(self) -> None:
         texts, times = self._inlet.pull()
         for text, time in zip(texts, times, strict=True):
             if (marker := read_pulse(text[0])) is not None:
-                # A dial that nobody has told of gives no stimulus here.
+                # Without a known intensity, the pulse has no effect here.
                 self._stimulate(marker.pulse, marker.intensity or 0.0, float(time) - self._offset)

@@ -1,1 +1,1 @@
-"""The simulated muscle: what its electromyogram shows, pulse or no pulse."""
+"""The simulated muscle and its electromyogram."""

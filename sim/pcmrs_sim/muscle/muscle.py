@@ -1,4 +1,4 @@
-"""The electromyogram of one subject: every sample of it, whoever asks and whenever."""
+"""The electromyogram of one subject. Each sample is reproducible, in any order of requests."""
 
 from __future__ import annotations
 
@@ -14,30 +14,36 @@ from pcmrs.spatial import Floats, Transform
 from pcmrs_sim.muscle.waveform import Background, artefact, evoked_potential
 from pcmrs_sim.settings import MuscleSettings
 
-KEPT = 256
-"""Pulses that are remembered."""
-EFFECT = 0.25
-"""Seconds after which nothing is left of a pulse."""
+STORED_PULSES = 256
+"""Number of newest pulses that are stored."""
+PULSE_EFFECT_TIME = 0.25
+"""Time after which a pulse has no effect on the electromyogram, s."""
 STREAM = 2001
-"""Keeps these draws apart from all others of a seed."""
+"""Number of the random stream of the responses, so that it is independent of the other streams of a seed."""
 
 
 class Responder(Protocol):
-    """What is asked of a subject; `pcmrs_sim.tms.subject.Subject` is one."""
+    """A subject, as the muscle uses it; `pcmrs_sim.tms.subject.Subject` is one."""
 
     def response(self, image_from_coil: Transform, intensity: float, rng: np.random.Generator) -> float:
-        """Peak-to-peak amplitude of the response, V."""
+        """Return the peak-to-peak amplitude of the response to a pulse, V.
+
+        Args:
+            image_from_coil: True pose of the coil.
+            intensity: Percent of the maximum stimulator output.
+            rng: Source of the variability.
+        """
 
 
 @dataclass(frozen=True)
 class Stimulus:
-    """A pulse as the muscle felt it.
+    """A pulse and its effect.
 
     Attributes:
-        number: Of the pulse.
-        time: Of the cell's clock, s.
+        number: Number of the pulse.
+        time: Time of the pulse on the cell's clock, s.
         intensity: Percent of the maximum stimulator output.
-        amplitude: Of the response, peak to peak, V.
+        amplitude: Peak-to-peak amplitude of the response, V.
     """
 
     number: int
@@ -49,18 +55,18 @@ class Stimulus:
 class Muscle:
     """A relaxed muscle of the hand, its electrodes and their amplifier.
 
-    Sample number n belongs to the time n / rate of the cell's clock. Nothing here lowers the threshold of a muscle that
-    is active, as a real one's is.
+    Sample number n belongs to the time n / rate of the cell's clock. The model does not lower the threshold of an
+    active muscle; that of a real one is lower.
 
     Args:
-        settings: Its electromyogram.
-        draw: Draws the subject that answers pulses, when the first one comes; None where there is no brain to
-            stimulate.
-        seed: Where noise and variability come from.
+        settings: Settings of the electromyogram.
+        draw: Returns the subject that responds to pulses; called at the first pulse. None for a phantom without a
+            brain.
+        seed: Seed of noise and variability.
 
     Attributes:
-        settings: The same.
-        silent: Pulses have no effect on it any more.
+        settings: Settings of the electromyogram.
+        silent: Pulses have no effect on the muscle.
     """
 
     def __init__(self, settings: MuscleSettings, draw: Callable[[], Responder | None], seed: int) -> None:
@@ -69,16 +75,23 @@ class Muscle:
         self.silent = False
         self._rng = np.random.default_rng((seed, STREAM))
         self._background = Background(settings.rate_hz, seed)
-        self._stimuli: deque[Stimulus] = deque(maxlen=KEPT)
+        self._stimuli: deque[Stimulus] = deque(maxlen=STORED_PULSES)
         self._activity = [(-np.inf, settings.preactivation_uv * 1e-6)]
 
     @cached_property
     def subject(self) -> Responder | None:
-        """Who answers pulses."""
+        """The subject that responds to pulses; None for a phantom without a brain."""
         return self._draw()
 
     def stimulate(self, number: int, time: float, image_from_coil: Transform, intensity: float) -> Stimulus:
-        """A pulse at `time` of the cell's clock, s, from a coil that is truly there."""
+        """Give a pulse and return its effect.
+
+        Args:
+            number: Number of the pulse.
+            time: Time of the pulse on the cell's clock, s.
+            image_from_coil: True pose of the coil.
+            intensity: Percent of the maximum stimulator output.
+        """
         amplitude = 0.0
         if self.subject is not None and not self.silent:
             amplitude = self.subject.response(image_from_coil, intensity, self._rng)
@@ -87,15 +100,26 @@ class Muscle:
         return stimulus
 
     def stimulus(self, number: int) -> Stimulus | None:
-        """The newest pulse of that number."""
+        """Return the newest pulse of a number; None if it was not given, or is no longer stored."""
         return next((each for each in reversed(self._stimuli) if each.number == number), None)
 
     def preactivate(self, rms: float, time: float) -> None:
-        """The muscle is tense from `time` on, with an electromyogram of `rms`, V."""
+        """Tense or relax the muscle.
+
+        Args:
+            rms: Standard deviation of the activity, V; 0 for a relaxed muscle.
+            time: Time from which it is tense, on the cell's clock, s.
+        """
+        # The level before is kept, because samples from before `time` may still be requested.
         self._activity = [*self._activity[-1:], (time, rms)]
 
     def samples(self, first: int, count: int) -> Floats:
-        """What the amplifier measures, V: samples (count,) from number `first` on."""
+        """Return samples of the amplifier, V, (count,).
+
+        Args:
+            first: Number of the first sample.
+            count: Number of samples.
+        """
         settings, background = self.settings, self._background
         times = np.arange(first, first + count) / settings.rate_hz
         signal = settings.noise_uv * 1e-6 * background.noise(first, count)
@@ -104,18 +128,20 @@ class Muscle:
         if tension.any():
             signal += tension * background.activity(first, count)
         for stimulus in self._stimuli:
-            if times[0] - EFFECT < stimulus.time <= times[-1]:
+            if times[0] - PULSE_EFFECT_TIME < stimulus.time <= times[-1]:
                 signal += self._evoked(stimulus, times - stimulus.time)
         full_scale = settings.full_scale_mv * 1e-3
         return np.clip(signal, -full_scale, full_scale)
 
     def _tension(self, times: Floats) -> Floats:
-        since = np.searchsorted([time for time, _ in self._activity], times, side="right") - 1
-        tension: Floats = np.array([rms for _, rms in self._activity])[since]
+        """Return the standard deviation of the activity at times, V, (n,)."""
+        latest = np.searchsorted([time for time, _ in self._activity], times, side="right") - 1
+        tension: Floats = np.array([rms for _, rms in self._activity])[latest]
         return tension
 
-    def _evoked(self, stimulus: Stimulus, since: Floats) -> Floats:
+    def _evoked(self, stimulus: Stimulus, since_pulse: Floats) -> Floats:
+        """Return response and artefact of a pulse at times since it, s, (n,), V, (n,)."""
         settings = self.settings
-        coupled = settings.artefact_mv * 1e-3 * stimulus.intensity / 100.0
-        potential = stimulus.amplitude * evoked_potential(since - settings.latency, settings.scale)
-        return potential + coupled * artefact(since, settings.artefact_decay)
+        artefact_amplitude = settings.artefact_mv * 1e-3 * stimulus.intensity / 100.0
+        potential = stimulus.amplitude * evoked_potential(since_pulse - settings.latency, settings.scale)
+        return potential + artefact_amplitude * artefact(since_pulse, settings.artefact_decay)

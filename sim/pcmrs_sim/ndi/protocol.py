@@ -6,14 +6,14 @@ import struct
 from dataclasses import dataclass
 
 LONGEST_COMMAND = 1024
-"""Bytes; what comes without an end is cut off there and answered as too long."""
+"""Longest command, bytes. A longer one is cut off and answered as too long."""
 
 INVALID, TOO_LONG, BAD_CRC, PARAMETERS = 0x01, 0x02, 0x04, 0x07
-"""Errors of commands that cannot be read."""
+"""Numbers of the errors of commands that cannot be parsed (NDI's API guide, error codes)."""
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16 with the reflected polynomial A001, begun with 0 (NDI's API guide, appendix on the CRC)."""
+    """Return the CRC-16 with reflected polynomial A001 and initial value 0 (NDI's API guide, appendix on the CRC)."""
     crc = 0
     for byte in data:
         crc ^= byte
@@ -23,7 +23,11 @@ def crc16(data: bytes) -> int:
 
 
 class CommandError(Exception):
-    """A command that is answered with ``ERROR`` and this number."""
+    """A command that is answered with ``ERROR`` and a number.
+
+    Args:
+        number: Number of the error in NDI's API guide.
+    """
 
     def __init__(self, number: int) -> None:
         super().__init__(f"ERROR{number:02X}")
@@ -31,18 +35,26 @@ class CommandError(Exception):
 
 
 @dataclass(frozen=True)
-class Request:
-    """A command such as ``PINIT`` with the text of its parameters."""
+class NdiCommand:
+    """A command.
+
+    Attributes:
+        name: Name, such as ``PINIT``.
+        parameters: Text of the parameters, without the CRC.
+    """
 
     name: str
     parameters: str
 
 
-def parse(line: bytes) -> Request:
-    """Reads a command without its carriage return: ``NAME:parametersCRC``, or ``NAME parameters`` without a CRC.
+def parse(line: bytes) -> NdiCommand:
+    """Parse a command: ``NAME:parametersCRC``, or ``NAME parameters`` without a CRC.
+
+    Args:
+        line: The command without its carriage return.
 
     Raises:
-        CommandError: It is too long, its CRC is wrong, or it holds other characters than text.
+        CommandError: The command is too long, its CRC is wrong, or its name is not made of capitals and digits.
     """
     if len(line) > LONGEST_COMMAND:
         raise CommandError(TOO_LONG)
@@ -57,29 +69,29 @@ def parse(line: bytes) -> Request:
         rest = rest[:-4]
     if not (name.isalnum() and name == name.upper()):
         raise CommandError(INVALID)
-    return Request(name, rest)
+    return NdiCommand(name, rest)
 
 
 def reply(text: str) -> bytes:
-    """An answer in text: with its CRC and a bare carriage return."""
+    """Return a reply in text, with its CRC and a carriage return."""
     data = text.encode("ascii")
     return data + f"{crc16(data):04X}\r".encode("ascii")
 
 
 def binary_reply(body: bytes) -> bytes:
-    """An answer to ``BX``: start sequence, length and their CRC, the body and its CRC, all little-endian."""
+    """Return a reply to ``BX``: start sequence, length and their CRC, then the body and its CRC, all little-endian."""
     header = struct.pack("<HH", 0xA5C4, len(body))
     return header + struct.pack("<H", crc16(header)) + body + struct.pack("<H", crc16(body))
 
 
 class Lines:
-    """Cuts a stream of bytes into commands; holds no more than one command of the longest length."""
+    """Splits a stream of bytes into commands. It holds at most one command of the longest length."""
 
     def __init__(self) -> None:
-        self._begun = b""
+        self._partial = b""
 
     def feed(self, data: bytes) -> list[bytes]:
-        """The commands that `data` ends, without their carriage returns; line feeds are ignored."""
-        *ended, begun = (self._begun + data.replace(b"\n", b"")).split(b"\r")
-        self._begun = begun[: LONGEST_COMMAND + 1]  # one more: it stays recognizable as too long
-        return ended
+        """Return the commands that `data` completes, without their carriage returns. Line feeds are ignored."""
+        *complete, partial = (self._partial + data.replace(b"\n", b"")).split(b"\r")
+        self._partial = partial[: LONGEST_COMMAND + 1]  # one byte more than allowed marks it as too long
+        return complete

@@ -1,4 +1,7 @@
-"""The virtual tracker as a program sees it: its port handles, its modes, and an answer to every command."""
+"""The virtual tracker as a program sees it: its port handles, its modes, and a reply to each command.
+
+Commands, modes and error numbers are those of NDI's API guide.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +9,19 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
 from pcmrs.messages import BodyPose
-from pcmrs_sim.ndi.protocol import INVALID, PARAMETERS, CommandError, Request, parse, reply
-from pcmrs_sim.ndi.replies import ENABLED, INITIALIZED, OCCUPIED, Sight, float_reply, text_reply
-from pcmrs_sim.tracker import BODIES
+from pcmrs_sim.ndi.protocol import INVALID, PARAMETERS, CommandError, NdiCommand, parse, reply
+from pcmrs_sim.ndi.replies import ENABLED, INITIALIZED, OCCUPIED, HandleReport, float_reply, text_reply
+from pcmrs_sim.tracker_faults import BODIES
 
 INVALID_PORT, BAD_MODE, NO_TOOL, NOT_INITIALIZED_PORT = 0x08, 0x0C, 0x0D, 0x0E
 NOT_INITIALIZED, CANNOT_INITIALIZE_PORT, CANNOT_INITIALIZE = 0x10, 0x13, 0x15
 OUT_OF_RANGE, NO_HANDLE, HANDLES_FULL = 0x23, 0x2B, 0x2D
+"""Numbers of the errors of commands that cannot be executed."""
 
 MOST_HANDLES = 6
-"""As many tools as a Vicra has."""
+"""Number of port handles, as of a Vicra."""
 SROM_SIZE = 1024
+"""Size of a tool definition, bytes."""
 
 VERSION = """Polaris Vega Control Firmware
 Freeze Tag: Polaris Vega Rev 007.000.012 (virtual)
@@ -27,7 +32,15 @@ Freeze Date:01/01/25
 
 @dataclass
 class Handle:
-    """A port handle with the tool that was written to it; `body` is what it shows, once that is known."""
+    """A port handle with its tool definition.
+
+    Attributes:
+        srom: The tool definition, bytes.
+        written: A part of the tool definition was written.
+        initialized: It was initialized.
+        enabled: It was enabled: its tool is tracked.
+        body: Body that it tracks; None until it is initialized, or if no body is left.
+    """
 
     srom: bytearray = field(default_factory=lambda: bytearray(SROM_SIZE))
     written: bool = False
@@ -37,20 +50,20 @@ class Handle:
 
     @property
     def status(self) -> int:
-        """Bits that do not depend on a frame."""
+        """Bits of the port's status that do not depend on a frame."""
         return OCCUPIED | INITIALIZED * self.initialized | ENABLED * self.enabled
 
 
 class NdiSystem:
-    """Answers commands; knows nothing of links.
+    """Replies to commands, independent of any link.
 
-    A tool definition shows the body that it names (`placeholder` of the driver does), any other one the next body that
-    no tool shows yet.
+    A tool definition that names a body tracks this body; those that the driver's `placeholder` makes do. Any other
+    definition tracks the next body that no handle tracks yet.
 
     Args:
-        newest: The newest published frame of the simulated tracker; empty before the first.
-        plugged: Whether the position sensor is plugged in.
-        wrong_tools: Bodies with another tool than the one that is defined for them.
+        newest: Returns the newest published frame of the simulated tracker; empty before the first.
+        plugged: Returns true while the position sensor is plugged in.
+        wrong_tools: Returns the bodies that carry another tool than the one that is defined for them.
     """
 
     def __init__(
@@ -80,13 +93,13 @@ class NdiSystem:
         self._while_tracking = {"TSTOP": self._stop, "TX": self._text, "BX": self._floats}
 
     def answer(self, line: bytes) -> bytes:
-        """The reply to one command, given without its carriage return; always one."""
+        """Return the reply to a command without its carriage return. Each command has one reply."""
         try:
             return self._perform(parse(line))
         except CommandError as error:
             return reply(str(error))
 
-    def _perform(self, request: Request) -> bytes:
+    def _perform(self, request: NdiCommand) -> bytes:
         if request.name in self._anytime:
             return self._anytime[request.name](request.parameters)
         if request.name in self._setting_up:
@@ -134,7 +147,7 @@ class NdiSystem:
         wanted: dict[str, Callable[[Handle], bool]] = {
             "": lambda _: True,
             "00": lambda _: True,
-            "01": lambda _: False,  # to be freed: the tools of a wireless system stay
+            "01": lambda _: False,  # handles to be freed: tools of a wireless system are never unplugged
             "02": lambda handle: not handle.initialized,
             "03": lambda handle: handle.initialized and not handle.enabled,
             "04": lambda handle: handle.enabled,
@@ -205,12 +218,12 @@ class NdiSystem:
         return reply("OKAY")
 
     def _text(self, parameters: str) -> bytes:
-        return text_reply(self._sights(parameters))
+        return text_reply(self._reports(parameters))
 
     def _floats(self, parameters: str) -> bytes:
-        return float_reply(self._sights(parameters))
+        return float_reply(self._reports(parameters))
 
-    def _sights(self, options: str) -> list[Sight]:
+    def _reports(self, options: str) -> list[HandleReport]:
         if options not in ("", "0001", "0801"):
             raise CommandError(OUT_OF_RANGE)
         self._check_plugged()
@@ -218,7 +231,7 @@ class NdiSystem:
         number = max((pose.frame_number for pose in poses.values()), default=0)
         unseen = BodyPose(body="", frame_number=number, captured=0.0, sent=0.0, valid=False)
         return [
-            Sight(number, each.status, poses.get(each.body or "", unseen) if each.enabled else None)
+            HandleReport(number, each.status, poses.get(each.body or "", unseen) if each.enabled else None)
             for number, each in self._handles.items()
         ]
 

@@ -1,5 +1,5 @@
-"""The simulated cell in a process of its own, so that the device node does nothing but drive it, as a real cell.
+"""The simulated cell in a separate process, so that the device node only drives it, as it drives a real cell.
 
-`driver` is what the entry point names: it starts the process (`__main__`) and gives the node its devices (`client`).
-The process steps the world, answers calls (`server`), and watches that the node is there, as a robot's cabinet does.
+The entry point of the driver is in `driver`. It starts the process (`__main__`) and gives the node its devices
+(`client`). The process steps the world, answers calls (`server`), and supervises the node, as a robot's cabinet does.
 """

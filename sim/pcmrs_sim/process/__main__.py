@@ -1,6 +1,6 @@
-"""The process of a simulated world: standard input is the link to its node, with which it ends.
+"""The process of a simulated world. Standard input is the link to its node; the process ends with the link.
 
-python -m pcmrs_sim.process < link
+`pcmrs_sim.process.driver` starts it as ``python -m pcmrs_sim.process``.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ async def _serve() -> None:
 
 if __name__ == "__main__":
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # its node holds the arm before it ends, and then ends the link
+        # Its node holds the arm before it ends, and then closes the link, which ends this process.
+        signal.signal(number, signal.SIG_IGN)
     log_to_stderr()
     run(_serve())

@@ -1,4 +1,4 @@
-"""One end of the link between a node and its simulated world: messages that go out and come in without waiting."""
+"""One end of the link between a node and its simulated world. Neither sending nor receiving waits."""
 
 from __future__ import annotations
 
@@ -9,48 +9,49 @@ from collections.abc import Callable
 from pcmrs.devices.framing import MessageSplitter
 
 CHUNK = 1 << 16
+"""Longest read, bytes."""
 BACKLOG = 1 << 18
-"""Bytes that wait for a peer that does not read; beyond that, what is out of date when it comes is dropped."""
+"""Backlog of unsent data, bytes, above which messages that may be dropped are dropped: the peer does not read."""
 
 
 class Channel:
     """A socket in the running event loop.
 
     Args:
-        link: Connected; closed with this channel.
-        take: Called with every message that arrives, without its length.
-        ended: Called once, when the other end has closed the link or ended.
+        link: Connected socket; closed with this channel.
+        take: Called with each message that arrives, without its length.
+        ended: Called once, when the other end has closed the link or its process has ended.
 
     Attributes:
-        dropped: Messages that a peer was too slow for.
+        dropped: Number of messages that were dropped because the peer was too slow, or the channel closed.
     """
 
     def __init__(self, link: socket.socket, take: Callable[[bytes], None], ended: Callable[[], None]) -> None:
         link.setblocking(False)
         self.dropped = 0
         self._link, self._take, self._ended = link, take, ended
-        self._cutter = MessageSplitter()
-        self._waiting = bytearray()
+        self._splitter = MessageSplitter()
+        self._unsent = bytearray()
         self._open = True
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(link, self.receive)
 
-    def send(self, packed: bytes, *, dated: bool = False) -> None:
-        """Sends a message at once, or as soon as the other end reads; never waits.
+    def send(self, packed: bytes, *, droppable: bool = False) -> None:
+        """Send a message at once, or as soon as the other end reads; never wait.
 
         Args:
-            packed: The message.
-            dated: It says nothing any more when it comes late, and is dropped rather than kept.
+            packed: The message with its length.
+            droppable: Drop the message if the peer is too slow: it is useless when it is late.
         """
-        if not self._open or (dated and len(self._waiting) > BACKLOG):
+        if not self._open or (droppable and len(self._unsent) > BACKLOG):
             self.dropped += 1
             return
-        self._waiting += packed
-        if len(self._waiting) == len(packed):
+        self._unsent += packed
+        if len(self._unsent) == len(packed):
             self._flush()
 
     def receive(self) -> None:
-        """Takes everything that has arrived, and waits for nothing."""
+        """Take all messages that have arrived, without waiting."""
         while self._open:
             try:
                 data = self._link.recv(CHUNK)
@@ -62,13 +63,13 @@ class Channel:
                 self.close()
                 self._ended()
                 return
-            for body in self._cutter.feed(data):
+            for body in self._splitter.feed(data):
                 self._take(body)
             if len(data) < CHUNK:
                 return
 
     def close(self) -> None:
-        """Closes the link; what still waits to be sent is lost."""
+        """Close the link. Unsent messages are lost."""
         if self._open:
             self._open = False
             self._loop.remove_reader(self._link)
@@ -77,13 +78,13 @@ class Channel:
 
     def _flush(self) -> None:
         try:
-            sent = self._link.send(self._waiting)
+            sent = self._link.send(self._unsent)
         except BlockingIOError:
             sent = 0
         except OSError:
-            return  # the end of the link is read, too
-        del self._waiting[:sent]
-        if self._waiting:
+            return  # `receive` detects the end of the link, too
+        del self._unsent[:sent]
+        if self._unsent:
             self._loop.add_writer(self._link, self._flush)
         else:
             self._loop.remove_writer(self._link)

@@ -1,4 +1,4 @@
-"""The devices of a simulated world as its node has them: every call is a message, every stream comes in messages."""
+"""The devices of a simulated world, as proxies in its node: calls and streams are messages."""
 
 from __future__ import annotations
 
@@ -22,39 +22,39 @@ from pcmrs.messages import Beat, BodyPose, DeviceEvent, JointSetpoint, JointStat
 from pcmrs_sim.process.channel import Channel
 from pcmrs_sim.process.wire import (
     Alive,
+    ArmState,
     Call,
     Cancel,
     Event,
-    Frame,
     Open,
     Opened,
-    Point,
     Reply,
-    State,
+    ServoPoint,
     ToWorld,
+    TrackerPoses,
     Trouble,
     pack,
     read_by_node,
 )
 
-LOST = "The simulated cell has ended. Look at the arm before going on."
+LOST = "The simulated cell has ended. Look at the arm before you continue."
 
 
-class World:
+class WorldClient:
     """The link to a world in another process.
 
     Args:
-        link: To that process.
+        link: Connected socket to that process.
         machine: The machine's clock.
         lost: Called when the world has ended by itself.
 
     Attributes:
-        frames: Of the tracker.
-        states: Of the robot.
-        events: Device to what it reports.
-        trouble: Device to why it sends nothing.
-        dropped: Set points that the arm has dropped.
-        is_lost: Whether the world has ended by itself.
+        frames: Frames of the tracker.
+        states: Joint states of the robot.
+        events: Name of a device to its events.
+        trouble: Name of a device to the reason for which it sends nothing; empty while it sends.
+        dropped: Number of set points that the arm has dropped.
+        is_lost: The world has ended by itself.
     """
 
     def __init__(self, link: socket.socket, machine: Clock, lost: Callable[[], object]) -> None:
@@ -68,31 +68,44 @@ class World:
         self._opened: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._calls: dict[int, asyncio.Future[Any]] = {}
         self._numbers = itertools.count(1)
-        self._channel = Channel(link, self._take, self._end)
+        self._channel = Channel(link, self._receive, self._handle_end)
 
     async def open(self, devices: Collection[str], settings: Mapping[str, Any]) -> None:
-        """Has the world begin; returns when it runs.
+        """Open the cell in the world; return when it runs.
+
+        Args:
+            devices: Names of the devices that the node serves.
+            settings: The whole configuration.
 
         Raises:
             ConfigurationError: The world refuses its settings.
-            UnknownOutcomeError: It has ended.
+            UnknownOutcomeError: The world has ended.
         """
         self._send(Open(list(devices), dict(settings)))
         await self._opened
 
     async def beat(self, deadman: float) -> None:
-        """Sends signs of life of this event loop until cancelled, for a world that waits for them so long, s."""
+        """Send heartbeats of this event loop until cancelled.
+
+        Args:
+            deadman: Silence after which the world makes its devices safe, s.
+        """
         for number in itertools.count(1):
             now = self._machine.monotonic()
             beat = Beat(number=number, session="node", alive=now, sent=now)
-            self._channel.send(pack(Alive(beat)), dated=True)
+            self._channel.send(pack(Alive(beat)), droppable=True)
             await self._machine.sleep(beat_period(deadman))
 
     async def call(self, device: str, method: str, arguments: Mapping[str, Any]) -> Any:
-        """Calls a method of a device and returns its result, plain data.
+        """Call a method of a device and return its result as plain data.
+
+        Args:
+            device: Name of the device.
+            method: Name of the method in its protocol.
+            arguments: Arguments by name, as plain data.
 
         Raises:
-            PcmrsError: What the device raises.
+            PcmrsError: The error that the device raises.
             UnknownOutcomeError: The world has ended.
         """
         if self.is_lost:
@@ -109,22 +122,22 @@ class World:
             self._calls.pop(number, None)
 
     def set_point(self, setpoint: JointSetpoint) -> None:
-        """Passes a set point on."""
-        self._channel.send(pack(Point(setpoint)), dated=True)
+        """Send a set point to the arm."""
+        self._channel.send(pack(ServoPoint(setpoint)), droppable=True)
 
     def close(self) -> None:
-        """Ends the link, and with it the world."""
+        """Close the link, which ends the world."""
         self._channel.close()
-        self._give_up()
+        self._fail_pending()
 
     def _send(self, message: ToWorld) -> None:
         self._channel.send(pack(message))
 
-    def _take(self, body: bytes) -> None:
+    def _receive(self, body: bytes) -> None:
         match read_by_node(body):
-            case Frame(poses):
+            case TrackerPoses(poses):
                 self.frames.publish(poses)
-            case State(state, dropped):
+            case ArmState(state, dropped):
                 self.dropped = dropped
                 self.states.publish(state)
             case Event(event):
@@ -133,7 +146,7 @@ class World:
                 self.trouble[device] = text
             case Reply(number, result, failure):
                 answer = self._calls.get(number)
-                if answer is None or answer.done():  # nobody waits for it any more
+                if answer is None or answer.done():  # its caller was cancelled
                     return
                 if failure is not None:
                     answer.set_exception(failure.error())
@@ -145,12 +158,12 @@ class World:
                 else:
                     self._opened.set_result(None)
 
-    def _end(self) -> None:
+    def _handle_end(self) -> None:
         self.is_lost = True
-        self._give_up()
+        self._fail_pending()
         self._lost()
 
-    def _give_up(self) -> None:
+    def _fail_pending(self) -> None:
         for waiting in (self._opened, *self._calls.values()):
             if not waiting.done():
                 waiting.set_exception(UnknownOutcomeError(LOST))
@@ -161,14 +174,14 @@ class World:
 
 
 class WorldDevice:
-    """A device of the world; its methods are those of its protocol.
+    """Proxy of a device in the world. It has the methods of the device's protocol.
 
     Args:
-        world: That it is in.
-        name: Of the device.
+        world: World with the device.
+        name: Name of the device.
     """
 
-    def __init__(self, world: World, name: str) -> None:
+    def __init__(self, world: WorldClient, name: str) -> None:
         self._world, self._name = world, name
 
     def __getattr__(self, method: str) -> Callable[..., Awaitable[Any]]:
@@ -185,14 +198,14 @@ class WorldDevice:
 
 
 class WorldRobot(WorldDevice):
-    """The arm; see `pcmrs.devices.protocols.RobotDriver`.
+    """Proxy of the arm; implements `pcmrs.devices.protocols.RobotDriver`.
 
     Args:
-        world: That it is in.
+        world: World with the arm.
         clock: The cell's clock, which stamps set points.
     """
 
-    def __init__(self, world: World, clock: Clock) -> None:
+    def __init__(self, world: WorldClient, clock: Clock) -> None:
         super().__init__(world, "robot")
         self._clock = clock
 
@@ -218,20 +231,20 @@ class WorldRobot(WorldDevice):
 
 
 class WorldStimulator(WorldDevice):
-    """The stimulator; see `pcmrs.devices.protocols.StimulatorDriver`."""
+    """Proxy of the stimulator; implements `pcmrs.devices.protocols.StimulatorDriver`."""
 
     def events(self) -> AsyncIterator[DeviceEvent]:
         return self._world.events["stimulator"].read()
 
 
 class WorldTracker:
-    """The tracker; see `pcmrs.devices.protocols.TrackerDriver`.
+    """Proxy of the tracker; implements `pcmrs.devices.protocols.TrackerDriver`.
 
     Args:
-        world: That it is in.
+        world: World with the tracker.
     """
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: WorldClient) -> None:
         self._world = world
 
     @property
@@ -242,12 +255,21 @@ class WorldTracker:
         return self._world.frames.read()
 
 
-def devices_of(world: World, names: Collection[str], clock: Clock) -> Mapping[str, Any]:
-    """The devices of those names."""
-    own = {
+def devices_of(world: WorldClient, names: Collection[str], clock: Clock) -> Mapping[str, Any]:
+    """Return proxies of devices in a world.
+
+    Args:
+        world: The opened world.
+        names: Names of the devices.
+        clock: The cell's clock.
+
+    Returns:
+        Name of each device to its proxy.
+    """
+    special = {
         "robot": WorldRobot(world, clock),
         "stimulator": WorldStimulator(world, "stimulator"),
         "tracker": WorldTracker(world),
     }
-    others = {name: WorldDevice(world, name) for name in PROTOCOLS if name not in own}
-    return {name: (own | others)[name] for name in names}
+    others = {name: WorldDevice(world, name) for name in PROTOCOLS if name not in special}
+    return {name: (special | others)[name] for name in names}

@@ -1,4 +1,4 @@
-"""The driver `sim`: starts the simulated cell as a child process, and ends with it."""
+"""The driver `sim`: starts the simulated cell as a child process, and ends if that process ends."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from pcmrs.background import background_task
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.devices.deadman import DEADMAN
 from pcmrs.errors import DeviceError
-from pcmrs_sim.process.client import World, devices_of
+from pcmrs_sim.process.client import WorldClient, devices_of
 
 MODULE = "pcmrs_sim.process"
 END_TIME = 2.0
-"""A world that has not ended so long after its link is killed, s: it may be stopped."""
+"""Time after the end of its link until the world is killed, s: the process may be stopped and cannot end by itself."""
 
 log = structlog.get_logger(__name__)
 
@@ -28,23 +28,24 @@ log = structlog.get_logger(__name__)
 def open_devices(
     devices: Collection[str], settings: Mapping[str, Any], clock: Clock
 ) -> AbstractAsyncContextManager[Mapping[str, Any]]:
-    """Starts a simulated cell in a process of its own, and opens the asked devices of it.
+    """Start a simulated cell in a separate process, and open devices of it.
 
-    The process begins with this call, not with the context, for it needs a while to be ready. It ends with this
-    process, however that ends.
+    The process starts with this call, and not when the context is entered, because it takes a while to be ready. It
+    ends with this process, even if this process is killed.
 
     Args:
-        devices: Among ``robot``, ``tracker``, ``pointer``, ``scene``, ``stimulator`` and ``emg``.
+        devices: Names among ``robot``, ``tracker``, ``pointer``, ``scene``, ``stimulator`` and ``emg``.
         settings: The whole configuration; ``sim`` and ``robot`` are read.
         clock: The cell's clock.
 
     Returns:
-        A context that raises `ConfigurationError` when a device or the arm is unknown, or the table ``sim`` is wrong.
-        When the cell ends by itself, it cancels the task that has entered it, and raises `DeviceError`.
+        A context with the devices by name. It raises `ConfigurationError` if a device or the arm is unknown, or the
+        table ``sim`` is wrong. If the cell ends by itself, it cancels the task that entered it and raises
+        `DeviceError`.
     """
     here, there = socket.socketpair()
     with there:
-        # In a session of its own: a Ctrl-C at the terminal is the node's to handle.
+        # In a new session: Ctrl-C at the terminal then reaches the node only, which holds the arm first.
         process = subprocess.Popen([sys.executable, "-m", MODULE], stdin=there.fileno(), start_new_session=True)
     return _opened(process, here, devices, settings, clock)
 
@@ -60,16 +61,17 @@ async def _opened(
     machine, owner, entered = SystemClock(), asyncio.current_task(), False
 
     def lost() -> None:
-        if entered and owner is not None:
+        if entered and owner is not None:  # while the context is being opened, `world.open` fails by itself
             owner.cancel()
 
-    world = World(link, machine, lost)
+    world = WorldClient(link, machine, lost)
     try:
         await world.open(devices, settings)
-        async with background_task(world.beat(settings.get("robot", {}).get("deadman", DEADMAN)), "signs of life"):
+        async with background_task(world.beat(settings.get("robot", {}).get("deadman", DEADMAN)), "heartbeats"):
             entered = True
             yield devices_of(world, devices, clock)
     except asyncio.CancelledError:
+        # Only the cancellation by `lost` becomes an error. Any other one must reach the caller.
         if not world.is_lost or (owner is not None and owner.uncancel() > 0):
             raise
         status = await asyncio.to_thread(_end, process)
@@ -81,7 +83,7 @@ async def _opened(
 
 
 def _end(process: subprocess.Popen[bytes]) -> int:
-    """Waits for the end of a process, kills it when that does not come, and returns its exit status."""
+    """Wait for the end of a process, kill it if it does not end, and return its exit status."""
     try:
         return process.wait(END_TIME)
     except subprocess.TimeoutExpired:

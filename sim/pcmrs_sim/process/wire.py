@@ -1,4 +1,4 @@
-"""What a node and its simulated world say to each other: MessagePack behind a length of four bytes."""
+"""Messages between a node and its simulated world: MessagePack behind a length of four bytes."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _ERRORS = {name: kind for name, kind in vars(errors).items() if isinstance(kind,
 
 
 class Failure(msgspec.Struct, frozen=True, array_like=True):
-    """An error, as it was raised at the other end.
+    """An error that was raised at the other end.
 
     Attributes:
         kind: Name of its class in `pcmrs.errors`.
-        text: Of the error.
-        fields: Of the error, plain data.
+        text: Text of the error.
+        fields: Fields of the error, as plain data.
     """
 
     kind: str
@@ -29,19 +29,19 @@ class Failure(msgspec.Struct, frozen=True, array_like=True):
 
     @classmethod
     def of(cls, error: PcmrsError) -> Failure:
-        """The failure that stands for an error."""
+        """Return the message of an error."""
         return cls(type(error).__name__, error.text, error.fields)
 
     def error(self) -> PcmrsError:
-        """The error that it stands for; one of an unknown class has an unknown outcome."""
+        """Return the error; an `UnknownOutcomeError` if its class is unknown here."""
         return _ERRORS.get(self.kind, UnknownOutcomeError)(self.text, **self.fields)
 
 
 class Open(msgspec.Struct, frozen=True, tag="open"):
-    """Opens the cell: the first message of the node.
+    """Request to open the cell: the first message of the node.
 
     Attributes:
-        devices: Those that the node serves.
+        devices: Names of the devices that the node serves.
         settings: The whole configuration.
     """
 
@@ -50,14 +50,14 @@ class Open(msgspec.Struct, frozen=True, tag="open"):
 
 
 class Call(msgspec.Struct, frozen=True, tag="call"):
-    """Calls a method of a device.
+    """Call of a method of a device.
 
     Attributes:
-        number: Of the call, which its reply names.
-        device: Its name.
-        method: Of its protocol.
-        arguments: By name.
-        sent: s of the machine's monotonic clock.
+        number: Number of the call, which its reply repeats.
+        device: Name of the device.
+        method: Name of the method in its protocol.
+        arguments: Arguments by name, as plain data.
+        sent: Time of sending on the machine's monotonic clock, s.
     """
 
     number: int
@@ -68,65 +68,71 @@ class Call(msgspec.Struct, frozen=True, tag="call"):
 
 
 class Cancel(msgspec.Struct, frozen=True, tag="cancel"):
-    """Nobody waits for the end of a call any more."""
+    """Cancellation of a call by its number: its caller was cancelled."""
 
     number: int
 
 
-class Point(msgspec.Struct, frozen=True, tag="point"):
+class ServoPoint(msgspec.Struct, frozen=True, tag="point"):
     """A set point of the running servo session."""
 
     setpoint: JointSetpoint
 
 
 class Alive(msgspec.Struct, frozen=True, tag="alive"):
-    """A sign of life of the node's event loop."""
+    """Heartbeat of the node's event loop."""
 
     beat: Beat
 
 
 class Opened(msgspec.Struct, frozen=True, tag="opened"):
-    """The cell runs, or why it does not: the first message of the world."""
+    """Reply to `Open`, with the failure if the cell does not run: the first message of the world."""
 
     failure: Failure | None = None
 
 
 class Reply(msgspec.Struct, frozen=True, tag="reply"):
-    """The end of a call."""
+    """Result or failure of a call.
+
+    Attributes:
+        number: Number of the call.
+        result: Result, as plain data.
+        failure: The error, if it failed.
+    """
 
     number: int
     result: Any = None
     failure: Failure | None = None
 
 
-class Frame(msgspec.Struct, frozen=True, tag="frame"):
-    """All bodies of one frame of the tracker."""
+class TrackerPoses(msgspec.Struct, frozen=True, tag="frame"):
+    """Poses of all bodies in one frame of the tracker."""
 
     poses: list[BodyPose]
 
 
-class State(msgspec.Struct, frozen=True, tag="state"):
-    """Measured joints, and how many set points the arm has dropped until then."""
+class ArmState(msgspec.Struct, frozen=True, tag="state"):
+    """Measured joints, and the number of set points that the arm has dropped so far."""
 
     state: JointState
     dropped: int = 0
 
 
 class Event(msgspec.Struct, frozen=True, tag="event"):
-    """What a device reports by itself."""
+    """Event of a device."""
 
     event: DeviceEvent
 
 
 class Trouble(msgspec.Struct, frozen=True, tag="trouble"):
-    """Why a device sends nothing; empty while it does."""
+    """Reason for which a device sends nothing; empty if it sends again."""
 
     device: str
     text: str
 
 
-ToWorld = Open | Call | Cancel | Point | Alive
-ToNode = Opened | Reply | Frame | State | Event | Trouble
+ToWorld = Open | Call | Cancel | ServoPoint | Alive
+ToNode = Opened | Reply | TrackerPoses | ArmState | Event | Trouble
 
 _encoder = msgspec.msgpack.Encoder()
 _to_world: msgspec.msgpack.Decoder[ToWorld] = msgspec.msgpack.Decoder(ToWorld)
@@ -134,15 +140,15 @@ _to_node: msgspec.msgpack.Decoder[ToNode] = msgspec.msgpack.Decoder(ToNode)
 
 
 def pack(message: ToWorld | ToNode) -> bytes:
-    """The message with its length."""
+    """Return the bytes of a message, with its length."""
     return framed(_encoder.encode(message))
 
 
 def read_by_world(body: bytes) -> ToWorld:
-    """The message of a node."""
+    """Return the message of a node, from its bytes without the length."""
     return _to_world.decode(body)
 
 
 def read_by_node(body: bytes) -> ToNode:
-    """The message of a world."""
+    """Return the message of a world, from its bytes without the length."""
     return _to_node.decode(body)

@@ -1,1 +1,1 @@
-"""Simulated subjects of stimulation: response of a muscle to a coil."""
+"""Simulated subjects of magnetic stimulation: response of a muscle to pulses from any pose of the coil."""

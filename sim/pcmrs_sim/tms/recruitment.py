@@ -1,10 +1,10 @@
-"""How big a motor evoked potential is: recruitment by the stimulus, with variability before and after it.
+"""Amplitude of a motor evoked potential: recruitment by the stimulus, with variability before and after it.
 
-The model and its population are those of Goetz, Alavi, Deng, Peterchev, Statistical Model of Motor-Evoked Potentials,
-IEEE Trans. Neural Syst. Rehabil. Eng. 27 (2019) 1539, on the two sources of variability of Goetz, Luber, Lisanby,
-Peterchev, Brain Stimul. 7 (2014) 541: a sigmoid between the intensity and the logarithm of the amplitude, with noise
-added to both, over the noise of the measurement; the parameters are those that the authors publish with their code. It
-is not the model that thresholds are estimated with.
+Model and population are those of Goetz, Alavi, Deng, Peterchev, Statistical Model of Motor-Evoked Potentials, IEEE
+Trans. Neural Syst. Rehabil. Eng. 27 (2019) 1539, with the two sources of variability of Goetz, Luber, Lisanby,
+Peterchev, Brain Stimul. 7 (2014) 541. A sigmoid leads from the intensity to the logarithm of the amplitude; noise is
+added to both, and the noise of the measurement to the amplitude. The parameters are those that the authors publish with
+their code. Thresholds are estimated with another model.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ import numpy.typing as npt
 from pcmrs.spatial import Floats
 
 RESPONSE = 50e-6
-"""Least peak-to-peak amplitude of a response, V: Rossini et al., Clin. Neurophysiol. 126 (2015) 1071."""
+"""Smallest peak-to-peak amplitude of a response, V: Rossini et al., Clin. Neurophysiol. 126 (2015) 1071."""
 
 LOWEST = 1e-7
-"""What the sigmoid of the amplitude starts from, V."""
+"""Lower asymptote of the sigmoid of the amplitude, V."""
 
 THRESHOLDS = (30.0, 100.0)
-"""That can be measured, percent of the maximum stimulator output: Wang, Peterchev, Goetz, J. Neural Eng. 20 (2023)."""
+"""Range of measurable thresholds, percent of the maximum stimulator output: Wang, Peterchev, Goetz, J. Neural Eng. 20
+(2023)."""
 
 CURVE_MEAN = np.array([3.646550162125, 0.426390035500, 1.666487134750])
 CURVE_COVARIANCE = np.array(
@@ -35,10 +36,12 @@ CURVE_COVARIANCE = np.array(
         [-0.197461987887, -0.015113039713, 0.007107112788],
     ]
 )
-"""Decimal logarithms of half, steepness and onset in the population: Goetz et al. 2019."""
+"""Mean and covariance of the decimal logarithms of half, steepness and onset in the population: Goetz et al. 2019."""
 
 OUTPUT_NODES = np.polynomial.hermite_e.hermegauss(15)
+"""Nodes and weights of Gauss-Hermite quadrature over the output's variability."""
 NOISE_QUANTILES = (np.arange(15) + 0.5) / 15
+"""Quantiles of the measurement's noise over which probabilities are averaged."""
 
 
 @dataclass(frozen=True)
@@ -48,15 +51,14 @@ class Recruitment:
     Attributes:
         threshold: Intensity at which half of the pulses give a response of `RESPONSE`, percent of the maximum
             stimulator output.
-        range_decades: Between the amplitudes without and with all of the muscle, decades.
-        half: Of the sigmoid ``1 / (1 + half / x**steepness)`` of the intensity x above the onset, in percent,
-        steepness: and its exponent.
-        input_spread: Variability of excitation, standard deviation, percent of the maximum stimulator output.
-        output_spread: Variability of what follows, standard deviation, decades of the amplitude.
-        noise: Peak-to-peak amplitude of the measurement without response, V: where its distribution, a generalized
-            extreme value distribution, is located,
-        noise_scale: its scale, V,
-        noise_shape: and its shape, positive: a long upper tail.
+        range_decades: Range of the amplitude from no to full recruitment of the muscle, decades.
+        half: Constant of the sigmoid ``1 / (1 + half / x**steepness)``, with x the intensity above the onset, percent.
+        steepness: Exponent of that sigmoid.
+        input_spread: Standard deviation of the excitation, percent of the maximum stimulator output.
+        output_spread: Standard deviation of the amplitude at a given excitation, decades.
+        noise: Location of the generalized extreme value distribution of the amplitude without response, V.
+        noise_scale: Scale of that distribution, V.
+        noise_shape: Shape of that distribution; positive for a long upper tail.
     """
 
     threshold: float
@@ -70,10 +72,10 @@ class Recruitment:
     noise_shape: float = 0.14
 
     def sample(self, intensity: float, rng: np.random.Generator) -> float:
-        """Peak-to-peak amplitude after one pulse, V.
+        """Draw the peak-to-peak amplitude after one pulse, V.
 
         Args:
-            intensity: Percent of the maximum stimulator output.
+            intensity: Effective intensity, percent of the maximum stimulator output.
             rng: Source of the variability.
         """
         x = intensity - self._onset + rng.normal(0.0, self.input_spread)
@@ -81,42 +83,51 @@ class Recruitment:
         return max(noise, 0.0) + self._response(x, rng.normal(0.0, self.output_spread))
 
     def probability(self, intensity: float) -> float:
-        """Of a response of at least `RESPONSE` to one pulse; the intensity in percent of the maximum output."""
-        return self._share(intensity - self._onset)
+        """Return the probability of a response of at least `RESPONSE` to one pulse.
+
+        Args:
+            intensity: Effective intensity, percent of the maximum stimulator output.
+        """
+        return self._response_fraction(intensity - self._onset)
 
     def _response(self, x: float, output: float) -> float:
-        """Amplitude without the measurement's noise, V, of the intensity `x` above the onset, in percent."""
+        """Return the amplitude without the noise of the measurement, V.
+
+        Args:
+            x: Intensity above the onset, percent of the maximum stimulator output.
+            output: Deviation of the amplitude, decades.
+        """
         share = 0.0 if x <= 0.0 else 1.0 / (1.0 + self.half * x**-self.steepness)
         return float(LOWEST * 10.0 ** (self.range_decades * share + output))
 
     def _noise_at(self, quantile: npt.ArrayLike) -> Floats:
-        """The measurement's noise at quantiles of its distribution, V, of their shape."""
+        """Return the noise of the measurement at quantiles of its distribution, V, in their shape."""
         scaled: Floats = np.expm1(-self.noise_shape * np.log(-np.log(quantile))) / self.noise_shape
         return self.noise + self.noise_scale * scaled
 
     @cached_property
     def _onset(self) -> float:
-        """Where the sigmoid starts, percent of the maximum stimulator output."""
-        return self.threshold - self._middle
+        """Intensity at which the sigmoid starts, percent of the maximum stimulator output."""
+        return self.threshold - self._threshold_above_onset
 
     @cached_property
-    def _middle(self) -> float:
-        """Intensity above the onset at which half of the pulses give a response, percent."""
+    def _threshold_above_onset(self) -> float:
+        """Intensity above the onset at which half of the pulses give a response, percent; found by bisection."""
         low, high = 0.0, 1e3
         while high - low > 1e-9:
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if self._share(middle) < 0.5 else (low, middle)
+            low, high = (middle, high) if self._response_fraction(middle) < 0.5 else (low, middle)
         return low
 
-    def _share(self, x: float) -> float:
-        """Share of pulses with a response, of the intensity `x` above the onset, in percent."""
-        needed, weights = self._needed
+    def _response_fraction(self, x: float) -> float:
+        """Return the fraction of pulses with a response at an intensity `x` above the onset, percent."""
+        needed, weights = self._needed_intensities
         deviations = (x - needed) / (math.sqrt(2.0) * self.input_spread)
         return float(weights @ [0.5 * math.erfc(-deviation) for deviation in deviations])
 
     @cached_property
-    def _needed(self) -> tuple[Floats, Floats]:
-        """What it takes above the onset to respond, percent, for a sample of the output's variability; its weights."""
+    def _needed_intensities(self) -> tuple[Floats, Floats]:
+        """Intensities above the onset that a response needs, percent, (k,), and their weights, (k,)."""
         outputs, weights = OUTPUT_NODES
         noises = self._noise_at(NOISE_QUANTILES)
         decades = np.log10(np.maximum(RESPONSE - noises, LOWEST) / LOWEST)
@@ -127,7 +138,7 @@ class Recruitment:
 
 
 def draw(rng: np.random.Generator) -> Recruitment:
-    """A subject of the published population whose threshold can be measured."""
+    """Draw a subject of the published population whose threshold can be measured."""
     while True:
         half, steepness, onset = 10.0 ** rng.multivariate_normal(CURVE_MEAN, CURVE_COVARIANCE)
         subject = Recruitment(
@@ -147,7 +158,10 @@ def draw(rng: np.random.Generator) -> Recruitment:
 
 
 def _measurable(subject: Recruitment) -> bool:
-    """Silent at 20 %, a plausible muscle at 120 % as in Goetz et al. 2019, and a threshold within `THRESHOLDS`."""
+    """Return true for a plausible subject: silent at 20 %, 1 to 30 mV at 120 %, a threshold in `THRESHOLDS`.
+
+    The first two are the conditions of Goetz et al. 2019.
+    """
     silent = subject.noise + subject._response(20.0 - subject._onset, 0.0)
     full = subject.noise + subject._response(120.0 - subject._onset, 0.0)
     low, high = THRESHOLDS

@@ -20,7 +20,7 @@ from pcmrs_lab.campaign.driving import injected
 from pcmrs_lab.campaign.faults.network_bus import BURST
 from pcmrs_lab.campaign.injections import injections
 from pcmrs_lab.campaign.lab import Lab, Pool
-from pcmrs_lab.campaign.report import Part
+from pcmrs_lab.campaign.report import InjectionResult
 from pcmrs_lab.campaign.run import run_injection
 
 pytest.importorskip("mujoco")
@@ -35,7 +35,7 @@ async def pool(tmp_path: Path) -> AsyncIterator[Pool]:
     await made.close()
 
 
-async def inject(fault_id: str, name: str, folder: Path, pool: Pool) -> Part:
+async def inject(fault_id: str, name: str, folder: Path, pool: Pool) -> InjectionResult:
     (way,) = (way for way in injections()[fault_id] if way.name == name)
     return await run_injection(way, 1, folder, pool, SystemClock())
 
@@ -56,7 +56,7 @@ async def test_faults_of_a_cell_are_found_and_checks_fail_without_them(tmp_path:
                 await refused(cell, "digitization.digitize_one", {"index": 0}, codes=("pose_stale",))
     assert len(pool.logs()) == 1, "one daemon served all of them"
     with pytest.raises(Unmet, match=r"within 0\.2 s"):
-        async with lab.cell(anew=False) as cell:
+        async with lab.cell(fresh=False) as cell:
             await held(cell, within=0.2)
     assert cell.process.returncode is not None, "a daemon that an error has left in doubt is not used again"
 
@@ -71,7 +71,7 @@ async def test_busy_consumer_counts_the_messages_it_misses(tmp_path: Path, pool:
 
 async def test_a_daemon_that_refuses_to_start_says_why(tmp_path: Path) -> None:
     lab = Lab(1, tmp_path)
-    status, errors = await lab.ending("robot.wheels=4")
+    status, errors = await lab.start_refused("robot.wheels=4")
     assert status == 4
     assert "wheels" in errors
     with pytest.raises(DeviceError, match="wheels"):

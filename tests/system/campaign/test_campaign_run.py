@@ -21,7 +21,7 @@ from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.needs import program
 from pcmrs_lab.campaign.report import JSON_NAME, PAGE_NAME, CampaignReport, FaultResult
 from pcmrs_lab.campaign.run import NO_INJECTION, run_campaign
-from pcmrs_lab.campaign.sham import bring_about
+from pcmrs_lab.campaign.sham import inject_unless_sham
 from tests.system.campaign.answered import check_answered
 
 ONCE = {"seen": 1}
@@ -85,13 +85,13 @@ def _scripted(monkeypatch: pytest.MonkeyPatch) -> None:
     @fault("S10", how="measured, and there was nothing")
     async def measured(lab: Lab) -> Evidence:
         arrived: list[int] = []
-        bring_about(lambda: arrived.append(1))
+        inject_unless_sham(lambda: arrived.append(1))
         return Evidence("as required", took_place={"arrived": len(arrived)}, control={**ONCE, "way_m": 0.1})
 
     @fault("S11", how="found out at once")
     async def found_out(lab: Lab) -> Evidence:
         arrived: list[int] = []
-        bring_about(lambda: arrived.append(1))
+        inject_unless_sham(lambda: arrived.append(1))
         if not arrived:
             raise Unmet("Nothing arrived.")
         return Evidence("as required", took_place=ONCE, control=ONCE)
@@ -103,7 +103,7 @@ def _scripted(monkeypatch: pytest.MonkeyPatch) -> None:
     @fault("S13", how="breaks without its fault")
     async def breaks(lab: Lab) -> Evidence:
         arrived: list[int] = []
-        bring_about(lambda: arrived.append(1))
+        inject_unless_sham(lambda: arrived.append(1))
         return Evidence("as required", took_place={"arrived": arrived[0]}, control=ONCE)
 
 

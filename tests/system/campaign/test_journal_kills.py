@@ -11,7 +11,7 @@ from pcmrs.errors import JournalError
 from pcmrs.journal import Journal
 from pcmrs_lab.campaign import kills
 from pcmrs_lab.campaign.cuts import cut_and_flip
-from pcmrs_lab.campaign.kills import OF_JOURNAL, RANDOM, Checked, kill_writers, lost_rows
+from pcmrs_lab.campaign.kills import JOURNAL_FAILPOINTS, RANDOM, VerifiedPrefix, kill_writers, lost_rows
 from pcmrs_lab.campaign.writing import row
 
 
@@ -19,7 +19,7 @@ def test_no_acknowledged_row_is_lost_at_any_failpoint_or_instant() -> None:
     found = kill_writers(14, 3, SystemClock())
     assert (found.kills, found.lost, found.refused) == (14, 0, [])
     assert found.acknowledged > 14
-    assert set(found.at) == {*OF_JOURNAL, RANDOM}
+    assert set(found.at) == {*JOURNAL_FAILPOINTS, RANDOM}
     assert found.not_reached == {}
     assert not found.violated
 
@@ -29,13 +29,13 @@ def test_failpoint_that_is_not_reached_is_counted_as_not_reached(monkeypatch: py
     monkeypatch.setattr(kills, "DIES_WITHIN", 3.0)
     found = kill_writers(3, 3, SystemClock())
     assert (found.kills, found.at) == (3, {RANDOM: 1})
-    assert found.not_reached == dict.fromkeys(OF_JOURNAL[:2], 1)
+    assert found.not_reached == dict.fromkeys(JOURNAL_FAILPOINTS[:2], 1)
     assert found.acknowledged > 3
     assert not found.violated
 
 
 def test_a_process_that_ends_by_itself_was_not_killed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kills, "OF_JOURNAL", ("journal.nowhere",))
+    monkeypatch.setattr(kills, "JOURNAL_FAILPOINTS", ("journal.nowhere",))
     found = kill_writers(2, 3, SystemClock())
     assert found.at == {RANDOM: 1}
     assert found.refused == ["A process that writes the journal ended by itself, with exit status 1."]
@@ -46,7 +46,7 @@ def test_a_process_that_ends_by_itself_was_not_killed(monkeypatch: pytest.Monkey
 def test_nothing_acknowledged_is_lost_in_many_kills() -> None:
     found = kill_writers(600, 4, SystemClock())
     assert not found.violated
-    assert set(found.at) == {*OF_JOURNAL, RANDOM}
+    assert set(found.at) == {*JOURNAL_FAILPOINTS, RANDOM}
 
 
 async def _journal(path: Path, rows: int) -> None:
@@ -58,16 +58,16 @@ async def _journal(path: Path, rows: int) -> None:
 
 async def test_a_row_that_is_not_there_is_a_loss(tmp_path: Path) -> None:
     await _journal(tmp_path / "journal.sqlite", 3)
-    assert lost_rows(tmp_path / "journal.sqlite", "run0", [2, 3], Checked()) == 0
-    assert lost_rows(tmp_path / "journal.sqlite", "run0", [3, 9], Checked()) == 1
-    assert lost_rows(tmp_path / "journal.sqlite", "run1", [2, 3], Checked()) == 2
-    assert lost_rows(tmp_path / "nowhere.sqlite", "run0", [1], Checked()) == 1
+    assert lost_rows(tmp_path / "journal.sqlite", "run0", [2, 3], VerifiedPrefix()) == 0
+    assert lost_rows(tmp_path / "journal.sqlite", "run0", [3, 9], VerifiedPrefix()) == 1
+    assert lost_rows(tmp_path / "journal.sqlite", "run1", [2, 3], VerifiedPrefix()) == 2
+    assert lost_rows(tmp_path / "nowhere.sqlite", "run0", [1], VerifiedPrefix()) == 1
 
 
 async def test_broken_chain_is_detected(tmp_path: Path) -> None:
     await _journal(tmp_path / "journal.sqlite", 3)
     with pytest.raises(JournalError, match="does not continue"):
-        lost_rows(tmp_path / "journal.sqlite", "run0", [2], Checked(1, bytes(32)))
+        lost_rows(tmp_path / "journal.sqlite", "run0", [2], VerifiedPrefix(1, bytes(32)))
 
 
 def test_no_cut_and_no_flipped_bit_is_a_silent_loss() -> None:

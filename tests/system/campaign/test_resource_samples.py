@@ -15,9 +15,9 @@ from msgspec.structs import replace
 
 from pcmrs.client import Client
 from pcmrs.messages import BlueprintTag, Snapshot, Verdict
-from pcmrs_lab.campaign.operating import Operator
+from pcmrs_lab.campaign.operating import RandomOperator
 from pcmrs_lab.campaign.samples import sample, slope
-from pcmrs_lab.campaign.soaking import ALLOWED, SoakReport, course
+from pcmrs_lab.campaign.soaking import ALLOWED, SoakReport, trend
 
 TAG = BlueprintTag(id="ratms", version="1", hash="")
 VALUES = st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=50)
@@ -54,14 +54,14 @@ def test_wavering_course_is_flat_and_growing_one_is_not(measure: str, seed: int)
     times = [float(number) for number in range(200)]
     wavering = [10 * allowed + generator.gauss(0.0, allowed / 4) for _ in times]
     growing = [value + 3 * allowed * time / times[-1] for time, value in zip(times, wavering, strict=True)]
-    assert course("daemon", measure, times, wavering).flat
-    assert not course("daemon", measure, times, growing).flat
+    assert trend("daemon", measure, times, wavering).flat
+    assert not trend("daemon", measure, times, growing).flat
 
 
 def test_course_that_grows_only_during_warm_up_is_flat() -> None:
     times = [float(number) for number in range(100)]
     values = [1e8 + min(time, 15.0) * 4e6 for time in times]
-    assert course("daemon", "memory", times, values).flat
+    assert trend("daemon", "memory", times, values).flat
 
 
 async def test_every_command_of_a_soak_has_its_own_id() -> None:
@@ -80,7 +80,7 @@ async def test_every_command_of_a_soak_has_its_own_id() -> None:
             branch, operation = name.split(".")
             return Verdict(id=id, branch=branch, operation=operation, decision="accepted", state="1", sequence=1)
 
-    operator = Operator(cast(Client, Cell()), random.Random(1))
+    operator = RandomOperator(cast(Client, Cell()), random.Random(1))
     for _ in range(20):
         await operator.step()
         operator.verdicts.clear()

@@ -25,7 +25,7 @@ NEAR = 60.0
 
 @pytest.mark.skipif(not all(need.is_met() for need in NEEDS), reason="no C compiler")
 def test_only_the_wall_clock_is_set(tmp_path: Path) -> None:
-    clock = WallClock.right(tmp_path / "clock")
+    clock = WallClock.create(tmp_path / "clock")
     environment = {**os.environ, **clock.environment()}
     command = [sys.executable, "-c", PROGRAM]
     pipe = subprocess.PIPE
@@ -47,7 +47,7 @@ def test_only_the_wall_clock_is_set(tmp_path: Path) -> None:
         clock.shift(-3600.0)
         wall, now = told()
         assert wall == pytest.approx(now - 3600.0, abs=NEAR)
-        clock.stand()
+        clock.freeze()
         first, _ = told()
         second, now = told()
         assert first == second == pytest.approx(now, abs=NEAR)

@@ -15,9 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyigtl.messages import CRC64
 
+from pcmrs.gateway.command_outcome import CommandOutcome
 from pcmrs.gateway.commands import COMMANDS
 from pcmrs.gateway.grammar import parse
-from pcmrs.gateway.outcome import Outcome
 from pcmrs.gateway.streams import point_message, pose_message
 from pcmrs.spatial import Transform
 from pcmrs.testing.daemon import free_port
@@ -132,13 +132,13 @@ def test_every_button_is_a_command_of_the_daemon() -> None:
 @pytest.mark.parametrize(
     "outcome",
     [
-        Outcome("accepted", "gateway", "ready"),
-        Outcome("accepted", "placement", "placed", numbers=(0.1, -2.5e-5, 3.0)),
-        Outcome("rejected", "tool_plan", "not_yet", "residual_too_large"),
-        Outcome("failed", "placement", "held", "outcome_unknown"),
+        CommandOutcome("accepted", "gateway", "ready"),
+        CommandOutcome("accepted", "placement", "placed", numbers=(0.1, -2.5e-5, 3.0)),
+        CommandOutcome("rejected", "tool_plan", "not_yet", "residual_too_large"),
+        CommandOutcome("failed", "placement", "held", "outcome_unknown"),
     ],
 )
-def test_verdicts_are_read_as_they_are_meant(outcome: Outcome) -> None:
+def test_verdicts_are_read_as_they_are_meant(outcome: CommandOutcome) -> None:
     number, verdict = link.messages.parse_verdict(outcome.reply("42").encode())
     assert number == 42
     assert (verdict.decision, verdict.branch, verdict.state) == (outcome.decision, outcome.branch, outcome.state)

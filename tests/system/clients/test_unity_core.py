@@ -18,8 +18,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from pcmrs.gateway.command_outcome import CommandOutcome
 from pcmrs.gateway.openigtlink.state import state_json
-from pcmrs.gateway.outcome import Outcome
 from pcmrs.gateway.streams import point_message, pose_message, unity_message
 from pcmrs.messages import Snapshot
 from pcmrs.messages.snapshot import BlueprintTag
@@ -203,7 +203,7 @@ def test_incomplete_message_is_refused(probe: Probe, text: str) -> None:
 )
 def test_verdict_replies_are_read(probe: Probe, number: int, decision: Any, word: str, results: list[float]) -> None:
     accepted = decision == "accepted"
-    outcome = Outcome(decision, word, "111", None if accepted else word, tuple(results) if accepted else ())
+    outcome = CommandOutcome(decision, word, "111", None if accepted else word, tuple(results) if accepted else ())
     answer = probe.ask(f"verdict {outcome.reply(str(number))}")
     branch = word.replace("_", "-")
     assert answer["text"] == f"{number} {decision.capitalize()} {branch} 111 {'' if accepted else word}"

@@ -21,7 +21,7 @@ from pcmrs.messages import Verdict
 from pcmrs.service import Ready
 from pcmrs.testing.daemon import own_settings, serve_command
 from pcmrs.workflows.data import as_message
-from pcmrs_sim.muscle.subject import draw_subject
+from pcmrs_sim.muscle.head_subject import draw_subject
 from pcmrs_sim.settings import SimSettings
 from tests import ROOT
 from tests.system.console.consoles import browser, console

@@ -13,8 +13,8 @@ from pcmrs.clock import SystemClock
 from pcmrs.messages import TeleopSetpoint
 from pcmrs.messages.teleop import Twist
 from pcmrs.spatial import Transform
-from pcmrs.teleop.script import Script
 from pcmrs.teleop.session import TeleopSession
+from pcmrs.teleop.twist_script import TwistScript
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.driving import accept, showing, to_standoff, until
 from pcmrs.workflows.data import as_transform
@@ -87,7 +87,9 @@ async def beside_somebody_else(cell: RunningCell) -> None:
         Client.connect(cell.ready.endpoint, cell.ready.prefix.split("/")[1], cell.name, user="alice") as alice,
         Client.connect(cell.ready.endpoint, cell.ready.prefix.split("/")[1], cell.name, user="eve") as eve,
     ):
-        session = TeleopSession(alice, Script([(0.0, (0.0,) * 6), (1.5, None)]), SystemClock(), 50.0, lambda _: None)
+        session = TeleopSession(
+            alice, TwistScript([(0.0, (0.0,) * 6), (1.5, None)]), SystemClock(), 50.0, lambda _: None
+        )
         before = await height(cell)
         guiding = asyncio.create_task(session.run())
         refused: dict[str, int] = {}

@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from pcmrs.authoring.trial.tour import Move
+from pcmrs.authoring.trial.tour import TourCommand
 from pcmrs_lab.experiment.tours.report import TourReport
 from tests.system.daemon.daemon_process import own_settings, run_pcmrs, running_daemon
 
@@ -34,7 +34,7 @@ def test_tour_starts_its_own_daemon(tmp_path: Path) -> None:
     assert run.returncode == 1, run.stderr
     report = msgspec.json.decode(run.stdout, type=TourReport)
     check(report)
-    moves = [msgspec.json.decode(line, type=Move) for line in file.read_bytes().splitlines()]
+    moves = [msgspec.json.decode(line, type=TourCommand) for line in file.read_bytes().splitlines()]
     assert len(moves) == report.subjects["cell"]
 
 

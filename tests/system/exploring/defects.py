@@ -217,10 +217,10 @@ DEFECTS: dict[str, Defect] = {
             harm="Motions of a client without ids are acknowledged, and performed one after the other, however late.",
             found_by=("motions_begin_in_time",),
             put_back={
-                "pcmrs.gateway.session:Session._begin": _refuses_no_motion,
-                "pcmrs.gateway.session:Session._drain": _one_after_the_other,
-                "pcmrs.gateway.session:Session._give_up": _waits_for_nothing,
-                "pcmrs.gateway.session:Session._too_late": _does_nothing,
+                "pcmrs.gateway.peer_session:PeerSession._begin": _refuses_no_motion,
+                "pcmrs.gateway.peer_session:PeerSession._drain": _one_after_the_other,
+                "pcmrs.gateway.peer_session:PeerSession._give_up": _waits_for_nothing,
+                "pcmrs.gateway.peer_session:PeerSession._too_late": _does_nothing,
                 "pcmrs.service.gateway_adapter:GatewayAdapter.submit": _forgets_the_arrival,
             },
         ),
@@ -228,7 +228,7 @@ DEFECTS: dict[str, Defect] = {
             name="a_late_second_datagram_is_sent",
             harm="A client takes the late result of a command for the acknowledgement of its next one.",
             found_by=("no_second_is_late",),
-            put_back={"pcmrs.gateway.session:Session._send_second": _sends_late},
+            put_back={"pcmrs.gateway.peer_session:PeerSession._send_second": _sends_late},
         ),
         Defect(
             name="silence_lasts_twice_the_limit",

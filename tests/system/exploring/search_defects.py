@@ -17,7 +17,7 @@ import pytest
 
 from pcmrs_lab.campaign.explore.exploring import as_lines
 from pcmrs_lab.campaign.explore.generate import draw_script
-from pcmrs_lab.campaign.explore.script import Script, shrink, write_script
+from pcmrs_lab.campaign.explore.script import SessionScript, shrink, write_script
 from pcmrs_lab.campaign.explore.session import run_session
 from pcmrs_lab.campaign.explore.settings import workflow_of
 from tests.system.exploring.defects import DEFECTS, Defect
@@ -26,7 +26,7 @@ MOST_ACTS = 12
 """A script that is longer than this explains nothing."""
 
 
-def search(name: str, seed: int, step: int, minutes: float) -> Script | None:
+def search(name: str, seed: int, step: int, minutes: float) -> SessionScript | None:
     """Explores every `step`-th seed from `seed` on.
 
     Args:
@@ -52,20 +52,20 @@ def search(name: str, seed: int, step: int, minutes: float) -> Script | None:
     return None
 
 
-def _shows(defect: Defect, script: Script) -> bool:
+def _shows(defect: Defect, script: SessionScript) -> bool:
     with pytest.MonkeyPatch.context() as patch:
         defect.apply(patch)
         return run_session(script).invariant in defect.found_by
 
 
-def _by_all(defect: Defect, seed: int, jobs: int, minutes: float) -> Iterator[Script | None]:
+def _by_all(defect: Defect, seed: int, jobs: int, minutes: float) -> Iterator[SessionScript | None]:
     """What the processes found, the first one first."""
     given = [(defect.name, seed + job, jobs, minutes) for job in range(jobs)]
     with multiprocessing.get_context("spawn").Pool(jobs) as pool:
         yield from pool.imap_unordered(_search_with, given)
 
 
-def _search_with(given: tuple[str, int, int, float]) -> Script | None:
+def _search_with(given: tuple[str, int, int, float]) -> SessionScript | None:
     return search(*given)
 
 

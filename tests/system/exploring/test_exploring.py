@@ -15,7 +15,7 @@ from pcmrs_lab.campaign.explore.exploring import explore, run_seeds
 from pcmrs_lab.campaign.explore.faults import FAULTS, SCENE
 from pcmrs_lab.campaign.explore.generate import draw_script
 from pcmrs_lab.campaign.explore.next_step_policy import WITH_STIMULATOR
-from pcmrs_lab.campaign.explore.script import Act, Script, read_script, shrink, write_script
+from pcmrs_lab.campaign.explore.script import Act, SessionScript, read_script, shrink, write_script
 from pcmrs_lab.campaign.explore.session import run_session
 from pcmrs_lab.campaign.explore.settings import workflow_of
 from pcmrs_sim.faults import FAULTS as SIMULATED
@@ -45,14 +45,14 @@ def test_session_holds_and_its_seed_fixes_its_journal() -> None:
 
 
 def test_the_head_is_reached_when_nothing_is_wrong() -> None:
-    found = run_session(Script(seed=1, acts=TO_THE_HEAD))
+    found = run_session(SessionScript(seed=1, acts=TO_THE_HEAD))
     assert (found.invariant, found.text) == ("", "")
     assert found.seen["accepted placement.confirm"] == 1
 
 
 def test_a_registration_that_is_taken_back_is_one_of_the_journal() -> None:
     """It has the id of the command that took it back."""
-    found = run_session(Script(seed=1, acts=[*TO_THE_HEAD[:4], Act(1.0, "registration.use_previous", "ben")]))
+    found = run_session(SessionScript(seed=1, acts=[*TO_THE_HEAD[:4], Act(1.0, "registration.use_previous", "ben")]))
     assert (found.invariant, found.text) == ("", "")
     assert found.seen["accepted registration.use_previous"] == 1
 
@@ -60,7 +60,9 @@ def test_a_registration_that_is_taken_back_is_one_of_the_journal() -> None:
 def test_frame_stamped_ahead_during_a_swap_validates_no_tool() -> None:
     """Otherwise the reference would count as being where the witness is, and not be believed any more afterwards."""
     swap = {"first": "witness", "second": "body_ref", "on": True, "lasts": 9.7}
-    found = run_session(Script(seed=1, acts=[Act(0.7, "fault:tool_swap", "", swap), Act(0.6, "fault:frame_ahead")]))
+    found = run_session(
+        SessionScript(seed=1, acts=[Act(0.7, "fault:tool_swap", "", swap), Act(0.6, "fault:frame_ahead")])
+    )
     assert (found.invariant, found.text) == ("", "")
 
 
@@ -71,7 +73,7 @@ def test_poses_continue_after_a_restart_if_head_moved_in_a_swap() -> None:
         Act(0.13, "fault:tool_swap", "", swap, waits=False),
         Act(1.465, "fault:dash_head", "", {"millimetres_per_second": 145.7869697011158}, waits=False),
     ]
-    found = run_session(Script(8781342, workflow="femoroplasty", slow=0.1, acts=acts))
+    found = run_session(SessionScript(8781342, workflow="femoroplasty", slow=0.1, acts=acts))
     assert (found.invariant, found.text) == ("", "")
 
 
@@ -79,7 +81,7 @@ def test_poses_continue_after_a_restart_if_head_moved_in_a_swap() -> None:
 def test_a_pulse_is_given_when_nothing_is_wrong() -> None:
     """What is explored must come to what matters: rates that are too low for a pulse would hide all that follows."""
     stimulation = [Act(6.0, name, "anna", arguments) for name, arguments in WITH_STIMULATOR]
-    found = run_session(Script(seed=1, workflow="ratms_threshold", acts=[*TO_THE_HEAD[:8], *stimulation]))
+    found = run_session(SessionScript(seed=1, workflow="ratms_threshold", acts=[*TO_THE_HEAD[:8], *stimulation]))
     assert (found.invariant, found.text) == ("", "")
     assert found.seen["accepted stimulation.fire"] == 2
 
@@ -94,7 +96,7 @@ def test_every_fault_of_the_simulated_cell_can_be_drawn() -> None:
 
 @pytest.mark.parametrize("name", MUTANTS)
 def test_a_guard_that_was_taken_out_is_missed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    script = Script(seed=5, acts=FINDING[name])
+    script = SessionScript(seed=5, acts=FINDING[name])
     assert not run_session(script).invariant
     MUTANTS[name](monkeypatch)
     assert run_session(script).invariant
@@ -142,7 +144,7 @@ def test_500_sessions_hold_and_reach_every_fault() -> None:
 
 
 def test_shrinking_leaves_what_is_needed_only() -> None:
-    script = Script(seed=1, acts=[Act(1.0, f"act{number}") for number in range(40)])
+    script = SessionScript(seed=1, acts=[Act(1.0, f"act{number}") for number in range(40)])
     needed = {"act3", "act17", "act38"}
     shorter = shrink(script, lambda each: needed <= {act.what for act in each.acts})
     assert {act.what for act in shorter.acts} == needed
@@ -153,7 +155,7 @@ def test_a_script_is_only_what_a_file_can_hold() -> None:
     blueprint = workflow_of("ratms").blueprint
     for seed in range(50):
         script = draw_script(blueprint, "ratms", seed)
-        assert msgspec.json.decode(msgspec.json.encode(script), type=Script) == script
+        assert msgspec.json.decode(msgspec.json.encode(script), type=SessionScript) == script
 
 
 def test_scripts_survive_a_file_and_others_are_refused(tmp_path: Path) -> None:
@@ -161,5 +163,5 @@ def test_scripts_survive_a_file_and_others_are_refused(tmp_path: Path) -> None:
     write_script(script, tmp_path / "script.json")
     assert msgspec.to_builtins(read_script(tmp_path / "script.json")) == msgspec.to_builtins(script)
     (tmp_path / "other.json").write_text('{"seed": 1, "nonsense": 2}')
-    with pytest.raises(ConfigurationError, match="no script"):
+    with pytest.raises(ConfigurationError, match="not a script"):
         read_script(tmp_path / "other.json")

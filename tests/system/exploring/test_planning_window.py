@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pcmrs_lab.campaign.explore.script import Act, Script
+from pcmrs_lab.campaign.explore.script import Act, SessionScript
 from pcmrs_lab.campaign.explore.session import run_session
 
 BEFORE = [Act(1.0, "go_on", "anna", {"turn": turn}) for turn in (1, 0, 1, 0, 1)]
@@ -25,6 +25,6 @@ APPROACH = Act(1.0, "placement.approach", "anna", waits=False)
 )
 def test_event_during_planning_decides_the_motion(meanwhile: str, seen: str, never: str) -> None:
     act = Act(0.05, meanwhile, "ben", window="plan:placement.approach", held=0.3)
-    found = run_session(Script(seed=5, acts=[*BEFORE, APPROACH, act]))
+    found = run_session(SessionScript(seed=5, acts=[*BEFORE, APPROACH, act]))
     assert (found.invariant, found.text) == ("", "")
     assert (found.seen.get(seen), found.seen.get(never)) == (1, None)

@@ -140,7 +140,7 @@ def test_a_side_is_cut_while_the_tool_is_guided(tmp_path: Path, side: Side) -> N
             network.lab.cut(side)
             held = cell.until(lambda shown: shown["latched"] and not shown["running"])
             assert (held["branches"]["placement"], held["branches"]["teleoperation"]) == ("held", "off")
-            network.lab.mend(side)
+            network.lab.restore(side)
             guiding.communicate(timeout=120.0)
             assert guiding.returncode != 0, "who guides is told"
             assert cell.pcmrs("state", "--json").returncode == 0, "the way is open again, and nothing was started anew"
@@ -174,7 +174,7 @@ def test_a_side_is_cut_in_motion(tmp_path: Path, side: Side) -> None:
             held = cell.until(lambda shown: shown["latched"] and not shown["running"])
             assert held["branches"]["placement"] == "held"
             assert held["lease"] is None
-            network.lab.mend(side)
+            network.lab.restore(side)
             moving.communicate(timeout=60.0)
             time.sleep(2.0)  # nothing is to happen in it
             assert cell.on_site()["branches"]["placement"] == "held"

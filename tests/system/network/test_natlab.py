@@ -111,7 +111,7 @@ def test_so_many_packets_are_lost_on_one_side_only(lab: NatLab) -> None:
 
     assert 0.44 < datagrams(lab, "remote", ROUTER["remote"], 200) / 200 < 0.84  # 0.8², by six standard deviations
     assert datagrams(lab, "cell", ROUTER["cell"], 100) == 100
-    lab.mend("remote")
+    lab.restore("remote")
     assert datagrams(lab, "remote", ROUTER["remote"], 100) == 100
 
 
@@ -126,7 +126,7 @@ def test_cut_link_stalls_and_continues_when_it_is_mended(lab: NatLab) -> None:
     assert ask(lab, "remote", ROUTER["remote"]) == OUTSIDE["remote"]
     assert talk.poll() is None
 
-    lab.mend("cell")
+    lab.restore("cell")
     assert said(talk) == "kept"
 
 

@@ -10,9 +10,9 @@ from contextlib import asynccontextmanager, contextmanager
 import msgspec
 import zenoh
 
-from pcmrs.bus import Bus, BusSettings
+from pcmrs.bus import Bus, BusSettings, Empty
 from pcmrs.bus.seal import Seal
-from pcmrs.messages import BlueprintTag, Command, Snapshot, Verdict
+from pcmrs.messages import BlueprintTag, BodyPose, Command, Snapshot, Verdict
 from pcmrs.testing.daemon import free_port
 
 TIMEOUT = 20.0
@@ -73,3 +73,15 @@ def snapshot(sequence: int) -> Snapshot:
         latched=False,
         blueprint=BlueprintTag(id="test", version="1", hash="0"),
     )
+
+
+def pose(frame_number: int) -> BodyPose:
+    return BodyPose(body="coil", frame_number=frame_number, captured=0.0, sent=0.0, valid=True)
+
+
+async def sync(router: Bus, client: Bus) -> None:
+    async def pong(_: str, __: Empty) -> Empty:
+        return Empty()
+
+    router.serve("svc/ping", Empty, pong)
+    await client.request("svc/ping", Empty(), Empty, TIMEOUT)

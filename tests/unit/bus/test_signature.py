@@ -24,7 +24,7 @@ from pcmrs.bus.codec import pack
 from pcmrs.bus.commands import Envelope
 from pcmrs.bus.session import _signing
 from pcmrs.bus.settings import open_session
-from pcmrs.bus.signature import FRESH_FOR, Kind, SignatureVerifier, Signer
+from pcmrs.bus.signature import FRESH_FOR, CertificateSigner, Kind, SignatureVerifier
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.errors import ConfigurationError, UnknownOutcomeError
@@ -80,8 +80,8 @@ class Lab:
         settings = self.joined("c1", f"tcp/127.0.0.1:{free_port()}")
         return replace(settings, mode="router", routers=routers, members=tuple(read_register(self.register)))
 
-    def signer(self, name: str, clock: SystemClock) -> Signer:
-        return Signer.read(read_credentials(self.folder / name, time.time()), clock)
+    def signer(self, name: str, clock: SystemClock) -> CertificateSigner:
+        return CertificateSigner.read(read_credentials(self.folder / name, time.time()), clock)
 
 
 @dataclass
@@ -228,13 +228,13 @@ def test_certificate_holder_signs_and_daemon_with_members_checks(lab: Lab) -> No
 def test_a_key_that_cannot_be_read_signs_nothing(lab: Lab, tmp_path: Path) -> None:
     own = read_credentials(lab.folder / "tom", time.time())
     with pytest.raises(ConfigurationError, match="cannot be read"):
-        Signer.read(replace(own, key=str(tmp_path / "none.key")), SystemClock())
+        CertificateSigner.read(replace(own, key=str(tmp_path / "none.key")), SystemClock())
     other = tmp_path / "other.key"
     other.touch(mode=0o600)
     for key in (Ed25519PrivateKey.generate(), generate_private_key(SECP384R1())):
         other.write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
         with pytest.raises(ConfigurationError, match="not a key on P-256"):
-            Signer.read(replace(own, key=str(other)), SystemClock())
+            CertificateSigner.read(replace(own, key=str(other)), SystemClock())
 
 
 @dataclass

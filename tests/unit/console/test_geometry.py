@@ -10,7 +10,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.console.geometry import Arm, TrackerLocator, as_stl, as_zone, placement, residuals
+from pcmrs.console.geometry import ArmFrames, TrackerLocator, as_stl, as_zone, placement_deviation, residuals
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import PoseMessage
@@ -22,7 +22,7 @@ from tests.unit.console.shown_cell import FLANGE_FROM_COIL, body, setup, shown, 
 
 @pytest.mark.parametrize("name", ["iiwa14", "iiwa7", "panda", "ur5"])
 def test_the_flange_is_where_the_kinematics_have_it(name: str) -> None:
-    facts, arm = find_arm(name), Arm(shown(name))
+    facts, arm = find_arm(name), ArmFrames(shown(name))
     model = ArmModel(facts)
     for seed in range(20):
         q = np.random.default_rng(seed).uniform([j.lower for j in facts.joints], [j.upper for j in facts.joints])
@@ -74,12 +74,15 @@ def test_the_error_is_the_measured_pose_in_the_planned_one(seed: int) -> None:
     data = ProcedureDataView(
         landmarks=[], body_ref_from_image=as_message(body_from_image), plan=as_message(image_from_plan)
     )
-    found = placement(data, body("coil", tracker_from_coil), body("body_ref", tracker_from_body))
+    found = placement_deviation(data, body("coil", tracker_from_coil), body("body_ref", tracker_from_body))
     assert found is not None
     assert found.mm == pytest.approx((3.0, 1.0, -2.0, 2.0), abs=1e-6)
     assert found.degrees == pytest.approx(np.degrees(0.01), abs=1e-6)
-    assert placement(data, body("coil", tracker_from_coil, valid=False), body("body_ref", tracker_from_body)) is None
-    assert placement(ProcedureDataView(landmarks=[]), None, None) is None
+    assert (
+        placement_deviation(data, body("coil", tracker_from_coil, valid=False), body("body_ref", tracker_from_body))
+        is None
+    )
+    assert placement_deviation(ProcedureDataView(landmarks=[]), None, None) is None
 
 
 def test_residuals_are_in_body_ref() -> None:

@@ -10,7 +10,7 @@ from pcmrs.devices.drivers.lsl import LslSettings
 from pcmrs.devices.lsl.markers import PulseMarker
 from pcmrs.devices.protocols import Emg
 from pcmrs_sim.emg import SimEmg
-from pcmrs_sim.lsl.bench import Bench
+from pcmrs_sim.lsl.emg_bench import EmgBench
 from pcmrs_sim.lsl.streams import EmgOutlet, PulseInlet
 from pcmrs_sim.muscle.muscle import Muscle
 from pcmrs_sim.settings import MuscleSettings
@@ -37,14 +37,14 @@ class Lab:
 class _World:
     """As much of the simulated world as its electromyograph looks at."""
 
-    def __init__(self, bench: Bench) -> None:
+    def __init__(self, bench: EmgBench) -> None:
         self.settings = type("Settings", (), {"muscle": QUIET})
         self.muscle = bench.muscle
 
 
 @asynccontextmanager
 async def simulated() -> AsyncIterator[Lab]:
-    bench = Bench(QUIET, 3, CLOCK)
+    bench = EmgBench(QUIET, 3, CLOCK)
     emg = SimEmg(_World(bench), CLOCK)  # type: ignore[arg-type]
 
     def fire(number: int, intensity: float) -> None:
@@ -55,7 +55,7 @@ async def simulated() -> AsyncIterator[Lab]:
 
 @asynccontextmanager
 async def streamed() -> AsyncIterator[Lab]:
-    bench = Bench(QUIET, 3, CLOCK)
+    bench = EmgBench(QUIET, 3, CLOCK)
     settings = LslSettings(stream=own("emg"), markers=own("pulses"), full_scale=50e-3)
     async with AsyncExitStack() as stack:
         markers = marker_outlet(settings.markers)

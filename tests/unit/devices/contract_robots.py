@@ -19,10 +19,10 @@ from pcmrs.spatial import Floats, Transform
 
 pytest.importorskip("mujoco")
 
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.head import surface_point
 from pcmrs_sim.kst.server import serve_kst
-from pcmrs_sim.settings import GeometrySettings, Pose, SimSettings
+from pcmrs_sim.settings import ConfiguredPose, GeometrySettings, SimSettings
 
 FACTS = ARMS["iiwa14"]
 HOME = np.array(FACTS.home)
@@ -52,7 +52,7 @@ class Bench:
 
     robot: Any
     clock: SystemClock
-    cell: Cell
+    cell: CellSimulation
     events: list[DeviceEvent] = field(default_factory=list)
     states: list[JointState] = field(default_factory=list)
 
@@ -77,7 +77,7 @@ class Bench:
         return self.events[0]
 
 
-def body_before_tool(gap: float) -> Pose:
+def body_before_tool(gap: float) -> ConfiguredPose:
     """The head with its crown `gap` (m) before the face of the tool, upright on it, as the arm is known."""
     from pcmrs.kinematics.model import ArmModel
 
@@ -85,16 +85,16 @@ def body_before_tool(gap: float) -> Pose:
     crown = surface_point((0.0, 0.0, 1.0))
     place = tool @ Transform(np.eye(3), np.array([0.0, 0.0, -gap])) @ Transform(np.eye(3), -crown)
     position, quat = place.translation.tolist(), place.quat_wxyz.tolist()
-    return Pose((position[0], position[1], position[2]), (quat[0], quat[1], quat[2], quat[3]))
+    return ConfiguredPose((position[0], position[1], position[2]), (quat[0], quat[1], quat[2], quat[3]))
 
 
-def _cell(clock: SystemClock, gap: float | None, force: ForceSettings) -> Cell:
+def _cell(clock: SystemClock, gap: float | None, force: ForceSettings) -> CellSimulation:
     geometry = GeometrySettings(world_from_image=None if gap is None else body_before_tool(gap))
-    return Cell(SimSettings(geometry=geometry), FACTS, force, clock)
+    return CellSimulation(SimSettings(geometry=geometry), FACTS, force, clock)
 
 
 @asynccontextmanager
-async def _running(cell: Cell) -> AsyncIterator[Cell]:
+async def _running(cell: CellSimulation) -> AsyncIterator[CellSimulation]:
     stepping = asyncio.create_task(cell.run())
     try:
         yield cell

@@ -13,7 +13,7 @@ from pcmrs.devices.protocols import StimulatorDriver
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import DeviceEvent
 from pcmrs.testing.clock import ManualClock
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.settings import SimSettings
 from tests.unit.devices.lsl_lab import own
 
@@ -35,7 +35,7 @@ class Bench:
 @asynccontextmanager
 async def simulated() -> AsyncIterator[Bench]:
     clock = ManualClock()
-    cell = Cell(SimSettings(), ARMS["iiwa14"], ForceSettings(), clock)
+    cell = CellSimulation(SimSettings(), ARMS["iiwa14"], ForceSettings(), clock)
     stimulator: Any = cell.devices["stimulator"]
 
     async def wait(seconds: float) -> None:

@@ -8,21 +8,21 @@ from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from pcmrs.clock import SystemClock
 from pcmrs.devices.drivers import ndi
 from pcmrs.devices.protocols import TrackerDriver
-from pcmrs_sim.cell import Cell, running_cell
+from pcmrs_sim.cell import CellSimulation, running_cell
 from pcmrs_sim.ndi.server import serve_ndi, serve_ndi_pty
 
-OpenTracker = Callable[[], AbstractAsyncContextManager[tuple[TrackerDriver, Cell]]]
+OpenTracker = Callable[[], AbstractAsyncContextManager[tuple[TrackerDriver, CellSimulation]]]
 
 
 @asynccontextmanager
-async def simulated() -> AsyncIterator[tuple[TrackerDriver, Cell]]:
+async def simulated() -> AsyncIterator[tuple[TrackerDriver, CellSimulation]]:
     """The tracker of the cell itself."""
     async with running_cell({}, SystemClock()) as cell:
         yield cell.devices["tracker"], cell  # type: ignore[misc]
 
 
 @asynccontextmanager
-async def ndi_on_network() -> AsyncIterator[tuple[TrackerDriver, Cell]]:
+async def ndi_on_network() -> AsyncIterator[tuple[TrackerDriver, CellSimulation]]:
     """The NDI driver, its reader process, and the virtual tracker on a TCP port."""
     async with (
         running_cell({}, SystemClock()) as cell,
@@ -33,7 +33,7 @@ async def ndi_on_network() -> AsyncIterator[tuple[TrackerDriver, Cell]]:
 
 
 @asynccontextmanager
-async def ndi_on_serial_line() -> AsyncIterator[tuple[TrackerDriver, Cell]]:
+async def ndi_on_serial_line() -> AsyncIterator[tuple[TrackerDriver, CellSimulation]]:
     """The same on a pseudo-terminal."""
     async with running_cell({}, SystemClock()) as cell, serve_ndi_pty(cell) as path, _ndi(path) as found:
         yield found, cell

@@ -2,12 +2,20 @@
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
+from typing import Any
 
+import numpy as np
+
+from pcmrs.clock import SystemClock
+from pcmrs.devices.kst.connection import KstConnection
 from pcmrs.kinematics.arms import ARMS
+from pcmrs.kinematics.model import ArmModel
+from pcmrs.spatial import Floats
 
 HOME = [float(q) for q in ARMS["iiwa14"].home]
+
 Answer = Callable[[str], str | None]
 
 
@@ -95,3 +103,56 @@ async def served(peer: Peer) -> AsyncIterator[tuple[str, int]]:
         server.close()
         peer.close()
         await asyncio.sleep(0.01)  # the connections see their end
+
+
+Q = [0.1, -0.2, 0.3, -1.5, 1e-7, 1.23456789, -3.0]
+
+Q_WIRE = b"0.10000_-0.20000_0.30000_-1.50000_0.00000_1.23457_-3.00000_"
+
+DONE = b"done\n"
+
+SEVEN = b"0.1_-0.2_1.0E-4_-1.5_0.0_2.5E7_-3.0_\n"
+
+SEVEN_VALUES = [0.1, -0.2, 1e-4, -1.5, 0.0, 2.5e7, -3.0]
+
+Step = Callable[[KstConnection], Awaitable[Any]]
+
+
+async def conversation(
+    step: Step, script: list[tuple[bytes, bytes]], chunk: int | None = None, timeout: float = 0.5
+) -> tuple[Any, bytes]:
+    """What the client makes of answers that come `chunk` bytes at a time, and all that it sent."""
+    heard = bytearray()
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        for request, answer in script:
+            heard.extend(await reader.readexactly(len(request)))
+            for start in range(0, len(answer), chunk or len(answer)):
+                writer.write(answer[start : start + (chunk or len(answer))])
+                await writer.drain()
+                await asyncio.sleep(0)
+        heard.extend(await reader.read())
+        writer.close()
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    host, port = server.sockets[0].getsockname()[:2]
+    cabinet = await KstConnection.open(host, port, SystemClock(), 1.0, timeout)
+    try:
+        result = await step(cabinet)
+    finally:
+        cabinet.end()
+        await asyncio.sleep(0.02)  # the server reads the end
+        server.close()
+    return result, bytes(heard)
+
+
+MODEL = ArmModel(ARMS["iiwa14"])
+
+START = np.array(HOME)
+
+
+def torques_of(force_in_flange: Floats, posture: Floats = START) -> Floats:
+    """What the joints feel of a force on the flange."""
+    force = MODEL.forward(posture).rotation @ force_in_flange
+    torques: Floats = MODEL.jacobian(posture).T @ np.concatenate((force, np.zeros(3)))
+    return torques

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from pcmrs.clock import SystemClock
-from pcmrs_sim.cell import Cell, running_cell
-from pcmrs_sim.cli.lines import act, follow_schedule, read_schedule
+from pcmrs_sim.cell import CellSimulation, running_cell
+from pcmrs_sim.cli.lines import apply_line, follow_schedule, read_schedule
 from pcmrs_sim.faults import FAULTS, parse_fault
 from tests import ROOT
 
@@ -69,7 +69,7 @@ LINES: Mapping[str, tuple[str, str]] = {
 
 
 @pytest.fixture
-async def cell() -> AsyncIterator[Cell]:
+async def cell() -> AsyncIterator[CellSimulation]:
     async with asyncio.timeout(DEADLINE), running_cell({}, SystemClock(RATE)) as cell:
         yield cell
 
@@ -120,15 +120,15 @@ def test_every_fault_belongs_to_a_row() -> None:
 
 
 @pytest.mark.parametrize("name", FAULTS)
-async def test_a_line_brings_it_about_and_another_ends_it(cell: Cell, name: str) -> None:
+async def test_a_line_brings_it_about_and_another_ends_it(cell: CellSimulation, name: str) -> None:
     for words in LINES[name]:
-        await act(cell, f"{name} {words}")
+        await apply_line(cell, f"{name} {words}")
         await settled(cell)
     await healthy(cell)
 
 
 @pytest.mark.parametrize("name", FAULTS)
-async def test_the_scene_brings_it_about_and_ends_it(cell: Cell, name: str) -> None:
+async def test_the_scene_brings_it_about_and_ends_it(cell: CellSimulation, name: str) -> None:
     scene: Any = cell.devices["scene"]
     for words in LINES[name]:
         await scene.inject(*parse_fault(f"{name} {words}"))
@@ -137,7 +137,7 @@ async def test_the_scene_brings_it_about_and_ends_it(cell: Cell, name: str) -> N
 
 
 async def test_a_schedule_brings_all_of_them_about_and_ends_them(
-    cell: Cell, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    cell: CellSimulation, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lines = [f"{name} {LINES[name][which]}".strip() for which in (0, 1) for name in FAULTS]
     file = tmp_path / "faults.txt"
@@ -150,14 +150,14 @@ async def test_a_schedule_brings_all_of_them_about_and_ends_them(
     await healthy(cell)
 
 
-async def settled(cell: Cell) -> None:
+async def settled(cell: CellSimulation) -> None:
     """Lets a fault act for a while, and what it moves come to rest."""
     await cell.clock.sleep(0.3)
     while not cell.world.arm.at_rest:
         await cell.clock.sleep(0.05)
 
 
-async def healthy(cell: Cell) -> None:
+async def healthy(cell: CellSimulation) -> None:
     """The robot answers and moves, and the tracker sees it, as if there had been no fault."""
     robot: Any = cell.devices["robot"]
     await robot.connect()

@@ -13,9 +13,9 @@ import pytest
 from pcmrs.devices.protocols import TrackerDriver
 from pcmrs.messages import BodyPose
 from pcmrs.spatial import Transform, rotation_angle
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.faults import inject
-from pcmrs_sim.tracker import BODIES
+from pcmrs_sim.tracker_faults import BODIES
 from tests.unit.devices.contract_trackers import TRACKERS
 
 DEADLINE = 30.0
@@ -25,7 +25,7 @@ QUIET = 0.5
 
 
 @pytest.fixture(params=list(TRACKERS))
-async def seen(request: pytest.FixtureRequest) -> AsyncIterator[tuple[Frames, Cell]]:
+async def seen(request: pytest.FixtureRequest) -> AsyncIterator[tuple[Frames, CellSimulation]]:
     async with asyncio.timeout(DEADLINE), TRACKERS[request.param]() as (tracker, cell), Frames(tracker) as frames:
         await frames.until(lambda _: True)
         yield frames, cell
@@ -84,7 +84,7 @@ def _transform(pose: BodyPose) -> Transform:
     return Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
 
 
-async def test_frames_advance_and_hold_all_bodies(seen: tuple[Frames, Cell]) -> None:
+async def test_frames_advance_and_hold_all_bodies(seen: tuple[Frames, CellSimulation]) -> None:
     frames, _ = seen
     taken = await frames.take(60)
     assert all(set(frame) == set(BODIES) for frame in taken)
@@ -96,7 +96,7 @@ async def test_frames_advance_and_hold_all_bodies(seen: tuple[Frames, Cell]) -> 
     assert all(len({pose.frame_number for pose in frame.values()}) == 1 for frame in taken)
 
 
-async def test_poses_agree_with_the_truth_within_the_tracker_errors(seen: tuple[Frames, Cell]) -> None:
+async def test_poses_agree_with_the_truth_within_the_tracker_errors(seen: tuple[Frames, CellSimulation]) -> None:
     frames, cell = seen
     truth = cell.world.tracker_from_coil()
     errors = [_transform(frame["coil"]) for frame in await frames.take(60)]
@@ -108,7 +108,7 @@ async def test_poses_agree_with_the_truth_within_the_tracker_errors(seen: tuple[
     assert np.all(spread < 0.06e-3)
 
 
-async def test_hidden_body_is_invalid_with_a_reason_and_others_are_not(seen: tuple[Frames, Cell]) -> None:
+async def test_hidden_body_is_invalid_with_a_reason_and_others_are_not(seen: tuple[Frames, CellSimulation]) -> None:
     frames, cell = seen
     inject(cell, "occlude", {"body": "coil"})
     frame = await frames.until(lambda frame: not frame["coil"].valid)
@@ -119,13 +119,13 @@ async def test_hidden_body_is_invalid_with_a_reason_and_others_are_not(seen: tup
 
 
 @pytest.mark.parametrize("reason", ["out_of_volume", "partially_out", "temperature", "interference"])
-async def test_tracker_status_of_a_body_is_the_reason(seen: tuple[Frames, Cell], reason: str) -> None:
+async def test_tracker_status_of_a_body_is_the_reason(seen: tuple[Frames, CellSimulation], reason: str) -> None:
     frames, cell = seen
     inject(cell, "not_measured", {"body": "coil", "reason": reason})
     assert (await frames.until(lambda frame: not frame["coil"].valid))["coil"].reason == reason
 
 
-async def test_another_tool_than_the_defined_one_is_no_pose(seen: tuple[Frames, Cell]) -> None:
+async def test_another_tool_than_the_defined_one_is_no_pose(seen: tuple[Frames, CellSimulation]) -> None:
     frames, cell = seen
     inject(cell, "wrong_tool", {"body": "coil"})
     frame = await frames.until(lambda frame: not frame["coil"].valid)
@@ -135,7 +135,7 @@ async def test_another_tool_than_the_defined_one_is_no_pose(seen: tuple[Frames, 
     await frames.until(lambda frame: frame["coil"].valid)
 
 
-async def test_an_unplugged_tracker_stops_and_recovers(seen: tuple[Frames, Cell]) -> None:
+async def test_an_unplugged_tracker_stops_and_recovers(seen: tuple[Frames, CellSimulation]) -> None:
     frames, cell = seen
     inject(cell, "tracker_unplugged", {"on": True})
     await frames.until_quiet()
@@ -145,7 +145,7 @@ async def test_an_unplugged_tracker_stops_and_recovers(seen: tuple[Frames, Cell]
     assert frames.trouble == ""
 
 
-async def test_a_tracker_that_answers_nothing_stops_and_recovers(seen: tuple[Frames, Cell]) -> None:
+async def test_a_tracker_that_answers_nothing_stops_and_recovers(seen: tuple[Frames, CellSimulation]) -> None:
     frames, cell = seen
     inject(cell, "tracker_absent", {"on": True})
     await frames.until_quiet()
@@ -155,7 +155,7 @@ async def test_a_tracker_that_answers_nothing_stops_and_recovers(seen: tuple[Fra
     assert frames.trouble == ""
 
 
-async def test_a_frozen_frame_number_gives_no_valid_pose(seen: tuple[Frames, Cell]) -> None:
+async def test_a_frozen_frame_number_gives_no_valid_pose(seen: tuple[Frames, CellSimulation]) -> None:
     frames, cell = seen
     last = (await frames.next())["coil"].frame_number
     inject(cell, "frame_frozen", {"on": True})

@@ -12,7 +12,7 @@ import msgspec
 import pytest
 
 from pcmrs.dispatcher import Activity, Dispatcher, DispatcherListener, ProcedureData, Registry, Run, Workflow
-from pcmrs.dispatcher.execution import Planner
+from pcmrs.dispatcher.execution import MotionChecker
 from pcmrs.dispatcher.recorder import EarlierDecision
 from pcmrs.errors import JournalError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm import Blueprint, Effect, load_blueprint
@@ -21,7 +21,10 @@ from pcmrs.testing.clock import ManualClock, settle
 from tests.support.ratms_oracle import BLUEPRINT, INITIAL, Joint, all_operations, expected
 
 RATMS = load_blueprint(BLUEPRINT)
+
+
 WORLDLY_BRANCHES = ("digitization", "robot", "placement")
+
 
 Route = list[tuple[str, str, str]]
 """Branch, operation and ending, one after the other."""
@@ -233,7 +236,7 @@ class Bench(DispatcherListener):
         self,
         blueprint: Blueprint = RATMS,
         worldly_branches: Collection[str] = WORLDLY_BRANCHES,
-        planner: Planner[Any, Notes] | None = None,
+        planner: MotionChecker[Any, Notes] | None = None,
         lasting: Collection[str] = (),
     ) -> None:
         self.script = Script()
@@ -352,7 +355,19 @@ def _routes() -> dict[Joint, Route]:
 
 ROUTES = _routes()
 
+
 PLACED: Joint = ("111", "1", "1", "1", "placed", "0", "off")
+
+
 STANDOFF: Joint = ("111", "1", "1", "1", "standoff", "0", "off")
+
+
 RETRACTED: Joint = ("111", "1", "1", "1", "retracted", "0", "off")
+
+
 HELD: Joint = ("111", "1", "1", "1", "held", "0", "off")
+
+
+def code(verdict: Verdict) -> str:
+    assert verdict.reason is not None
+    return verdict.reason.code

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.authoring.trial.tour import plan_tour
-from pcmrs.dispatcher import Activity, Registry, Workflow
-from pcmrs.errors import BlueprintError, DeviceError, ReentrancyError, UnknownOutcomeError
+from pcmrs.dispatcher import Activity
+from pcmrs.errors import DeviceError, ReentrancyError, UnknownOutcomeError
 from pcmrs.messages import ActiveActivity, DeviceEvent, Reason, Verdict
 from pcmrs.testing.clock import settle
 from pcmrs_lab.experiment.tours.rehearsal import rehearse
@@ -402,23 +402,14 @@ async def test_it_cannot_await_its_own_dispatcher(bench: Bench) -> None:
     assert caught == [ReentrancyError]
 
 
-def test_a_name_that_is_not_registered_is_refused() -> None:
-    registry: Registry[Any, Notes] = Registry()
-    specs = [spec for branch in FOLLOWING.branches.values() for spec in branch.operations.values()]
-    registry.checks |= {name: lambda run: None for spec in specs for name in spec.checks}
-    registry.steps |= {name: lambda run: None for spec in specs for name in spec.steps}
-    with pytest.raises(BlueprintError, match="placement following: no activity is registered as 'follow_head'"):
-        Workflow(FOLLOWING, registry, Notes(), lambda data, states, effects: data)
-    with pytest.raises(BlueprintError, match="async def"):
-        registry.activity(lambda act: None)
-
-
 COMMANDS = [
     *(f"placement.{operation}" for operation in FOLLOWING.branches["placement"].operations),
     "plan.change",
     "plan.change_back",
     "robot.acknowledge",
 ]
+
+
 ACTIONS = st.lists(st.sampled_from([*COMMANDS, *COMMANDS, "stop", "end", "raise", "settle", "settle"]), max_size=25)
 
 

@@ -1,15 +1,13 @@
-"""What an activity that has ended, or never began, must not do."""
+"""Ends of activities: what one that has ended, or never began, must not do."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
-from typing import Any
+from collections.abc import AsyncIterator
 
 import pytest
 
-from pcmrs.dispatcher import Registry
-from pcmrs.errors import BlueprintError, RefusalError, UnknownOutcomeError
+from pcmrs.errors import RefusalError, UnknownOutcomeError
 from pcmrs.testing.clock import settle
 from tests.support.altered import with_operation
 from tests.unit.dispatcher.dispatcher_fakes import Bench
@@ -112,15 +110,3 @@ async def test_activity_prevented_by_the_latch_is_not_reported_started(bench: Be
     await asyncio.gather(following, stop)
     await settle()
     assert "activity_started" not in [name for _, name, _, _ in bench.recorder.rows]
-
-
-@pytest.mark.parametrize("kind", ["step", "activity"])
-def test_step_must_be_plain_and_activity_a_coroutine(kind: str) -> None:
-    async def waiting(_run: object) -> None: ...
-
-    def at_once(_run: object) -> None: ...
-
-    registry: Registry[Any, Any] = Registry()
-    register: Callable[[Any], object] = getattr(registry, kind)
-    with pytest.raises(BlueprintError):
-        register(waiting if kind == "step" else at_once)

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import asyncio
 
-import pytest
-
-from pcmrs.dispatcher import DispatcherListener
 from pcmrs.dispatcher.locks import MAX_WAITING
 from pcmrs.errors import RefusalError
 from pcmrs.messages import DeviceEvent
 from pcmrs.testing.clock import settle
 from tests.support.altered import with_operation
-from tests.unit.dispatcher.dispatcher_fakes import HELD, PLACED, RATMS, RETRACTED, STANDOFF, Bench
-from tests.unit.dispatcher.test_locks import code
+from tests.unit.dispatcher.dispatcher_fakes import HELD, PLACED, RATMS, STANDOFF, Bench, code
 
 MOVED = DeviceEvent(device="tracker", code="reference_moved", text="By 3 mm.", danger=True)
 
@@ -130,26 +126,3 @@ async def test_reports_with_other_arguments_or_devices_wait_separately() -> None
     await motion
     assert [(await task).decision for task in waiting] == ["accepted", "rejected", "rejected"]
     await bench.dispatcher.close()
-
-
-@pytest.mark.parametrize("fails", ["listener", "publisher"])
-async def test_stop_works_although_a_listener_fails(bench: Bench, fails: str) -> None:
-    class Failing(DispatcherListener):
-        def on_stop(self) -> None:
-            if fails == "listener":
-                raise RuntimeError("The test wants it to fail.")
-
-        def on_publish(self, _message: object) -> None:
-            if fails == "publisher":
-                raise RuntimeError("The test wants it to fail.")
-
-    reported: list[str] = []
-    loop = asyncio.get_running_loop()
-    loop.set_exception_handler(lambda _, context: reported.append(context["message"]))
-    await bench.go(RETRACTED)
-    bench.script.hang("placement.approach")
-    motion = await bench.begin("placement.approach")
-    bench.dispatcher.add_listener(Failing())
-    assert await bench.dispatcher.stop("test:operator")
-    assert code(await motion) == "stopped"
-    assert reported

@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 from pcmrs.dispatcher import Run
 from pcmrs.dispatcher.locks import MAX_WAITING, Locks
 from pcmrs.fsm import parse_blueprint
-from pcmrs.messages import Verdict
 from pcmrs.testing.clock import settle
 from tests.support.ratms_oracle import USER_OPERATIONS
-from tests.unit.dispatcher.dispatcher_fakes import HELD, PLACED, RETRACTED, STANDOFF, Bench, Notes
+from tests.unit.dispatcher.dispatcher_fakes import HELD, PLACED, RETRACTED, STANDOFF, Bench, Notes, code
 
 PLANNED = ("100", "0", "0", "0", "unknown", "0", "off")
 
@@ -105,11 +104,6 @@ CROSSED = parse_blueprint(
     origin="crossed.toml",
 )
 """Once the rails are out, each motor would open the other side's clamp, which that side's motor has locked."""
-
-
-def code(verdict: Verdict) -> str:
-    assert verdict.reason is not None
-    return verdict.reason.code
 
 
 async def test_disjoint_operations_are_in_their_steps_at_once(worldly_bench: Bench) -> None:
@@ -298,6 +292,8 @@ async def test_status_takes_no_lock(bench: Bench) -> None:
 
 
 MOTIONLESS = ("registration", "digitization", "toolplan")
+
+
 HARMLESS = [f"{branch}.{name}" for branch in MOTIONLESS for name in USER_OPERATIONS[branch]]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,6 +11,7 @@ from pcmrs.fsm import Change, Closure, Denial, Effect, Engine, close, load_bluep
 from pcmrs.fsm.behaviour import operations
 from pcmrs.fsm.closure import MAX_EFFECTS
 from tests.support.ratms_oracle import BLUEPRINT, Joint, as_dict, reachable
+from tests.unit.fsm.level_workflow import THREE_LEVELS
 
 RATMS = load_blueprint(BLUEPRINT)
 
@@ -165,38 +165,6 @@ def test_a_denial_says_what_is_needed() -> None:
     assert near.code == "tool_near_patient"
 
 
-THREE_LEVELS = b"""
-id = "three"
-version = "1"
-[branches.top]
-states = { a = "", b = "" }
-operations.enter = { from = ["*"], to = "b" }
-operations.again = { from = ["b"], to = "b", sets = { mid = "m0" } }
-operations.leave = { from = ["b"], to = "a" }
-operations.changed = { from = ["*"], to = "b", iio = true }
-revocations = [{ by = ["watch"], from = ["b"], to = "a" }]
-[branches.mid]
-level = 2
-states = { m0 = "", m1 = "" }
-emits = { "*" = "changed" }
-parent = { branch = "top", start = "b", compatible = { m0 = ["a", "b"], m1 = ["b"] } }
-operations.step = { from = ["m0"], to = "m1" }
-operations.changed = { from = ["m1"], to = "m1", iio = true }
-operations.reinit = { from = ["*"], to = "m0", rio = true }
-[branches.leaf]
-level = 3
-states = { l0 = "", l1 = "" }
-emits = { "*" = "changed" }
-parent = { branch = "mid", start = "m1", compatible = { l0 = ["m0", "m1"], l1 = ["m1"] } }
-operations.step = { from = ["l0"], to = "l1" }
-operations.reinit = { from = ["*"], to = "l0", rio = true }
-[branches.watch]
-states = { quiet = "", loud = "" }
-operations.shout = { from = ["quiet"], to = "loud" }
-operations.calm = { from = ["loud"], to = "quiet" }
-"""
-
-
 def test_a_state_that_is_set_takes_its_own_children_along() -> None:
     engine = Engine(parse_blueprint(THREE_LEVELS))
     for command in (("top", "enter"), ("mid", "step"), ("leaf", "step")):
@@ -214,11 +182,3 @@ def test_a_revocation_takes_children_of_every_level_along() -> None:
     change = engine.perform("watch", "shout")
     assert isinstance(change, Change)
     assert change.states == {"top": "a", "mid": "m0", "leaf": "l0", "watch": "loud"}
-
-
-def test_operation_without_steps_cannot_fail() -> None:
-    engine = Engine(parse_blueprint(THREE_LEVELS))
-    for ending in ("failed", "unknown", "elsewhere"):
-        with pytest.raises(KeyError):
-            engine.perform("top", "enter", ending)
-    assert engine.joint() == parse_blueprint(THREE_LEVELS).initial()

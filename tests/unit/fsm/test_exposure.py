@@ -2,46 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 
-import pcmrs
-from pcmrs.authoring.design import design
 from pcmrs.fsm import Blueprint, load_blueprint
 from pcmrs.fsm.blueprint import ActivitySpec
 from pcmrs.fsm.exposure import Exposure
-from pcmrs.fsm.files.load import read_blueprint
-from tests import ROOT
 from tests.support.altered import with_operation
-
-SHIPPED = Path(pcmrs.__file__).parent / "workflows"
-BIOPSY = ROOT / "examples/biopsy_steps.toml"
-BY_HAND = b"""
-id = "injection_steps"
-version = "1.0.0"
-title = "Injection by hand"
-
-[[steps]]
-name = "planned"
-operation = "plan_site"
-moves = false
-
-[[steps]]
-name = "injected"
-operation = "inject"
-depends_on = ["planned"]
-affects_patient = true
-"""
-
-
-def designed(table: bytes) -> Blueprint:
-    """The workflow of a step table."""
-    blueprint, findings = read_blueprint(design(table).text.encode(), "designed")
-    assert blueprint is not None, findings
-    return blueprint
+from tests.unit.fsm.exposure_workflows import BIOPSY, SHIPPED, designed
 
 
 def exposing(blueprint: Blueprint, branch: str, **others: str) -> set[str]:
@@ -107,10 +77,3 @@ def test_activity_exposes_if_it_moves_the_robot_or_treats() -> None:
 def test_declarations_of_an_operation_decide_its_exposure(declared: dict[str, Any], exposed: set[str]) -> None:
     ratms = load_blueprint(SHIPPED / "ratms.toml")
     assert exposing(with_operation(ratms, "toolplan", "plan", **declared), "toolplan") == exposed
-
-
-def test_a_workflow_uses_the_robot_where_it_connects_or_moves_it() -> None:
-    assert not designed(BY_HAND).uses_robot
-    assert designed(BIOPSY.read_bytes()).uses_robot
-    ratms = load_blueprint(SHIPPED / "ratms.toml")
-    assert msgspec.structs.replace(ratms, branches={"placement": ratms.branches["placement"]}).uses_robot

@@ -1,65 +1,23 @@
+"""An open gateway and its clients, and one whose peers sign."""
+
 from __future__ import annotations
 
 from collections.abc import AsyncIterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-from pcmrs.gateway.links import Gateway, open_gateway
-from pcmrs.gateway.settings import GatewayConfig, LinkConfig
-from tests.unit.gateway.gateway_fakes import FakeCore, ManualClock, UdpClient
-
-
-@dataclass
-class Cell:
-    """A gateway on free ports before a fake daemon, and a client with its reply and stream sockets."""
-
-    core: FakeCore
-    clock: ManualClock
-    gateway: Gateway
-    client: UdpClient
-    replies: UdpClient
-    stream: UdpClient
-    folder: Path
-    config: GatewayConfig
-
-    @property
-    def planner(self) -> tuple[str, int]:
-        return self.gateway.addresses["planner"]
-
-    @property
-    def robot(self) -> tuple[str, int]:
-        return self.gateway.addresses["robot"]
-
-    @property
-    def mep(self) -> tuple[str, int]:
-        return self.gateway.addresses["mep"]
-
-    async def tell(self, command: str, address: tuple[str, int] | None = None) -> str:
-        """Sends a command that is acknowledged; returns what came to the reply port."""
-        self.client.send(command, address or self.planner)
-        return await self.replies.received.get()
-
-    async def ask(self, command: str, address: tuple[str, int] | None = None) -> str:
-        """Sends a command with an id; returns its verdict reply."""
-        return await self.client.ask(command, address or self.planner)
+from tests.unit.gateway.open_cell import Cell, open_cell
+from tests.unit.gateway.signed_room import Room, open_room, peer
 
 
 @pytest.fixture
 async def cell(tmp_path: Path) -> AsyncIterator[Cell]:
-    client, replies, stream = await UdpClient.open(), await UdpClient.open(), await UdpClient.open()
-    config = GatewayConfig(
-        planner=LinkConfig(port=0, reply_port=replies.port, stream_port=stream.port),
-        robot=LinkConfig(port=0, reply_port=replies.port),
-        visualization=LinkConfig(port=0, reply_port=replies.port, stream_port=stream.port),
-        mixed_reality=LinkConfig(),
-        mep=LinkConfig(port=0),
-        tcp_port=0,
-    )
-    core, clock = FakeCore(), ManualClock()
-    async with open_gateway(core, config, clock, tmp_path) as gateway:
-        yield Cell(core, clock, gateway, client, replies, stream, tmp_path, config)
-        core.open_gates()
-    for socket in (client, replies, stream):
-        socket.transport.close()
+    async with open_cell(tmp_path) as opened:
+        yield opened
+
+
+@pytest.fixture
+async def room(tmp_path: Path) -> AsyncIterator[Room]:
+    async with open_room(tmp_path, {name: peer(tmp_path, name) for name in ("planner", "panel")}) as opened:
+        yield opened

@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager
 from typing import Any, Self, cast
 
 import numpy as np
+from hypothesis import strategies as st
 
 from pcmrs.dispatcher import DispatcherListener
 from pcmrs.gateway.rejection_log import PERIOD
@@ -17,8 +18,10 @@ from pcmrs.spatial import Floats, Transform
 
 POSE = Transform.from_quat_xyzw([0.01, 0.02, 0.03], [0.5, 0.5, 0.5, 0.5])
 
+
 WITHIN = 10.0
 """A test fails when what it waits for has not come after so long, s."""
+
 
 CONFIRMED = {
     "measured": {"position": [0.1, 0.2, 0.3], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]},
@@ -220,3 +223,9 @@ class UdpClient(asyncio.DatagramProtocol):
         """Sends, and returns the next datagram that comes."""
         self.send(data, address)
         return await self.received.get()
+
+
+ROTVECS = st.tuples(*[st.floats(-1.5, 1.5)] * 3)
+
+
+POINTS = st.tuples(*[st.floats(-1.0, 1.0)] * 3)

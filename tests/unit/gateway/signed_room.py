@@ -13,6 +13,7 @@ from typing import Any
 from pcmrs.gateway.links import Gateway, open_gateway
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig, PeerConfig
 from pcmrs.gateway.signing import Signer, new_key, read_key
+from pcmrs.messages import DeviceEvent
 from pcmrs.testing.clock import ManualClock, settle
 from tests.unit.gateway.gateway_fakes import WITHIN, FakeCore, UdpClient
 
@@ -96,3 +97,11 @@ async def open_room(folder: Path, peers: dict[str, PeerConfig], host: str = "0.0
         core.open_gates()
     client.transport.close()
     replies.transport.close()
+
+
+def told(room: Room) -> set[str]:
+    return {event.fields["reason"] for event in refused(room)}
+
+
+def refused(room: Room) -> list[DeviceEvent]:
+    return [event for event in room.core.events if event.code == "refused"]

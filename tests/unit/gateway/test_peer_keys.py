@@ -1,18 +1,21 @@
-"""Keys and permissions of signed peers: what is not as it has to be starts nothing, and says what to do."""
+"""New keys for peers, by the command line, and keys that start nothing."""
 
 from __future__ import annotations
 
+import json
+import tomllib
 from pathlib import Path
-from typing import Any
 
-import msgspec
 import pytest
+from click.testing import CliRunner, Result
 
+from pcmrs.cli import main
 from pcmrs.errors import ConfigurationError
-from pcmrs.gateway.commands import COMMANDS, DEFAULT, GROUPS, STOP, allowed
+from pcmrs.gateway.commands import DEFAULT
 from pcmrs.gateway.links import open_gateway
-from pcmrs.gateway.settings import MAX_PEERS, GatewayConfig, PeerConfig
+from pcmrs.gateway.settings import PeerConfig
 from pcmrs.gateway.signing import new_key, read_key
+from pcmrs.settings import read_settings
 from pcmrs.testing.clock import ManualClock
 from tests.unit.gateway.gateway_fakes import FakeCore
 from tests.unit.gateway.signed_room import config
@@ -32,75 +35,41 @@ async def test_a_key_that_others_may_use_starts_nothing(tmp_path: Path, mode: in
     assert file.read_text().strip() not in error.value.text
 
 
-@pytest.mark.parametrize("mode", [0o600, 0o400])
-def test_key_readable_by_its_owner_only_is_read(tmp_path: Path, mode: int) -> None:
+def run(*words: str) -> Result:
+    return CliRunner().invoke(main, ["peers", "new", *words])
+
+
+def test_a_new_key_comes_with_the_table_that_uses_it(tmp_path: Path) -> None:
+    ended = run("planner", "--folder", str(tmp_path))
+    assert ended.exit_code == 0
     file = tmp_path / "planner.key"
-    new_key(file)
-    file.chmod(mode)
-    assert len(read_key(file)) == 32
+    assert file.stat().st_mode & 0o777 == 0o600
+    assert read_key(file).hex() not in ended.output
+    (tmp_path / "cell.toml").write_text(ended.stdout)
+    settings = read_settings(tmp_path / "cell.toml")
+    assert settings.gateway.peers == {"planner": PeerConfig(key_file=str(file), counter="unix_ns")}
+    assert tomllib.loads(ended.stdout)["gateway"]["peers"]["planner"]["allow"] == list(DEFAULT)
 
 
-@pytest.mark.parametrize("content", ["", "0" * 63, "0" * 65, "g" * 64, "0" * 64 + "\n\n", "é" * 64])
-def test_a_file_without_a_key_is_refused_and_not_shown(tmp_path: Path, content: str) -> None:
-    file = tmp_path / "planner.key"
-    file.touch(mode=0o600)
-    file.write_text(content, encoding="utf-8")
-    with pytest.raises(ConfigurationError, match="holds no key: 64 hex digits") as error:
-        read_key(file)
-    assert not content.strip() or content.strip() not in error.value.text
+def test_as_json(tmp_path: Path) -> None:
+    ended = run("planner", "--folder", str(tmp_path), "--json")
+    assert json.loads(ended.stdout) == {
+        "peer": "planner", "key_file": str(tmp_path / "planner.key"), "allow": list(DEFAULT), "counter": "unix_ns",
+    }  # fmt: skip
 
 
-def test_a_missing_key_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="pcmrs peers new"):
-        read_key(tmp_path / "none.key")
+def test_a_key_that_is_there_stays(tmp_path: Path) -> None:
+    assert run("planner", "--folder", str(tmp_path)).exit_code == 0
+    before = (tmp_path / "planner.key").read_bytes()
+    ended = run("planner", "--folder", str(tmp_path))
+    assert ended.exit_code == 4
+    assert "planner.key exists" in ended.stderr
+    assert (tmp_path / "planner.key").read_bytes() == before
 
 
-def test_keys_differ(tmp_path: Path) -> None:
-    new_key(tmp_path / "a")
-    new_key(tmp_path / "b")
-    assert read_key(tmp_path / "a") != read_key(tmp_path / "b")
-
-
-@pytest.mark.parametrize(
-    ("table", "text"),
-    [
-        ({"a": {}}, "key_file"),
-        ({"a": {"key_file": "a.key"}}, "absolute"),
-        (
-            {"a": {"key_file": "/a.key", "allow": ["fly"]}},
-            "'fly', which is neither a command nor one of",
-        ),
-        ({"a": {"key_file": "/a.key", "rate": 0}}, "greater than 0"),
-        ({"a": {"key_file": "/a.key", "rate": float("nan")}}, "greater than 0"),
-        ({"a": {"key_file": "/a.key", "rate": float("inf")}}, "greater than 0"),
-        ({"a": {"key_file": "/a.key", "burst": 0}}, "1 or more"),
-        ({"a": {"key_file": "/a.key", "key": "00"}}, "unknown field `key`"),
-        ({"a": {"key_file": "/a.key", "counter": "unix_ms"}}, "unix_ms"),
-        ({"a|b": {"key_file": "/a.key"}}, "1 to 32 letters"),
-        ({"a" * 33: {"key_file": "/a.key"}}, "1 to 32 letters"),
-        ({f"a{number}": {"key_file": "/a.key"} for number in range(MAX_PEERS + 1)}, f"limit is {MAX_PEERS}"),
-        ({"local": {"key_file": "/a.key"}}, "own machine"),
-        ({"Local": {"key_file": "/a.key"}}, "own machine"),
-    ],
-)
-def test_a_wrong_table_is_refused(table: dict[str, Any], text: str) -> None:
-    with pytest.raises((ConfigurationError, msgspec.ValidationError), match=text):
-        msgspec.convert({"peers": table}, GatewayConfig)
-
-
-def test_every_command_but_stop_is_in_one_group() -> None:
-    grouped = [name for group in GROUPS.values() for name in group]
-    assert sorted([*grouped, STOP]) == sorted(COMMANDS)
-
-
-def test_whatever_drives_the_robot_is_in_no_group_of_the_default() -> None:
-    for name in allowed(DEFAULT):
-        assert all(step.branch not in ("placement", "robot") for step in COMMANDS[name].steps), name
-    assert {name for name, spec in COMMANDS.items() if any(step.branch == "placement" for step in spec.steps)} == set(
-        GROUPS["motion"]
-    )
-
-
-def test_commands_may_be_listed_and_stop_is_always_allowed() -> None:
-    assert allowed(["execute_homexxxx"]) == {"execute_homexxxx", STOP}
-    assert allowed([]) == {STOP}
+@pytest.mark.parametrize("name", ["a/b", "..", "a b", "a" * 33])
+def test_invalid_name_makes_no_file(tmp_path: Path, name: str) -> None:
+    ended = run(name, "--folder", str(tmp_path))
+    assert ended.exit_code == 4
+    assert "1 to 32 letters" in ended.stderr
+    assert list(tmp_path.iterdir()) == []

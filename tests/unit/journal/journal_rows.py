@@ -1,8 +1,11 @@
 """Rows for journal tests."""
 
+from __future__ import annotations
+
 from typing import Any
 
 from pcmrs.journal import JournalRow, Kind
+from pcmrs.journal.rows import encode_row
 from pcmrs.messages import BlueprintTag, Verdict
 
 BLUEPRINT = BlueprintTag(id="ratms", version="1", hash="ab" * 32)
@@ -45,3 +48,6 @@ def outcome(command_id: str, source: str = "bus:local") -> JournalRow:
         states={"registration": "111"},
         result={"residual": 0.0023},
     )
+
+
+ROW = (row(), encode_row(row()))

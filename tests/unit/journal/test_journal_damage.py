@@ -12,7 +12,7 @@ import pytest
 from pcmrs.testing.errors import Unmet
 from pcmrs.testing.journal import HEAD, NAME, place
 from pcmrs_lab.campaign.damage import Damage
-from pcmrs_lab.campaign.journal_recovery_check import taken_up
+from pcmrs_lab.campaign.journal_recovery_check import is_recovered
 from tests.unit.journal.whole_journal import LOG, Sample, sample
 
 
@@ -41,7 +41,7 @@ def check(whole: Sample, folder: Path, damages: Iterable[Damage]) -> dict[Damage
         path = place(whole.files, folder)
         damage.apply(folder)
         try:
-            found[damage] = taken_up(path, whole.rows)
+            found[damage] = is_recovered(path, whole.rows)
         except Exception as error:
             raise AssertionError(str(damage)) from error
         shutil.rmtree(folder)
@@ -67,7 +67,7 @@ def test_damage_is_never_passed_over(whole: Sample, tmp_path: Path) -> None:
 
 
 def test_undamaged_journal_is_resumed(whole: Sample, tmp_path: Path) -> None:
-    assert taken_up(place(whole.files, tmp_path / "same"), whole.rows)
+    assert is_recovered(place(whole.files, tmp_path / "same"), whole.rows)
 
 
 def test_rows_that_nobody_misses_are_seen(whole: Sample, tmp_path: Path) -> None:
@@ -75,7 +75,7 @@ def test_rows_that_nobody_misses_are_seen(whole: Sample, tmp_path: Path) -> None
     (tmp_path / "other").mkdir()
     other = sample(tmp_path / "other", killed=False, commits=len(whole.rows) // 3 - 1)
     with pytest.raises(Unmet, match="rows are missing or others"):
-        taken_up(place(other.files, tmp_path / "placed"), whole.rows)
+        is_recovered(place(other.files, tmp_path / "placed"), whole.rows)
 
 
 @pytest.mark.nightly

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import sqlite3
-import subprocess
-import sys
 from collections.abc import Callable
 from contextlib import closing
 from itertools import pairwise
@@ -16,7 +12,6 @@ from typing import Any
 import pytest
 
 from pcmrs.errors import JournalError
-from pcmrs.failpoints import ROTATION_FAILPOINTS, VARIABLE
 from pcmrs.files import publish
 from pcmrs.journal import Journal, JournalReader, copy_journal, verify
 from pcmrs.journal import writer as writer_module
@@ -26,29 +21,14 @@ from pcmrs.journal.notes import SOURCE
 from pcmrs.journal.reader import journal_files, numbered
 from pcmrs.journal.rows import encode_row
 from pcmrs.journal.writer import JournalWriter
-from tests import ROOT
 from tests.unit.journal.journal_rows import outcome, row
 
 EVERY = 3
 """Commits after which the journal is looked after, here."""
+
+
 SMALL = 1.0
 """Every file has grown beyond this many bytes."""
-
-WRITER = """
-import asyncio, sys
-from pathlib import Path
-sys.path.insert(0, sys.argv[2])
-from tests.unit.journal.journal_rows import row
-from pcmrs.journal import Journal, writer
-writer._CHECKPOINT_AFTER = 3
-
-async def main():
-    journal = Journal.open(Path(sys.argv[1]), largest=1.0)
-    while True:
-        print(await journal.append([row()]), flush=True)
-
-asyncio.run(main())
-"""
 
 
 @pytest.fixture
@@ -187,33 +167,6 @@ def test_a_copy_has_all_files_and_is_as_good(path: Path, tmp_path: Path) -> None
     assert verify(target).sound
     with JournalReader(path) as reader, JournalReader(target) as copied:
         assert list(json_lines(copied.read())) == list(json_lines(reader.read()))
-
-
-def killed_at(path: Path, failpoint: str) -> list[int]:
-    """What a writer has acknowledged that died there."""
-    arguments = [sys.executable, "-c", WRITER, str(path), str(ROOT)]
-    environment = {**os.environ, VARIABLE: failpoint}
-    ended = subprocess.run(arguments, capture_output=True, text=True, timeout=60, env=environment, check=False)
-    assert ended.returncode == -signal.SIGKILL
-    return [int(line) for line in ended.stdout.splitlines()]
-
-
-@pytest.mark.parametrize("name", ROTATION_FAILPOINTS)
-@pytest.mark.parametrize("growth", [1, 2])
-async def test_kill_while_a_file_is_started_loses_no_acknowledged_row(path: Path, name: str, growth: int) -> None:
-    acknowledged = killed_at(path, f"{name}:{growth}")
-    assert acknowledged
-
-    assert verify(path).sound
-    await Journal.open(path).close()
-    assert verify(path).unnamed == 0
-    with JournalReader(path) as reader:
-        stored = list(reader.read())
-    assert [item.sequence for item in stored] == list(range(1, len(stored) + 1))
-    assert set(acknowledged) <= {item.sequence for item in stored if item.row.source != SOURCE}
-    behind = [item.row.operation for item in stored if item.row.operation == "head_behind"]
-    assert behind == (["head_behind"] if name == "journal.after_next_file" else [])
-    assert len(journal_files(path)) == growth + (name != "journal.before_next_file")
 
 
 def test_journal_is_resumed_after_a_power_cut_tears_its_head(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

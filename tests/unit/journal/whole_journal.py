@@ -35,3 +35,7 @@ def sample(folder: Path, *, killed: bool, commits: int = 6) -> Sample:
         return Sample(files if killed else contents(folder), rows)
 
     return asyncio.run(write())
+
+
+def name_of(descriptor: int) -> str:
+    return Path(f"/proc/self/fd/{descriptor}").readlink().name

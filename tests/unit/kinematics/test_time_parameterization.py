@@ -1,4 +1,4 @@
-"""Motions whose speed limit depends on the place."""
+"""Motions whose speed limit depends on the place, and the spline along which they go."""
 
 from __future__ import annotations
 
@@ -8,19 +8,21 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import interpolate
 
-from pcmrs.errors import UnreachableError
 from pcmrs.kinematics.arms import IIWA14_R820
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.time_parameterization import ProgressLimits, time_parameterize
+from pcmrs.kinematics.time_parameterization import CubicSpline, ProgressLimits, time_parameterize
 from pcmrs.kinematics.trajectory import joint_motion, straight_motion
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform, distance
 from tests.support.trials import examples
 
 ARM = ArmModel(IIWA14_R820)
+
 READY = np.array((0.1, 0.5, 0.2, -1.2, 0.3, 0.9, 0.1))
+
 LIMITS = MotionLimits(
     joint_velocity=(0.8,) * 7,
     joint_acceleration=(2.5,) * 7,
@@ -31,9 +33,12 @@ LIMITS = MotionLimits(
     angular_velocity=0.6,
     angular_acceleration=1.5,
 )
+
 TOOL = Transform.from_rotvec((0.0, 0.02, 0.15), (0.0, 3.0, 0.0))
+
 BODY, NEAR, SLOW = np.array((0.5, 0.0, 0.3)), 0.35, 0.05
 """Middle of a ball, m; how near to it the tool must be slow, m; and how slow, m/s."""
+
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -138,22 +143,39 @@ def test_progress_keeps_its_bounds_through_any_sections(seed: int) -> None:
     assert np.abs(np.diff(parts, 2)).max() / period**2 <= bounds.acceleration * (1 + 1e-3)
 
 
-def test_a_joint_never_swings_beyond_its_limit_between_two_knots() -> None:
-    """A line that ends where a joint comes to rest at its limit is refused there."""
-    refused: list[float] = []
-    rng = np.random.default_rng(3)
-    for _ in range(40):
-        start = rng.uniform(ARM.lower, ARM.upper)
-        joint = int(rng.integers(7))
-        start[joint] = ARM.upper[joint] - rng.uniform(0.0, 0.03)
-        way = Transform.from_rotvec(rng.uniform(-0.05, 0.05, 3), np.zeros(3))
-        try:
-            trajectory = straight_motion(ARM, start, way @ ARM.forward(start), LIMITS)
-        except UnreachableError as error:
-            refused.append(error.fields["parameter"])
-            continue
-        positions = np.array(trajectory.positions)
-        assert np.all(positions <= ARM.upper + 1e-6)
-        assert np.all(positions >= ARM.lower - 1e-6)
-    assert 0 < len(refused) < 40
-    assert all(0.0 <= parameter <= 1.0 for parameter in refused)
+@st.composite
+def rows_at_places(draw: st.DrawFn, fewest: int) -> tuple[Floats, Floats]:
+    steps = np.array(draw(st.lists(st.floats(0.1, 3.0), min_size=fewest - 1, max_size=12)))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    return np.concatenate(((0.0,), np.cumsum(steps))), rng.normal(size=(len(steps) + 1, 3))
+
+
+@given(rows_at_places(4), st.lists(st.floats(0.0, 1.0), min_size=1, max_size=9))
+def test_without_slopes_at_its_ends_it_is_that_of_scipy(given: tuple[Floats, Floats], shares: list[float]) -> None:
+    places, rows = given
+    spline, expected = CubicSpline(places, rows), interpolate.CubicSpline(places, rows)
+    at = places[-1] * np.array(shares)
+    for order in range(3):
+        np.testing.assert_allclose(spline(at, order), expected(at, order), rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(spline(places), rows, atol=1e-12)
+
+
+@given(rows_at_places(2), st.lists(st.floats(0.0, 1.0), min_size=1, max_size=9))
+def test_with_slopes_at_its_ends_it_is_that_of_scipy(given: tuple[Floats, Floats], shares: list[float]) -> None:
+    places, rows = given
+    begin, end = np.array((1.0, -2.0, 0.5)), np.zeros(3)
+    expected = interpolate.CubicSpline(places, rows, bc_type=((1, begin), (1, end)))
+    spline = CubicSpline(places, rows, (begin, end))
+    at = places[-1] * np.array(shares)
+    for order in range(3):
+        np.testing.assert_allclose(spline(at, order), expected(at, order), rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(spline(places[[0, -1]], 1), (begin, end), atol=1e-12)
+
+
+@pytest.mark.parametrize("order", [0, 1, 2])
+def test_a_cubic_is_its_own_spline(order: int) -> None:
+    places = np.array((0.0, 0.3, 1.0, 1.1, 2.0, 2.5))
+    cubic = np.polynomial.Polynomial((0.4, -1.0, 0.7, 2.0))
+    at = np.linspace(0.0, 2.5, 41)
+    spline = CubicSpline(places, cubic(places)[:, None])
+    np.testing.assert_allclose(spline(at, order)[:, 0], cubic.deriv(order)(at), atol=1e-9)

@@ -11,29 +11,14 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from cryptography import x509
-from cryptography.hazmat.primitives import serialization
-from cryptography.hazmat.primitives.asymmetric.ec import SECP384R1, EllipticCurvePrivateKey, generate_private_key
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.x509.oid import NameOID
 
 from pcmrs.cli import main
-from pcmrs.clock import SystemClock
 from pcmrs.errors import ConfigurationError
 from pcmrs.messages.identity import INFRASTRUCTURE, ROLES
 from pcmrs.pki import Authority
-from pcmrs.pki.certificates import read_key
 
 DAY = 86400.0
-
-
-@pytest.fixture
-def now() -> float:
-    return SystemClock().wall()
-
-
-@pytest.fixture
-def authority(tmp_path: Path, now: float) -> Authority:
-    return Authority.init(tmp_path / "pki", "lab", now)
 
 
 def context_of(folder: Path, name: str, *, server: bool) -> ssl.SSLContext:
@@ -105,36 +90,6 @@ def test_client_certificate_does_not_serve_as_a_router(authority: Authority, tmp
     client = context_of(tmp_path / "anna", "anna", server=False)
     client.check_hostname = False
     assert not met(server, client)[1]
-
-
-def test_keys_are_their_owners_alone(authority: Authority, tmp_path: Path, now: float) -> None:
-    authority.issue("viewer", "vera", now, into=tmp_path)
-    for key in (tmp_path / "vera" / "vera.key", authority.folder / "ca.key"):
-        assert key.stat().st_mode & 0o777 == 0o600
-        read_key(key)
-        key.chmod(0o640)
-        with pytest.raises(ConfigurationError, match=r"mode 0640.*The limit is 0600: chmod 600"):
-            read_key(key)
-    with pytest.raises(ConfigurationError, match="others than its owner"):
-        authority.issue("viewer", "vito", now, into=tmp_path)
-    assert [each.name for each in authority.identities()] == ["vera"]
-    with pytest.raises(ConfigurationError, match="cannot be read"):
-        read_key(tmp_path / "nothing.key")
-
-
-@pytest.mark.parametrize("other", [Ed25519PrivateKey.generate(), generate_private_key(SECP384R1())], ids=["Ed", "P384"])
-def test_a_key_of_another_kind_signs_no_certificate(
-    authority: Authority, tmp_path: Path, now: float, other: Ed25519PrivateKey | EllipticCurvePrivateKey
-) -> None:
-    key = authority.folder / "ca.key"
-    key.write_bytes(
-        other.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
-    )
-    with pytest.raises(ConfigurationError, match=r"ca\.key is not a key on P-256"):
-        read_key(key)
-    with pytest.raises(ConfigurationError, match="P-256"):
-        authority.issue("viewer", "vito", now, into=tmp_path)
-    assert authority.identities() == []
 
 
 def test_a_role_that_does_not_exist_is_given_to_nobody(authority: Authority, tmp_path: Path, now: float) -> None:
@@ -227,13 +182,3 @@ def test_the_register_says_which_routers_carry_a_person(authority: Authority, tm
     assert [each.via for each in authority.identities()] == [("gate",)]
     with pytest.raises(ConfigurationError, match="not of a device"):
         authority.issue("device", "arm", now, via=("gate",), into=tmp_path)
-
-
-def test_old_register_marks_nobody_and_the_name_local_is_refused(authority: Authority) -> None:
-    row = {"name": "anna", "role": "operator", "serial": "1", "begins": 0.0, "ends": 1.0}
-    register = authority.folder / "register.json"
-    register.write_text(json.dumps([row]))
-    assert [each.via for each in authority.identities()] == [()]
-    register.write_text(json.dumps([row | {"name": "local"}]))
-    with pytest.raises(ConfigurationError, match="choose another one"):
-        authority.identities()

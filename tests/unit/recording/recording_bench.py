@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import random
 from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -15,13 +16,16 @@ from mcap.records import Schema
 from mcap_protobuf.decoder import DecoderFactory
 
 from pcmrs.bus import Bus, BusSettings, Empty
+from pcmrs.bus.codec import pack
 from pcmrs.bus.seal import Seal, new_key
 from pcmrs.clock import SystemClock
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose, JointState
+from pcmrs.recording.file import RecordingFile, Topics
+from pcmrs.recording.foxglove_messages import View
 from pcmrs.recording.frame_tree import Mounting
 from pcmrs.recording.series import Limits, files_of
-from pcmrs.recording.subscriber import Subscriber
+from pcmrs.recording.subscriber import RawSample, Subscriber
 from pcmrs.recording.topics import TOPICS
 from pcmrs.recording.views import RecordingViews
 from pcmrs.recording.writer import PERIOD, RecordingPlan, RecordingReport, RecordingWriter
@@ -129,3 +133,36 @@ def decoded(path: Path) -> list[tuple[str, str, int, Any]]:
 class _Json(mcap.decoder.DecoderFactory):
     def decoder_for(self, message_encoding: str, schema: Schema | None) -> Callable[[bytes], Any] | None:
         return msgspec.json.decode if message_encoding == "json" else None
+
+
+MESSAGES = 160
+BEGUN = 10**18
+SPACING = 10**6
+"""ns since 1970, and between two messages."""
+
+
+def written(path: Path) -> list[bytes]:
+    """Writes a recording of a few chunks; returns the payloads in order."""
+    topics, views, noise = Topics(), RecordingViews(ARM, MOUNTING, 1.0), random.Random(1)
+    file = RecordingFile(path, topics, {"cell": "x"})
+    payloads = []
+    for number in range(MESSAGES):
+        message = joints([noise.random() for _ in ARM.joints]) if number % 2 else pose("coil", number)
+        heard = RawSample("state/joints" if number % 2 else "state/pose/coil", pack(message), float(number))
+        topics.write_raw(heard.key, heard.at, heard.payload, BEGUN + number * SPACING)
+        for topic, view in views.of(heard, BEGUN + number * SPACING):
+            topics.write(topic, view, BEGUN + number * SPACING)
+        payloads.append(heard.payload)
+    file.close()
+    assert file.error is None
+    return payloads
+
+
+def read_back(shown: Sequence[tuple[str, View]], path: Path) -> list[tuple[str, Any]]:
+    """Writes views to a new file, and returns topic and decoded message of each."""
+    topics = Topics()
+    file = RecordingFile(path, topics, {})
+    for topic, view in shown:
+        topics.write(topic, view, BEGUN)
+    file.close()
+    return [(topic, content) for topic, _, _, content in decoded(path)]

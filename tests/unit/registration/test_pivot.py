@@ -9,37 +9,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pcmrs.errors import DegenerateMotionError, RefusalError
-from pcmrs.registration.pivot import MIN_POSES, _Fit, _fit, calibrate_pivot
-from pcmrs.registration.pose_sets import without_bad_poses
+from pcmrs.registration.pivot import MIN_POSES, calibrate_pivot
 from pcmrs.spatial import Floats, Transform
-
-TIP = np.array([0.01, -0.02, -0.15])
-PIVOT = np.array([0.1, 0.2, -1.8])
-NOISE = 1e-4
+from tests.unit.registration.pivot_poses import NOISE, PIVOT, TIP, poses_about, shifted
 
 coordinate = st.floats(-0.5, 0.5)
 point = st.tuples(coordinate, coordinate, coordinate)
-
-
-def poses_about(
-    rng: np.random.Generator,
-    count: int,
-    noise: float = 0.0,
-    tilt: float = 40.0,
-    tip: Floats = TIP,
-    pivot: Floats = PIVOT,
-) -> list[Transform]:
-    """Poses of a pointer whose tip rests on the pivot, with noise of the position (m per axis)."""
-    rotations = Rotation.from_euler("xyz", rng.uniform(-tilt, tilt, (count, 3)), degrees=True).as_matrix()
-    return [Transform(rotation, pivot - rotation @ tip + rng.normal(0.0, noise, 3)) for rotation in rotations]
-
-
-def shifted(poses: list[Transform], bad: list[int], by: float) -> list[Transform]:
-    """Some of the poses with the tip lifted by so much (m)."""
-    lift = np.array([0.0, 0.0, by])
-    return [
-        Transform(pose.rotation, pose.translation + lift) if index in bad else pose for index, pose in enumerate(poses)
-    ]
 
 
 @given(tip=point, pivot=point, seed=st.integers(0, 2**16), count=st.integers(MIN_POSES, 30))
@@ -138,16 +113,3 @@ def shifted_sideways(poses: list[Transform], bad: int) -> list[Transform]:
     return [
         Transform(pose.rotation, pose.translation + away) if index == bad else pose for index, pose in enumerate(poses)
     ]
-
-
-def test_of_poses_that_nothing_checks_none_is_suspected() -> None:
-    """Three poses have as many equations left as there are parameters: the residuals say nothing of the noise."""
-    poses = shifted(poses_about(np.random.default_rng(9), 3, NOISE), [1], 0.05)
-    rotations, positions = np.array([p.rotation for p in poses]), np.array([p.translation for p in poses])
-
-    def fit_to(chosen: list[int]) -> _Fit:
-        return _fit(rotations[chosen], positions[chosen])
-
-    found, good, bad = without_bad_poses(3, fit_to)
-    assert (good, bad) == ([0, 1, 2], ())
-    assert np.array_equal(found.solution, fit_to([0, 1, 2]).solution)

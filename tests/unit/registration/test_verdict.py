@@ -11,7 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.errors import ConfigurationError, DegeneratePointsError, GeometryError
-from pcmrs.registration import Gate, RegistrationLimits, RegistrationVerdict, judge, predict_tre, register_points
+from pcmrs.registration import (
+    RegistrationGate,
+    RegistrationLimits,
+    RegistrationVerdict,
+    judge,
+    predict_tre,
+    register_points,
+)
 from pcmrs.spatial import Floats
 from tests.support.trials import examples
 from tests.unit.registration.landmark_layouts import (
@@ -54,7 +61,7 @@ OFFSETS = [(0, (0.025, 0.0, 0.0)), (1, (0.0, 0.020, 0.0)), (2, (0.0, 0.0, -0.023
 """The published large digitization errors."""
 
 
-def refused(verdict: RegistrationVerdict) -> Gate:
+def refused(verdict: RegistrationVerdict) -> RegistrationGate:
     assert verdict.refusal is not None
     return verdict.refusal
 

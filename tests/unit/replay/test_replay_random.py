@@ -65,8 +65,10 @@ async def perform(course: Course, todo: list[Action]) -> None:
             course.fail()
             await asyncio.sleep(1.0)
             course.confirm(stands=arguments[0])  # of two holds at once no journal tells which was answered first
+            await asyncio.sleep(1.0)  # nor what was asked for in the turn of the loop in which an operation ended
         elif name == "confirm":
             course.confirm(stands=arguments[0])
+            await asyncio.sleep(1.0)
         elif name == "joints":
             course.cell.joints = arguments[0]
         await asyncio.sleep(1.0 if name == "idle" else 0.0)

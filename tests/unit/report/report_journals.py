@@ -11,9 +11,7 @@ from typing import Any
 import msgspec
 
 from pcmrs.journal import Journal, JournalRow
-from tests import TESTS
-
-GOLDEN = TESTS / "replay" / "golden"
+from tests.unit.replay.golden import GOLDEN
 
 Row = dict[str, Any]
 

@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 from html.parser import HTMLParser
+from pathlib import Path
+
+from click.testing import CliRunner
+
+from pcmrs.cli import main
+from tests.unit.report.report_journals import Row
 
 VOID = {"meta", "img", "br"}
 """Elements of the page that have no end."""
@@ -65,3 +71,29 @@ class Page(HTMLParser):
         self._texts.append(data)
         if "td" in self._open or "th" in self._open:
             self.cells[-1][-1] = " ".join(f"{self.cells[-1][-1]}{data}".split())
+
+
+def run(*words: object) -> tuple[int, str, str]:
+    result = CliRunner().invoke(main, ["report", *map(str, words)])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result.exit_code, result.stdout, result.stderr
+
+
+def page_of(source: Path, *words: object, status: int = 0) -> Page:
+    output = source.parent / "page.html"
+    assert run(source, "-o", output, *words)[0] == status
+    return Page(output.read_text())
+
+
+def outcomes(rows: list[Row], *decisions: str) -> list[tuple[int, Row]]:
+    """Sequence and row of what ended so."""
+    found = [(number, row) for number, row in enumerate(rows, 1) if row["kind"] == "outcome"]
+    return [(number, row) for number, row in found if row["verdict"]["decision"] in decisions]
+
+
+def name(row: Row) -> str:
+    return f"{row['branch']}.{row['operation']}"
+
+
+def shown(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}".replace("-", "−")

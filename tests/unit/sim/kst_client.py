@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager, suppress
 
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.kst.server import serve_kst
 
 DEADLINE = 20.0  # of a reply; longer than any motion here
@@ -65,12 +65,12 @@ async def connected(host: str, port: int) -> AsyncIterator[KstClient]:
 
 
 @asynccontextmanager
-async def client_of(cell: Cell) -> AsyncIterator[KstClient]:
+async def client_of(cell: CellSimulation) -> AsyncIterator[KstClient]:
     async with serve_kst(cell, port=0) as (host, port), connected(host, port) as client:
         yield client
 
 
-async def at_rest(cell: Cell) -> None:
+async def at_rest(cell: CellSimulation) -> None:
     """Returns when the arm rests."""
     async with asyncio.timeout(DEADLINE):
         while not cell.world.arm.at_rest:

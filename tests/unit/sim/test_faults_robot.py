@@ -9,7 +9,7 @@ import pytest_asyncio
 
 from pcmrs.clock import SystemClock
 from pcmrs.errors import DeviceError, UnknownOutcomeError
-from pcmrs_sim.cell import Cell, running_cell
+from pcmrs_sim.cell import CellSimulation, running_cell
 from pcmrs_sim.faults import inject
 from pcmrs_sim.kst.server import serve_kst
 from pcmrs_sim.robot import SimRobot
@@ -23,19 +23,19 @@ ROUNDING = 6e-5  # rad
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def cell() -> AsyncIterator[Cell]:
+async def cell() -> AsyncIterator[CellSimulation]:
     async with running_cell({"robot": {"driver": "kst"}}, SystemClock()) as cell:
         yield cell
 
 
 @pytest_asyncio.fixture(loop_scope="module")
-async def client(cell: Cell) -> AsyncIterator[KstClient]:
+async def client(cell: CellSimulation) -> AsyncIterator[KstClient]:
     await at_rest(cell)
     async with client_of(cell) as client:
         yield client
 
 
-async def begin_motion(cell: Cell, client: KstClient, way: float = 0.4) -> float:
+async def begin_motion(cell: CellSimulation, client: KstClient, way: float = 0.4) -> float:
     """Begins a motion of joint 1 that takes a while; where it would end."""
     goal = np.array(await client.joints())
     start = goal[0]
@@ -49,7 +49,9 @@ async def begin_motion(cell: Cell, client: KstClient, way: float = 0.4) -> float
 
 
 @pytest.mark.parametrize("fault", ["e_stop", "change_mode", "close_brakes"])
-async def test_motion_ends_without_drives_and_starts_only_with_them(cell: Cell, client: KstClient, fault: str) -> None:
+async def test_motion_ends_without_drives_and_starts_only_with_them(
+    cell: CellSimulation, client: KstClient, fault: str
+) -> None:
     goal = await begin_motion(cell, client)
     inject(cell, fault, {})
     assert await client.reply() == NAK
@@ -61,14 +63,14 @@ async def test_motion_ends_without_drives_and_starts_only_with_them(cell: Cell, 
     assert await client.ask("startDirectServoJoints") == DONE
 
 
-async def test_an_emergency_stop_ends_a_servo(cell: Cell, client: KstClient) -> None:
+async def test_an_emergency_stop_ends_a_servo(cell: CellSimulation, client: KstClient) -> None:
     assert await client.ask("startDirectServoJoints") == DONE
     inject(cell, "e_stop", {"on": True})
     assert await client.reply() == NAK
     inject(cell, "e_stop", {"on": False})
 
 
-async def test_interrupted_motion_is_answered_as_interrupted(cell: Cell, client: KstClient) -> None:
+async def test_interrupted_motion_is_answered_as_interrupted(cell: CellSimulation, client: KstClient) -> None:
     goal = await begin_motion(cell, client)
     inject(cell, "interrupt", {})
     assert await client.reply() == b"interrupted\n"
@@ -76,7 +78,7 @@ async def test_interrupted_motion_is_answered_as_interrupted(cell: Cell, client:
     assert abs((await client.joints())[0] - goal) > 0.1
 
 
-async def test_a_cut_link_makes_the_arm_brake_and_ends_the_connection(cell: Cell, client: KstClient) -> None:
+async def test_a_cut_link_makes_the_arm_brake_and_ends_the_connection(cell: CellSimulation, client: KstClient) -> None:
     goal = await begin_motion(cell, client)
     inject(cell, "cut_robot", {"on": True})
     client.send("getJointsPositions")
@@ -86,7 +88,7 @@ async def test_a_cut_link_makes_the_arm_brake_and_ends_the_connection(cell: Cell
     assert await client.until_closed() == b""
 
 
-async def test_silent_robot_still_obeys_commands(cell: Cell, client: KstClient) -> None:
+async def test_silent_robot_still_obeys_commands(cell: CellSimulation, client: KstClient) -> None:
     goal = np.array(await client.joints()) * [0.5, 1, 1, 1, 1, 1, 1]
     inject(cell, "silence_robot", {})
     client.send("jRelVel_0.3_", line("jp", goal), "doPTPinJS")
@@ -97,7 +99,7 @@ async def test_silent_robot_still_obeys_commands(cell: Cell, client: KstClient) 
     assert len(await client.joints()) == 7
 
 
-async def test_a_joint_goes_beside_what_is_commanded(cell: Cell, client: KstClient) -> None:
+async def test_a_joint_goes_beside_what_is_commanded(cell: CellSimulation, client: KstClient) -> None:
     before = np.array(await client.joints())
     inject(cell, "offset_joint", {"joint": 3, "angle": 0.05})
     try:
@@ -112,7 +114,7 @@ async def test_a_joint_goes_beside_what_is_commanded(cell: Cell, client: KstClie
         await cell.clock.sleep(0.01)
 
 
-async def test_the_arm_is_moved_by_hand_while_nobody_is_connected(cell: Cell) -> None:
+async def test_the_arm_is_moved_by_hand_while_nobody_is_connected(cell: CellSimulation) -> None:
     async with serve_kst(cell, port=0) as (host, port):
         async with connected(host, port) as client:
             before = np.array(await client.joints())
@@ -126,7 +128,7 @@ async def test_the_arm_is_moved_by_hand_while_nobody_is_connected(cell: Cell) ->
         inject(cell, "guide_by_hand", {"joint": 4, "angle": 0.1})
 
 
-async def test_the_application_fails_and_the_next_client_is_served(cell: Cell) -> None:
+async def test_the_application_fails_and_the_next_client_is_served(cell: CellSimulation) -> None:
     async with serve_kst(cell, port=0) as (host, port):
         async with connected(host, port) as client:
             assert len(await client.joints()) == 7
@@ -137,7 +139,7 @@ async def test_the_application_fails_and_the_next_client_is_served(cell: Cell) -
             assert len(await client.joints()) == 7
 
 
-async def test_repeated_command_is_answered_twice_but_moves_once(cell: Cell, client: KstClient) -> None:
+async def test_repeated_command_is_answered_twice_but_moves_once(cell: CellSimulation, client: KstClient) -> None:
     goal = np.array(await client.joints())
     goal[0] -= 0.05
     inject(cell, "double_commands", {})
@@ -151,14 +153,16 @@ async def test_repeated_command_is_answered_twice_but_moves_once(cell: Cell, cli
 
 
 @pytest.mark.parametrize("framing", ["split", "merged", "whole", "mixed"])
-async def test_however_replies_are_framed_they_are_the_same(cell: Cell, client: KstClient, framing: str) -> None:
+async def test_however_replies_are_framed_they_are_the_same(
+    cell: CellSimulation, client: KstClient, framing: str
+) -> None:
     inject(cell, "frame_replies", {"how": framing})
     client.send("jRelVel_0.2_", "jRelVel_0.2_", "getJointsPositions", "jRelVel_0.2_")
     assert [len((await client.reply()).split(b"_")) for _ in range(4)] == [1, 1, 8, 1]
     inject(cell, "frame_replies", {"how": "mixed"})
 
 
-async def test_a_collision_pushes_the_arm_away_from_where_it_holds(cell: Cell, client: KstClient) -> None:
+async def test_a_collision_pushes_the_arm_away_from_where_it_holds(cell: CellSimulation, client: KstClient) -> None:
     before = np.array(await client.joints())
     inject(cell, "push_tool", {"force": 80.0})
     while np.abs(np.array(await client.joints()) - before).max() < 1e-4:
@@ -172,14 +176,16 @@ class TestBuiltInRobot:
     """The same faults behind the protocol of the robot."""
 
     @pytest_asyncio.fixture(loop_scope="module")
-    async def robot(self, cell: Cell) -> SimRobot:
+    async def robot(self, cell: CellSimulation) -> SimRobot:
         await at_rest(cell)
         robot = cell.devices["robot"]
         assert isinstance(robot, SimRobot)
         await robot.connect()
         return robot
 
-    async def test_emergency_stop_in_motion_is_danger_and_bars_the_next(self, cell: Cell, robot: SimRobot) -> None:
+    async def test_emergency_stop_in_motion_is_danger_and_bars_the_next(
+        self, cell: CellSimulation, robot: SimRobot
+    ) -> None:
         events = robot.events()
         heard = asyncio.ensure_future(anext(events))
         start = np.array((await robot.joints()).positions)
@@ -197,7 +203,7 @@ class TestBuiltInRobot:
         session = await robot.begin_servo()
         assert (await robot.end_servo(session.session)).outcome in ("done", "stopped")
 
-    async def test_a_silent_robot_does_not_answer(self, cell: Cell, robot: SimRobot) -> None:
+    async def test_a_silent_robot_does_not_answer(self, cell: CellSimulation, robot: SimRobot) -> None:
         inject(cell, "silence_robot", {"on": True})
         with pytest.raises(UnknownOutcomeError):
             await robot.joints()

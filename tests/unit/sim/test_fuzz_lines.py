@@ -18,15 +18,15 @@ from tests.support.trials import examples
 
 pytest.importorskip("mujoco")
 
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.faults import FAULTS, inject, parse_fault
-from pcmrs_sim.kst.cabinet import SET_POINTS, Cabinet
-from pcmrs_sim.kst.main_loop import QUESTIONS
+from pcmrs_sim.kst.cabinet import SET_POINTS, SimulatedCabinet
+from pcmrs_sim.kst.main_loop import QUERIES
 from pcmrs_sim.settings import SimSettings
 
 REQUESTS = (
     *(f"{name}_" for name in SET_POINTS),
-    *QUESTIONS,
+    *QUERIES,
     "TFtrans_",
     "jRelVel_",
     "cArtixanPosition_",
@@ -43,15 +43,15 @@ anything = st.text(st.characters(max_codepoint=255, exclude_characters="\n"), ma
 
 
 @pytest.fixture(scope="module")
-def cell() -> Cell:
-    return Cell(SimSettings(), ARMS["iiwa14"], ForceSettings(force_limit=math.inf), SystemClock())
+def cell() -> CellSimulation:
+    return CellSimulation(SimSettings(), ARMS["iiwa14"], ForceSettings(force_limit=math.inf), SystemClock())
 
 
 @examples(60)
 @given(lines=st.lists(requests | anything, max_size=8))
-def test_the_cabinet_survives_any_requests(cell: Cell, lines: list[str]) -> None:
+def test_the_cabinet_survives_any_requests(cell: CellSimulation, lines: list[str]) -> None:
     answers: list[str] = []
-    cabinet = Cabinet(cell, answers.append, lambda: None)
+    cabinet = SimulatedCabinet(cell, answers.append, lambda: None)
     with np.errstate(over="ignore", invalid="ignore"):  # a tool frame may be as far away as numbers go
         for line in lines:
             cabinet.receive(line)
@@ -64,7 +64,7 @@ def test_the_cabinet_survives_any_requests(cell: Cell, lines: list[str]) -> None
 @given(
     st.builds(" ".join, st.tuples(st.sampled_from(sorted(FAULTS)), st.text(max_size=20))) | st.text(max_size=40),
 )
-def test_a_line_is_a_fault_or_is_refused(cell: Cell, line: str) -> None:
+def test_a_line_is_a_fault_or_is_refused(cell: CellSimulation, line: str) -> None:
     if not line.strip():
         return  # such lines are passed over
     with suppress(DeviceError):

@@ -7,8 +7,8 @@ from pcmrs.devices.motion.force import ForceSettings
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.spatial import Floats, Transform
 from pcmrs_sim.head import CENTRE, level, outward_normal, surface_point
+from pcmrs_sim.muscle.head_subject import closest_on_scalp, draw_subject
 from pcmrs_sim.muscle.muscle import Muscle
-from pcmrs_sim.muscle.subject import closest_on_scalp, draw_subject
 from pcmrs_sim.muscle.waveform import BAND, Background, artefact, evoked_potential
 from pcmrs_sim.settings import MuscleSettings, SimSettings
 from pcmrs_sim.world import World

@@ -21,14 +21,14 @@ from pcmrs.devices.protocols import Emg, Stimulator
 from pcmrs.errors import DeviceError
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import Epoch
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.lsl.serving import serve_muscle
-from pcmrs_sim.muscle.subject import draw_subject
+from pcmrs_sim.muscle.head_subject import draw_subject
 from pcmrs_sim.settings import MuscleSettings, SimSettings, StimulatorSettings
 
 CLOCK = SystemClock()
 PATIENCE = 10.0  # s
-COMMAND = "from pcmrs_sim.lsl.command import muscle; muscle()"
+COMMAND = "from pcmrs_sim.cli.muscle import muscle; muscle()"
 
 
 @pytest.fixture(autouse=True)
@@ -37,10 +37,10 @@ def _outlets_live_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(load_lsl().StreamOutlet, "__del__", lambda _: None)
 
 
-def make_cell() -> Cell:
+def make_cell() -> CellSimulation:
     """A cell that stands still: only its muscle is needed."""
     stimulator = StimulatorSettings(charge_time=0.0, recharge_time=0.0)
-    return Cell(SimSettings(seed=3, stimulator=stimulator), ARMS["iiwa14"], ForceSettings(), CLOCK)
+    return CellSimulation(SimSettings(seed=3, stimulator=stimulator), ARMS["iiwa14"], ForceSettings(), CLOCK)
 
 
 def configuration(stimulator: str, emg: str) -> dict[str, Any]:
@@ -54,7 +54,7 @@ def configuration(stimulator: str, emg: str) -> dict[str, Any]:
 
 
 @asynccontextmanager
-async def devices(cell: Cell, settings: dict[str, Any]) -> AsyncIterator[tuple[Any, Any]]:
+async def devices(cell: CellSimulation, settings: dict[str, Any]) -> AsyncIterator[tuple[Any, Any]]:
     """Stimulator and electromyograph as they are configured, beside the cell."""
     found = {"stimulator": cell.devices["stimulator"], "emg": cell.devices["emg"]}
     async with AsyncExitStack() as stack:
@@ -97,7 +97,7 @@ async def test_one_muscle_answers_whatever_drives_it(stimulator: str, emg: str) 
 
 async def test_simulated_or_real_amplifier_gets_no_simulated_stream() -> None:
     before = asyncio.all_tasks()
-    silent = Cell(SimSettings(muscle=MuscleSettings(streamed=False)), ARMS["iiwa14"], ForceSettings(), CLOCK)
+    silent = CellSimulation(SimSettings(muscle=MuscleSettings(streamed=False)), ARMS["iiwa14"], ForceSettings(), CLOCK)
     for cell, settings in ((make_cell(), configuration("sim", "sim")), (silent, configuration("sim", "lsl"))):
         async with serve_muscle(cell, settings):
             assert asyncio.all_tasks() == before

@@ -9,7 +9,7 @@ import trimesh
 from pcmrs.formats.mesh import read_mesh
 from pcmrs.spatial import Floats
 from pcmrs_sim import femur, head
-from pcmrs_sim.phantom import Landmark
+from pcmrs_sim.phantom import PhantomLandmark
 from tests import ROOT
 
 EXAMPLES = ROOT / "examples"
@@ -44,7 +44,7 @@ def test_the_head_has_the_volume_of_its_formula() -> None:
 
 
 @pytest.mark.parametrize(("name", "landmarks"), [("head", head.LANDMARKS[:1]), ("femur", femur.LANDMARKS)])
-def test_landmarks_on_the_skin_lie_on_the_mesh(name: str, landmarks: tuple[Landmark, ...]) -> None:
+def test_landmarks_on_the_skin_lie_on_the_mesh(name: str, landmarks: tuple[PhantomLandmark, ...]) -> None:
     mesh = read_mesh(EXAMPLES / f"{name}_phantom.ply", "m", "RAS")
     for landmark in landmarks:
         assert np.linalg.norm(mesh.vertices - landmark.position, axis=1).min() < 0.005

@@ -12,8 +12,8 @@ from pcmrs.errors import ConfigurationError, DeviceError, UnknownOutcomeError
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose, JointTrajectory, LandmarkPrompt, PoseMessage
 from pcmrs.spatial import Floats, Transform, distance
-from pcmrs_sim.cell import BATCH, LONGEST_CATCH_UP, Cell
-from pcmrs_sim.errors import TouchErrors
+from pcmrs_sim.cell import BATCH, LONGEST_CATCH_UP, CellSimulation
+from pcmrs_sim.error_models import TouchErrors
 from pcmrs_sim.opening import open_devices
 from pcmrs_sim.phantoms import PHANTOMS
 from pcmrs_sim.plant import STEP
@@ -200,7 +200,7 @@ async def test_hand_released_on_its_way_does_not_continue(cell: Devices) -> None
     touching = asyncio.create_task(cell["pointer"].touch(PROMPT))
     await next_frames(cell, 1)
     await cell["pointer"].release()
-    with pytest.raises(DeviceError, match="released before it was there"):
+    with pytest.raises(DeviceError, match="released before it reached"):
         await touching
     for _, _, pointer, _ in await next_frames(cell, 5):
         assert not pointer.valid
@@ -272,7 +272,7 @@ async def test_only_the_asked_devices_are_opened(clock: Clock) -> None:
 
 
 async def test_a_slow_machine_slows_the_cell_and_is_counted(clock: Clock) -> None:
-    cell = Cell(SimSettings(), ARMS["iiwa14"], ForceSettings(), clock)
+    cell = CellSimulation(SimSettings(), ARMS["iiwa14"], ForceSettings(), clock)
     frames = asyncio.create_task(next_frames(cell.devices, 5))
     await asyncio.sleep(0)
     now = clock.monotonic()

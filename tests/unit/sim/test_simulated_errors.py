@@ -4,7 +4,7 @@ import pytest
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Transform, distance
-from pcmrs_sim.errors import BiasField, TouchErrors, TrackerErrors, displaced
+from pcmrs_sim.error_models import BiasField, TouchErrors, TrackerErrors, displaced
 from pcmrs_sim.settings import DigitizationSettings, TrackerSettings
 
 PLACES = np.random.default_rng(0).uniform(-2.0, 2.0, (4000, 3))

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from pcmrs.clock import Clock
-from pcmrs.devices.motion.press import RESISTANCE, TOLERANCE, Press
+from pcmrs.devices.motion.press import RESISTANCE, TOLERANCE, PressMotion
 from pcmrs.errors import DeviceError
 from pcmrs.messages import MotionResult, PressRequest
 from pcmrs.spatial import rotation_angle
 from pcmrs_sim.arm import Arm
 from pcmrs_sim.opening import open_devices
-from pcmrs_sim.settings import ContactSettings, GeometrySettings, SimSettings
+from pcmrs_sim.settings import GeometrySettings, SimSettings, SkinSettings
 from tests.unit.sim.simulated_arms import body_before_tool, make_arm
 
 INWARD = -GeometrySettings().flange_from_coil.transform.rotation[:, 2]
@@ -26,9 +26,11 @@ REQUEST = PressRequest(
 )
 
 
-def pressed(gap: float, request: PressRequest = REQUEST, stiffness: float = 1000.0) -> tuple[Arm, Press, list[float]]:
+def pressed(
+    gap: float, request: PressRequest = REQUEST, stiffness: float = 1000.0
+) -> tuple[Arm, PressMotion, list[float]]:
     """The arm after a press on a head `gap` (m) away, and the true force at every millisecond."""
-    settings = SimSettings(contact=ContactSettings(stiffness=stiffness))
+    settings = SimSettings(contact=SkinSettings(stiffness=stiffness))
     arm = make_arm(settings)
     arm.contact.place(body_before_tool(gap, settings))
     press = arm.press(request)

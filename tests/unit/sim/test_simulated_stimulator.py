@@ -9,7 +9,7 @@ from pcmrs.errors import DeviceError
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import DeviceEvent
 from pcmrs.testing.clock import ManualClock, settle
-from pcmrs_sim.cell import Cell
+from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.faults import inject
 from pcmrs_sim.settings import SimSettings, StimulatorSettings
 from pcmrs_sim.stimulator import SimStimulator
@@ -22,24 +22,26 @@ def clock() -> ManualClock:
     return ManualClock()
 
 
-def make_cell(clock: ManualClock, **settings: float) -> Cell:
-    return Cell(SimSettings(stimulator=StimulatorSettings(**settings)), ARMS["iiwa14"], ForceSettings(), clock)
+def make_cell(clock: ManualClock, **settings: float) -> CellSimulation:
+    return CellSimulation(
+        SimSettings(stimulator=StimulatorSettings(**settings)), ARMS["iiwa14"], ForceSettings(), clock
+    )
 
 
 @pytest.fixture
-async def cell(clock: ManualClock) -> AsyncIterator[Cell]:
+async def cell(clock: ManualClock) -> AsyncIterator[CellSimulation]:
     cell = make_cell(clock)
     yield cell
     stimulator_of(cell).close()
 
 
-def stimulator_of(cell: Cell) -> SimStimulator:
+def stimulator_of(cell: CellSimulation) -> SimStimulator:
     stimulator = cell.devices["stimulator"]
     assert isinstance(stimulator, SimStimulator)
     return stimulator
 
 
-async def armed(cell: Cell, clock: ManualClock) -> SimStimulator:
+async def armed(cell: CellSimulation, clock: ManualClock) -> SimStimulator:
     stimulator = stimulator_of(cell)
     arming = asyncio.create_task(stimulator.arm())
     await settle()
@@ -52,7 +54,7 @@ async def next_event(stimulator: SimStimulator) -> DeviceEvent:
     return await anext(stimulator.events())
 
 
-async def test_it_charges_before_it_is_armed(cell: Cell, clock: ManualClock) -> None:
+async def test_it_charges_before_it_is_armed(cell: CellSimulation, clock: ManualClock) -> None:
     stimulator = stimulator_of(cell)
     arming = asyncio.create_task(stimulator.arm())
     await settle()
@@ -64,7 +66,7 @@ async def test_it_charges_before_it_is_armed(cell: Cell, clock: ManualClock) -> 
     assert (await arming).ready
 
 
-async def test_it_is_disarmed_at_once_while_it_charges(cell: Cell, clock: ManualClock) -> None:
+async def test_it_is_disarmed_at_once_while_it_charges(cell: CellSimulation, clock: ManualClock) -> None:
     stimulator = stimulator_of(cell)
     arming = asyncio.create_task(stimulator.arm())
     await settle()
@@ -75,7 +77,7 @@ async def test_it_is_disarmed_at_once_while_it_charges(cell: Cell, clock: Manual
     assert not (await stimulator.state()).armed
 
 
-async def test_it_recharges_after_a_pulse(cell: Cell, clock: ManualClock) -> None:
+async def test_it_recharges_after_a_pulse(cell: CellSimulation, clock: ManualClock) -> None:
     stimulator = await armed(cell, clock)
     await stimulator.fire(1)
     assert not (await stimulator.state()).ready
@@ -106,14 +108,14 @@ async def test_a_hot_coil_disarms_until_it_has_cooled(clock: ManualClock) -> Non
     stimulator.close()
 
 
-async def test_heat_goes_with_the_square_of_the_intensity(cell: Cell, clock: ManualClock) -> None:
+async def test_heat_goes_with_the_square_of_the_intensity(cell: CellSimulation, clock: ManualClock) -> None:
     stimulator = await armed(cell, clock)
     await stimulator.set_intensity(50.0)
     await stimulator.fire(1)
     assert (await stimulator.state()).coil_temperature == pytest.approx(22.0 + 0.08 / 4)
 
 
-async def test_a_pulse_reaches_the_muscle_of_the_world(cell: Cell, clock: ManualClock) -> None:
+async def test_a_pulse_reaches_the_muscle_of_the_world(cell: CellSimulation, clock: ManualClock) -> None:
     stimulator = await armed(cell, clock)
     await stimulator.set_intensity(66.0)
     pulse = await stimulator.fire(9)
@@ -122,7 +124,7 @@ async def test_a_pulse_reaches_the_muscle_of_the_world(cell: Cell, clock: Manual
     assert (felt.intensity, felt.time) == (66.0, pulse.fired)
 
 
-async def test_faults_of_the_muscle_can_be_injected(cell: Cell) -> None:
+async def test_faults_of_the_muscle_can_be_injected(cell: CellSimulation) -> None:
     inject(cell, "no_mep", {})
     assert cell.world.muscle.silent
     inject(cell, "no_mep", {"on": False})
@@ -135,7 +137,7 @@ async def test_faults_of_the_muscle_can_be_injected(cell: Cell) -> None:
         inject(cell, "preactivation", {"microvolts": -1.0})
 
 
-async def test_it_disarms_by_itself_in_a_running_cell(cell: Cell, clock: ManualClock) -> None:
+async def test_it_disarms_by_itself_in_a_running_cell(cell: CellSimulation, clock: ManualClock) -> None:
     stimulator = await armed(cell, clock)
     cell.advance(clock.monotonic() + 59.0)
     assert (await stimulator.state()).armed

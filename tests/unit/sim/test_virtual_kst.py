@@ -10,7 +10,7 @@ import pytest_asyncio
 from pcmrs.clock import SystemClock
 from pcmrs.errors import ConfigurationError
 from pcmrs.kinematics.model import ArmModel
-from pcmrs_sim.cell import Cell, running_cell
+from pcmrs_sim.cell import CellSimulation, running_cell
 from pcmrs_sim.kst.readings import from_xyzabc
 from pcmrs_sim.kst.server import serve_kst
 from tests.unit.sim.kst_client import KstClient, at_rest, client_of, connected, line
@@ -25,13 +25,13 @@ MODEL = ArmModel(FACTS)
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def cell() -> AsyncIterator[Cell]:
+async def cell() -> AsyncIterator[CellSimulation]:
     async with running_cell({"robot": {"driver": "kst"}}, SystemClock()) as cell:
         yield cell
 
 
 @pytest_asyncio.fixture(loop_scope="module")
-async def client(cell: Cell) -> AsyncIterator[KstClient]:
+async def client(cell: CellSimulation) -> AsyncIterator[KstClient]:
     await at_rest(cell)
     async with client_of(cell) as client:
         yield client
@@ -100,7 +100,7 @@ async def test_wrong_numbers_are_a_nak(client: KstClient, request_: str) -> None
     assert await client.ask(request_) == b"nak\n"
 
 
-async def test_a_servo_stream_is_followed_to_its_last_set_point(cell: Cell, client: KstClient) -> None:
+async def test_a_servo_stream_is_followed_to_its_last_set_point(cell: CellSimulation, client: KstClient) -> None:
     start = np.array(await client.joints())
     assert await client.ask("startDirectServoJoints") == DONE
     for step in range(1, 41):
@@ -120,7 +120,7 @@ async def test_a_servo_stream_is_followed_to_its_last_set_point(cell: Cell, clie
 
 
 async def test_stopped_servo_ends_when_the_arm_has_braked(
-    cell: Cell, client: KstClient, monkeypatch: pytest.MonkeyPatch
+    cell: CellSimulation, client: KstClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It does not matter how slowly the arm settles."""
     monkeypatch.setattr(type(cell.world.arm), "at_rest", False)
@@ -138,7 +138,7 @@ async def test_servo_with_impedance_is_acknowledged_twice_at_its_end(client: Kst
     assert await client.ask("startSmartImpedneceJoints_1.2_0_0_50_9000_200_100_", replies=2) == DONE + DONE
 
 
-async def test_impedance_takes_joint_1_to_what_was_sent_last(cell: Cell, client: KstClient) -> None:
+async def test_impedance_takes_joint_1_to_what_was_sent_last(cell: CellSimulation, client: KstClient) -> None:
     start = np.array(await client.joints())
     start[0] -= 0.02
     await client.ask(line("jp", start))
@@ -148,7 +148,7 @@ async def test_impedance_takes_joint_1_to_what_was_sent_last(cell: Cell, client:
     assert await client.ask("stopDirectServoJoints", replies=2) == DONE + DONE
 
 
-async def test_a_push_on_the_tool_shows_in_forces_and_torques(cell: Cell, client: KstClient) -> None:
+async def test_a_push_on_the_tool_shows_in_forces_and_torques(cell: CellSimulation, client: KstClient) -> None:
     cell.world.arm.disturbance.push = 20.0
     try:
         await cell.clock.sleep(0.3)
@@ -168,7 +168,7 @@ async def test_end_ends_the_connection(client: KstClient) -> None:
     assert await client.until_closed() == b""
 
 
-async def test_the_next_client_is_served_after_the_first_has_gone(cell: Cell) -> None:
+async def test_the_next_client_is_served_after_the_first_has_gone(cell: CellSimulation) -> None:
     async with serve_kst(cell, port=0) as (host, port):
         for _ in range(3):
             async with connected(host, port) as client:

@@ -7,7 +7,7 @@ from structlog.testing import capture_logs
 
 from pcmrs.clock import SystemClock
 from pcmrs_sim.opening import open_devices
-from pcmrs_sim.serving import wanted
+from pcmrs_sim.serving import local_addresses
 from tests.unit.sim.kst_client import connected
 
 KST = {"robot": {"driver": "kst"}}
@@ -29,7 +29,7 @@ KST = {"robot": {"driver": "kst"}}
     ],
 )
 def test_only_what_a_driver_looks_for_on_this_machine(settings: dict[str, Any], served: dict[str, Any]) -> None:
-    assert wanted(settings) == served
+    assert local_addresses(settings) == served
 
 
 async def test_a_port_that_is_taken_is_logged_and_left_alone() -> None:

@@ -9,7 +9,7 @@ import pytest
 import pytest_asyncio
 
 from pcmrs.clock import SystemClock
-from pcmrs_sim.cell import Cell, running_cell
+from pcmrs_sim.cell import CellSimulation, running_cell
 from pcmrs_sim.faults import inject
 from pcmrs_sim.kst.destination import LARGEST_JUMP
 from pcmrs_sim.kst.server import serve_kst
@@ -22,13 +22,13 @@ ROUNDING = 6e-5  # rad
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def cell() -> AsyncIterator[Cell]:
+async def cell() -> AsyncIterator[CellSimulation]:
     async with running_cell({"robot": {"driver": "kst"}}, SystemClock()) as cell:
         yield cell
 
 
 @pytest_asyncio.fixture(loop_scope="module")
-async def client(cell: Cell) -> AsyncIterator[KstClient]:
+async def client(cell: CellSimulation) -> AsyncIterator[KstClient]:
     await at_rest(cell)
     async with client_of(cell) as client:
         yield client
@@ -63,7 +63,7 @@ async def test_point_to_point_motion_cannot_be_stopped(client: KstClient) -> Non
 
 
 @pytest.mark.parametrize("joint_2", [LARGEST_JUMP * 1.1, 3.0])
-async def test_a_set_point_too_far_away_ends_the_servo(cell: Cell, client: KstClient, joint_2: float) -> None:
+async def test_a_set_point_too_far_away_ends_the_servo(cell: CellSimulation, client: KstClient, joint_2: float) -> None:
     start = np.array(await client.joints())
     assert await client.ask("startDirectServoJoints") == DONE
     wrong = start.copy()
@@ -75,7 +75,7 @@ async def test_a_set_point_too_far_away_ends_the_servo(cell: Cell, client: KstCl
     assert await client.ask("startDirectServoJoints") == DONE
 
 
-async def test_the_arm_brakes_when_its_client_goes(cell: Cell) -> None:
+async def test_the_arm_brakes_when_its_client_goes(cell: CellSimulation) -> None:
     async with serve_kst(cell, port=0) as (host, port):
         async with connected(host, port) as client:
             start = np.array(await client.joints())
@@ -91,7 +91,7 @@ async def test_the_arm_brakes_when_its_client_goes(cell: Cell) -> None:
             assert (await client.joints())[0] > goal[0] + 0.2
 
 
-async def test_a_second_client_waits_until_the_first_has_gone(cell: Cell) -> None:
+async def test_a_second_client_waits_until_the_first_has_gone(cell: CellSimulation) -> None:
     async with serve_kst(cell, port=0) as (host, port), connected(host, port) as first, connected(host, port) as second:
         waiting = asyncio.create_task(second.ask("getJointsPositions"))
         for _ in range(20):
@@ -101,7 +101,7 @@ async def test_a_second_client_waits_until_the_first_has_gone(cell: Cell) -> Non
         assert len((await waiting).split(b"_")) == 8
 
 
-async def test_late_client_is_refused_until_the_application_restarts(cell: Cell) -> None:
+async def test_late_client_is_refused_until_the_application_restarts(cell: CellSimulation) -> None:
     async with serve_kst(cell, port=0, accept_timeout=0.05) as (host, port):
         async with asyncio.timeout(DEADLINE):
             with suppress(ConnectionRefusedError):

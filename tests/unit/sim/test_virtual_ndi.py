@@ -19,7 +19,7 @@ from pcmrs_sim.faults import inject
 from pcmrs_sim.ndi.protocol import LONGEST_COMMAND, Lines, crc16, reply
 from pcmrs_sim.ndi.server import serve_ndi
 from pcmrs_sim.ndi.system import MOST_HANDLES, NdiSystem
-from pcmrs_sim.tracker import BODIES
+from pcmrs_sim.tracker_faults import BODIES
 
 POSE = BodyPose(
     body="coil",

@@ -32,7 +32,7 @@ from pcmrs.errors import (
 )
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import JointTrajectory
-from pcmrs_sim.process.client import World, devices_of
+from pcmrs_sim.process.client import WorldClient, devices_of
 from pcmrs_sim.process.driver import open_devices
 from pcmrs_sim.process.server import Server
 from pcmrs_sim.process.wire import Failure
@@ -213,7 +213,7 @@ def test_node_frozen_in_motion_leaves_a_braking_arm(
     """The stimulator disarms."""
     with moving_node(tmp_path) as (node, _, log):
         os.kill(node.pid, signal.SIGSTOP)
-        assert wait_until(lambda: "nothing was heard of its node" in log.read_text())
+        assert wait_until(lambda: "its node has been silent" in log.read_text())
         os.kill(node.pid, signal.SIGCONT)
         said, _ = node.communicate(timeout=PATIENCE)
     lines = said.decode().splitlines()
@@ -234,7 +234,7 @@ class LateClock(SystemClock):
 async def linked(machine: SystemClock = CLOCK) -> AsyncIterator[tuple[Server, Mapping[str, Any]]]:
     """Both ends of a link in one process, so that a test can act between two steps of the world."""
     here, there = socket.socketpair()
-    server, world = Server(there), World(here, machine, lambda: None)
+    server, world = Server(there), WorldClient(here, machine, lambda: None)
     serving = asyncio.create_task(server.run())
     try:
         await world.open(("robot", "stimulator"), {})

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from pcmrs.errors import RefusalError
 from pcmrs.spatial import Floats, Transform, distance, rotation_angle
-from pcmrs.spatial.constant_velocity import VelocityFilter
-from pcmrs.spatial.prediction import HORIZON, MAX_OUTLIERS, TRANSLATION, PosePredictor
+from pcmrs.spatial.prediction import HORIZON, MAX_OUTLIERS, PosePredictor
 from tests.support.trials import examples
 
 RATE = 60.0
@@ -21,7 +20,6 @@ DIRECTION = np.array((1.0, 2.0, -1.0)) / np.sqrt(6.0)
 NOD = np.array((0.6, 0.0, 0.8))
 LEVER = 0.1  # a head that moves by s nods by s / LEVER
 START = Transform.from_rotvec((0.1, -0.2, 1.1), (0.4, -1.2, 0.7))
-
 Motion = Callable[[float], float]
 """Path length along `DIRECTION` at a time, m."""
 
@@ -92,25 +90,6 @@ def test_a_predicted_pose_is_nearer_than_the_last_one_seen(motion: Motion, share
     for seed in (1, 2, 3):
         predicted, held = errors(motion, seed)
         assert (predicted < share * held).all()
-
-
-def test_the_error_is_as_large_as_the_covariance_says() -> None:
-    """Monte Carlo with the acceleration that the filter assumes: mean squared error over variance is 1."""
-    ratios = []
-    spread = np.linalg.cholesky(np.array(((1 / RATE**3 / 3, 1 / RATE**2 / 2), (1 / RATE**2 / 2, 1 / RATE))))
-    for seed in range(20):
-        rng, tracked = np.random.default_rng(seed), VelocityFilter(TRANSLATION)
-        position, rate = np.zeros(3), np.zeros(3)
-        value = position + rng.normal(scale=TRANSLATION.measurement, size=3)
-        for frame in range(180):
-            disturbed = np.sqrt(TRANSLATION.rest) * spread @ rng.normal(size=(2, 3))
-            position, rate = position + rate / RATE + disturbed[0], rate + disturbed[1]
-            value = value + tracked.rate / RATE
-            if frame > 60 and frame % 10 == 0:
-                ratios.append((value - position) ** 2 / tracked.predicted_covariance(1 / RATE, TRANSLATION.rest)[0, 0])
-            seen = position + rng.normal(scale=TRANSLATION.measurement, size=3)
-            value = value + tracked.correct(1 / RATE, seen - value)
-    assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
 
 
 @given(st.tuples(*[st.floats(-3.0, 3.0)] * 3), st.tuples(*[st.floats(-2.0, 2.0)] * 3))

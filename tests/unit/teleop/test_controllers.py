@@ -18,7 +18,7 @@ from pcmrs.teleop.controllers import (
     SHOULDER_LEFT,
     SPACEMOUSE,
     START,
-    Controller,
+    ControllerState,
     X,
     Y,
     Z,
@@ -30,7 +30,7 @@ MAPPING = Mapping(linear=0.02, angular=0.2, dead_zone=0.1)
 
 def test_spacemouse_moves_only_with_its_clutch_held() -> None:
     """It forgets what is not repeated."""
-    mouse = Controller(SPACEMOUSE, MAPPING, {})
+    mouse = ControllerState(SPACEMOUSE, MAPPING, {})
     mouse.take(EV_REL, X, 350, 0.0)
     assert mouse.demand(0.01) == Demand()
     mouse.take(EV_KEY, BUTTON_0, 1, 0.02)
@@ -46,7 +46,7 @@ def test_spacemouse_moves_only_with_its_clutch_held() -> None:
 
 
 def test_gamepad_axes_have_their_own_ranges() -> None:
-    pad = Controller(GAMEPAD, MAPPING, {X: (0, 255), Y: (0, 255), RX: (-32768, 32767), RY: (-32768, 32767)})
+    pad = ControllerState(GAMEPAD, MAPPING, {X: (0, 255), Y: (0, 255), RX: (-32768, 32767), RY: (-32768, 32767)})
     pad.take(EV_KEY, SHOULDER_LEFT, 1, 0.0)
     for code in (X, Y):
         pad.take(EV_ABS, code, 128, 0.0)

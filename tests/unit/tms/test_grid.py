@@ -4,29 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.errors import GeometryError
-from pcmrs.spatial import Transform, rotation_angle
-from pcmrs.tms.grid import grid_on_scalp, hexagons
-from pcmrs.tms.scalp import along_scalp, hand_area, heading, on_scalp, turned
+from pcmrs.registration.triangles import TriangleSurface
+from pcmrs.spatial import Transform
+from pcmrs.tms.grid import grid_on_scalp, hexagons, rows_on_scalp
+from pcmrs.tms.scalp import along_scalp, turned
 from tests.support.trials import examples
-from tests.unit.tms.heads import RADIUS, TOP, phantom, sphere
+from tests.unit.tms.heads import TOP, phantom, sphere
 
 lengths = st.floats(-0.05, 0.05)
-
-
-@given(lengths, lengths, st.floats(-3.0, 3.0))
-def test_a_walk_on_a_sphere_follows_its_great_circle(x: float, y: float, angle: float) -> None:
-    """Rotating the whole sphere about the axis across the way carries the coil along without a turn of its handle."""
-    start = turned(TOP, angle)
-    (found,) = along_scalp(sphere, start, [[x, y]])
-    axis = np.cross((0.0, 0.0, 1.0), start.rotation @ np.array((x, y, 0.0)))
-    # Each step is along the tangent, whose angle is smaller than its length says, by at most 1 in 5000.
-    expected = Transform.from_rotvec((0.0, 0.0, 0.0), axis / RADIUS) @ start
-    assert np.linalg.norm(found.translation - expected.translation) < 2e-5
-    assert rotation_angle(found, expected) < 3e-4
+BALL_RADIUS = 0.09
+BALL = trimesh.creation.icosphere(subdivisions=4, radius=BALL_RADIUS)
+SCALP = TriangleSurface(BALL.vertices, BALL.faces)
+BALL_TOP = Transform(np.eye(3), np.array((0.0, 0.0, BALL_RADIUS)))
 
 
 @examples(25)
@@ -58,42 +52,27 @@ def test_a_grid_goes_outwards_in_a_spiral_of_neighbours() -> None:
         assert mine.max() <= ring + 1e-9
 
 
-def test_pose_beside_the_scalp_is_moved_onto_it_with_least_tilt() -> None:
-    beside = Transform.from_rotvec((0.001, 0.0, RADIUS + 0.01), (0.2, 0.0, 0.7))
-    placed = on_scalp(sphere, beside)
-    assert np.linalg.norm(placed.translation) == pytest.approx(RADIUS)
-    assert np.allclose(placed.rotation[:, 2], placed.translation / RADIUS)
-    cosine = beside.rotation[:, 2] @ placed.rotation[:, 2]
-    assert rotation_angle(beside, placed) == pytest.approx(np.arccos(cosine))
-
-
-@pytest.mark.parametrize(("side", "sign"), [("right", 1.0), ("left", -1.0)])
-def test_hand_area_is_beside_the_vertex_with_handle_back_and_out(side: str, sign: float) -> None:
-    pose = hand_area(sphere, TOP.translation, "right" if side == "right" else "left")
-    away = RADIUS * np.arccos(pose.translation[2] / RADIUS)
-    assert away == pytest.approx(np.hypot(0.055, 0.005), rel=1e-3)
-    assert sign * pose.translation[0] > 0.05 * 0.9
-    handle = -pose.rotation[:, 1]
-    assert sign * handle[0] > 0.3
-    assert handle[1] < -0.6
-
-
-@given(st.floats(-3.1, 3.1), st.floats(-0.5, 0.5), st.floats(-0.5, 0.5))
-def test_the_heading_is_the_turn_about_the_normal(angle: float, tilt_x: float, tilt_y: float) -> None:
-    tilt = Transform.from_rotvec((0.0, 0.0, 0.0), (tilt_x, tilt_y, 0.0))
-    assert heading(TOP, tilt @ turned(TOP, angle)) == pytest.approx(angle, abs=1e-9)
-
-
 @pytest.mark.parametrize(("spacing", "rings"), [(0.0, 2), (-0.01, 2), (float("nan"), 2), (0.01, -1), (0.01, 21)])
 def test_invalid_grid_is_refused(spacing: float, rings: int) -> None:
     with pytest.raises(GeometryError, match="positive spacing"):
         grid_on_scalp(sphere, TOP, spacing, rings)
 
 
-def test_upside_down_coil_and_invalid_offsets_are_refused() -> None:
-    flipped = Transform.from_rotvec(TOP.translation, (np.pi, 0.0, 0.0))
-    with pytest.raises(GeometryError, match="into the head"):
-        on_scalp(sphere, flipped)
-    for offsets in ([[0.0, float("nan")]], [[0.0, 0.0, 0.0]], [0.0, 0.0]):
-        with pytest.raises(GeometryError, match="pairs"):
-            along_scalp(sphere, TOP, offsets)
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (3, 3), (2, 5)])
+def test_every_pose_is_tangent_and_next_to_the_one_before(rows: int, columns: int) -> None:
+    poses = rows_on_scalp(SCALP.closest, BALL_TOP, 0.008, rows, columns)
+    places = np.array([pose.translation for pose in poses])
+    assert len(poses) == rows * columns
+    np.testing.assert_allclose(np.linalg.norm(places, axis=1), BALL_RADIUS, atol=0.0005)
+    for pose in poses:
+        assert pose.rotation[:, 2] @ pose.translation > 0.999 * np.linalg.norm(pose.translation)
+    np.testing.assert_allclose(np.linalg.norm(np.diff(places, axis=0), axis=1), 0.008, atol=0.0006)
+    assert np.linalg.norm(places.mean(axis=0)[:2]) < 1e-3, "the tool is its middle"
+    if rows > 1:
+        assert places[0, 0] < 0.0 < places[0, 1], "it begins to the left, ahead"
+
+
+@pytest.mark.parametrize(("spacing", "rows", "columns"), [(0.0, 3, 3), (np.nan, 3, 3), (0.01, 0, 3), (0.01, 3, 21)])
+def test_no_grid_is_refused(spacing: float, rows: int, columns: int) -> None:
+    with pytest.raises(GeometryError, match="positive spacing"):
+        rows_on_scalp(SCALP.closest, BALL_TOP, spacing, rows, columns)

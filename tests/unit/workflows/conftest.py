@@ -11,6 +11,7 @@ import pytest
 from pcmrs.simulated_time.loop import SimulatedLoop
 from pcmrs.workflows import find_workflow
 from pcmrs.workflows.opening import open_workflow
+from tests.unit.workflows.stimulation_bench import StimulationBench, stimulation
 from tests.unit.workflows.workflow_bench import WorkflowBench, open_bench
 
 
@@ -37,4 +38,12 @@ async def unrevoked(tmp_path: Path) -> AsyncIterator[WorkflowBench]:
     file = tmp_path / "careless.toml"
     file.write_text(head + tail.partition('to = "held"\n')[2])
     async with open_bench(workflow=open_workflow(str(file))) as opened:
+        yield opened
+
+
+@pytest.fixture
+async def armed() -> AsyncIterator[StimulationBench]:
+    """Placed, aligned, armed at 50 % below a ceiling of 70 %."""
+    async with stimulation() as opened:
+        await opened.to_armed()
         yield opened

@@ -13,11 +13,12 @@ import numpy as np
 from pcmrs.clock import Clock
 from pcmrs.devices.arming import Arming
 from pcmrs.errors import DeviceError, UnknownOutcomeError
-from pcmrs.messages import Epoch, FiredPulse, StimulatorState
+from pcmrs.messages import Epoch, FiredPulse, StimulatorState, Verdict
 from tests.unit.workflows.workflow_bench import WorkflowBench, open_bench
 
 RATE_HZ = 5000.0
-QUICK = {"stimulation": {"intervals": {"least": 1.1}}}
+QUICK = {"stimulation": {"intervals": {"least": 1.1}, "hotspot": {"rings": 1, "heading_reach_deg": 0.0}}}
+"""Short intervals, and a search of one ring without other headings."""
 CHARGING = 0.3
 RESPONDING = 300e-6
 SILENT = 5e-6
@@ -189,6 +190,12 @@ class StimulationBench:
 
     async def until(self, condition: Callable[[], bool]) -> None:
         await self.bench.until(condition)
+
+
+def result_of(verdict: Verdict) -> dict[str, Any]:
+    """Return the result that a verdict must have."""
+    assert verdict.result is not None
+    return verdict.result
 
 
 @asynccontextmanager

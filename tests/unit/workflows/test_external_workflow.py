@@ -1,181 +1,24 @@
-"""Workflows from outside the package: where they are found, what their Python files may say, and their defaults."""
+"""Workflows from outside the package: their defaults, and the example of the documentation."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 
-from pcmrs.cli import main
 from pcmrs.config import as_config
 from pcmrs.errors import BlueprintError, ConfigurationError
 from pcmrs.settings import Settings, read_settings
-from pcmrs.workflows import find_workflow, read_workflow
-from pcmrs.workflows.opening import open_workflow
+from pcmrs.workflows import read_workflow
 from pcmrs.workflows.settings import RegistrationSettings
 from tests import ROOT
+from tests.unit.workflows.lamp_workflow import LAMP, write_workflow
 from tests.unit.workflows.workflow_bench import LANDMARKS, WorkflowBench, open_bench
 
 EXAMPLES = ROOT / "examples"
 BIOPSY = EXAMPLES / "biopsy" / "biopsy.toml"
-
-LAMP = """
-id = "lamp"
-version = "1"
-branches.lamp.states = { off = "dark", on = "lit" }
-branches.lamp.operations.light = { from = ["off"], to = "on", steps = ["strike"] }
-branches.lamp.operations.quench = { from = ["on"], to = "off" }
-"""
-STRIKE = """
-from pcmrs.workflows.data import PlacementData
-
-class Data(PlacementData, frozen=True, kw_only=True):
-    strikes: int = 0
-
-def strike(run):
-    run.keep(strikes=run.data.strikes + 1)
-
-def settle(data, states, effects):
-    return data if states["lamp"] == "on" else type(data)()
-
-def register(registry):
-    registry.step(strike)
-"""
-
-
-def _write(folder: Path, toml: str = LAMP, code: str | None = STRIKE) -> Path:
-    folder.mkdir(exist_ok=True, parents=True)
-    file = folder / "lamp.toml"
-    file.write_text(toml)
-    if code is not None:
-        file.with_suffix(".py").write_text(code)
-    return file
-
-
-def _install(folder: Path, monkeypatch: pytest.MonkeyPatch, name: str, module: str) -> None:
-    """As an installed distribution that offers a workflow."""
-    information = folder / "lamps-1.dist-info"
-    information.mkdir()
-    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: lamps\nVersion: 1\n")
-    (information / "entry_points.txt").write_text(f"[pcmrs.workflows]\n{name} = {module}\n")
-    monkeypatch.syspath_prepend(str(folder))
-
-
-# -- where it is --------------------------------------------------------------------------------------------
-
-
-async def _lights(workflow: str) -> None:
-    async with open_bench(workflow=open_workflow(workflow)) as bench:
-        assert (await bench.accept("lamp.light")).state == "on"
-        assert getattr(bench.data, "strikes", None) == 1
-        assert (await bench.accept("lamp.quench")).state == "off"
-        assert getattr(bench.data, "strikes", None) == 0
-
-
-async def test_a_path_is_a_workflow(tmp_path: Path) -> None:
-    await _lights(str(_write(tmp_path)))
-
-
-async def test_entry_point_is_a_workflow_and_finding_it_runs_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = _write(tmp_path / "lamps" / "bright", code=f"from .. import LAMPS\n{STRIKE}")
-    (file.parent / "__init__.py").touch()
-    (tmp_path / "lamps" / "__init__.py").write_text("LAMPS = 1\n")
-    _install(tmp_path, monkeypatch, "lab_lamp", "lamps.bright.lamp")
-    assert find_workflow("lab_lamp").blueprint == file
-    assert read_workflow("lab_lamp").id == "lamp"
-    assert read_settings(None, ["workflow=lab_lamp"]).workflow == "lab_lamp"
-    assert not [name for name in sys.modules if name.split(".")[0] == "lamps"]
-    await _lights("lab_lamp")
-    assert "lamps.bright.lamp" in sys.modules
-
-
-def test_a_name_that_two_workflows_have_is_refused_with_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file = _write(tmp_path / "more_lamps")
-    (file.parent / "__init__.py").touch()
-    _install(tmp_path, monkeypatch, "ratms", "more_lamps.lamp")
-    with pytest.raises(ConfigurationError) as refused:
-        find_workflow("ratms")
-    assert str(file) in refused.value.text
-    assert "workflows/ratms.toml" in refused.value.text
-
-
-@pytest.mark.parametrize("name", ["nothing_like_it", "", "ratms.tom", "../workflows/ratms"])
-def test_an_unknown_name_is_refused_with_what_there_is(name: str) -> None:
-    with pytest.raises(ConfigurationError) as refused:
-        read_settings(None, [f"workflow={name!r}"])
-    for known in ("ratms", "grid_mapping", ".toml"):
-        assert known in refused.value.text
-
-
-def test_entry_point_without_its_module_is_refused_with_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    _install(tmp_path, monkeypatch, "gone", "no_such_package.lamp")
-    with pytest.raises(ConfigurationError, match=r"'gone' is installed by lamps, but its module no_such_package\.lamp"):
-        find_workflow("gone")
-    assert find_workflow("ratms").blueprint.name == "ratms.toml"
-
-
-def test_a_path_is_relative_to_where_it_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file = _write(tmp_path / "cell" / "my")
-    config = tmp_path / "cell" / "cell.toml"
-    config.write_text('workflow = "my/lamp.toml"\n')
-    monkeypatch.chdir(tmp_path)
-    assert Path(read_settings(config).workflow) == file
-    assert Path(read_settings(None, ["workflow=cell/my/lamp.toml"]).workflow) == file
-    assert Path(read_settings(config, ["workflow=cell/my/lamp.toml"]).workflow) == file
-    with pytest.raises(ConfigurationError, match="no such file"):
-        read_settings(config, ["workflow=my/lamp.toml"])
-
-
-# -- its Python file ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("code", "words"),
-    [
-        ("def register(registry:\n", ("lamp.py, line 1", "SyntaxError")),
-        ("import nothing_of_this_name\n", ("lamp.py, line 1", "nothing_of_this_name")),
-        ("x = 1\n\ny = x / 0\n", ("lamp.py, line 3", "ZeroDivisionError")),
-        ("import sys\nsys.exit('no')\n", ("lamp.py, line 2", "SystemExit")),
-        ("register = 5\n", ("lamp.py", "register(registry)")),
-        ("", ("lamp.py", "register(registry)")),
-        ("def register(registry):\n    registry.stap(1)\n", ("lamp.py, line 2", "stap")),
-        ("def register(registry):\n    pass\n", ("lamp.toml", "lamp.light", "step", "'strike'", "lamp.py")),
-        (None, ("lamp.toml", "lamp.light", "step", "'strike'", "lamp.py")),
-        (STRIKE + "    registry.steps['keep_plan'] = strike\n", ("lamp.py", "'keep_plan'", "another name")),
-        (STRIKE + "    registry.payload('landmarks', Data)\n", ("lamp.py", "'landmarks'", "another name")),
-        ("Data = dict\n\ndef register(registry): ...\n", ("lamp.py", "Data", "PlacementData")),
-        ("settle = None\n\ndef register(registry): ...\n", ("lamp.py", "settle(data, states, effects)")),
-        (
-            STRIKE.replace("strikes: int = 0", "@classmethod\n    def begin(cls, _): return 1 / 0"),
-            ("line 6", "ZeroDiv"),
-        ),
-        ("async def strike(run): ...\ndef register(registry):\n    registry.step(strike)\n", ("line 3", "world_step")),
-    ],
-)
-def test_faulty_python_file_is_reported_with_its_line(tmp_path: Path, code: str | None, words: Sequence[str]) -> None:
-    file = _write(tmp_path, code=code)
-    with pytest.raises((ConfigurationError, BlueprintError)) as refused:
-        open_workflow(str(file))
-    for word in words:
-        assert word in refused.value.text
-
-
-def test_reading_and_verifying_do_not_run_the_python_file(tmp_path: Path) -> None:
-    file = _write(tmp_path, code="raise RuntimeError('was run')\n")
-    verified = CliRunner().invoke(main, ["fsm", "verify", str(file)])
-    assert verified.exit_code == 0, verified.output
-    assert read_settings(None, [f"workflow={file}"]).workflow == str(file)
-    with pytest.raises(ConfigurationError, match="was run"):
-        open_workflow(str(file))
-
-
-# -- its defaults -------------------------------------------------------------------------------------------
 
 
 def _with(defaults: str) -> str:
@@ -183,7 +26,7 @@ def _with(defaults: str) -> str:
 
 
 def test_workflow_defaults_lie_between_built_in_ones_and_file(tmp_path: Path) -> None:
-    file = _write(
+    file = write_workflow(
         tmp_path,
         _with(
             "[defaults.procedure.registration]\nsamples = 7\nspread_limit_mm = 3.0\n[defaults.sim]\nseed = 5\n"
@@ -218,7 +61,7 @@ def test_workflow_defaults_lie_between_built_in_ones_and_file(tmp_path: Path) ->
     ],
 )
 def test_wrong_defaults_are_refused_and_name_the_blueprint(tmp_path: Path, defaults: str, words: Sequence[str]) -> None:
-    file = _write(tmp_path, _with(defaults))
+    file = write_workflow(tmp_path, _with(defaults))
     with pytest.raises(ConfigurationError) as refused:
         read_settings(None, [f"workflow={file}"])
     for word in (*words, "[defaults]", str(file)):
@@ -226,7 +69,7 @@ def test_wrong_defaults_are_refused_and_name_the_blueprint(tmp_path: Path, defau
 
 
 def test_unknown_limit_is_refused_with_those_of_the_workflow(tmp_path: Path) -> None:
-    file = _write(tmp_path, _with("defaults.procedure.limits.brightness = 2"))
+    file = write_workflow(tmp_path, _with("defaults.procedure.limits.brightness = 2"))
     assert (
         read_settings(None, [f"workflow={file}", "procedure.limits.brightness=3"]).procedure.limits["brightness"] == 3
     )
@@ -249,9 +92,6 @@ def test_workflow_that_is_no_blueprint_is_refused_with_its_place(tmp_path: Path,
     with pytest.raises(BlueprintError) as refused:
         read_settings(None, [f"workflow={file}"])
     assert str(file) in refused.value.text
-
-
-# -- the example of the documentation -----------------------------------------------------------------------
 
 
 TARGET = [0.01, 0.02, 0.05]

@@ -9,15 +9,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from pcmrs.devices.poses import Sighting
 from pcmrs.errors import RefusalError
 from pcmrs.messages import DeviceEvent, HeadBurst, HeadMotion, HeadStep
 from pcmrs.spatial import Floats, Transform, distance
 from pcmrs.workflows.alignment import BODIES
-from pcmrs.workflows.body_track import BodyTrack
 from pcmrs.workflows.data import as_transform
 from pcmrs.workflows.following import BodyFollower
-from pcmrs.workflows.settings import FollowingSettings
 from pcmrs_sim.settings import GeometrySettings
 from tests.unit.workflows.workflow_bench import DYNAMICS, WorkflowBench, open_bench
 
@@ -65,10 +62,6 @@ async def errors(bench: WorkflowBench, seconds: float) -> Floats:
 async def tool(bench: WorkflowBench) -> Transform:
     """``tracker_from_coil`` as it truly is."""
     return as_transform((await bench.scene.truth()).tracker_from_coil)
-
-
-def events(bench: WorkflowBench) -> list[str]:
-    return [each.code for each in bench.published if isinstance(each, DeviceEvent)]
 
 
 def danger(bench: WorkflowBench) -> str:
@@ -310,24 +303,6 @@ async def test_late_acknowledgement_does_not_hold_a_following_tool(
     await following.clock.sleep(1.0)
     assert held == []
     assert following.states["placement"] == "following"
-
-
-def test_uncompensated_target_pose_is_the_newest_pose_seen() -> None:
-    """Of a body that drifts: with compensation it is wanted where the body is by now, ahead of what was seen."""
-
-    def sighting(number: int) -> Sighting:
-        exposed = 100.0 + number / 60.0
-        there = Transform(np.eye(3), np.array((0.010 * exposed, 0.0, 1.0)))
-        return Sighting(number, exposed, captured=exposed - 100.0 + 0.05, tracker_from_body=there)
-
-    stamps = {}
-    for compensated in (True, False):
-        track = BodyTrack(FollowingSettings(compensated=compensated))
-        for number in range(10):
-            track.take({"coil": sighting(number), "body_ref": sighting(number)})
-        stamps[compensated] = track.stamp(sighting(9).captured + 0.02)
-    assert stamps[False] == sighting(9).exposed
-    assert stamps[True] > sighting(9).exposed + 0.02
 
 
 @pytest.mark.parametrize("missing", ["registered", "plan"])

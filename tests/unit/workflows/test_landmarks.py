@@ -10,7 +10,6 @@ import pytest
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
-from pcmrs.workflows.data import Landmark, PlacementData, Point
 from pcmrs.workflows.settings import PoseSetting
 from tests.support.trials import examples
 from tests.unit.workflows.workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
@@ -22,19 +21,12 @@ def _named(points: Any) -> list[dict[str, Any]]:
     return [{"name": f"p{index}", "position": list(point)} for index, point in enumerate(points)]
 
 
-def test_digitization_is_complete_if_every_landmark_has_a_point() -> None:
-    landmarks = (Landmark("a", (0.0, 0.0, 0.0)), Landmark("b", (1.0, 0.0, 0.0)))
-    first, second = (0.0, 0.1, 0.2), (0.3, 0.4, 0.5)
-    open_ones: list[tuple[Point | None, ...]] = [(), (None, None), (first, None), (None, second)]
-    for digitized in open_ones:
-        assert PlacementData(landmarks=landmarks, digitized=digitized).complete_digitization() == ()
-    complete = PlacementData(landmarks=landmarks, digitized=(first, second))
-    assert complete.complete_digitization() == (first, second)
-    assert PlacementData().complete_digitization() == ()
-
-
 async def _plan(bench: WorkflowBench) -> None:
     await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
+
+
+def change(bench: WorkflowBench, **changes: Any) -> None:
+    bench.cell.settings = msgspec.structs.replace(bench.cell.settings, **changes)
 
 
 @pytest.mark.parametrize(
@@ -79,29 +71,6 @@ async def test_unplanned_landmark_is_refused_with_the_valid_range(bench: Workflo
         assert verdict.reason.fields == {"index": index, "count": COUNT, "check": "landmark_exists"}
     for bad in (1.5, "first", None, True):
         await bench.refuse("digitization.digitize_one", "bad_arguments", index=bad)
-
-
-@pytest.mark.parametrize("body", ["pointer", "body_ref"])
-async def test_unseen_body_is_not_digitized(bench: WorkflowBench, body: str) -> None:
-    await _plan(bench)
-    await bench.scene.occlude(body, True)
-    verdict = await bench.refuse("digitization.digitize_all", "pose_missing", decision="failed")
-    assert verdict.reason is not None
-    assert "occluded" in verdict.reason.text
-    assert bench.states["digitization"] == "0"
-    assert bench.data.digitized == (None,) * COUNT
-    await bench.scene.occlude(body, False)
-    await bench.accept("digitization.digitize_all")
-
-
-async def test_a_pointer_that_shakes_is_refused() -> None:
-    shaky = {"tracker": {"jitter_mm": 2.0}}
-    async with open_bench(sim=shaky) as bench:
-        await _plan(bench)
-        verdict = await bench.refuse("digitization.digitize_one", "spread_too_large", decision="failed", index=0)
-        assert verdict.reason is not None
-        assert verdict.reason.fields["spread"] > verdict.reason.fields["limit"]
-        assert bench.data.digitized == (None,) * COUNT
 
 
 async def test_stop_during_digitization_keeps_nothing_of_it(bench: WorkflowBench) -> None:
@@ -252,3 +221,26 @@ async def test_previous_digitization_needs_the_patient_and_calibration(bench: Wo
     bench.cell.settings = mine
     await bench.accept("digitization.reuse_previous")
     assert bench.states["registration"] == "110"
+
+
+async def test_nothing_of_another_patient_is_taken_back() -> None:
+    """Nor anything of another calibration or reference."""
+    async with open_bench() as bench:
+        await bench.register()
+        await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
+        before = bench.cell.settings
+        other = msgspec.structs.replace
+        changed: dict[str, dict[str, Any]] = {
+            "other_patient": {"patient": "somebody else"},
+            "other_calibration": {
+                "calibration": other(before.calibration, pointer_from_tip=PoseSetting((0, 0, -0.16)))
+            },
+            "other_reference": {"calibration": other(before.calibration, reference_serial="R-2")},
+        }
+        for code, changes in changed.items():
+            change(bench, **changes)
+            for name in ("registration.use_previous", "digitization.reuse_previous", "toolplan.use_previous"):
+                await bench.refuse(name, code)
+            bench.cell.settings = before
+        for name in ("digitization.reuse_previous", "registration.use_previous", "toolplan.use_previous"):
+            await bench.accept(name)

@@ -65,16 +65,6 @@ async def test_registration_and_placement_are_exact_without_errors() -> None:
         assert _difference(planned, image_from_coil) < 5e-4
 
 
-async def test_configured_offset_is_kept_and_not_counted_as_an_error() -> None:
-    async with open_bench({"placement": {"frames": 4, "settle_time": 0.1, "confirm_offset": 0.010}}) as bench:
-        placed = await bench.to_placed()
-        assert placed.result is not None
-        assert placed.result["translation_error"] < 0.0005
-        assert await bench.true_height() == pytest.approx(0.010, abs=0.001)
-        assert (await bench.accept("placement.back_off")).state == "standoff"
-        assert await bench.true_height() == pytest.approx(0.070, abs=0.001)
-
-
 async def test_plan_and_connection_may_precede_the_registration(bench: WorkflowBench) -> None:
     """They may come during it, too."""
     await bench.accept("toolplan.plan", **POSES[1])

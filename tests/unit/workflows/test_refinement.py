@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pcmrs.spatial import distance
-from pcmrs.workflows.data import PlacementData, as_transform, settle
+from pcmrs.workflows.data import as_transform
 from pcmrs_sim import head
 from tests import ROOT
 from tests.unit.workflows.workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
@@ -212,12 +212,6 @@ async def test_a_bone_is_refined_as_a_head_is() -> None:
         told = (await bench.accept("registration.refine")).result
         assert told is not None
         assert told["tre"] < told["tre_before"]
-
-
-def test_no_skin_is_kept_without_a_digitization() -> None:
-    data = PlacementData(surface=((0.0, 0.0, 0.0),))
-    for state, kept in {"000": False, "100": False, "110": True, "111": True}.items():
-        assert bool(settle(data, {"registration": state}, []).surface) == kept
 
 
 async def test_refinement_needs_a_surface_that_is_configured_or_named() -> None:

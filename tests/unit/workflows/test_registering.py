@@ -149,17 +149,6 @@ async def test_a_registration_teaches_the_noise_of_its_pointer_once(bench: Workf
     assert bench.data.noise[pointer].degrees == 12 + 9
 
 
-@pytest.mark.parametrize(("residuals", "bound"), [(1.0, 1.5), (0.0, 0.5)])
-async def test_no_noise_estimate_leaves_its_bounds(bench: WorkflowBench, residuals: float, bound: float) -> None:
-    data = PlacementData(noise={pointer_id(bench.cell): NoiseEstimate(residuals, 10_000)})
-    assert active_noise_sigma(bench.cell, data) == pytest.approx(bound * 0.00186)
-
-
-async def test_another_pointer_begins_with_the_prior(bench: WorkflowBench) -> None:
-    data = PlacementData(noise={"another": NoiseEstimate(1.0, 10_000)})
-    assert active_noise_sigma(bench.cell, data) == pytest.approx(0.00186)
-
-
 async def test_bad_sets_do_not_teach_the_workflow_to_accept_them() -> None:
     """Whoever goes on registering sets at the edge of the limits is refused what was refused before."""
     async with open_bench({"registration": {"samples": 4, "sigma_degrees": 1.0}}) as bench:

@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 
 from pcmrs.devices.standstill import MOVED
-from pcmrs.messages import DeviceEvent, JointState
+from pcmrs.messages import DeviceEvent
 from pcmrs.workflows.data import as_transform
 from tests.unit.workflows.workflow_bench import AT_REST, POSES, WorkflowBench, open_bench
 
 Prepare = Callable[[WorkflowBench], Awaitable[Any]]
-
 MOTIONS: list[tuple[str, Prepare, dict[str, Any]]] = [
     ("placement.approach", WorkflowBench.register, {}),
     ("placement.confirm", WorkflowBench.to_standoff, {}),
@@ -105,13 +103,6 @@ async def test_link_lost_at_the_standoff_makes_the_placement_unknown(bench: Work
     assert (await bench.do("placement.back_off")).decision == "rejected"
 
 
-async def test_a_robot_that_does_not_answer_is_not_connected(bench: WorkflowBench) -> None:
-    await bench.scene.cut_robot(True)
-    verdict = await bench.do("robot.connect")
-    assert verdict.decision == "unknown"
-    assert bench.states["robot"] == "0"
-
-
 async def test_a_plan_is_not_changed_under_a_motion(bench: WorkflowBench) -> None:
     await bench.register()
     async with bench.moving("placement.approach") as approach:
@@ -122,20 +113,6 @@ async def test_a_plan_is_not_changed_under_a_motion(bench: WorkflowBench) -> Non
         ):
             await bench.refuse(name, "busy", **arguments)
         assert (await approach).state == "standoff"
-
-
-async def test_a_motion_stopped_at_the_robot_itself_is_held(bench: WorkflowBench) -> None:
-    await bench.to_standoff()
-    async with bench.moving("placement.confirm") as confirm:
-        await bench.robot.hold()
-        verdict = await confirm
-    assert verdict.decision == "failed"
-    assert verdict.reason is not None
-    assert verdict.reason.code == "motion_stopped"
-    assert verdict.state == "held"
-    assert not bench.dispatcher.snapshot().latched
-    await bench.clock.sleep(0.2)
-    assert (await bench.accept("placement.back_off")).state == "standoff"
 
 
 async def test_backing_off_leads_home_if_a_joint_limit_cuts_it_short() -> None:
@@ -157,28 +134,3 @@ async def test_backing_off_leads_home_if_a_joint_limit_cuts_it_short() -> None:
         assert (await bench.accept("placement.back_off", confirm=True)).state == "retracted"
         assert bench.cell.joints is not None
         assert bench.cell.joints.positions == pytest.approx(bench.cell.home, abs=2e-3)
-
-
-async def test_robot_that_reports_joints_not_finite_is_not_connected(
-    bench: WorkflowBench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    connect, released = bench.robot.connect, list[bool]()
-
-    async def broken() -> JointState:
-        state = await connect()
-        return msgspec.structs.replace(state, positions=[*state.positions[:-1], float("nan")])
-
-    async def release(stopped: bool) -> list[str]:
-        released.append(stopped)
-        return []
-
-    monkeypatch.setattr(bench.robot, "connect", broken)
-    monkeypatch.setattr(bench.cell, "release", release)
-    verdict = await bench.refuse("robot.connect", "bad_joints", "failed")
-    assert verdict.reason is not None
-    assert "nan" in verdict.reason.text
-    assert (bench.states["robot"], bench.states["placement"], released) == ("0", "unknown", [])
-    assert np.isfinite(bench.cell.posture()).all()
-    monkeypatch.undo()
-    await bench.connect()
-    assert bench.states["placement"] == "retracted"

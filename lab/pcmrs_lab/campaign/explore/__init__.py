@@ -1,1 +1,1 @@
-"""Random procedures under random faults in simulated time, with invariants that are looked at after every event."""
+"""Random procedures under random faults in simulated time; invariants are checked after every event."""

@@ -1,9 +1,9 @@
-"""Draws a session that is aimed at windows: what must not meet is made to meet.
+"""Draws a session that aims at race windows, so that events meet that rarely meet by chance.
 
-Random pauses hardly ever hit the milliseconds in which a request is on its way or a row is being written. So a part of
-the sessions go straight to a state from which something moves. There something begins, is interrupted, answered and
-changed, each of it inside windows that are held open or in a cell that is slow. The windows are named by what is in
-other hands, not by operations: whatever has begun comes through them.
+Random pauses hardly ever hit the milliseconds in which a request is in transit or a row is being written. So a part of
+the sessions go straight to a state from which the robot may move. There an operation begins, is interrupted, answered
+and changed, each inside windows that are held open or in a cell that is slow. The windows are named by messages and
+rows, not by operations: every operation passes them.
 """
 
 from __future__ import annotations
@@ -18,33 +18,34 @@ from pcmrs_lab.campaign.explore.faults import FAULTS
 from pcmrs_lab.campaign.explore.script import Act
 
 DEPTHS = (1, 3, 5, 5, 6, 7, 8, 8)
-"""Steps that lead on from nothing: with 5 the arm may approach, and the last of 8 is done at the body."""
+"""Numbers of steps from the initial state: with 5 the arm may approach, and the last of 8 is done at the body."""
 TO_THE_BODY = 7
-"""With so many the tool is at its place."""
+"""Number of steps after which the tool is at its place."""
 MEETINGS = (1, 3)
-"""Of a session, at least and at most."""
+"""Least and largest number of meetings of a session."""
 AFTERWARDS = (2, 4)
-"""Steps that lead on after a meeting, at least and at most."""
+"""Least and largest number of further steps after a meeting."""
 SOON, LATER = 0.05, 0.6
-"""Half of the pauses between acts that are aimed are shorter than the first, the others than the second, s."""
+"""Half of the pauses between aimed acts are shorter than the first, the others than the second, s."""
 DURING = 3.0
-"""What interrupts comes within this, one time in three: motions take seconds, s."""
+"""In one of three cases an interruption comes within this, since motions take seconds, s."""
 SLOWED = 0.5
-"""Part of the meetings that take place while something is slow."""
+"""Share of the meetings that take place while something is slow."""
 INTERRUPTED = 0.8
-"""Part of the meetings in which what has begun is interrupted."""
+"""Share of the meetings in which the operation is interrupted."""
 ANSWERED = 0.8
-"""Part of the interruptions that somebody acknowledges, and goes on: half at once, half when the arm stands."""
+"""Share of the interruptions that an operator acknowledges and continues after: half at once, half when the arm stands.
+"""
 STANDS = (0.6, 1.5)
-"""An operator who looks has seen after this that the arm stands, s."""
+"""Times after which a watching operator has seen that the arm stands, s."""
 CHANGED = 0.6
-"""Part of the steps that lead on inside which something changes."""
+"""Share of the further steps during which something changes."""
 INSIDE = 0.5
-"""Part of the interruptions that wait for a window; the others come at any moment."""
+"""Share of the interruptions that wait for a window; the others come at any moment."""
 HELD_UP = 0.4
-"""Part of the windows in which the loop of a process has no time, beside the thread that holds the window."""
+"""Share of the windows in which the loop of a process is blocked, in addition to the thread that holds the window."""
 LONGEST = 0.5
-"""A window is held open so long at most, s; a third of them so long."""
+"""Longest time for which a window is held open, s; a third of them are held so long."""
 
 MOTIONS: tuple[tuple[str, dict[str, Any]], ...] = (
     ("placement.approach", {}),
@@ -62,7 +63,7 @@ OLD: tuple[tuple[str, tuple[Any, ...]], ...] = (
     ("adjust_tranxxxxx", (0.0, 0.0, 0.002)),
     ("execute_bkoffset", ()),
 )
-"""Commands of clients that only know acknowledgements, in the order in which they lead on."""
+"""Commands of clients that only know acknowledgements, in the order of the procedure."""
 OF_OPERATIONS = (
     "send:robot.*",
     "reply:robot.*",
@@ -71,31 +72,31 @@ OF_OPERATIONS = (
     "write:outcome:*",
     "written:outcome:*",
 )
-"""Windows through which everything comes that moves the arm."""
+"""Windows that every operation passes that moves the arm."""
 OF_COMMITS = OF_OPERATIONS[-2:]
-"""Windows in which what has ended is not committed yet."""
+"""Windows in which an operation has ended but is not committed yet."""
 OF_STOPS = (
     "send:robot.hold",
     "reply:robot.hold",
     "write:device:*",
 )
-"""Windows through which Stop comes, and what devices report."""
+"""Windows that Stop and the reports of devices pass."""
 EVENTS = (
     *("bump_reference", "bump_reference", "bump_reference"),
     *("push_tool", "e_stop", "drop_client"),
     *("tracker_restart", "frame_ahead"),
 )
-"""What devices report, or report wrongly: of the patient, of the robot, of the tracker."""
+"""True or false reports of devices about the patient, the robot and the tracker."""
 ENDS = ("crash_daemon", "crash_daemon", "crash_node")
-"""What ends a process."""
+"""Faults that end a process."""
 SLOW = ("held_up", "delay", "slow_disk", "partition")
-"""What makes things meet that are on their way in a process, on the network or to the disk."""
+"""Faults that make events meet that are in transit in a process, on the network or to the disk."""
 CHANGES = ("toolplan.clear", "toolplan.plan", "registration.clear_registration", "registration.register")
-"""What takes away that by which the arm moves."""
+"""Operations that revoke the basis of a motion."""
 
 
 def draw_aimed(draw: random.Random) -> list[Act]:
-    """Acts that go straight to some state, and then meet."""
+    """Return acts that go straight to some state, and then meet."""
     depth = draw.choice(DEPTHS)
     turns = [(number + 1) % 2 if number < TO_THE_BODY else draw.randrange(3) for number in range(depth)]
     acts = [Act(0.5, "go_on", "anna", {"turn": turn}) for turn in turns]
@@ -105,7 +106,10 @@ def draw_aimed(draw: random.Random) -> list[Act]:
 
 
 def _meeting(draw: random.Random) -> list[Act]:
-    """Something begins, is interrupted and answered, in windows or while something is slow; then people go on."""
+    """Return a meeting: an operation begins, is interrupted and answered; then the procedure continues.
+
+    It takes place in windows, or while something is slow.
+    """
     acts = draw.choice((_go_on, _go_on, _move, _old, _nothing))(draw)
     if draw.random() < SLOWED:
         acts.insert(draw.randint(0, min(1, len(acts))), _fault(draw, SLOW))
@@ -120,18 +124,18 @@ def _meeting(draw: random.Random) -> list[Act]:
 
 
 def _answer_at_once(draw: random.Random) -> list[Act]:
-    """Somebody acknowledges while the Stop is under way, and people go on."""
+    """Acknowledge while the Stop is pending, and continue."""
     return _inside(draw, [Act(0.0, "robot.acknowledge", "ben")], OF_STOPS) + _go_on(draw)
 
 
 def _answer_and_leave(draw: random.Random) -> list[Act]:
-    """Somebody acknowledges what is shown, and the tool goes back, while something changes."""
+    """Acknowledge the displayed Stop and retract the tool, while something changes."""
     acts = [Act(round(draw.uniform(*STANDS), 3), "go_on", "ben", {"turn": 1}), *_go_on(draw)]
     return acts + (_inside(draw, _change(draw), OF_COMMITS) if draw.random() < CHANGED else [])
 
 
 def _afterwards(draw: random.Random) -> list[Act]:
-    """What leads on, and mostly something that changes inside a window of it."""
+    """Return a further step, mostly with a change inside a window of it."""
     if draw.random() >= CHANGED:
         return [Act(LATER, "go_on", "anna", {"turn": draw.randrange(60)})]
     changed = draw.choice((_change, _change, _change, _stop, _event, _old, _reuse, _go_on))(draw)
@@ -144,7 +148,7 @@ def _during(draw: random.Random, acts: list[Act]) -> list[Act]:
 
 
 def _inside(draw: random.Random, acts: list[Act], windows: Sequence[str]) -> list[Act]:
-    """The first act in the next of one of these windows."""
+    """Return the acts with the first one in the next of these windows."""
     first, *others = [_fault(draw, ("held_up",)), *acts] if draw.random() < HELD_UP else acts
     held = LONGEST if draw.random() < 1.0 / 3.0 else round(draw.uniform(0.0, LONGEST), 3)
     after = round(draw.uniform(0.0, min(held, draw.choice((SOON, LONGEST)))), 3)
@@ -160,7 +164,7 @@ def _go_on(draw: random.Random) -> list[Act]:
 
 
 def _nothing(_: random.Random) -> list[Act]:
-    """What goes on already is met."""
+    """Return no act: the meeting is with the operation that is already running."""
     return []
 
 
@@ -170,7 +174,7 @@ def _move(draw: random.Random) -> list[Act]:
 
 
 def _old(draw: random.Random) -> list[Act]:
-    """Such a client does not wait for the end of a motion before it sends what leads on."""
+    """Return commands of a client that does not wait for the end of a motion before it sends the next one."""
     first = draw.randrange(len(OLD))
     sent = [OLD[(first + further) % len(OLD)] for further in range(draw.randint(1, 3))]
     return [Act(_pause(draw), f"old:{name}", "ben", {"tokens": list(tokens)}, waits=False) for name, tokens in sent]
@@ -199,5 +203,5 @@ def _end(draw: random.Random) -> list[Act]:
 def _fault(draw: random.Random, names: tuple[str, ...]) -> Act:
     name = draw.choice(names)
     fault = FAULTS[name]
-    lasts = {} if fault.mend is None else {"lasts": round(draw.uniform(0.2, min(3.0, fault.lasts)), 3)}
+    lasts = {} if fault.end is None else {"lasts": round(draw.uniform(0.2, min(3.0, fault.lasts)), 3)}
     return Act(_pause(draw), f"fault:{name}", "", fault.draw(draw) | lasts, waits=False)

@@ -1,4 +1,4 @@
-"""Runs many sessions, each of a seed of its own, and tells what they reached and what did not hold."""
+"""Runs many sessions with consecutive seeds, and reports their coverage and the violations."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ import msgspec
 from pcmrs.clock import Clock, SystemClock
 from pcmrs_lab.campaign.explore.faults import FAULTS
 from pcmrs_lab.campaign.explore.generate import draw_script
-from pcmrs_lab.campaign.explore.script import Act, Physics, Script, shrink
-from pcmrs_lab.campaign.explore.session import Found, forget_sessions, run_session
+from pcmrs_lab.campaign.explore.script import Act, Physics, SessionScript, shrink
+from pcmrs_lab.campaign.explore.session import ExplorationResult, forget_sessions, run_session
 from pcmrs_lab.campaign.explore.settings import workflow_of
 
 AT_A_TIME = 4
-"""Sessions that a process is given at once."""
+"""Number of sessions that a process is given at once."""
 MOST_SHRUNK = 3
-"""Violations that are shrunk; the others are told with their seeds."""
+"""Number of violations that are shrunk; the others are reported with their seeds."""
 
 ShowProgress = Callable[[str, int, int], None]
 
 
 class Broken(msgspec.Struct, frozen=True):
-    """A session in which an invariant did not hold.
+    """Session in which an invariant did not hold.
 
     Attributes:
-        seed: Of the session.
-        invariant: Its name.
-        text: What was seen.
-        at: When, s of the session.
-        acts: Of the whole script.
-        script: That shows it; shrunk, but for the last of many.
+        seed: Seed of the session.
+        invariant: Name of the invariant.
+        text: Description of the violation.
+        at: Time of the violation, s of the session.
+        acts: Number of acts of the whole script.
+        script: Script that shows it; shrunk, except the last of many.
     """
 
     seed: int
@@ -44,23 +44,23 @@ class Broken(msgspec.Struct, frozen=True):
     text: str
     at: float
     acts: int
-    script: Script
+    script: SessionScript
 
 
 class Explored(msgspec.Struct, frozen=True):
-    """What came of all sessions, simulated.
+    """Result of all sessions, simulated.
 
     Attributes:
-        workflow: That was explored.
-        physics: Of the simulated arm.
-        seed: Of the first session; each has the next one.
-        sessions: Run.
-        simulated: Their time, s.
-        cost: Of the processor, without shrinking, s.
-        seconds: It took, s of the machine.
+        workflow: Workflow that was explored.
+        physics: Physics of the simulated arm.
+        seed: Seed of the first session; each has the next one.
+        sessions: Number of sessions.
+        simulated: Simulated time, s.
+        cost: Processor time without shrinking, s.
+        seconds: Duration, s of the machine.
         rate: Simulated seconds per second, over all processes.
-        faults: How often each fault was brought about.
-        decisions: How often each decision on each operation was seen.
+        faults: Number of times that each fault was injected.
+        decisions: Number of times that each decision on each operation was seen.
         broken: Sessions in which an invariant did not hold.
     """
 
@@ -79,7 +79,7 @@ class Explored(msgspec.Struct, frozen=True):
 
     @property
     def not_reached(self) -> list[str]:
-        """Faults that no session brought about."""
+        """Faults that no session injected."""
         return [name for name, times in self.faults.items() if not times]
 
 
@@ -93,54 +93,63 @@ def explore(
     physics: Physics = "kinematic",
     progress: ShowProgress = lambda *_: None,
 ) -> Explored:
-    """Runs sessions until so many are done, or the time is up.
+    """Run sessions until their number is reached, or the time is over.
 
     Args:
-        workflow: By its name.
-        seed: Of the first session.
-        sessions: How many; None for as many as fit.
-        minutes: After which no more are begun; None for no limit.
-        jobs: Processes.
-        physics: Of the simulated arm.
-        progress: Told what is done.
+        workflow: Name of the workflow.
+        seed: Seed of the first session.
+        sessions: Number of sessions; None for as many as fit.
+        minutes: Time after which no more are started, min; None for no limit.
+        jobs: Number of processes.
+        physics: Physics of the simulated arm.
+        progress: Called after each batch of sessions.
+
+    Returns:
+        Result.
 
     Raises:
-        ConfigurationError: There is no such workflow.
+        ConfigurationError: The workflow is unknown.
     """
     clock = SystemClock()
-    workflow_of(workflow)  # before anything is begun
-    begun, found = clock.monotonic(), list[Found]()
+    workflow_of(workflow)  # an unknown workflow is refused before any session is started
+    started, found = clock.monotonic(), list[ExplorationResult]()
     seeds = islice(count(seed), sessions)
-    for some in _run_all(workflow, physics, seeds, jobs, clock, None if minutes is None else begun + 60.0 * minutes):
-        found += some
+    for batch in _run_all(workflow, physics, seeds, jobs, clock, None if minutes is None else started + 60.0 * minutes):
+        found += batch
         progress(f"{sum(bool(each.invariant) for each in found)} broken", len(found), sessions or len(found))
-    seconds = clock.monotonic() - begun
+    seconds = clock.monotonic() - started
     found.sort(key=lambda each: each.seed)
     return _report(workflow, physics, seed, found, seconds)
 
 
-def run_seeds(workflow: str, physics: Physics, seeds: list[int]) -> list[Found]:
-    """The sessions of these seeds, one after the other."""
+def run_seeds(workflow: str, physics: Physics, seeds: list[int]) -> list[ExplorationResult]:
+    """Run the sessions of some seeds one after the other, and return their results.
+
+    Args:
+        workflow: Name of the workflow.
+        physics: Physics of the simulated arm.
+        seeds: Seeds of the sessions.
+    """
     blueprint = workflow_of(workflow).blueprint
     return [run_session(draw_script(blueprint, workflow, seed, physics)) for seed in seeds]
 
 
 def _run_all(
     workflow: str, physics: Physics, seeds: Iterator[int], jobs: int, clock: Clock, end: float | None
-) -> Iterator[list[Found]]:
+) -> Iterator[list[ExplorationResult]]:
     def more() -> list[int]:
         return [] if end is not None and clock.monotonic() >= end else list(islice(seeds, AT_A_TIME))
 
     if jobs == 1:
-        while some := more():
-            yield run_seeds(workflow, physics, some)
+        while batch := more():
+            yield run_seeds(workflow, physics, batch)
         return
     with _processes(jobs) as pool:
-        running: set[Future[list[Found]]] = set()
+        running: set[Future[list[ExplorationResult]]] = set()
         while True:
-            with _ctrl_c_blocked():  # by those that are begun now, too
-                while len(running) < 2 * jobs and (some := more()):
-                    running.add(pool.submit(run_seeds, workflow, physics, some))
+            with _ctrl_c_blocked():  # new processes inherit the mask
+                while len(running) < 2 * jobs and (batch := more()):
+                    running.add(pool.submit(run_seeds, workflow, physics, batch))
             if not running:
                 return
             done, running = wait(running, return_when=FIRST_COMPLETED)
@@ -150,7 +159,7 @@ def _run_all(
 
 @contextmanager
 def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that end at once, and leave nothing behind, when this one is interrupted."""
+    """Start a pool of processes that end at once, and leave nothing behind, when this one is interrupted."""
     others = multiprocessing.active_children()
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
         try:
@@ -174,7 +183,7 @@ def _ctrl_c_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _report(workflow: str, physics: Physics, seed: int, found: list[Found], seconds: float) -> Explored:
+def _report(workflow: str, physics: Physics, seed: int, found: list[ExplorationResult], seconds: float) -> Explored:
     reached, seen = Counter[str](), Counter[str]()
     for each in found:
         reached.update(each.reached)
@@ -196,14 +205,14 @@ def _report(workflow: str, physics: Physics, seed: int, found: list[Found], seco
     )
 
 
-def _broken(workflow: str, physics: Physics, found: Found, shrunk: bool) -> Broken:
+def _broken(workflow: str, physics: Physics, found: ExplorationResult, shrunk: bool) -> Broken:
     script = draw_script(workflow_of(workflow).blueprint, workflow, found.seed, physics)
     shorter = shrink(script, lambda each: run_session(each).invariant == found.invariant) if shrunk else script
     return Broken(found.seed, found.invariant, found.text, found.at, len(script.acts), shorter)
 
 
-def as_lines(script: Script) -> list[str]:
-    """The acts of a script for people, one line each."""
+def as_lines(script: SessionScript) -> list[str]:
+    """Return the acts of a script as text, one line each."""
     return [_line(number, act) for number, act in enumerate(script.acts, 1)]
 
 

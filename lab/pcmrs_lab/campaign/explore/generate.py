@@ -1,4 +1,4 @@
-"""Draws a session: operators who mostly do what leads on, sometimes not, while things go wrong around them."""
+"""Draws a session: operators mostly do the next step of the procedure, sometimes not, while faults happen."""
 
 from __future__ import annotations
 
@@ -7,50 +7,52 @@ import random
 from pcmrs.fsm import Blueprint
 from pcmrs_lab.campaign.explore.aiming import draw_aimed
 from pcmrs_lab.campaign.explore.faults import FAULTS
-from pcmrs_lab.campaign.explore.plans import GARBAGE, arbitrary
-from pcmrs_lab.campaign.explore.script import Act, Physics, Script
+from pcmrs_lab.campaign.explore.plans import GARBAGE, random_operation
+from pcmrs_lab.campaign.explore.script import Act, Physics, SessionScript
 
 OPERATORS = ("anna", "ben")
 SECOND = 0.15
-"""Part of the acts of the second operator."""
+"""Share of the acts of the second operator."""
 FEWEST, MOST = 12, 30
-"""Acts of a session."""
+"""Least and largest number of acts of a session."""
 CODED = 0.25
-"""Part of the sessions in which every message is packed and unpacked."""
+"""Share of the sessions in which every message is packed and unpacked."""
 AIMED = 0.75
-"""Part of the sessions that are aimed at windows."""
+"""Share of the sessions that aim at windows."""
 SLOW = (0.0, 0.0, 0.1, 0.3)
-"""Parts of the windows that take time by themselves; one for each session."""
+"""Shares of the windows that take time by themselves; one for each session."""
 IN_THE_MIDDLE = 0.3
-"""Part of the commands that are not waited for: what comes next comes while they run."""
+"""Share of the commands that are not waited for, so that the next act comes while they run."""
 
 PAUSE = 20.0
-"""Mean pause of an operator after a command has ended and nothing has gone wrong, s; one in ten is a long one."""
+"""Mean pause of an operator after a command has ended without a fault, s; one in ten is a long one."""
 LONG_PAUSE = 120.0
 HURRY = 4.0
-"""Mean time until something is done while a command runs or something is wrong, s."""
+"""Mean time until the next act while a command runs or a fault is present, s."""
 BRIEF = 1.5
-"""A fault, or Stop, comes within this, s."""
+"""Largest pause before a fault or Stop, s."""
 
 
-def draw_script(blueprint: Blueprint, workflow: str, seed: int, physics: Physics = "kinematic") -> Script:
-    """The session of a seed.
+def draw_script(blueprint: Blueprint, workflow: str, seed: int, physics: Physics = "kinematic") -> SessionScript:
+    """Return the session of a seed.
 
     Args:
-        blueprint: Of the workflow.
-        workflow: Its name.
-        seed: Of everything.
-        physics: Of the simulated arm.
+        blueprint: Blueprint of the workflow.
+        workflow: Name of the workflow.
+        seed: Seed of everything that is random.
+        physics: Physics of the simulated arm.
     """
     draw = random.Random(f"session {workflow} {seed}")
     coded, slow = draw.random() < CODED, draw.choice(SLOW)
     if draw.random() < AIMED:
-        return Script(seed=seed, workflow=workflow, physics=physics, coded=coded, slow=slow, acts=draw_aimed(draw))
+        return SessionScript(
+            seed=seed, workflow=workflow, physics=physics, coded=coded, slow=slow, acts=draw_aimed(draw)
+        )
     trouble = draw.choice((0.0, 0.1, 0.25, 0.4))
     acts: list[Act] = []
     for _ in range(draw.randint(FEWEST, MOST)):
         acts.append(_act(blueprint, draw, trouble, hurry=bool(acts) and not acts[-1].waits))
-    return Script(seed=seed, workflow=workflow, physics=physics, coded=coded, slow=slow, acts=acts)
+    return SessionScript(seed=seed, workflow=workflow, physics=physics, coded=coded, slow=slow, acts=acts)
 
 
 def _act(blueprint: Blueprint, draw: random.Random, trouble: float, *, hurry: bool) -> Act:
@@ -64,7 +66,7 @@ def _act(blueprint: Blueprint, draw: random.Random, trouble: float, *, hurry: bo
     if kind < 0.72:
         return Act(after, "go_on", who, {"turn": draw.randrange(60)}, waits)
     if kind < 0.84:
-        what, arguments = arbitrary(blueprint, draw)
+        what, arguments = random_operation(blueprint, draw)
         return Act(after, what, who, arguments, waits)
     if kind < 0.90:
         return Act(round(draw.uniform(0.0, BRIEF), 3), "stop", who)
@@ -77,5 +79,5 @@ def _fault(draw: random.Random) -> Act:
     names = list(FAULTS)
     (name,) = draw.choices(names, [FAULTS[each].weight for each in names])
     fault = FAULTS[name]
-    lasts = {} if fault.mend is None else {"lasts": round(draw.uniform(0.2, fault.lasts), 3)}
+    lasts = {} if fault.end is None else {"lasts": round(draw.uniform(0.2, fault.lasts), 3)}
     return Act(round(draw.uniform(0.0, BRIEF), 3), f"fault:{name}", "", fault.draw(draw) | lasts, waits=False)

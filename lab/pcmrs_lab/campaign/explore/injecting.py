@@ -1,4 +1,4 @@
-"""Brings faults about in a simulated cell, and ends them when their time is over."""
+"""Injects faults into a simulated cell, and ends them when their time is over."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from pcmrs_lab.campaign.explore.witness import Witness
 from pcmrs_sim.deterministic.cell import NODE, SimulatedCell
 
 BY_HAND = 3.0
-"""So long an arm moves that somebody moves from outside, s."""
+"""Time for which an arm may still move after an external force has ended, s."""
 RETRY_AFTER = 2.0
-"""A daemon that has not started is started again after this, s."""
+"""Time after which a daemon that has not started is started again, s."""
 ATTEMPTS = 60
-"""So often: longer than any fault lasts."""
+"""Number of attempts to start a daemon: they take longer than any fault lasts."""
 FROM_OUTSIDE = ("guide_by_hand", "offset_joint", "push_tool")
-"""Faults that move the arm beside what it is told."""
+"""Faults that move the arm away from its commanded motion."""
 
 
 MOVES = ("shift_body", "bump_reference", "dash_head")
-"""A tracked body comes elsewhere, perhaps to where another one was."""
+"""Faults that move a tracked body, perhaps to where another one was."""
 
 
 class Faults:
-    """All that is wrong in one cell.
+    """Faults that are present in one cell.
 
     Args:
-        cell: Where.
-        operators: One of whom may have a wrong clock.
-        witness: Told what it may not hold against the cell.
+        cell: Cell into which they are injected.
+        operators: Operators, whose clock may be wrong.
+        witness: Witness, which learns what it may not count as a violation.
 
     Attributes:
-        reached: How often each was brought about.
-        mistaken: While two tools were taken for each other, a feed of poses has begun anew, or one of them has moved:
-            no feed can tell then who is who, and the tracker has to be restarted.
+        reached: Number of times that each fault was injected.
+        mistaken: True if a feed of poses has restarted, or a body has moved, while two tools were swapped. No feed can
+            then tell the bodies apart, and the tracker has to be restarted.
     """
 
     def __init__(self, cell: SimulatedCell, operators: Operators, witness: Witness) -> None:
@@ -49,12 +49,12 @@ class Faults:
         self._witness = witness
         self.mistaken = False
         self._wrong: Counter[str] = Counter()
-        self._mending: dict[asyncio.Task[None], None] = {}
+        self._ending: dict[asyncio.Task[None], None] = {}
         self._hosts: dict[str, Callable[[dict[str, Any]], Awaitable[None]]] = {
             "crash_daemon": self._crash_daemon,
             "end_daemon": self._end_daemon,
             "crash_node": self._crash_node,
-            "held_up": self._hold_up,
+            "held_up": self._block_process,
             "tracker_restart": self._restart_tracker,
             "frame_ahead": self._stamp_ahead,
             "slow_disk": self._slow_disk,
@@ -64,8 +64,13 @@ class Faults:
             "skewed_operator": self._skew,
         }
 
-    async def bring_about(self, name: str, given: dict[str, Any]) -> None:
-        """Brings a fault about, and ends it after its argument `lasts`, s; one that the cell refuses is left out."""
+    async def inject(self, name: str, given: dict[str, Any]) -> None:
+        """Inject a fault, and end it after its argument `lasts`, s; skip one that the cell refuses.
+
+        Args:
+            name: Key of `FAULTS`.
+            given: Arguments from the script.
+        """
         arguments = {key: value for key, value in given.items() if key != "lasts"}
         self._begin(name)
         try:
@@ -74,25 +79,25 @@ class Faults:
             self._end(name)
             return
         self.reached[name] += 1
-        task = asyncio.get_running_loop().create_task(self._mend_later(name, arguments, float(given.get("lasts", 1.0))))
-        self._mending[task] = None
-        task.add_done_callback(self._mending.pop)
+        task = asyncio.get_running_loop().create_task(self._end_later(name, arguments, float(given.get("lasts", 1.0))))
+        self._ending[task] = None
+        task.add_done_callback(self._ending.pop)
 
-    async def mended(self) -> None:
-        """Returns when nothing is wrong any more."""
-        while self._mending:
-            await asyncio.wait(tuple(self._mending))
+    async def wait_until_over(self) -> None:
+        """Wait until no fault is present any more."""
+        while self._ending:
+            await asyncio.wait(tuple(self._ending))
 
-    async def _mend_later(self, name: str, arguments: dict[str, Any], lasts: float) -> None:
+    async def _end_later(self, name: str, arguments: dict[str, Any], lasts: float) -> None:
         await asyncio.sleep(lasts)
         if name in SCENE:
-            mend = SCENE[name].mend
-            if mend is not None:
-                await self._apply(name, arguments | dict(mend))
+            end = SCENE[name].end
+            if end is not None:
+                await self._apply(name, arguments | dict(end))
         elif name in NETWORK:
-            self._mend_network(name)
+            self._end_network(name)
         else:
-            await self._mend_host(name)
+            await self._end_host(name)
         self._end(name)
 
     async def _apply(self, name: str, arguments: dict[str, Any]) -> None:
@@ -103,7 +108,7 @@ class Faults:
         else:
             await self._hosts[name](arguments)
 
-    def _begin_poses_anew(self) -> None:
+    def _restart_poses(self) -> None:
         self.mistaken = self._wrong["tool_swap"] > 0
 
     def _begin(self, name: str) -> None:
@@ -111,7 +116,7 @@ class Faults:
         self.mistaken = self.mistaken or (name in MOVES and self._wrong["tool_swap"] > 0)
         self._wrong[name] += 1
         view.now = asyncio.get_running_loop().time()
-        view.calm.become(False, view.now)
+        view.calm.set(False, view.now)
         if name in FROM_OUTSIDE:
             view.by_hand = float("inf")
 
@@ -119,8 +124,8 @@ class Faults:
         view = self._witness.view
         self._wrong[name] -= 1
         view.now = asyncio.get_running_loop().time()
-        self._wrong += Counter()  # forgets what is at zero
-        view.calm.become(not self._wrong, view.now)
+        self._wrong += Counter()  # adding drops the entries at zero
+        view.calm.set(not self._wrong, view.now)
         if name in FROM_OUTSIDE and not any(self._wrong[each] for each in FROM_OUTSIDE):
             view.by_hand = view.now + BY_HAND
 
@@ -132,16 +137,16 @@ class Faults:
             attribute = {"loss": "loss", "duplicates": "duplicates", "reordering": "reordering", "delay": "delay"}[name]
             setattr(conditions, attribute, float(arguments.get("part", arguments.get("seconds", 0.0))))
 
-    def _mend_network(self, name: str) -> None:
+    def _end_network(self, name: str) -> None:
         if name == "partition":
             self._cell.network.conditions.cut.clear()
         else:
-            self._harm_network(name, dict(NETWORK[name].mend or {}))
+            self._harm_network(name, dict(NETWORK[name].end or {}))
 
-    async def _mend_host(self, name: str) -> None:
+    async def _end_host(self, name: str) -> None:
         if name == "crash_node":
             self._cell.start_node()
-            self._begin_poses_anew()
+            self._restart_poses()
             self._witness.watcher.node_is_back(asyncio.get_running_loop().time())
         elif name in ("crash_daemon", "end_daemon"):
             await self.start_daemon()
@@ -149,24 +154,24 @@ class Faults:
             self._cell.disk.failing = False
         elif name == "wall_frozen":
             self._cell.clock.freeze(False)
-        elif HOST[name].mend is not None:
-            await self._hosts[name](dict(HOST[name].mend or {}))
+        elif HOST[name].end is not None:
+            await self._hosts[name](dict(HOST[name].end or {}))
 
     async def start_daemon(self) -> None:
-        """Starts the daemon if there is none, again and again as long as something keeps it from starting."""
-        why = ""
+        """Start the daemon if there is none, and retry while a fault prevents the start."""
+        error_text = ""
         for _ in range(ATTEMPTS):
             if self._cell.daemon is not None:
                 break
-            self._begin_poses_anew()
+            self._restart_poses()
             try:
                 await self._cell.start_daemon()
             except PcmrsError as error:
                 await self._crash_daemon({})
-                why = error.text
+                error_text = error.text
                 await asyncio.sleep(RETRY_AFTER)
         else:
-            self._witness.break_("the_daemon_starts_again", why)
+            self._witness.break_("the_daemon_starts_again", error_text)
         if self._cell.daemon is not None:
             reader = self._cell.daemon.journal.reader
             self._witness.watcher.check_rows(lambda source, command: _decision(reader.verdict_of(source, command)))
@@ -185,7 +190,7 @@ class Faults:
         self._witness.watcher.excuse_node(float("inf"))
         await self._cell.crash_node()
 
-    async def _hold_up(self, arguments: dict[str, Any]) -> None:
+    async def _block_process(self, arguments: dict[str, Any]) -> None:
         process, seconds = str(arguments["process"]), float(arguments["seconds"])
         if process == NODE:
             self._witness.watcher.excuse_node(asyncio.get_running_loop().time() + seconds)
@@ -194,7 +199,7 @@ class Faults:
     async def _restart_tracker(self, _arguments: dict[str, Any]) -> None:
         if self._witness.tracker is not None:
             self._witness.tracker.restart()
-            self._begin_poses_anew()
+            self._restart_poses()
 
     async def _stamp_ahead(self, _arguments: dict[str, Any]) -> None:
         if self._witness.tracker is not None:

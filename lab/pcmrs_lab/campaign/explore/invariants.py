@@ -1,6 +1,6 @@
-"""What must hold after every event of a session, whatever goes wrong; each with the line of the contract it is from.
+"""Invariants that must hold after every event of a session under any fault; each with its source in the contract.
 
-The numbers are those of the lines in which the meaning of the procedure is pinned down: semantics 1 to 15.
+The numbers are those of docs/semantics.md, in which the meaning of the procedure is defined: 1 to 15.
 """
 
 from __future__ import annotations
@@ -13,21 +13,29 @@ from pcmrs.messages import DeviceEvent, Snapshot, Verdict
 from pcmrs_lab.campaign.explore.view import MOVING_SPEED, Answered, Event, Fired, Moved, View, refuses_the_id
 
 BRAKED = 0.7
-"""An arm that may not move any more stands after this while nothing else is wrong, s: brakes, and a report."""
+"""Time after which an arm that may not move stands if nothing else is wrong, s: brakes, and a report."""
 BRAKED_ANYHOW = 6.0
-"""And after this whatever is wrong, s: an unanswered hold, then the deadman, then the brakes."""
+"""Time after which it stands under any fault, s: an unanswered hold, then the deadman, then the brakes."""
 LATE_PULSE = 1.5
-"""A pulse that was asked for may be given so much later, s: more than the deadman's time."""
+"""Largest delay of a requested pulse, s: more than the deadman's time."""
 
 AFTER_THE_STOP = ("hold_not_confirmed",)
-"""Told when a stop has come to its end: somebody may have acknowledged it by then."""
+"""Events that are published when a stop has ended: an operator may have acknowledged it by then."""
 
 Invariant = Callable[[View, Event], str | None]
-"""What is wrong; None where nothing is."""
+"""Returns the description of a violation; None if it holds."""
 
 
 def one_state_per_branch(view: View, event: Event) -> str | None:
-    """2: there is always exactly one active state per branch, and 15: the flags mirror them."""
+    """Check 2: every branch has exactly one active state, and 15: the flags mirror the states.
+
+    Args:
+        view: Knowledge of the session before the event.
+        event: Event to check.
+
+    Returns:
+        Description of the violation; None if it holds.
+    """
     if not isinstance(event, Snapshot):
         return None
     for name, branch in view.blueprint.branches.items():
@@ -40,7 +48,15 @@ def one_state_per_branch(view: View, event: Event) -> str | None:
 
 
 def children_fit_their_parents(view: View, event: Event) -> str | None:
-    """12: a child branch is in a state that is compatible with that of its parent."""
+    """Check 12: a child branch is in a state that is compatible with that of its parent.
+
+    Args:
+        view: Knowledge of the session before the event.
+        event: Event to check.
+
+    Returns:
+        Description of the violation; None if it holds.
+    """
     if not isinstance(event, Snapshot):
         return None
     for name, branch in view.blueprint.branches.items():
@@ -54,7 +70,15 @@ def children_fit_their_parents(view: View, event: Event) -> str | None:
 
 
 def promises_are_kept(view: View, event: Event) -> str | None:
-    """1 and 3.2: what the workflow's properties promise of states and running operations."""
+    """Check 1 and 3.2: the workflow's properties of states and running operations hold.
+
+    Args:
+        view: Knowledge of the session before the event.
+        event: Event to check.
+
+    Returns:
+        Description of the violation; None if it holds.
+    """
     if not isinstance(event, Snapshot):
         return None
     for promise in view.blueprint.properties:
@@ -68,27 +92,51 @@ def promises_are_kept(view: View, event: Event) -> str | None:
 
 
 def nothing_moves_unasked(view: View, event: Event) -> str | None:
-    """3.2: no motion bypasses the states: the arm moves while a motion or an activity that moves it runs."""
+    """Check 3.2: the arm moves only while a motion or an activity that moves it runs.
+
+    Args:
+        view: Knowledge of the session before the event.
+        event: Event to check.
+
+    Returns:
+        Description of the violation; None if it holds.
+    """
     if not isinstance(event, Moved) or event.speed < MOVING_SPEED or event.state.captured < view.by_hand:
         return None
-    silent = view.motion.gone_for(event.state.captured)
+    silent = view.motion.off_for(event.state.captured)
     if silent > braked(view):
         return f"The arm moves at {event.speed:.3f} rad/s, {silent:.2f} s after anything allowed it."
     return None
 
 
 def stop_holds(view: View, event: Event) -> str | None:
-    """7: Stop holds the robot and latches: no motion until it is acknowledged."""
+    """Check 7: Stop holds the robot and latches: no motion until it is acknowledged.
+
+    Args:
+        view: Knowledge of the session before the event.
+        event: Event to check.
+
+    Returns:
+        Description of the violation; None if it holds.
+    """
     if not isinstance(event, Moved) or event.speed < MOVING_SPEED or event.state.captured < view.by_hand:
         return None
     since = event.state.captured - view.latch.changed
     if view.latch.holds and since > braked(view):
-        return f"The arm moves at {event.speed:.3f} rad/s, {since:.2f} s after Stop, and nobody has acknowledged it."
+        return f"The arm moves at {event.speed:.3f} rad/s, {since:.2f} s after Stop, which is not acknowledged."
     return None
 
 
 def nothing_begins_while_latched(view: View, event: Event) -> str | None:
-    """7: no motion until `robot.acknowledge`."""
+    """Check 7: no motion begins until `robot.acknowledge`.
+
+    Args:
+        view: Knowledge of the session before the event.
+        event: Event to check.
+
+    Returns:
+        Description of the violation; None if it holds.
+    """
     if not isinstance(event, Snapshot) or not event.latched or view.before is None or not view.before.latched:
         return None
     known = {each.id for each in view.before.running}
@@ -100,32 +148,64 @@ def nothing_begins_while_latched(view: View, event: Event) -> str | None:
 
 
 def danger_latches(view: View, event: Event) -> str | None:
-    """7: Stop, and device events that mean danger, latch at once."""
+    """Check 7: Stop, and device events that mean danger, latch at once.
+
+    Args:
+        view: Knowledge of the session before the event.
+        event: Event to check.
+
+    Returns:
+        Description of the violation; None if it holds.
+    """
     if isinstance(event, DeviceEvent) and event.danger and event.code not in AFTER_THE_STOP:
         view.danger = True
     if not isinstance(event, Snapshot) or not view.danger:
         return None
     view.danger = False
-    return None if event.latched else "After a danger the snapshot does not say that Stop is latched."
+    return None if event.latched else "After a danger event the snapshot does not show Stop as latched."
 
 
 def released_by_acknowledging(view: View, event: Event) -> str | None:
-    """7: the latch is there until `robot.acknowledge`."""
+    """Check 7: the latch stays until `robot.acknowledge`.
+
+    Args:
+        view: Knowledge of the session before the event.
+        event: Event to check.
+
+    Returns:
+        Description of the violation; None if it holds.
+    """
     if not isinstance(event, Snapshot) or view.before is None or not view.before.latched or event.latched:
         return None
     released, view.released = view.released, 0
-    return None if released else "The latch is released, and nobody has acknowledged the stop."
+    return None if released else "The latch is released without an acknowledgement."
 
 
 def registered_by_a_verdict(view: View, event: Event) -> str | None:
-    """3: registration 111 only with an accepted verdict on a residual within its limit, in the journal."""
+    """Check 3: registration 111 needs an accepted verdict on a residual within its limit, in the journal.
+
+    Args:
+        view: Knowledge of the session before the event.
+        event: Event to check.
+
+    Returns:
+        Description of the violation; None if it holds.
+    """
     if isinstance(event, Snapshot) and event.branches.get("registration") == "111" and not view.registered:
         return "The registration is 111, and the journal has no accepted verdict that led there."
     return None
 
 
 def durable_before_known(view: View, event: Event) -> str | None:
-    """13: the outcome is journalled before the reply and before it is published."""
+    """Check 13: the outcome is journalled before the reply and before it is published.
+
+    Args:
+        view: Knowledge of the session before the event.
+        event: Event to check.
+
+    Returns:
+        Description of the violation; None if it holds.
+    """
     if not isinstance(event, Verdict | Answered):
         return None
     verdict = event.verdict if isinstance(event, Answered) else event
@@ -138,24 +218,32 @@ def durable_before_known(view: View, event: Event) -> str | None:
     if journalled is not None and journalled.decision == verdict.decision:
         return None
     if journalled is None and view.is_rejected_event(verdict):
-        return None  # nothing rests on it
+        return None  # a rejected event has no row, and no decision depends on it
     if view.excused and verdict.decision in ("rejected", "unknown"):
         return None
     how = "is not in the journal" if journalled is None else f"is {journalled.decision} in the journal"
-    return f"{verdict.branch}.{verdict.operation} was told to be {verdict.decision} and {how} ({verdict.id})."
+    return f"{verdict.branch}.{verdict.operation} was reported as {verdict.decision}, but {how} ({verdict.id})."
 
 
 def only_changes_leave_rows(view: View, _event: Event) -> str | None:
-    """6: an event that the state does not allow is decided, and leaves no row."""
-    return f"{view.needless[0]}, was rejected, and journalled." if view.needless else None
+    """Check 6: an event that the state does not allow is decided, and leaves no row."""
+    return f"{view.needless_rows[0]}, was rejected, and journalled." if view.needless_rows else None
 
 
 def performed_once(view: View, event: Event) -> str | None:
-    """14: a repeat of (source, id) runs nothing."""
+    """Check 14: a repeat of (source, id) runs nothing.
+
+    Args:
+        view: Knowledge of the session before the event.
+        event: Event to check.
+
+    Returns:
+        Description of the violation; None if it holds.
+    """
     if not isinstance(event, Verdict) or event.decision == "rejected":
         return None
     if event.decision == "unknown" and event.reason is not None and event.reason.code == JournalError.code:
-        return None  # the journal failed in the middle: what the disk has is told when it has been read again
+        return None  # the journal failed in between: the outcome is published once the disk has been read again
     if event.id in view.performed:
         return f"{event.branch}.{event.operation} was performed twice for {event.id}."
     view.performed.add(event.id)
@@ -163,25 +251,49 @@ def performed_once(view: View, event: Event) -> str | None:
 
 
 def repeats_get_the_recorded_verdict(view: View, event: Event) -> str | None:
-    """14: a repeat returns the recorded decision."""
+    """Check 14: a repeat returns the recorded decision.
+
+    Args:
+        view: Knowledge of the session before the event.
+        event: Event to check.
+
+    Returns:
+        Description of the violation; None if it holds.
+    """
     if not isinstance(event, Answered) or refuses_the_id(event.verdict):
         return None
     key = (event.command.source, event.command.id)
     first = view.accounts.setdefault(key, event.verdict)
     if first.decision != event.verdict.decision and not view.excused:
-        return f"{key[1]} was told to be {first.decision} first, and {event.verdict.decision} when it was repeated."
+        return f"{key[1]} was reported as {first.decision} first, and as {event.verdict.decision} when it was repeated."
     return None
 
 
 def sequence_never_goes_back(view: View, event: Event) -> str | None:
-    """2: observers see commits in their order."""
+    """Check 2: observers see commits in their order.
+
+    Args:
+        view: Knowledge of the session before the event.
+        event: Event to check.
+
+    Returns:
+        Description of the violation; None if it holds.
+    """
     if isinstance(event, Snapshot) and view.before is not None and event.sequence < view.before.sequence:
         return f"Snapshot {event.sequence} was published after {view.before.sequence}."
     return None
 
 
 def rejection_changes_nothing(view: View, event: Event) -> str | None:
-    """1 and 5: if any part would be rejected, nothing has happened."""
+    """Check 1 and 5: a rejection of any part leaves everything unchanged.
+
+    Args:
+        view: Knowledge of the session before the event.
+        event: Event to check.
+
+    Returns:
+        Description of the violation; None if it holds.
+    """
     if isinstance(event, Verdict) and event.decision == "rejected" and view.snapshot is not None:
         state = view.snapshot.branches.get(event.branch, event.state)
         if event.sequence == view.snapshot.sequence != 0:
@@ -190,14 +302,30 @@ def rejection_changes_nothing(view: View, event: Event) -> str | None:
 
 
 def fires_only_armed_and_placed(view: View, event: Event) -> str | None:
-    """3.2: no stimulation unless the coil is placed and the stimulator armed for it."""
-    if isinstance(event, Fired) and view.pulse.gone_for(view.now) > LATE_PULSE:
-        return f"Pulse {event.number} was given, and nothing allowed one."
+    """Check 3.2: no stimulation unless the coil is placed and the stimulator armed for it.
+
+    Args:
+        view: Knowledge of the session before the event.
+        event: Event to check.
+
+    Returns:
+        Description of the violation; None if it holds.
+    """
+    if isinstance(event, Fired) and view.pulse.off_for(view.now) > LATE_PULSE:
+        return f"Pulse {event.number} was given although nothing allowed one."
     return None
 
 
 def starts_with_nothing(view: View, event: Event) -> str | None:
-    """13: after a restart all branches are initial."""
+    """Check 13: after a restart all branches are initial.
+
+    Args:
+        view: Knowledge of the session before the event.
+        event: Event to check.
+
+    Returns:
+        Description of the violation; None if it holds.
+    """
     if isinstance(event, Snapshot) and view.before is None and event.branches != view.blueprint.initial():
         return f"The daemon has started in {event.branches}."
     return None
@@ -221,11 +349,11 @@ INVARIANTS: Mapping[type[Event], tuple[Invariant, ...]] = {
     Fired: (fires_only_armed_and_placed,),
     Answered: (durable_before_known, repeats_get_the_recorded_verdict),
 }
-"""Event to what it can show to be broken."""
+"""Invariants by the type of event that can violate them."""
 
 
 def _holds(condition: Condition, snapshot: Snapshot) -> bool:
-    """Whether states and running operations are as it says; what would be accepted is not looked at."""
+    """Return whether states and running operations match a condition; what would be accepted is not checked."""
     running = {f"{each.branch}.{each.operation}" for each in snapshot.running}
     if condition.running and running.isdisjoint(condition.running):
         return False
@@ -233,6 +361,6 @@ def _holds(condition: Condition, snapshot: Snapshot) -> bool:
 
 
 def braked(view: View) -> float:
-    """How soon the arm must stand when it may not move any more, s."""
+    """Return the time within which the arm must stand when it may not move any more, s."""
     calm = view.calm.holds and view.calm.changed < view.now - BRAKED_ANYHOW
     return BRAKED if calm else BRAKED_ANYHOW

@@ -1,4 +1,4 @@
-"""What an operator who sees the state does next: what leads on from there."""
+"""Policy of an operator who sees the state: the next step of the procedure."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 from pcmrs.messages import Snapshot
 
 Step = tuple[str, dict[str, Any]]
-"""What, as in an act, and its arguments."""
+"""Name of an act, and its arguments."""
 
 AT_THE_BODY: dict[str, list[Step]] = {
     "standoff": [("placement.confirm", {})],
@@ -22,7 +22,7 @@ AT_THE_BODY: dict[str, list[Step]] = {
     "guided": [("placement.back_off", {}), ("placement.home", {}), ("placement.stop_guiding", {})],
     "following": [("placement.stop_following", {}), ("placement.home", {}), ("placement.back_off", {})],
 }
-"""Placement to what is done there, one after the other."""
+"""Steps by placement, in the order in which they are done there."""
 
 WITH_STIMULATOR: list[Step] = [
     ("stimulation.set_ceiling", {"percent": 60.0, "operator": "explorer"}),
@@ -34,11 +34,11 @@ WITH_STIMULATOR: list[Step] = [
 
 
 def next_step_policy(snapshot: Snapshot | None, turn: int) -> Step:
-    """The next step.
+    """Return the next step.
 
     Args:
-        snapshot: As the operator was shown it last.
-        turn: Of several that lead on, this one.
+        snapshot: Snapshot that the operator saw last.
+        turn: Index that chooses between several possible steps.
     """
     if snapshot is None:
         return "robot.connect", {}
@@ -51,7 +51,9 @@ def _to_readiness(snapshot: Snapshot, states: dict[str, str], turn: int) -> Step
         return ("robot.connect" if turn % 2 else "wire:rob_conn_onxxxxx"), {}
     if snapshot.latched:
         named = {"stop": snapshot.stop.number}
-        return ("robot.acknowledge", named) if turn % 4 else ("placement.home", {})  # some do not look
+        return (
+            ("robot.acknowledge", named) if turn % 4 else ("placement.home", {})
+        )  # some operators do not check the display
     if states["placement"] in ("unknown", "held"):
         return {"unknown": "placement.locate", "held": "placement.back_off"}[states["placement"]], {}
     step: Step | None = {

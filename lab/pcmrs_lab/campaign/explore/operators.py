@@ -18,28 +18,28 @@ from pcmrs_sim.deterministic.cell import SimulatedCell
 from pcmrs_sim.deterministic.daemon import SimulatedDaemon
 
 PATIENCE = 60.0
-"""Nobody waits longer for a verdict, s."""
+"""Longest time that an operator waits for a verdict, s."""
 REPEAT_AFTER = 0.5
-"""Without an answer a datagram is sent again after this; it doubles each time, s."""
+"""Time after which a datagram without an answer is sent again, s; it doubles each time."""
 TTL = 20.0
-"""Commands are too old after this, s."""
+"""Age at which commands are too old, s."""
 
 PORTS = {"anna": 40001, "ben": 40002}
-"""The operators and the ports they send datagrams from."""
+"""Ports from which the operators send datagrams, by name."""
 OLD_PORT = 40003
-"""Of a client that only knows acknowledgements."""
+"""Port of a client that only knows acknowledgements."""
 
 
 @dataclass
 class Operators:
-    """All operators share one endpoint, as two clients on one machine do.
+    """All operators share one endpoint, like two clients on one machine.
 
     Attributes:
-        cell: They work with.
-        acknowledged: Told of every verdict that reached an operator.
-        watcher: Told what arrives at the daemon's links, and what is sent back late.
-        clock: Of their machine.
-        snapshot: As they were shown last; None before the first and after the daemon was lost.
+        cell: Cell that they operate.
+        acknowledged: Called with every verdict that reaches an operator.
+        watcher: Watcher that learns what arrives at the daemon's links, and what is sent back late.
+        clock: Clock of their machine.
+        snapshot: Last snapshot that they received; None before the first and after the daemon was lost.
     """
 
     cell: SimulatedCell
@@ -51,13 +51,19 @@ class Operators:
     def __post_init__(self) -> None:
         self.clock = SimulatedClock(asyncio.get_running_loop())
         self._link = self.cell.network.endpoint("operator")
-        self._link.subscribe("state/fsm", Snapshot, self._see)
+        self._link.subscribe("state/fsm", Snapshot, self._take_snapshot)
         self._number = 0
         self._last: dict[str, Callable[[], Any]] = {}
         self._answers: dict[str, asyncio.Future[PlannerVerdict]] = {}
 
     async def operate(self, who: str, name: str, arguments: dict[str, Any]) -> None:
-        """Asks for ``branch.operation`` on the bus."""
+        """Request ``branch.operation`` on the bus.
+
+        Args:
+            who: Name of the operator.
+            name: Operation, ``branch.operation``.
+            arguments: Arguments of the operation.
+        """
         branch, operation = name.split(".")
         self._number += 1
         command = Command(
@@ -69,16 +75,27 @@ class Operators:
             sent=self.clock.wall(),
             ttl=TTL,
         )
-        self._last[who] = lambda: self._ask(who, command)
-        await self._ask(who, command)
+        self._last[who] = lambda: self._request(who, command)
+        await self._request(who, command)
 
     async def reuse(self, who: str, name: str, arguments: dict[str, Any]) -> None:
-        """Asks for another operation under the id of the last command of this operator on the bus."""
+        """Request another operation under the id of the last command of this operator on the bus.
+
+        Args:
+            who: Name of the operator.
+            name: Operation, ``branch.operation``.
+            arguments: Arguments of the operation.
+        """
         self._number -= bool(self._number)
         await self.operate(who, name, arguments)
 
     def old_client(self, name: str, tokens: Sequence[Value]) -> None:
-        """Sends a string command without an id, as clients do that only know acknowledgements."""
+        """Send a string command without an id, like clients that only know acknowledgements.
+
+        Args:
+            name: Name of the command, 16 characters.
+            tokens: Values of the command.
+        """
         daemon = self.cell.daemon
         if daemon is None:
             return
@@ -91,7 +108,7 @@ class Operators:
 
         def answer(_text: str) -> None:
             if acknowledged:
-                self.watcher.second(loop.time() - acknowledged[0])
+                self.watcher.check_second_datagram(loop.time() - acknowledged[0])
             acknowledged.append(loop.time())
 
         self._link.send(daemon.link, self._arrive_old, name, daemon, data, answer)
@@ -100,41 +117,52 @@ class Operators:
         spec = COMMANDS.get(name)
         for step in () if spec is None else spec.steps:
             self.watcher.arrived(f"{step.branch}.{step.operation}", asyncio.get_running_loop().time())
-        daemon.receive(OLD_PORT, data, _nowhere, answer)
+        daemon.receive(OLD_PORT, data, _ignore_verdict, answer)
 
     async def wire(self, who: str, name: str, tokens: Sequence[Value]) -> None:
-        """Sends a string command, again and again until it is answered."""
+        """Send a string command, and repeat it until it is answered.
+
+        Args:
+            who: Name of the operator.
+            name: Name of the command, 16 characters.
+            tokens: Values of the command.
+        """
         self._number += 1
         client_id = str(self._number)
         try:
             datagram = format_command(name, *tokens, client_id=client_id)
         except PayloadError:
             return  # the client's own library refuses it
-        self._last[who] = lambda: self._demand(who, client_id, datagram)
-        await self._demand(who, client_id, datagram)
+        self._last[who] = lambda: self._send_until_answered(who, client_id, datagram)
+        await self._send_until_answered(who, client_id, datagram)
 
     async def repeat(self, who: str) -> None:
-        """The last command of this operator once more, with the same id."""
+        """Send the last command of this operator once more, with the same id."""
         if who in self._last:
             await self._last[who]()
 
     def datagram(self, who: str, data: bytes) -> None:
-        """Something that need not be a command."""
+        """Send a datagram that need not be a command.
+
+        Args:
+            who: Name of the operator.
+            data: Bytes of the datagram.
+        """
         self._send(who, data)
 
     def stop(self, who: str) -> None:
-        """Presses Stop: daemon and node hear it."""
+        """Press Stop: daemon and node receive it."""
         self._link.publish(f"stop/{who}", Beat(number=0, session="", alive=0.0, sent=0.0))
 
-    async def _ask(self, who: str, command: Command) -> None:
+    async def _request(self, who: str, command: Command) -> None:
         key = f"cmd/{who}/{command.branch}/{command.operation}"
         try:
             verdict = await self._link.request(key, command, Verdict, PATIENCE)
         except PcmrsError:
-            return  # nobody knows: the operator looks at the state
+            return  # the outcome is unknown: the operator checks the state
         self.acknowledged(command, verdict)
 
-    async def _demand(self, who: str, client_id: str, datagram: bytes) -> None:
+    async def _send_until_answered(self, who: str, client_id: str, datagram: bytes) -> None:
         answer = self._answers.setdefault(client_id, asyncio.get_running_loop().create_future())
         interval, waited = REPEAT_AFTER, 0.0
         while not answer.done() and waited < PATIENCE:
@@ -158,9 +186,9 @@ class Operators:
         if answer is not None and not answer.done():
             answer.set_result(verdict)
 
-    def _see(self, _key: str, snapshot: Snapshot) -> None:
+    def _take_snapshot(self, _key: str, snapshot: Snapshot) -> None:
         self.snapshot = snapshot
 
 
-def _nowhere(_text: str) -> None:
-    """Such a client does not listen for verdicts."""
+def _ignore_verdict(_text: str) -> None:
+    """Ignore a verdict: such a client only reads acknowledgements."""

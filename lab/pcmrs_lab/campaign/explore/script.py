@@ -1,6 +1,6 @@
-"""What happens in one simulated session, as data: it is drawn, run, shrunk, saved and run again.
+"""Script of a simulated session as data: it is drawn, run, shrunk, saved and run again.
 
-Makes a failing script short: delta debugging over its acts.
+A failing script is shortened by delta debugging over its acts.
 """
 
 from __future__ import annotations
@@ -17,18 +17,19 @@ Physics = Literal["kinematic", "mujoco"]
 
 
 class Act(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One thing that somebody does, or that goes wrong.
+    """One act of an operator, or one fault.
 
     Attributes:
-        after: Since the act before was begun, or ended where it is waited for, s.
-        what: ``go_on`` (do what leads on from here), ``stop``, ``repeat``, ``datagram``, ``wire:<command>``,
+        after: Pause since the act before started, or ended if it is waited for, s.
+        what: ``go_on`` (do the next step of the procedure), ``stop``, ``repeat``, ``datagram``, ``wire:<command>``,
             ``<branch>.<operation>``, ``reuse:<branch>.<operation>`` (under the id of the last command),
-            ``old:<command>`` (without an id, as clients do that only know acknowledgements), or ``fault:<name>``.
-        who: The operator; for faults nobody.
-        arguments: Of the operation, the command or the fault.
-        waits: Whether the next act comes only after its verdict.
-        window: Done in the next window of this name, `after` s after it opens; see `pcmrs_sim.deterministic.windows`.
-        held: That window lasts so long at least, s.
+            ``old:<command>`` (without an id, like clients that only know acknowledgements), or ``fault:<name>``.
+        who: Operator; empty for faults.
+        arguments: Arguments of the operation, the command or the fault.
+        waits: True if the next act comes only after its verdict.
+        window: Name of a window: the act is done `after` s after the next one opens; see
+            `pcmrs_sim.deterministic.windows`.
+        held: Least time for which that window stays open, s.
     """
 
     after: float
@@ -40,16 +41,16 @@ class Act(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     held: float = 0.0
 
 
-class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A whole session.
+class SessionScript(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Whole session.
 
     Attributes:
-        seed: Of the network, of all simulated errors and of identifiers.
-        workflow: By its name.
-        physics: Of the simulated arm.
-        coded: Whether every message is packed and unpacked.
-        slow: Part of the windows that take time although no act asks for it.
-        acts: In order.
+        seed: Seed of the network, of all simulated errors and of identifiers.
+        workflow: Name of the workflow.
+        physics: Physics of the simulated arm.
+        coded: True if every message is packed and unpacked.
+        slow: Share of the windows that take time although no act requests it.
+        acts: Acts in order.
     """
 
     seed: int
@@ -60,39 +61,44 @@ class Script(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     acts: list[Act] = []
 
 
-def read_script(path: Path) -> Script:
-    """A script from its file.
+def read_script(path: Path) -> SessionScript:
+    """Return the script of a file.
 
     Raises:
-        ConfigurationError: It cannot be read or is no script.
+        ConfigurationError: The file cannot be read, or is not a script.
     """
     try:
-        return msgspec.json.decode(path.read_bytes(), type=Script)
+        return msgspec.json.decode(path.read_bytes(), type=SessionScript)
     except OSError as error:
         raise ConfigurationError(f"{path} cannot be read: {error.strerror}.", file=str(path)) from None
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise ConfigurationError(f"{path} is no script of a session: {error}.", file=str(path)) from None
+        raise ConfigurationError(f"{path} is not a script of a session: {error}.", file=str(path)) from None
 
 
-def write_script(script: Script, path: Path) -> None:
-    """Writes a script, so that people can read and change it."""
+def write_script(script: SessionScript, path: Path) -> None:
+    """Write a script as indented JSON.
+
+    Args:
+        script: SessionScript to write.
+        path: File to write.
+    """
     path.write_bytes(msgspec.json.format(msgspec.json.encode(script), indent=1) + b"\n")
 
 
 MOST_RUNS = 200
-"""Nobody waits for a shorter script than this many runs find."""
+"""Default limit of runs for shrinking, so that it ends in reasonable time."""
 
 
-def shrink(script: Script, fails: Callable[[Script], bool], most: int = MOST_RUNS) -> Script:
-    """The shortest script found that still fails: no act of it can be left out alone, unless `most` was too few.
+def shrink(script: SessionScript, fails: Callable[[SessionScript], bool], most: int = MOST_RUNS) -> SessionScript:
+    """Return the shortest script found that still fails: without any single act it passes, unless `most` was too small.
 
     Zeller, Hildebrandt, Simplifying and Isolating Failure-Inducing Input, IEEE TSE 2002, without the tests of single
     parts, which hardly ever fail by themselves here.
 
     Args:
-        script: That fails.
-        fails: Whether a script fails in the same way.
-        most: Runs.
+        script: Script that fails.
+        fails: Returns whether a script fails in the same way.
+        most: Largest number of runs.
     """
     acts, parts, runs = list(script.acts), 2, 0
     while len(acts) >= 2 and runs < most:
@@ -116,5 +122,5 @@ def _parts(length: int, parts: int) -> list[tuple[int, int]]:
     return [(start, min(length, start + size)) for start in range(0, length, size)]
 
 
-def _with(script: Script, acts: Sequence[Act]) -> Script:
+def _with(script: SessionScript, acts: Sequence[Act]) -> SessionScript:
     return msgspec.structs.replace(script, acts=list(acts))

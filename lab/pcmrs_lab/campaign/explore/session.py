@@ -1,4 +1,4 @@
-"""Runs one script: a cell in simulated time, its operators, its faults, and the witness of it all."""
+"""Runs one script: a cell in simulated time, its operators, its faults, and a witness of all events."""
 
 from __future__ import annotations
 
@@ -22,36 +22,36 @@ from pcmrs_lab.campaign.explore.injecting import Faults
 from pcmrs_lab.campaign.explore.next_step_policy import next_step_policy
 from pcmrs_lab.campaign.explore.operators import PATIENCE, Operators
 from pcmrs_lab.campaign.explore.plans import GARBAGE, landmark_commands, plan_of, pose_commands
-from pcmrs_lab.campaign.explore.script import Act, Script
+from pcmrs_lab.campaign.explore.script import Act, SessionScript
 from pcmrs_lab.campaign.explore.settings import settings_of, workflow_of
-from pcmrs_lab.campaign.explore.witness import Violation, Witness
+from pcmrs_lab.campaign.explore.witness import InvariantViolation, Witness
 from pcmrs_sim.deterministic.cell import SimulatedCell, simulated_cell
 from pcmrs_sim.deterministic.entropy import seeded_entropy
 
 QUIET_END = 10.0
-"""After the last act, with nothing wrong any more, everything has come to an end within this and `PATIENCE`, s."""
+"""Time within which everything has ended after the last act without faults, in addition to `PATIENCE`, s."""
 WINDOW_OPENS = 8.0
-"""An act that waits for a window is done after this anyhow, s: longer than any motion takes."""
+"""Time after which an act that waits for a window is done anyway, s: longer than any motion takes."""
 REFERENCE = "body_ref"
-"""The body that no session takes away for good."""
+"""Body that no session removes permanently."""
 LONGEST_FOLLOWING = 3.0
-"""While the tool follows the head, nobody waits longer until the next act, s: each second has 60 set points."""
+"""Longest pause between acts while the tool follows the head, s, since each second has 60 set points."""
 
 
-class Found(msgspec.Struct, frozen=True):
-    """What came of a session.
+class ExplorationResult(msgspec.Struct, frozen=True):
+    """Result of a session.
 
     Attributes:
-        seed: Of the script.
-        time: Simulated, s.
-        cost: Of the processor, s.
-        digest: Hash of the last row of its journal, which holds those of all before; hexadecimal.
-        rows: Of the journal.
-        reached: How often each fault was brought about.
-        seen: How often each decision on each operation was seen.
-        invariant: What did not hold; empty where everything did.
-        text: What was seen then.
-        at: When, s.
+        seed: Seed of the script.
+        time: Simulated time, s.
+        cost: Processor time, s.
+        digest: Hash of the last row of its journal, which covers all earlier rows; hexadecimal.
+        rows: Rows of the journal.
+        reached: Number of times that each fault was injected.
+        seen: Number of times that each decision on each operation was seen.
+        invariant: Name of the violated invariant; empty if all held.
+        text: Description of the violation.
+        at: Time of the violation, s.
     """
 
     seed: int
@@ -66,20 +66,23 @@ class Found(msgspec.Struct, frozen=True):
     at: float = 0.0
 
 
-def run_session(script: Script, *, seconds: float = 0.0) -> Found:
-    """Runs a script to its end, or to the first violation.
+def run_session(script: SessionScript, *, seconds: float = 0.0) -> ExplorationResult:
+    """Run a script to its end, or to the first violation.
 
-    The process must do nothing else meanwhile: randomness of the operating system is replaced.
+    The process must do nothing else meanwhile, since the randomness of the operating system is replaced.
 
     Args:
-        script: What happens.
-        seconds: Of pause at its end, in which nothing happens; for measuring what that costs.
+        script: Script of the session.
+        seconds: Pause at the end in which nothing happens, s, to measure its cost.
+
+    Returns:
+        Result.
 
     Raises:
-        ConfigurationError: There is no such workflow.
-        SimulationError: The simulation itself could not go on.
+        ConfigurationError: The workflow is unknown.
+        SimulationError: The simulation itself could not continue.
     """
-    begun = process_time()
+    started = process_time()
     with (
         tempfile.TemporaryDirectory(prefix=_prefix(os.getpid()), dir=_memory()) as folder,
         seeded_entropy(script.seed),
@@ -93,10 +96,10 @@ def run_session(script: Script, *, seconds: float = 0.0) -> Found:
             loop.close()
         digest, rows = _digest(path)
     violation = session.witness.violation
-    return Found(
+    return ExplorationResult(
         seed=script.seed,
         time=loop.time(),
-        cost=process_time() - begun,
+        cost=process_time() - started,
         digest=digest,
         rows=rows,
         reached=dict(session.faults.reached),
@@ -107,7 +110,7 @@ def run_session(script: Script, *, seconds: float = 0.0) -> Found:
     )
 
 
-async def _run_script(script: Script, path: Path, seconds: float) -> Session:
+async def _run_script(script: SessionScript, path: Path, seconds: float) -> ExploredSession:
     workflow = workflow_of(script.workflow)
     witness = Witness(workflow.blueprint)
     asyncio.get_running_loop().set_exception_handler(lambda _, context: _unhandled(witness, context))
@@ -121,38 +124,38 @@ async def _run_script(script: Script, path: Path, seconds: float) -> Session:
         observe=witness.observe,
     ) as cell:
         cell.network.windows.share = script.slow
-        session = Session(cell, witness, script)
+        session = ExploredSession(cell, witness, script)
         with witness.watching(cell.devices["scene"]):
             await session.faults.start_daemon()
             await session.run(seconds)
     return session
 
 
-class Session:
-    """A running session.
+class ExploredSession:
+    """Running session.
 
     Attributes:
-        witness: Of everything.
-        faults: What is wrong.
+        witness: Witness of all events.
+        faults: Faults that are present.
     """
 
-    def __init__(self, cell: SimulatedCell, witness: Witness, script: Script) -> None:
+    def __init__(self, cell: SimulatedCell, witness: Witness, script: SessionScript) -> None:
         self.witness = witness
         self._cell = cell
         self._script = script
         self._operators = Operators(cell, witness.answered, witness.watcher)
         self.faults = Faults(cell, self._operators, witness)
-        self._under_way: dict[asyncio.Task[None], str] = {}
+        self._running_acts: dict[asyncio.Task[None], str] = {}
 
     async def run(self, seconds: float) -> None:
-        """Does everything in its order; ends with the first violation."""
+        """Perform all acts in their order, and end with the first violation."""
         loop = asyncio.get_running_loop()
         violated = loop.create_task(self.witness.violated.wait())
         acting = loop.create_task(self._act_all(seconds))
         await asyncio.wait([violated, acting], return_when=asyncio.FIRST_COMPLETED)
-        for task in (violated, acting, *self._under_way):
+        for task in (violated, acting, *self._running_acts):
             task.cancel()
-        await asyncio.gather(violated, *self._under_way, return_exceptions=True)
+        await asyncio.gather(violated, *self._running_acts, return_exceptions=True)
         if acting.done() and not acting.cancelled():
             acting.result()
         await asyncio.gather(acting, return_exceptions=True)
@@ -163,39 +166,39 @@ class Session:
                 await self._cell.network.windows.reached(act.window, act.held, WINDOW_OPENS)
             await asyncio.sleep(min(act.after, LONGEST_FOLLOWING) if self._following() else act.after)
             task = asyncio.get_running_loop().create_task(self._do(act))
-            self._under_way[task] = act.what
-            task.add_done_callback(self._under_way.pop)
+            self._running_acts[task] = act.what
+            task.add_done_callback(self._running_acts.pop)
             if act.waits:
                 await asyncio.wait([task], timeout=PATIENCE)
-        if begun := [task for task, what in self._under_way.items() if what.startswith("fault:")]:
-            await asyncio.wait(begun, timeout=PATIENCE)  # what has not come about yet cannot be mended
-        await self.faults.mended()
+        if started := [task for task, what in self._running_acts.items() if what.startswith("fault:")]:
+            await asyncio.wait(started, timeout=PATIENCE)  # a fault that is not injected yet cannot be ended
+        await self.faults.wait_until_over()
         await self.faults.start_daemon()
         await asyncio.sleep(seconds)
-        await self._come_to_an_end()
+        await self._settle()
 
     def _following(self) -> bool:
         snapshot = self.witness.view.snapshot
         return snapshot is not None and snapshot.branches.get("placement") == "following"
 
-    async def _come_to_an_end(self) -> None:
-        """With nothing wrong any more everything that was begun ends."""
-        if self._under_way:
-            await asyncio.wait(tuple(self._under_way), timeout=2 * PATIENCE)
+    async def _settle(self) -> None:
+        """Wait until every operation ends, now that no fault is present."""
+        if self._running_acts:
+            await asyncio.wait(tuple(self._running_acts), timeout=2 * PATIENCE)
         if self.faults.mistaken:
-            await self.faults.bring_about("tracker_restart", {})
+            await self.faults.inject("tracker_restart", {})
         await asyncio.sleep(QUIET_END)
         snapshot, daemon = self.witness.view.snapshot, self._cell.daemon
         if daemon is not None and daemon.procedure is not None:
             self.witness.watcher.poses_end(daemon.procedure.cell.poses.rate_hz(REFERENCE) > 0.0)
         if snapshot is not None and snapshot.running:
             names = ", ".join(f"{each.branch}.{each.operation}" for each in snapshot.running)
-            self.witness.break_("everything_ends", f"{names} is still running after everything was mended.")
+            self.witness.break_("everything_ends", f"{names} is still running after all faults have ended.")
 
     async def _do(self, act: Act) -> None:
         name, operators, who = act.what, self._operators, act.who
         if name.startswith("fault:"):
-            await self.faults.bring_about(name.removeprefix("fault:"), act.arguments)
+            await self.faults.inject(name.removeprefix("fault:"), act.arguments)
         elif name == "go_on":
             turn = int(act.arguments.get("turn", 0))
             what, arguments = next_step_policy(operators.snapshot, turn)
@@ -249,7 +252,7 @@ def _digest(path: Path) -> tuple[str, int]:
 
 
 def forget_sessions(pid: int | None) -> None:
-    """Removes what a process that was killed in a session has left."""
+    """Remove the files of a process that was killed in a session."""
     for left in Path(_memory()).glob(f"{_prefix(pid)}*"):
         shutil.rmtree(left, ignore_errors=True)
 
@@ -259,7 +262,7 @@ def _prefix(pid: int | None) -> str:
 
 
 def _memory() -> str:
-    """Where files are kept in memory, if anywhere: nothing of a session outlives it."""
+    """Return a folder in memory if there is one: no file of a session outlives it."""
     shared = Path("/dev/shm")  # noqa: S108  # names in it are made by mkdtemp
     return str(shared) if shared.is_dir() else tempfile.gettempdir()
 
@@ -270,7 +273,7 @@ def _drop(_logger: object, _method: str, _event: object) -> NoReturn:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Nobody reads the logs of thousands of sessions, and writing them costs more than all the rest."""
+    """Drop all log messages during the context, since writing them costs more than everything else."""
     before = structlog.get_config()
     structlog.configure(processors=[_drop], wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
     try:
@@ -279,4 +282,4 @@ def quiet() -> Iterator[None]:
         structlog.configure(**before)
 
 
-__all__ = ["Found", "Violation", "quiet", "run_session"]
+__all__ = ["ExplorationResult", "InvariantViolation", "quiet", "run_session"]

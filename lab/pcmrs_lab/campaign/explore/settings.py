@@ -1,4 +1,4 @@
-"""The configuration of an explored cell: everything as it is, at lower rates, since what passes often is what costs."""
+"""Configuration of an explored cell: as delivered, but at lower rates, since frequent messages dominate the cost."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pcmrs.workflows.opening import open_workflow
 from pcmrs_lab.campaign.explore.script import Physics
 
 DEADMAN = 1.0
-"""The longest that can be configured, s: heartbeats, a quarter of it apart, cost as much as all other messages."""
+"""Longest configurable deadman, s: heartbeats, a quarter of it apart, cost as much as all other messages."""
 SLOWER = (
     f"robot.deadman={DEADMAN}",
     "sim.tracker.rate_hz=6.25",
@@ -35,29 +35,35 @@ SLOWER = (
     "procedure.stimulation.speed_time=0.5",
     "procedure.body.surface=",
 )
-"""Rates of streams, numbers of frames, and the ages that go with them; what is decided by them is decided alike.
+"""Rates of streams, numbers of frames, and the ages that go with them; decisions are unchanged by them.
 
-The tracker is as slow as a pulse allows, which needs 4 frames within 0.5 s; the joints come with every second frame.
+The tracker is as slow as a pulse permits, which needs 4 frames within 0.5 s; the joints come with every second frame.
 """
 
 REAL_RATES = (f"robot.deadman={DEADMAN}",)
-"""With MuJoCo, all streams at the rates of a real cell."""
+"""Settings with MuJoCo: all streams at the rates of a real cell."""
 
 
 def settings_of(workflow: str, physics: Physics, seed: int) -> Settings:
-    """The whole configuration of a session."""
+    """Return the whole configuration of a session.
+
+    Args:
+        workflow: Name of the workflow.
+        physics: Physics of the simulated arm.
+        seed: Seed of the simulation.
+    """
     common = _common(workflow, physics)
     return msgspec.structs.replace(common, sim=common.sim | {"seed": seed})
 
 
 @cache
 def _common(workflow: str, physics: Physics) -> Settings:
-    """What all sessions have in common: reading and checking it costs as much as many an operation."""
+    """Return the common configuration of all sessions; it is cached, since reading and checking it is slow."""
     rates = SLOWER if physics == "kinematic" else REAL_RATES
     return read_settings(overrides=(f"workflow={workflow}", f"sim.arm.physics={physics}", *rates))
 
 
 @cache
 def workflow_of(name: str) -> Workflow[Cell, PlacementData]:
-    """The workflow, opened once for all sessions of this process."""
+    """Return the workflow, opened once for all sessions of this process."""
     return open_workflow(name)

@@ -1,4 +1,4 @@
-"""A tracker between the simulated one and its node: it counts anew, or stamps a frame wrongly."""
+"""Tracker between the simulated one and its node, which restarts its frame numbers or stamps a frame wrongly."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import msgspec
 from pcmrs.messages import BodyPose
 
 AHEAD = 3600.0
-"""A frame that is stamped ahead is so by this, s."""
+"""Error of the stamp of a frame that is stamped ahead, s."""
 
 
 class TamperedTracker:
-    """Passes on everything but what it was told to change.
+    """Passes on everything unchanged unless it was ordered to change it.
 
     Args:
-        tracker: As its driver has opened it.
+        tracker: Tracker that its driver has opened.
     """
 
     def __init__(self, tracker: Any) -> None:
@@ -29,20 +29,20 @@ class TamperedTracker:
         return getattr(self._tracker, name)
 
     def restart(self) -> None:
-        """It counts its frames anew from the next one on."""
+        """Restart the frame numbers with the next frame."""
         self._restarts = True
 
     def stamp_ahead(self) -> None:
-        """Its next frame is stamped an hour ahead."""
+        """Stamp the next frame an hour ahead."""
         self._stamps_ahead = True
 
     async def frames(self) -> AsyncIterator[Sequence[BodyPose]]:
-        """Frames of the tracker; see `pcmrs.devices.protocols.TrackerDriver`."""
+        """Yield frames of the tracker; see `pcmrs.devices.protocols.TrackerDriver`."""
         async for frame in self._tracker.frames():
-            yield [self._changed(pose) for pose in self._begun(frame)]
+            yield [self._changed(pose) for pose in self._restarted_at(frame)]
             self._stamps_ahead = False
 
-    def _begun(self, frame: Sequence[BodyPose]) -> Sequence[BodyPose]:
+    def _restarted_at(self, frame: Sequence[BodyPose]) -> Sequence[BodyPose]:
         if self._restarts and frame:
             self._first, self._restarts = min(pose.frame_number for pose in frame), False
         return frame

@@ -1,7 +1,7 @@
-"""Watches the physical side of a session: the arm at every step, what its driver was told, what was acknowledged.
+"""Watches the physical side of a session: the arm at every step, the driver's calls, the operators' verdicts.
 
-It shares no code with the dispatcher and asks it nothing. It compares the arm, the calls that reach the driver, and the
-answers that reach people with what was published and journalled.
+It shares no code with the dispatcher and does not query it. It compares the arm, the calls that reach the driver, and
+the verdicts that reach operators with the published messages and the journal.
 """
 
 from __future__ import annotations
@@ -15,30 +15,30 @@ from pcmrs_lab.campaign.explore.invariants import braked
 from pcmrs_lab.campaign.explore.view import REGISTERING, View, refuses_the_id
 
 MOVED = 0.002
-"""A joint that is farther than this from where it stood has moved, rad."""
+"""Displacement at which a resting joint counts as moved, rad."""
 DECIDED = 20.0
-"""The operation of an event is decided within this, whatever runs, s."""
+"""Time within which the operation of an event is decided, while any operation runs, s."""
 ID = re.compile("[0-9a-f]{32}")
-"""Of the commands that the gateway makes for clients without ids."""
-TURNED_AWAY = ("busy", "queue_full", "latched", "stopped")
-"""Reasons for which no event may be rejected: what it says has happened already."""
-BEGUN = 1.2
-"""A motion begins within this of the arrival of its command, s: 0.1 s, a loop that was held up, and planning."""
+"""Ids of the commands that the gateway makes for clients without ids."""
+NEVER_FOR_EVENTS = ("busy", "queue_full", "latched", "stopped")
+"""Reasons for which no event may be rejected, since the event has happened already."""
+BEGINS_WITHIN = 1.2
+"""Time within which a motion begins after its command has arrived, s: 0.1 s, a blocked loop, and planning."""
 SECOND = 0.4
-"""Clients take what comes later for their next acknowledgement, s."""
+"""Time after which clients take a second datagram for their next acknowledgement, s."""
 HELD = 0.1
-"""Beside the deadman: 25 ms, and what the simulation sees late, s."""
+"""Tolerance beyond the deadman, s: 25 ms, and the delay with which the simulation sees it."""
 AT_THE_BODY = ("standoff", "placed", "following", "guided")
-"""States of the placement in which the tool is where the plan says."""
+"""States of the placement in which the tool is where the plan puts it."""
 
 
 class Watcher:
-    """One per session.
+    """Watcher of one session.
 
     Args:
-        view: What was published and journalled.
-        break_: Told the name of what did not hold, and what was seen.
-        deadman: Of the nodes, s.
+        view: Published messages and journal.
+        break_: Called with the name of a violated invariant, and a description.
+        deadman: Deadman of the nodes, s.
     """
 
     def __init__(self, view: View, break_: Callable[[str, str], None], deadman: float) -> None:
@@ -46,12 +46,12 @@ class Watcher:
         self._break = break_
         self._deadman = deadman
         self._posture: Sequence[float] | None = None
-        self._in_doubt = False
+        self._settling = False
         self._allowed: dict[str, float] = {}
         self._newest: tuple[str, float] | None = None
         self._last_hold = float("-inf")
         self._ending: set[str] = set()
-        self._gone: float | None = None
+        self._lost_at: float | None = None
         self._node_excused = float("-inf")
         self._reference_moved: float | None = None
         self._undecided: dict[str, float] = {}
@@ -59,12 +59,20 @@ class Watcher:
         self._tool_at: tuple[str | None, str | None] | None = None
         self._arrived: dict[str, float] = {}
         self._guided = self._must_latch = False
-        self._told: dict[tuple[str, str], str] = {}
+        self._decisions: dict[tuple[str, str], str] = {}
 
     # -- the arm and its driver ----------------------------------------------------------------------
 
     def step(self, now: float, positions: Sequence[float], *, at_rest: bool, braking: bool, relieving: bool) -> None:
-        """The simulated arm after a step."""
+        """Check the simulated arm after a step.
+
+        Args:
+            now: Time of the simulation, s.
+            positions: Positions of the joints, rad.
+            at_rest: True if the arm rests.
+            braking: True if the arm brakes.
+            relieving: True if the arm moves to relieve a force.
+        """
         if self._view.motion.holds or now < self._view.by_hand or relieving:
             self._posture = None
         elif self._posture is not None:
@@ -72,16 +80,21 @@ class Watcher:
             if moved > MOVED:
                 text = f"A joint is {moved:.4f} rad from where the arm stood, and no motion is allowed."
                 self._break("the_arm_stays", text)
-        elif at_rest and not self._in_doubt:
+        elif at_rest and not self._settling:
             self._posture = tuple(positions)
-        asked = not (at_rest or braking) and now >= self._view.by_hand
-        if self._gone is not None and asked and now > self._held_by(self._gone):
-            text = f"The daemon ended {now - self._gone:.3f} s ago, and the arm moves."
+        commanded = not (at_rest or braking) and now >= self._view.by_hand
+        if self._lost_at is not None and commanded and now > self._held_by(self._lost_at):
+            text = f"The daemon ended {now - self._lost_at:.3f} s ago, and the arm moves."
             self._break("silence_is_held", text)
-        self._look_for_undecided(now)
+        self._check_undecided(now)
 
     def begins(self, method: str, now: float) -> None:
-        """The driver is told to begin a motion."""
+        """Check a motion that the driver has been commanded to begin.
+
+        Args:
+            method: Method of the driver.
+            now: Time of the simulation, s.
+        """
         self._posture = None
         self._guided = method == "begin_servo"
         if now < self._view.by_hand:
@@ -98,35 +111,35 @@ class Watcher:
             self._break("approaches_only_when_ready", f"{name} moves, and the reference has moved since registration.")
 
     def held(self, now: float) -> None:
-        """The driver is told to hold.
+        """Record that the driver must hold.
 
-        The hold by which an activity ends comes while the motion that it gives way to waits for just that.
+        The hold by which an activity ends comes while the motion that ends it waits for that.
         """
         snapshot = self._view.snapshot
         if not self._ending or snapshot is None or snapshot.latched:
             self._last_hold = now
         if not self._view.motion.holds:
-            self._in_doubt = False
+            self._settling = False
 
     def excuse_node(self, until: float) -> None:
-        """The node has no time, or is not there, until then, s."""
+        """Excuse the node until a time, s: it is blocked or absent."""
         self._node_excused = max(self._node_excused, until)
 
     def node_is_back(self, now: float) -> None:
-        """The node has been started again."""
+        """End the excuse: the node has been started again."""
         self._node_excused = now
 
     def _held_by(self, since: float) -> float:
         return max(since, self._node_excused) + self._deadman + HELD
 
-    # -- what the daemon says ------------------------------------------------------------------------
+    # -- messages of the daemon ------------------------------------------------------------------------
 
     def begin_run(self, snapshot: Snapshot) -> None:
-        """A daemon has started."""
+        """Check the first snapshot of a started daemon."""
         if self._must_latch and not snapshot.latched:
             self._break("a_crash_in_motion_latches", "The daemon ended while the arm was guided, and starts unlatched.")
         self._must_latch = False
-        self._gone = None
+        self._lost_at = None
         self._undecided.clear()
         self._dangers.clear()
         self._ending.clear()
@@ -136,15 +149,25 @@ class Watcher:
         self._tool_at = None
 
     def lose_daemon(self, now: float, *, crash: bool) -> None:
-        """It is gone."""
+        """Record that the daemon has ended.
+
+        Args:
+            now: Time of the simulation, s.
+            crash: True if it was killed.
+        """
         snapshot = self._view.snapshot
         if crash:
-            self._gone = now
+            self._lost_at = now
             self._must_latch = self._guided and snapshot is not None and self._guides(snapshot)
         self._undecided.clear()
 
     def take_snapshot(self, snapshot: Snapshot, now: float) -> None:
-        """It was published."""
+        """Check a published snapshot.
+
+        Args:
+            snapshot: Snapshot.
+            now: Time of the simulation, s.
+        """
         self._note_motions(snapshot, now)
         placement = snapshot.branches.get("placement")
         ids = (snapshot.plan, snapshot.registration)
@@ -159,7 +182,12 @@ class Watcher:
             self._break("the_tool_is_at_its_plan", text)
 
     def take_event(self, event: DeviceEvent, now: float) -> None:
-        """It was published."""
+        """Record a published event.
+
+        Args:
+            event: Event of a device.
+            now: Time of the simulation, s.
+        """
         if event.code == "activity_ended":
             self._ending.discard(event.device.removeprefix("activity:"))
         if event.code == "reference_moved" and self._states("registration") in ("110", "111"):
@@ -171,19 +199,19 @@ class Watcher:
                 self._dangers.add(event.code)
 
     def take_verdict(self, verdict: Verdict) -> None:
-        """It was published."""
+        """Check a published verdict."""
         name, spec = f"{verdict.branch}.{verdict.operation}", self._spec(f"{verdict.branch}.{verdict.operation}")
         if spec is None:
             return
         if spec.event:
             code = verdict.reason.code if verdict.reason is not None else ""
-            if verdict.decision == "rejected" and code in TURNED_AWAY:
+            if verdict.decision == "rejected" and code in NEVER_FOR_EVENTS:
                 self._break("no_event_is_turned_away", f"{name} was rejected {code}.")
             self._undecided.pop(verdict.operation, None)
             self._dangers.discard(verdict.operation)
         if verdict.decision == "accepted":
             if spec.moves and self._newest is not None and self._newest[0] == name:
-                self._in_doubt = False
+                self._settling = False
             if verdict.branch == "registration" and verdict.operation in REGISTERING:
                 self._reference_moved = None
 
@@ -200,7 +228,7 @@ class Watcher:
                 self._check_beginning(key, name, now)
         for key, name in (running | going_on).items():
             if key not in self._allowed:
-                self._newest, self._in_doubt = (name, now), True
+                self._newest, self._settling = (name, now), True
         self._allowed = {key: self._allowed.get(key, now) for key in running | going_on}
 
     def _check_beginning(self, key: str, name: str, now: float) -> None:
@@ -208,50 +236,60 @@ class Watcher:
             text = f"{name} begins, and {', '.join(sorted(self._dangers))} is not decided."
             self._break("dangers_are_decided_first", text)
         since = self._arrived.pop(name, now) if ID.fullmatch(key) else now
-        if now - since > BEGUN:
+        if now - since > BEGINS_WITHIN:
             text = f"{name} begins {now - since:.3f} s after its command has arrived."
             self._break("motions_begin_in_time", text)
 
-    def _look_for_undecided(self, now: float) -> None:
+    def _check_undecided(self, now: float) -> None:
         for code, since in self._undecided.items():
             if now - since > DECIDED and not self._view.excused:
                 self._break("no_event_is_lost", f"{code} was reported {now - since:.1f} s ago and is not decided.")
 
-    # -- what people are told ------------------------------------------------------------------------
+    # -- answers to people ------------------------------------------------------------------------
 
     def answered(self, command: Command, verdict: Verdict) -> None:
-        """A verdict has reached the operator who asked."""
+        """Check a verdict that has reached the operator who sent the command.
+
+        Args:
+            command: Command of the operator.
+            verdict: Verdict that was received.
+        """
         about = (verdict.branch, verdict.operation)
         if about != (command.branch, command.operation):
             text = f"{command.branch}.{command.operation} got the verdict on {'.'.join(about)}: {verdict.decision}."
             self._break("answers_are_about_the_command", text)
         if not refuses_the_id(verdict):
-            self._told[command.source, command.id] = verdict.decision
+            self._decisions[command.source, command.id] = verdict.decision
 
     def arrived(self, name: str, now: float) -> None:
-        """A command without an id, which leads to this operation, has arrived at a link."""
+        """Record that a command without an id has arrived at a link.
+
+        Args:
+            name: Operation that it leads to, ``branch.operation``.
+            now: Time of the simulation, s.
+        """
         self._arrived[name] = now
 
-    def second(self, after: float) -> None:
-        """The second datagram was sent so long after the acknowledgement, s."""
+    def check_second_datagram(self, after: float) -> None:
+        """Check the delay of the second datagram after the acknowledgement, s."""
         if after > SECOND:
             self._break("no_second_is_late", f"The second datagram was sent {after:.3f} s after the acknowledgement.")
 
     def poses_end(self, fresh: bool) -> None:
-        """Nothing is wrong any more, and for some time: whether the daemon takes poses."""
+        """Check that the daemon accepts poses again when no fault has been present for some time."""
         if not fresh:
             self._break("poses_go_on", "The tracker has sent good poses for seconds, and the daemon takes none.")
 
     def check_rows(self, decision_of: Callable[[str, str], str | None]) -> None:
-        """Holds what people were told against the disk.
+        """Compare the verdicts that operators received with the journal.
 
         Args:
-            decision_of: What the journal has on a source and an id.
+            decision_of: Returns the journalled decision on a source and an id.
         """
-        for (source, command), decision in self._told.items():
+        for (source, command), decision in self._decisions.items():
             found = decision_of(source, command)
             if decision in ("accepted", "failed") and found != decision:
-                self._break("acknowledged_rows_last", f"{command} was told to be {decision}; the disk has {found}.")
+                self._break("acknowledged_rows_last", f"{command} was reported as {decision}; the journal has {found}.")
 
     # -- helpers -------------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""Watches a session from inside: all that is published, moved, fired or answered is held against invariants."""
+"""Watches a session from inside: every publication, motion, pulse and answer is checked against the invariants."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ from pcmrs_sim.deterministic.daemon import ProcedureDispatcher
 
 
 @dataclass(frozen=True, slots=True)
-class Violation:
-    """An invariant that did not hold.
+class InvariantViolation:
+    """InvariantViolation of an invariant.
 
     Attributes:
-        invariant: Its name.
-        text: What was seen.
-        time: s of the simulation.
+        invariant: Name of the invariant.
+        text: Description of the violation.
+        time: Time of the simulation, s.
     """
 
     invariant: str
@@ -49,21 +49,21 @@ class Violation:
 
 
 class Witness:
-    """Holds every event against the invariants; the first violation counts.
+    """Checks every event against the invariants; the first violation counts.
 
     Attributes:
-        view: What is known.
-        watcher: Of the physical side.
-        violation: The first one; None while there is none.
-        violated: Set with it.
-        reader: Of the journal, while a daemon runs.
-        tracker: Between the simulated one and its node; None before the devices are opened.
+        view: Knowledge of the session.
+        watcher: Watcher of the physical side.
+        violation: First violation; None if there is none.
+        violated: Set with the first violation.
+        reader: Reader of the journal while a daemon runs.
+        tracker: Tracker between the simulated one and its node; None before the devices are opened.
     """
 
     def __init__(self, blueprint: Blueprint) -> None:
         self.view = View(blueprint)
         self.watcher = Watcher(self.view, self.break_, DEADMAN)
-        self.violation: Violation | None = None
+        self.violation: InvariantViolation | None = None
         self.violated = asyncio.Event()
         self.reader: JournalReader | None = None
         self.tracker: TamperedTracker | None = None
@@ -71,7 +71,12 @@ class Witness:
         self._run = 0
 
     def observe(self, dispatcher: ProcedureDispatcher, reader: JournalReader) -> None:
-        """A run of the daemon begins."""
+        """Observe a new run of the daemon.
+
+        Args:
+            dispatcher: Dispatcher of the run.
+            reader: Reader of its journal.
+        """
         self.reader = reader
         self.view.now = self._loop.time()
         self.view.begin_run()
@@ -81,7 +86,7 @@ class Witness:
         self.published(run, dispatcher.snapshot())
 
     def lose_daemon(self, *, crash: bool) -> None:
-        """The daemon is gone: what it still says to itself while it is cleared away counts no more."""
+        """End the run; messages that the daemon still produces during its cleanup do not count."""
         self.view.now = self._loop.time()
         self.watcher.lose_daemon(self.view.now, crash=crash)
         self.view.end_run()
@@ -89,7 +94,7 @@ class Witness:
         self._run = 0
 
     def watched(self, devices: Devices) -> Devices:
-        """The devices as the node is to serve them."""
+        """Return the devices that the node serves, wrapped for observation."""
         found = dict(devices)
         if "robot" in found:
             found["robot"] = _WatchedRobot(found["robot"], self)
@@ -100,14 +105,19 @@ class Witness:
         return found
 
     def answered(self, command: Command, verdict: Verdict) -> None:
-        """A verdict has reached the operator who asked."""
+        """Check a verdict that has reached the operator who sent the command.
+
+        Args:
+            command: Command of the operator.
+            verdict: Verdict that was received.
+        """
         self._take_rows()
         self.watcher.answered(command, verdict)
         self.judge(Answered(command, verdict))
 
     @contextmanager
     def watching(self, scene: Any) -> Iterator[None]:
-        """Looks at the simulated arm after every step, as long as the context lasts."""
+        """Check the simulated arm after every step for the length of the context."""
 
         def look() -> None:
             arm = scene.arm
@@ -123,7 +133,7 @@ class Witness:
             yield
 
     def judge(self, event: Event) -> None:
-        """Holds an event against all invariants that are about such events."""
+        """Check an event against all invariants for its type."""
         self.view.now = self._loop.time()
         for invariant in INVARIANTS[type(event)]:
             text = invariant(self.view, event)
@@ -131,13 +141,23 @@ class Witness:
                 self.break_(invariant.__name__, text)
 
     def break_(self, invariant: str, text: str) -> None:
-        """Something did not hold."""
+        """Record a violation.
+
+        Args:
+            invariant: Name of the invariant.
+            text: Description of the violation.
+        """
         if self.violation is None:
-            self.violation = Violation(invariant, text, self._loop.time())
+            self.violation = InvariantViolation(invariant, text, self._loop.time())
             self.violated.set()
 
     def published(self, run: int, message: Snapshot | Verdict | DeviceEvent) -> None:
-        """A run of the daemon has published a message; one that is over counts no more."""
+        """Check a message that a run of the daemon has published; messages of an ended run do not count.
+
+        Args:
+            run: Number of the run.
+            message: Published message.
+        """
         if run != self._run:
             return
         self.view.now = self._loop.time()
@@ -159,7 +179,7 @@ class Witness:
 
 
 class _RunListener(DispatcherListener):
-    """Hands the messages of one run to the witness."""
+    """Passes the messages of one run to the witness."""
 
     def __init__(self, witness: Witness, run: int) -> None:
         self._witness = witness
@@ -170,7 +190,7 @@ class _RunListener(DispatcherListener):
 
 
 class _Watched:
-    """A device whose calls go through."""
+    """Device whose calls are passed on."""
 
     def __init__(self, device: Any, witness: Witness) -> None:
         self._device, self._witness = device, witness

@@ -1,1 +1,1 @@
-"""How the faults of the catalogue are injected: one module for each class."""
+"""Injections of the faults of the catalogue: one module for each class or topic."""

@@ -1,4 +1,4 @@
-"""Faults of access: people and programs that reach for what is not theirs, at a cell that is open to other machines."""
+"""Faults of access: people and programs attempt what they may not, at a cell that other machines can reach."""
 
 from __future__ import annotations
 
@@ -24,41 +24,42 @@ from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.driving import PATIENCE, accept, reason_text
 from pcmrs_lab.campaign.checks import check_refused, expect, shape
 from pcmrs_lab.campaign.counted_session import CountedSession, counted_session, counting_endpoint
-from pcmrs_lab.campaign.datagrams import raw_socket, refusals_after, taken
+from pcmrs_lab.campaign.datagrams import raw_socket, refusals_after, send_accepted
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.reachable import EXPIRED, FOREIGN, REVOKED, ReachableCell, reachable_cell
 from pcmrs_lab.campaign.samples import sample
-from pcmrs_lab.campaign.sham import bring_about, is_sham
+from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
 from pcmrs_lab.campaign.waiting import until_true
 
 TLS = "a running cell that listens for other machines, over real TLS on loopback"
 SIGNED = "raw datagrams at a running cell with a peer that signs"
 FORGED = 200
-"""Signed commands that are tampered with, of each kind."""
+"""Number of tampered signed commands of each kind."""
 LARGE = 24 * 1024 * 1024
-"""Bytes of a message that is longer than any is allowed to be."""
+"""Size of a message above the permitted size, bytes."""
 KEPT = 4.0
-"""A connection that is not ended within this is kept, s of the machine: the daemon waits longer for its first words."""
+"""Time after which a connection that is still open counts as kept, s of the machine; the daemon waits longer for its
+first message."""
 QUIET = 1.0
-"""What has no effect by then has none, s of the machine."""
+"""Time within which every effect shows, s of the machine."""
 AT_ONCE = 64
-"""Datagrams that are sent without waiting: more might not find a place in the socket's buffer."""
+"""Number of datagrams that are sent without waiting: more might not fit into the socket's buffer."""
 
 
 @fault("O9", how=TLS)
 async def two_operators(lab: Lab) -> Evidence:
-    """The one who does not hold the cell is refused, and may still stop."""
+    """An operator who does not hold the cell is refused, and may still stop it."""
     async with reachable_cell(lab) as open_cell, open_cell.client("anna") as anna, open_cell.client("bob") as bob:
         row = open_cell.cell.last_row()
-        nobody = await _refused(open_cell, bob, "registration.reinit", "no_lease")
+        nobody = await _check_refused(open_cell, bob, "registration.reinit", "no_lease")
         async with anna.holding():
             await accept(anna, "registration.reinit")
             other = anna if is_sham() else bob
-            held = await _refused(open_cell, other, "registration.reinit", "lease_held")
-            await _refused(open_cell, other, "lease.acquire", "lease_held")
+            held = await _check_refused(open_cell, other, "registration.reinit", "lease_held")
+            await _check_refused(open_cell, other, "lease.acquire", "lease_held")
             await bob.stop()
-            expect((await anna.state()).latched, "Stop of who does not hold the cell was not honoured.")
+            expect((await anna.state()).latched, "Stop was not honoured for an operator who does not hold the cell.")
         async with bob.holding():
             control = await accept(bob, "registration.reinit")
         rows = [each for each in open_cell.cell.rows(row) if each.source == "bus:bob"]
@@ -72,20 +73,20 @@ async def two_operators(lab: Lab) -> Evidence:
     )
 
 
-@fault("A1", how=f"{SIGNED}: with the peer's name and another key, as a peer that is not known, and unsigned")
+@fault("A1", how=f"{SIGNED}: with the peer's name and another key, as an unknown peer, and unsigned")
 async def spoofed_source(lab: Lab) -> Evidence:
-    """Whoever says to be somebody else is refused and gets no answer."""
+    """A sender under a false name is refused and gets no answer."""
     async with reachable_cell(lab, 'gateway.unsigned_peers=["127.0.0.2"]') as open_cell:
         key = bytes(reversed(read_key(open_cell.peer_key)))
         other = [Signer("slicer", key, lambda: 1).sign(b"img_fid_numxxxxx_4;") for _ in range(FORGED)]
         unknown = [Signer("mallory", key, lambda: 1).sign(b"img_fid_numxxxxx_4;")]
         forged = [*other, *unknown, b"img_fid_numxxxxx_4;"]
-        return await _ignored(open_cell, forged, control=open_cell.signer().sign(b"img_fid_numxxxxx_4_#1;"))
+        return await _check_ignored(open_cell, forged, control=open_cell.signer().sign(b"img_fid_numxxxxx_4_#1;"))
 
 
 @fault("A2", how=f"{SIGNED}: each a second time, in reverse order")
 async def replayed(lab: Lab) -> Evidence:
-    """What the peer has sent is refused when somebody sends it again."""
+    """A command of the peer is refused when another program sends it again."""
     async with reachable_cell(lab) as open_cell:
         signer = open_cell.signer()
         sent = [signer.sign(b"stop_visualizexx_#%d;" % number) for number in range(20)]
@@ -95,65 +96,65 @@ async def replayed(lab: Lab) -> Evidence:
             async with asyncio.timeout(10.0):
                 answers = [await raw.answers.get() for _ in sent]
         expect(all(b"_accepted_" in answer for answer in answers), f"The peer itself was answered {answers[0]!r}.")
-        evidence = await _ignored(open_cell, [*reversed(sent)] * 5, control=signer.sign(b"stop_visualizexx_#21;"))
+        evidence = await _check_ignored(open_cell, [*reversed(sent)] * 5, control=signer.sign(b"stop_visualizexx_#21;"))
         return replace(evidence, control={**evidence.control, "the_first_time": len(answers)})
 
 
 @fault("A3", how=f"{SIGNED}: with any bit flipped")
 async def flipped_bit(lab: Lab) -> Evidence:
-    """A signed command of which any bit was changed is refused."""
+    """A signed command with one changed bit is refused."""
     async with reachable_cell(lab) as open_cell:
         datagram = open_cell.signer().sign(b"img_fid_numxxxxx_4_#1;")
         flipped = [
             bytes(byte ^ (1 << bit % 8) if place == bit // 8 else byte for place, byte in enumerate(datagram))
             for bit in range(8 * len(datagram))
         ]
-        return await _ignored(open_cell, flipped, control=datagram)
+        return await _check_ignored(open_cell, flipped, control=datagram)
 
 
 @fault("A9", how=f"{SIGNED}: {FORGED} of every kind of garbage, and of forged commands")
 async def unauthenticated(lab: Lab) -> Evidence:
-    """Nobody learns from an answer that there is somebody."""
+    """An unauthenticated sender gets no answer that would show that a daemon listens."""
     async with reachable_cell(lab, 'gateway.unsigned_peers=["127.0.0.2"]') as open_cell:
         garbage = [lab.random.randbytes(lab.random.randrange(1, 200)) for _ in range(FORGED)]
         forged = [b"stop_now_xxxxxxx;|slicer|%d|%s" % (n, b"0" * 32) for n in range(FORGED)]
         unsigned = [b"stop_now_xxxxxxx_#%d;" % n for n in range(FORGED)]
         control = open_cell.signer().sign(b"stop_now_xxxxxxx_#1;")
-        return await _ignored(open_cell, [*garbage, *forged, *unsigned], control=control)
+        return await _check_ignored(open_cell, [*garbage, *forged, *unsigned], control=control)
 
 
 @fault("A11", how=f"{TLS}: without certificate, with one of another authority, and with an expired one")
 async def no_certificate(lab: Lab) -> Evidence:
-    """Nobody without a certificate that counts gets in."""
+    """No client without a valid certificate is admitted."""
     async with reachable_cell(lab) as open_cell:
-        alert = await _ended_by(open_cell, with_certificate=is_sham())
+        alert = await _connection_end(open_cell, with_certificate=is_sham())
         expect("CERTIFICATE_REQUIRED" in alert, f"Without a certificate a connection was ended by {alert!r}.")
-        alone = await _ended_by(open_cell, with_certificate=True)
+        alone = await _connection_end(open_cell, with_certificate=True)
         expect(not alone, f"With a certificate, too, a connection was ended by {alone!r}.")
-        turned_away: dict[str, object] = {"alert_to_nobody": alert}
+        rejected: dict[str, object] = {"alert_to_nobody": alert}
         for name in (FOREIGN, EXPIRED):
             used = "anna" if is_sham() else name
-            async with counting_endpoint(open_cell) as (endpoint, weather):
+            async with counting_endpoint(open_cell) as (endpoint, impairment):
                 settings = msgspec.structs.replace(open_cell.settings(used), endpoint=endpoint)
-                expect(not await _let_in(settings), f"{used} was let in.")
-            turned_away[f"bytes_of_{name}_at_the_daemon"] = weather.passed["towards"]
-        expect(await _let_in(open_cell.settings("anna")), "Not even anna is let in.")
+                expect(not await _is_admitted(settings), f"{used} was admitted.")
+            rejected[f"bytes_of_{name}_at_the_daemon"] = impairment.passed["towards"]
+        expect(await _is_admitted(open_cell.settings("anna")), "anna was not admitted either.")
     return Evidence(
         "refused",
-        took_place=turned_away,
+        took_place=rejected,
         control={"let_in": "anna", "kept_with_a_certificate": not alone},
     )
 
 
 @fault("A11", how=f"{TLS}: with a certificate that was revoked")
 async def revoked_certificate(lab: Lab) -> Evidence:
-    """Whoever has it is connected, and nothing that they send has an effect."""
+    """A client with a revoked certificate is connected, but nothing that it sends has an effect."""
     async with reachable_cell(lab) as open_cell:
         async with unmoved(open_cell), counted_session(open_cell, REVOKED) as session:
-            await _try_everything(open_cell, session, REVOKED)
-            arrived = await session.arrived()
+            await _send_forbidden(open_cell, session, REVOKED)
+            arrived = await session.wait_until_arrived()
         async with open_cell.client("anna") as anna, anna.holding():
-            control = await _taken_of(open_cell, "anna")
+            control = await _accepted_from(open_cell, "anna")
     return Evidence(
         "connected, and nothing that it sent had an effect",
         took_place={"bytes_of_the_revoked_one_at_the_daemon": arrived},
@@ -161,20 +162,20 @@ async def revoked_certificate(lab: Lab) -> Evidence:
     )
 
 
-@fault("A12", how=f"{TLS}: every role sends what is another's, under its own name and others'")
+@fault("A12", how=f"{TLS}: every role sends messages of other roles, under its own name and others'")
 async def wrong_role(lab: Lab) -> Evidence:
-    """What is not a role's is dropped; what a role may not ask for is refused with the reason."""
+    """A message of another role is dropped; an operation that a role may not request is refused with the reason."""
     async with reachable_cell(lab) as open_cell, open_cell.client("anna") as anna, anna.holding():
         arrived = {}
         async with unmoved(open_cell):
             for name, others in (("eve", ("eve", "anna", "local")), ("slicer", ("anna", "local")), ("tom", ("anna",))):
                 async with counted_session(open_cell, name) as session:
                     for other in others:
-                        await _try_everything(open_cell, session, other)
-                    arrived[name] = await session.arrived()
+                        await _send_forbidden(open_cell, session, other)
+                    arrived[name] = await session.wait_until_arrived()
         async with open_cell.client("slicer") as slicer:
-            planner = await _refused(open_cell, slicer, "robot.connect", "role_not_allowed")
-        control = await _taken_of(open_cell, "anna")
+            planner = await _check_refused(open_cell, slicer, "robot.connect", "role_not_allowed")
+        control = await _accepted_from(open_cell, "anna")
     return Evidence(
         "dropped; a planner's motion refused",
         took_place={f"bytes_of_{name}_at_the_daemon": count for name, count in arrived.items()},
@@ -183,21 +184,21 @@ async def wrong_role(lab: Lab) -> Evidence:
     )
 
 
-@fault("A14", how=f"{TLS}: a message of {LARGE // 2**20} MiB, of somebody who may send")
+@fault("A14", how=f"{TLS}: a message of {LARGE // 2**20} MiB, from a user who may send")
 async def enormous_message(lab: Lab) -> Evidence:
-    """A message that is too long is not taken, and nobody else is kept waiting."""
+    """A message that is too long is not accepted, and other clients are not delayed."""
     async with reachable_cell(lab) as open_cell, open_cell.client("anna") as anna:
         before = sample(open_cell.cell.process.pid).memory
         async with unmoved(open_cell), counted_session(open_cell, "bob") as session:
             for _ in range(4):
                 await session.put(f"pcmrs/lab/{open_cell.cell.name}/cmd/bob/registration/reinit", bytes(LARGE))
-            arrived = await session.arrived(most=MAX_BYTES)
+            arrived = await session.wait_until_arrived(most=MAX_BYTES)
         grown = sample(open_cell.cell.process.pid).memory - before
         expect(grown < 4 * LARGE, f"The daemon has grown by {grown / 2**20:.0f} MiB.")
         async with anna.holding():
             await accept(anna, "registration.reinit")
         async with open_cell.client("bob") as bob, bob.holding():
-            control = await _taken_of(open_cell, "bob", "registration/reinit")
+            control = await _accepted_from(open_cell, "bob", "registration/reinit")
     return Evidence(
         "not taken; others are served",
         took_place={"bytes_at_the_daemon": arrived},
@@ -208,7 +209,7 @@ async def enormous_message(lab: Lab) -> Evidence:
 
 @fault("A15", how=f"{TLS}: on keys with wildcards, of an operator and a viewer")
 async def wildcards(lab: Lab) -> Evidence:
-    """Nobody sends to all at once."""
+    """A put to many keys at once is denied."""
     arrived = {}
     async with reachable_cell(lab) as open_cell:
         keys = ("**", "pcmrs/**", "pcmrs/*/*/**", "pcmrs/lab/*/cmd/**", "pcmrs/lab/*/stop/*", "pcmrs/lab/*/dev/*/cmd")
@@ -218,9 +219,9 @@ async def wildcards(lab: Lab) -> Evidence:
                     for key in keys:
                         await session.put(key, b"{}")
                         await session.delete(key)
-                    arrived[name] = await session.arrived()
+                    arrived[name] = await session.wait_until_arrived()
         async with open_cell.client("anna") as anna, anna.holding():
-            control = await _taken_of(open_cell, "anna")
+            control = await _accepted_from(open_cell, "anna")
     return Evidence(
         "denied",
         took_place={f"bytes_of_{name}_at_the_daemon": count for name, count in arrived.items()},
@@ -231,19 +232,19 @@ async def wildcards(lab: Lab) -> Evidence:
 
 @fault("A17", how="real key files that others may read: of the daemon, of a peer, and of the journal")
 async def readable_key(lab: Lab) -> Evidence:
-    """The daemon does not start with a secret that is none, and says which."""
-    said_so = {}
+    """The daemon does not start with a secret that others can read, and names the file."""
+    statuses = {}
     async with reachable_cell(lab) as open_cell:
         settings = open_cell.cell.settings
         keys = [open_cell.people.folder / "daemon1" / "daemon1.key", open_cell.peer_key]
         keys.append(open_cell.cell.folder / "journal.key")
     modes = {}
     for key in keys:
-        bring_about(partial(key.chmod, 0o644))
+        inject_unless_sham(partial(key.chmod, 0o644))
         modes[key.name] = f"{key.stat().st_mode & 0o777:04o}"
-        status, errors = await lab.ending(*settings, folder=open_cell.cell.folder)
+        status, errors = await lab.start_refused(*settings, folder=open_cell.cell.folder)
         expect(status in (2, 4) and str(key) in errors and "0644" in errors, f"Exit status {status}: {errors[-300:]}")
-        said_so[key.name] = status
+        statuses[key.name] = status
         key.chmod(0o600)
     async with lab.daemon(*settings, folder=open_cell.cell.folder) as cell:
         started = await cell.client.state()
@@ -251,13 +252,13 @@ async def readable_key(lab: Lab) -> Evidence:
         "the daemon does not start, and names the file",
         took_place={"modes": modes},
         control={"with_0600": f"starts, robot {started.branches['robot']}"},
-        details={"status": said_so},
+        details={"status": statuses},
     )
 
 
 @fault("A18", how=f"{TLS}: on the keys of Zenoh's own configuration")
 async def administration(lab: Lab) -> Evidence:
-    """Nobody changes the access control through the router's own keys."""
+    """The access control cannot be changed through the router's own keys."""
     async with reachable_cell(lab) as open_cell:
         async with unmoved(open_cell):
             async with counted_session(open_cell, "anna") as session:
@@ -266,16 +267,16 @@ async def administration(lab: Lab) -> Evidence:
                     for path in ("access_control/enabled", "access_control/default_permission", "adminspace/enabled"):
                         await session.put(f"@/{router}/router/config/{path}", b"false")
                         await session.delete(f"@/{router}/router/config/{path}")
-                arrived = await session.arrived()
-                asked = await asyncio.to_thread(lambda: list(session.zenoh.get("@/**", timeout=QUIET)))
-            replies = [str(reply.ok.key_expr).split("/")[1] for reply in asked if reply.ok is not None]
-            answers = [each for each in replies if each in routers]  # others are its own
-            expect(not answers, f"The administration answers: {len(answers)} times.")
+                arrived = await session.wait_until_arrived()
+                replies_of_all = await asyncio.to_thread(lambda: list(session.zenoh.get("@/**", timeout=QUIET)))
+            replies = [str(reply.ok.key_expr).split("/")[1] for reply in replies_of_all if reply.ok is not None]
+            answers = [each for each in replies if each in routers]  # the others are the session itself
+            expect(not answers, f"The daemon's admin space answered {len(answers)} times.")
             async with counted_session(open_cell, "eve") as session:
-                await _try_everything(open_cell, session, "anna")
-                arrived_after = await session.arrived()
+                await _send_forbidden(open_cell, session, "anna")
+                arrived_after = await session.wait_until_arrived()
         async with open_cell.client("anna") as anna, anna.holding():
-            control = await _taken_of(open_cell, "anna")
+            control = await _accepted_from(open_cell, "anna")
     return Evidence(
         "denied; access control holds",
         took_place={"bytes_for_the_administration": arrived, "bytes_of_eve_afterwards": arrived_after},
@@ -286,40 +287,42 @@ async def administration(lab: Lab) -> Evidence:
 
 @fault("C6", how=f"{TLS}: of a user, and of the daemon itself")
 async def expired_certificate(lab: Lab) -> Evidence:
-    """Whoever has it is told; whoever hides that is not let in."""
+    """A user with an expired certificate gets the reason; a client that hides it is not admitted."""
     now = SystemClock().wall()
     async with reachable_cell(lab) as open_cell:
-        reason = _why_not(open_cell.people.folder / EXPIRED, now)
-        expect("has expired on" in reason, f"It is said: {reason}")
+        reason = _refusal_text(open_cell.people.folder / EXPIRED, now)
+        expect("has expired on" in reason, f"The reason is: {reason}")
         used = "anna" if is_sham() else EXPIRED
-        expect(not await _let_in(open_cell.settings(used)), "Somebody whose certificate has expired was let in.")
-        expect(await _let_in(open_cell.settings("anna")), "Nor is anna let in, whose certificate counts.")
+        expect(not await _is_admitted(open_cell.settings(used)), "A user with an expired certificate was admitted.")
+        expect(
+            await _is_admitted(open_cell.settings("anna")), "anna was not admitted, although her certificate is valid."
+        )
         authority, folder = open_cell.people.authority, open_cell.people.folder
         settings = [each for each in open_cell.cell.settings if not each.startswith("access.identity")]
         place = open_cell.cell.folder
     authority.issue("daemon", "daemon2", now - 10 * 86400.0, days=7.0, hosts=("127.0.0.1",), into=folder)
-    status, errors = await lab.ending(*settings, f"access.identity={folder / 'daemon2'}")
+    status, errors = await lab.start_refused(*settings, f"access.identity={folder / 'daemon2'}")
     expect(status == 4 and "daemon2.pem has expired on" in errors, f"Exit status {status}: {errors[-300:]}")
     async with lab.daemon(*settings, f"access.identity={folder / 'daemon1'}", folder=place) as cell:
         started = await cell.client.state()
     return Evidence(
-        "refused, and why is said",
+        "refused with the reason",
         took_place={"user": reason, "daemon": errors.strip().splitlines()[-1]},
         control={"let_in": "anna", "daemon_with_one_that_counts": f"starts, robot {started.branches['robot']}"},
         details={"status": status},
     )
 
 
-async def _refused(open_cell: ReachableCell, client: Client, name: str, code: str) -> str:
-    """Response R to somebody's command; returns what was said."""
+async def _check_refused(open_cell: ReachableCell, client: Client, name: str, code: str) -> str:
+    """Check response R to a user's command, and return the text of the refusal."""
     before, row = await open_cell.cell.client.state(), open_cell.cell.last_row()
     verdict = await client.call(name)
     await check_refused(open_cell.cell, verdict, before, row, [code])
     return reason_text(verdict)
 
 
-async def _ignored(open_cell: ReachableCell, datagrams: list[bytes], *, control: bytes) -> Evidence:
-    """None of the datagrams is answered or changes anything, and the journal tells of all; `control` is accepted."""
+async def _check_ignored(open_cell: ReachableCell, datagrams: list[bytes], *, control: bytes) -> Evidence:
+    """Check that no datagram is answered or changes anything, and all are journalled; `control` is accepted."""
     cell = open_cell.cell
     before, row = await cell.client.state(), cell.last_row()
     async with raw_socket(cell.ready.links["planner"]) as raw:
@@ -329,14 +332,14 @@ async def _ignored(open_cell: ReachableCell, datagrams: list[bytes], *, control:
                 await _until_refused(cell, row, count)
         await asyncio.sleep(QUIET)
         answered = raw.answers.qsize()
-    expect(answered == 0, f"{answered} were answered.")
+    expect(answered == 0, f"{answered} datagrams were answered.")
     expect(shape(await cell.client.state()) == shape(before), "The state has changed.")
-    told = [each for each in cell.rows(row) if each.operation == "refused"]
-    reasons = sorted({(each.result or {})["fields"]["reason"] for each in told})
+    reports = [each for each in cell.rows(row) if each.operation == "refused"]
+    reasons = sorted({(each.result or {})["fields"]["reason"] for each in reports})
     refused_ones = refusals_after(cell, row)
-    answer = await taken(cell, control)
+    answer = await send_accepted(cell, control)
     return Evidence(
-        "refused, not answered, told in the journal",
+        "refused, not answered, reported in the journal",
         took_place={"refused_in_the_journal": refused_ones},
         control={"signed_by_the_peer": answer},
         details={"sent": len(datagrams), "reasons": reasons},
@@ -347,8 +350,8 @@ async def _until_refused(cell: RunningCell, row: int, count: int) -> None:
     await until_true(lambda: refusals_after(cell, row) >= count, f"The journal does not have {count} refusals")
 
 
-async def _let_in(settings: BusSettings) -> bool:
-    """Whether a session is opened."""
+async def _is_admitted(settings: BusSettings) -> bool:
+    """Return whether a session is opened."""
     try:
         session = await asyncio.to_thread(open_session, settings)
     except BusError:
@@ -357,8 +360,11 @@ async def _let_in(settings: BusSettings) -> bool:
     return True
 
 
-async def _ended_by(open_cell: ReachableCell, *, with_certificate: bool) -> str:
-    """Why the daemon ends a bare connection over TLS, if it does; Zenoh's client dials nobody without a certificate."""
+async def _connection_end(open_cell: ReachableCell, *, with_certificate: bool) -> str:
+    """Return why the daemon ends a bare TLS connection; empty if it does not.
+
+    Zenoh's own client never dials without a certificate.
+    """
     own = open_cell.people.credentials("anna")
     context = ssl.create_default_context(cafile=own.authority)
     if with_certificate:
@@ -375,8 +381,8 @@ async def _ended_by(open_cell: ReachableCell, *, with_certificate: bool) -> str:
         writer.close()
 
 
-async def _try_everything(open_cell: ReachableCell, session: CountedSession, name: str) -> None:
-    """Commands, calls of devices, false poses and states, and Stop, as if one were somebody else."""
+async def _send_forbidden(open_cell: ReachableCell, session: CountedSession, name: str) -> None:
+    """Send commands, device calls, false poses and states under another name."""
     prefix = f"pcmrs/lab/{open_cell.cell.name}"
     hold = msgspec.json.encode({"method": "hold", "arguments": {}})
     for key, payload in (
@@ -391,8 +397,8 @@ async def _try_everything(open_cell: ReachableCell, session: CountedSession, nam
         expect(not await session.ask(f"{prefix}/{key}", payload), f"{key} was answered.")
 
 
-async def _taken_of(open_cell: ReachableCell, name: str, command: str = "robot/connect") -> str:
-    """The bytes of a command by somebody who holds the cell: a control."""
+async def _accepted_from(open_cell: ReachableCell, name: str, command: str = "robot/connect") -> str:
+    """Send the same command as a user who holds the cell, as a control, and return the decision."""
     key = f"pcmrs/lab/{open_cell.cell.name}/cmd/{name}/{command}"
 
     def ask() -> list[bytes]:
@@ -403,23 +409,23 @@ async def _taken_of(open_cell: ReachableCell, name: str, command: str = "robot/c
     answers = await asyncio.to_thread(ask)
     expect(len(answers) == 1, f"{key} had {len(answers)} answers.")
     verdict = unpack(answers[0], Verdict)
-    expect(verdict.decision == "accepted", f"{key} of who may was {verdict.decision}: {reason_text(verdict)}.")
+    expect(verdict.decision == "accepted", f"{key} by a permitted user was {verdict.decision}: {reason_text(verdict)}.")
     return verdict.decision
 
 
 @asynccontextmanager
 async def unmoved(open_cell: ReachableCell) -> AsyncIterator[None]:
-    """The state of the cell is at the end what it was, and its journal has no decision of anybody's."""
+    """Check that the context leaves the state of the cell unchanged, and no decision in its journal."""
     cell = open_cell.cell
     before, row = await cell.client.state(), cell.last_row()
     yield
     await asyncio.sleep(QUIET)
     expect(shape(await cell.client.state()) == shape(before), "The state has changed.")
     decided = [each for each in cell.rows(row) if each.kind in ("intent", "outcome")]
-    expect(not decided, f"{len(decided)} commands got to the dispatcher.")
+    expect(not decided, f"{len(decided)} commands reached the dispatcher.")
 
 
-def _why_not(folder: Path, now: float) -> str:
+def _refusal_text(folder: Path, now: float) -> str:
     try:
         read_credentials(folder, now)
     except ConfigurationError as error:

@@ -1,4 +1,4 @@
-"""What somebody does on purpose, as far as it needs no access control: floods, magic texts, forged files."""
+"""Deliberate attacks that need no access control: floods, magic texts, forged files."""
 
 from __future__ import annotations
 
@@ -33,30 +33,31 @@ from pcmrs.testing.driving import (
     until,
 )
 from pcmrs_lab.campaign.checks import confirmed, expect, held, refused, refused_at_edge, reported, shape, unmoved
-from pcmrs_lab.campaign.damage import append_without_key, leave_unnamed
-from pcmrs_lab.campaign.datagrams import Raw, raw_socket, refused_all, taken
+from pcmrs_lab.campaign.damage import append_past_head, append_without_key
+from pcmrs_lab.campaign.datagrams import Raw, raw_socket, refused_all, send_accepted
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.flood import flood
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.lateness import percentile, timer_lateness
-from pcmrs_lab.campaign.sham import bring_about, is_sham
+from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
 
 FLOOD = 40_000.0
 """Datagrams per second."""
 
 STOP_WITHIN = 0.02
-"""The daemon has begun to stop within this, s of the machine, beyond what a bare timer is late in the same run."""
+"""Time within which the daemon has begun to stop, s of the machine, beyond the lateness of a bare timer in the same
+run."""
 
 STOPS = 50
 SPAM = 2_000
 BATCH = 50
-"""So many Stops are sent before their answers are waited for: more would not fit into the socket's buffer."""
+"""Number of Stops that are sent before their answers are awaited: more would not fit into the socket's buffer."""
 
 POINTS = 25
-"""Of a surface that is digitized: enough to refine a registration."""
+"""Number of digitized surface points: enough to refine a registration."""
 
 SILENT = 1_100
-"""Connections at once: more than a process may have descriptors, by the usual limit of 1,024."""
+"""Number of simultaneous connections: more than the usual limit of 1,024 descriptors of a process."""
 
 RIGHT = "0.1"
 WRONG_NUMBERS = ("nan", "1e999", "-1e999", "٣", "1_000", "inf", "0x10", "1,5", "")
@@ -85,12 +86,12 @@ if sys.argv[1] == "free":
     importer.confine = lambda memory, seconds: None
 importer.main()
 """
-"""What a file could make its reader do."""
+"""Actions that a malicious file could make its reader perform."""
 
 
 @fault("A4", how="a process that sends 40,000 datagrams per second, nearly all of them refused", deadline=180.0)
 async def stop_under_a_flood(lab: Lab) -> Evidence:
-    """Stop over the bus while the planner's socket is flooded; once in the middle of a motion."""
+    """Stop over the bus works while the planner's socket is flooded; once in the middle of a motion."""
     async with lab.daemon("cell.rate=1", "procedure.max_pose_age=0.5", "robot.deadman=0.5") as cell:
         await register(cell.client)
         async with moving(cell.client), flood(cell.ready.links["planner"], FLOOD, lab.seed) as sent:
@@ -116,13 +117,13 @@ async def stop_under_a_flood(lab: Lab) -> Evidence:
 
 @fault("A5", how="raw datagrams")
 async def magic_texts(lab: Lab) -> Evidence:
-    """Words that might end a receiver, whole and as a part of a datagram."""
+    """Texts that might close a receiver are refused, alone and as a part of a datagram."""
     async with lab.cell() as cell:
         await digitize_landmarks(cell.client)
         details = await refused_all(cell, [*MAGIC, *(b"x" * 16 + m for m in MAGIC)])
-        control = await taken(cell, b"stop_visualizexx_#1;")
+        control = await send_accepted(cell, b"stop_visualizexx_#1;")
     return Evidence(
-        "refused, the receiver goes on",
+        "refused, the receiver continues",
         took_place={"refused_in_the_journal": details.pop("refused")},
         control={"a_command_instead": control},
         details=details,
@@ -131,7 +132,7 @@ async def magic_texts(lab: Lab) -> Evidence:
 
 @fault("A6", how="raw datagrams and requests on the bus")
 async def unknown_commands_and_bad_numbers(lab: Lab) -> Evidence:
-    """Commands that there are not, indices and numbers that are none."""
+    """Unknown commands, and invalid indices and numbers, are refused."""
     wrong = [b"no_such_commandx;", b"img_fid_numxxxxx_-1;", b"img_fid_numxxxxx_1000;", b"img_dig_digitize_x;"]
     wrong += [b"target_tslxxxxxx_1_2;", b"target_tslxxxxxx_1_2_3_4;", b"target_tslxxxxxx_1_2_x;"]
     async with lab.cell() as cell:
@@ -157,18 +158,26 @@ async def unknown_commands_and_bad_numbers(lab: Lab) -> Evidence:
 
 
 async def right_numbers(cell: RunningCell, details: Mapping[str, Any]) -> str:
-    """The answer to a target of right numbers; the wrong ones were refused for themselves, not for want of a rotation.
+    """Return the answer to a target of valid numbers, as a control.
+
+    The invalid numbers must have been refused for themselves, and not because a rotation was missing.
+
+    Args:
+        cell: Cell that receives the target.
+        details: Details of the refusals.
 
     Raises:
-        Unmet: It was not accepted, or they were refused for another reason.
+        Unmet: The target was not accepted, or the numbers were refused for another reason.
     """
     expect("no_rotation" not in details["reasons"], f"They were refused for {details['reasons']}.")
-    return await taken(cell, b"target_rotxxxxxx_0_0_0_1_#1;", f"target_tslxxxxxx_{RIGHT}_{RIGHT}_{RIGHT}_#2;".encode())
+    return await send_accepted(
+        cell, b"target_rotxxxxxx_0_0_0_1_#1;", f"target_tslxxxxxx_{RIGHT}_{RIGHT}_{RIGHT}_#2;".encode()
+    )
 
 
 @fault("A7", how="raw datagrams and requests on the bus")
 async def numbers_that_only_some_parsers_read(lab: Lab) -> Evidence:
-    """What Python's own conversion would take, and what it would take for infinite."""
+    """Numbers that Python's own conversion would accept, or read as infinite, are refused."""
     wrong = [f"target_tslxxxxxx_{RIGHT}_{RIGHT}_{number};".encode() for number in WRONG_NUMBERS]
     wrong += [f"img_fid_numxxxxx_{number};".encode() for number in WRONG_NUMBERS]
     async with lab.cell() as cell:
@@ -197,7 +206,7 @@ def _pose(number: object) -> dict[str, Any]:
 
 @fault("A8", how="raw datagrams")
 async def paths_from_the_network(lab: Lab) -> Evidence:
-    """Paths that lead elsewhere: only the last part counts, and it names a surface that was configured."""
+    """Paths to other files: only the last part counts, and must name a configured surface."""
     secret = lab.folder / "secret.ply"
     secret.write_text("ply")
     paths = (
@@ -221,9 +230,9 @@ async def paths_from_the_network(lab: Lab) -> Evidence:
     reasons = [verdict.reason.code for verdict in decided if verdict.reason]
     expect(reasons == ["unknown_surface"] * len(paths), f"They were refused for {reasons}.")
     accepted = [path for path, verdict in verdicts.items() if verdict.decision == "accepted"]
-    expect(not accepted, f"Accepted was {accepted}.")
+    expect(not accepted, f"{accepted} were accepted.")
     expect(shape(before) == shape(after), f"The state has changed: {before} became {after}.")
-    expect(not new, f"Files were made: {new}.")
+    expect(not new, f"Files were created: {new}.")
     return Evidence(
         "refused, no file was touched",
         took_place={"refused_in_the_journal": reasons},
@@ -248,9 +257,11 @@ async def stop_spam(lab: Lab) -> Evidence:
         await held(cell)
         await confirmed(cell)
         honoured = sum(b"_accepted_" in answer for answer in answers)
-        told = [entry for entry in cell.rows(row) if entry.kind == "device"]
-        again = [entry.result or {} for entry in told if entry.operation == PRESSED_AGAIN]
-        stops = sum(entry.operation == "stopped" for entry in told) + sum(each["fields"]["presses"] for each in again)
+        reports = [entry for entry in cell.rows(row) if entry.kind == "device"]
+        again = [entry.result or {} for entry in reports if entry.operation == PRESSED_AGAIN]
+        stops = sum(entry.operation == "stopped" for entry in reports) + sum(
+            each["fields"]["presses"] for each in again
+        )
         expect(honoured == SPAM, f"Of {SPAM} Stops {honoured} were confirmed.")
         expect(stops == SPAM, f"Of {SPAM} Stops the journal counts {stops}.")
         await reset_cell(cell.client)
@@ -265,17 +276,17 @@ async def stop_spam(lab: Lab) -> Evidence:
 
 @fault("A19", how="the bytes that a browser sends, and pieces of them")
 async def a_web_page(lab: Lab) -> Evidence:
-    """The headers of a request are no commands; its body holds one."""
+    """The headers of a request are no commands; its body contains one."""
     command = b"rob_conn_onxxxxx_#1;"
     head = b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: text/plain\r\n\r\n"
     requests = [head + b";" + command, b"POST /;" + command + b" HTTP/1.1\r\n\r\n", b"rob_conn\r\n;" + command]
     async with lab.daemon() as cell:
         row = cell.last_row()
         async with unmoved(cell):
-            answers = [await _told(cell, request) for request in requests if not is_sham()]
+            answers = [await _first_answer(cell, request) for request in requests if not is_sham()]
             malformed = await reported(cell, row, edge="gateway", code="malformed", count=len(requests))
-        expect(not any(answers), f"Answered was {answers}.")
-        control = await _told(cell, command)
+        expect(not any(answers), f"The answers were {answers}.")
+        control = await _first_answer(cell, command)
         expect(control.startswith(b"1_accepted"), f"The command by itself was answered {control!r}.")
     return Evidence(
         "ended at the first wrong byte",
@@ -286,38 +297,38 @@ async def a_web_page(lab: Lab) -> Evidence:
 
 @fault("A20", how="TCP connections that send nothing")
 async def silent_connections(lab: Lab) -> Evidence:
-    """So many that they would use up the daemon's descriptors; the tool moves, and Stop is pressed over the bus."""
+    """Silent connections would use up the daemon's descriptors; the tool moves, and Stop is pressed over the bus."""
     async with lab.daemon() as cell:
         await register(cell.client)
         row, (host, port) = cell.last_row(), cell.ready.links["tcp"]
         opened = [await asyncio.open_connection(host, port) for _ in range(0 if is_sham() else SILENT)]
         try:
-            turned_away = await reported(
+            rejected = await reported(
                 cell, row, edge="gateway", code="too_many_connections", count=SILENT - MOST_OF_A_HOST
             )
             async with moving(cell.client):
                 await cell.client.stop()
             await held(cell)
-            refused_now = await _told(cell, b"rob_conn_onxxxxx_#1;")
+            refused_now = await _first_answer(cell, b"rob_conn_onxxxxx_#1;")
         finally:
             for _, writer in opened:
                 writer.close()
         expect(not refused_now, f"One more connection was answered {refused_now!r}.")
         async with asyncio.timeout(PATIENCE):
-            while not (control := await _told(cell, b"get_jnt_angsxxxx_#2;")):
-                pass  # the daemon learns of the closed ones one after the other
+            while not (control := await _first_answer(cell, b"get_jnt_angsxxxx_#2;")):
+                pass  # the daemon notices the closed connections one after the other
         await confirmed(cell)
     return Evidence(
         "bounded, and Stop works",
-        took_place={"turned_away_in_the_journal": turned_away},
+        took_place={"turned_away_in_the_journal": rejected},
         control={"one_more_when_they_are_closed": control.decode()},
         details={"connections": SILENT},
     )
 
 
-@fault("A25", how="a signed command that is kept back; at a peer with the time in its counters, and at one without")
+@fault("A25", how="a signed command that is delayed; from a peer with the time in its counters, and from one without")
 async def held_back(lab: Lab) -> Evidence:
-    """Somebody on the way keeps a datagram, and lets it through when nobody thinks of it any more."""
+    """An attacker on the route delays a datagram, and delivers it long after it was sent."""
     command, peers, settings = b"rob_conn_onxxxxx_#1;", {}, []
     for name, counter in (("timed", "unix_ns"), ("growing", "growing")):
         key = lab.folder / f"{name}.key"
@@ -331,13 +342,13 @@ async def held_back(lab: Lab) -> Evidence:
             await asyncio.sleep(FRESH_FOR + 0.5)
         row = cell.last_row()
         async with unmoved(cell):
-            (answer,) = await _asked(raw, held["timed"])
+            (answer,) = await _send_and_receive(raw, held["timed"])
             too_old = await reported(cell, row, edge="gateway", code="too_old", count=1)
         expect(b"_rejected_" in answer and b"too_old;" in answer, f"The peer with the time was answered {answer!r}.")
-        (control,) = await _asked(raw, held["growing"])
+        (control,) = await _send_and_receive(raw, held["growing"])
         expect(b"_accepted_" in control, f"The peer without the time was answered {control!r}.")
-        (fresh,) = await _asked(raw, peers["timed"].sign(b"rob_conn_offxxxx_#2;"))
-        expect(b"_accepted_" in peers["timed"].check(fresh), f"What was fresh was answered {fresh!r}.")
+        (fresh,) = await _send_and_receive(raw, peers["timed"].sign(b"rob_conn_offxxxx_#2;"))
+        expect(b"_accepted_" in peers["timed"].check(fresh), f"A fresh command was answered {fresh!r}.")
     return Evidence(
         "refused as too old",
         took_place={"too_old_in_the_journal": too_old},
@@ -348,7 +359,7 @@ async def held_back(lab: Lab) -> Evidence:
 
 @fault("A26", how="the program that reads uploaded files, its parser taken over, with its limits and without")
 async def a_reader_is_taken_over(lab: Lab) -> Evidence:
-    """A file makes its reader open a connection, start a program, take memory and write; each is tried."""
+    """A file makes its reader try to open a connection, start a program, take memory and write."""
     tries, pipe = {}, asyncio.subprocess.PIPE
     request = msgspec.msgpack.encode(PointsRequest("patient.json", memory=2**30, seconds=60))
     for how in ("confined", "free"):
@@ -356,8 +367,13 @@ async def a_reader_is_taken_over(lab: Lab) -> Evidence:
         process = await asyncio.create_subprocess_exec(*words, stdin=pipe, stdout=pipe)
         answer, _ = await process.communicate(request)
         tries[how] = msgspec.msgpack.decode(answer, type=Refused).text.split()
-    expect(tries["free"] == ["done"] * 4, f"Without limits came {tries['free']}: the attack did not take place.")
-    expect(len(tries["confined"]) == 4 and "done" not in tries["confined"], f"With limits came {tries['confined']}.")
+    expect(
+        tries["free"] == ["done"] * 4, f"Without limits the results were {tries['free']}: the attack did not happen."
+    )
+    expect(
+        len(tries["confined"]) == 4 and "done" not in tries["confined"],
+        f"With limits the results were {tries['confined']}.",
+    )
     written = {how: (lab.folder / how).stat().st_size for how in tries}
     expect(written == {"confined": 0, "free": 1}, f"Bytes were written: {written}.")
     return Evidence(
@@ -367,13 +383,13 @@ async def a_reader_is_taken_over(lab: Lab) -> Evidence:
     )
 
 
-async def _asked(raw: Raw, sent: bytes) -> list[bytes]:
+async def _send_and_receive(raw: Raw, sent: bytes) -> list[bytes]:
     raw.send(sent)
     return await _answers(raw, 1)
 
 
-async def _told(cell: RunningCell, sent: bytes) -> bytes:
-    """What the TCP link answers first; nothing where the connection ends."""
+async def _first_answer(cell: RunningCell, sent: bytes) -> bytes:
+    """Return the first answer of the TCP link; empty if the connection ends."""
     reader, writer = await asyncio.open_connection(*cell.ready.links["tcp"])
     try:
         writer.write(sent)
@@ -387,20 +403,20 @@ async def _told(cell: RunningCell, sent: bytes) -> bytes:
 
 @fault("A16", how="SQL on the file, its guards removed first", deadline=300.0)
 async def the_journal_is_edited(lab: Lab) -> Evidence:
-    """A row is changed, and its hash is left; a start reads from the last snapshot on only, verifying reads it all."""
+    """A row is changed without its hash; a start reads only from the last snapshot, verifying reads all."""
     async with lab.daemon() as cell:
         await accept(cell.client, "registration.reinit")
         journal = Path(cell.ready.journal)
     whole = await asyncio.to_thread(verify, journal)
-    expect(whole.sound, f"What was not edited is verified as {whole}.")
+    expect(whole.sound, f"The unedited journal is verified as {whole}.")
     with closing(sqlite3.connect(journal)) as connection:
         (guard,) = connection.execute("SELECT sql FROM sqlite_master WHERE name = 'no_update'").fetchone()
         edit = f"DROP TRIGGER no_update; UPDATE journal SET body = zeroblob(20) WHERE sequence = 2; {guard};"  # noqa: S608  # of the file itself
-        bring_about(lambda: connection.executescript(edit))
+        inject_unless_sham(lambda: connection.executescript(edit))
         (body,) = connection.execute("SELECT body FROM journal WHERE sequence = 2").fetchone()
     verified = await asyncio.to_thread(verify, journal)
     expect(not verified.sound and verified.first_bad == 2, f"Verified as {verified}.")
-    expect(body == bytes(20), "The row is as it was.")
+    expect(body == bytes(20), "The row was not changed.")
     return Evidence(
         "found by pcmrs journal verify",
         took_place={"body_of_the_row": body.hex()},
@@ -411,7 +427,7 @@ async def the_journal_is_edited(lab: Lab) -> Evidence:
 
 @fault("A16", how="an older copy of the database in place of the newer one", deadline=300.0)
 async def the_journal_is_rolled_back(lab: Lab) -> Evidence:
-    """The database is as it was some commands ago; key and head are left alone."""
+    """The database is replaced by an older copy; key and head are unchanged."""
     copy = lab.folder / "older.sqlite"
     async with lab.daemon() as cell:
         await accept(cell.client, "registration.reinit")
@@ -424,10 +440,10 @@ async def the_journal_is_rolled_back(lab: Lab) -> Evidence:
     with closing(sqlite3.connect(journal)) as connection, closing(sqlite3.connect(whole)) as kept:
         connection.backup(kept)
     before = _last(journal)
-    bring_about(lambda: _put(copy, journal))
+    inject_unless_sham(lambda: _replace(copy, journal))
     gone = before - _last(journal)
     text = await _detected(lab, cell, "rolled back")
-    _put(whole, journal)
+    _replace(whole, journal)
     async with lab.daemon(folder=cell.folder) as successor:
         control = await accept(successor.client, "registration.reinit")
     return Evidence(
@@ -438,7 +454,7 @@ async def the_journal_is_rolled_back(lab: Lab) -> Evidence:
     )
 
 
-def _put(database: Path, journal: Path) -> None:
+def _replace(database: Path, journal: Path) -> None:
     for beside in journal.parent.glob(f"{journal.name}-*"):
         beside.unlink()
     shutil.copyfile(database, journal)
@@ -451,7 +467,7 @@ def _last(journal: Path) -> int:
 
 @fault("A29", how="an accepted verdict added to the database after the daemon has ended", deadline=300.0)
 async def rows_are_added_without_the_key(lab: Lab) -> Evidence:
-    """A start refuses the row, and names it; the same row is taken up where a crash has left it, with its MAC."""
+    """A start refuses the row, and names it; the same row is recovered after a crash, with its MAC."""
     whole = lab.folder / "whole.sqlite"
     async with lab.daemon() as cell:
         await accept(cell.client, "registration.reinit")
@@ -460,7 +476,7 @@ async def rows_are_added_without_the_key(lab: Lab) -> Evidence:
         end, verdict = reader.last_sequence(), next(reader.read(kind="outcome", last=1)).row
     added = msgspec.structs.replace(verdict, command_id="added")
     shutil.copyfile(journal, whole)
-    bring_about(lambda: append_without_key(journal, [added]))
+    inject_unless_sham(lambda: append_without_key(journal, [added]))
     with JournalReader(journal) as reader:
         chained = [stored.sequence for stored in reader.read_whole()]
         found = reader.outcome_of(added.source or "", "added")
@@ -469,14 +485,14 @@ async def rows_are_added_without_the_key(lab: Lab) -> Evidence:
     expect(f"row {end + 1} follows the last one" in text, f"The first row that was added is not named: {text}")
 
     shutil.copyfile(whole, journal)
-    leave_unnamed(journal, [added])
+    append_past_head(journal, [added])
     async with lab.daemon(folder=cell.folder) as successor:
         with JournalReader(Path(successor.ready.journal)) as reader:
             found, noted = (
                 reader.outcome_of(added.source or "", "added"),
                 next(reader.read(after=end + 1)).row.operation,
             )
-    expect((found, noted) == (added, "head_behind"), f"The row of a crash was not taken up: {noted}.")
+    expect((found, noted) == (added, "head_behind"), f"The row of a crash was not recovered: {noted}.")
     return Evidence(
         DETECTED,
         took_place={"chained_row": chained[-1]},
@@ -485,20 +501,20 @@ async def rows_are_added_without_the_key(lab: Lab) -> Evidence:
     )
 
 
-DETECTED = "refused to start, and said why"
+DETECTED = "refused to start, with the reason"
 
 
 async def _detected(lab: Lab, cell: RunningCell, how: str) -> str:
-    """What a daemon says that refuses to start with the journal of another."""
-    status, errors = await lab.ending(folder=cell.folder)
-    expect(status != 0, f"The daemon took the journal that was {how}.")
+    """Return the error of a daemon that refuses to start with a changed journal."""
+    status, errors = await lab.start_refused(folder=cell.folder)
+    expect(status != 0, f"The daemon accepted the journal that was {how}.")
     text = errors.strip().splitlines()[-1] if errors.strip() else ""
     expect(Path(cell.ready.journal).name in text and "Traceback" not in errors, f"It ended with: {text}")
     return text
 
 
 async def _answers(raw: Raw, most: int) -> list[bytes]:
-    """So many answers, or those that came within `PATIENCE`."""
+    """Return up to `most` answers that come within `PATIENCE`."""
     answers: list[bytes] = []
     with suppress(TimeoutError):
         async with asyncio.timeout(PATIENCE):
@@ -508,19 +524,29 @@ async def _answers(raw: Raw, most: int) -> list[bytes]:
 
 
 async def stop_times(cell: RunningCell, times: int) -> list[float]:
-    """Seconds from asking for Stop until the daemon has said that it has begun."""
+    """Return the times from the request of each Stop until the daemon confirms that it has begun, s.
+
+    Args:
+        cell: Cell to stop.
+        times: Number of Stops.
+    """
     clock = asyncio.get_running_loop().time
     taken = []
     for _ in range(times):
-        begun = clock()
+        started = clock()
         await cell.client.stop()
-        taken.append(clock() - begun)
+        taken.append(clock() - started)
         await asyncio.sleep(0.02)
     return taken
 
 
 def in_ms(name: str, seconds: list[float]) -> dict[str, float]:
-    """Median, p99 and worst."""
+    """Return median, p99 and maximum in ms.
+
+    Args:
+        name: Prefix of the names.
+        seconds: Times, s.
+    """
     return {
         f"{name}_p50_ms": round(percentile(seconds, 0.5) * 1e3, 2),
         f"{name}_p99_ms": round(percentile(seconds, 0.99) * 1e3, 2),

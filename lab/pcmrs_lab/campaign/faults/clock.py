@@ -1,4 +1,4 @@
-"""Faults of the wall clock: it is set, stands, differs between hosts, or the machine sleeps."""
+"""Faults of the wall clock: it is set, stands still, differs between hosts, or the machine sleeps."""
 
 from __future__ import annotations
 
@@ -22,40 +22,40 @@ from pcmrs_lab.campaign import walltime
 from pcmrs_lab.campaign.checks import confirmed, expect, held, shape
 from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
 from pcmrs_lab.campaign.lab import Lab
-from pcmrs_lab.campaign.sham import bring_about, is_sham
+from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
 from pcmrs_lab.campaign.walltime import WallClock
 
-SET = "a library in daemon and nodes that shifts what the C library tells of the wall clock"
+SET = "a library in daemon and nodes that shifts the wall clock of the C library"
 HOUR, DAY = 3600.0, 86400.0
 SLOW = ("procedure.motion.linear_velocity=0.03", "robot.deadman=0.5")
 OVERLOAD = ("loop_stalled", "daemon_silent")
 MOMENT = 5.0
-"""A wall clock that was taken for the monotonic one would show more than this, s."""
+"""A wall clock used as the monotonic one would show a larger error than this, s."""
 SLEEP = 6.0
-"""The machine sleeps for so long; longer than every deadline of a link."""
+"""Time for which the machine sleeps, s; longer than every deadline of a link."""
 
 
 @fault("C1", how=SET, needs=walltime.NEEDS)
 async def the_wall_clock_goes_back(lab: Lab) -> Evidence:
-    """By an hour, in the middle of a motion."""
+    """The wall clock goes back by an hour in the middle of a motion."""
     return await _set_in_motion(lab, -HOUR)
 
 
 @fault("C2", how=SET, needs=walltime.NEEDS)
 async def the_wall_clock_leaps_ahead(lab: Lab) -> Evidence:
-    """By ten days, in the middle of a motion."""
+    """The wall clock leaps ahead by ten days in the middle of a motion."""
     return await _set_in_motion(lab, 10 * DAY)
 
 
 @fault("C3", how=SET, needs=walltime.NEEDS)
 async def the_wall_clock_stands(lab: Lab) -> Evidence:
-    """From the middle of a motion on."""
+    """The wall clock stands still from the middle of a motion on."""
     return await _set_in_motion(lab, None)
 
 
 @fault("C4", how="commands with the stamps of another host's clock, over the bus")
 async def the_clocks_of_two_hosts_differ(lab: Lab) -> Evidence:
-    """A command without a stamp is taken whatever the clock says; one that is to be fresh is refused if it is not."""
+    """A command without a stamp is accepted at any clock; one with a time limit is refused if it is not fresh."""
     decided: dict[str, str] = {}
     async with lab.cell() as cell:
         before = await cell.client.state()
@@ -72,7 +72,7 @@ async def the_clocks_of_two_hosts_differ(lab: Lab) -> Evidence:
         await cell.planner.plan_landmarks([landmark.position for landmark in plan().landmarks])
         await _stop_works(cell)
     return Evidence(
-        "stamps beyond their limit are refused; all else, and Stop, does not look at them",
+        "stamps beyond their limit are refused; everything else, and Stop, ignores them",
         took_place=decided,
         control={"with a stamp of now": fresh.decision, "without a stamp": unstamped.decision},
     )
@@ -80,13 +80,13 @@ async def the_clocks_of_two_hosts_differ(lab: Lab) -> Evidence:
 
 @fault("C5", how="SIGSTOP of daemon and nodes together for 6 s, in motion")
 async def the_machine_sleeps(lab: Lab) -> Evidence:
-    """Nothing goes on by itself afterwards: the motion is held, and old commands are refused."""
+    """Nothing continues by itself afterwards: the motion is held, and old commands are refused."""
     async with lab.daemon(*SLOW) as cell:
         await register(cell.client)
         wall = SystemClock().wall()
         async with moving(cell.client) as verdict:
             everybody = [cell.process.pid, *descendants(cell.process.pid)]
-            bring_about(lambda: _signal(everybody, signal.SIGSTOP))
+            inject_unless_sham(lambda: _signal(everybody, signal.SIGSTOP))
             late = asyncio.create_task(_late_command(cell, wall))
             await asyncio.sleep(SLEEP)
             asleep = sum(is_stopped(pid) for pid in everybody)
@@ -101,9 +101,9 @@ async def the_machine_sleeps(lab: Lab) -> Evidence:
         fresh = await _command(cell, sent=SystemClock().wall(), ttl=SLEEP / 2)
         expect(fresh.decision == "accepted", f"Without the sleep it was {fresh.decision}: {fresh.reason}")
     return Evidence(
-        "held; what was old is refused",
+        "held; old commands are refused",
         took_place={"processes seen stopped": asleep, "of": len(everybody)},
-        control={"the old command, sent anew": fresh.decision},
+        control={"the old command, sent again": fresh.decision},
         details={"approach": ended, "old command": old},
     )
 
@@ -113,7 +113,7 @@ async def _late_command(cell: RunningCell, wall: float) -> str:
 
 
 async def _decision(verdict: Awaitable[Verdict]) -> str:
-    """How a command was decided; who was asleep for so long may have lost the connection that it came by."""
+    """Return the decision on a command; a client that was asleep may have lost its connection."""
     try:
         return (await verdict).decision
     except UnknownOutcomeError:
@@ -121,13 +121,13 @@ async def _decision(verdict: Awaitable[Verdict]) -> str:
 
 
 async def _set_in_motion(lab: Lab, ahead: float | None) -> Evidence:
-    """Sets the wall clock in motion: the motion ends as ever, and so does what is begun after it."""
-    clock = WallClock.right(lab.folder / "wall")
+    """Set the wall clock in motion: this motion, and those started after it, end as usual."""
+    clock = WallClock.create(lab.folder / "wall")
     async with lab.daemon(*REAL_TIME, "robot.deadman=1", environment=clock.environment()) as cell:
         await register(cell.client)
         row = cell.last_row()
         async with moving(cell.client) as verdict:
-            bring_about(partial(_set, clock, ahead))
+            inject_unless_sham(partial(_set, clock, ahead))
             ended = await verdict
         _expect_undisturbed(ended)
         await _by_planner(cell)
@@ -147,17 +147,17 @@ async def _set_in_motion(lab: Lab, ahead: float | None) -> Evidence:
 
 def _set(clock: WallClock, ahead: float | None) -> None:
     if ahead is None:
-        clock.stand()
+        clock.freeze()
     else:
         clock.shift(ahead)
 
 
 def _expect_undisturbed(verdict: Verdict) -> None:
-    """A motion must have ended as ever.
+    """Check that a motion has ended as usual.
 
     Raises:
         Unmet: It has not.
-        NotRun: It was held for want of a processor, for a moment: that says nothing of the wall clock.
+        NotRun: It was held because the machine was too busy for a moment, which shows nothing about the wall clock.
     """
     reason = verdict.reason
     if reason is not None and reason.code in OVERLOAD:
@@ -168,7 +168,7 @@ def _expect_undisturbed(verdict: Verdict) -> None:
 
 
 def _is_set(stamps: Sequence[float], ahead: float | None) -> bool:
-    """Whether the stamps show that the clock was set: the control of this fault."""
+    """Return whether the stamps show that the clock was set."""
     now = SystemClock().wall()
     if ahead is None:
         return len(stamps) > 1 and stamps[-1] == stamps[-2]
@@ -176,13 +176,13 @@ def _is_set(stamps: Sequence[float], ahead: float | None) -> bool:
 
 
 async def _by_planner(cell: RunningCell) -> None:
-    """String commands carry no stamps."""
+    """Check that string commands, which carry no stamps, are accepted."""
     verdict = await cell.planner.command("get_jnt_angsxxxx", timeout=PATIENCE)
     expect(verdict.decision == "accepted", f"Over UDP it was {verdict.decision}.")
 
 
 async def _stop_works(cell: RunningCell) -> None:
-    """Stop latches, and its latch can be released."""
+    """Check that Stop latches, and that its latch can be released."""
     await cell.client.stop()
     await until(cell.client, lambda shown: shown.latched and shown.stop.confirmed)
     if await state(cell.client, "robot") == "1":
@@ -192,13 +192,13 @@ async def _stop_works(cell: RunningCell) -> None:
 
 
 async def _command(cell: RunningCell, branch: str = "toolplan", operation: str = "reinit", **fields: Any) -> Verdict:
-    """A request without a stamp, unless one of these fields is one."""
+    """Send a request without a stamp, unless `fields` contain one."""
     key = command_key("local", branch, operation)
     return await cell.bus.request(key, Envelope(**fields), Verdict, PATIENCE)
 
 
 def is_stopped(pid: int) -> bool:
-    """Whether the kernel has a process as stopped; one that has ended is not."""
+    """Return whether the kernel reports a process as stopped; one that has ended is not."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text()
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""Floods of the bus by somebody who may only watch, or who asks in vain: Stop is in time, and nothing fills up."""
+"""Floods of the bus by a user who may only watch, or whose commands are rejected: Stop is in time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pcmrs.messages import JournalQuery
 from pcmrs.testing.cell import REAL_TIME, RunningCell
 from pcmrs.testing.driving import accept, approach_alone, moving, register, reset_cell, to_placed, tool_pose, until
 from pcmrs.testing.errors import Unmet
-from pcmrs_lab.campaign.bus_flood import FLOODER, LONG, Kind, bus_flood
+from pcmrs_lab.campaign.bus_flood import ARGUMENT_SIZE, FLOODER, Kind, bus_flood
 from pcmrs_lab.campaign.checks import confirmed, expect, held
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.faults.adversary import in_ms, stop_times
@@ -24,20 +24,20 @@ from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.lateness import percentile, timer_lateness
 from pcmrs_lab.campaign.sham import is_sham
 
-BEGUN_WITHIN = 0.1
-"""Stops of others begin within this during a flood, s of the machine, beyond what a bare timer is late."""
+STOP_BEGINS_WITHIN = 0.1
+"""Time within which Stops of others begin during a flood, s of the machine, beyond the lateness of a bare timer."""
 STOPS = 50
 PRESSES = 20_000
 REJECTED = 4 * BURST
 OVER = 1.0
-"""A flood of which nothing comes for so long is over, s of the machine."""
-TOLD_WITHIN = 30.0
-"""The number of rejections without a row is on record within this, s of the machine."""
+"""Time without messages after which a flood is over, s of the machine."""
+REPORTED_WITHIN = 30.0
+"""Time within which the number of rejections without a row is journalled, s of the machine."""
 
 
 @fault("A21", how="puts on stop/eve, as fast as a process can", deadline=180.0)
 async def stop_by_a_viewer(lab: Lab) -> Evidence:
-    """A motion is stopped by the first press; somebody else's Stops are in time, and the cell can be used again."""
+    """A motion is stopped by the first press; Stops of others are in time, and the cell can be used again."""
     async with lab.daemon("cell.rate=1", "procedure.max_pose_age=0.5", "robot.deadman=0.5") as cell:
         await register(cell.client)
         row = cell.last_row()
@@ -48,8 +48,8 @@ async def stop_by_a_viewer(lab: Lab) -> Evidence:
             await held(cell)
         await confirmed(cell)
         counted = await _presses(cell, row)
-        details = {"sent": flooding.told.sent, "rate_hz": round(flooding.told.rate), **counted}
-        expect(flooding.told.sent == PRESSES, f"Only {flooding.told.sent} presses were sent.")
+        details = {"sent": flooding.report.sent, "rate_hz": round(flooding.report.rate), **counted}
+        expect(flooding.report.sent == PRESSES, f"Only {flooding.report.sent} presses were sent.")
         expect(0 < counted["presses"] < PRESSES, f"Of {PRESSES} presses of one link {counted['presses']} came through.")
         expect(counted["rows"] < PRESSES / 10, f"{PRESSES} presses have {counted['rows']} rows.")
         details |= await _stops_in_time(cell, "stop-puts")
@@ -68,16 +68,16 @@ async def stop_by_a_viewer(lab: Lab) -> Evidence:
 
 @fault("A22", how="60 kB of arguments in commands that are rejected", deadline=180.0)
 async def rejected_without_end(lab: Lab) -> Evidence:
-    """By somebody who may ask, and asks for what is not there; then the same user for what is."""
+    """A permitted user sends rejected commands without end; then the same user sends an accepted one."""
     async with lab.daemon("cell.rate=1") as cell:
         await register(cell.client)
         row, before = cell.last_row(), _size(cell)
         async with bus_flood("rejected", cell.ready.endpoint, cell.name, most=REJECTED) as flooding:
             pass
-        codes = flooding.told.codes or {}
-        expect(codes.get(TOO_MANY, 0) > 0, f"Nobody was told of the limit: {codes}.")
+        codes = flooding.report.codes or {}
+        expect(codes.get(TOO_MANY, 0) > 0, f"No answer reports the limit: {codes}.")
         grown = _size(cell) - before
-        expect(grown < REJECTED * LONG / 10, f"The journal has grown by {grown} bytes.")
+        expect(grown < REJECTED * ARGUMENT_SIZE / 10, f"The journal has grown by {grown} bytes.")
         page = await cell.client.journal(JournalQuery(after=row, limit=200))
         expect(len(page.rows) > 0, "The journal cannot be read over the bus.")
         rows, dropped = await _on_record(cell, row, sum(codes.values()))
@@ -94,14 +94,14 @@ async def rejected_without_end(lab: Lab) -> Evidence:
 
 @fault("A23", how="100 requests on svc/setup, and then 100 on svc/journal, at a time", deadline=180.0)
 async def queries_without_end(lab: Lab) -> Evidence:
-    """Somebody else's queries are answered meanwhile, and Stop is in time."""
+    """Queries of other users are answered meanwhile, and Stop is in time."""
     async with lab.daemon("cell.rate=1", "procedure.max_pose_age=0.5", "robot.deadman=0.5") as cell:
         await register(cell.client)
-        row, before = cell.last_row(), await _no_place(cell)
+        row, before = cell.last_row(), await _refused_requests(cell)
         alone = await cell.client.journal(JournalQuery(limit=1))
         details = await _stops_in_time(cell, "setup")
         details |= await _stops_in_time(cell, "journal")
-        refused = await _no_place(cell) - before
+        refused = await _refused_requests(cell) - before
         expect(not any(entry.operation == FAIL_STOP for entry in cell.rows(row)), "The dispatcher has failed.")
         await confirmed(cell)
         await reset_cell(cell.client)
@@ -115,7 +115,7 @@ async def queries_without_end(lab: Lab) -> Evidence:
 
 @fault("A24", how="an operation that is rejected twice a second; the limit is 3 s here")
 async def asked_in_vain(lab: Lab) -> Evidence:
-    """The stimulator is armed, and the tool on the head: a program that asks in vain does not attend."""
+    """The stimulator is armed, the tool on the head: a program whose commands are rejected does not attend."""
     async with lab.daemon("procedure.abandoned_after=3", "workflow=ratms_threshold", *REAL_TIME) as cell:
         await to_placed(cell.client)
         await accept(cell.client, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
@@ -126,14 +126,14 @@ async def asked_in_vain(lab: Lab) -> Evidence:
             await asyncio.sleep(0.5)
             attended.append(await accept(cell.client, "stimulation.set_intensity", percent=50.0))
         row = cell.last_row()
-        expect(not (await cell.client.state()).latched, "It was held although somebody was there.")
-        asking = asyncio.create_task(_ask_in_vain(cell))
+        expect(not (await cell.client.state()).latched, "The cell was held although it was attended.")
+        requesting = asyncio.create_task(_request_rejected(cell))
         try:
             await until(cell.client, lambda shown: shown.latched and shown.branches["stimulation"] == "disarmed")
         finally:
-            asking.cancel()
-            asked = await asking
-        expect(asked > 0, "Nothing was asked.")
+            requesting.cancel()
+            rejections = await requesting
+        expect(rejections > 0, "No command was sent.")
         decided = [
             each.verdict.decision for each in cell.rows(row) if each.operation == "set_intensity" and each.verdict
         ]
@@ -142,49 +142,49 @@ async def asked_in_vain(lab: Lab) -> Evidence:
         "held, latched, disarmed",
         took_place={"rejected_in_the_journal": decided.count("rejected")},
         control={"not_held_during_5_s_of_accepted_ones": sum(each.decision == "accepted" for each in attended)},
-        details={"rejected": asked},
+        details={"rejected": rejections},
     )
 
 
-async def _ask_in_vain(cell: RunningCell) -> int:
-    """Asks until it is cancelled; returns how often. In a sham campaign nobody asks."""
-    asked = 0
+async def _request_rejected(cell: RunningCell) -> int:
+    """Send rejected commands until cancelled, and return how many. In a sham campaign none is sent."""
+    rejections = 0
     try:
         if is_sham():
             await asyncio.Event().wait()
         while True:
             verdict = await cell.client.call("stimulation.set_intensity", {"percent": 500.0})
             expect(verdict.decision == "rejected", f"It was {verdict.decision}.")
-            asked += 1
+            rejections += 1
             await asyncio.sleep(0.5)
     except asyncio.CancelledError:
-        return asked
+        return rejections
 
 
 async def _stops_in_time(cell: RunningCell, kind: Kind) -> dict[str, Any]:
-    """Somebody else's Stops during a flood, beside a bare timer."""
+    """Check Stops of another user during a flood against a bare timer, and return the measured values."""
     async with bus_flood(kind, cell.ready.endpoint, cell.name) as flooding, timer_lateness() as timer:
         try:
             taken = await stop_times(cell, STOPS)
             await cell.client.state()
         except PcmrsError as error:
-            raise Unmet(f"During {kind} somebody else was not answered: {error}") from None
-    told = flooding.told
-    expect(told.sent > STOPS, f"Of {kind} only {told.sent} were sent.")
-    details: dict[str, Any] = {f"{kind}_hz": round(told.rate), f"{kind}_answers": told.codes or {}}
+            raise Unmet(f"During {kind} another user was not answered: {error}") from None
+    report = flooding.report
+    expect(report.sent > STOPS, f"Of {kind} only {report.sent} were sent.")
+    details: dict[str, Any] = {f"{kind}_hz": round(report.rate), f"{kind}_answers": report.codes or {}}
     details |= in_ms(f"stop_{kind}", taken) | in_ms(f"timer_{kind}", timer.late)
     late = percentile(taken, 0.99) - percentile(timer.late, 0.99)
-    expect(late < BEGUN_WITHIN, f"Stop took {late * 1e3:.1f} ms longer than a bare timer is late: {details}.")
+    expect(late < STOP_BEGINS_WITHIN, f"Stop took {late * 1e3:.1f} ms longer than a bare timer is late: {details}.")
     return details
 
 
-async def _no_place(cell: RunningCell) -> int:
-    """Requests on the bus for which the daemon had no place."""
+async def _refused_requests(cell: RunningCell) -> int:
+    """Return how many requests on the bus the daemon has refused for lack of a place."""
     return sum(queue.refused or 0 for queue in (await cell.client.health()).queues if queue.queue == "bus")
 
 
 async def _until_over(cell: RunningCell, row: int) -> None:
-    """Waits until no press of the flooder comes any more: some are on their way when its process has ended."""
+    """Wait until no more presses of the flooder come: some are in transit when its process has ended."""
     before: dict[str, int] = {}
     while (presses := await _presses(cell, row)) != before:
         before = presses
@@ -192,7 +192,7 @@ async def _until_over(cell: RunningCell, row: int) -> None:
 
 
 async def _presses(cell: RunningCell, row: int) -> dict[str, int]:
-    """How many presses by the flooder the journal counts, and in how many rows."""
+    """Return how many presses by the flooder the journal counts, and in how many rows."""
     source = f"bus:{FLOODER}"
     rows = [each for each in cell.rows(row) if each.source == source]
     stops = sum(each.operation == "stopped" for each in rows)
@@ -201,23 +201,23 @@ async def _presses(cell: RunningCell, row: int) -> dict[str, int]:
 
 
 async def _on_record(cell: RunningCell, row: int, rejected: int) -> tuple[int, int]:
-    """Rows of rejections by the flooder, one of them clipped, and how many rejections others say have none."""
-    begun = time.monotonic()
+    """Return how many rejections of the flooder have a row, one of them clipped, and how many are only counted."""
+    started = time.monotonic()
     while True:
         found = cell.rows(row)
         rows = [each for each in found if each.kind == "outcome" and each.source == f"bus:{FLOODER}"]
-        told = [each.result for each in found if each.operation == DROPPED and each.result is not None]
-        dropped = sum(each["fields"]["count"] for each in told)
+        reports = [each.result for each in found if each.operation == DROPPED and each.result is not None]
+        dropped = sum(each["fields"]["count"] for each in reports)
         if len(rows) + dropped == rejected:
             expect(any(CLIPPED in (each.arguments or {}) for each in rows), "No argument was clipped.")
             return len(rows), dropped
-        if time.monotonic() - begun > TOLD_WITHIN:
+        if time.monotonic() - started > REPORTED_WITHIN:
             raise Unmet(f"{rejected} were rejected: {len(rows)} rows, and {dropped} are counted.")
         await asyncio.sleep(0.5)
 
 
 def _size(cell: RunningCell) -> int:
-    """Of the journal with its logs, bytes."""
+    """Return the size of the journal with its logs, bytes."""
     first = Path(cell.ready.journal)
     parts = [Path(f"{file}{suffix}") for file in journal_files(first) for suffix in ("", "-wal")]
     return sum(part.stat().st_size for part in parts if part.exists())

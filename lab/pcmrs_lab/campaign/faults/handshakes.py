@@ -20,10 +20,10 @@ PORT = 7449
 RULES = Path(pcmrs.__file__).parents[1] / "deploy" / "router" / "router.nft"
 CONNECTIONS = 200
 WITHIN = 1.0
-"""A legitimate client connects within this, s of the machine."""
+"""Time within which a legitimate client connects, s of the machine."""
 
 ESTABLISHED = "01"
-"""As the kernel writes it."""
+"""State of a connection in the kernel's notation."""
 
 FLOOD = """
 import socket, sys, time
@@ -42,7 +42,8 @@ for number, connection in enumerate(held):
 print("flooded", flush=True)
 sys.stdin.read()
 """
-"""So many connections that are held open: half send what is no TLS, half begin a handshake and do not go on."""
+"""Opens connections and keeps them open: half send bytes that are not TLS, half begin a handshake and do not continue.
+"""
 
 CONNECT = """
 import sys, time
@@ -64,16 +65,16 @@ while True:
 print(time.monotonic() - begun, flush=True)
 session.close()
 """
-"""Seconds that a client needs to be let in, however often it has to try."""
+"""Prints the time that a client needs until it is admitted, with any number of attempts, s."""
 
 
 @fault(
     "A13", how="network namespaces, rules for nftables of deploy/router: 200 connections", needs=NEEDS, deadline=180.0
 )
 async def handshake_flood(lab: Lab) -> Evidence:
-    """While somebody holds 200 connections open that are no TLS, a client from elsewhere is let in."""
+    """While an attacker holds 200 connections open that are not TLS, a client from elsewhere is admitted."""
     if not RULES.is_file():
-        raise NotRun("deploy/router/router.nft is not there: it comes with the source, not with the wheel")
+        raise NotRun("deploy/router/router.nft is missing: it is part of the source, not of the wheel")
     return await asyncio.to_thread(_flooded, lab.folder)
 
 
@@ -88,10 +89,10 @@ def _flooded(folder: Path) -> Evidence:
         loaded = net.run("router", "nft", "-f", str(RULES))
         expect(loaded.returncode == 0, f"The rules are not loaded: {loaded.stderr}")
         protected, open_with = _connected_beside_a_flood(net, folder)
-    expect(unprotected > WITHIN, f"Without the rules, too, the client was let in after {unprotected:.2f} s.")
-    expect(protected < WITHIN, f"The client was let in after {protected:.2f} s.")
+    expect(unprotected > WITHIN, f"Without the rules, too, the client was admitted after {unprotected:.2f} s.")
+    expect(protected < WITHIN, f"The client was admitted after {protected:.2f} s.")
     return Evidence(
-        "let in, by the rules of nftables",
+        "admitted by the rules of nftables",
         took_place={"open_at_the_router_without_the_rules": open_without},
         control={"let_in_without_the_rules_after_s": round(unprotected, 1)},
         details={"let_in_after_s": round(protected, 2), "open_at_the_router_with_the_rules": open_with},
@@ -99,7 +100,7 @@ def _flooded(folder: Path) -> Evidence:
 
 
 def _connected_beside_a_flood(net: NatLab, folder: Path) -> tuple[float, int]:
-    """Seconds until a client is let in while connections are held open elsewhere, and how many the router had."""
+    """Return the time until a client is admitted during a flood, s, and the number of connections at the router."""
     pipe, many = subprocess.PIPE, str(0 if is_sham() else CONNECTIONS)
     words = (sys.executable, "-c", FLOOD, ROUTER["remote"], str(PORT), many)
     flood = net.start("remote", *words, stdin=pipe, stdout=pipe)
@@ -111,7 +112,7 @@ def _connected_beside_a_flood(net: NatLab, folder: Path) -> tuple[float, int]:
 
 
 def _established(net: NatLab) -> int:
-    """Connections at the router's port, by its kernel."""
+    """Return the number of connections at the router's port, as its kernel counts them."""
     lines = [line.split() for line in net.run("router", "cat", "/proc/net/tcp").stdout.splitlines()]
     return sum(line[1].endswith(f":{PORT:04X}") and line[3] == ESTABLISHED for line in lines)
 
@@ -128,7 +129,7 @@ def _start_router(net: NatLab, folder: Path) -> None:
 def _connected(net: NatLab, folder: Path) -> float:
     endpoint = f"tls/{ROUTER['cell']}:{PORT}"
     done = net.run("cell", sys.executable, "-c", CONNECT, endpoint, str(folder / "anna"), timeout=90.0)
-    expect(done.returncode == 0, f"The client was not let in: {done.stderr[-300:]}")
+    expect(done.returncode == 0, f"The client was not admitted: {done.stderr[-300:]}")
     return float(done.stdout)
 
 

@@ -1,4 +1,4 @@
-"""Somebody with an account on the cell's machine speaks for the daemon, or for a device, past the workflow."""
+"""An account on the cell's machine sends messages in the name of the daemon or of a device, past the workflow."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from pcmrs.testing.driving import PATIENCE, accept, moving, register, to_retract
 from pcmrs_lab.campaign.checks import expect, standing
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
-from pcmrs_lab.campaign.sham import bring_about, is_sham
+from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
 from pcmrs_lab.campaign.waiting import until_true
 
 FORGED = 20
-"""Messages of each kind."""
+"""Number of messages of each kind."""
 FAR_AHEAD = 1e12
-"""A stamp that would make all other messages late, s."""
+"""Time stamp that would make all other messages late, s."""
 FORGED_EVENT = DeviceEvent(device="robot", code="link_lost", text="forged", danger=True)
 
 
 @asynccontextmanager
 async def stranger(cell: RunningCell) -> AsyncIterator[Bus]:
-    """A bus on this machine without the key of daemon and nodes."""
+    """Open a bus client on this machine without the key of daemon and nodes."""
     bus = await Bus.open(BusSettings(endpoint=cell.ready.endpoint, cell=cell.name))
     try:
         yield bus
@@ -47,8 +47,8 @@ async def stranger(cell: RunningCell) -> AsyncIterator[Bus]:
 
 @fault("A27", how="requests to device nodes from a bus client without the key of daemon and nodes")
 async def requests_past_the_daemon(lab: Lab) -> Evidence:
-    """Every method is refused before the device sees it; the same request with the key is served."""
-    async with lab.cell(*REAL_TIME, anew=False) as cell:
+    """Every method is refused before the device receives it; the same request with the key is served."""
+    async with lab.cell(*REAL_TIME, fresh=False) as cell:
         await to_retracted(cell.client)
         arm = await cell.client.request_device("robot", "joints")
         away = {
@@ -86,10 +86,10 @@ async def _answer(bus: Bus, device: str, request: DeviceRequest) -> str:
 
 @fault("A27", how="beats, poses, joints and events put by a bus client without the key, during a motion")
 async def messages_in_a_devices_name(lab: Lab) -> Evidence:
-    """None of them is taken: the motion ends as it would, nothing is latched, and each is counted."""
-    async with lab.cell(*REAL_TIME, anew=False) as cell:
+    """No forged message is accepted: the motion ends as usual, nothing is latched, and each is counted."""
+    async with lab.cell(*REAL_TIME, fresh=False) as cell:
         await to_retracted(cell.client)
-        before = await _counted(cell)
+        before = await _unsealed_count(cell)
         async with stranger(cell) as bus:
             async with moving(cell.client) as verdict:
                 sent = _forge(bus)
@@ -98,8 +98,8 @@ async def messages_in_a_devices_name(lab: Lab) -> Evidence:
             expect(result.decision == "accepted", f"The motion ended as {result.decision}: {result.reason}.")
             expect(not shown.latched, "Forged messages have latched Stop.")
 
-            counted = await _counted(cell) - before
-            expect(counted >= FORGED, f"Of {sent} forged messages the daemon has counted {counted}.")
+            counted = await _unsealed_count(cell) - before
+            expect(counted >= FORGED, f"Of {sent} forged messages the daemon counted {counted}.")
         await accept(cell.client, "placement.home")
         cell.bus.publish("dev/robot/event", FORGED_EVENT)
         latched = (await until(cell.client, lambda shown: shown.latched)).latched
@@ -127,31 +127,31 @@ def _forge(bus: Bus) -> int:
     }
     for _ in range(FORGED):
         for key, message in forged.items():
-            bring_about(partial(bus.publish, key, message))
+            inject_unless_sham(partial(bus.publish, key, message))
     return FORGED * len(forged)
 
 
-async def _counted(cell: RunningCell) -> int:
+async def _unsealed_count(cell: RunningCell) -> int:
     return (await cell.client.health()).dropped["bus.not_sealed"]
 
 
-@fault("A28", how="an event on a device's key, sealed as a device's node does, that speaks for the lease or the daemon")
+@fault("A28", how="an event on a device's key, sealed like a device's node, in the name of the lease or the daemon")
 async def event_of_another_device(lab: Lab) -> Evidence:
-    """It is dropped and counted; the same event in the device's own name is taken."""
+    """The event is dropped and counted; the same event in the device's own name is accepted."""
     async with lab.cell() as cell:
         await register(cell.client)
-        row, before = cell.last_row(), await _misnamed(cell)
+        row, before = cell.last_row(), await _misnamed_count(cell)
         for device in ("lease", "daemon", "robot", "no_such_device"):
-            bring_about(partial(cell.bus.publish, "dev/tracker/event", _event(device)))
+            inject_unless_sham(partial(cell.bus.publish, "dev/tracker/event", _event(device)))
         cell.bus.publish("dev/tracker/event", _event("tracker"))
 
         def reported() -> bool:
             return _reported(cell, row) != []
 
-        await until_true(reported, "The control, an event in the device's own name, was not taken")
-        misnamed = await _misnamed(cell) - before
-        expect(misnamed == 4, f"Of 4 events that speak for another device {misnamed} were counted.")
-        expect(_reported(cell, row) == ["tracker"], f"Events were taken of {_reported(cell, row)}.")
+        await until_true(reported, "The control, an event in the device's own name, was not accepted")
+        misnamed = await _misnamed_count(cell) - before
+        expect(misnamed == 4, f"Of 4 events in the name of another device {misnamed} were counted.")
+        expect(_reported(cell, row) == ["tracker"], f"Events were accepted of {_reported(cell, row)}.")
         journalled = _reported(cell, row)
     return Evidence(
         "dropped and counted", took_place={"misnamed": misnamed}, control={"journalled_in_its_own_name": journalled}
@@ -163,9 +163,9 @@ def _event(device: str) -> DeviceEvent:
 
 
 def _reported(cell: RunningCell, row: int) -> list[str | None]:
-    """Who reported such an event, by the journal."""
+    """Return the sources of such events in the journal."""
     return [each.source for each in cell.rows(row) if (each.kind, each.operation) == ("device", "impersonated")]
 
 
-async def _misnamed(cell: RunningCell) -> int:
+async def _misnamed_count(cell: RunningCell) -> int:
     return (await cell.client.health()).dropped.get("events.misnamed", 0)

@@ -1,4 +1,4 @@
-"""A stream of Lab Streaming Layer from another machine on the cell's network, under the name of the cell's own."""
+"""A stream of Lab Streaming Layer from another machine on the cell's network, under the name of the cell's stream."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pcmrs_lab.campaign.networks import NEEDS, Machine, Namespaces, lan
 from pcmrs_lab.campaign.sham import is_sham
 
 WIDER: Final = "[multicast]\nResolveScope = link\n[log]\nlevel = -3\n"
-"""A lab's own file for streams of its whole network."""
+"""Configuration file of a lab for streams of its whole network."""
 WARNING: Final = "lsl_configured_by_lab"
 
 OFFER: Final = """
@@ -47,17 +47,17 @@ print(json.dumps({"samples": samples, "problem": inlet.problem}))
 """Reads the stream as the driver does, until it has 100 samples or its standard input ends."""
 
 LOOKING: Final = 15.0
-"""A stream that is there is read within this, s of the machine."""
+"""Time within which an available stream is read, s of the machine."""
 LONGER: Final = 2.0
-"""The reader by default looks for so much longer, s of the machine."""
+"""Additional search time of the reader with the default configuration, s of the machine."""
 
 
 class Read(msgspec.Struct, frozen=True):
-    """What a reader has come to.
+    """Result of a reader.
 
     Attributes:
-        samples: That it has taken.
-        problem: Why it has none; empty where it has some.
+        samples: Number of samples that it has read.
+        problem: Reason why it has none; empty if it has some.
     """
 
     samples: int
@@ -65,7 +65,7 @@ class Read(msgspec.Struct, frozen=True):
 
 
 def _is_installed() -> bool:
-    """Whether there is the module, and the library that it loads."""
+    """Return whether the module, and the library that it loads, are installed."""
     try:
         import pylsl  # noqa: F401
     except (ImportError, OSError, RuntimeError):
@@ -79,9 +79,9 @@ def _is_installed() -> bool:
     needs=(*NEEDS, Need("pylsl", _is_installed)),
 )
 async def stream_of_another_machine(lab: Lab) -> Evidence:
-    """By default nobody finds it; beside it a reader takes it by the lab's own file, which it warns of."""
+    """By default the stream is not found; a reader with the lab's own file finds it, and logs a warning."""
     if own := lab_configuration():
-        raise NotRun(f"{own} configures Lab Streaming Layer here, so nothing shows what is so by default")
+        raise NotRun(f"{own} configures Lab Streaming Layer on this machine, so the default cannot be tested")
     return await asyncio.to_thread(_offered, lab.folder)
 
 
@@ -92,20 +92,20 @@ def _offered(folder: Path) -> Evidence:
         if not is_sham():
             _until_ready(_start(net, "other", OFFER, wider))
         closed, opened = _start(net, "cell", READ), _start(net, "cell", READ, wider)
-        said_by_default, said_of_wider = _until_ready(closed), _until_ready(opened)
+        log_by_default, log_of_wider = _until_ready(closed), _until_ready(opened)
         taken = _read(opened, LOOKING)
         arrived = _segments(net)
-        kept_out = _read(closed, LONGER)
-    expect(taken.samples > 0, f"With the scope opened, too, nothing was taken: {taken.problem}.")
-    expect(WARNING in said_of_wider, "Nobody warns where the scope is opened.")
-    expect(WARNING not in said_by_default, f"By default it warns: {said_by_default}")
-    expect(kept_out.samples == 0, f"By default {kept_out.samples} samples of another machine were taken.")
-    expect("has not been found" in kept_out.problem, f"By default another reason is given: {kept_out.problem}.")
+        by_default = _read(closed, LONGER)
+    expect(taken.samples > 0, f"With the scope opened, too, nothing was read: {taken.problem}.")
+    expect(WARNING in log_of_wider, "No warning is logged although the scope is opened.")
+    expect(WARNING not in log_by_default, f"By default a warning is logged: {log_by_default}")
+    expect(by_default.samples == 0, f"By default {by_default.samples} samples of another machine were read.")
+    expect("has not been found" in by_default.problem, f"By default another reason is given: {by_default.problem}.")
     return Evidence(
-        "not found by default; where the scope is opened, that is logged",
+        "not found by default; an opened scope is logged",
         took_place={"tcp_segments_at_the_cells_machine": arrived},
         control={"samples_with_the_scope_opened": taken.samples, "logged_where_it_is_opened": WARNING},
-        details={"by_default": kept_out.problem},
+        details={"by_default": by_default.problem},
     )
 
 
@@ -118,24 +118,24 @@ def _start(
 
 
 def _until_ready(process: subprocess.Popen[str]) -> str:
-    """Waits until a script is ready; returns what it has logged before."""
+    """Wait until a script is ready and return the log before that."""
     assert process.stdout is not None
-    said = ""
+    log = ""
     while (line := process.stdout.readline()) != "ready\n":
-        expect(bool(line), f"It has ended: {said}")
-        said += line
-    return said
+        expect(bool(line), f"The script has ended: {log}")
+        log += line
+    return log
 
 
 def _read(reader: subprocess.Popen[str], within: float) -> Read:
-    """What a reader has come to when it has enough, or that time is over."""
+    """Return the result of a reader when it has enough samples, or the time is over."""
     with suppress(subprocess.TimeoutExpired):
         reader.wait(within)
-    said, _ = reader.communicate()  # ends its standard input
-    return msgspec.json.decode(said.splitlines()[-1], type=Read)
+    log, _ = reader.communicate()  # ends its standard input
+    return msgspec.json.decode(log.splitlines()[-1], type=Read)
 
 
 def _segments(net: Namespaces[Machine]) -> int:
-    """TCP segments that the kernel of the cell's machine has taken: streams come by TCP, questions for them by UDP."""
+    """Return the number of TCP segments that the cell's machine has received; streams use TCP, discovery UDP."""
     names, numbers = (line.split() for line in net.run("cell", "grep", "Tcp:", "/proc/net/snmp").stdout.splitlines())
     return int(numbers[names.index("InSegs")])

@@ -1,4 +1,4 @@
-"""What an account on the cell's machine finds in its files, or is configured as."""
+"""Files that an account on the cell's machine can read, and names that a configured account may have."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.sham import is_sham
 
 OTHERS = 0o077
-"""Bits of a mode by which others than the owner may do something."""
+"""Mode bits that permit something to others than the owner."""
 
 
 @fault("A30", how="a daemon that is started by hand in an open folder, by a shell that lets everybody read new files")
 async def open_folder(lab: Lab) -> Evidence:
-    """Nobody else may read what the daemon writes; what the same shell writes itself, everybody may."""
+    """Only the owner may read the daemon's files; files that the same shell writes itself, everybody may read."""
     folder, probe = lab.folder / "open", lab.folder / "probe"
     opened = await asyncio.to_thread(_make_open, folder)
     umask = "077" if is_sham() else "022"
@@ -28,7 +28,7 @@ async def open_folder(lab: Lab) -> Evidence:
         modes = await asyncio.to_thread(_modes, folder, Path(cell.ready.journal), probe)
     probed = modes.pop(probe.name)
     expect(probed & OTHERS == 0o044, "The shell did not let others read new files.")
-    expect(len(modes) > 4, f"Only {', '.join(modes)} were looked at.")
+    expect(len(modes) > 4, f"Only {', '.join(modes)} were checked.")
     shared = {name: f"{mode:04o}" for name, mode in modes.items() if mode & OTHERS}
     expect(not shared, f"Others may use {shared}.")
     return Evidence(
@@ -46,24 +46,24 @@ def _make_open(folder: Path) -> str:
 
 
 def _modes(folder: Path, journal: Path, probe: Path) -> dict[str, int]:
-    """Modes of the folder, of journal and keys in it, and of the probe, by name."""
+    """Return the modes of the folder, of journal and keys in it, and of the probe, by name."""
     files = (folder, probe, *folder.glob(f"{journal.name}*"), *folder.glob("journal.*"))
     return {path.name: path.stat().st_mode & 0o777 for path in files}
 
 
 @fault("A31", how="a peer in the configuration with the name of the operators on site, and with another name")
 async def peer_named_local(lab: Lab) -> Evidence:
-    """The daemon refuses to start with the first, and says why; with the second it starts."""
+    """The daemon refuses to start with the first, with the reason; with the second it starts."""
     key = lab.folder / "peer.key"
     new_key(key)
     name = "locals" if is_sham() else "local"
-    status, errors = await lab.ending(f"gateway.peers.{name}.key_file={key}")
+    status, errors = await lab.start_refused(f"gateway.peers.{name}.key_file={key}")
     text = errors.strip().splitlines()[-1] if errors.strip() else ""
     expect(status != 0 and "local" in text and "Traceback" not in errors, f"It ended with {status}: {text}")
     async with lab.daemon(f"gateway.peers.locals.key_file={key}") as cell:
         control = await accept(cell.client, "registration.reinit")
     return Evidence(
-        "refused to start, and said why",
+        "refused to start, with the reason",
         took_place={"said_of_the_name": text},
         control={"accepted_with_another_name": control.decision},
         details={"status": status},

@@ -15,7 +15,7 @@ from pcmrs_lab.campaign.consumer import Manner, consumer
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.network_impairment import NetworkImpairment
-from pcmrs_lab.campaign.sham import bring_about
+from pcmrs_lab.campaign.sham import inject_unless_sham
 from pcmrs_lab.campaign.waiting import until_ended, until_true
 from pcmrs_lab.campaign.wire import remote_cell
 
@@ -24,24 +24,24 @@ NARROW = 100_000 / 8
 """100 kbit/s, in bytes per second."""
 
 SLOW = 2.0
-"""A consumer takes nothing for so long before anything is asked for, s of the machine."""
+"""Time for which a consumer reads nothing before a command is sent, s of the machine."""
 
 LISTENED = 2.0
-"""Poses that come over a wire are counted for so long, s of the machine."""
+"""Time for which poses that come over a link are counted, s of the machine."""
 
 BURST = 10
-"""Poses that may come between a look at what was heard and one at what was counted."""
+"""Number of poses that may come between the two counts, of received and of dropped ones."""
 
 
 @fault("N9", how=WIRE)
 async def the_daemon_does_not_reach_the_robot(lab: Lab) -> Evidence:
-    """In motion, nothing gets from the daemon to the node any more: the node holds the arm by itself."""
+    """In motion, messages from the daemon to the node are lost: the node holds the arm by itself."""
     return await _cut_in_motion(lab, towards=True, back=False)
 
 
 @fault("N9", how=WIRE)
 async def the_robot_does_not_reach_the_daemon(lab: Lab) -> Evidence:
-    """In motion, nothing gets from the node to the daemon any more."""
+    """In motion, messages from the node to the daemon are lost."""
     return await _cut_in_motion(lab, towards=False, back=True)
 
 
@@ -51,22 +51,22 @@ async def the_robot_does_not_reach_the_daemon(lab: Lab) -> Evidence:
     deadline=300.0,
 )
 async def the_router_is_restarted(lab: Lab) -> Evidence:
-    """A client that stays subscribes to nothing anew, and hears the new daemon."""
+    """A client that stays connected does not subscribe again, and receives the new daemon's messages."""
     endpoint = f"cell.endpoint=tcp/127.0.0.1:{free_port()}"
     place = lab.folder / "cell"
-    heard: list[Snapshot] = []
+    received: list[Snapshot] = []
     async with lab.daemon(endpoint, folder=place) as first:
-        first.client.listen("state/fsm", Snapshot, heard.append)
+        first.client.listen("state/fsm", Snapshot, received.append)
         await accept(first.client, "registration.reinit")
-        await until_true(lambda: bool(heard), "No snapshot of the first daemon came")
-        before = len(heard)
-        bring_about(lambda: first.process.send_signal(signal.SIGKILL))
+        await until_true(lambda: bool(received), "No snapshot of the first daemon came")
+        before = len(received)
+        inject_unless_sham(lambda: first.process.send_signal(signal.SIGKILL))
         status = await until_ended(first)
-        heard.clear()
+        received.clear()
         async with lab.daemon(endpoint, folder=place) as second:
             await accept(second.client, "robot.connect")
             await until_true(
-                lambda: any(shown.branches["robot"] == "1" for shown in heard), "No snapshot of the new daemon came"
+                lambda: any(shown.branches["robot"] == "1" for shown in received), "No snapshot of the new daemon came"
             )
             verdict = await first.client.call("registration.reinit", timeout=PATIENCE)
             expect(verdict.decision == "accepted", f"Over the old connection it was {verdict.decision}.")
@@ -74,7 +74,7 @@ async def the_router_is_restarted(lab: Lab) -> Evidence:
     expect(any(row.kind == "outcome" for row in rows), "The journal is empty.")
     return Evidence(
         "subscriptions and requests work again",
-        {"snapshots": len(heard)},
+        {"snapshots": len(received)},
         took_place={"exit_status_of_the_first": status},
         control={"snapshots_of_the_first": before},
     )
@@ -82,32 +82,32 @@ async def the_router_is_restarted(lab: Lab) -> Evidence:
 
 @fault("N11", how="a subscriber to a stream, whose event loop is busy with something else")
 async def a_consumer_that_has_no_time(lab: Lab) -> Evidence:
-    """Whatever it does not hear is counted as dropped by its bus; commands and Stop are as quick as before."""
-    return await _beside_a_slow_consumer(lab, "busy")
+    """Messages that it does not read are counted as dropped by its bus; commands and Stop are as quick as before."""
+    return await _with_slow_consumer(lab, "busy")
 
 
 @fault("N11", how="a subscriber to a stream, frozen by SIGSTOP")
 async def a_consumer_that_does_not_read(lab: Lab) -> Evidence:
-    """What its full socket keeps from it nobody can count but by the frames' numbers; control is unaffected."""
-    return await _beside_a_slow_consumer(lab, "frozen")
+    """Messages lost at its full socket show only in the frame numbers; control is unaffected."""
+    return await _with_slow_consumer(lab, "frozen")
 
 
 @fault("N12", how=WIRE)
 async def a_wire_of_100_kbit(lab: Lab) -> Evidence:
-    """Poses come too late to be believed: what needs them is refused for that; status and Stop work."""
-    weather = NetworkImpairment(seed=lab.seed)
-    async with remote_cell(lab, weather) as cell:
+    """Poses are too old when they arrive: operations that need them are refused for that; status and Stop work."""
+    impairment = NetworkImpairment(seed=lab.seed)
+    async with remote_cell(lab, impairment) as cell:
         await register(cell.client)
         control = await accept(cell.client, "placement.approach")
         await accept(cell.client, "placement.home")
         usual = await _poses(cell)
-        weather.rate = NARROW
+        impairment.rate = NARROW
         await asyncio.sleep(4.0)
         narrow = await _poses(cell)
         approach = await refused(cell, "placement.approach", codes=("pose_stale",))
         await cell.client.stop()
         snapshot = await until(cell.client, lambda shown: shown.latched)
-        weather.rate = None
+        impairment.rate = None
         await stands(cell)
     text = approach.reason.text if approach.reason is not None else ""
     return Evidence(
@@ -119,38 +119,38 @@ async def a_wire_of_100_kbit(lab: Lab) -> Evidence:
 
 
 async def _poses(cell: RunningCell) -> int:
-    """How many poses reach the daemon's side of the wire within `LISTENED`."""
-    heard: list[int] = []
-    end = cell.client.listen("state/pose/coil", BodyPose, lambda pose: heard.append(pose.frame_number))
+    """Return the number of poses that reach the daemon's side of the link within `LISTENED`."""
+    received: list[int] = []
+    end = cell.client.listen("state/pose/coil", BodyPose, lambda pose: received.append(pose.frame_number))
     await asyncio.sleep(LISTENED)
     await end()
-    return len(heard)
+    return len(received)
 
 
 @fault("N13", how=WIRE)
 async def a_half_open_link(lab: Lab) -> Evidence:
-    """Nothing gets through in either direction, and nobody closes anything."""
+    """Messages are lost in both directions, and no side closes the connection."""
     return await _cut_in_motion(lab, towards=False, back=False)
 
 
 async def _cut_in_motion(lab: Lab, *, towards: bool, back: bool) -> Evidence:
-    """Cuts the wire between node and daemon while the arm moves; `towards` is from node to daemon."""
-    weather = NetworkImpairment(seed=lab.seed)
-    async with remote_cell(lab, weather) as cell:
+    """Cut the link between node and daemon while the arm moves; `towards` is from node to daemon."""
+    impairment = NetworkImpairment(seed=lab.seed)
+    async with remote_cell(lab, impairment) as cell:
         await register(cell.client)
         clock = asyncio.get_running_loop().time
         async with moving(cell.client) as verdict:
-            weather.towards, weather.back = towards, back
+            impairment.towards, impairment.back = towards, back
             cut = clock()
             shown = await until(cell.client, lambda snapshot: snapshot.latched or snapshot.branches["robot"] == "0")
             found = clock() - cut
             await asyncio.sleep(1.0)
             silent = max((device.heard or 0.0) for device in (await cell.client.health()).devices)
-            weather.towards, weather.back = True, True
+            impairment.towards, impairment.back = True, True
             ended = await verdict
         expect(ended.decision != "accepted", "The approach was accepted though the wire was cut.")
         expect(ended.state in ("held", "unknown"), f"The tool counts as {ended.state}.")
-        way = await _stands_when_back(cell)
+        displacement = await _check_stands_when_back(cell)
         await held(cell, ("held", "unknown"))
         await reset_cell(cell.client)
         await register(cell.client)
@@ -163,12 +163,12 @@ async def _cut_in_motion(lab: Lab, *, towards: bool, back: bool) -> Evidence:
         f"held, {ended.state}; nothing moved when the wire was back",
         took_place=({} if back else {"held_by_node": by_node}) | ({} if towards else {"silent_s": round(silent, 3)}),
         control={"approach": control.decision, "reached": control.state},
-        details={"found_after_s": round(found, 3), "latched": shown.latched, "way_m": way},
+        details={"found_after_s": round(found, 3), "latched": shown.latched, "way_m": displacement},
     )
 
 
-async def _stands_when_back(cell: RunningCell) -> float:
-    """The arm stands, asked as soon as its node can be reached again."""
+async def _check_stands_when_back(cell: RunningCell) -> float:
+    """Check that the arm stands as soon as its node can be reached again."""
     async with asyncio.timeout(PATIENCE):
         while True:
             try:
@@ -179,20 +179,20 @@ async def _stands_when_back(cell: RunningCell) -> float:
                 return await stands(cell)
 
 
-async def _beside_a_slow_consumer(lab: Lab, manner: Manner) -> Evidence:
+async def _with_slow_consumer(lab: Lab, manner: Manner) -> Evidence:
     frozen = manner == "frozen"
     async with lab.cell() as cell:
         await register(cell.client)
-        async with consumer(cell, "idle") as go_on:
+        async with consumer(cell, "idle") as resume:
             usual = await _slowest_command(cell)
-            idle = await go_on()
-        async with consumer(cell, manner) as go_on:
+            idle = await resume()
+        async with consumer(cell, manner) as resume:
             await asyncio.sleep(SLOW)
             beside = await _slowest_command(cell)
             async with moving(cell.client):
                 await cell.client.stop()
             await held(cell)
-            poses = await go_on()
+            poses = await resume()
         await reset_cell(cell.client)
     expect(beside < 1.0, f"A command took {beside:.2f} s beside a consumer that is too slow.")
     expect(poses.lost > BURST, f"The consumer was not too slow: it lost {poses.lost} of {poses.sent} poses.")
@@ -206,16 +206,16 @@ async def _beside_a_slow_consumer(lab: Lab, manner: Manner) -> Evidence:
         "control unaffected" if frozen else "drops counted, control unaffected",
         {"beside_s": beside, "sent": poses.sent, "state": poses.was},
         took_place={"lost": poses.lost} if frozen else {"lost": poses.lost, "counted": poses.counted},
-        control={"heard_by_one_that_has_time": idle.heard, "command_beside_it_s": usual},
+        control={"heard_by_one_that_has_time": idle.received, "command_beside_it_s": usual},
     )
 
 
 async def _slowest_command(cell: RunningCell) -> float:
-    """Seconds that the slowest of some commands takes."""
+    """Return the time of the slowest of some commands, s."""
     clock = asyncio.get_running_loop().time
     taken = []
     for _ in range(20):
-        begun = clock()
+        started = clock()
         await accept(cell.client, "toolplan.plan", **tool_pose())
-        taken.append(clock() - begun)
+        taken.append(clock() - started)
     return round(max(taken), 4)

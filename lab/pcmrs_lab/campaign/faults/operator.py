@@ -1,4 +1,4 @@
-"""Operator faults: what a person asks for that must not be done, over the bus and over UDP, to a running daemon."""
+"""Operator faults: forbidden requests of a person, over the bus and over UDP, to a running daemon."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ from pcmrs_lab.campaign.sham import is_sham
 from pcmrs_lab.experiment.tours.arguments import Arguments, plan_arguments
 
 GATES = ("residual_too_large", "landmark_outlier", "swapped_landmarks", "mirrored", "tre_too_large")
-"""Codes of a registration that is refused for what its landmarks say."""
+"""Codes of a registration that is refused because of its landmarks."""
 
 
 @fault(
@@ -59,10 +59,10 @@ GATES = ("residual_too_large", "landmark_outlier", "swapped_landmarks", "mirrore
     deadline=400.0,
 )
 async def every_state(lab: Lab) -> Evidence:
-    """What is forbidden is refused in every joint state there is."""
+    """Forbidden operations are refused in every joint state."""
     workflows = ("ratms", "femoroplasty")
     blueprint = load_blueprint(find_workflow(workflows[lab.seed % len(workflows)]).blueprint)
-    # In a thread: it takes seconds of computing, and the deadlines of others go on.
+    # In a thread, since it computes for seconds while the deadlines of other faults run.
     found = await asyncio.to_thread(asyncio.run, walk(blueprint, lab.folder))
     expect(not found.wrong, f"{len(found.wrong)} of {found.forbidden}: {'; '.join(found.wrong[:3])}")
     control = await asyncio.to_thread(asyncio.run, walk(blueprint, _folder(lab), _without_guard(blueprint), 1))
@@ -82,36 +82,38 @@ def _folder(lab: Lab) -> Path:
 
 
 def _without_guard(blueprint: Blueprint) -> Blueprint:
-    """The same workflow, in which an approach asks for nothing but its own branch."""
+    """Return the same workflow, in which an approach requires nothing but its own branch."""
     branch = blueprint.branches["placement"]
     freed = msgspec.structs.replace(branch.operations["approach"], requires={})
     changed = msgspec.structs.replace(branch, operations={**branch.operations, "approach": freed})
     return msgspec.structs.replace(blueprint, branches={**blueprint.branches, "placement": changed})
 
 
-@fault("O1", how="a running daemon, on its way to the placed tool, asked over the bus for all that is forbidden there")
+@fault(
+    "O1", how="a running daemon, on its way to the placed tool, with requests over the bus for all forbidden operations"
+)
 async def all_forbidden(lab: Lab) -> Evidence:
-    """What is forbidden is refused by a whole daemon."""
+    """Forbidden operations are refused by a complete daemon."""
     blueprint = load_blueprint(find_workflow("ratms").blueprint)
-    rulings, asked, states = behaviour(blueprint), 0, 0
+    rulings, requested, states = behaviour(blueprint), 0, 0
     async with lab.cell() as cell:
         row = cell.last_row()
-        for step in _way():
+        for step in _procedure_steps():
             if step is not None:
                 await step(cell.client)
                 await until(cell.client, lambda snapshot: not snapshot.running)
-            asked += await _ask_forbidden(cell, blueprint, rulings)
+            requested += await _ask_forbidden(cell, blueprint, rulings)
             states += 1
         decisions = Counter(stored.verdict.decision for stored in cell.rows(row) if stored.verdict is not None)
         reached = await state(cell.client, "placement")
     return Evidence(
-        f"{asked} refused in {states} joint states",
+        f"{requested} refused in {states} joint states",
         took_place={"refusals that the journal has": decisions["rejected"]},
         control={"accepted, as the journal has it": decisions["accepted"], "reached": reached},
     )
 
 
-def _way() -> tuple[Callable[[Client], Awaitable[object]] | None, ...]:
+def _procedure_steps() -> tuple[Callable[[Client], Awaitable[object]] | None, ...]:
     async def planned(client: Client) -> None:
         await accept(client, "registration.plan_landmarks", **landmarks())
 
@@ -122,7 +124,7 @@ def _way() -> tuple[Callable[[Client], Awaitable[object]] | None, ...]:
 
 
 async def _ask_forbidden(cell: RunningCell, blueprint: Blueprint, rulings: Any) -> int:
-    """Asks for every operation that is denied in the present joint state; how many these are."""
+    """Request every operation that is denied in the present joint state, and return how many these are."""
     before, row = await cell.client.state(), cell.last_row()
     there = rulings[joint_of(blueprint, before.branches)]
     arguments = Arguments(plan_arguments(plan()))
@@ -131,7 +133,7 @@ async def _ask_forbidden(cell: RunningCell, blueprint: Blueprint, rulings: Any) 
         for branch, name, spec in operations(blueprint)
         if spec.event or spec.iio or isinstance(there[f"{branch}.{name}"], Denial)
     ]
-    # Whether the tool counts as aligned is for a watch to say, in these states at any time.
+    # A watch decides whether the tool counts as aligned, and may do so in these states at any time.
     denied = [(name, payload) for name, payload in denied if not name.startswith("alignment.") and not is_sham()]
     verdicts = [await cell.client.call(name, arguments.next(name, payload)) for name, payload in denied]
     after, recorded = await cell.client.state(), [stored.verdict for stored in cell.rows(row)]
@@ -168,8 +170,8 @@ async def index_out_of_range(lab: Lab) -> Evidence:
     )
 
 
-async def _displaced(cell: RunningCell, offsets: dict[int, Any]) -> Evidence:
-    """Digitizes with touches off by `offsets` (m, by index): registering is refused, and without them it is not."""
+async def _register_displaced(cell: RunningCell, offsets: dict[int, Any]) -> Evidence:
+    """Digitize with touches off by `offsets` (m, by index): registering is refused, and accepted without them."""
     await accept(cell.client, "registration.plan_landmarks", **landmarks())
     for index, offset in offsets.items():
         x, y, z = map(float, offset)
@@ -194,34 +196,34 @@ def _points() -> Any:
 
 @fault("O3", how="simulated person touches two landmarks in exchanged order")
 async def swapped(lab: Lab) -> Evidence:
-    """Landmarks in another order are no registration."""
+    """Landmarks in another order are not accepted as a registration."""
     points = _points()
     first, second = lab.random.sample(range(len(points)), 2)
-    way = points[second] - points[first]
+    offset = points[second] - points[first]
     async with lab.cell() as cell:
-        evidence = await _displaced(cell, {first: way, second: -way})
+        evidence = await _register_displaced(cell, {first: offset, second: -offset})
     return replace(evidence, details={"landmarks": f"{first}, {second}"})
 
 
 @fault("O4", how="simulated person touches 25 mm or more beside a landmark")
 async def large_residual(lab: Lab) -> Evidence:
-    """A landmark far off is no registration."""
+    """A landmark far off is not accepted as a registration."""
     index, direction = lab.random.randrange(len(_points())), np.array([lab.random.gauss(0, 1) for _ in range(3)])
     offset = lab.random.uniform(0.025, 0.050) * direction / np.linalg.norm(direction)
     async with lab.cell() as cell:
-        evidence = await _displaced(cell, {index: offset})
+        evidence = await _register_displaced(cell, {index: offset})
     return replace(evidence, details={"landmark": index, "millimetres": float(np.linalg.norm(offset) * 1e3)})
 
 
 @fault("O5", how="landmarks planned on one line")
 async def collinear(lab: Lab) -> Evidence:
-    """Landmarks on a line are no plan."""
+    """Landmarks on a line are not accepted as a plan."""
     step = lab.random.uniform(0.01, 0.05)
     line = [{"name": f"p{n}", "position": [step * n, 2 * step * n, 0.0]} for n in range(6)]
     codes = ("degenerate_points", "landmarks_collinear")
     async with lab.cell() as cell:
-        asked = landmarks() if is_sham() else {"landmarks": line}
-        verdict = await refused(cell, "registration.plan_landmarks", asked, codes=codes)
+        requested = landmarks() if is_sham() else {"landmarks": line}
+        verdict = await refused(cell, "registration.plan_landmarks", requested, codes=codes)
         control = await accept(cell.client, "registration.plan_landmarks", **landmarks())
     return Evidence(
         f"refused: {reason_text(verdict)}",
@@ -231,13 +233,13 @@ async def collinear(lab: Lab) -> Evidence:
 
 
 def _patient(name: str) -> tuple[str, ...]:
-    """Settings of a patient, of whom there is no surface."""
+    """Return the settings of a patient without a surface."""
     return f"procedure.patient={name}", 'procedure.body.surface=""'
 
 
 @fault("O6", how="the daemon is started for another patient on the journal of the last one", deadline=300.0)
 async def previous_patient(lab: Lab) -> Evidence:
-    """Another patient's registration is not taken."""
+    """The registration of another patient is not accepted."""
     async with lab.daemon(*_patient("one")) as cell:
         await digitize_landmarks(cell.client)
         await accept(cell.client, "registration.register")
@@ -270,13 +272,13 @@ async def planned_again(lab: Lab) -> Evidence:
     return Evidence(
         "digitization and registration gone, approach refused",
         took_place={"registration until the new plan": before, "states after it": states},
-        control={"register, digitized anew": control.decision},
+        control={"register, digitized again": control.decision},
     )
 
 
 @fault("O8", how="landmarks planned in mm; the person touches the mirror image of every landmark")
 async def wrong_units(lab: Lab) -> Evidence:
-    """Another unit, or a mirror image, is no registration."""
+    """Another unit, or a mirror image, is not accepted as a registration."""
     given = landmarks()["landmarks"]
     in_mm = [{**each, "position": [1e3 * value for value in each["position"]]} for each in given]
     points = _points()
@@ -285,9 +287,9 @@ async def wrong_units(lab: Lab) -> Evidence:
     normal /= np.linalg.norm(normal)
     mirrored = points - 2.0 * np.outer((points - middle) @ normal, normal)
     async with lab.cell() as cell:
-        asked = landmarks() if is_sham() else {"landmarks": in_mm}
-        unit = await refused(cell, "registration.plan_landmarks", asked, codes=("wrong_unit",))
-        mirror = await _displaced(cell, dict(enumerate(mirrored - points)))
+        requested = landmarks() if is_sham() else {"landmarks": in_mm}
+        unit = await refused(cell, "registration.plan_landmarks", requested, codes=("wrong_unit",))
+        mirror = await _register_displaced(cell, dict(enumerate(mirrored - points)))
     return replace(
         mirror,
         response=f"mm: {reason_text(unit)}; mirror image: {mirror.response}",
@@ -297,7 +299,7 @@ async def wrong_units(lab: Lab) -> Evidence:
 
 @fault("O10", how="commands with an id that was used: at once, later, and while the first runs")
 async def repeated(lab: Lab) -> Evidence:
-    """One id is run once."""
+    """A command id is executed once."""
     async with lab.cell() as cell:
         row, name = cell.last_row(), f"again-{lab.random.random()}"
         arguments = landmarks()
@@ -322,7 +324,7 @@ async def repeated(lab: Lab) -> Evidence:
 
 STOPS = 9
 PROMISE = 0.020
-"""A digitization is cancelled within this of a Stop, s."""
+"""Time after a Stop within which a digitization is cancelled, s."""
 
 
 @fault(
@@ -357,15 +359,15 @@ async def stop_while_digitizing(lab: Lab) -> Evidence:
 
 
 async def _stop_digitizing(cell: RunningCell) -> float:
-    """From the datagram of Stop to the cancelled operation's verdict at its caller, s."""
+    """Return the time from the datagram of Stop to the cancelled operation's verdict at its caller, s."""
     clock = SystemClock()
     call = asyncio.create_task(cell.client.call("digitization.digitize_one", {"index": 0}, timeout=30.0))
     await until(cell.client, lambda snapshot: bool(snapshot.running))
     expect(not call.done(), "The digitization ended without a Stop.")
-    begun = clock.monotonic()
+    started = clock.monotonic()
     stop = None if is_sham() else asyncio.create_task(cell.planner.stop())
     verdict = await call
-    took = clock.monotonic() - begun
+    took = clock.monotonic() - started
     if stop is not None:
         await stop
     expect(verdict.decision == "failed", f"The digitization was {verdict.decision}.")
@@ -373,7 +375,7 @@ async def _stop_digitizing(cell: RunningCell) -> float:
 
 
 async def _timer_lateness() -> float:
-    """How late a bare timer of 5 ms is in the worst of 100 cases, s."""
+    """Return the largest lateness of 100 bare timers of 5 ms, s."""
     clock, late = SystemClock(), list[float]()
     for _ in range(100):
         due = clock.monotonic() + 0.005
@@ -384,12 +386,12 @@ async def _timer_lateness() -> float:
 
 @fault("O12", how="another pose and other landmarks are planned while the tool moves to the first one")
 async def edited_while_moving(lab: Lab) -> Evidence:
-    """No plan changes under a motion."""
+    """A plan cannot change during a motion."""
     async with lab.cell(*REAL_TIME) as cell:
         await to_retracted(cell.client)
         before = await cell.client.state()
         async with moving(cell.client) as approach:
-            if is_sham():  # asked for after the motion, it is no fault
+            if is_sham():  # requested after the motion, it is no fault
                 await approach
             joints = await cell.client.request_device("robot", "joints")
             speed = float(np.abs(joints["velocities"]).max())
@@ -415,7 +417,7 @@ async def edited_while_moving(lab: Lab) -> Evidence:
 
 
 LIMIT = 3.0
-"""A session that nobody attends to for so long is made safe here, s of the machine."""
+"""Time without attendance after which a session is made safe here, s of the machine."""
 ATTENDED = 6.0
 ABANDONED_EVENT = "session_abandoned"
 ABANDONED = (f"procedure.abandoned_after={LIMIT:g}", "workflow=ratms_threshold", *REAL_TIME)
@@ -425,10 +427,10 @@ ABANDONED = (f"procedure.abandoned_after={LIMIT:g}", "workflow=ratms_threshold",
 async def abandoned(lab: Lab) -> Evidence:
     """A session that nobody attends to is made safe."""
     async with lab.daemon(*ABANDONED) as cell:
-        return await _leave(cell)
+        return await _abandon_session(cell)
 
 
-async def _leave(cell: RunningCell) -> Evidence:
+async def _abandon_session(cell: RunningCell) -> Evidence:
     await to_placed(cell.client)
     await accept(cell.client, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
     await accept(cell.client, "stimulation.set_intensity", percent=50.0)
@@ -436,13 +438,13 @@ async def _leave(cell: RunningCell) -> Evidence:
     row = cell.last_row()
     async with _attended(cell.client):
         await asyncio.sleep(ATTENDED)
-    expect(not (await cell.client.state()).latched, "It was held although somebody was there.")
-    attended = _quiet(cell.rows(row))
+    expect(not (await cell.client.state()).latched, "The cell was held although it was attended.")
+    attended = _longest_silence(cell.rows(row))
     async with _attended(cell.client) if is_sham() else nullcontext():
         shown = await until(
             cell.client, lambda snapshot: snapshot.latched and snapshot.branches["stimulation"] == "disarmed"
         )
-    quiet = _quiet(cell.rows(row))
+    quiet = _longest_silence(cell.rows(row))
     stimulator = await cell.client.request_device("stimulator", "state")
     expect(not stimulator["armed"], "The stimulator itself is armed.")
     await stands(cell)
@@ -457,23 +459,23 @@ async def _leave(cell: RunningCell) -> Evidence:
 
 @asynccontextmanager
 async def _attended(client: Client) -> AsyncIterator[None]:
-    """Somebody asks for something during the context, and again before the limit."""
+    """Request an operation regularly within the limit during the context."""
 
-    async def ask() -> None:
+    async def request_repeatedly() -> None:
         while True:
             await client.call("stimulation.set_intensity", {"percent": 50.0})
             await asyncio.sleep(LIMIT / 2)
 
-    asking = asyncio.create_task(ask())
+    requesting = asyncio.create_task(request_repeatedly())
     try:
         yield
     finally:
-        asking.cancel()
+        requesting.cancel()
         with suppress(asyncio.CancelledError):
-            await asking
+            await requesting
 
 
-def _quiet(rows: list[JournalRow]) -> float:
-    """Longest time between two rows of a journal that tell of a command, or of its absence, s."""
+def _longest_silence(rows: list[JournalRow]) -> float:
+    """Return the longest time between two rows about a command, or about its absence, s."""
     times = [row.monotonic for row in rows if row.kind == "outcome" or row.operation == ABANDONED_EVENT]
     return max((later - earlier for earlier, later in pairwise(times)), default=0.0)

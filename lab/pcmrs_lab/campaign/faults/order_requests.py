@@ -29,11 +29,11 @@ from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
 
 LATE = 0.25
-"""A late frame arrives after this, s of the machine: longer than a resting arm takes to confirm a hold, less than the
-age for which alone a device refuses a request."""
+"""Delay of a late frame, s of the machine: longer than a resting arm takes to confirm a hold, less than the age at
+which a device refuses a request by its age alone."""
 
 LATER = 0.9
-"""The same, but after the next command has begun."""
+"""Delay of a frame that arrives after the next command has begun, s of the machine."""
 
 LOOKS = 20
 
@@ -41,11 +41,18 @@ ROBOT = "dev/robot/cmd"
 STIMULATOR = "dev/stimulator/cmd"
 ON_ITS_WAY = "the bus delivers the request late, after the hold"
 
-Bring = Callable[[Client], Awaitable[None]]
+Prepare = Callable[[Client], Awaitable[None]]
 
 
 def delayed(response: str, late: list[Delayed], moved: list[float] | None = None, **control: Any) -> Evidence:
-    """What a row reports: what the delayed process has counted, what moved, and what its control showed."""
+    """Return the evidence of a row: records of the delayed process, motion of the arm, and result of the control.
+
+    Args:
+        response: Response in a few words.
+        late: Records of the delayed frames.
+        moved: Largest displacement of a joint, rad; None if it was not measured.
+        control: Results of the control, by name.
+    """
     found = {"delayed": len(late), "late_s": [round(each.ended - each.begun, 3) for each in late]}
     details: dict[str, Any] = {"overtaken_by": sum(each.overtaken for each in late)}
     if moved is not None:
@@ -56,49 +63,55 @@ def delayed(response: str, late: list[Delayed], moved: list[float] | None = None
 async def late_motion(
     lab: Lab,
     place: Place,
-    bring: Bring,
+    prepare: Prepare,
     name: str,
     arguments: dict[str, Any] | None = None,
     *,
     word: str = "follow",
     blocked: float = 0.0,
 ) -> Evidence:
-    """Stop is pressed while a motion's request is on its way; the request arrives after the hold, and moves nothing.
+    """Press Stop while a motion's request is in transit; the request arrives after the hold, and must move nothing.
 
     Args:
-        lab: Of the row.
-        place: Where the request is delayed.
-        bring: To where the motion may begin.
-        name: ``branch.operation`` of the motion.
-        arguments: Its own.
+        lab: Surroundings of the fault.
+        place: Point at which the request is delayed.
+        prepare: Brings the cell to a state in which the motion may begin.
+        name: Motion, ``branch.operation``.
+        arguments: Arguments of the motion.
         word: Method of the request.
-        blocked: The daemon's loop stands still so long when Stop comes, s, so that the node's own hold is the only one.
+        blocked: Time for which the daemon's loop is blocked when Stop comes, s, so that only the node itself holds.
+
+    Returns:
+        Evidence of the row.
+
+    Raises:
+        Unmet: A joint has moved, or the motion did not work when it was requested again.
     """
     rule = Rule(place, ROBOT, word, LATE)
     blocking = [Rule("pass", "service.before_publish", seconds=blocked)] if blocked else []
-    async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
-        await bring(cell.client)
+    async with lab.cell(*REAL_TIME, fresh=False, delayed=True) as cell:
+        await prepare(cell.client)
         await asyncio.sleep(BRAKING)
         async with delays_of(cell).delaying(rule):
             motion = asyncio.create_task(cell.client.call(name, arguments, timeout=PATIENCE))
-            await delays_of(cell).begins(rule)
+            await delays_of(cell).wait_until_delaying(rule)
             async with standing(cell) as moved, delays_of(cell).delaying(*blocking):
                 await cell.client.stop()
-                late = await delays_of(cell).took_place(rule)
+                late = await delays_of(cell).wait_until_delayed(rule)
                 verdict = await motion
             await held(cell)
         await confirmed(cell)
-        await bring(cell.client)
+        await prepare(cell.client)
         async with moving(cell.client, name, arguments=arguments) as control:
             again = await control
-        expect(again.decision == "accepted", f"{name} was {again.decision} when it was asked for again.")
+        expect(again.decision == "accepted", f"{name} was {again.decision} when it was requested again.")
         await start_over(cell)
     expect(verdict.decision in ("failed", "accepted"), f"{name} ended {verdict.decision}: {reason_text(verdict)}.")
     return delayed("no joint moved", late, moved, moved_the_arm_when_asked_again=again.decision)
 
 
 async def start_over(cell: RunningCell) -> None:
-    """Ends what still follows, so that the next row finds a resting arm."""
+    """Stop following, if the tool still follows, so that the next row finds a resting arm."""
     if (await state(cell.client, "placement")) == "following":
         await accept(cell.client, "placement.stop_following")
 
@@ -111,7 +124,7 @@ async def sent_late(lab: Lab) -> Evidence:
 
 @fault("Q1", how=ON_ITS_WAY)
 async def delivered_late(lab: Lab) -> Evidence:
-    """`follow` is on its way for longer than the hold that was sent after it."""
+    """`follow` is in transit for longer than the hold that was sent after it."""
     return await late_motion(lab, "receive", to_retracted, "placement.approach")
 
 
@@ -119,19 +132,19 @@ async def delivered_late(lab: Lab) -> Evidence:
     "Q2", how="the daemon's loop stands still, so that the node alone holds, on the lane of Stop; `follow` arrives then"
 )
 async def after_the_node_s_own_hold(lab: Lab) -> Evidence:
-    """The node's own hold counts as the daemon's does."""
+    """The node's own hold counts like the daemon's."""
     return await late_motion(lab, "receive", to_retracted, "placement.approach", blocked=2 * LATE)
 
 
 @fault("Q11", how=ON_ITS_WAY)
 async def confirm_late(lab: Lab) -> Evidence:
-    """The motion to the body."""
+    """The late request is the motion to the body."""
     return await late_motion(lab, "receive", to_standoff, "placement.confirm")
 
 
 @fault("Q12", how=ON_ITS_WAY)
 async def nudge_late(lab: Lab) -> Evidence:
-    """A small motion at the body."""
+    """The late request is a small motion at the body."""
     nudge = {"translation": [0.0, 0.0, 0.004]}
     return await late_motion(lab, "receive", to_placed, "placement.nudge", nudge)
 
@@ -144,18 +157,18 @@ async def retreat_late(lab: Lab) -> Evidence:
 
 @fault("Q14", how=ON_ITS_WAY)
 async def servo_late(lab: Lab) -> Evidence:
-    """The request that begins a servo session, for following the head."""
+    """The late request begins a servo session, for following the head."""
     rule = Rule("receive", ROBOT, "begin_servo", LATE)
-    async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
+    async with lab.cell(*REAL_TIME, fresh=False, delayed=True) as cell:
         await to_placed(cell.client)
         await asyncio.sleep(BRAKING)
         async with delays_of(cell).delaying(rule):
             follow = asyncio.create_task(cell.client.call("placement.follow", timeout=PATIENCE))
-            await delays_of(cell).begins(rule)
+            await delays_of(cell).wait_until_delaying(rule)
             await cell.client.stop()
             await until(cell.client, lambda shown: shown.latched and shown.branches["placement"] != "following")
             async with standing(cell) as moved:
-                late = await delays_of(cell).took_place(rule)
+                late = await delays_of(cell).wait_until_delayed(rule)
             await follow
             await held(cell)
         await confirmed(cell)
@@ -170,21 +183,21 @@ async def servo_late(lab: Lab) -> Evidence:
     "Q15", how="the bus delivers the request of the stopped motion while the next one, after the acknowledgement, runs"
 )
 async def overtaken_by_the_next(lab: Lab) -> Evidence:
-    """Only the motion that was asked for after the acknowledgement is done."""
+    """Only the motion that was requested after the acknowledgement is performed."""
     rule = Rule("receive", ROBOT, "follow", LATER)
-    async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
+    async with lab.cell(*REAL_TIME, fresh=False, delayed=True) as cell:
         await to_standoff(cell.client)
         await asyncio.sleep(BRAKING)
         async with delays_of(cell).delaying(rule):
             stopped = asyncio.create_task(cell.client.call("placement.confirm", timeout=PATIENCE))
-            await delays_of(cell).begins(rule)
+            await delays_of(cell).wait_until_delaying(rule)
             await cell.client.stop()
             await stopped
             shown = await until(cell.client, lambda shown: shown.latched and not shown.stop.pending)
             await accept(cell.client, "robot.acknowledge", stop=shown.stop.number)
             verdict = await cell.client.call("placement.back_off", timeout=PATIENCE)
             async with standing(cell) as moved:
-                late = await delays_of(cell).took_place(rule)
+                late = await delays_of(cell).wait_until_delayed(rule)
         expect(verdict.decision == "accepted", f"back_off was {verdict.decision}: {reason_text(verdict)}.")
         where = await state(cell.client, "placement")
         expect(where in ("standoff", "retracted"), f"The placement is {where} after back_off.")
@@ -195,23 +208,33 @@ THRESHOLD = ("workflow=ratms_threshold", *REAL_TIME)
 
 
 async def ready_to_stimulate(client: Client) -> None:
-    """The tool is at its pose, and the stimulator may be armed."""
+    """Bring the tool to its pose, and set ceiling and intensity, so that the stimulator may be armed."""
     await to_placed(client)
     await accept(client, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
     await accept(client, "stimulation.set_intensity", percent=50.0)
 
 
 async def late_stimulation(lab: Lab, method: str, name: str, arguments: dict[str, Any]) -> Evidence:
-    """Stop is pressed while a request to the stimulator is on its way; it has no effect when it arrives."""
+    """Press Stop while a request to the stimulator is in transit; it must have no effect when it arrives.
+
+    Args:
+        lab: Surroundings of the fault.
+        method: Method of the request.
+        name: Operation, ``branch.operation``.
+        arguments: Arguments of the operation.
+
+    Returns:
+        Evidence of the row.
+    """
     rule = Rule("receive", STIMULATOR, method, LATE)
     async with lab.cell(*THRESHOLD, delayed=True) as cell:
         await ready_to_stimulate(cell.client)
         before = await cell.client.request_device("stimulator", "state")
         async with delays_of(cell).delaying(rule):
             asked = asyncio.create_task(cell.client.call(name, arguments, timeout=PATIENCE))
-            await delays_of(cell).begins(rule)
+            await delays_of(cell).wait_until_delaying(rule)
             await cell.client.stop()
-            late = await delays_of(cell).took_place(rule)
+            late = await delays_of(cell).wait_until_delayed(rule)
             verdict = await asked
             await asyncio.sleep(BRAKING)
             after = await cell.client.request_device("stimulator", "state")
@@ -223,7 +246,7 @@ async def late_stimulation(lab: Lab, method: str, name: str, arguments: dict[str
         again = await accept(cell.client, name, **arguments)
         effect = await cell.client.request_device("stimulator", "state")
         changed = [each for each in ("armed", "intensity") if effect[each] != before[each]]
-        expect(bool(changed), f"{name} has no effect when it is asked for again, either.")
+        expect(bool(changed), f"{name} has no effect when it is requested again either.")
         await accept(cell.client, "stimulation.disarm")
     return delayed("disarmed, unchanged", late, asked_again=again.decision, changed=changed)
 
@@ -236,7 +259,7 @@ async def arming_late(lab: Lab) -> Evidence:
 
 @fault("Q17", how=ON_ITS_WAY, deadline=240.0)
 async def intensity_late(lab: Lab) -> Evidence:
-    """Its intensity does not change after Stop."""
+    """The intensity does not change after Stop."""
     return await late_stimulation(lab, "set_intensity", "stimulation.set_intensity", {"percent": 60.0})
 
 
@@ -249,10 +272,10 @@ async def touch_late(lab: Lab) -> Evidence:
         before = (await cell.scene.truth()).tip_in_tracker
         async with delays_of(cell).delaying(rule):
             asked = asyncio.create_task(cell.client.call("digitization.digitize_one", {"index": 0}, timeout=PATIENCE))
-            await delays_of(cell).begins(rule)
+            await delays_of(cell).wait_until_delaying(rule)
             await cell.client.stop()
             verdict = await asked
-            late = await delays_of(cell).took_place(rule)
+            late = await delays_of(cell).wait_until_delayed(rule)
             seen = await _tips(cell)
         expect(verdict.decision == "failed", f"digitize_one ended {verdict.decision}: {reason_text(verdict)}.")
         expect(set(seen) == {before}, f"The hand was at {before}, and after Stop at {set(seen)}.")
@@ -264,7 +287,7 @@ async def touch_late(lab: Lab) -> Evidence:
 
 
 async def _tips(cell: RunningCell) -> list[tuple[float, ...] | None]:
-    """Where the pointer's tip is during `BRAKING`, in the tracker's frame, m; None while the hand is away."""
+    """Return positions of the pointer's tip during `BRAKING` in the tracker frame, m; None while the hand is away."""
     seen: list[tuple[float, ...] | None] = []
     for _ in range(LOOKS):
         seen.append((await cell.scene.truth()).tip_in_tracker)

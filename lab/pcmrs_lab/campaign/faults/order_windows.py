@@ -41,11 +41,11 @@ from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
 from pcmrs_lab.campaign.faults.order_requests import ROBOT, delayed
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.samples import process_state
-from pcmrs_lab.campaign.sham import bring_about, is_sham
-from pcmrs_lab.campaign.waiting import until_said, until_true
+from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
+from pcmrs_lab.campaign.waiting import until_logged, until_true
 
 SLOW = 0.5
-"""What is slow takes so long, s of the machine: less than the limit within which a hold is confirmed."""
+"""Delay of the slow component, s of the machine: less than the limit within which a hold is confirmed."""
 
 DISK = "the journal's thread waits before a commit, as for a slow disk"
 COMMIT = "journal.before_commit"
@@ -54,20 +54,20 @@ OFTEN = 1000
 
 @asynccontextmanager
 async def writing(cell: RunningCell, what: str, *, ended: bool = True) -> AsyncIterator[Rule]:
-    """The disk is slow from now on, and the context begins when a motion's row of a kind is about to be written.
+    """Slow the disk down, and begin the context when a motion's row of a kind is about to be written.
 
     Args:
-        cell: Whose.
+        cell: Cell with the disk.
         what: ``intent`` or ``outcome``.
-        ended: The daemon survives it.
+        ended: False if the daemon does not survive the context.
 
     Yields:
-        The rule of the slow disk.
+        Rule of the slow disk.
     """
     here, slow = Rule("pass", f"dispatcher.before_{what}"), Rule("pass", COMMIT, seconds=SLOW, times=OFTEN)
     async with delays_of(cell).delaying(here, slow, ended=ended):
-        await delays_of(cell).begins(here)
-        await delays_of(cell).begins(slow)
+        await delays_of(cell).wait_until_delaying(here)
+        await delays_of(cell).wait_until_delaying(slow)
         yield slow
 
 
@@ -77,13 +77,13 @@ def _stopped(number: int) -> Callable[[Snapshot], bool]:
 
 @fault("Q3", how="a motion's request as an earlier daemon, or one to an earlier node, would have made it")
 async def earlier_session(lab: Lab) -> Evidence:
-    """Whatever its age and its number, a request of another session has no effect; the present one's has."""
+    """A request of another session has no effect at any age and number; one of the present session has."""
     beats: list[NodeBeat] = []
-    async with lab.daemon(*REAL_TIME) as cell:  # whose own numbers do not count after this
+    async with lab.daemon(*REAL_TIME) as cell:  # its own numbers do not count after this
         await to_standoff(cell.client)
         await asyncio.sleep(BRAKING)
         end = cell.bus.subscribe("dev/robot/beat", NodeBeat, lambda _, beat: beats.append(beat))
-        await until_true(lambda: bool(beats) and beats[-1].gate is not None, "The robot's node does not beat")
+        await until_true(lambda: bool(beats) and beats[-1].gate is not None, "The robot's node sends no heartbeat")
         await end()
         gate = beats[-1].gate
         if gate is None:
@@ -91,15 +91,15 @@ async def earlier_session(lab: Lab) -> Evidence:
         present = ActToken(daemon=gate.daemon, node=gate.node, epoch=gate.epoch, number=1_000_000)
         others = {"daemon": "earlier", "node": "earlier", "epoch": gate.epoch - 1}
         arm = await cell.client.request_device("robot", "joints")
-        way = {"trajectory": {"period": 0.02, "positions": [arm["positions"]] * 3}}
+        trajectory = {"trajectory": {"period": 0.02, "positions": [arm["positions"]] * 3}}
         codes = []
         async with standing(cell) as moved:
             for field, value in others.items() if not is_sham() else ():
-                codes.append(await _refusal(cell, msgspec.structs.replace(present, **{field: value}), way))
+                codes.append(await _refusal(cell, msgspec.structs.replace(present, **{field: value}), trajectory))
         expect(codes == ["stale_request"] * 3, f"Requests of another {', '.join(others)} were answered: {codes}.")
-        control = await _reply(cell, present, way)
+        control = await _reply(cell, present, trajectory)
         outcome = (control.result or {}).get("outcome", "")
-        expect(outcome == "done", f"A request of the present sessions came to: {control}.")
+        expect(outcome == "done", f"A request of the present sessions ended as {control}.")
         await cell.client.stop()
         await held(cell, ("standoff",))
         await confirmed(cell)
@@ -111,13 +111,13 @@ async def earlier_session(lab: Lab) -> Evidence:
     )
 
 
-async def _reply(cell: RunningCell, token: ActToken, way: dict[str, Any]) -> DeviceReply:
-    request = DeviceRequest(method="follow", arguments=way, token=token)
+async def _reply(cell: RunningCell, token: ActToken, trajectory: dict[str, Any]) -> DeviceReply:
+    request = DeviceRequest(method="follow", arguments=trajectory, token=token)
     return await cell.bus.request(ROBOT, request, DeviceReply, PATIENCE)
 
 
-async def _refusal(cell: RunningCell, token: ActToken, way: dict[str, Any]) -> str | None:
-    reply = await _reply(cell, token, way)
+async def _refusal(cell: RunningCell, token: ActToken, trajectory: dict[str, Any]) -> str | None:
+    reply = await _reply(cell, token, trajectory)
     return None if reply.failure is None else str(reply.failure.fields.get("code", reply.failure.code))
 
 
@@ -125,7 +125,7 @@ async def _refusal(cell: RunningCell, token: ActToken, way: dict[str, Any]) -> s
 async def old_acknowledgement(lab: Lab) -> Evidence:
     """An acknowledgement that was late on the network does not release a newer Stop."""
     rule = Rule("receive", ROBOT, "hold", SLOW)
-    async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
+    async with lab.cell(*REAL_TIME, fresh=False, delayed=True) as cell:
         await to_standoff(cell.client)
         await asyncio.sleep(BRAKING)
         await cell.client.stop()
@@ -134,7 +134,7 @@ async def old_acknowledgement(lab: Lab) -> Evidence:
             await cell.client.stop()
             newest = (await until(cell.client, _stopped(first))).stop.number
             verdict = await cell.client.call("robot.acknowledge", {"stop": first})
-            late = await delays_of(cell).took_place(rule)
+            late = await delays_of(cell).wait_until_delayed(rule)
         await until(cell.client, lambda shown: not shown.stop.pending)
         again = await refused(cell, "robot.acknowledge", {"stop": first}, codes=("stop_outdated",))
         expect(verdict.decision == "rejected", f"The acknowledgement of Stop {first} was {verdict.decision}.")
@@ -146,19 +146,19 @@ async def old_acknowledgement(lab: Lab) -> Evidence:
 
 @fault("Q5", how="the bus delivers the hold late; the reference slips in that moment")
 async def event_while_the_hold_is_slow(lab: Lab) -> Evidence:
-    """The event takes the registration at once; nobody acknowledges or confirms before it is decided."""
+    """The event revokes the registration at once; acknowledgement and confirm are refused before it is decided."""
     rule = Rule("receive", ROBOT, "hold", SLOW)
     async with lab.cell(*REAL_TIME, delayed=True) as cell:
         await to_standoff(cell.client)
         await asyncio.sleep(BRAKING)
         async with delays_of(cell).delaying(rule), standing(cell) as moved:
             await slipped(cell)
-            await delays_of(cell).begins(rule)
+            await delays_of(cell).wait_until_delaying(rule)
             acknowledged, confirm = await asyncio.gather(
                 cell.client.call("robot.acknowledge"), cell.client.call("placement.confirm", timeout=PATIENCE)
             )
             shown = await until(cell.client, lambda shown: shown.branches["registration"] != "111")
-            late = await delays_of(cell).took_place(rule)
+            late = await delays_of(cell).wait_until_delayed(rule)
         expect(confirm.decision == "rejected", f"confirm was {confirm.decision}.")
         expect(acknowledged.decision == "rejected", f"The acknowledgement was {acknowledged.decision}.")
         expect(shown.latched, "Nothing is latched.")
@@ -172,20 +172,30 @@ async def event_while_the_hold_is_slow(lab: Lab) -> Evidence:
 
 
 async def slipped(cell: RunningCell) -> None:
-    """The reference on the head slips."""
+    """Make the reference slip on the head."""
     if not is_sham():
         await cell.scene.inject("bump_reference", {"millimetres": 8.0})
 
 
 async def beside_a_retreat(lab: Lab, name: str, arguments: dict[str, Any], *, plan: bool) -> Evidence:
-    """A command that takes the ground of a standoff away comes while the retreat to it is being committed."""
-    async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
+    """Send a command that revokes the plan of a standoff while the retreat to it is being committed.
+
+    Args:
+        lab: Surroundings of the fault.
+        name: Command, ``branch.operation``.
+        arguments: Arguments of the command.
+        plan: True if the command leaves a plan.
+
+    Returns:
+        Evidence of the row.
+    """
+    async with lab.cell(*REAL_TIME, fresh=False, delayed=True) as cell:
         await to_placed(cell.client)
         before = await cell.client.state()
         async with moving(cell.client, "placement.back_off") as retreat, writing(cell, "outcome") as slow:
             verdict = await cell.client.call(name, arguments, timeout=PATIENCE)
             ended = await retreat
-            late = await delays_of(cell).took_place(slow)
+            late = await delays_of(cell).wait_until_delayed(slow)
         shown = await until(cell.client, lambda shown: not shown.running)
         where = shown.branches["placement"]
         ready = shown.branches["registration"] == "111" and shown.branches["toolplan"] == "1"
@@ -204,26 +214,26 @@ async def beside_a_retreat(lab: Lab, name: str, arguments: dict[str, Any], *, pl
 
 @fault("Q6", how=f"{DISK}; the plan is cleared")
 async def plan_cleared(lab: Lab) -> Evidence:
-    """No standoff without a plan."""
+    """There is no standoff without a plan."""
     return await beside_a_retreat(lab, "toolplan.clear", {}, plan=False)
 
 
 @fault("Q6", how=f"{DISK}; the registration is cleared")
 async def registration_cleared(lab: Lab) -> Evidence:
-    """No standoff without a registration."""
+    """There is no standoff without a registration."""
     return await beside_a_retreat(lab, "registration.clear_registration", {}, plan=False)
 
 
 @fault("Q6", how=f"{DISK}; another pose is planned")
 async def planned_anew(lab: Lab) -> Evidence:
-    """No standoff of another plan."""
+    """A standoff never belongs to another plan."""
     return await beside_a_retreat(lab, "toolplan.plan", tool_pose(1), plan=True)
 
 
 @fault("Q7", how="a planner that sends three motions at once over UDP")
 async def queued_motions(lab: Lab) -> Evidence:
-    """What was acknowledged during a motion is refused, and not performed when that has ended."""
-    async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
+    """Motions that are acknowledged during another motion are refused, and not performed after it."""
+    async with lab.cell(*REAL_TIME, fresh=False, delayed=True) as cell:
         await to_retracted(cell.client)
         row = cell.last_row()
         async with moving(cell.client) as approach:
@@ -237,7 +247,7 @@ async def queued_motions(lab: Lab) -> Evidence:
         asked = [
             stored.operation for stored in rows if stored.verdict is not None and stored.verdict.decision == "rejected"
         ]
-        expect(begun == ["approach"], f"These have begun: {begun}.")
+        expect(begun == ["approach"], f"These operations have begun: {begun}.")
         expect(all(each.decision == "rejected" for each in late), f"They were {[each.decision for each in late]}.")
         verdict = await cell.planner.command("execute_confirmx", timeout=PATIENCE)
         expect(verdict.decision == "accepted", f"By itself it was {verdict.decision}: {verdict.reason}.")
@@ -249,9 +259,9 @@ async def queued_motions(lab: Lab) -> Evidence:
     )
 
 
-@fault("Q8", how=f"{DISK}; a planner without ids has asked for a result over UDP")
+@fault("Q8", how=f"{DISK}; a planner without ids has requested a result over UDP")
 async def late_second_datagram(lab: Lab) -> Evidence:
-    """A client that has given up its result would take a late one for the answer to its next command."""
+    """A client that no longer waits for its result would take a late one for the answer to its next command."""
     port = free_port()
     async with (
         lab.daemon(*REAL_TIME, f"gateway.planner.reply_port={port}", delayed=True) as cell,
@@ -266,7 +276,7 @@ async def late_second_datagram(lab: Lab) -> Evidence:
         async with delays_of(cell).delaying(rule := Rule("pass", COMMIT, seconds=SLOW, times=OFTEN)):
             raw.send(b"start_registrati;")
             first = await _answer(raw)
-            late = await delays_of(cell).took_place(rule)
+            late = await delays_of(cell).wait_until_delayed(rule)
             await until(cell.client, lambda shown: shown.branches["registration"] == "111")
             came = []
             with suppress(TimeoutError):
@@ -297,8 +307,8 @@ def _planning_processes(cell: RunningCell) -> list[int]:
 
 @fault("Q9", how="SIGSTOP of the process that plans motions; Stop is pressed meanwhile, and acknowledged")
 async def plan_out_of_date(lab: Lab) -> Evidence:
-    """A motion whose plan comes after a Stop does not begin."""
-    async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
+    """A motion whose plan arrives after a Stop does not begin."""
+    async with lab.cell(*REAL_TIME, fresh=False, delayed=True) as cell:
         await to_retracted(cell.client)
         await asyncio.sleep(BRAKING)
         found = _planning_processes(cell)
@@ -306,7 +316,7 @@ async def plan_out_of_date(lab: Lab) -> Evidence:
             raise NotRun("No process plans motions in this version.")
         row = cell.last_row()
         async with standing(cell) as moved:
-            bring_about(lambda: os.kill(found[0], signal.SIGSTOP))
+            inject_unless_sham(lambda: os.kill(found[0], signal.SIGSTOP))
             try:
                 approach = asyncio.create_task(cell.client.call("placement.approach", timeout=PATIENCE))
                 await asyncio.sleep(SLOW)
@@ -335,7 +345,7 @@ async def plan_out_of_date(lab: Lab) -> Evidence:
 @fault("Q10", how="simulated arm: a joint of the resting arm is moved by hand while nothing runs")
 async def moves_while_nothing_runs(lab: Lab) -> Evidence:
     """It is a danger event: held and latched."""
-    async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
+    async with lab.cell(*REAL_TIME, fresh=False, delayed=True) as cell:
         await to_standoff(cell.client)
         await asyncio.sleep(BRAKING)
         before = (await cell.client.state()).stop.number
@@ -349,29 +359,37 @@ async def moves_while_nothing_runs(lab: Lab) -> Evidence:
         shown = await until(cell.client, _stopped(before))
         await stands(cell)
         await refused(cell, "placement.confirm", codes=("latched", "not_allowed", "wrong_state"))
-        way = math.dist(resting, await tool_position(cell))
+        trajectory = math.dist(resting, await tool_position(cell))
         await confirmed(cell)
         await to_standoff(cell.client)
         again = await accept(cell.client, "placement.confirm")
     return Evidence(
         "latched",
-        took_place={"moved_by_hand_mm": round(way * 1e3, 2)},
+        took_place={"moved_by_hand_mm": round(trajectory * 1e3, 2)},
         control={"confirm_of_an_arm_at_rest": again.decision},
         details={"stop": shown.stop.number - before, "stood_within_rad": stood[0]},
     )
 
 
 async def slow_hold(lab: Lab, rule: Rule) -> Evidence:
-    """Until standstill was measured after the hold, Stop is pending and nobody can acknowledge it."""
-    async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
+    """Check that Stop is pending and cannot be acknowledged until standstill was measured after the hold.
+
+    Args:
+        lab: Surroundings of the fault.
+        rule: Rule that delays the hold.
+
+    Returns:
+        Evidence of the row.
+    """
+    async with lab.cell(*REAL_TIME, fresh=False, delayed=True) as cell:
         await to_retracted(cell.client)
         number = (await cell.client.state()).stop.number
         async with moving(cell.client) as approach, delays_of(cell).delaying(rule):
             await cell.client.stop()
-            await delays_of(cell).begins(rule)
+            await delays_of(cell).wait_until_delaying(rule)
             shown = await until(cell.client, _stopped(number))
             verdict = await cell.client.call("robot.acknowledge", {"stop": shown.stop.number})
-            late = await delays_of(cell).took_place(rule)
+            late = await delays_of(cell).wait_until_delayed(rule)
             await approach
         expect("standstill" in shown.stop.pending, f"Stop waits for {shown.stop.pending}, not for standstill.")
         expect(verdict.decision == "rejected", f"The acknowledgement was {verdict.decision}.")
@@ -384,13 +402,13 @@ async def slow_hold(lab: Lab, rule: Rule) -> Evidence:
 
 @fault("Q19", how="the bus delivers the hold late")
 async def hold_late(lab: Lab) -> Evidence:
-    """The request to hold."""
+    """The request to hold is late."""
     return await slow_hold(lab, Rule("receive", ROBOT, "hold", SLOW))
 
 
 @fault("Q20", how="the thread that answers the hold is slow")
 async def answer_late(lab: Lab) -> Evidence:
-    """The answer to it."""
+    """The answer to the hold is late."""
     return await slow_hold(lab, Rule("answer", ROBOT, "hold", SLOW))
 
 
@@ -402,12 +420,12 @@ async def stopped_before_the_intent(lab: Lab) -> Evidence:
 
 @fault("Q23", how=f"{DISK}; the reference slips in that moment")
 async def event_before_the_intent(lab: Lab) -> Evidence:
-    """A danger event is as good as Stop, and has its own effect, too."""
+    """A danger event stops like Stop, and has its own effect, too."""
     return await _while_the_intent_is_written(lab, "event")
 
 
 async def _while_the_intent_is_written(lab: Lab, what: str) -> Evidence:
-    async with lab.cell(*REAL_TIME, anew=what == "event", delayed=True) as cell:
+    async with lab.cell(*REAL_TIME, fresh=what == "event", delayed=True) as cell:
         await to_retracted(cell.client)
         await asyncio.sleep(BRAKING)
         approach = asyncio.create_task(cell.client.call("placement.approach", timeout=PATIENCE))
@@ -418,7 +436,7 @@ async def _while_the_intent_is_written(lab: Lab, what: str) -> Evidence:
                 await slipped(cell)
             verdict = await approach
             await until(cell.client, lambda shown: shown.latched)
-            late = await delays_of(cell).took_place(rule)
+            late = await delays_of(cell).wait_until_delayed(rule)
         expect(verdict.decision == "failed", f"The approach ended {verdict.decision}: {reason_text(verdict)}.")
         if what == "event":
             await until(cell.client, lambda shown: shown.branches["registration"] != "111")
@@ -428,18 +446,18 @@ async def _while_the_intent_is_written(lab: Lab, what: str) -> Evidence:
         await to_retracted(cell.client)
         again = await accept(cell.client, "placement.approach")
         where = await state(cell.client, "placement")
-    return delayed("never begun", late, moved, asked_again=again.decision, reached=where)
+    return delayed("never started", late, moved, asked_again=again.decision, reached=where)
 
 
 @fault("Q22", how=DISK)
 async def stopped_before_the_outcome(lab: Lab) -> Evidence:
     """A motion that has ended when Stop comes keeps its outcome, or counts as held; nothing moves."""
-    async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
+    async with lab.cell(*REAL_TIME, fresh=False, delayed=True) as cell:
         await to_standoff(cell.client)
         async with moving(cell.client, "placement.home") as retreat, writing(cell, "outcome") as rule:
             await cell.client.stop()
             verdict = await retreat
-            late = await delays_of(cell).took_place(rule)
+            late = await delays_of(cell).wait_until_delayed(rule)
         async with standing(cell) as moved:
             pass
         shown = await until(cell.client, lambda shown: shown.latched and not shown.running)
@@ -456,13 +474,13 @@ async def stopped_before_the_outcome(lab: Lab) -> Evidence:
 
 @fault("Q24", how=f"{DISK}; SIGKILL of the daemon in that moment", deadline=240.0)
 async def killed_before_the_outcome(lab: Lab) -> Evidence:
-    """After the restart the motion counts as unknown, and nothing moves before that is settled."""
+    """After the restart the motion counts as unknown, and nothing moves before that is resolved."""
     place = lab.folder / "cell"
     async with lab.daemon(*REAL_TIME, folder=place, delayed=True) as first:
         await to_standoff(first.client)
         home = asyncio.create_task(first.client.call("placement.home", timeout=PATIENCE))
         async with writing(first, "outcome", ended=False):
-            bring_about(lambda: first.process.send_signal(signal.SIGKILL))
+            inject_unless_sham(lambda: first.process.send_signal(signal.SIGKILL))
             status = await first.process.wait()
             home.cancel()
             with suppress(UnknownOutcomeError, asyncio.CancelledError):
@@ -485,18 +503,18 @@ async def killed_before_the_outcome(lab: Lab) -> Evidence:
 
 @fault("Q25", how=DISK)
 async def repeated_while_it_is_written(lab: Lab) -> Evidence:
-    """A repeat attaches to the command that is being concluded."""
-    async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
+    """A repeat attaches to the command whose outcome is being written."""
+    async with lab.cell(*REAL_TIME, fresh=False, delayed=True) as cell:
         await to_standoff(cell.client)
         row = cell.last_row()
         name = f"repeated-{lab.seed}-{row}"
         async with moving(cell.client, "placement.home", name) as home, writing(cell, "outcome") as rule:
             second = await cell.client.call("placement.home", id=name, timeout=PATIENCE)
-            late = await delays_of(cell).took_place(rule)
+            late = await delays_of(cell).wait_until_delayed(rule)
         first = await home
         begun = [stored for stored in cell.rows(row) if (stored.kind, stored.operation) == ("intent", "home")]
         expect(first == second, f"The first got {first}, the repeat {second}.")
-        expect(len(begun) == 1, f"It was begun {len(begun)} times.")
+        expect(len(begun) == 1, f"It began {len(begun)} times.")
         other = await cell.client.call("toolplan.plan", tool_pose(1), id=name)
         own = await accept(cell.client, "toolplan.plan", **tool_pose(1))
         expect(other.decision == "rejected", f"Another command of the same id was {other.decision}.")
@@ -505,17 +523,17 @@ async def repeated_while_it_is_written(lab: Lab) -> Evidence:
 
 @fault("Q26", how="the daemon's loop stands still, as in a callback that takes long")
 async def loop_stands_still(lab: Lab) -> Evidence:
-    """Stop reaches the node past the daemon's loop."""
+    """Stop reaches the node without the daemon's loop."""
     rule = Rule("pass", "service.before_publish", seconds=SLOW)
-    async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
+    async with lab.cell(*REAL_TIME, fresh=False, delayed=True) as cell:
         await to_retracted(cell.client)
         async with moving(cell.client) as approach, delays_of(cell).delaying(rule):
             plan = asyncio.create_task(cell.client.call("toolplan.clear"))
-            await delays_of(cell).begins(rule)
+            await delays_of(cell).wait_until_delaying(rule)
             stop = asyncio.create_task(cell.client.stop())
             await asyncio.sleep(SLOW / 2)
             async with standing(cell) as moved:
-                late = await delays_of(cell).took_place(rule)
+                late = await delays_of(cell).wait_until_delayed(rule)
             await asyncio.gather(stop, plan)
             verdict = await approach
         expect(verdict.decision == "failed", f"The approach ended {verdict.decision}: {reason_text(verdict)}.")
@@ -529,28 +547,28 @@ async def loop_stands_still(lab: Lab) -> Evidence:
 async def beats_out_of_order(lab: Lab) -> Evidence:
     """A beat that is older than the last one does not count, in either direction."""
     rule = Rule("publish", "daemon/beat", seconds=SLOW)
-    async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
+    async with lab.cell(*REAL_TIME, fresh=False, delayed=True) as cell:
         await to_retracted(cell.client)
         async with moving(cell.client) as approach, delays_of(cell).delaying(rule):
-            late = await delays_of(cell).took_place(rule)
+            late = await delays_of(cell).wait_until_delayed(rule)
             verdict = await approach
         expect(late[0].overtaken > 0, "No beat has overtaken the late one.")
         expect(verdict.decision == "accepted", f"The approach ended {verdict.decision}: {reason_text(verdict)}.")
         where = await state(cell.client, "placement")
-    return delayed("the motion went on", late, approach=verdict.decision, reached=where)
+    return delayed("the motion continued", late, approach=verdict.decision, reached=where)
 
 
 @fault("Q28", how="all heartbeats of the daemon are late by more than the deadman")
 async def beats_late(lab: Lab) -> Evidence:
-    """Late beats are silence: what counts is the time of the loop's last sign of life."""
+    """Late beats count as silence: the time of the loop's last sign of life decides."""
     rule = Rule("publish", "daemon/beat", seconds=3.0, times=100_000)
     async with lab.daemon(*REAL_TIME, "robot.deadman=0.5", delayed=True) as cell:
         await to_retracted(cell.client)
         async with moving(cell.client) as approach:
             async with delays_of(cell).delaying(rule):
-                await delays_of(cell).begins(rule)
-                await until_said(cell, "held_by_node")
-                late = await delays_of(cell).took_place(rule)
+                await delays_of(cell).wait_until_delaying(rule)
+                await until_logged(cell, "held_by_node")
+                late = await delays_of(cell).wait_until_delayed(rule)
             verdict = await approach
         expect(verdict.decision != "accepted", "The approach was accepted.")
         await held(cell, ("held", "unknown"))
@@ -560,24 +578,24 @@ async def beats_late(lab: Lab) -> Evidence:
 
 
 async def _approached(cell: RunningCell) -> str:
-    """How the approach ends without a fault."""
+    """Return the decision on an approach without a fault."""
     await to_retracted(cell.client)
     return (await accept(cell.client, "placement.approach")).decision
 
 
 @fault("Q29", how="the event of an emergency stop is delivered late, after the acknowledgement")
 async def event_late(lab: Lab) -> Evidence:
-    """What comes late is still true for all that the daemon knows: it latches again."""
+    """A late event is still true as far as the daemon knows: it latches again."""
     rule = Rule("publish", "dev/robot/event", seconds=8 * SLOW)
-    async with lab.cell(*REAL_TIME, anew=False, delayed=True) as cell:
+    async with lab.cell(*REAL_TIME, fresh=False, delayed=True) as cell:
         await to_retracted(cell.client)
         async with delays_of(cell).delaying(rule):
             async with moving(cell.client) as approach, injected(cell, "e_stop"):
-                await delays_of(cell).begins(rule)
+                await delays_of(cell).wait_until_delaying(rule)
                 verdict = await approach
             await held(cell)
             number = (await cell.client.state()).stop.number
-            late = await delays_of(cell).took_place(rule)
+            late = await delays_of(cell).wait_until_delayed(rule)
             shown = await until(cell.client, _stopped(number))
         expect(verdict.decision == "failed", f"The approach ended {verdict.decision}: {reason_text(verdict)}.")
         await confirmed(cell)

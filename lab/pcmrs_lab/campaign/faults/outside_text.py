@@ -1,4 +1,4 @@
-"""Text from outside that would act on a terminal, or open what should be closed."""
+"""Text from outside that would control a terminal, or open a console that must stay closed."""
 
 from __future__ import annotations
 
@@ -18,16 +18,19 @@ from pcmrs_lab.campaign.sham import is_sham
 
 MARK = "lost-and-found"
 FORGED = f"{MARK}\x1b[2J\n2026-01-01 [info     ] robot released\u202e"
-"""It clears the screen, forges a line of the log, and turns the writing direction round."""
-TOLD_WITHIN = 30.0
+"""Text that clears the screen, forges a line of the log, and reverses the writing direction."""
+LOGGED_WITHIN = 30.0
 
 
 @fault("A32", how="a field of a command on the bus whose name clears the screen and forges a line of the log")
 async def escape_sequences(lab: Lab) -> Evidence:
-    """The daemon logs and journals the name, and nothing of it acts; a plain name is shown as it is."""
+    """The daemon logs and journals the name without any effect; a plain name is logged unchanged."""
     async with lab.daemon() as cell:
         shown = {}
-        for user, name in (("eve", FORGED), ("anna", f"{MARK}-plain")):  # of one user, refusals are logged seldom
+        for user, name in (
+            ("eve", FORGED),
+            ("anna", f"{MARK}-plain"),
+        ):  # two users, since refusals of one user are logged rarely
             before = len(cell.log)
             sent = f"{MARK}-harmless" if is_sham() else name
             await asyncio.to_thread(_put, cell, user, sent)
@@ -37,7 +40,7 @@ async def escape_sequences(lab: Lab) -> Evidence:
             expect("\n2026-01-01" not in text, "A line of the log is forged.")
         expect("u001b" in shown[FORGED], f"The name did not arrive: {shown[FORGED]!r}.")
         plain = f"{MARK}-plain"
-        expect(plain in shown[plain], f"A plain name is not logged as it is: {shown[plain]!r}.")
+        expect(plain in shown[plain], f"A plain name is not logged unchanged: {shown[plain]!r}.")
     return Evidence(
         "escaped where it is logged",
         took_place={"escapes in the log": shown[FORGED].count("u001b")},
@@ -46,38 +49,38 @@ async def escape_sequences(lab: Lab) -> Evidence:
 
 
 def _put(cell: RunningCell, user: str, name: str) -> None:
-    """A malformed command whose refusal names the field."""
+    """Put a malformed command whose refusal names the field."""
     with open_session(BusSettings(endpoint=cell.ready.endpoint)) as session:
         session.put(f"{cell.ready.prefix}/cmd/{user}/registration/reinit", pack_text({name: 1}))
 
 
 async def _logged(cell: RunningCell, before: int) -> str:
     try:
-        async with asyncio.timeout(TOLD_WITHIN):
+        async with asyncio.timeout(LOGGED_WITHIN):
             while True:
-                said = cell.log[before:]
-                if MARK in said and said.endswith("\n"):
-                    return said
+                text = cell.log[before:]
+                if MARK in text and text.endswith("\n"):
+                    return text
                 await asyncio.sleep(0.05)
     except TimeoutError:
-        raise Unmet(f"The daemon has logged nothing of the name: {cell.log[before:]!r}") from None
+        raise Unmet(f"The daemon did not log the name: {cell.log[before:]!r}") from None
 
 
 @fault("A33", how="an empty token file, and one of 19 characters", deadline=240.0)
 async def guessable_token(lab: Lab) -> Evidence:
-    """No console starts that anybody could open; with a token of its own one starts."""
+    """A console with a guessable token does not start; one with its own token starts."""
     async with lab.daemon() as cell:
         refusals = []
         for token in ("", "nineteen-characters"):
-            status, said = await _console(cell, _token(lab.folder, "x" * 20 if is_sham() else token))
-            expect(status != 0 and "limit is 20" in said, f"With {token!r} it ended with {status}: {said}")
-            refusals.append(said.strip()[-200:])
-        status, said = await _console(cell, _token(lab.folder, "x" * 20))
-        expect('"url"' in said, f"With a good token it says {said!r}, status {status}.")
+            status, text = await _console(cell, _token(lab.folder, "x" * 20 if is_sham() else token))
+            expect(status != 0 and "limit is 20" in text, f"With {token!r} it ended with {status}: {text}")
+            refusals.append(text.strip()[-200:])
+        status, text = await _console(cell, _token(lab.folder, "x" * 20))
+        expect('"url"' in text, f"With a good token it printed {text!r}, status {status}.")
     return Evidence(
-        "refused to start, and said why",
+        "refused to start, with the reason",
         took_place={"said of the token": refusals},
-        control={"20 characters open one": '"url"' in said},
+        control={"20 characters open one": '"url"' in text},
     )
 
 
@@ -89,18 +92,18 @@ def _token(folder: Path, token: str) -> Path:
 
 
 async def _console(cell: RunningCell, token: Path) -> tuple[int, str]:
-    """Exit status of a console and what it has said until it was ready, or ended."""
+    """Return the exit status of a console, and its output until it was ready or ended."""
     command, pipe = console_command(cell, 0, token), asyncio.subprocess.PIPE
     process = await asyncio.create_subprocess_exec(*command, stdout=pipe, stderr=asyncio.subprocess.STDOUT)
     assert process.stdout is not None
-    said = b""
+    text = b""
     try:
         async with asyncio.timeout(START_TIME):
-            said = await process.stdout.readline()
-            while said and b'"url"' not in said and (line := await process.stdout.readline()):
-                said += line
+            text = await process.stdout.readline()
+            while text and b'"url"' not in text and (line := await process.stdout.readline()):
+                text += line
     finally:
-        if process.returncode is None and b'"url"' in said:
+        if process.returncode is None and b'"url"' in text:
             process.terminate()
         status = await process.wait()
-    return status, said.decode(errors="replace")
+    return status, text.decode(errors="replace")

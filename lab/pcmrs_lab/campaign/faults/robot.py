@@ -1,4 +1,4 @@
-"""Robot faults, brought about in the simulated arm, its link or its virtual cabinet."""
+"""Robot faults, injected into the simulated arm, its link or its virtual cabinet."""
 
 from __future__ import annotations
 
@@ -32,22 +32,32 @@ from pcmrs_lab.campaign.checks import check_refused, confirmed, expect, held, re
 from pcmrs_lab.campaign.driving import FOLLOWED, injected, to_following
 from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
 from pcmrs_lab.campaign.lab import Lab
-from pcmrs_lab.campaign.receivers import SS, Dropped, Segments, dropped_setpoints, segments
-from pcmrs_lab.campaign.robot_signs import robot_heard
-from pcmrs_lab.campaign.sham import bring_about, is_sham
+from pcmrs_lab.campaign.receivers import SS, DroppedSetpoints, Segments, dropped_setpoints, segments
+from pcmrs_lab.campaign.robot_signs import robot_reports
+from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
 
 HOW = "simulated arm of a running cell, in motion"
 SETTLING = 0.8
-"""After a fault has ended, s of the machine: what would go on by itself has begun."""
+"""Time after a fault has ended in which a motion that continues by itself would begin, s of the machine."""
 
 
 async def braked(
     lab: Lab, name: str, begin: dict[str, Any] | None = None, end: dict[str, Any] | None = None
 ) -> Evidence:
-    """A motion fails, the tool is held; nothing goes on when the fault has ended, until an operator confirms."""
-    async with lab.cell(*REAL_TIME, anew=False) as cell:
+    """Check that a motion fails, the tool is held, and nothing continues until an operator confirms.
+
+    Args:
+        lab: Surroundings of the fault.
+        name: Name of the fault of the simulated scene.
+        begin: Arguments that inject it, as for `injected`.
+        end: Arguments that end it, as for `injected`.
+
+    Returns:
+        Evidence of the row.
+    """
+    async with lab.cell(*REAL_TIME, fresh=False) as cell:
         await to_retracted(cell.client)
-        async with robot_heard(cell) as robot, moving(cell.client) as approach, injected(cell, name, begin, end):
+        async with robot_reports(cell) as robot, moving(cell.client) as approach, injected(cell, name, begin, end):
             verdict = await approach
             _expect_end(verdict, ("failed", "held"))
             await held(cell)
@@ -72,15 +82,15 @@ async def _retracted(cell: RunningCell) -> bool:
 def _expect_end(verdict: Verdict, *endings: tuple[str, str]) -> None:
     seen = f"The operation ended {verdict.decision} in {verdict.state} ({reason_text(verdict)})"
     known = " or ".join(" in ".join(ending) for ending in endings)
-    expect((verdict.decision, verdict.state) in endings, f"{seen}, must be {known}.")
+    expect((verdict.decision, verdict.state) in endings, f"{seen}; expected {known}.")
 
 
 Endings = tuple[tuple[str, str], ...]
-"""Decision and state in which a motion may end."""
+"""Decisions and states with which a motion may end."""
 
-DOUBTFUL: Endings = (("unknown", "unknown"),)
-TOLD: Endings = (*DOUBTFUL, ("failed", "held"))
-"""Where the robot tells in time that its application fails, it is known to stand before it is lost."""
+UNKNOWN: Endings = (("unknown", "unknown"),)
+REPORTED: Endings = (*UNKNOWN, ("failed", "held"))
+"""If the robot reports in time that its application fails, it is known to stand before it is lost."""
 
 
 async def lost(
@@ -88,32 +98,43 @@ async def lost(
     name: str,
     begin: dict[str, Any] | None = None,
     end: dict[str, Any] | None = None,
-    endings: Endings = DOUBTFUL,
+    endings: Endings = UNKNOWN,
 ) -> Evidence:
-    """The outcome of a motion is unknown, the robot counts as disconnected, and nothing is sent again."""
-    async with lab.cell(*REAL_TIME, anew=False) as cell:
+    """Check that the outcome of a motion is unknown, the robot counts as disconnected, and nothing is sent again.
+
+    Args:
+        lab: Surroundings of the fault.
+        name: Name of the fault of the simulated scene.
+        begin: Arguments that inject it, as for `injected`.
+        end: Arguments that end it, as for `injected`.
+        endings: Permitted decisions and states.
+
+    Returns:
+        Evidence of the row.
+    """
+    async with lab.cell(*REAL_TIME, fresh=False) as cell:
         await to_retracted(cell.client)
         row = cell.last_row()
-        async with robot_heard(cell) as robot, moving(cell.client) as approach, injected(cell, name, begin, end):
+        async with robot_reports(cell) as robot, moving(cell.client) as approach, injected(cell, name, begin, end):
             _expect_end(await approach, *endings)
             await until(cell.client, lambda shown: shown.latched and shown.branches["robot"] == "0")
             expect((await cell.client.state()).branches["placement"] == "unknown", "The placement counts as known.")
-            way = await stands(cell)
+            displacement = await stands(cell)
             took_place = robot.shown(name)
         await connect(cell.client)
         located = await until(cell.client, lambda snapshot: snapshot.branches["placement"] != "unknown")
-        expect(located.latched, "The latch is gone, and nobody has confirmed.")
+        expect(located.latched, "The latch was released although nobody confirmed.")
         await stands(cell)
         intents = [stored for stored in cell.rows(row) if (stored.kind, stored.operation) == ("intent", "approach")]
-        expect(len(intents) == 1, f"The approach was begun {len(intents)} times.")
+        expect(len(intents) == 1, f"The approach began {len(intents)} times.")
         await confirmed(cell)
         await to_retracted(cell.client)
         control = await accept(cell.client, "placement.approach")
     return Evidence(
-        "unknown, disconnected, latched; located anew",
+        "unknown, disconnected, latched; located again",
         took_place=took_place,
         control={"approach without the fault": control.decision},
-        details={"moved_m": way, "begun": len(intents)},
+        details={"moved_m": displacement, "begun": len(intents)},
     )
 
 
@@ -123,21 +144,21 @@ async def cut(lab: Lab) -> Evidence:
     return await lost(lab, "cut_robot")
 
 
-@fault("B2", how=f"{HOW}: it does what it is told and answers nothing")
+@fault("B2", how=f"{HOW}: it obeys but answers nothing")
 async def silent(lab: Lab) -> Evidence:
-    """Nothing is answered in motion."""
+    """No request is answered during a motion."""
     return await lost(lab, "silence_robot")
 
 
-@fault("B3", how=f'{HOW}: the motion breaks off, the reply says "interrupted"')
+@fault("B3", how=f'{HOW}: the motion is interrupted, the reply says "interrupted"')
 async def interrupted(lab: Lab) -> Evidence:
-    """The cabinet breaks the motion off."""
-    async with lab.cell(*REAL_TIME, anew=False) as cell:
+    """The cabinet interrupts the motion."""
+    async with lab.cell(*REAL_TIME, fresh=False) as cell:
         await to_retracted(cell.client)
         async with moving(cell.client) as approach, injected(cell, "interrupt", {}, {}):
             verdict = await approach
         _expect_end(verdict, ("failed", "held"))
-        expect("interrupted" in reason_text(verdict), f"The reason does not say so: {reason_text(verdict)}.")
+        expect("interrupted" in reason_text(verdict), f"The reason is another one: {reason_text(verdict)}.")
         await stands(cell)
         await accept(cell.client, "placement.back_off")
         control = await accept(cell.client, "placement.approach")
@@ -158,20 +179,20 @@ VIRTUAL = (*REAL_TIME, "robot.driver=kst", "kst.reply_timeout=2.0", "kst.pose_li
     deadline=240.0,
 )
 async def framed(lab: Lab) -> Evidence:
-    """However replies are framed, motions go on."""
+    """Motions work with any framing of the replies."""
     seen: dict[str, float] = {}
     async with lab.daemon(*VIRTUAL) as cell:
         await cell.scene.inject("frame_replies", {"how": "whole"})
         try:
             await to_placed(cell.client)
             whole = await _polled(cell)
-            control = await _there_and_back(cell)
+            control = await _move_there_and_back(cell)
         except Unmet as error:
-            raise NotRun(f"The virtual cabinet fails with whole replies, too, on this machine: {error.text}") from None
+            raise NotRun(f"On this machine the virtual cabinet fails with whole replies, too: {error.text}") from None
         for framing in ("split", "merged", "mixed"):
             async with injected(cell, "frame_replies", {"how": framing}, {"how": "whole"}):
                 seen[framing] = _framed(framing, await _polled(cell), whole)
-                await _there_and_back(cell)
+                await _move_there_and_back(cell)
     return Evidence(
         "back_off and confirm accepted with every framing",
         took_place={
@@ -184,15 +205,15 @@ async def framed(lab: Lab) -> Evidence:
 
 
 POLLED = 2.0
-"""For so long the segments are counted of an arm at rest, which is asked for one reply after the other, s."""
+"""Time for which segments are counted while the arm rests and replies to one request after the other, s."""
 IN_FLIGHT = 2
-"""Segments that may lie between the counts of what was sent and received."""
+"""Number of segments that may be in transit between the counts of sent and received ones."""
 HELD_BACK = 0.01
-"""By so much later than a whole reply comes one that is held back, s."""
+"""Additional delay of a reply that is held back, s."""
 
 
 async def _polled(cell: RunningCell) -> Segments:
-    """Segments of the driver's connection while the arm is at rest."""
+    """Return the segments of the driver's connection while the arm rests."""
     await asyncio.sleep(SETTLING)
     port = int(next(each for each in reversed(cell.settings) if each.startswith("kst.port=")).partition("=")[2])
     before = await segments(port)
@@ -201,10 +222,10 @@ async def _polled(cell: RunningCell) -> Segments:
 
 
 def _framed(framing: str, seen: Segments, whole: Segments) -> float:
-    """How the replies differ from whole ones: segments more than requests, or how much later a reply comes, s.
+    """Return how replies differ from whole ones: surplus of segments over requests, or additional delay, s.
 
     Raises:
-        Unmet: They do not.
+        Unmet: They do not differ.
     """
     expect(min(seen.received, whole.received) > IN_FLIGHT, f"No replies are counted: {seen}, {whole}.")
     if framing == "merged":
@@ -216,7 +237,7 @@ def _framed(framing: str, seen: Segments, whole: Segments) -> float:
     return more
 
 
-async def _there_and_back(cell: RunningCell) -> str:
+async def _move_there_and_back(cell: RunningCell) -> str:
     await accept(cell.client, "placement.back_off")
     await asyncio.sleep(SETTLING)
     return (await accept(cell.client, "placement.confirm")).decision
@@ -224,7 +245,7 @@ async def _there_and_back(cell: RunningCell) -> str:
 
 @fault("B5", how=f"{HOW}: emergency stop")
 async def emergency(lab: Lab) -> Evidence:
-    """Emergency stop in motion."""
+    """An emergency stop is pressed in motion."""
     return await braked(lab, "e_stop")
 
 
@@ -232,7 +253,7 @@ async def emergency(lab: Lab) -> Evidence:
 async def unreachable(lab: Lab) -> Evidence:
     """The planned pose is out of reach."""
     far = {"millimetres": 1500.0}
-    async with lab.cell(*REAL_TIME, anew=False) as cell:
+    async with lab.cell(*REAL_TIME, fresh=False) as cell:
         await to_retracted(cell.client)
         before = (await cell.scene.truth()).tracker_from_body_ref.position
         async with injected(cell, "shift_body", far, {"millimetres": -1500.0}):
@@ -249,9 +270,9 @@ async def unreachable(lab: Lab) -> Evidence:
     )
 
 
-@fault("B7", how=f"{HOW}: a joint goes beside what is commanded by 0.05 rad")
+@fault("B7", how=f"{HOW}: a joint deviates from its command by 0.05 rad")
 async def beside(lab: Lab) -> Evidence:
-    """The arm is not where it was told to be."""
+    """The arm is elsewhere than commanded."""
     joint = lab.random.choice((2, 3, 4))
     end = {"joint": joint, "angle": 0.0}
     return await braked(lab, "offset_joint", {"joint": joint, "angle": 0.05}, end)
@@ -259,7 +280,7 @@ async def beside(lab: Lab) -> Evidence:
 
 @fault("B8", how=f"{HOW}: the operating mode changes")
 async def mode(lab: Lab) -> Evidence:
-    """Somebody turns the mode switch in motion."""
+    """The mode switch is turned in motion."""
     return await braked(lab, "change_mode")
 
 
@@ -273,7 +294,7 @@ async def brakes(lab: Lab) -> Evidence:
 async def guided(lab: Lab) -> Evidence:
     """The arm is elsewhere when it is connected again."""
     angle = lab.random.choice((-1.0, 1.0)) * lab.random.uniform(0.2, 0.4)
-    async with lab.cell(*REAL_TIME, anew=False) as cell:
+    async with lab.cell(*REAL_TIME, fresh=False) as cell:
         await to_standoff(cell.client)
         before = await _joints(cell)
         async with injected(cell, "drop_client", {}, {}):
@@ -308,7 +329,7 @@ async def _joints(cell: RunningCell) -> list[float]:
 
 @fault("B10", how="simulated arm refuses: the step of robot.connect raises")
 async def raising(lab: Lab) -> Evidence:
-    """A step raises, the state stays."""
+    """A step raises an error, and the state stays."""
     async with lab.cell(*REAL_TIME) as cell:
         async with injected(cell, "refuse_robot"):
             verdict = await cell.client.call("robot.connect")
@@ -326,48 +347,48 @@ async def raising(lab: Lab) -> Evidence:
 @fault("B11", how=f"{HOW}: the cabinet's application fails and closes the connection")
 async def dropped(lab: Lab) -> Evidence:
     """The application on the cabinet fails in motion."""
-    return await lost(lab, "drop_client", {}, {}, TOLD)
+    return await lost(lab, "drop_client", {}, {}, REPORTED)
 
 
 @asynccontextmanager
-async def _elsewhere(cell: RunningCell, counts: Dropped) -> AsyncIterator[tuple[JointSetpoint, int]]:
-    """The arm has followed set points, and is far from the last of them; its connection is lost, then made again.
+async def _reconnect_far_away(cell: RunningCell, counts: DroppedSetpoints) -> AsyncIterator[tuple[JointSetpoint, int]]:
+    """Have the arm follow set points, move it far from the last of them, and disconnect and connect it.
 
     Yields:
-        The last set point of the earlier connection, and how many were dropped before it was lost.
+        Last set point of the earlier connection, and the number of dropped ones before it was lost.
     """
-    heard: list[JointSetpoint] = []
-    end = cell.client.listen("dev/robot/setpoint", JointSetpoint, heard.append)
+    received: list[JointSetpoint] = []
+    end = cell.client.listen("dev/robot/setpoint", JointSetpoint, received.append)
     await to_following(cell.client)
     await accept(cell.client, "placement.stop_following")
     await end()
-    expect(bool(heard), "The tool followed, and no set point was heard.")
+    expect(bool(received), "The tool followed, but no set point was received.")
     await to_retracted(cell.client)
-    away = float(np.abs(np.subtract(await _joints(cell), heard[-1].positions)).max())
-    expect(away > 0.1, f"The arm is only {away:.3f} rad from the last set point: it would not show that it followed.")
-    dropped = await counts.now()
+    away = float(np.abs(np.subtract(await _joints(cell), received[-1].positions)).max())
+    expect(away > 0.1, f"The arm is only {away:.3f} rad from the last set point, too close to show whether it follows.")
+    dropped = await counts.current()
     await cell.scene.inject("drop_client", {})
     await until(cell.client, lambda shown: shown.branches["robot"] == "0")
     before = await tool_position(cell)
     await connect(cell.client)
-    yield heard[-1], dropped
+    yield received[-1], dropped
     await stands(cell)
     moved = math.dist(before, await tool_position(cell))
     expect(moved < 1e-3, f"The tool moved by {moved * 1e3:.1f} mm after the reconnection.")
-    expect((await cell.client.state()).latched, "The latch is gone, and nobody has confirmed.")
+    expect((await cell.client.state()).latched, "The latch was released although nobody confirmed.")
     await confirmed(cell)
 
 
 @fault("B12", how="simulated arm: the last set point of the earlier connection arrives with the new one")
 async def late(lab: Lab) -> Evidence:
-    """What was sent earlier arrives after a new connection."""
+    """A set point of the earlier connection arrives after a new connection."""
     async with (
-        lab.cell(*REAL_TIME, anew=False) as cell,
+        lab.cell(*REAL_TIME, fresh=False) as cell,
         dropped_setpoints(cell, "stale_setpoints") as counts,
         injected(cell, "late_set_point"),
-        _elsewhere(cell, counts) as (setpoint, before),
+        _reconnect_far_away(cell, counts) as (setpoint, before),
     ):
-        dropped = await counts.beyond(before)
+        dropped = await counts.increase_since(before)
     return Evidence(
         "dropped and counted: the arm stands after the reconnection",
         took_place={"set points that the robot counts as late": dropped},
@@ -380,12 +401,12 @@ async def late(lab: Lab) -> Evidence:
 async def late_on_the_bus(lab: Lab) -> Evidence:
     """The node drops it, and counts that."""
     async with (
-        lab.cell(*REAL_TIME, anew=False) as cell,
+        lab.cell(*REAL_TIME, fresh=False) as cell,
         dropped_setpoints(cell, "setpoints") as counts,
-        _elsewhere(cell, counts) as (setpoint, before),
+        _reconnect_far_away(cell, counts) as (setpoint, before),
     ):
-        bring_about(lambda: cell.bus.publish("dev/robot/setpoint", setpoint))
-        dropped = await counts.beyond(before)
+        inject_unless_sham(lambda: cell.bus.publish("dev/robot/setpoint", setpoint))
+        dropped = await counts.increase_since(before)
         expect(dropped == 1, f"One set point came late, and {dropped} were counted.")
     return Evidence(
         "dropped and counted: the arm stands after the reconnection",
@@ -396,8 +417,8 @@ async def late_on_the_bus(lab: Lab) -> Evidence:
 
 @fault("B12", how="a command sent an hour ago reaches the daemon over the bus now")
 async def old_command(lab: Lab) -> Evidence:
-    """A command that was held up on its way is not run late."""
-    async with lab.cell(*REAL_TIME, anew=False) as cell:
+    """A command that was delayed on its way is not executed late."""
+    async with lab.cell(*REAL_TIME, fresh=False) as cell:
         await to_retracted(cell.client)
         age = 0.0 if is_sham() else lab.random.uniform(10.0, 3600.0)
         sent = SystemClock().wall() - age
@@ -405,9 +426,9 @@ async def old_command(lab: Lab) -> Evidence:
         verdict = await cell.bus.request(key, Envelope(id=f"old-{sent}", sent=sent, ttl=5.0), Verdict, 20.0)
         await check_refused(cell, verdict, before, row, ("expired",))
         await stands(cell)
-        anew = Envelope(id=f"new-{sent}", sent=SystemClock().wall(), ttl=5.0)
-        control = await cell.bus.request(key, anew, Verdict, 20.0)
-        expect(control.decision == "accepted", f"Sent anew it was {control.decision}: {reason_text(control)}.")
+        fresh = Envelope(id=f"new-{sent}", sent=SystemClock().wall(), ttl=5.0)
+        control = await cell.bus.request(key, fresh, Verdict, 20.0)
+        expect(control.decision == "accepted", f"Sent again it was {control.decision}: {reason_text(control)}.")
     return Evidence(
         f"refused: {reason_text(verdict)}",
         took_place={"age at the daemon, s": verdict.reason.fields["age"] if verdict.reason is not None else 0.0},
@@ -418,17 +439,17 @@ async def old_command(lab: Lab) -> Evidence:
 @fault("B13", how="simulated arm: every set point arrives twice while the tool follows")
 async def doubled(lab: Lab) -> Evidence:
     """The arm follows every set point once."""
-    async with lab.cell(*REAL_TIME, anew=False) as cell, dropped_setpoints(cell, "stale_setpoints") as counts:
+    async with lab.cell(*REAL_TIME, fresh=False) as cell, dropped_setpoints(cell, "stale_setpoints") as counts:
         await to_following(cell.client)
         once = await _setpoints(cell)
-        before = await counts.now()
+        before = await counts.current()
         async with injected(cell, "double_commands"):
             sent = await _setpoints(cell)
             shown = (await cell.client.state()).branches
-            repeated = await counts.now() - before
+            repeated = await counts.current() - before
         if shown["placement"] != "following":
             await wait_until_stationary(cell.client)
-            await to_following(cell.client)  # not run where it does not follow without the fault, either
+            await to_following(cell.client)  # not run if it does not follow without the fault either
             raise Unmet(f"With every set point twice it does not follow: {shown}.")
         await accept(cell.client, "placement.stop_following")
     expect(repeated > sent / 2, f"{sent} set points were sent, and the robot has dropped {repeated} as repeated.")
@@ -441,29 +462,29 @@ async def doubled(lab: Lab) -> Evidence:
 
 
 async def _setpoints(cell: RunningCell) -> int:
-    """How many a tool that follows is sent during `FOLLOWED`."""
-    heard: list[JointSetpoint] = []
-    end = cell.client.listen("dev/robot/setpoint", JointSetpoint, heard.append)
+    """Return the number of set points that a following tool is sent during `FOLLOWED`."""
+    received: list[JointSetpoint] = []
+    end = cell.client.listen("dev/robot/setpoint", JointSetpoint, received.append)
     await asyncio.sleep(FOLLOWED)
     await end()
-    return len(heard)
+    return len(received)
 
 
-@fault("B13", how="a motion is asked for twice with one id, the second time while the first moves")
+@fault("B13", how="a motion is requested twice with one id, the second time while the first moves")
 async def twice(lab: Lab) -> Evidence:
-    """One command id is one motion."""
-    async with lab.cell(*REAL_TIME, anew=False) as cell:
+    """One command id causes one motion."""
+    async with lab.cell(*REAL_TIME, fresh=False) as cell:
         await to_retracted(cell.client)
         row, name = cell.last_row(), f"twice-{lab.random.random()}"
         async with moving(cell.client, id=name) as first:
             same = f"{name}-b" if is_sham() else name
             again = asyncio.create_task(cell.client.call("placement.approach", id=same))
-            await cell.client.state()  # a round trip: what was sent before has reached the daemon
-            expect(not first.done(), "The motion had ended before it was asked for again.")
+            await cell.client.state()  # a round trip, after which the earlier command has reached the daemon
+            expect(not first.done(), "The motion had ended before it was requested again.")
             second = await again
         expect(first.result() == second and second.decision == "accepted", f"{first.result()} and {second}")
         begun = [stored for stored in cell.rows(row) if (stored.kind, stored.command_id) == ("intent", name)]
-        expect(len(begun) == 1, f"It was begun {len(begun)} times.")
+        expect(len(begun) == 1, f"It began {len(begun)} times.")
         await to_retracted(cell.client)
         other = await accept(cell.client, "placement.approach")
     return Evidence(
@@ -474,7 +495,7 @@ async def twice(lab: Lab) -> Evidence:
     )
 
 
-@fault("B14", how=f"{HOW}: something pushes against the tool with 35 N or more")
+@fault("B14", how=f"{HOW}: an object pushes against the tool with 35 N or more")
 async def collision(lab: Lab) -> Evidence:
-    """The tool hits something."""
+    """An object pushes against the tool."""
     return await braked(lab, "push_tool", {"force": lab.random.uniform(35.0, 50.0)}, {"force": 0.0})

@@ -1,4 +1,4 @@
-"""Sensor faults, brought about in the simulated tracker, scene and muscle of a running cell."""
+"""Sensor faults, injected into the simulated tracker, scene and muscle of a running cell."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from pcmrs_lab.campaign.checks import confirmed, expect, held, refused, stands
 from pcmrs_lab.campaign.driving import FOLLOWED, injected, to_following
 from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
 from pcmrs_lab.campaign.lab import Lab
-from pcmrs_lab.campaign.receivers import over, pushes
-from pcmrs_lab.campaign.sham import bring_about, is_sham
+from pcmrs_lab.campaign.receivers import flange_forces, forces_over_limit
+from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
 from pcmrs_lab.campaign.signs import poses, shown
 
 STALE = 0.9
@@ -32,9 +32,18 @@ NOT_BELIEVED = ("pose_stale", "pose_missing")
 
 
 async def no_pose(lab: Lab, name: str, *many: dict[str, Any]) -> Evidence:
-    """With the fault nothing goes to the body, once for each of `many` arguments; without it, it does."""
+    """Check that with the fault no motion to the body is accepted, and without it one is.
+
+    Args:
+        lab: Surroundings of the fault.
+        name: Name of the fault of the simulated scene.
+        many: Arguments of the fault; it is injected once with each.
+
+    Returns:
+        Evidence of the row.
+    """
     took_place: dict[str, Any] = {}
-    async with lab.cell(*REAL_TIME, anew=False) as cell:
+    async with lab.cell(*REAL_TIME, fresh=False) as cell:
         await to_standoff(cell.client)
         codes: list[str] = []
         for arguments in many or ({},):
@@ -52,7 +61,7 @@ async def no_pose(lab: Lab, name: str, *many: dict[str, Any]) -> Evidence:
 
 
 async def _confirm_refused(cell: RunningCell, name: str, arguments: dict[str, Any]) -> tuple[str, dict[str, float]]:
-    """The code of the refusal, and what a subscriber saw of the fault."""
+    """Return the code of the refusal, and a subscriber's observations of the fault."""
     async with poses(cell, arguments.get("body", "*")) as seen, injected(cell, name, arguments):
         await asyncio.sleep(STALE)
         verdict = await refused(cell, "placement.confirm", codes=NOT_BELIEVED)
@@ -61,8 +70,8 @@ async def _confirm_refused(cell: RunningCell, name: str, arguments: dict[str, An
     return verdict.reason.code if verdict.reason is not None else "", took_place
 
 
-def _both(first: Evidence, second: Evidence) -> Evidence:
-    """What two faults of one row have shown, each with its own control."""
+def _combine(first: Evidence, second: Evidence) -> Evidence:
+    """Return the combined evidence of two faults of one row, each with its own control."""
     return Evidence(
         f"{first.response}; {second.response}",
         took_place={**first.took_place, **second.took_place},
@@ -73,9 +82,19 @@ def _both(first: Evidence, second: Evidence) -> Evidence:
 async def following_held(
     lab: Lab, name: str, begin: dict[str, Any] | None = None, end: dict[str, Any] | None = None
 ) -> Evidence:
-    """A tool that follows the head is held when the fault comes, and stays so when it has gone."""
+    """Check that a tool that follows the head is held at the fault, and stays so after it.
+
+    Args:
+        lab: Surroundings of the fault.
+        name: Name of the fault of the simulated scene.
+        begin: Arguments that inject it, as for `injected`.
+        end: Arguments that end it, as for `injected`.
+
+    Returns:
+        Evidence of the row.
+    """
     arguments = begin or {}
-    async with lab.cell(*REAL_TIME, anew=False) as cell:
+    async with lab.cell(*REAL_TIME, fresh=False) as cell:
         await to_following(cell.client)
         before = await state(cell.client, "placement")
         async with poses(cell, arguments.get("body", "*")) as seen, injected(cell, name, begin, end):
@@ -93,39 +112,39 @@ async def following_held(
 HOW = "simulated tracker of a running cell"
 
 
-@fault("S1", how=f"{HOW}: coil hidden before the last way to the body")
+@fault("S1", how=f"{HOW}: coil hidden before the last motion to the body")
 async def occluded(lab: Lab) -> Evidence:
-    """Nothing goes to the body by a coil or body that is not seen."""
+    """There is no motion to the body while coil or body is hidden."""
     return await no_pose(lab, "occlude", {"body": "coil"}, {"body": "body_ref"})
 
 
 @fault("S1", how=f"{HOW}: body hidden while the tool follows")
 async def occluded_while_following(lab: Lab) -> Evidence:
-    """Nothing is followed that is not seen."""
+    """A hidden body is not followed."""
     return await following_held(lab, "occlude", {"body": "body_ref"})
 
 
 @fault("S2", how=f"{HOW}: frames repeat a number; no frames at all")
 async def frozen(lab: Lab) -> Evidence:
-    """Frames that are not new, and none at all."""
-    return _both(await no_pose(lab, "frame_frozen"), await no_pose(lab, "tracker_absent"))
+    """Frames with an old number, and missing frames, count as no pose."""
+    return _combine(await no_pose(lab, "frame_frozen"), await no_pose(lab, "tracker_absent"))
 
 
 @fault("S3", how=f"{HOW}: NaN and infinity in a position")
 async def not_finite(lab: Lab) -> Evidence:
-    """A position that is none."""
+    """A position that is not finite counts as no pose."""
     return await no_pose(lab, "pose_nan", {"body": "coil"}, {"body": "body_ref"})
 
 
 @fault("S4", how=f"{HOW}: a quaternion of length 1.2")
 async def not_unit(lab: Lab) -> Evidence:
-    """A rotation that is none."""
+    """A quaternion of another length than 1 counts as no pose."""
     return await no_pose(lab, "pose_not_unit", {"body": "coil"}, {"body": "body_ref"})
 
 
 @fault("S5", how=f"{HOW}: the coil, or the body, jumps aside while the tool follows")
 async def jump(lab: Lab) -> Evidence:
-    """Nothing follows a jump."""
+    """A jump is not followed."""
     body, millimetres = lab.random.choice(("coil", "body_ref")), lab.random.uniform(15.0, 60.0)
     end = {"body": body, "millimetres": 0.0}
     evidence = await following_held(lab, "pose_jump", {"body": body, "millimetres": millimetres}, end)
@@ -134,13 +153,13 @@ async def jump(lab: Lab) -> Evidence:
 
 @fault("S6", how="simulated scene of a running cell: the reference slips on the patient")
 async def bumped(lab: Lab) -> Evidence:
-    """The reference is not where it was on the patient."""
+    """The reference has slipped on the patient."""
     millimetres = lab.random.uniform(3.0, 8.0)
-    async with lab.cell(*REAL_TIME, anew=False) as cell:
+    async with lab.cell(*REAL_TIME, fresh=False) as cell:
         await to_placed(cell.client)
         await asyncio.sleep(STALE)
         before, reference = await state(cell.client, "registration"), await _reference_in_image(cell)
-        expect(before == "111", "It was taken back without the fault.")
+        expect(before == "111", "The registration was revoked without the fault.")
         slip, back = {"millimetres": millimetres}, {"millimetres": -millimetres}
         async with injected(cell, "bump_reference", slip, back):
             await until(cell.client, lambda snapshot: snapshot.branches["registration"] == "100")
@@ -150,7 +169,7 @@ async def bumped(lab: Lab) -> Evidence:
         expect((after.registration, after.branches["digitization"]) == (None, "0"), f"Still registered: {after}.")
         await confirmed(cell)
     return Evidence(
-        "registration and digitization taken back, held",
+        "registration and digitization revoked, held",
         took_place={"slipped_mm": slipped if slipped > 0.5 * millimetres else 0.0},
         control={"registration before the fault": before},
         details={"millimetres": millimetres},
@@ -158,23 +177,23 @@ async def bumped(lab: Lab) -> Evidence:
 
 
 async def _reference_in_image(cell: RunningCell) -> tuple[float, float, float]:
-    """Where the patient truly is in the frame of the reference, m."""
+    """Return the true position of the patient in the frame of the reference, m."""
     return (await cell.scene.truth()).body_ref_from_image.position
 
 
-@fault("S7", how=f"{HOW}: four reasons for which a body is not measured, and a bad fit", deadline=180.0)
+@fault("S7", how=f"{HOW}: four reasons why a body is not measured, and a bad fit", deadline=180.0)
 async def badly_measured(lab: Lab) -> Evidence:
-    """What the tracker says of a body is heeded."""
+    """The tracker's reasons for a bad measurement are respected."""
     reasons = ("out_of_volume", "partially_out", "temperature", "interference")
     not_measured = await no_pose(lab, "not_measured", *({"body": "coil", "reason": reason} for reason in reasons))
-    return _both(not_measured, await no_pose(lab, "bad_fit", {"body": "coil"}))
+    return _combine(not_measured, await no_pose(lab, "bad_fit", {"body": "coil"}))
 
 
-@fault("S8", how=f"{HOW}: a reflection moves every other pose; two tools are taken for each other")
+@fault("S8", how=f"{HOW}: a reflection moves every other pose; two tools are swapped")
 async def mistaken(lab: Lab) -> Evidence:
-    """A body is taken for something else."""
+    """A body is mistaken for something else."""
     phantom = await no_pose(lab, "phantom_marker", {"body": "coil"})
-    return _both(phantom, await no_pose(lab, "tool_swap", {"first": "coil", "second": "body_ref"}))
+    return _combine(phantom, await no_pose(lab, "tool_swap", {"first": "coil", "second": "body_ref"}))
 
 
 @fault("S9", how=f"{HOW}: another tool than the defined one is mounted")
@@ -191,10 +210,10 @@ async def wrong_definition(lab: Lab) -> Evidence:
     agreed = hashlib.sha256(tool.read_bytes()).hexdigest()
     expected = agreed if is_sham() else f"{lab.seed:064x}"
     settings = ("cell.rate=1", "tracker.driver=ndi", f"ndi.tools.coil={tool}")
-    status, errors = await lab.ending(*settings, f"ndi.sha256.coil={expected}")
+    status, errors = await lab.start_refused(*settings, f"ndi.sha256.coil={expected}")
     expect(status == 2 and NOT_AGREED in errors, f"Exit status {status}: {errors[-300:]}")
     async with lab.daemon(*settings, f"ndi.sha256.coil={agreed}") as cell, poses(cell, "coil") as seen:
-        control = len(seen.came)
+        control = len(seen.received)
     return Evidence(
         "the daemon does not start, and names the file",
         took_place={"the file's hash differs": agreed != expected, "named": tool.name in errors},
@@ -220,7 +239,7 @@ async def wrong_calibration(lab: Lab) -> Evidence:
     other = settings[1] if is_sham() else 'procedure.calibration.tool_serial="18"'
     foreign = await _digitize_with(lab, (settings[0], other), "calibration_foreign")
     before = file.read_text()
-    bring_about(lambda: file.write_text(before.replace("0.15", "0.16")))
+    inject_unless_sham(lambda: file.write_text(before.replace("0.15", "0.16")))
     changed = await _digitize_with(lab, settings, "calibration_changed")
     return Evidence(
         f"digitizing refused: {foreign}, {changed}",
@@ -233,7 +252,7 @@ async def wrong_calibration(lab: Lab) -> Evidence:
 
 
 async def _digitize_with(lab: Lab, settings: tuple[str, ...], code: str) -> str:
-    """A daemon with these settings digitizes, or refuses with `code` where there is one: decision or code."""
+    """Digitize with a daemon with these settings, or expect a refusal with `code` if given; return decision or code."""
     async with lab.daemon(*settings) as cell:
         await accept(cell.client, "registration.plan_landmarks", **landmarks())
         if not code:
@@ -243,7 +262,7 @@ async def _digitize_with(lab: Lab, settings: tuple[str, ...], code: str) -> str:
 
 
 def _write_calibration(file: Path, serial: str) -> None:
-    """A calibration that fits the simulated cell."""
+    """Write a calibration that fits the simulated cell."""
     calibration = Calibration(
         kind="tool",
         type="coil",
@@ -260,47 +279,47 @@ def _write_calibration(file: Path, serial: str) -> None:
 
 @fault("S10", how=f"{HOW}: 5 frames a second while the tool follows")
 async def slow_frames(lab: Lab) -> Evidence:
-    """Too few frames to follow by."""
+    """There are too few frames for following."""
     return await following_held(lab, "tracker_rate", {"hertz": 5.0}, {"hertz": 0.0})
 
 
 @fault("S11", how=f"{HOW}: numbers and stamps run backwards; stamps lie in the future")
 async def wrong_stamps(lab: Lab) -> Evidence:
-    """Stamps that cannot be."""
-    return _both(await no_pose(lab, "stamp_reversed"), await no_pose(lab, "stamp_future"))
+    """Impossible stamps count as no pose."""
+    return _combine(await no_pose(lab, "stamp_reversed"), await no_pose(lab, "stamp_future"))
 
 
-@fault("S13", how="simulated arm: something pushes the tool with 40 N where it is placed")
+@fault("S13", how="simulated arm: an object pushes the placed tool with 40 N")
 async def pushed(lab: Lab) -> Evidence:
     """The force on a tool at rest is over the limit."""
     force = lab.random.uniform(35.0, 50.0)
-    async with lab.cell(*REAL_TIME, anew=False) as cell:
+    async with lab.cell(*REAL_TIME, fresh=False) as cell:
         await to_placed(cell.client)
         await asyncio.sleep(STALE)
         before = await state(cell.client, "placement")
         expect(before == "placed", f"Without the fault it is {before}.")
-        async with pushes(cell) as felt, injected(cell, "push_tool", {"force": force}, {"force": 0.0}):
+        async with flange_forces(cell) as forces, injected(cell, "push_tool", {"force": force}, {"force": 0.0}):
             await held(cell)
         await asyncio.sleep(STALE)
         await confirmed(cell)
     return Evidence(
         "held and latched",
-        took_place=over(felt, LIMIT),
+        took_place=forces_over_limit(forces, LIMIT),
         control={f"{STALE:g} s before the fault": before},
         details={"newtons": force, "limit": LIMIT},
     )
 
 
 LIMIT = 25.0
-"""Of the force on a tool, N."""
+"""Limit of the force on a tool, N."""
 
 
 ARMED = ("workflow=ratms_threshold", "procedure.alignment.off_time=30", *REAL_TIME)
-"""The gate of alignment tolerates a fault for so long here: it is the pulse that must be refused."""
+"""Settings of a cell whose alignment gate tolerates a fault for a while, so that the pulse itself must be refused."""
 
 
 async def _arm(cell: RunningCell) -> None:
-    """Placed and aligned, the stimulator armed at 50 %, the interval since then behind."""
+    """Place and align the tool, arm the stimulator at 50 %, and wait for the interval between pulses."""
     await to_placed(cell.client)
     await accept(cell.client, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
     await accept(cell.client, "stimulation.set_intensity", percent=50.0)
@@ -310,14 +329,14 @@ async def _arm(cell: RunningCell) -> None:
 
 
 async def _fire(cell: RunningCell) -> str:
-    """A pulse without any fault, and the interval after it.
+    """Give a pulse without any fault, and wait for the interval after it.
 
     Raises:
         NotRun: It was not given: the machine is too busy for frames that are fresh enough.
     """
     verdict = await cell.client.call("stimulation.fire")
     if verdict.decision != "accepted":
-        raise NotRun(f"No pulse is given without the fault, either: {reason_text(verdict)}")
+        raise NotRun(f"No pulse is given without the fault either: {reason_text(verdict)}")
     await asyncio.sleep(INTERVAL)
     return verdict.decision
 
@@ -330,7 +349,7 @@ PULSE_REFUSED = ("coil_off_target", "head_moves", *NOT_BELIEVED)
 
 @fault("S12", how="simulated scene: the head moves at 86 mm/s while the stimulator is armed")
 async def dashing_head(lab: Lab) -> Evidence:
-    """No pulse to a head that moves fast."""
+    """There is no pulse while the head moves fast."""
     async with lab.daemon(*ARMED) as cell:
         dash = {"millimetres_per_second": 86.0}
         return await _no_pulse(cell, "dash_head", dash, {"millimetres_per_second": 0.0}, 0.25, body="body_ref")
@@ -339,7 +358,7 @@ async def dashing_head(lab: Lab) -> Evidence:
 async def _no_pulse(
     cell: RunningCell, name: str, begin: dict[str, Any], end: dict[str, Any], after: float, body: str = "*"
 ) -> Evidence:
-    """A pulse is given without the fault, and none `after` s of it."""
+    """Check that a pulse is given without the fault, and none `after` s of it."""
     await _arm(cell)
     control = await _fire(cell)
     async with poses(cell, body) as seen, injected(cell, name, begin, end):
@@ -354,22 +373,22 @@ async def _no_pulse(
 
 @fault("S10", how=f"{HOW}: 5 frames a second while the stimulator is armed")
 async def slow_frames_at_pulse(lab: Lab) -> Evidence:
-    """No pulse by frames that are too old."""
+    """There is no pulse with frames that are too old."""
     async with lab.daemon(*ARMED) as cell:
         return await _no_pulse(cell, "tracker_rate", {"hertz": 5.0}, {"hertz": 0.0}, STALE)
 
 
-@fault("S14", how="simulated muscle: pulses evoke nothing while a threshold is hunted", deadline=300.0)
+@fault("S14", how="simulated muscle: pulses evoke no response during a threshold estimation", deadline=300.0)
 async def no_response(lab: Lab) -> Evidence:
-    """A threshold that no pulse reaches is none."""
+    """A threshold that no pulse reaches is refused."""
     async with lab.daemon(*ARMED, "procedure.stimulation.intervals.least=1.1") as cell:
         await to_placed(cell.client)
         await accept(cell.client, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
         await until(cell.client, lambda snapshot: snapshot.branches["alignment"] == "1")
         async with injected(cell, "no_mep"):
-            pulses, result = await _hunt(cell)
+            pulses, result = await _estimate_threshold(cell)
         expect(bool(result.get("refusal")), f"A threshold came out of {pulses} pulses that evoked nothing: {result}.")
-        evoked = await _evoked(cell)
+        evoked = await _muscle_response(cell)
     return Evidence(
         "threshold refused with its reason",
         took_place={"pulses that evoked nothing": pulses},
@@ -378,9 +397,9 @@ async def no_response(lab: Lab) -> Evidence:
     )
 
 
-async def _hunt(cell: RunningCell) -> tuple[int, dict[str, Any]]:
-    """Pulses until the hunt ends: how many, and what the last one said."""
-    await _begin_hunt(cell)
+async def _estimate_threshold(cell: RunningCell) -> tuple[int, dict[str, Any]]:
+    """Give pulses until the estimation ends; return their number and the last result."""
+    await _begin_estimation(cell)
     pulses, result = 0, dict[str, Any]()
     while await state(cell.client, "threshold") == "hunting":
         result = await _pulse(cell)
@@ -389,21 +408,21 @@ async def _hunt(cell: RunningCell) -> tuple[int, dict[str, Any]]:
     return pulses, result
 
 
-async def _evoked(cell: RunningCell) -> dict[str, Any]:
-    """What the muscle answers in another hunt, in which it can.
+async def _muscle_response(cell: RunningCell) -> dict[str, Any]:
+    """Return the muscle's response in another estimation without the fault.
 
     Raises:
         Unmet: It answers no pulse.
     """
-    await _begin_hunt(cell)
+    await _begin_estimation(cell)
     while await state(cell.client, "threshold") == "hunting":
         mep: dict[str, Any] = (await _pulse(cell))["mep"]
         if mep["present"]:
             return mep
-    raise Unmet("No pulse evokes anything without the fault, either.")
+    raise Unmet("No pulse evokes a response without the fault either.")
 
 
-async def _begin_hunt(cell: RunningCell) -> None:
+async def _begin_estimation(cell: RunningCell) -> None:
     begun = (await accept(cell.client, "threshold.begin")).result or {}
     await accept(cell.client, "stimulation.set_intensity", percent=begun.get("intensity", 50.0))
     if await state(cell.client, "stimulation") == "disarmed":

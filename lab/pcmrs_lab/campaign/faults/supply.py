@@ -1,4 +1,4 @@
-"""What is installed on the cell's machine, and who is given a certificate: what is decided before a daemon starts."""
+"""Faults before a daemon starts: libraries that are installed on its machine, certificates that are issued."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ METADATA = {
 }
 
 
-@fault("A39", how="a wheel that pip is to install, exchanged after its hash was locked", needs=[module("pip")])
+@fault("A39", how="a wheel for pip that was replaced after its hash was locked", needs=[module("pip")])
 async def exchanged_library(lab: Lab) -> Evidence:
-    """With the hash it is not installed; the one that was locked is, and without hashes the exchanged one would be."""
+    """With the hash it is not installed; the locked one is, and without hashes the exchanged one would be."""
     wheel, lock = lab.folder / WHEEL, lab.folder / "requirements.lock"
     _make_wheel(wheel, "kind = 'the locked one'\n")
     locked = _digest(wheel)
@@ -50,9 +50,9 @@ async def exchanged_library(lab: Lab) -> Evidence:
     )
 
 
-@fault("A40", how="the command that issues certificates, with and without the cells for which they count")
+@fault("A40", how="the command that issues certificates, with and without the cells for which they are valid")
 async def certificate_for_no_cell(lab: Lab) -> Evidence:
-    """Without a cell nothing is issued or written in the register; with one it counts for that one only."""
+    """Without a cell nothing is issued or registered; with one the certificate counts for that cell only."""
     folder = lab.folder / "pki"
     authority = Authority.init(folder, "lab", SystemClock().wall())
     words = ("pki", "issue", "operator", "anna", "--folder", str(folder), "--output", str(lab.folder))
@@ -63,7 +63,7 @@ async def certificate_for_no_cell(lab: Lab) -> Evidence:
     control, text = await _run("pcmrs.cli", *words, *cells)
     expect(control == 0, f"With a cell it ended with {control}: {text}")
     return Evidence(
-        "refused, and said why",
+        "refused with the reason",
         took_place={"said_without_a_cell": refusal.strip().splitlines()[-1]},
         control={"issued_for": " ".join(authority.identities()[0].cells)},
         details={"status": status},
@@ -78,13 +78,13 @@ def _make_wheel(path: Path, source: str) -> None:
 
 
 async def _install(folder: Path, into: str, *words: str) -> tuple[int, str]:
-    """Status and last words of pip, which is given nothing but what lies in the folder."""
+    """Return status and last output of pip, which sees only the files in the folder."""
     own = ("--isolated", "--no-index", "--no-cache-dir", "--find-links", str(folder), "--target", str(folder / into))
     return await _run("pip", "install", *own, *words)
 
 
 async def _run(module_name: str, *words: str) -> tuple[int, str]:
-    """Status and last words of a module that is run as a program."""
+    """Return status and last output of a module that is run as a program."""
     status, output = await ended([sys.executable, "-m", module_name, *words])
     return status, output[-300:]
 

@@ -1,4 +1,4 @@
-"""Files that a program uploads to the console: longer than the limit, or in its hands when it is killed."""
+"""Files that a program uploads to the console: longer than the limit, or still there when it is killed."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from pcmrs_lab.campaign.consoles import CONSOLE, RunningConsole, running_console
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.samples import process_state
-from pcmrs_lab.campaign.sham import bring_about, is_sham
+from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
 from pcmrs_lab.campaign.uploading import TAKEN, Uploader, uploader
 from pcmrs_lab.campaign.waiting import until_true
 
 FILE: Final = bytes(1000)
 LIMIT: Final = LARGEST + 2**20
-"""Bytes that the server takes: those of the files, and what a form may add."""
+"""Number of bytes that the server accepts: the largest file, and the overhead of a form."""
 TOO_LARGE: Final = 413
 LENGTH_REQUIRED: Final = 411
 UPLOADS: Final = 20
 ALONE: Final = 1.0
-"""So long no console starts after one was killed, s of the machine."""
+"""Time for which no console starts after one was killed, s of the machine."""
 
 
-@fault("A37", how="a request that says to be longer than the limit, of a program that has the token", needs=[CONSOLE])
+@fault("A37", how="a request with a length above the limit, from a program with the token", needs=[CONSOLE])
 async def announced_too_long(lab: Lab) -> Evidence:
-    """It is refused before anything of it is sent."""
+    """It is refused before any of it is sent."""
     async with _upload(lab) as (_, own):
         taken = await own.send(FILE)
         expect(taken == TAKEN, f"A short upload was answered {taken}.")
@@ -46,9 +46,9 @@ async def announced_too_long(lab: Lab) -> Evidence:
     )
 
 
-@fault("A37", how="a request without a length, of a program that has the token", needs=[CONSOLE])
+@fault("A37", how="a request without a length, from a program with the token", needs=[CONSOLE])
 async def without_length(lab: Lab) -> Evidence:
-    """It is refused unread: nobody could say where it ends."""
+    """It is refused unread, since its end is unknown."""
     async with _upload(lab) as (_, own):
         taken = await own.send(FILE)
         expect(taken == TAKEN, f"A short upload was answered {taken}.")
@@ -61,14 +61,14 @@ async def without_length(lab: Lab) -> Evidence:
     )
 
 
-@fault("A38", how="SIGKILL to a console that has the file of an upload read", needs=[CONSOLE])
+@fault("A38", how="SIGKILL of a console while it reads an uploaded file", needs=[CONSOLE])
 async def killed_with_a_file(lab: Lab) -> Evidence:
-    """The next console that starts removes the file, at whatever port; nobody does before."""
-    async with lab.cell(anew=False) as cell:
+    """The next console that starts, at any port, removes the file; nothing removes it before."""
+    async with lab.cell(fresh=False) as cell:
         async with running_console(cell, lab.folder, free_port()) as console:
             own = await uploader(console)
             await _until_stopped_with_a_file(console, own)
-            bring_about(console.process.kill)
+            inject_unless_sham(console.process.kill)
             await until_true(lambda: console.process.returncode is not None, "The console has not ended")
         ended, left = console.process.returncode, _bytes(_left(console))
         expect(ended == -signal.SIGKILL, f"It has ended with {ended}.")
@@ -86,28 +86,28 @@ async def killed_with_a_file(lab: Lab) -> Evidence:
 
 
 async def _until_stopped_with_a_file(console: RunningConsole, own: Uploader) -> None:
-    """Uploads until the console is stopped while the file is there: it removes it as soon as it has read it."""
+    """Upload until the console is stopped while the file exists: it removes the file as soon as it has read it."""
     for _ in range(UPLOADS):
         await own.send(FILE)
-        await until_true(lambda: _bytes(_left(console)) > 0, "The file is not to be seen")
-        bring_about(lambda: console.process.send_signal(signal.SIGSTOP))
+        await until_true(lambda: _bytes(_left(console)) > 0, "The file did not appear")
+        inject_unless_sham(lambda: console.process.send_signal(signal.SIGSTOP))
         if not is_sham():
             await until_true(lambda: process_state(console.process.pid) == "T", "The console is not stopped")
         if _bytes(_left(console)) > 0:
             return
         console.process.send_signal(signal.SIGCONT)
-    raise Unmet(f"Of {UPLOADS} files none was there any more when the console was stopped.")
+    raise Unmet(f"None of {UPLOADS} files existed any more when the console was stopped.")
 
 
 @asynccontextmanager
 async def _upload(lab: Lab) -> AsyncIterator[tuple[RunningConsole, Uploader]]:
-    """A console, and the place that it has for files."""
-    async with lab.cell(anew=False) as cell, running_console(cell, lab.folder, free_port()) as console:
+    """Start a console, and yield it with its upload address."""
+    async with lab.cell(fresh=False) as cell, running_console(cell, lab.folder, free_port()) as console:
         yield console, await uploader(console)
 
 
 def _left(console: RunningConsole) -> list[Path]:
-    """Files in its folder."""
+    """Return the files in its folder."""
     return [path for path in console.uploads.rglob("*") if path.is_file()]
 
 

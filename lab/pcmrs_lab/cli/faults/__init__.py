@@ -1,4 +1,4 @@
-"""`pcmrs faults`: the fault campaign, and what it is made of."""
+"""`pcmrs faults`: the fault campaign and its tools."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ COMMANDS = {
 
 @click.group(cls=LazyGroup, commands=COMMANDS)
 def faults() -> None:
-    """Inject faults into simulated cells, and check that nothing is lost and nothing moves unasked.
+    """Inject faults into simulated cells, and check that nothing is lost and nothing moves by itself.
 
-    Every command starts daemons of its own; a running cell is never touched. Exit status of them all: 0 every response
-    was as required, 1 one was not, 2 usage, or it could not be carried out, 4 a workflow or script that cannot be used,
-    130 after Ctrl-C.
+    Every command starts its own daemons; a running cell is never touched. Exit status of all commands: 0 every response
+    was as required, 1 one was not, 2 wrong usage or the command could not be carried out, 4 a workflow or script cannot
+    be used, 130 after Ctrl-C.
     """

@@ -1,4 +1,4 @@
-"""`pcmrs faults cut`: journals whose files were cut, bent, or lost their power."""
+"""`pcmrs faults cut`: journals with cut or changed files, or after a power loss."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from pcmrs_lab.cli.faults.options import minutes_option, print_findings, seed_op
 
 
 @click.command()
-@click.option("--cuts", type=click.IntRange(min=0), help="So many random cuts; every byte of the tails by default.")
-@click.option("--flips", type=click.IntRange(min=0), help="So many random bits; one of every byte there by default.")
+@click.option("--cuts", type=click.IntRange(min=0), help="Number of random cuts; by default every byte of the tails.")
+@click.option("--flips", type=click.IntRange(min=0), help="Number of random bits; by default one of every byte there.")
 @click.option("--power", type=click.IntRange(min=0), default=200, show_default=True, help="Power cuts of a writer.")
 @seed_option
 @minutes_option
@@ -21,7 +21,7 @@ from pcmrs_lab.cli.faults.options import minutes_option, print_findings, seed_op
 def cut(cuts: int | None, flips: int | None, power: int, seed: int, minutes: float | None, as_json: bool) -> None:
     """Damage copies of a journal and open them: a loss must be reported, never silent; power cuts must lose nothing.
 
-    --minutes bounds each of the two parts. Exit status 1: a loss was silent, or something acknowledged was lost.
+    --minutes limits each of the two parts. Exit status 1: a loss was silent, or an acknowledged row was lost.
 
     Example: pcmrs faults cut --power 1000
     """

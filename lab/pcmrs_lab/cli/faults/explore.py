@@ -19,21 +19,21 @@ if TYPE_CHECKING:
 
     from pcmrs_lab.campaign.explore.exploring import Explored
     from pcmrs_lab.campaign.explore.script import Physics
-    from pcmrs_lab.campaign.explore.session import Found
+    from pcmrs_lab.campaign.explore.session import ExplorationResult
 
 
 @click.command("explore")
-@click.option("--sessions", type=click.IntRange(min=1), help="How many; 500 unless --minutes is given.")
+@click.option("--sessions", type=click.IntRange(min=1), help="Number of sessions; 500 unless --minutes is given.")
 @seed_option
 @minutes_option
-@click.option("--jobs", type=click.IntRange(1, 64), default=2, show_default=True, help="Processes.")
+@click.option("--jobs", type=click.IntRange(1, 64), default=2, show_default=True, help="Number of processes.")
 @click.option("--workflow", default="ratms", show_default=True, help="Name of a workflow.")
 @click.option(
     "--physics",
     type=click.Choice(["kinematic", "mujoco"]),
     default="kinematic",
     show_default=True,
-    help="Of the simulated arm; with mujoco all streams have the rates of a real cell, too.",
+    help="Physics of the simulated arm; with mujoco all streams have the rates of a real cell, too.",
 )
 @click.option(
     "--script",
@@ -57,9 +57,9 @@ def explore(
 ) -> None:
     """Run random procedures under random faults, and check the invariants after every event.
 
-    The whole cell runs in simulated time: daemon, device node, devices, and the network between them. A session is
-    fixed by its seed, which is --seed for the first and one more for each that follows; one in which an invariant does
-    not hold is shrunk to a short script. Exit status 1: an invariant did not hold.
+    The whole cell runs in simulated time: daemon, device node, devices, and the network between them. Each
+    session is determined by its seed: --seed for the first, and one more for each further one. A session in which an
+    invariant does not hold is shrunk to a short script. Exit status 1: an invariant did not hold.
 
     Example: pcmrs faults explore --sessions 500 --seed 1 -o broken
     """
@@ -69,7 +69,7 @@ def explore(
 
     if script_file is not None:
         found = run_session(read_script(script_file))
-        print_report(found, _told(found), as_json=as_json)
+        print_report(found, _summary(found), as_json=as_json)
         sys.exit(EXIT_REJECTED if found.invariant else 0)
     many = sessions if sessions is not None or minutes is not None else 500
     with progress_bar() as progress:
@@ -82,7 +82,7 @@ def explore(
         sys.exit(EXIT_REJECTED)
 
 
-def _told(found: Found) -> RenderableType:
+def _summary(found: ExplorationResult) -> RenderableType:
     from rich.markup import escape
 
     outcome = f"[bold red]{found.invariant}[/] at {found.at:.3f} s: {escape(found.text)}" if found.invariant else "held"
@@ -101,12 +101,12 @@ def _tables(report: Explored) -> RenderableType:
     title = f"{report.sessions} simulated sessions of {report.workflow}, {report.physics} arm, seeds from {report.seed}"
     caption = f"{report.simulated:.0f} s simulated in {report.seconds:.0f} s: {report.rate:.0f} times real time."
     faults = Table("fault", "rows", box=SIMPLE_HEAD, title=title, caption=caption)
-    faults.add_column("brought about", justify="right")
+    faults.add_column("injected", justify="right")
     for name, times in report.faults.items():
         faults.add_row(name, " ".join(FAULTS[name].rows), str(times) if times else "[red]never[/]")
-    told = [
+    violations = [
         f"[bold red]seed {each.seed}: {each.invariant}[/] at {each.at:.3f} s: {escape(each.text)}\n"
         f"{len(each.script.acts)} of {each.acts} acts show it:\n" + escape("\n".join(as_lines(each.script)))
         for each in report.broken
     ]
-    return Group(faults, *(told or ["All invariants held after every event."]))
+    return Group(faults, *(violations or ["All invariants held after every event."]))

@@ -1,4 +1,4 @@
-"""`pcmrs faults fuzz`: datagrams that are nearly commands, by the million."""
+"""`pcmrs faults fuzz`: millions of datagrams that are nearly commands."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from pcmrs_lab.cli.faults.options import minutes_option, print_findings, seed_op
 
 
 @click.command()
-@click.option("--datagrams", type=click.IntRange(min=1), default=1_000_000, show_default=True, help="To be sent.")
+@click.option(
+    "--datagrams", type=click.IntRange(min=1), default=1_000_000, show_default=True, help="Number of datagrams."
+)
 @seed_option
 @minutes_option
 @json_option
@@ -22,7 +24,7 @@ from pcmrs_lab.cli.faults.options import minutes_option, print_findings, seed_op
 def fuzz(datagrams: int, seed: int, minutes: float | None, as_json: bool) -> None:
     """Send fuzzed datagrams to a daemon: it must not crash, change its state, or grow by 10 MB.
 
-    Exit status 1: it did.
+    Exit status 1: it crashed, changed, or grew.
 
     Example: pcmrs faults fuzz --datagrams 5000000 --minutes 10
     """

@@ -1,4 +1,4 @@
-"""`pcmrs faults kill`: kill -9 of what writes the journal."""
+"""`pcmrs faults kill`: kill -9 of processes that write the journal."""
 
 from __future__ import annotations
 
@@ -11,9 +11,15 @@ from pcmrs_lab.cli.faults.options import minutes_option, print_findings, seed_op
 
 
 @click.command()
-@click.option("--times", type=click.IntRange(min=0), default=500, show_default=True, help="Journal writers killed.")
 @click.option(
-    "--daemons", type=click.IntRange(min=0), default=0, show_default=True, help="Daemons killed in operation."
+    "--times", type=click.IntRange(min=0), default=500, show_default=True, help="Number of journal writers to kill."
+)
+@click.option(
+    "--daemons",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Number of daemons to kill in operation.",
 )
 @seed_option
 @minutes_option
@@ -22,9 +28,9 @@ from pcmrs_lab.cli.faults.options import minutes_option, print_findings, seed_op
 def kill(times: int, daemons: int, seed: int, minutes: float | None, as_json: bool) -> None:
     """Kill processes with SIGKILL, at every failpoint and at random instants; nothing acknowledged may be lost.
 
-    A process counts as killed at a failpoint when the failpoint itself has killed it; one that was armed and did not
-    come there in time is killed all the same, and counts as not reached. --minutes bounds each of the two parts.
-    Exit status 1: something was lost, or a journal cannot be opened.
+    A process counts as killed at a failpoint if the failpoint itself has killed it. An armed process that did not reach
+    its failpoint in time is killed, too, and counts as not reached. --minutes limits each of the two parts. Exit status
+    1: an acknowledged row was lost, or a journal cannot be opened.
 
     Example: pcmrs faults kill --times 10000 --daemons 200
     """

@@ -1,4 +1,4 @@
-"""`pcmrs faults list`: the catalogue, and what of it can be injected on this machine."""
+"""`pcmrs faults list`: the catalogue, and which faults can be injected on this machine."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from pcmrs_lab.cli.faults.options import choosing, chosen
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from pcmrs_lab.campaign.catalogue import Row
+    from pcmrs_lab.campaign.catalogue import CatalogueRow
 
 
 class Listed(msgspec.Struct, frozen=True, rename={"fault_class": "class"}):
-    """One fault as it is listed.
+    """One listed fault.
 
     Attributes:
-        how: By what means it is injected; empty where it is not.
-        needs: What that needs of a machine: programs, rights, parts of the kernel.
-        missing: What of it this machine does not have.
-        runs: Whether it can be injected here in all ways there are.
+        how: Means of injection; empty if there is none.
+        needs: Requirements on the machine: programs, rights, kernel features.
+        missing: Requirements that this machine does not meet.
+        runs: True if it can be injected here in all its ways.
     """
 
     id: str
@@ -40,7 +40,7 @@ class Listed(msgspec.Struct, frozen=True, rename={"fault_class": "class"}):
 
 
 class Listing(msgspec.Struct, frozen=True):
-    """The faults in the catalogue's order."""
+    """Faults in the order of the catalogue."""
 
     faults: list[Listed]
 
@@ -50,7 +50,7 @@ class Listing(msgspec.Struct, frozen=True):
 @json_option
 @readable_errors
 def list_(classes: tuple[str, ...], ids: tuple[str, ...], as_json: bool) -> None:
-    """List the faults of the catalogue: what is required, how each is injected, and what that needs.
+    """List the faults of the catalogue: the required response, how each is injected, and what that needs.
 
     Example: pcmrs faults list --class storage
     """
@@ -58,13 +58,13 @@ def list_(classes: tuple[str, ...], ids: tuple[str, ...], as_json: bool) -> None
     print_report(listing, _table(listing), as_json=as_json)
 
 
-def _listed(row: Row) -> Listed:
+def _listed(row: CatalogueRow) -> Listed:
     from pcmrs_lab.campaign.injections import injections
 
-    ways = injections().get(row.id, [])
-    needs = {need.name: need for way in ways for need in way.needs}
+    known = injections().get(row.id, [])
+    needs = {need.name: need for way in known for need in way.needs}
     missing = [name for name, need in needs.items() if not need.is_met()]
-    how = list(dict.fromkeys(way.how for way in ways))
+    how = list(dict.fromkeys(way.how for way in known))
     return Listed(
         row.id,
         row.fault_class,
@@ -74,7 +74,7 @@ def _listed(row: Row) -> Listed:
         how,
         list(needs),
         missing,
-        runs=bool(ways) and not missing,
+        runs=bool(known) and not missing,
     )
 
 

@@ -1,4 +1,4 @@
-"""`pcmrs faults matrix`: who was let loose on which way into a cell."""
+"""`pcmrs faults matrix`: which attackers were tested on which entry points."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pcmrs.cli.running import readable_errors
 @json_option
 @readable_errors
 def matrix(as_json: bool) -> None:
-    """Say who was let loose on which way into a cell, and which rows of the catalogue and tests show that it fails.
+    """Print which attackers were tested on which entry points, with the catalogue rows and tests that prove it.
 
     Example: pcmrs faults matrix
     """

@@ -1,7 +1,4 @@
-"""Which faults a command is about.
-
-Options and endings that fault commands share.
-"""
+"""Options and output that the fault commands share."""
 
 from __future__ import annotations
 
@@ -22,42 +19,49 @@ from pcmrs.errors import ConfigurationError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from pcmrs_lab.campaign.catalogue import Row
+    from pcmrs_lab.campaign.catalogue import CatalogueRow
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 seed_option = click.option(
-    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of all randomness."
+    "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of everything random."
 )
 
 
 class OutputFolder(click.Path):
-    """A folder that is made at once: minutes of work are not lost to one that cannot be made."""
+    """Folder that is created at once, so that minutes of work are not lost because it cannot be created."""
 
     def __init__(self) -> None:
         super().__init__(file_okay=False, writable=True)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The path, or a usage error."""
+        """Return the path, or raise a usage error."""
         path = Path(os.fsdecode(super().convert(value, param, ctx)))
         try:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            self.fail(f"{path} cannot be made: {error.strerror}.", param, ctx)
+            self.fail(f"{path} cannot be created: {error.strerror}.", param, ctx)
         return path
 
 
 def output_option(what: str) -> Callable[[F], F]:
-    """Adds -o; the command gets it as `folder`. `what` is written there, for the help."""
-    text = f"{what} here; the folder is made."
+    """Return the option -o; the command gets it as `folder`. `what` is written there, for the help."""
+    text = f"{what} to this folder, which is created if necessary."
     return click.option("-o", "--output", "folder", type=OutputFolder(), metavar="FOLDER", help=text)
 
 
-minutes_option = click.option("--minutes", type=POSITIVE, help="End after so long, done or not.")
+minutes_option = click.option("--minutes", type=POSITIVE, help="Time limit, min.")
 
 
 def print_findings(reports: Sequence[msgspec.Struct], violated: Sequence[bool], table: Table, *, as_json: bool) -> None:
-    """Prints the reports, and exits with status 1 when one of them has found a violation."""
+    """Print the reports, and exit with status 1 if one of them has found a violation.
+
+    Args:
+        reports: Reports to print as JSON.
+        violated: True for each report with a violation.
+        table: Table to print otherwise.
+        as_json: True to print JSON.
+    """
     if as_json:
         found = [{**_fields(report), "violated": wrong} for report, wrong in zip(reports, violated, strict=True)]
         say_json({"simulated": True, "reports": found})
@@ -78,15 +82,15 @@ class PartOf(click.ParamType[tuple[int, int]]):
     name = "k/n"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        """Both numbers, or a usage error."""
+        """Return both numbers, or raise a usage error."""
         number, _, parts = str(value).partition("/")
         if not (number.isdecimal() and parts.isdecimal() and 1 <= int(number) <= int(parts)):
-            self.fail(f"{value!r} is no part: write 2/3 for the second of three.", param, ctx)
+            self.fail(f"{value!r} is not a part: write 2/3 for the second of three.", param, ctx)
         return int(number), int(parts)
 
 
 def choosing(function: F) -> F:
-    """Adds --class and --id; the command gets them as `classes` and `ids`."""
+    """Add --class and --id; the command gets them as `classes` and `ids`."""
     for option in (
         click.option("--id", "ids", multiple=True, metavar="ID", help="Only this fault, such as S3; may be repeated."),
         click.option(
@@ -101,8 +105,13 @@ def choosing(function: F) -> F:
     return function
 
 
-def chosen(classes: Sequence[str], ids: Sequence[str]) -> list[Row]:
-    """The rows that are asked for; a usage error when there is no such class or fault."""
+def chosen(classes: Sequence[str], ids: Sequence[str]) -> list[CatalogueRow]:
+    """Return the selected rows; raise a usage error if a class or fault is unknown.
+
+    Args:
+        classes: Values of --class.
+        ids: Values of --id.
+    """
     from pcmrs_lab.campaign.catalogue import choose
 
     try:

@@ -31,12 +31,16 @@ COLOURS = {"passed": "green", "failed": "bold red", "not_proved": "bold red", "n
     multiple=True,
     default=(1,),
     show_default=True,
-    help="Of everything random; may be repeated: every fault is injected with each.",
+    help="Seed of everything random; may be repeated: every fault is injected with each.",
 )
-@click.option("--jobs", type=click.IntRange(1, 16), default=1, show_default=True, help="So many faults at a time.")
-@click.option("--sham", "is_sham", is_flag=True, help="Let no fault take place: every fault must find that, or fails.")
+@click.option("--jobs", type=click.IntRange(1, 16), default=1, show_default=True, help="Number of faults at a time.")
+@click.option("--sham", "is_sham", is_flag=True, help="Inject no fault: every row must detect that, or it fails.")
 @click.option(
-    "--part", type=PartOf(), default="1/1", show_default=True, help="Of the chosen faults every n-th from the k-th on."
+    "--part",
+    type=PartOf(),
+    default="1/1",
+    show_default=True,
+    help="Of the selected faults every n-th from the k-th on.",
 )
 @output_option("Also write faults.json and faults.html")
 @json_option
@@ -51,10 +55,10 @@ def run_(
     folder: Path | None,
     as_json: bool,
 ) -> None:
-    """Inject faults into simulated cells of their own, and check that each response is the required one.
+    """Inject faults into separate simulated cells, and check that each response is the required one.
 
-    What cannot be injected here is reported as not run, with the reason. Exit status 1: a response that was looked for
-    did not come, or the injection was not proved.
+    A fault that cannot be injected on this machine is reported as not run, with the reason. Exit status 1: a required
+    response did not come, or an injection was not proved.
 
     Example: pcmrs faults run --class sensor --seed 1 --seed 2 -o report
     """
@@ -65,7 +69,7 @@ def run_(
     from pcmrs_lab.campaign.report import write_report
     from pcmrs_lab.campaign.run import run_campaign
 
-    # Steps that raise because a fault wants it are nothing to log.
+    # Errors of steps are expected here, since faults cause them.
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
     (number, parts), distinct = part, list(dict.fromkeys(seeds))
     rows = chosen(classes, ids)[number - 1 :: parts]
@@ -86,9 +90,9 @@ def _tables(report: CampaignReport) -> RenderableType:
 
     from pcmrs_lab.campaign.report import OUTCOMES
 
-    kind = "Sham campaign (no fault takes place)" if report.sham else "Fault campaign"
+    kind = "Sham campaign (no fault is injected)" if report.sham else "Fault campaign"
     title = f"{kind}, simulated cells, {len(report.seeds)} seeds, {report.seconds:.0f} s"
-    faults = Table("", "fault", "seed", "outcome", "s", "what was seen", "reference", box=SIMPLE_HEAD, title=title)
+    faults = Table("", "fault", "seed", "outcome", "s", "observed response", "reference", box=SIMPLE_HEAD, title=title)
     for result in report.faults:
         outcome = f"[{COLOURS[result.outcome]}]{result.outcome.replace('_', ' ')}[/]"
         seen = escape(result.response)

@@ -15,7 +15,7 @@ from pcmrs_lab.cli.faults.options import print_findings, seed_option
 
 
 @click.command()
-@click.option("--hours", type=POSITIVE, default=1.0, show_default=True, help="Of the machine.")
+@click.option("--hours", type=POSITIVE, default=1.0, show_default=True, help="Duration, h.")
 @seed_option
 @plot_option
 @json_option
@@ -23,7 +23,7 @@ from pcmrs_lab.cli.faults.options import print_findings, seed_option
 def soak(hours: float, seed: int, plot: Path | None, as_json: bool) -> None:
     """Operate a simulated cell at random for hours: memory, file descriptors, threads and tasks must stay flat.
 
-    Exit status 1: something grows, or the daemon ended.
+    Exit status 1: a measure grows, or the daemon ended.
 
     Example: pcmrs faults soak --hours 8 --plot soak.png
     """
@@ -41,10 +41,10 @@ def soak(hours: float, seed: int, plot: Path | None, as_json: bool) -> None:
         draw_soak(report, plot)
     title = f"{report.steps} commands, {report.stops} of them Stop, in {report.seconds / 3600:.2f} h. {report.ended}"
     table = Table("process", "measure", "first", "last", "rise of its line", "", box=SIMPLE_HEAD, title=title)
-    for course in report.courses:
-        scale = 1e6 if course.measure == "memory" else 1.0
-        unit = " MB" if course.measure == "memory" else ""
-        numbers = (course.values[0], course.values[-1], course.rise)
+    for trend in report.courses:
+        scale = 1e6 if trend.measure == "memory" else 1.0
+        unit = " MB" if trend.measure == "memory" else ""
+        numbers = (trend.values[0], trend.values[-1], trend.rise)
         shown = [f"{number / scale:.1f}{unit}" for number in numbers]
-        table.add_row(course.process, course.measure, *shown, "flat" if course.flat else "GROWS")
+        table.add_row(trend.process, trend.measure, *shown, "flat" if trend.flat else "GROWS")
     print_findings([report], [report.violated], table, as_json=as_json)

@@ -36,7 +36,7 @@ AWAY = dict.fromkeys(("placed", "following", "held"), "placement.back_off")
 """Operation that leads away from the body, by state of the placement."""
 
 
-class Operator:
+class SessionOperator:
     """Operator of a daemon on the bus.
 
     Args:
@@ -54,7 +54,7 @@ class Operator:
         self._snapshot: Snapshot | None = None
         client.listen("state/fsm", Snapshot, self._receive)
 
-    async def ask(self, name: str, arguments: Mapping[str, Any] | None = None) -> Verdict:
+    async def request(self, name: str, arguments: Mapping[str, Any] | None = None) -> Verdict:
         """Request an operation, again while the reason against it is temporary.
 
         Args:
@@ -90,10 +90,10 @@ class Operator:
         Raises:
             CommandRefusedError: The daemon refuses a step.
         """
-        await self.ask("stimulation.disarm")
+        await self.request("stimulation.disarm")
         await self._follow(AWAY)
         if (await self._attempt("placement.home")).decision != "accepted":
-            await self.ask("toolplan.clear")
+            await self.request("toolplan.clear")
             await self._follow(AWAY)
             await self._attempt("placement.home")
 
@@ -117,7 +117,7 @@ class Operator:
     async def _ready(self) -> None:
         """Arm the stimulator if necessary, and wait until the next pulse is due and the coil is aligned."""
         if await self.state("stimulation") != "armed":
-            await self.ask("stimulation.arm")
+            await self.request("stimulation.arm")
         await asyncio.sleep(self._next_pulse_at - asyncio.get_running_loop().time())
         with suppress(TimeoutError):  # the daemon then says what is missing
             async with asyncio.timeout(PATIENCE):
@@ -160,6 +160,6 @@ class Operator:
 
 def refused(verdict: Verdict) -> CommandRefusedError:
     """Return the error for a verdict that did not accept."""
-    why = "the reason is unknown." if verdict.reason is None else verdict.reason.text
+    reason = "the reason is unknown." if verdict.reason is None else verdict.reason.text
     name = f"{verdict.branch}.{verdict.operation}"
-    return CommandRefusedError(f"{name} was {verdict.decision} in {verdict.state}: {why}", verdict=verdict)
+    return CommandRefusedError(f"{name} was {verdict.decision} in {verdict.state}: {reason}", verdict=verdict)

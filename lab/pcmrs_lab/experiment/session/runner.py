@@ -1,4 +1,4 @@
-"""Runner of a session: register, place, find an intensity, search the hot-spot, hunt the threshold there."""
+"""Runner of a session: register, place, find an intensity, search the hot-spot, estimate the threshold there."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import msgspec
 
 from pcmrs.errors import CommandRefusedError
 from pcmrs_lab.experiment.placements import once_seen
-from pcmrs_lab.experiment.private import Bench
-from pcmrs_lab.experiment.session.operator import Operator
+from pcmrs_lab.experiment.private import ExperimentBench
+from pcmrs_lab.experiment.session.operator import SessionOperator
 from pcmrs_lab.experiment.session.setup import SessionSetup
 from pcmrs_lab.experiment.setup import ShowProgress
 
@@ -32,11 +32,11 @@ class SessionRunner:
         progress: Callback for the present step, the number of pulses, and their expected total.
     """
 
-    def __init__(self, bench: Bench, setup: SessionSetup, progress: ShowProgress) -> None:
+    def __init__(self, bench: ExperimentBench, setup: SessionSetup, progress: ShowProgress) -> None:
         self._bench = bench
         self._setup = setup
         self._progress = progress
-        self._operator = Operator(bench.client, setup.rate, setup.interval)
+        self._operator = SessionOperator(bench.client, setup.rate, setup.interval)
         self._pulses = self._invalid = 0
 
     async def run(self) -> None:
@@ -49,16 +49,16 @@ class SessionRunner:
         await self._place_at_centre()
         await self._find_intensity()
         await self._search()
-        await self._hunt()
+        await self._estimate_threshold()
         self._report("withdrawing")
         await self._operator.withdraw()
-        await self._operator.ask("robot.disconnect")
+        await self._operator.request("robot.disconnect")
 
     async def _register(self) -> None:
         planner, landmarks = self._bench.planner, msgspec.to_builtins(self._setup.plan.landmarks)
         self._report("planning and digitizing the landmarks")
         await planner.connect()
-        await self._operator.ask("registration.plan_landmarks", {"landmarks": list(landmarks)})
+        await self._operator.request("registration.plan_landmarks", {"landmarks": list(landmarks)})
         await planner.digitize_all()
         self._report("registering")
         await planner.register()
@@ -71,10 +71,10 @@ class SessionRunner:
 
     async def _find_intensity(self) -> None:
         """Raise the intensity until two responses in a row are large enough, or the ceiling is reached."""
-        ask, ceiling = self._operator.ask, self._setup.ceiling
-        await ask("stimulation.set_ceiling", {"percent": ceiling, "operator": OPERATOR})
+        request, ceiling = self._operator.request, self._setup.ceiling
+        await request("stimulation.set_ceiling", {"percent": ceiling, "operator": OPERATOR})
         percent, large = min(FIRST_INTENSITY, ceiling), 0
-        await ask("stimulation.set_intensity", {"percent": percent})
+        await request("stimulation.set_intensity", {"percent": percent})
         while large < 2:
             result = await self._pulse("stimulation.fire", f"looking for an intensity: {percent:g} %")
             if not result.get("counted"):
@@ -84,24 +84,24 @@ class SessionRunner:
                 return
             if large == 0:
                 percent = min(percent + STEP, ceiling)
-                await ask("stimulation.set_intensity", {"percent": percent})
+                await request("stimulation.set_intensity", {"percent": percent})
 
     async def _search(self) -> None:
         operator = self._operator
-        await operator.ask("hotspot.begin", {"method": self._setup.method})
+        await operator.request("hotspot.begin", {"method": self._setup.method})
         while (state := await operator.state("hotspot")) == "searching":
-            await operator.ask("toolplan.aim_hotspot")
+            await operator.request("toolplan.aim_hotspot")
             await self._pulse("hotspot.pulse", "searching the hot-spot")
         if state != "found":
             raise CommandRefusedError("No hot-spot was found: no pulse of the search evoked a response.")
 
-    async def _hunt(self) -> None:
+    async def _estimate_threshold(self) -> None:
         operator, result = self._operator, {}
-        await operator.ask("toolplan.aim_hotspot")
+        await operator.request("toolplan.aim_hotspot")
         await operator.place()
-        await operator.ask("threshold.begin", {"method": self._setup.threshold})
+        await operator.request("threshold.begin", {"method": self._setup.threshold})
         while (state := await operator.state("threshold")) == "hunting":
-            result = await self._pulse("threshold.pulse", "hunting the threshold")
+            result = await self._pulse("threshold.pulse", "estimating the threshold")
         if state != "found":
             raise CommandRefusedError(f"No threshold was found: {result.get('refusal', 'the reason is unknown')}.")
 
@@ -113,8 +113,8 @@ class SessionRunner:
         result = verdict.result or {}
         self._invalid = 0 if result.get("counted") else self._invalid + 1
         if self._invalid == MOST_INVALID:
-            why = result.get("problem_text", "the reason is unknown.")
-            raise CommandRefusedError(f"{MOST_INVALID} pulses in a row do not count. The last one: {why}")
+            text = result.get("problem_text", "the reason is unknown.")
+            raise CommandRefusedError(f"{MOST_INVALID} pulses in a row do not count. The last one: {text}")
         return result
 
     def _report(self, doing: str) -> None:

@@ -32,7 +32,7 @@ class SessionSetup:
         seed: Seed of the simulated subject and of all errors.
         rate: Seconds of the simulated cell per second of the machine.
         method: Method of the hot-spot search.
-        threshold: Method of the threshold hunt.
+        threshold: Method of the threshold estimation.
         budget: Largest number of pulses of an adaptive search; None for the configured one.
         ceiling: Highest allowed intensity, percent of the maximum stimulator output.
         overrides: Further settings of the daemon, ``key=value`` each.
@@ -95,7 +95,7 @@ class SessionSetup:
 
 
 def _late(rate: float) -> list[str]:
-    """Return the settings for late poses: the bus is as slow as ever, which is `rate` times as slow for the cell."""
+    """Return the settings for late poses: the delay of the bus is `rate` times as long in the time of the cell."""
     if rate == 1.0:
         return []
     stimulation = "procedure.stimulation"

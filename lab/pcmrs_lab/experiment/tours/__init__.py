@@ -1,1 +1,1 @@
-"""Tours of everything that a workflow can answer: on the dispatcher alone, and through a running cell."""
+"""Tours of all responses of a workflow: on the dispatcher alone, and through a running cell."""

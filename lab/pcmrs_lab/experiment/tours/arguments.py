@@ -1,4 +1,4 @@
-"""Arguments for every operation of a workflow, so that each can be asked for without a person."""
+"""Arguments for every operation of a workflow, so that each can be requested without a person."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from pcmrs_lab.experiment.treatment import CONFIRMED
 Table = dict[str, Any]
 
 NUDGES: list[Table] = [{"translation": [0.0, 0.0, 0.001]}, {"translation": [0.0, 0.0, -0.001]}]
-"""Away from the body and back."""
+"""Small motions away from the body and back."""
 
 PRESSES: list[Table] = [{}, {"force": 1.0}]
-"""With the configured force, and with the least."""
+"""Presses with the configured force, and with the least."""
 
 ENOUGH_POINTS = 30
-"""Of the skin, so that a registration can be refined by them."""
+"""Number of skin points with which a registration can be refined."""
 
 DEPTH = 0.03
-"""Of a trajectory from the planned pose into the body, m."""
+"""Depth of a trajectory from the planned pose into the body, m."""
 
 
 class Arguments:
-    """What to ask with, in turn.
+    """Arguments for operations, used in turn.
 
     Args:
-        given: By ``branch.operation`` or by name of a payload: arguments, or a list of them to be used in turn.
+        given: Arguments, or a list of them to be used in turn, by ``branch.operation`` or by name of a payload.
     """
 
     def __init__(self, given: Mapping[str, Table | list[Table]]) -> None:
@@ -45,17 +45,22 @@ class Arguments:
         self._used: Counter[str] = Counter()
 
     def missing(self, blueprint: Blueprint) -> dict[str, str]:
-        """Operations for which there are no arguments, and the payload they need."""
-        asked = {f"{branch}.{operation}": spec.payload for branch, operation, spec in operations(blueprint)}
-        return {name: payload for name, payload in asked.items() if not self._tables(name, payload)}
+        """Return the operations without arguments, and the payloads that they need."""
+        payloads = {f"{branch}.{operation}": spec.payload for branch, operation, spec in operations(blueprint)}
+        return {name: payload for name, payload in payloads.items() if not self._tables(name, payload)}
 
     def choices(self, blueprint: Blueprint) -> dict[str, int]:
-        """How many different arguments there are for each operation."""
-        asked = {f"{branch}.{operation}": spec.payload for branch, operation, spec in operations(blueprint)}
-        return {name: len(self._tables(name, payload)) for name, payload in asked.items()}
+        """Return the number of different arguments for each operation."""
+        payloads = {f"{branch}.{operation}": spec.payload for branch, operation, spec in operations(blueprint)}
+        return {name: len(self._tables(name, payload)) for name, payload in payloads.items()}
 
     def next(self, name: str, payload: str) -> Table:
-        """The arguments whose turn it is; none where there are none."""
+        """Return the next arguments in turn; empty if there are none.
+
+        Args:
+            name: Operation, ``branch.operation``.
+            payload: Name of its payload type.
+        """
         tables = self._tables(name, payload)
         self._used[name] += 1
         return tables[self._used[name] % len(tables)] if tables else {}
@@ -67,7 +72,7 @@ class Arguments:
 
 
 def plan_arguments(plan: Plan) -> dict[str, Table | list[Table]]:
-    """Arguments of the payloads that a plan has values for, and of what a person would have to confirm."""
+    """Return arguments of the payloads that a plan has values for, and of the confirmations of a person."""
     pose = plan.poses[0]
     inwards = Transform.from_quat_xyzw(pose.position, pose.quat_xyzw) @ np.array([0.0, 0.0, -DEPTH])
     return {
@@ -85,10 +90,10 @@ def plan_arguments(plan: Plan) -> dict[str, Table | list[Table]]:
 
 
 def read_arguments(path: Path) -> dict[str, Table | list[Table]]:
-    """Arguments from a TOML file, by ``"branch.operation"`` or by payload.
+    """Return the arguments of a TOML file, by ``"branch.operation"`` or by payload.
 
     Raises:
-        ConfigurationError: It cannot be read, or something in it is neither a table nor a list of tables.
+        ConfigurationError: The file cannot be read, or contains something else than tables and lists of tables.
     """
     try:
         given = tomllib.loads(path.read_text())
@@ -96,4 +101,4 @@ def read_arguments(path: Path) -> dict[str, Table | list[Table]]:
     except OSError as error:
         raise ConfigurationError(f"{path} cannot be read: {error.strerror}.") from None
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
-        raise ConfigurationError(f"{path} holds no arguments: {error}.") from None
+        raise ConfigurationError(f"{path} contains no valid arguments: {error}.") from None

@@ -1,4 +1,4 @@
-"""How the tour has a simulated cell report something: by a fault of its scene, or by waiting for it."""
+"""Faults by which the tour makes a simulated cell report an event."""
 
 from __future__ import annotations
 
@@ -13,36 +13,41 @@ STILL = [0.0, 0.0, 0.0]
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
-    """What is asked of the scene.
+class SceneFault:
+    """Request to the simulated scene.
 
     Attributes:
-        method: Of the scene; none where nothing needs to be wrong.
-        begin: Its arguments.
-        mend: The arguments that undo it.
+        method: Method of the scene.
+        begin: Arguments that inject the fault.
+        end: Arguments that end the fault.
     """
 
     method: str
     begin: Mapping[str, Any]
-    mend: Mapping[str, Any]
+    end: Mapping[str, Any]
 
 
-FAULTS: dict[str, Fault | None] = {
-    "link_lost": Fault("cut_robot", {"cut": True}, {"cut": False}),
-    "outside": Fault("occlude", {"body": "coil", "hidden": True}, {"body": "coil", "hidden": False}),
-    "reference_moved": Fault(
+FAULTS: dict[str, SceneFault | None] = {
+    "link_lost": SceneFault("cut_robot", {"cut": True}, {"cut": False}),
+    "outside": SceneFault("occlude", {"body": "coil", "hidden": True}, {"body": "coil", "hidden": False}),
+    "reference_moved": SceneFault(
         "bump_reference",
         {"offset_in_body_ref": [0.01, 0.0, 0.0], "rotvec": STILL},
         {"offset_in_body_ref": [-0.01, 0.0, 0.0], "rotvec": STILL},
     ),
     "within": None,
 }
-"""Events that a simulated cell can be brought to report, and by what; None where they come while all is well."""
+"""Faults by the event that a simulated cell reports because of them; None if the event comes without a fault."""
 
 
 @asynccontextmanager
 async def fault(client: Client, event: str) -> AsyncIterator[None]:
-    """The simulated cell has what makes it report an event, for the length of the context."""
+    """Make the simulated cell report an event, by a fault for the length of the context.
+
+    Args:
+        client: Client of the cell.
+        event: Key of `FAULTS`.
+    """
     wrong = FAULTS[event]
     if wrong is None:
         yield
@@ -51,4 +56,4 @@ async def fault(client: Client, event: str) -> AsyncIterator[None]:
     try:
         yield
     finally:
-        await client.request_device("scene", wrong.method, wrong.mend)
+        await client.request_device("scene", wrong.method, wrong.end)

@@ -1,9 +1,9 @@
-"""A tour through a running cell on simulated devices: every command over the bus, every answer compared.
+"""Tour through a running cell on simulated devices: every command over the bus, every answer compared.
 
-How an operation ends is up to the cell, so the tour looks after each verdict where it is and goes to the
-nearest joint state in which something is left to see. Steps fail because Stop is pressed while they run. What the
-cell does by itself in between, as its activities and devices have it, is seen too: a command is compared with what
-must come of it in the joint state that it met.
+The cell decides how an operation ends. So after each verdict the tour reads the state, and goes to the nearest joint
+state in which a response is not covered yet. Steps fail because Stop is pressed while they run. The tour also records
+the operations that activities and devices cause in between: a command is compared with the required response in the
+joint state in which it arrived.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from functools import partial
 import msgspec
 
 from pcmrs.authoring.trial.coverage_plan import DEFAULT_PATIENCE
-from pcmrs.authoring.trial.tour import Move, all_moves
+from pcmrs.authoring.trial.tour import TourCommand, all_moves
 from pcmrs.client import Client
 from pcmrs.fsm.behaviour import Joint
 from pcmrs.fsm.blueprint import Blueprint
@@ -25,36 +25,36 @@ from pcmrs.messages import Snapshot, Verdict
 from pcmrs_lab.experiment.tours.arguments import Arguments
 from pcmrs_lab.experiment.tours.faults import FAULTS, fault
 from pcmrs_lab.experiment.tours.observer import Observer
-from pcmrs_lab.experiment.tours.progress import Seen, TourProgress
+from pcmrs_lab.experiment.tours.progress import TourObservations, TourProgress
 
 ANSWER_TIME = 120.0
-"""Any operation of a simulated cell has ended after so many seconds of the machine."""
+"""Time within which any operation of a simulated cell has ended, s of the machine."""
 
 REPORTED_WITHIN = 15.0
-"""A device that was cut off is missed within so many seconds."""
+"""Time within which the loss of a device is reported, s."""
 
 SHOWN_WITHIN = 1.0
-"""What a cell has done is shown within so many seconds."""
+"""Time within which the effect of a command is published, s."""
 
-NO_FAULT = "the cell reports it by itself, and the tour has no fault of the simulation that makes it do so here"
+NO_FAULT = "the cell reports it by itself, and the tour has no simulated fault that causes it here"
 NOT_REPORTED = "nothing in the cell reports it"
 NEVER_SILENT = "no simulated device falls silent in the middle of an operation"
-NOT_REACHED = "no way found into the joint states"
+NOT_REACHED = "no path found into the joint states"
 OUT_OF_TIME = "the time was up"
 
 ShowProgress = Callable[[int, int], None]
-"""Told how much of how much is done."""
+"""Called with the number of covered responses and their total."""
 
 
 class LiveTour:
-    """Goes through a cell and compares.
+    """Takes a cell through a tour and compares its responses.
 
     Args:
-        blueprint: Of the workflow that the cell runs.
-        client: Of the cell; nobody else may command it meanwhile.
-        observer: Of the same client.
-        arguments: For the operations.
-        limit: Most joint states.
+        blueprint: Workflow that the cell runs.
+        client: Client of the cell; no other client may command it meanwhile.
+        observer: Observer of the same client.
+        arguments: Arguments of the operations.
+        limit: Largest number of joint states.
 
     Raises:
         BlueprintError: There are too many joint states.
@@ -77,15 +77,18 @@ class LiveTour:
             without = f"there are no arguments for it: give {payload} with --arguments"
             self._progress.drop(partial(_needs_arguments, name), without)
 
-    async def run(self, seconds: float, progress: ShowProgress) -> Seen:
-        """Sees what there is to see.
+    async def run(self, seconds: float, progress: ShowProgress) -> TourObservations:
+        """Run the tour.
 
         Args:
-            seconds: After so many seconds no further command is given.
-            progress: Told after every command.
+            seconds: Time after which no further command is sent, s.
+            progress: Called after every command.
+
+        Returns:
+            Covered responses.
 
         Raises:
-            UnknownOutcomeError: The cell fell silent.
+            UnknownOutcomeError: The cell does not answer any more.
         """
         loop, seen = asyncio.get_running_loop(), self._progress.seen
         end, why = loop.time() + seconds, OUT_OF_TIME
@@ -95,15 +98,15 @@ class LiveTour:
             if move is None:
                 why = NOT_REACHED
                 break
-            state = await self._make(move, state)
+            state = await self._perform(move, state)
             progress(len(seen.made), len(seen.wanted) - len(seen.left))
         seen.left |= {move: reason or why for move, reason in self._progress.agenda.unseen().items()}
         for move in seen.made & seen.left.keys():
-            del seen.left[move]  # given up, and come by itself
+            del seen.left[move]  # given up, but covered by an event in between
         return seen
 
-    def _next(self, state: Snapshot) -> Move | None:
-        """The next move: releases the latch first, without which nothing may move."""
+    def _next(self, state: Snapshot) -> TourCommand | None:
+        """Return the next move; a latched Stop is released first, since nothing may move before."""
         here, agenda = tuple(state.branches.values()), self._progress.agenda
         if not state.latched:
             return agenda.next(here, lambda _: True)
@@ -112,15 +115,15 @@ class LiveTour:
         still = self._allowed_when_latched
         return releases or agenda.next(here, still) or agenda.towards(here, goals, still)
 
-    def _unlatches(self, move: Move) -> bool:
+    def _unlatches(self, move: TourCommand) -> bool:
         spec = self._blueprint.branches[move.branch].operations[move.operation]
         return spec.unlatches and move.decision == "accepted"
 
-    def _allowed_when_latched(self, move: Move) -> bool:
+    def _allowed_when_latched(self, move: TourCommand) -> bool:
         return not self._blueprint.branches[move.branch].operations[move.operation].blocked_when_latched
 
-    async def _make(self, move: Move, before: Snapshot) -> Snapshot:
-        """Gives the command of a move and looks what has come of it."""
+    async def _perform(self, move: TourCommand, before: Snapshot) -> Snapshot:
+        """Send the command of a move and compare the response."""
         self._progress.seen.tour.append(move)
         verdict = await (self._provoke(move) if move.asker == "device" else self._command(move, before))
         if verdict is None:
@@ -138,23 +141,29 @@ class LiveTour:
         await self._follow(move, shown, tuple(after.branches.values()))
         return after
 
-    def _met(self, move: Move, verdict: Verdict, sequence: int) -> tuple[Move, int]:
-        """The command where it met the cell, which may have gone on by itself, and the number of the commit before."""
+    def _met(self, move: TourCommand, verdict: Verdict, sequence: int) -> tuple[TourCommand, int]:
+        """Return the command in the joint state in which it arrived, and the number of the commit before.
+
+        The cell may have left the joint state of the move by itself.
+        """
         others = self._observer.verdicts_beside({*self._judged, verdict.id})
         earlier = [other for other in others if _precedes(other, verdict)]
-        joint = self._take(*self._unasked(move.before, earlier), earlier)
+        joint = self._take(*self._unrequested(move.before, earlier), earlier)
         if joint == move.before:
             return move, max([sequence, *(other.sequence for other in earlier)])
-        self._progress.agenda.missed(move, "the cell goes on by itself")
+        self._progress.agenda.missed(move, "the cell changes its state by itself")
         there = [other for other in self._moves[joint] if (other.name, other.asker) == (move.name, move.asker)]
         return min(there, key=lambda other: other.ending != move.ending), max(other.sequence for other in earlier)
 
-    def _led_to(self, move: Move, verdict: Verdict, end: Joint) -> Joint:
-        """Where a decision led whose snapshot was overtaken by the next: from there the rest must lead to the end."""
-        endings = (other.after for other in self._progress.same(move) if other.decision == verdict.decision)
-        return next((joint for joint in endings if self._goes_on(joint) == end), end)
+    def _led_to(self, move: TourCommand, verdict: Verdict, end: Joint) -> Joint:
+        """Return the joint state that a decision led to if its snapshot was overtaken by the next one.
 
-    async def _command(self, move: Move, before: Snapshot) -> Verdict:
+        The later verdicts must lead from there to the end.
+        """
+        endings = (other.after for other in self._progress.same(move) if other.decision == verdict.decision)
+        return next((joint for joint in endings if self._final_joint(joint) == end), end)
+
+    async def _command(self, move: TourCommand, before: Snapshot) -> Verdict:
         spec = self._blueprint.branches[move.branch].operations[move.operation]
         arguments, command_id = self._arguments.next(move.name, spec.payload), uuid.uuid4().hex
         if spec.unlatches:
@@ -162,58 +171,58 @@ class LiveTour:
         call = asyncio.create_task(self._client.call(move.name, arguments, id=command_id, timeout=ANSWER_TIME))
         try:
             if move.decision == "failed":
-                await self._stop_once_begun(call, command_id)
+                await self._stop_while_running(call, command_id)
             return await call
         finally:
             call.cancel()
 
-    async def _stop_once_begun(self, call: asyncio.Task[Verdict], command_id: str) -> None:
-        """Presses Stop while the operation runs; not at all where it has ended before it was shown to run."""
-        begun = asyncio.create_task(self._observer.begun(command_id))
-        await asyncio.wait((call, begun), return_when=asyncio.FIRST_COMPLETED)
-        begun.cancel()
+    async def _stop_while_running(self, call: asyncio.Task[Verdict], command_id: str) -> None:
+        """Press Stop while the operation runs, but not if it has ended before it was shown as running."""
+        running = asyncio.create_task(self._observer.running(command_id))
+        await asyncio.wait((call, running), return_when=asyncio.FIRST_COMPLETED)
+        running.cancel()
         if not call.done():
             self._progress.seen.stops += 1
             await self._client.stop(timeout=ANSWER_TIME)
 
-    async def _provoke(self, move: Move) -> Verdict | None:
-        """Makes a simulated device report, and mends it; None when nothing was reported in time."""
+    async def _provoke(self, move: TourCommand) -> Verdict | None:
+        """Make a simulated device report an event, and end the fault; return None if nothing was reported in time."""
         async with fault(self._client, move.operation):
             with suppress(TimeoutError):
                 async with asyncio.timeout(REPORTED_WITHIN):
                     return await self._observer.verdict_on(move.branch, move.operation, self._judged)
         return None
 
-    async def _follow(self, move: Move, joint: Joint, end: Joint) -> None:
-        """What a step has submitted or a device reported is seen too; nothing else may have moved the cell."""
-        await self._shown(lambda: self._goes_on(joint) == end)
+    async def _follow(self, move: TourCommand, joint: Joint, end: Joint) -> None:
+        """Record operations that a step or a device has submitted; nothing else may have changed the state."""
+        await self._shown(lambda: self._final_joint(joint) == end)
         others = self._observer.verdicts_beside(self._judged)
-        reached = self._take(*self._unasked(joint, others), others)
+        reached = self._take(*self._unrequested(joint, others), others)
         if reached != end:
-            self._progress.judge(move, "then something that nobody asked for", end, "")
+            self._progress.judge(move, "followed by an unrequested change", end, "")
         elif end != joint:
-            self._progress.agenda.missed(move, "the cell goes on by itself")
+            self._progress.agenda.missed(move, "the cell changes its state by itself")
 
     async def _shown(self, condition: Callable[[], bool]) -> None:
-        """Waits until a condition on what has been shown holds, but not for long."""
+        """Wait for a short time until a condition on the published messages holds."""
         with suppress(TimeoutError):
             async with asyncio.timeout(SHOWN_WITHIN):
                 await self._observer.shows(condition)
 
-    def _take(self, unasked: list[Move], joint: Joint, verdicts: list[Verdict]) -> Joint:
-        """These verdicts have been looked at, and the moves seen in them led to `joint`."""
+    def _take(self, unrequested: list[TourCommand], joint: Joint, verdicts: list[Verdict]) -> Joint:
+        """Mark verdicts as judged and their moves as covered, and return the joint state that they led to."""
         self._judged |= {verdict.id for verdict in verdicts}
-        self._progress.saw(unasked)
-        self._progress.seen.events += sum(made.asker == "device" for made in unasked)
+        self._progress.cover(unrequested)
+        self._progress.seen.events += sum(made.asker == "device" for made in unrequested)
         return joint
 
-    def _goes_on(self, joint: Joint) -> Joint:
-        """Where the verdicts that nobody asked for lead."""
-        return self._unasked(joint, self._observer.verdicts_beside(self._judged))[1]
+    def _final_joint(self, joint: Joint) -> Joint:
+        """Return the joint state to which the unrequested verdicts lead."""
+        return self._unrequested(joint, self._observer.verdicts_beside(self._judged))[1]
 
-    def _unasked(self, joint: Joint, verdicts: list[Verdict]) -> tuple[list[Move], Joint]:
-        """The moves of verdicts that nobody asked for, as far as they are as they must be, and where they lead."""
-        found: list[Move] = []
+    def _unrequested(self, joint: Joint, verdicts: list[Verdict]) -> tuple[list[TourCommand], Joint]:
+        """Return the moves of unrequested verdicts that are as required, and the joint state that they lead to."""
+        found: list[TourCommand] = []
         for verdict in verdicts:
             what, shown = (verdict.branch, verdict.operation, verdict.decision), self._observer.joint_at(verdict)
             there = self._moves.get(joint, []) if verdict.decision != "rejected" else []
@@ -225,26 +234,26 @@ class LiveTour:
         return found, joint
 
 
-def _live(moves: list[Move]) -> Iterator[Move]:
-    """What may be seen of a cell from outside: not which check refused, nor which step was stopped."""
+def _live(moves: list[TourCommand]) -> Iterator[TourCommand]:
+    """Return the moves as visible from outside: without the refusing check and the stopped step."""
     found = (msgspec.structs.replace(move, at="", how="") for move in moves if not _by_check(move))
     return iter(dict.fromkeys(found))
 
 
-def _by_check(move: Move) -> bool:
+def _by_check(move: TourCommand) -> bool:
     return bool(move.decision == "rejected" and move.at)
 
 
-def _needs_arguments(name: str, move: Move) -> bool:
-    """Whether it asks for an operation in a way in which its arguments are looked at."""
+def _needs_arguments(name: str, move: TourCommand) -> bool:
+    """Return whether a move requests an operation whose arguments are checked."""
     return move.name == name and move.code not in ("internal_operation", "event_operation")
 
 
-def _provoked(move: Move) -> bool:
+def _provoked(move: TourCommand) -> bool:
     return move.operation in FAULTS and move.decision == "accepted"
 
 
 def _precedes(other: Verdict, verdict: Verdict) -> bool:
-    """Whether it was committed before; a rejection has the number of the newest commit that it met."""
+    """Return whether a verdict was committed before another; a rejection has the number of the newest commit."""
     met = other.sequence == verdict.sequence and verdict.decision == "rejected"
     return other.decision != "rejected" and (other.sequence < verdict.sequence or met)

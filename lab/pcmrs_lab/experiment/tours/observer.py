@@ -1,4 +1,4 @@
-"""What a running cell shows by itself, kept for whoever has to compare it with what was asked."""
+"""Stores what a running cell publishes, so that it can be compared with the commands."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from pcmrs.messages import Snapshot, Verdict
 
 T = TypeVar("T")
 
-KEPT = 200
-"""Snapshots and verdicts that are remembered."""
+HISTORY = 200
+"""Number of snapshots and verdicts that are stored."""
 
 POLLING = 0.005
 
 
 class Observer:
-    """Remembers snapshots and verdicts. Use `observing`.
+    """Stores snapshots and verdicts. Use `observing`.
 
     Attributes:
         ran: Every ``branch.operation`` that was ever shown as running.
@@ -36,28 +36,34 @@ class Observer:
         self.ran: set[str] = set()
 
     def joint_at(self, verdict: Verdict) -> tuple[str, ...] | None:
-        """The joint state that a decision led to, where it was shown."""
+        """Return the joint state that a decision led to; None if it was not published."""
         shown = self._snapshots.get(verdict.sequence)
         return None if shown is None else tuple(shown.branches.values())
 
     def has(self, verdict: Verdict) -> bool:
-        """Whether a verdict has been shown, and with it all before it."""
+        """Return whether a verdict, and with it all earlier ones, has been published."""
         return verdict.id in self._verdicts
 
     def verdicts_beside(self, known: Container[str]) -> list[Verdict]:
-        """Verdicts on commands that are not among the known ones, in order."""
+        """Return the verdicts on commands that are not among the known ones, in order."""
         return [verdict for command_id, verdict in self._verdicts.items() if command_id not in known]
 
     async def shows(self, condition: Callable[[], bool]) -> None:
-        """Returns when a condition on what has been shown holds."""
+        """Wait until a condition on the published messages holds."""
         await self._until(lambda: condition() or None)
 
-    async def begun(self, command_id: str) -> None:
-        """Returns when a command is shown as running."""
+    async def running(self, command_id: str) -> None:
+        """Wait until a command is shown as running."""
         await self.shows(lambda: command_id in self._running)
 
     async def verdict_on(self, branch: str, operation: str, known: Container[str]) -> Verdict:
-        """The next verdict on an operation whose id is not among the known ones."""
+        """Wait for a verdict on an operation whose id is not among the known ones, and return it.
+
+        Args:
+            branch: Branch of the operation.
+            operation: Operation.
+            known: Ids of known verdicts.
+        """
 
         def found() -> Verdict | None:
             new = self.verdicts_beside(known)
@@ -66,7 +72,11 @@ class Observer:
         return await self._until(found)
 
     async def settled(self, sequence: int = 0) -> Snapshot:
-        """The state once nothing runs and everything up to it has been shown."""
+        """Wait until nothing runs and all messages up to a commit are published, and return the state.
+
+        Args:
+            sequence: Number of the commit.
+        """
         while True:
             state = await self._client.state(timeout=10.0)
             if not state.running and state.sequence >= sequence:
@@ -86,34 +96,34 @@ class Observer:
                 await self._changed.wait()
 
     async def listen(self) -> None:
-        """Takes what is shown; never ends."""
+        """Store the published messages; never return."""
         async with aclosing(self._client.watch()) as events:
             async for event in events:
                 if isinstance(event, Snapshot):
                     self._take_snapshot(event)
                 elif isinstance(event, Verdict):
-                    _remember(self._verdicts, event.id, event)
+                    _store(self._verdicts, event.id, event)
                 async with self._changed:
                     self._changed.notify_all()
 
     def _take_snapshot(self, snapshot: Snapshot) -> None:
         self._running = {running.id for running in snapshot.running}
         self.ran |= {f"{running.branch}.{running.operation}" for running in snapshot.running}
-        _remember(self._snapshots, snapshot.sequence, snapshot)
+        _store(self._snapshots, snapshot.sequence, snapshot)
 
 
 K = TypeVar("K")
 
 
-def _remember(kept: OrderedDict[K, T], key: K, value: T) -> None:
-    kept[key] = value
-    if len(kept) > KEPT:
-        kept.popitem(last=False)
+def _store(stored: OrderedDict[K, T], key: K, value: T) -> None:
+    stored[key] = value
+    if len(stored) > HISTORY:
+        stored.popitem(last=False)
 
 
 @asynccontextmanager
 async def observing(client: Client) -> AsyncIterator[Observer]:
-    """Listens to a cell for the length of the context."""
+    """Listen to a cell for the length of the context."""
     observer = Observer(client)
     async with background_task(observer.listen()):
         yield observer

@@ -1,4 +1,4 @@
-"""What a live tour has seen of a cell, and what it still wants to see."""
+"""Progress of a live tour: covered responses, and those still to cover."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from pcmrs.authoring.trial.coverage import Deviation, deviation
 from pcmrs.authoring.trial.coverage_plan import CoveragePlan
-from pcmrs.authoring.trial.tour import Move
+from pcmrs.authoring.trial.tour import TourCommand
 from pcmrs.fsm.behaviour import Joint
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.messages import Verdict
@@ -16,61 +16,75 @@ DECIDED_AT_ONCE = "is decided at once: Stop cannot come in between"
 
 
 @dataclass
-class Seen:
-    """What a live tour has seen.
+class TourObservations:
+    """Result of a live tour.
 
     Attributes:
-        wanted: All there is to see, whether or not it can be seen live.
-        made: What has been seen to be as it must.
-        deviations: What was not as it must be.
-        left: What was not seen, and why.
-        tour: The commands that were given, each with the ending that was wanted.
-        stops: How often Stop was pressed.
-        events: How often a device reported something by itself.
+        wanted: All moves to cover, including those that cannot be covered live.
+        made: Moves that were as required.
+        deviations: Moves that were not as required.
+        left: Moves that were not covered, with the reason.
+        tour: Moves whose commands were sent, each with the requested ending.
+        stops: Number of Stops that were pressed.
+        events: Number of events that devices reported by themselves.
     """
 
-    wanted: set[Move]
-    made: set[Move] = field(default_factory=set)
+    wanted: set[TourCommand]
+    made: set[TourCommand] = field(default_factory=set)
     deviations: list[Deviation] = field(default_factory=list)
-    left: dict[Move, str] = field(default_factory=dict)
-    tour: list[Move] = field(default_factory=list)
+    left: dict[TourCommand, str] = field(default_factory=dict)
+    tour: list[TourCommand] = field(default_factory=list)
     stops: int = 0
     events: int = 0
 
 
 class TourProgress:
-    """Compares what came of each command with what must, and keeps the agenda.
+    """Compares each response with the required one, and keeps the plan of the remaining moves.
 
     Args:
-        blueprint: Of the workflow that the cell runs.
-        moves: All there is to see in each joint state.
-        patience: See `CoveragePlan`.
+        blueprint: Workflow that the cell runs.
+        moves: All moves to cover, by joint state.
+        patience: Number of attempts by operation, as for `CoveragePlan`.
 
     Attributes:
-        moves: The same.
-        agenda: What is still wanted.
-        seen: What has been seen.
+        moves: All moves to cover, by joint state.
+        agenda: Moves that are still to cover.
+        seen: Result so far.
     """
 
-    def __init__(self, blueprint: Blueprint, moves: Mapping[Joint, list[Move]], patience: Mapping[str, int]) -> None:
+    def __init__(
+        self, blueprint: Blueprint, moves: Mapping[Joint, list[TourCommand]], patience: Mapping[str, int]
+    ) -> None:
         self.moves = moves
         self.agenda = CoveragePlan(moves, patience)
-        self.seen = Seen({move for there in moves.values() for move in there})
+        self.seen = TourObservations({move for there in moves.values() for move in there})
         self._blueprint = blueprint
         self._accepted: set[str] = set()
 
-    def saw(self, moves: Iterable[Move]) -> None:
-        """These have ended as they may."""
+    def cover(self, moves: Iterable[TourCommand]) -> None:
+        """Mark moves as covered."""
         for move in moves:
             self.agenda.made(move)
             self.seen.made.add(move)
 
-    def drop(self, unwanted: Callable[[Move], bool], reason: str) -> None:
-        """Gives up for good what cannot be seen, and says why."""
+    def drop(self, unwanted: Callable[[TourCommand], bool], reason: str) -> None:
+        """Exclude moves that cannot be covered, with the reason.
+
+        Args:
+            unwanted: Returns whether a move is excluded.
+            reason: Reason for the report.
+        """
         self.seen.left |= dict.fromkeys(self.agenda.drop(unwanted), reason)
 
-    def rejected(self, move: Move, verdict: Verdict, sequence: int, after: Joint) -> None:
-        """A rejection is as it must be, or comes of a check; in any case it commits nothing after `sequence`."""
+    def rejected(self, move: TourCommand, verdict: Verdict, sequence: int, after: Joint) -> None:
+        """Judge a rejection: it is required, or comes from a check; in both cases it commits nothing after `sequence`.
+
+        Args:
+            move: TourCommand whose command was sent.
+            verdict: Rejection.
+            sequence: Number of the commit before the command.
+            after: Joint state after it.
+        """
         reason = verdict.reason
         code = reason.code if reason is not None else ""
         if verdict.sequence != sequence:
@@ -80,19 +94,19 @@ class TourProgress:
         else:
             self.judge(move, "rejected", after, code)
 
-    def ended(self, move: Move, verdict: Verdict, after: Joint, *, ran: bool) -> None:
-        """Every ending that fits what has come of it has been seen, also where another one was wanted.
+    def ended(self, move: TourCommand, verdict: Verdict, after: Joint, *, ran: bool) -> None:
+        """Judge an ended operation: every move that fits its ending is covered, even if another ending was requested.
 
         Args:
-            move: What was asked for.
-            verdict: What was decided.
-            after: The joint state that it led to.
-            ran: Whether the operation has ever been shown as running.
+            move: Move whose command was sent.
+            verdict: Verdict on it.
+            after: Joint state that it led to.
+            ran: True if the operation has ever been shown as running.
         """
         if verdict.decision == "accepted":
             self._accepted.add(move.name)
         fitting = [m for m in self.same(move) if (m.decision, m.after) == (verdict.decision, after)]
-        self.saw(fitting)
+        self.cover(fitting)
         if not fitting:
             self.judge(move, verdict.decision, after, verdict.reason.code if verdict.reason is not None else "")
         elif move not in fitting:
@@ -100,17 +114,24 @@ class TourProgress:
                 self.drop(lambda m: m.name == move.name and m.decision == "failed", DECIDED_AT_ONCE)
             self.agenda.missed(move, f"the cell ended it otherwise: {fitting[0].ending}")
 
-    def judge(self, move: Move, decision: str, after: Joint, code: str) -> None:
-        """Compares with what the move must come to."""
+    def judge(self, move: TourCommand, decision: str, after: Joint, code: str) -> None:
+        """Compare a response with the required one of a move.
+
+        Args:
+            move: TourCommand whose command was sent.
+            decision: Decision on it.
+            after: Joint state that it led to.
+            code: Code of the reason; empty if there is none.
+        """
         found = deviation(self._blueprint, move, decision, after, code)
         if found is None:
-            self.saw([move])
+            self.cover([move])
         else:
             self.agenda.put_aside(move, "deviates")
             self.seen.made.discard(move)
             self.seen.deviations.append(found)
 
-    def same(self, move: Move) -> list[Move]:
-        """All ways in which the same command may end."""
-        asked = (move.name, move.asker)
-        return [other for other in self.moves[move.before] if (other.name, other.asker) == asked]
+    def same(self, move: TourCommand) -> list[TourCommand]:
+        """Return the moves of the same command in the same joint state."""
+        command = (move.name, move.asker)
+        return [other for other in self.moves[move.before] if (other.name, other.asker) == command]

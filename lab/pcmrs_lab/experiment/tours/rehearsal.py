@@ -1,4 +1,4 @@
-"""The dispatcher on scripted checks and steps: nothing is moved and no time passes but what the script wants."""
+"""Dispatcher on scripted checks and steps: nothing moves, and only the script lets time pass."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from pcmrs.authoring.trial.coverage import Deviation, deviation
-from pcmrs.authoring.trial.tour import Move, Tour
+from pcmrs.authoring.trial.tour import Tour, TourCommand
 from pcmrs.dispatcher import Dispatcher, NoArguments, ProcedureData, Registry, Run, Workflow
 from pcmrs.errors import DeviceError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm.behaviour import Joint, joint_of
@@ -19,14 +19,13 @@ from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint
 from pcmrs.messages import Command, DeviceEvent, Verdict
 
 AHEAD = 3600.0
-"""Commands arrive so much in the future, s of the event loop: in a rehearsal none comes too late, however busy the
-machine is."""
+"""Offset of the arrival of commands into the future, s of the event loop: no command is too late on a busy machine."""
 
 
 class LeapingClock:
-    """A clock that stands still, and leaps to the end of every wait; a deadline on the way passes.
+    """Clock that stands still, and leaps to the end of every wait; deadlines before that expire.
 
-    Its wall clock stands still for good.
+    Its wall clock never changes.
     """
 
     def __init__(self) -> None:
@@ -37,7 +36,7 @@ class LeapingClock:
         return self._now
 
     def wall(self) -> float:
-        return 0.0  # where the leaps lead, no journal's row can be written
+        return 0.0  # the leaps are too long for the time stamps of journal rows
 
     async def sleep(self, seconds: float) -> None:
         self._now += seconds
@@ -57,43 +56,57 @@ class LeapingClock:
                 self._deadlines.remove(entry)
 
 
-class Script:
-    """What the checks and steps do: what the present move of a tour wants.
+class ScriptedSteps:
+    """Behaviour of checks and steps for the present move of a tour.
 
     Attributes:
-        move: The present move.
+        move: Present move.
     """
 
-    move: Move
+    move: TourCommand
 
     def check(self, name: str, _run: Run[None, ProcedureData]) -> None:
-        """A check that agrees unless it is the one to refuse."""
+        """Accept, unless the move requires this check to refuse.
+
+        Args:
+            name: Name of the check.
+        """
         if self.move.decision == "rejected" and self.move.at == name:
             raise RefusalError("told_to", f"The tour wants {name} to refuse.")
 
     def step(self, name: str, run: Run[None, ProcedureData]) -> None:
-        """A step that ends at once, as the move wants."""
+        """End at once with the outcome that the move requires.
+
+        Args:
+            name: Name of the step.
+            run: Run of the operation.
+        """
         if self.move.at != name:
             run.outcome = None if self.move.ending == START_OUTCOME else self.move.ending
         elif self.move.how == "refuses":
             raise DeviceError(f"The tour wants {name} to refuse.")
         elif self.move.how == "silent":
-            raise UnknownOutcomeError(f"The tour wants nobody to know how {name} has ended.")
+            raise UnknownOutcomeError(f"The tour wants the outcome of {name} to be unknown.")
         else:
             raise RuntimeError(f"The tour wants {name} to raise.")
 
-    async def world_step(self, name: str, run: Run[None, ProcedureData]) -> None:
-        """The same outside, where it may also take too long."""
+    async def side_effecting_step(self, name: str, run: Run[None, ProcedureData]) -> None:
+        """End like `step`, or exceed the deadline if the move requires that.
+
+        Args:
+            name: Name of the step.
+            run: Run of the operation.
+        """
         if (self.move.at, self.move.how) == (name, "late"):
             await run.clock.sleep(float("inf"))
         self.step(name, run)
 
 
-class Forgetful:
-    """A recorder that keeps nothing."""
+class NullRecorder:
+    """Recorder that stores nothing."""
 
     async def intent(self, command: Command, states: Mapping[str, str]) -> None:
-        """Nothing is kept."""
+        """Store nothing."""
 
     async def decision(
         self,
@@ -104,22 +117,22 @@ class Forgetful:
         *,
         with_intent: bool,
     ) -> None:
-        """Nothing is kept."""
+        """Store nothing."""
 
     async def event(self, event: DeviceEvent, states: Mapping[str, str]) -> None:
-        """Nothing is kept."""
+        """Store nothing."""
 
     def recall(self, source: str, command_id: str) -> None:
-        """Nothing has been kept."""
+        """Return None, since nothing is stored."""
 
 
-def scripted(blueprint: Blueprint, script: Script, *, outside: bool) -> Workflow[None, ProcedureData]:
-    """The workflow with every check and step in the script's hands, and nothing that goes on by itself.
+def scripted(blueprint: Blueprint, script: ScriptedSteps, *, outside: bool) -> Workflow[None, ProcedureData]:
+    """Return the workflow with scripted checks and steps, and without activities.
 
     Args:
-        blueprint: The workflow.
-        script: Says what they do.
-        outside: The steps touch the world outside, so that they are tasks with deadlines.
+        blueprint: Workflow.
+        script: Behaviour of checks and steps.
+        outside: True if the steps have side effects, so that they are tasks with deadlines.
     """
     still = {name: replace(branch, activities={}) for name, branch in blueprint.branches.items()}
     blueprint = replace(blueprint, branches=still)
@@ -128,30 +141,42 @@ def scripted(blueprint: Blueprint, script: Script, *, outside: bool) -> Workflow
     for spec in specs:
         registry.payload(spec.payload, NoArguments)
         registry.checks |= {name: partial(script.check, name) for name in spec.checks}
-        registry.steps |= {name: partial(script.world_step if outside else script.step, name) for name in spec.steps}
+        registry.steps |= {
+            name: partial(script.side_effecting_step if outside else script.step, name) for name in spec.steps
+        }
         registry.side_effecting.update(spec.steps if outside else ())
     return Workflow(blueprint, registry, ProcedureData(), lambda data, _states, _effects: data)
 
 
-def scripted_dispatcher(blueprint: Blueprint, script: Script, *, outside: bool) -> Dispatcher[None, ProcedureData]:
-    """A dispatcher of such a workflow, which keeps nothing; see `scripted`."""
-    workflow = scripted(blueprint, script, outside=outside)
-    return Dispatcher(workflow, None, LeapingClock(), Forgetful(), _hold)
-
-
-async def rehearse(blueprint: Blueprint, tour: Tour, *, outside: bool) -> AsyncIterator[tuple[Move, Deviation | None]]:
-    """Takes the dispatcher through a tour.
+def scripted_dispatcher(
+    blueprint: Blueprint, script: ScriptedSteps, *, outside: bool
+) -> Dispatcher[None, ProcedureData]:
+    """Return a dispatcher of a scripted workflow, which stores nothing; see `scripted`.
 
     Args:
-        blueprint: The workflow.
-        tour: Its tour.
-        outside: As for `scripted`; where it is not, nothing can be late, and what should be raises.
+        blueprint: Workflow.
+        script: Behaviour of checks and steps.
+        outside: True if the steps have side effects.
+    """
+    workflow = scripted(blueprint, script, outside=outside)
+    return Dispatcher(workflow, None, LeapingClock(), NullRecorder(), _hold)
+
+
+async def rehearse(
+    blueprint: Blueprint, tour: Tour, *, outside: bool
+) -> AsyncIterator[tuple[TourCommand, Deviation | None]]:
+    """Take the dispatcher through a tour.
+
+    Args:
+        blueprint: Workflow.
+        tour: Tour of the workflow.
+        outside: As for `scripted`; if false, no step can be late, and such a move raises instead.
 
     Yields:
-        Every command, and what was not as it must be; a stretch that has left the tour is not gone on with.
+        Every move, and its deviation if there is one; the rest of a stretch that has left the tour is skipped.
     """
     for stretch in tour.stretches:
-        script = Script()
+        script = ScriptedSteps()
         dispatcher = scripted_dispatcher(blueprint, script, outside=outside)
         for number, move in enumerate(stretch):
             script.move = move
@@ -163,13 +188,13 @@ async def rehearse(blueprint: Blueprint, tour: Tour, *, outside: bool) -> AsyncI
                 break
 
 
-def _command(number: int, move: Move) -> Command:
+def _command(number: int, move: TourCommand) -> Command:
     source = "device:tour" if move.asker == "device" else "tour:user"
     return Command(id=str(number), branch=move.branch, operation=move.operation, source=source)
 
 
-def _judged(blueprint: Blueprint, move: Move, verdict: Verdict, after: Joint) -> Deviation | None:
-    """Compares decision, code and states, and which check or step the verdict names."""
+def _judged(blueprint: Blueprint, move: TourCommand, verdict: Verdict, after: Joint) -> Deviation | None:
+    """Compare decision, code and states, and the check or step that the verdict names."""
     fields, code = (verdict.reason.fields, verdict.reason.code) if verdict.reason is not None else ({}, "")
     at = fields.get("step") or fields.get("check") or ""
     decision = verdict.decision if at == move.at else f"{verdict.decision} at {at or 'once'}"
@@ -177,4 +202,4 @@ def _judged(blueprint: Blueprint, move: Move, verdict: Verdict, after: Joint) ->
 
 
 async def _hold(_latch: bool) -> None:
-    """There is nothing to hold."""
+    """Do nothing: there is no robot to hold."""

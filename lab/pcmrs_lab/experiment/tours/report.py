@@ -1,4 +1,4 @@
-"""What a test tour has shown of a workflow: how much was covered, what was otherwise, and what was left out."""
+"""Result of a test tour of a workflow: coverage, deviations, and responses that were left out."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pcmrs.authoring.trial.coverage import Count, Deviation
 
 
 class Left(msgspec.Struct, frozen=True):
-    """An ending of an operation that was not seen, in how many joint states, and why."""
+    """Ending of an operation that was not covered, with the number of joint states and the reason."""
 
     command: str
     joint_states: int
@@ -19,17 +19,16 @@ class TourReport(msgspec.Struct, frozen=True, kw_only=True):
     """Result of a test tour.
 
     Attributes:
-        subjects: What was tested, and how many commands each was given.
-        joint_states: How many there are.
-        restarts: How often the workflow was started anew on the way.
-        stops: How often Stop was pressed.
-        events: How often a device reported something by itself.
-        seconds: How long it took, s of the machine.
-        coverage: What of the workflow was seen to be as it must, by the keys of
-            `pcmrs.authoring.trial.coverage.MEANINGS`.
-        deviations: What was not, by subject.
-        left: What could not be seen.
-        passed: Nothing deviates, and every operation was seen in every joint state.
+        subjects: Subjects of the test, with the number of commands that each received.
+        joint_states: Number of joint states.
+        restarts: Number of restarts of the workflow during the tour.
+        stops: Number of Stops that were pressed.
+        events: Number of events that devices reported by themselves.
+        seconds: Duration, s of the machine.
+        coverage: Covered responses of the workflow, by the keys of `pcmrs.authoring.trial.coverage.MEANINGS`.
+        deviations: Deviations by subject.
+        left: Responses that could not be covered.
+        passed: True if nothing deviates, and every operation was covered in every joint state.
     """
 
     workflow: str

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from pcmrs.authoring.trial.coverage import Deviation, coverage, is_complete
 from pcmrs.authoring.trial.engine_tour import tour_engine
-from pcmrs.authoring.trial.tour import Move, Tour, plan_tour
+from pcmrs.authoring.trial.tour import Tour, TourCommand, plan_tour
 from pcmrs.client import Client
 from pcmrs.errors import ConfigurationError, DeviceError, UnknownOutcomeError
 from pcmrs.fsm.blueprint import Blueprint
@@ -20,18 +20,18 @@ from pcmrs_lab.experiment.tours.rehearsal import rehearse
 from pcmrs_lab.experiment.tours.report import Left, TourReport
 
 SUBJECTS = ("engine", "dispatcher, steps outside", "dispatcher, steps at once")
-"""What is tested without a cell."""
+"""Subjects of a tour without a cell."""
 
 
 @dataclass
-class _Tally:
-    """How one subject did on a tour."""
+class _TourTally:
+    """Results of one subject on a tour."""
 
     commands: int = 0
-    good: set[Move] = field(default_factory=set)
+    good: set[TourCommand] = field(default_factory=set)
     deviations: list[Deviation] = field(default_factory=list)
 
-    def take(self, move: Move, deviation: Deviation | None) -> None:
+    def take(self, move: TourCommand, deviation: Deviation | None) -> None:
         self.commands += 1
         if deviation is None:
             self.good.add(move)
@@ -39,8 +39,18 @@ class _Tally:
             self.deviations.append(deviation)
 
 
-async def tour_scripted(blueprint: Blueprint, limit: int, progress: ShowProgress) -> tuple[TourReport, list[Move]]:
-    """Takes the engine, and the dispatcher on scripted steps, through a tour; returns the tour as well.
+async def tour_scripted(
+    blueprint: Blueprint, limit: int, progress: ShowProgress
+) -> tuple[TourReport, list[TourCommand]]:
+    """Take the engine, and the dispatcher on scripted steps, through a tour.
+
+    Args:
+        blueprint: Workflow.
+        limit: Largest number of joint states.
+        progress: Called after every move.
+
+    Returns:
+        Report, and the moves of the tour.
 
     Raises:
         BlueprintError: The workflow has more than `limit` joint states.
@@ -48,7 +58,7 @@ async def tour_scripted(blueprint: Blueprint, limit: int, progress: ShowProgress
     begin = asyncio.get_running_loop().time()
     tour = plan_tour(blueprint, limit)
     moves = [move for stretch in tour.stretches for move in stretch]
-    tallies = {subject: _Tally() for subject in SUBJECTS}
+    tallies = {subject: _TourTally() for subject in SUBJECTS}
     done = 0
     async for subject, move, deviation in _toured(blueprint, tour):
         tallies[subject].take(move, deviation)
@@ -71,7 +81,7 @@ async def tour_scripted(blueprint: Blueprint, limit: int, progress: ShowProgress
     return report, moves
 
 
-async def _toured(blueprint: Blueprint, tour: Tour) -> AsyncIterator[tuple[str, Move, Deviation | None]]:
+async def _toured(blueprint: Blueprint, tour: Tour) -> AsyncIterator[tuple[str, TourCommand, Deviation | None]]:
     engine, outside, at_once = SUBJECTS
     for judged in tour_engine(blueprint, tour):
         yield engine, *judged
@@ -83,13 +93,24 @@ async def _toured(blueprint: Blueprint, tour: Tour) -> AsyncIterator[tuple[str, 
 
 async def tour_live(
     blueprint: Blueprint, client: Client, arguments: Arguments, limit: int, seconds: float, progress: ShowProgress
-) -> tuple[TourReport, list[Move]]:
-    """Takes a running cell on simulated devices through a tour; returns the tour as well.
+) -> tuple[TourReport, list[TourCommand]]:
+    """Take a running cell on simulated devices through a tour.
+
+    Args:
+        blueprint: Workflow that the cell runs.
+        client: Client of the cell.
+        arguments: Arguments of the operations.
+        limit: Largest number of joint states.
+        seconds: Time after which no further command is sent, s.
+        progress: Called after every command.
+
+    Returns:
+        Report, and the moves of the tour.
 
     Raises:
         BlueprintError: The workflow has more than `limit` joint states.
         ConfigurationError: The cell is not simulated, or runs another workflow.
-        UnknownOutcomeError: The cell fell silent.
+        UnknownOutcomeError: The cell does not answer any more.
     """
     begin = asyncio.get_running_loop().time()
     await _check_simulated(client)
@@ -119,9 +140,9 @@ async def tour_live(
 
 
 async def _check_simulated(client: Client) -> None:
-    """Only a simulation knows the truth; where a real arm stands, nobody moves it through a tour."""
+    """Refuse a cell that is not simulated: a tour must never move a real arm."""
     try:
         await client.request_device("scene", "truth")
     except (UnknownOutcomeError, DeviceError) as error:
-        text = f"A tour moves the robot in every way there is: only for simulated cells. {error}"
+        text = f"A tour performs every motion of the workflow, so it runs on simulated cells only. {error}"
         raise ConfigurationError(text) from error

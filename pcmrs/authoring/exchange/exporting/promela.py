@@ -11,7 +11,7 @@ from pcmrs.errors import BlueprintError
 from pcmrs.fsm.behaviour import endings, operations
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, Condition, PropertySpec, Requirement
 from pcmrs.fsm.closure import Closure
-from pcmrs.fsm.verify.decisions import Decision, decide
+from pcmrs.fsm.verify.decision_tree import Decision, decide
 
 MAX_DECISIONS = 5_000
 """Limit of combinations that the operations depend on; a larger model could neither be read nor compiled."""

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from pcmrs.fsm import blueprint as parts
-from pcmrs.fsm.blueprint import Blueprint, Part
+from pcmrs.fsm.blueprint import Blueprint, BlueprintPart
 from pcmrs.fsm.files.extend import EXTENDS, FILE_NAME
 from pcmrs.fsm.rules.names import NAME, STATE_NAME
 
@@ -65,7 +65,7 @@ def _partial(whole: dict[str, Any]) -> dict[str, Any]:
     return {PARTIAL + name: definition for name, definition in definitions.items()}
 
 
-def _describe(name: str, definition: dict[str, Any], part: type[Part]) -> None:
+def _describe(name: str, definition: dict[str, Any], part: type[BlueprintPart]) -> None:
     """Add what the attributes mean, and patterns of names."""
     documentation = inspect.getdoc(part) or ""
     definition["description"] = documentation.partition("\n\n")[0].replace("\n", " ")

@@ -35,7 +35,7 @@ def _group(text: str, *, alone: bool) -> tuple[str, ...] | None:
     return tuple(match[1] or match[2] for match in found if match)
 
 
-class Conditions:
+class ConditionalEffects:
     """Effects of events whose transitions depend on the states of other regions.
 
     Args:
@@ -48,8 +48,8 @@ class Conditions:
         self._nodes = nodes
         self._work = 0
 
-    def choices(self, region: Region, event: str, edges: Sequence[Edge]) -> list[Choice]:
-        """Return the choices of a region in each situation of other regions that the conditions of `edges` name.
+    def enabled_transitions(self, region: Region, event: str, edges: Sequence[Edge]) -> list[EnabledTransitions]:
+        """Return the enabled transitions of a region in each situation of the other regions that `edges` depend on.
 
         Args:
             region: The region.
@@ -57,15 +57,15 @@ class Conditions:
             edges: Its transitions.
 
         Raises:
-            TooManyError: There are too many.
+            TooManySituationsError: There are too many.
         """
-        found: list[Choice] = []
+        found: list[EnabledTransitions] = []
         for elsewhere in self._situations(edges):
-            for choice in choices(region, lambda node, now=elsewhere: self._first(node, event, now)):  # type: ignore[misc]
+            for choice in enabled_transitions(region, lambda node, now=elsewhere: self._first(node, event, now)):  # type: ignore[misc]
                 if all(elsewhere.get(each, state) is state for each, state in choice.where.items()):
-                    found.append(Choice(elsewhere | choice.where, choice.edges))
+                    found.append(EnabledTransitions(elsewhere | choice.where, choice.edges))
             if len(found) > MAX_SITUATIONS:
-                raise TooManyError
+                raise TooManySituationsError
         return found
 
     def _situations(self, edges: Sequence[Edge]) -> Iterator[Situation]:
@@ -75,7 +75,7 @@ class Conditions:
         self._work += number * (len(self._nodes) + sum(len(group) for edge in edges for group in edge.condition))
         # Counted before they are enumerated: a small file can have very many of them.
         if number > MAX_SITUATIONS or (regions and self._work > MAX_WORK):
-            raise TooManyError
+            raise TooManySituationsError
         for states in itertools.product(*(region.states for region in regions)):
             yield dict(zip(regions, states, strict=True))
 
@@ -101,12 +101,12 @@ Situation = dict[Region, Node]
 """Regions to their active states; other regions do not matter."""
 
 
-class TooManyError(Exception):
+class TooManySituationsError(Exception):
     """An event has more situations than `MAX_SITUATIONS`."""
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class EnabledTransitions:
     """The transitions that an event triggers in one situation; those without target consume the event."""
 
     where: Situation
@@ -117,7 +117,7 @@ First = Callable[[Node], Edge | None]
 """The first transition of a state, not of those around it, that an event triggers."""
 
 
-def choices(region: Region, first: First) -> list[Choice]:
+def enabled_transitions(region: Region, first: First) -> list[EnabledTransitions]:
     """Return every situation of a region and the regions inside in which an event finds different transitions.
 
     Inner transitions come before those of the states around them, the first in the file before the next.
@@ -127,34 +127,34 @@ def choices(region: Region, first: First) -> list[Choice]:
         first: Returns the first transition that the event triggers in a state.
 
     Raises:
-        TooManyError: There are too many.
+        TooManySituationsError: There are too many.
     """
     found = [
-        Choice({region: state} | choice.where, choice.edges)
+        EnabledTransitions({region: state} | choice.where, choice.edges)
         for state in region.states
         for choice in _of_state(region, state, first)
     ]
     if len(found) > MAX_SITUATIONS:
-        raise TooManyError
+        raise TooManySituationsError
     is_state = region.label is region.home or region.label in region.states
     own = None if is_state else first(region.label)
-    return [Choice(c.where, c.edges or ((own,) if own else ())) for c in found]
+    return [EnabledTransitions(c.where, c.edges or ((own,) if own else ())) for c in found]
 
 
-def _of_state(region: Region, state: Node, first: First) -> Iterator[Choice]:
+def _of_state(region: Region, state: Node, first: First) -> Iterator[EnabledTransitions]:
     own = first(state)
-    inner = [_quiet_or(choices(within, first)) for within in region.inside(state)]
+    inner = [_quiet_or(enabled_transitions(within, first)) for within in region.inside(state)]
     for number, combination in enumerate(itertools.product(*inner)):
         if number > MAX_SITUATIONS:
-            raise TooManyError
+            raise TooManySituationsError
         where = {k: v for choice in combination for k, v in choice.where.items()}
         taken = tuple(edge for choice in combination for edge in choice.edges)
         passed = not combination or any(not choice.edges for choice in combination)
         moving = any(edge.targets for edge in taken)
         passing = (own,) if own else ()
-        yield Choice(where, passing if passed and not moving else taken)
+        yield EnabledTransitions(where, passing if passed and not moving else taken)
 
 
-def _quiet_or(found: list[Choice]) -> list[Choice]:
+def _quiet_or(found: list[EnabledTransitions]) -> list[EnabledTransitions]:
     """Return one situation for all of them if the event finds nothing in any."""
-    return found if any(choice.edges for choice in found) else [Choice({}, ())]
+    return found if any(choice.edges for choice in found) else [EnabledTransitions({}, ())]

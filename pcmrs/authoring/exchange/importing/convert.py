@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from pcmrs.authoring.exchange import descriptors, plain
 from pcmrs.authoring.exchange.importing.chart import Edge, Node
-from pcmrs.authoring.exchange.importing.conditions import Conditions, TooManyError
-from pcmrs.authoring.exchange.importing.moves import Group, Move, Mover, grouped
+from pcmrs.authoring.exchange.importing.conditions import ConditionalEffects, TooManySituationsError
+from pcmrs.authoring.exchange.importing.moves import Move, MoveGroup, Mover, grouped
 from pcmrs.authoring.exchange.importing.reading import Findings, Names
 from pcmrs.authoring.exchange.importing.regions import Region, regions_of
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, ParentSpec, Requirement, RevocationSpec
@@ -58,7 +58,7 @@ class _Converter:
         self._roots = regions_of(root, nodes)
         self._regions = [region for outermost in self._roots for region in outermost.walk()]
         self._mover = Mover(self._regions, nodes, findings)
-        self._conditions = Conditions(self._regions, nodes)
+        self._conditions = ConditionalEffects(self._regions, nodes)
         self._edges: dict[str, list[Edge]] = defaultdict(list)
         for edge in (edge for node in root.walk() for edge in node.edges):
             for event in edge.events:
@@ -93,8 +93,8 @@ class _Converter:
         edges = [edge for each in descriptors(event) for edge in self._edges[each]]
         for region in self._roots:
             try:
-                found = [each for each in self._conditions.choices(region, event, edges) if each.edges]
-            except TooManyError:
+                found = [each for each in self._conditions.enabled_transitions(region, event, edges) if each.edges]
+            except TooManySituationsError:
                 self._findings.add("too_large", f"The event {event} has too many situations.", place)
                 continue
             self._reactions += len(found)
@@ -106,7 +106,7 @@ class _Converter:
         for group in [] if self._findings else grouped(moves, domains, self._names):
             self._add_operation(event, group, place)
 
-    def _add_operation(self, event: str, group: Group, place: Place) -> None:
+    def _add_operation(self, event: str, group: MoveGroup, place: Place) -> None:
         region = group.region
         base = plain(event, prefix=region.label.display_name)
         self._counts[region, event] += 1

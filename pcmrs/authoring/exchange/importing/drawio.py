@@ -33,7 +33,7 @@ TEXTS = frozenset({"text", "note", "edgeLabel", "image"})
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class MxCell:
     """One thing on the page.
 
     Attributes:
@@ -88,7 +88,7 @@ class Cell:
         return self.kind == "vertex" and not marker and not self.shape & TEXTS
 
 
-def _read_cells(raw: bytes, origin: str) -> tuple[str, list[Cell]]:
+def _read_cells(raw: bytes, origin: str) -> tuple[str, list[MxCell]]:
     """Return the name of the diagram and its cells, in the order of the file.
 
     Args:
@@ -127,7 +127,7 @@ def _decompressed(page: Element, origin: str) -> Element:
     return read_xml(unquote(raw.decode(errors="replace")).encode(errors="replace"), origin)
 
 
-def _cell(element: Element, place: Place | None) -> Cell | None:
+def _cell(element: Element, place: Place | None) -> MxCell | None:
     """Return the cell in an element; draw.io wraps a cell that has its own data in another element."""
     wrapped = element.every("mxCell")
     inner = wrapped[0] if wrapped else element
@@ -135,7 +135,7 @@ def _cell(element: Element, place: Place | None) -> Cell | None:
         return None
     given = {**inner.attributes, **element.attributes}
     kind = "vertex" if inner.attributes.get("vertex") == "1" else "edge" if inner.attributes.get("edge") == "1" else ""
-    return Cell(
+    return MxCell(
         id=given.get("id", ""),
         parent=inner.attributes.get("parent", ""),
         text=_text(given.get("label", given.get("value", ""))),
@@ -181,10 +181,10 @@ def _read(raw: bytes, findings: Findings) -> Node:
 
 
 class _Maker:
-    def __init__(self, cells: list[Cell], findings: Findings) -> None:
+    def __init__(self, cells: list[MxCell], findings: Findings) -> None:
         self._findings = findings
-        self._cells: dict[str, Cell] = {}
-        self._inside: dict[str, list[Cell]] = {}
+        self._cells: dict[str, MxCell] = {}
+        self._inside: dict[str, list[MxCell]] = {}
         for cell in cells:
             self._inside.setdefault(cell.parent, []).append(cell)
             if self._cells.setdefault(cell.id, cell) is not cell:
@@ -203,7 +203,7 @@ class _Maker:
             self._check_start(node)
         return _with_frame(root) if root.parallel else root
 
-    def _add_states(self, cell: Cell, node: Node, depth: int) -> None:
+    def _add_states(self, cell: MxCell, node: Node, depth: int) -> None:
         if depth > MAX_DEPTH:
             refuse(self._findings.origin, "too_deep", f"Shapes are nested over {MAX_DEPTH} deep.", cell.place)
         for inner in self._inside.get(cell.id, []):
@@ -216,7 +216,7 @@ class _Maker:
                 self._nodes[inner.id] = made
                 self._add_states(inner, made, depth + 1)
 
-    def _add_arrow(self, arrow: Cell) -> None:
+    def _add_arrow(self, arrow: MxCell) -> None:
         source, target = self._cells.get(arrow.source), self._cells.get(arrow.target)
         text = " ".join([arrow.text, *(cell.text for cell in self._inside.get(arrow.id, []))]).strip()
         if source is None or target is None:

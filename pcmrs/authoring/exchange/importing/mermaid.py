@@ -30,7 +30,7 @@ ENTITY = re.compile(r"#(\d{1,6});")
 
 
 @dataclass(frozen=True, slots=True)
-class Arrow:
+class TransitionLine:
     """``source --> target : label``."""
 
     source: str
@@ -55,7 +55,7 @@ class RegionLines:
     named: dict[str, Place] = field(default_factory=dict)
     described: dict[str, str] = field(default_factory=dict)
     composites: dict[str, list[RegionLines]] = field(default_factory=dict)
-    arrows: list[Arrow] = field(default_factory=list)
+    arrows: list[TransitionLine] = field(default_factory=list)
 
 
 def read_lines(text: str, findings: Findings) -> list[RegionLines]:
@@ -127,7 +127,7 @@ class _Lines:
 
     def _arrow(self, region: RegionLines, found: re.Match[str], place: Place) -> None:
         source, target = (self._name(region, found[end], place) for end in ("source", "target"))
-        region.arrows.append(Arrow(source, target, _plain(found["label"] or ""), place))
+        region.arrows.append(TransitionLine(source, target, _plain(found["label"] or ""), place))
 
     def _state(self, region: RegionLines, found: re.Match[str], place: Place) -> None:
         name = self._name(region, found["name"], place)
@@ -228,7 +228,7 @@ class _Maker:
             for inner in region.composites.values():
                 self._add_arrows(inner)
 
-    def _add_arrow(self, arrow: Arrow, node: Node) -> None:
+    def _add_arrow(self, arrow: TransitionLine, node: Node) -> None:
         events = events_of(arrow.label)
         if arrow.source == "[*]":
             node.initial = node.initial or arrow.target
@@ -247,7 +247,7 @@ class _Maker:
             source = self._nodes[arrow.source] if anywhere is None else anywhere
             source.edges.append(Edge(source, events, [arrow.target], arrow.place, internal=anywhere is not None))
 
-    def _refuse(self, text: str, arrow: Arrow) -> None:
+    def _refuse(self, text: str, arrow: TransitionLine) -> None:
         self._findings.add("not_supported", f"{arrow.source} --> {arrow.target}: {text}.", arrow.place)
 
 

@@ -33,7 +33,7 @@ class Move:
 
 
 @dataclass(slots=True)
-class Group:
+class MoveGroup:
     """Moves of one region that one operation can make."""
 
     region: Region
@@ -135,7 +135,7 @@ class Mover:
         return []
 
 
-def grouped(moves: list[Move], domains: dict[str, list[str]], names: dict[Node, str]) -> list[Group]:
+def grouped(moves: list[Move], domains: dict[str, list[str]], names: dict[Node, str]) -> list[MoveGroup]:
     """Return the fewest operations that make the same moves.
 
     Args:
@@ -147,12 +147,12 @@ def grouped(moves: list[Move], domains: dict[str, list[str]], names: dict[Node, 
     for move in moves:
         cube = {r.name: frozenset({names[s]}) for r, s in move.where.items() if r is not move.region}
         cubes[move.region, move.source, move.target, move.sets].append(cube)
-    groups: list[Group] = []
+    groups: list[MoveGroup] = []
     for region, source, target, sets, cube in _merged(cubes, domains):
         same = [group for group in groups if (group.region, group.sets, group.requires) == (region, sets, cube)]
         group = next((group for group in same if source not in group.targets), None)
         if group is None:
-            groups.append(group := Group(region, sets, cube))
+            groups.append(group := MoveGroup(region, sets, cube))
         group.targets[source] = target
     return groups
 

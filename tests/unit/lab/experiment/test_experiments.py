@@ -81,7 +81,7 @@ def test_every_injected_error_is_rejected_where_the_paper_says() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("placements", "--workflow", "no_such"), "There is no experiment with 'no_such'"),
+        (("placements", "--workflow", "no_such"), "The paper has no experiment with workflow 'no_such'"),
         (("placements", "--trials", "1"), "1 is not in the range x>=2"),
         (("placements", "--plan", "/no/such/file"), "cannot be read"),
         (("failures", "--plan", "examples/ratms_plan.json"), "name it with --workflow"),

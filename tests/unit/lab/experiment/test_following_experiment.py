@@ -11,8 +11,8 @@ from rich.console import Console
 
 from pcmrs.analysis.plots import save_png
 from pcmrs_lab.cli.experiment_tables import following_tables
-from pcmrs_lab.experiment.course import Course
-from pcmrs_lab.experiment.following import Drawn, Followed, FollowingReport, Occluded, Spread
+from pcmrs_lab.experiment.error_series import ErrorSeries
+from pcmrs_lab.experiment.following import Drawn, ErrorSummary, Followed, FollowingReport, Occluded
 from pcmrs_lab.experiment.head_motions import scenarios
 from pcmrs_lab.experiment.plots import following_figure
 from pcmrs_sim.motion import check_motion, head_offset
@@ -22,10 +22,10 @@ MOTIONS = {each.name: each for each in scenarios(DURATION, seed=1)}
 
 
 def drawn(scenario: str, *, compensated: bool) -> Drawn:
-    course = Course(times=[0.0, 1.0, 2.0, 3.0], true_mm=[0.1, 2.0, 3.0, 0.2], allowed=[True, True, False, True])
-    spread = Spread(rms=0.123, p99=2.5, max=3.0)
+    series = ErrorSeries(times=[0.0, 1.0, 2.0, 3.0], true_mm=[0.1, 2.0, 3.0, 0.2], allowed=[True, True, False, True])
+    spread = ErrorSummary(rms=0.123, p99=2.5, max=3.0)
     result = Followed(scenario, "as said", compensated, spread, spread, 0.75, 2.0, 0.0, lost=False)
-    return Drawn(result, course)
+    return Drawn(result, series)
 
 
 RUNS = [drawn(name, compensated=compensated) for compensated in (False, True) for name in ("still", "steps")]
@@ -55,7 +55,7 @@ def test_the_head_goes_and_comes_back(name: str, farthest: float) -> None:
 
 
 def test_errors_while_blocked_do_not_count_as_allowed() -> None:
-    assert RUNS[0].course.true_allowed_mm().tolist() == [0.1, 2.0, 0.2]
+    assert RUNS[0].series.true_allowed_mm().tolist() == [0.1, 2.0, 0.2]
 
 
 @pytest.mark.parametrize("latched", [True, False])

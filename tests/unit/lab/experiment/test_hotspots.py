@@ -10,16 +10,16 @@ import pytest
 from click.testing import CliRunner
 
 from pcmrs.cli import main
-from pcmrs_lab.experiment.hotspots import METHODS, NEAR, HotspotReport, Searched, run_hotspots
+from pcmrs_lab.experiment.hotspots import METHODS, NEAR, HotspotReport, SearchResult, run_hotspots
 
 
 @pytest.fixture(scope="module")
-def ran() -> tuple[HotspotReport, dict[str, list[Searched]]]:
+def ran() -> tuple[HotspotReport, dict[str, list[SearchResult]]]:
     report, searched, _ = run_hotspots(12, 1, 120.0, lambda _text, _done, _total: None)
     return report, searched
 
 
-def test_both_methods_come_near_every_kind_of_subject(ran: tuple[HotspotReport, dict[str, list[Searched]]]) -> None:
+def test_both_methods_come_near_every_kind_of_subject(ran: tuple[HotspotReport, dict[str, list[SearchResult]]]) -> None:
     """Bounds that 12 subjects keep by a wide margin; the figures of 200 are in docs/tms.md."""
     report, _ = ran
     assert [result.method for result in report.methods] == list(METHODS)
@@ -34,7 +34,7 @@ def test_both_methods_come_near_every_kind_of_subject(ran: tuple[HotspotReport, 
         assert result.pulses.p95 <= 60
 
 
-def test_near_means_near_and_staying_there(ran: tuple[HotspotReport, dict[str, list[Searched]]]) -> None:
+def test_near_means_near_and_staying_there(ran: tuple[HotspotReport, dict[str, list[SearchResult]]]) -> None:
     _, searched = ran
     for each in (each for found in searched.values() for each in found):
         assert len(each.errors) == len(each.search.pulses)

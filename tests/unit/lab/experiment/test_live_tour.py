@@ -21,7 +21,7 @@ from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
 from pcmrs_lab.experiment.tours import live
 from pcmrs_lab.experiment.tours.arguments import Arguments, read_arguments
 from pcmrs_lab.experiment.tours.progress import DECIDED_AT_ONCE
-from pcmrs_lab.experiment.tours.rehearsal import Forgetful, Script, scripted
+from pcmrs_lab.experiment.tours.rehearsal import NullRecorder, ScriptedSteps, scripted
 from pcmrs_lab.experiment.tours.report import TourReport
 from pcmrs_lab.experiment.tours.run import tour_live
 from tests.support.altered import with_operation
@@ -40,7 +40,7 @@ ENDED_OTHERWISE = ("rejected", "failed", "unknown")
 EMPTY = {payload: cast(dict[str, Any], {}) for payload in PAYLOADS}
 
 
-class Dice(Script):
+class Dice(ScriptedSteps):
     """Checks that refuse now and then, and steps that end as the dice say."""
 
     def __init__(self, seed: int, refusing: float) -> None:
@@ -59,7 +59,7 @@ class Dice(Script):
         outcome = self._rng.choice(list(closure.outcomes))
         run.outcome = None if outcome == "done" else outcome
 
-    async def world_step(self, name: str, run: Run[None, ProcedureData]) -> None:
+    async def side_effecting_step(self, name: str, run: Run[None, ProcedureData]) -> None:
         for _ in range(TURNS):
             await asyncio.sleep(0)
         self.step(name, run)
@@ -75,7 +75,7 @@ class DiceCell(DispatcherListener):
     def __init__(self, runs: Blueprint, *, outside: bool = True, refusing: float = 0.2, seed: int = 1) -> None:
         dice = Dice(seed, refusing)
         workflow = scripted(runs, dice, outside=outside)
-        self.dispatcher = Dispatcher(workflow, None, SystemClock(), Forgetful(), self._hold)
+        self.dispatcher = Dispatcher(workflow, None, SystemClock(), NullRecorder(), self._hold)
         self.dispatcher.add_listener(self)
         dice.dispatcher = self.dispatcher
         self._queues: list[asyncio.Queue[Event]] = []
@@ -289,5 +289,5 @@ def test_arguments_are_used_in_turn() -> None:
 def test_arguments_that_cannot_be_read_are_refused(tmp_path: Path, text: str) -> None:
     file = tmp_path / "arguments.toml"
     file.write_bytes(text.encode(errors="surrogatepass"))
-    with pytest.raises(ConfigurationError, match="holds no arguments"):
+    with pytest.raises(ConfigurationError, match="contains no valid arguments"):
         read_arguments(file)

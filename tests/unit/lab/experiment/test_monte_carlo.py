@@ -14,12 +14,12 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.testing.plan import example_plan, read_plan
 from pcmrs_lab.experiment.monte_carlo import MonteCarloReport, run_monte_carlo
 from pcmrs_lab.experiment.published import PUBLISHED
-from pcmrs_lab.experiment.setup import Setup
+from pcmrs_lab.experiment.setup import ExperimentSetup
 
 
-def setups(*overrides: str, seed: int = 1) -> list[Setup]:
+def setups(*overrides: str, seed: int = 1) -> list[ExperimentSetup]:
     return [
-        Setup(
+        ExperimentSetup(
             read_plan(example_plan(workflow)),
             workflow,
             seed,

@@ -14,7 +14,7 @@ from pcmrs.errors import CommandRefusedError
 from pcmrs.messages import PoseMessage
 from pcmrs_lab.experiment import placement_seeds
 from pcmrs_lab.experiment.placements import PlacementReport, Trial, summary_of
-from pcmrs_lab.experiment.setup import Setup
+from pcmrs_lab.experiment.setup import ExperimentSetup
 
 REFUSED_SEED = 6
 POSE = PoseMessage(position=(0.0, 0.0, 0.0), quat_wxyz=(1.0, 0.0, 0.0, 0.0))
@@ -26,7 +26,7 @@ def _trial(number: int, seed: int) -> Trial:
     return Trial(number, error, error / 10, 2 * error, error / 5, 3.0, 0.5, POSE, POSE)
 
 
-async def _measured(setup: Setup, trials: int) -> PlacementReport:
+async def _measured(setup: ExperimentSetup, trials: int) -> PlacementReport:
     setup.progress("placing", 1, trials)
     if setup.seed == REFUSED_SEED:
         raise CommandRefusedError("registration.register was rejected: the residual is too large.")
@@ -80,7 +80,7 @@ def test_a_refused_seed_is_reported_and_the_others_count(monkeypatch: pytest.Mon
 def test_where_every_seed_is_refused_nothing_is_pooled(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(placement_seeds, "summary_of", None)  # there is nothing to sum up
 
-    async def refuse(setup: Setup, trials: int) -> PlacementReport:
+    async def refuse(setup: ExperimentSetup, trials: int) -> PlacementReport:
         raise CommandRefusedError("refused")
 
     monkeypatch.setattr(placement_seeds, "run_placements", refuse)

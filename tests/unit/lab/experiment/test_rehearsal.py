@@ -15,7 +15,7 @@ from click.testing import CliRunner
 
 import pcmrs
 from pcmrs.authoring.trial.coverage import Deviation, is_complete
-from pcmrs.authoring.trial.tour import Move, Tour, plan_tour
+from pcmrs.authoring.trial.tour import Tour, TourCommand, plan_tour
 from pcmrs.cli import main
 from pcmrs.fsm import Blueprint, load_blueprint
 from pcmrs_lab.experiment.tours.rehearsal import LeapingClock, rehearse
@@ -36,7 +36,7 @@ def tour() -> Tour:
     return plan_tour(RATMS)
 
 
-async def rehearsed(blueprint: Blueprint, *, outside: bool = True) -> list[tuple[Move, Deviation | None]]:
+async def rehearsed(blueprint: Blueprint, *, outside: bool = True) -> list[tuple[TourCommand, Deviation | None]]:
     return [judged async for judged in rehearse(blueprint, tour(), outside=outside)]
 
 
@@ -98,7 +98,7 @@ def test_the_command_reports_everything_covered(tmp_path: Path) -> None:
     assert report.passed
     assert is_complete(report.coverage)
     assert report.joint_states == 39
-    moves = [msgspec.json.decode(line, type=Move) for line in file.read_bytes().splitlines()]
+    moves = [msgspec.json.decode(line, type=TourCommand) for line in file.read_bytes().splitlines()]
     assert moves == [move for stretch in tour().stretches for move in stretch]
 
 

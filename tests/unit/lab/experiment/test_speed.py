@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pcmrs_lab.experiment.speed import kept_speed
+from pcmrs_lab.experiment.speed import reachable_speed
 
 
 @pytest.mark.parametrize(
@@ -13,6 +13,6 @@ from pcmrs_lab.experiment.speed import kept_speed
 )
 def test_busy_machine_lowers_the_rate_at_most_to_real_time(wanted: float, share: float, rate: float) -> None:
     """The reason is reported."""
-    speed = kept_speed(wanted, share)
+    speed = reachable_speed(wanted, share)
     assert speed.rate == rate
     assert ("The machine is busy" in speed.why) == (rate != wanted)

@@ -30,7 +30,7 @@ from pcmrs.report.stimulation.reading import StimulationSession
 from pcmrs.settings import read_settings
 from pcmrs.testing.plan import example_plan, read_plan
 from pcmrs_lab.experiment.session import operator as operating
-from pcmrs_lab.experiment.session.operator import Operator
+from pcmrs_lab.experiment.session.operator import SessionOperator
 from pcmrs_lab.experiment.session.setup import SessionSetup
 from pcmrs_lab.experiment.threshold_session import INTERRUPTED, read_record, run_threshold_session, true_of
 
@@ -115,8 +115,8 @@ def client(monkeypatch: pytest.MonkeyPatch) -> FakeClient:
     return made
 
 
-def operator(client: FakeClient) -> Operator:
-    return Operator(cast(Client, client), rate=1000.0)
+def operator(client: FakeClient) -> SessionOperator:
+    return SessionOperator(cast(Client, client), rate=1000.0)
 
 
 async def test_temporary_rejection_is_waited_out(client: FakeClient) -> None:
@@ -125,21 +125,21 @@ async def test_temporary_rejection_is_waited_out(client: FakeClient) -> None:
         rejected("pulse_too_soon", wait=4.0),
         ("accepted", None),
     ]
-    assert (await operator(client).ask("hotspot.pulse")).decision == "accepted"
+    assert (await operator(client).request("hotspot.pulse")).decision == "accepted"
     assert client.asked == ["hotspot.pulse"] * 3
 
 
 async def test_permanent_rejection_raises(client: FakeClient) -> None:
     client.answers["hotspot.pulse"] = [rejected("too_many_pulses")]
     with pytest.raises(CommandRefusedError, match=r"hotspot\.pulse was rejected .*It is too_many_pulses"):
-        await operator(client).ask("hotspot.pulse")
+        await operator(client).request("hotspot.pulse")
 
 
 async def test_patience_ends(client: FakeClient, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(operating, "PATIENCE", 0.0)
     client.answers["hotspot.pulse"] = [rejected("not_aligned")] * 50
     with pytest.raises(CommandRefusedError, match="not_aligned"):
-        await operator(client).ask("hotspot.pulse")
+        await operator(client).request("hotspot.pulse")
 
 
 async def test_the_coil_is_brought_to_its_place_from_anywhere(client: FakeClient) -> None:

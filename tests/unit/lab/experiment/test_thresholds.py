@@ -10,9 +10,9 @@ from click.testing import CliRunner
 
 from pcmrs.cli import main
 from pcmrs.tms.settings import ThresholdSettings
-from pcmrs_lab.experiment.thresholds import METHODS, Hunted, MethodResult, ThresholdReport, run_thresholds
+from pcmrs_lab.experiment.thresholds import METHODS, MethodResult, ThresholdReport, ThresholdResult, run_thresholds
 
-Result = tuple[ThresholdReport, dict[str, list[Hunted]]]
+Result = tuple[ThresholdReport, dict[str, list[ThresholdResult]]]
 
 
 def run(subjects: int, seed: int = 1, interval: float = 0.08) -> Result:

@@ -1,0 +1,129 @@
+"""Seeded error models: of the arm, of the tracker, and of the person who touches landmarks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import radians
+
+import numpy as np
+
+from pcmrs.kinematics.arms import ArmFacts
+from pcmrs.spatial import Floats, Transform, trusted_transform
+from pcmrs_sim.settings import DigitizationSettings, TrackerSettings, Triple
+
+WAVES = 12
+"""Number of plane waves in a bias field."""
+SHORTEST_WAVE = 0.3
+LONGEST_WAVE = 1.5
+"""Range of their wavelengths, m. The bias hardly changes over the size of a marker body."""
+
+ARM_STREAM = 1
+"""Number of the random stream of the arm's geometry, so that it is independent of the other streams of a seed."""
+SURFACE_STREAM = 1000
+"""Number of the random stream of points on the skin. Streams of landmarks have their index, which is always smaller."""
+
+
+def displaced(facts: ArmFacts, error: float, seed: int) -> ArmFacts:
+    """Return the arm as it was built: each joint, and the flange, is displaced from its nominal position.
+
+    In a random posture, the displacements have independent directions, so that their squares add up at the flange.
+
+    Args:
+        facts: Nominal geometry of the arm.
+        error: Root of the sum of the squared displacements, m.
+        seed: Seed of the displacements.
+    """
+    rng = np.random.default_rng((seed, ARM_STREAM))
+    offsets = rng.normal(size=(len(facts.joints) + 1, 3))
+    offsets *= error / np.linalg.norm(offsets)  # each seed has exactly this error, in other directions
+    *at_joints, at_flange = offsets.tolist()
+    joints = tuple(replace(joint, xyz=_add(joint.xyz, by)) for joint, by in zip(facts.joints, at_joints, strict=True))
+    return replace(facts, joints=joints, flange_xyz=_add(facts.flange_xyz, at_flange))
+
+
+def _add(xyz: Triple, offset: list[float]) -> Triple:
+    x, y, z = (value + by for value, by in zip(xyz, offset, strict=True))
+    return x, y, z
+
+
+class BiasField:
+    """A smooth random vector field: a sum of plane waves with random directions.
+
+    Args:
+        magnitude: Root mean square of the vector's length over all positions.
+        rng: Source of the waves.
+    """
+
+    def __init__(self, magnitude: float, rng: np.random.Generator) -> None:
+        directions = rng.normal(size=(WAVES, 3))
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        self._wave_vectors = directions * (2 * np.pi / rng.uniform(SHORTEST_WAVE, LONGEST_WAVE, (WAVES, 1)))
+        self._phases = rng.uniform(0.0, 2 * np.pi, WAVES)
+        amplitudes = rng.normal(size=(WAVES, 3))
+        # The mean square of a cosine is 1/2, and waves of different wave vectors are uncorrelated.
+        self._amplitudes = amplitudes * (magnitude / np.sqrt(np.sum(amplitudes**2) / 2))
+
+    def at(self, position: Floats) -> Floats:
+        """Return the vector at a position, m, (3,)."""
+        value: Floats = np.cos(self._wave_vectors @ position + self._phases) @ self._amplitudes
+        return value
+
+
+class TrackerErrors:
+    """Errors that the tracker adds to a true pose.
+
+    Args:
+        settings: Magnitudes of the errors.
+        rng: Source of the errors.
+
+    Attributes:
+        jitter_free: There is no jitter: all measurements of a body at rest are equal.
+    """
+
+    def __init__(self, settings: TrackerSettings, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self._translation_bias = BiasField(settings.bias_mm * 1e-3, rng)
+        self._rotation_bias = BiasField(radians(settings.bias_deg), rng)
+        self._translation_jitter = settings.jitter_mm * 1e-3
+        self._rotation_jitter = radians(settings.jitter_deg)
+        self.jitter_free = not (settings.jitter_mm or settings.jitter_deg)
+
+    def measure(self, tracker_from_body: Transform) -> Transform:
+        """Return a measurement of a true pose: the bias at its position plus new jitter, in the tracker frame."""
+        position = tracker_from_body.translation
+        translation = self._translation_bias.at(position) + self._rng.normal(0.0, self._translation_jitter, 3)
+        rotation = self._rotation_bias.at(position) + self._rng.normal(0.0, self._rotation_jitter, 3)
+        measured = Transform.from_rotvec((0.0, 0.0, 0.0), rotation).rotation @ tracker_from_body.rotation
+        return trusted_transform(measured, position + translation)
+
+    def fit_error(self) -> float:
+        """Draw the tracker's own estimate of its error, m: the scatter of the markers, which does not show the bias."""
+        return float(np.linalg.norm(self._rng.normal(0.0, self._translation_jitter, 3)))
+
+
+class TouchErrors:
+    """Errors of touches: a bias that is fixed for each landmark, and noise of each touch.
+
+    Each landmark has its own generator, so that its errors depend only on the seed and on the number of its touches.
+
+    Args:
+        settings: Standard deviations per axis.
+        seed: Seed of the errors.
+
+    Attributes:
+        surface: Source of touches anywhere on the skin: the touched points and their errors.
+    """
+
+    def __init__(self, settings: DigitizationSettings, seed: int) -> None:
+        self._settings = settings
+        self._seed = seed
+        self.surface = np.random.default_rng((seed, SURFACE_STREAM))
+        self._landmarks: dict[int, tuple[np.random.Generator, Floats]] = {}
+
+    def next(self, index: int) -> Floats:
+        """Draw touched minus planned position for the next touch of a landmark, in the image, m, (3,)."""
+        if index not in self._landmarks:
+            rng = np.random.default_rng((self._seed, index))
+            self._landmarks[index] = rng, rng.normal(0.0, self._settings.planning_bias_mm * 1e-3, 3)
+        rng, bias = self._landmarks[index]
+        return bias + rng.normal(0.0, self._settings.noise_mm * 1e-3, 3)

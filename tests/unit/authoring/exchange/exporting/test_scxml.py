@@ -1,0 +1,35 @@
+"""The engine and another implementation of state charts take the same path through any workflow."""
+
+from __future__ import annotations
+
+from random import Random
+
+import pytest
+
+from tests.unit.authoring.exchange.scxml_peer import RATMS, WORKFLOWS, trace, workflow
+from tests.unit.fsm.random_blueprints import random_blueprint
+
+
+def walk(seeds: range) -> None:
+    accepted = [trace(random_blueprint(Random(seed)), Random(seed), 25) for seed in seeds]
+    assert sum(count > 3 for count in accepted) > len(seeds) // 2, "too few traces went anywhere"
+
+
+def test_random_workflows() -> None:
+    walk(range(200))
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+def test_many_random_workflows() -> None:
+    walk(range(1_000, 11_000))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_ratms(seed: int) -> None:
+    assert trace(RATMS, Random(seed), 400) > 40
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in WORKFLOWS.glob("*.toml")))
+def test_shipped_workflows(name: str) -> None:
+    assert trace(workflow(name), Random(name), 150) > 10

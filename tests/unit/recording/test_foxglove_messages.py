@@ -1,0 +1,58 @@
+"""Poses, frames and schemas as Foxglove can show them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from foxglove.messages import LogLevel
+
+from pcmrs.messages import DeviceHealth, Epoch, Message, Snapshot
+from pcmrs.messages.health import Health
+from pcmrs.messages.setup import ProcedureDataView
+from pcmrs.recording.foxglove_messages import View, joints, json_schema, line, link, pose_in
+from pcmrs.spatial import Transform
+from tests.unit.recording.recording_bench import read_back
+
+
+@pytest.mark.parametrize("kind", [Snapshot, ProcedureDataView, Epoch, Health, DeviceHealth])
+def test_message_schema_has_no_word_that_foxglove_refuses(kind: type[Message]) -> None:
+    """As its reader of JSON schemas does, packages/mcap-support/src/parseJsonSchema.ts of Foxglove Studio 1."""
+    schemas = [json_schema(kind)]
+    assert schemas[0]["properties"].keys() == set(kind.__struct_fields__)
+    while schemas:
+        schema = schemas.pop()
+        assert schema["type"] == "object"
+        for field in schema["properties"].values():
+            shape = field["items"] if field["type"] == "array" else field
+            assert shape["type"] in ("boolean", "string", "number", "integer", "object"), field
+            schemas += [shape] if shape["type"] == "object" else []
+
+
+@pytest.mark.parametrize("at_ns", [0, 1, 999_999_999, 10**18 + 7])
+def test_a_time_keeps_its_nanoseconds(at_ns: int, tmp_path: Path) -> None:
+    (_, shown) = read_back([("/log", line(LogLevel.Warning, "robot", "It moves.", at_ns))], tmp_path / "run.mcap")[0]
+    assert (shown.timestamp.seconds, shown.timestamp.nanos) == divmod(at_ns, 10**9)
+    assert (shown.name, shown.message, shown.level) == ("robot", "It moves.", 3)
+
+
+def test_link_and_pose_hold_the_transform(tmp_path: Path) -> None:
+    """The order of a quaternion differs: ours is w x y z."""
+    pose = Transform.from_rotvec((0.1, -0.2, 0.3), (0.4, -0.5, 0.6))
+    views: list[tuple[str, View]] = [("/tf", link("tracker", "coil", pose, 5)), ("/pose", pose_in("image", pose, 5))]
+    (_, links), (_, placed) = read_back(views, tmp_path / "run.mcap")
+    (joined,) = links.transforms
+    assert (joined.parent_frame_id, joined.child_frame_id, placed.frame_id) == ("tracker", "coil", "image")
+    for place, turn in (
+        (joined.translation, joined.rotation),
+        (placed.pose.position, placed.pose.orientation),
+    ):
+        again = Transform.from_quat_xyzw((place.x, place.y, place.z), (turn.x, turn.y, turn.z, turn.w))
+        assert again.matrix == pytest.approx(pose.matrix, abs=1e-12)
+
+
+def test_every_joint_has_its_name_and_its_values(tmp_path: Path) -> None:
+    ((_, shown),) = read_back([("/joints", joints(["a", "b"], [0.1, 0.2], [0.3, 0.4], 5))], tmp_path / "run.mcap")
+    assert [(each.name, each.position, each.velocity) for each in shown.joints] == [("a", 0.1, 0.3), ("b", 0.2, 0.4)]
+    with pytest.raises(ValueError, match="shorter"):
+        joints(["a", "b"], [0.1], [0.3, 0.4], 5)
