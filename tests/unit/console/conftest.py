@@ -15,7 +15,7 @@ def pytest_asyncio_loop_factories(
     config: pytest.Config, item: pytest.Item
 ) -> dict[str, Callable[[], asyncio.AbstractEventLoop]]:
     """Simulated time where no process takes part."""
-    if item.path.name in ("test_choices.py", "test_feed.py"):
+    if item.path.name in ("test_choices.py", "test_live_feed.py"):
         return {"simulated": SimulatedLoop}
     return {"real": asyncio.new_event_loop}
 

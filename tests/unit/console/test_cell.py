@@ -8,14 +8,14 @@ import numpy as np
 from msgspec.structs import replace
 
 from pcmrs.console.cell import CellPanel
-from pcmrs.console.geometry import Arm
+from pcmrs.console.geometry import ArmFrames
 from pcmrs.messages import JointState
 from pcmrs.messages.setup import BoxShown, ProcedureDataView
 from pcmrs.workflows.data import as_message
 from tests.unit.console.detached_page import ENGLISH, DetachedPage, ShownCell
 from tests.unit.console.shown_cell import FLANGE_FROM_COIL, body, setup, shown, some_pose
 
-ARM = Arm(shown("iiwa14"))
+ARM = ArmFrames(shown("iiwa14"))
 POSTURE = [0.1, -0.4, 0.3, 1.2, -0.2, 0.7, 0.5]
 BOX = BoxShown(name="table", size=(1.0, 2.0, 0.1), pose=as_message(some_pose(5)))
 

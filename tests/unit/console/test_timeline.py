@@ -6,8 +6,8 @@ from typing import Any
 
 import msgspec
 
-from pcmrs.console.feed import Feed
-from pcmrs.console.history import Entry
+from pcmrs.console.history import HistoryEntry
+from pcmrs.console.live_feed import LiveFeed
 from pcmrs.console.timeline import ROWS, TimelinePanel
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, JournalPage, JournalQuery
@@ -16,18 +16,18 @@ from tests.unit.console.detached_page import ENGLISH, DetachedPage
 from tests.unit.console.shown_cell import setup
 
 
-def feed_with(*entries: Entry) -> Feed:
+def feed_with(*entries: HistoryEntry) -> LiveFeed:
     dial: Any = None
-    feed = Feed(dial)
+    feed = LiveFeed(dial)
     feed.history.entries.extend(entries)
     return feed
 
 
-def entry(number: int, kind: str = "outcome", what: str = "robot.connect: accepted", who: str = "anna") -> Entry:
-    return Entry(number, 1.7e9 + number, kind, "s", who, what, "")
+def entry(number: int, kind: str = "outcome", what: str = "robot.connect: accepted", who: str = "anna") -> HistoryEntry:
+    return HistoryEntry(number, 1.7e9 + number, kind, "s", who, what, "")
 
 
-def panel(page: DetachedPage, feed: Feed, role: Role = "operator") -> TimelinePanel:
+def panel(page: DetachedPage, feed: LiveFeed, role: Role = "operator") -> TimelinePanel:
     with page.client:
         made = TimelinePanel(feed, feed, msgspec.structs.replace(setup(), role=role, patient="P. 7"), ENGLISH)
     made.refresh()

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from pcmrs.doctor import examination
+from pcmrs.doctor.check_result import CheckResult, Verdict, bad, good, warning
 from pcmrs.doctor.examination import examine
-from pcmrs.doctor.finding import Finding, Verdict, bad, good, warning
 from pcmrs.settings import Settings, read_settings
 
 ORDER: tuple[Verdict, ...] = ("good", "warning", "bad")
@@ -35,7 +35,7 @@ def test_the_limits_of_free_space_are_those_of_the_daemon(tmp_path: Path, monkey
     """Megabytes in the settings, bytes in the check."""
     given: list[tuple[Path, float, float]] = []
 
-    def free_space(folder: Path, warn: float, least: float) -> Iterator[Finding]:
+    def free_space(folder: Path, warn: float, least: float) -> Iterator[CheckResult]:
         given.append((folder, warn, least))
         yield good("free space", "enough")
 

@@ -11,7 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 from pcmrs.background import background_task
-from pcmrs.console.feed import CHECK_PERIOD, RECONNECT_PERIOD, RENEW_PERIOD, Feed
+from pcmrs.console.live_feed import CHECK_PERIOD, RECONNECT_PERIOD, RENEW_PERIOD, LiveFeed
 from pcmrs.errors import BusError, UnknownOutcomeError
 from pcmrs.messages import BodyPose, JournalPage, JournalQuery, Snapshot
 from pcmrs.messages.health import Health
@@ -75,8 +75,8 @@ class Daemon:
 
 
 @asynccontextmanager
-async def following(daemon: Daemon) -> AsyncIterator[Feed]:
-    feed = Feed(daemon.dial)
+async def following(daemon: Daemon) -> AsyncIterator[LiveFeed]:
+    feed = LiveFeed(daemon.dial)
     async with background_task(feed.run()):
         await asyncio.sleep(0.1)
         yield feed
