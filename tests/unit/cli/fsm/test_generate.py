@@ -5,22 +5,21 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
-import pytest
-
 from pcmrs.fsm import load_blueprint
 from pcmrs.fsm.classes import source_of
 from pcmrs.workflows import find_workflow
 from tests.unit.cli.command_line import run
 
 
-@pytest.mark.parametrize("workflow", ["ratms", "femoroplasty"])
-def test_what_is_printed_is_what_a_daemon_executes(workflow: str, tmp_path: Path) -> None:
-    printed = run("fsm", "generate", workflow)
+def test_what_is_printed_is_what_a_daemon_executes(tmp_path: Path) -> None:
+    printed = run("fsm", "generate", "ratms")
     assert printed.exit_code == 0, printed.stderr
-    assert printed.stdout == source_of(load_blueprint(find_workflow(workflow).blueprint))
+    assert printed.stdout == source_of(load_blueprint(find_workflow("ratms").blueprint))
     assert any(isinstance(node, ast.ClassDef) for node in ast.parse(printed.stdout).body)
-    assert run("fsm", "generate", workflow, "-o", str(tmp_path / "states.py")).stdout == ""
-    assert (tmp_path / "states.py").read_text() == printed.stdout
+    written = run("fsm", "generate", "femoroplasty", "-o", str(tmp_path / "states.py"))
+    assert (written.exit_code, written.stdout) == (0, "")
+    expected = source_of(load_blueprint(find_workflow("femoroplasty").blueprint))
+    assert (tmp_path / "states.py").read_text() == expected
 
 
 def test_of_an_unsound_workflow_nothing_is_written(tmp_path: Path) -> None:

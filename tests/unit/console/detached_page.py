@@ -1,0 +1,113 @@
+"""A page that no browser has opened: what its panels show, and what happens when something on it is pressed."""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from nicegui import Client, core, ui
+from nicegui.element import Element
+from nicegui.elements.scene.scene_object3d import Object3D
+from nicegui.events import GenericEventArguments, handle_event
+from nicegui.page import page as declare_page
+
+from pcmrs.console.cell_view_model import CellViewModel
+from pcmrs.console.texts import Texts
+
+ENGLISH = Texts("en")
+
+
+class ShownCell(CellViewModel):
+    """What is known at a moment that the test chooses."""
+
+    now = 0.0
+
+
+class DetachedPage:
+    """The elements of one page; its timers run only when the test says so."""
+
+    def __init__(self) -> None:
+        self.client = Client(declare_page("/"))
+
+    def at(self, name: str) -> Any:
+        """The only element with this ``data-testid``."""
+        (found,) = [each for each in self.client.elements.values() if each.props.get("data-testid") == name]
+        return found
+
+    def text(self, name: str) -> str:
+        """The texts in the element with this ``data-testid``, line by line."""
+        return "\n".join(_texts(self.at(name)))
+
+    @property
+    def everything(self) -> list[str]:
+        """All texts of the page."""
+        return list(_texts(self.client.content))
+
+    @property
+    def notified(self) -> list[str]:
+        """All notifications so far."""
+        return [str(data["message"]) for _, kind, data in self.client.outbox.messages if kind == "notify"]
+
+    def only(self, kind: type[Any]) -> Any:
+        """The only element of this kind."""
+        (found,) = [each for each in self.client.elements.values() if isinstance(each, kind)]
+        return found
+
+    def shapes(self) -> dict[str, list[Object3D]]:
+        """The shapes with a name in the only scene."""
+        found: dict[str, list[Object3D]] = {}
+        for each in self.only(ui.scene).objects.values():
+            if each.name:
+                found.setdefault(each.name, []).append(each)
+        return found
+
+    async def press(self, name: str) -> None:
+        """Clicks on the element with this ``data-testid``, and waits for what follows."""
+        await self._click(self.at(name))
+
+    async def press_around(self, name: str) -> None:
+        """Clicks on what is around the element: it gets the click although the element is disabled."""
+        await self._click(self.at(name).parent_slot.parent)
+
+    async def _click(self, element: Element) -> None:
+        core.loop = asyncio.get_running_loop()
+        for listener in [each for each in element._event_listeners.values() if each.type == "click"]:
+            handle_event(listener.handler, GenericEventArguments(sender=element, client=self.client, args=[]))
+        await settle()
+
+    async def tick(self) -> None:
+        """Lets every timer run once."""
+        core.loop = asyncio.get_running_loop()
+        for timer in [each for each in self.client.elements.values() if isinstance(each, ui.timer)]:
+            if timer.callback is not None and inspect.isawaitable(result := timer.callback()):
+                await result
+
+
+async def settle() -> None:
+    """Lets everything run that does not wait for anything."""
+    for _ in range(20):
+        await asyncio.sleep(0)
+
+
+def _texts(element: Element) -> Iterator[str]:
+    if not element.visible:
+        return
+    text = getattr(element, "text", "")
+    if text:
+        yield str(text)
+    for child in element:
+        yield from _texts(child)
+
+
+@pytest.fixture
+def page(monkeypatch: pytest.MonkeyPatch) -> Iterator[DetachedPage]:
+    """A page to put panels on, for the length of a test."""
+    monkeypatch.setattr(ui.timer, "_skip_registration", lambda _: True)
+    monkeypatch.setattr(core, "loop", None)
+    opened = DetachedPage()
+    with opened.client:
+        yield opened
+    opened.client.delete()

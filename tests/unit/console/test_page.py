@@ -1,0 +1,139 @@
+"""The page: Stop is always at hand, the user and a silent daemon are named, and a replay commands nothing."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+from nicegui import ui
+
+from pcmrs.console.page import Page
+from pcmrs.console.surfaces import Surfaces
+from pcmrs.fsm import load_blueprint
+from pcmrs.messages import BlueprintTag, Snapshot
+from pcmrs.messages.setup import ProcedureDataView
+from pcmrs.messages.snapshot import LeaseState
+from pcmrs.workflows import find_workflow
+from pcmrs.workflows.data import as_message
+from tests.unit.console.detached_page import ENGLISH, DetachedPage, ShownCell, settle
+from tests.unit.console.shown_cell import body, setup, some_pose
+
+BLUEPRINT = load_blueprint(find_workflow("ratms").blueprint)
+START = Snapshot(
+    sequence=1, branches={name: next(iter(branch.states)) for name, branch in BLUEPRINT.branches.items()}, flags={},
+    running=[], latched=False, blueprint=BlueprintTag(id="ratms", version="1", hash="0"),
+)  # fmt: skip
+
+
+class Cell(ShownCell):
+    """A feed whose client only counts Stops, and keeps what is asked of the lease."""
+
+    trouble = ""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stops = 0
+        self.leases: list[str] = []
+        self.client: Any = self
+        self.history = SimpleNamespace(whole=True, entries=[])
+        self.snapshot = START
+        self.version = 1
+
+    async def stop(self) -> None:
+        self.stops += 1
+
+    async def hold(self, operation: str) -> None:
+        self.leases.append(operation)
+
+
+class Playback(ShownCell):
+    """A recording."""
+
+    trouble = ""
+    position = 0.0
+    recorded = SimpleNamespace(started_at=1.7e9, duration=10.0)
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.snapshot = START
+        self.version = 1
+
+
+async def opened(page: DetachedPage, cell: Cell, playback: Any = None) -> None:
+    recordings: Any = SimpleNamespace(names=list)
+    feed: Any = cell
+    known = replace(setup(), user="anna", drivers={"robot": "sim"})
+    with page.client:
+        Page(feed, known, BLUEPRINT, ENGLISH, Surfaces(feed), recordings, playback and ("run", playback))
+    await page.tick()
+
+
+async def key(page: DetachedPage, name: str) -> None:
+    """Presses a key anywhere on the page."""
+    event: Any = SimpleNamespace(action=SimpleNamespace(keydown=True), key=SimpleNamespace(name=name))
+    with page.client:
+        for handler in page.only(ui.keyboard)._key_handlers:
+            await handler(event)
+    await settle()
+
+
+@pytest.mark.parametrize("replays", [False, True])
+async def test_stop_is_sent_by_button_and_key_also_during_a_replay(page: DetachedPage, replays: bool) -> None:
+    cell = Cell()
+    await opened(page, cell, Playback() if replays else None)
+    await page.press("stop")
+    await key(page, "Escape")
+    assert cell.stops == 2
+
+
+async def test_it_says_who_one_is_and_that_the_cell_is_simulated(page: DetachedPage) -> None:
+    await opened(page, Cell())
+    assert ENGLISH("signed_in", user="anna", role="operator") in page.text("signed-in")
+    assert ENGLISH("simulated") in page.text("signed-in")
+    assert not page.at("trouble").visible
+
+
+async def test_without_a_daemon_the_reason_is_on_top_and_nothing_is_possible(page: DetachedPage) -> None:
+    cell = Cell()
+    cell.client, cell.trouble = None, "The cable is cut."
+    await opened(page, cell)
+    assert "The cable is cut." in page.text("trouble")
+    assert not any(page.at(f"robot.{name}").enabled for name in ("connect", "disconnect"))
+
+
+async def test_the_lease_is_taken_taken_over_or_released(page: DetachedPage) -> None:
+    cell = Cell()
+    await opened(page, cell)
+    for holder, operation in ((None, "acquire"), ("ben", "take_over"), ("anna", "release")):
+        lease = None if holder is None else LeaseState(holder=holder)
+        cell.snapshot, cell.version = replace(START, lease=lease), cell.version + 1
+        await page.tick()
+        assert page.text("lease") == (ENGLISH("nobody_holds") if holder is None else ENGLISH("holds", user=holder))
+        await page.press("hold")
+        assert cell.leases[-1] == operation
+
+
+async def test_a_replay_is_shown_but_nothing_of_it_can_be_asked_for(page: DetachedPage) -> None:
+    cell = Cell()
+    await opened(page, cell, Playback())
+    assert not page.at("hold").visible
+    assert not page.at("robot.connect").enabled
+    names = {each.props.get("data-testid") for each in page.client.elements.values()}
+    assert {"tab-workflow", "tab-session", "replay"} <= names
+    assert "tab-planning" not in names
+
+
+async def test_the_error_of_the_tool_is_in_mm_and_degrees_or_unknown(page: DetachedPage) -> None:
+    cell = Cell()
+    await opened(page, cell)
+    assert page.text("error") == ENGLISH("unknown")
+    registered, plan, tracker_from_body = some_pose(1), some_pose(2), some_pose(3)
+    cell.data = ProcedureDataView(landmarks=[], body_ref_from_image=as_message(registered), plan=as_message(plan))
+    cell.poses = {
+        "coil": body("coil", tracker_from_body @ registered @ plan),
+        "body_ref": body("body_ref", tracker_from_body),
+    }
+    await page.tick()
+    assert page.text("error").split() == ["0.00", "mm", "0.00°"]
