@@ -12,7 +12,8 @@ from pcmrs.cli.cell import STATUS, event_line
 from pcmrs.cli.lazy import LazyGroup
 from pcmrs.cli.options import Address, address_options, json_option
 from pcmrs.cli.printing import say, say_json
-from pcmrs.cli.running import readable_errors, run
+from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, fail, readable_errors, run
+from pcmrs.errors import CommandRefusedError
 from pcmrs.messages import LeaseState, Verdict
 
 COMMANDS = {name: f"pcmrs.cli.lease:{name}" for name in ("show", "take", "hold", "confirm", "release")}
@@ -112,10 +113,15 @@ async def _hold(address: Address, *, over: bool) -> None:
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
-    async with address.connect() as client, client.holding(over=over):
-        say("held; interrupt to release it")
-        sys.stdout.flush()
-        await ended.wait()
+    status = EXIT_REJECTED
+    try:
+        async with address.connect() as client, client.holding(over=over):
+            status = EXIT_FAILED
+            say("held; interrupt to release it")
+            sys.stdout.flush()
+            await ended.wait()
+    except CommandRefusedError as error:
+        fail(error, status)
 
 
 def _end_with(verdict: Verdict, *, as_json: bool) -> None:

@@ -76,13 +76,17 @@ def fail_missing(error: ModuleNotFoundError) -> NoReturn:
     fail(missing)
 
 
-def fail(error: PcmrsError) -> NoReturn:
+def fail(error: PcmrsError, status: int | None = None) -> NoReturn:
     """End the process with the error's text and status.
 
     Further lines of the text are indented, so that a line break in a value from outside cannot forge a message.
+
+    Args:
+        error: The error.
+        status: Exit status; None for that of the error's kind.
     """
     first, *rest = error.text.splitlines() or [""]
     say(f"{click.get_current_context().command_path}: {first}", err=True)
     for line in rest:
         say(f"  {line}" if line else "", err=True)
-    sys.exit(next((status for kind, status in STATUS if isinstance(error, kind)), EXIT_FAILED))
+    sys.exit(next((its for kind, its in STATUS if isinstance(error, kind)), EXIT_FAILED) if status is None else status)

@@ -15,8 +15,8 @@ BACKGROUND = "#f4f6f8"
 
 PLANNED, MEASURED = GREEN, VERMILION
 ARM, SKIN, BOX, OPEN, GOOD, POOR = GREY, "#e8c9a8", "#b8c4d6", SKY, GREEN, VERMILION
-AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]).T
-"""The tool's axes from those of a cylinder of the scene, whose axis is y."""
+AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""Rotation from a cylinder of the scene, whose axis is y, to the tool, whose axis is z."""
 
 
 FITTED = """() => {{

@@ -138,11 +138,19 @@ class UrdfTree:
         Args:
             link: Link to start from.
             stops: Names of the joints that end the search; links beyond them are left out.
+
+        Raises:
+            ConfigurationError: The joints form a circle.
         """
+        yield from self._bodies_beyond(link, stops, ())
+
+    def _bodies_beyond(self, link: str, stops: Collection[str], path: tuple[str, ...]) -> Iterator[MassProperties]:
+        if link in path:
+            raise self.error(f"the joints from {link} lead back to {link}", "remove one of them")
         yield from self._own_body(link)
         for joint in self.joints_on(link):
             if joint.name not in stops:
-                for body in self.bodies_on(joint.child, stops):
+                for body in self._bodies_beyond(joint.child, stops, (*path, link)):
                     yield body.expressed_in(joint.parent_from_joint)
 
     def _own_body(self, link: str) -> Iterator[MassProperties]:

@@ -32,8 +32,9 @@ _SCHEMA_NAMES: Final[dict[type[Message], str]] = {ProcedureDataView: "Gathered"}
 
 
 def stamp(at_ns: int) -> Timestamp:
-    """Return a time, ns since 1970, as seconds and nanoseconds."""
-    return Timestamp(at_ns // _SECOND, at_ns % _SECOND)
+    """Return a time, ns since 1970, as seconds and nanoseconds; 0 if it is earlier: the clock may not be set yet."""
+    seconds, nanoseconds = divmod(max(at_ns, 0), _SECOND)
+    return Timestamp(seconds, nanoseconds)
 
 
 def link(parent: str, child: str, parent_from_child: Transform, at_ns: int) -> FrameTransforms:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
@@ -75,6 +76,18 @@ async def test_a_refused_lease_ends_with_1_and_the_reason() -> None:
         ended = await lease(held, "take")
         assert ended.exit_code == 1
         assert "anna holds the cell." in ended.stdout
+
+
+async def test_hold_that_is_refused_ends_with_1_and_the_reason() -> None:
+    async with daemon() as held:
+        held.refuses = True
+        settings = held.bus.settings
+        address = ("--endpoint", settings.endpoint, "--site", settings.site, "--cell", settings.cell)
+        command = (sys.executable, "-m", "pcmrs.cli", "lease", "hold", *address)
+        process = await asyncio.create_subprocess_exec(*command, stderr=asyncio.subprocess.PIPE)
+        _, said = await process.communicate()
+        assert process.returncode == 1
+        assert b"anna holds the cell." in said
 
 
 async def test_the_holder_is_shown_with_who_asks_for_it() -> None:

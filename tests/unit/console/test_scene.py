@@ -49,6 +49,7 @@ def test_disc_and_handle_stand_on_the_contact_along_their_axes(page: DetachedPag
     disc, handle = [each for each in scene.objects.values() if each.parent is group]
     assert (disc.x, disc.y, disc.z) == pytest.approx((0.0, 0.0, setup().tool_half_length))
     assert np.linalg.det(disc.R) == pytest.approx(1.0)
+    np.testing.assert_allclose(np.array(disc.R) @ (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # the axis of a cylinder is y
     assert handle.x == 0.0
     assert handle.y < -setup().tool_radius
 

@@ -33,6 +33,12 @@ def test_missing_item_is_named(old: str, new: str, text: str) -> None:
         read_urdf(ARM.replace(old, new), "odd")
 
 
+def test_circle_of_joints_beside_the_chain_is_refused() -> None:
+    circle = '<joint name="loop" type="fixed"><parent link="lid"/><child link="box"/></joint></robot>'
+    with pytest.raises(ConfigurationError, match="lead back to box"):
+        read_urdf(ARM.replace("</robot>", circle), "odd")
+
+
 def energy(bodies: list[tuple[float, Floats]], turn: Floats) -> float:
     """Return the kinetic energy of point masses, kg, at places, m, that turn about the origin, rad/s."""
     return sum(0.5 * mass * float(np.sum(np.cross(turn, place) ** 2)) for mass, place in bodies)

@@ -36,6 +36,12 @@ def test_a_time_keeps_its_nanoseconds(at_ns: int, tmp_path: Path) -> None:
     assert (shown.name, shown.message, shown.level) == ("robot", "It moves.", 3)
 
 
+def test_time_before_1970_is_recorded_as_0(tmp_path: Path) -> None:
+    """A machine without a set clock begins at 0, and a pose is older than its message."""
+    (_, shown) = read_back([("/log", line(LogLevel.Info, "robot", "It moves.", -1))], tmp_path / "run.mcap")[0]
+    assert (shown.timestamp.seconds, shown.timestamp.nanos) == (0, 0)
+
+
 def test_link_and_pose_hold_the_transform(tmp_path: Path) -> None:
     """The order of a quaternion differs: ours is w x y z."""
     pose = Transform.from_rotvec((0.1, -0.2, 0.3), (0.4, -0.5, 0.6))
