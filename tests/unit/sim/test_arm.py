@@ -5,13 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pcmrs.devices.motion.force import ForceSettings
 from pcmrs.errors import DeviceError
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import JointTrajectory
-from pcmrs.spatial import distance
+from pcmrs.spatial import Transform, distance
 from pcmrs_sim.settings import ArmSettings, SimSettings
 from tests.support.trials import examples
-from tests.unit.sim.simulated_arms import FACTS, HOME, PERIOD, make_arm, smooth
+from tests.unit.sim.simulated_arms import FACTS, HOME, PERIOD, body_before_tool, make_arm, smooth
 
 
 @examples(10)
@@ -112,3 +113,15 @@ def test_true_flange_agrees_with_mujoco_and_differs_from_model() -> None:
     assert 1e-4 < distance(true, model.forward(arm.positions)) < 3e-3
     exact = make_arm(SimSettings(arm=ArmSettings(geometry_error_mm=0.0)))
     assert distance(exact.base_from_flange(), model.forward(exact.positions)) < 1e-12
+
+
+def test_the_force_limit_also_guards_a_standing_arm() -> None:
+    arm, place = make_arm(force=ForceSettings(force_limit=10.0, relief_mm=5.0)), body_before_tool(0.0)
+    for depth in np.linspace(0.0, 0.012, 200):
+        arm.contact.place(Transform(place.rotation, place.translation + depth * place.rotation[:, 2]))
+        arm.step(5)
+    arm.step(1000)
+    (alarm,) = arm.alarms
+    assert alarm.fields["relieved"] == pytest.approx(0.005, abs=1e-4)
+    assert arm.at_rest
+    assert arm.contact.force < 8.0
