@@ -6,6 +6,7 @@ import pytest
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.inverse import inverse
 from pcmrs.kinematics.model import ArmModel
+from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.spatial import Floats, Transform
 from pcmrs_sim import femur, head
 from pcmrs_sim.phantom import Phantom
@@ -80,3 +81,34 @@ def test_every_pose_is_reachable_and_the_way_home_leads_away(phantom: Phantom, p
     distances = [np.linalg.norm((arm.forward(q) @ flange_from_tool).translation - middle) for q in way]
     assert np.diff(distances).min() > -1e-5
     assert distances[-1] > 0.5
+
+
+CLEAR = 0.28  # m from the middle of the body, from where on a way may also come nearer
+
+every_arm = pytest.mark.parametrize("name", ["panda", "ur5"])
+
+
+@every_arm
+@pytest.mark.parametrize(("body", "workflow"), [("head", "ratms"), ("femur", "femoroplasty")])
+def test_example_poses_are_reachable_and_the_way_home_leads_away(name: str, body: str, workflow: str) -> None:
+    arm, phantom = ArmModel(find_arm(name)), PHANTOMS[body]
+    home = np.array(arm.facts.home)
+    for plan in make_plans()[workflow]["poses"]:
+        pose = Transform.from_quat_xyzw(plan["position"], plan["quat_xyzw"])
+        standoff = posture(arm, phantom, pose, STANDOFF, home)
+        assert np.abs(posture(arm, phantom, pose, 0.0, standoff) - standoff).max() < 0.35  # no other branch
+        ways = standoff + np.linspace(0.0, 1.0, 101)[:, None] * (home - standoff)
+        distances = np.array([distance_from_middle(arm, phantom, q) for q in ways])
+        assert np.diff(distances)[distances[:-1] < CLEAR].min() > 0.0
+        assert distances[-1] > 0.5
+
+
+def posture(arm: ArmModel, phantom: Phantom, pose: Transform, offset: float, seed: Floats) -> Floats:
+    flange_from_tool = SimSettings().geometry.flange_from_coil.transform
+    tool_from_offset = Transform.from_rotvec((0.0, 0.0, offset), (0.0, 0.0, 0.0))
+    return inverse(arm, phantom.world_from_image @ pose @ tool_from_offset @ flange_from_tool.inverse(), seed)
+
+
+def distance_from_middle(arm: ArmModel, phantom: Phantom, q: Floats) -> float:
+    tool = arm.forward(q) @ SimSettings().geometry.flange_from_coil.transform
+    return float(np.linalg.norm(tool.translation - phantom.world_from_image @ phantom.inside))

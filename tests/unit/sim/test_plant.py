@@ -1,8 +1,11 @@
 """What stands in the simulated scene is the phantom that the plan was made for."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
+from structlog.testing import capture_logs
 
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.spatial import Floats
@@ -11,6 +14,7 @@ from pcmrs_sim.phantom import Phantom
 from pcmrs_sim.plan import SITES_DEG, TRAJECTORIES, coil_pose, trajectory
 from pcmrs_sim.plant import plant_model
 from pcmrs_sim.settings import ArmSettings, GeometrySettings
+from tests.unit.sim.simulated_arms import make_arm
 
 ABOVE = 0.05  # m
 
@@ -40,3 +44,13 @@ def test_every_coil_meets_the_head(site: tuple[float, float]) -> None:
     pose = coil_pose(*site)
     # In the scene the head is an ellipsoid, which is a little rounder than the scalp.
     assert 0.0 <= depth(head.HEAD, pose.translation, pose.rotation[:, 2]) < 0.012
+
+
+def test_an_unstable_simulation_is_logged_and_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    arm = make_arm()
+    arm._data.qvel[:] = 1e30
+    with capture_logs() as logged:
+        arm.step(1)
+    assert "unstable" in logged[0]["text"]
+    assert list(tmp_path.iterdir()) == []

@@ -1,13 +1,24 @@
 """The registry of faults, and the lines that ask for them."""
 
+import math
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from pcmrs.clock import SystemClock
+from pcmrs.devices.motion.force import ForceSettings
 from pcmrs.errors import DeviceError
-from pcmrs_sim.faults import FAULTS, find_fault, parse_fault
+from pcmrs.kinematics.arms import ARMS
+from pcmrs_sim.cell import CellSimulation
+from pcmrs_sim.faults import FAULTS, find_fault, inject, parse_fault
+from pcmrs_sim.settings import SimSettings
+
+pytest.importorskip("mujoco")
 
 
 def test_every_fault_belongs_to_a_row_and_says_what_happens() -> None:
@@ -82,3 +93,19 @@ async def test_the_scene_cuts_the_robot_by_the_same_registry(cell: Mapping[str, 
         await cell["robot"].connect()
     await cell["scene"].cut_robot(False)
     await cell["robot"].connect()
+
+
+@pytest.fixture(scope="module")
+def still_cell() -> CellSimulation:
+    return CellSimulation(SimSettings(), ARMS["iiwa14"], ForceSettings(force_limit=math.inf), SystemClock())
+
+
+@settings(deadline=None)
+@given(
+    st.builds(" ".join, st.tuples(st.sampled_from(sorted(FAULTS)), st.text(max_size=20))) | st.text(max_size=40),
+)
+def test_a_line_is_a_fault_or_is_refused(still_cell: CellSimulation, line: str) -> None:
+    if not line.strip():
+        return  # such lines are passed over
+    with suppress(DeviceError):
+        inject(still_cell, *parse_fault(line))

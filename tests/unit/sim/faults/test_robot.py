@@ -13,13 +13,10 @@ from pcmrs_sim.cell import CellSimulation, running_cell
 from pcmrs_sim.faults import inject
 from pcmrs_sim.kst.server import serve_kst
 from pcmrs_sim.robot import SimRobot
-from tests.unit.sim.kst_client import KstClient, at_rest, client_of, connected, line
+from tests.unit.sim.kst_client import DONE, NAK, ROUNDING, KstClient, at_rest, client_of, connected, line
 from tests.unit.sim.simulated_arms import smooth
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
-
-DONE, NAK = b"done\n", b"nak\n"
-ROUNDING = 6e-5  # rad
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")

@@ -1,25 +1,20 @@
-"""The simulated cell in a process of its own: what happens when its node falls silent or ends, and when it does."""
+"""The simulated cell in its own process: what it does when its node falls silent or ends."""
 
 from __future__ import annotations
 
 import asyncio
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping
-from contextlib import asynccontextmanager, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-pytest.importorskip("mujoco")
-
-from pcmrs.background import background_task
 from pcmrs.clock import SystemClock
 from pcmrs.devices.protocols import OpenDriver
 from pcmrs.errors import (
@@ -27,17 +22,17 @@ from pcmrs.errors import (
     DeviceError,
     DeviceRefusedError,
     PayloadError,
-    PcmrsError,
     UnknownOutcomeError,
 )
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import JointTrajectory
-from pcmrs_sim.process.client import WorldClient, devices_of
 from pcmrs_sim.process.driver import open_devices
-from pcmrs_sim.process.server import Server
-from pcmrs_sim.process.wire import Failure
 
 DRIVER: OpenDriver = open_devices  # the type checker proves it
+
+
+pytest.importorskip("mujoco")
+
 DEVICES = ("robot", "tracker", "pointer", "scene", "stimulator", "emg")
 HOME = np.array(ARMS["iiwa14"].home)
 CLOCK = SystemClock()
@@ -87,13 +82,6 @@ async def test_calls_streams_and_errors_are_those_of_the_devices() -> None:
         with pytest.raises(UnknownOutcomeError, match="does not answer"):
             await robot.joints()
         await until(lambda: "cut" in robot.trouble)
-
-
-@pytest.mark.parametrize("kind", [DeviceError, DeviceRefusedError, UnknownOutcomeError, PayloadError])
-def test_an_error_crosses_the_link_with_its_code_text_and_fields(kind: type[PcmrsError]) -> None:
-    error = Failure.of(kind("The arm moves.", code="moving", limit=0.5)).error()
-    assert (type(error), error.code) == (kind, kind.code)
-    assert (error.text, error.fields) == ("The arm moves.", {"code": "moving", "limit": 0.5})
 
 
 async def test_bad_settings_are_refused_as_in_this_process() -> None:
@@ -221,50 +209,3 @@ def test_node_frozen_in_motion_leaves_a_braking_arm(
     assert lines.index("stopped link_silent") < lines.index("again done"), "a node that is heard again may go on"
     assert node.returncode == 0
     assert "Traceback" not in log.read_text()
-
-
-class LateClock(SystemClock):
-    """Of a node whose calls are long on their way."""
-
-    def monotonic(self) -> float:
-        return super().monotonic() - 5.0
-
-
-@asynccontextmanager
-async def linked(machine: SystemClock = CLOCK) -> AsyncIterator[tuple[Server, Mapping[str, Any]]]:
-    """Both ends of a link in one process, so that a test can act between two steps of the world."""
-    here, there = socket.socketpair()
-    server, world = Server(there), WorldClient(here, machine, lambda: None)
-    serving = asyncio.create_task(server.run())
-    try:
-        await world.open(("robot", "stimulator"), {})
-        async with background_task(world.beat(0.1)):
-            yield server, devices_of(world, ("robot", "stimulator"), CLOCK)
-    finally:
-        world.close()
-        await serving
-
-
-async def test_a_hold_that_has_arrived_acts_before_more_physics() -> None:
-    async with asyncio.timeout(PATIENCE), linked() as (server, devices):
-        cell, robot = server.cell, devices["robot"]
-        await robot.connect()
-        following = asyncio.create_task(robot.follow(motion(20.0)))
-        await until(lambda: cell.robot.follows)
-        holding = asyncio.create_task(robot.hold())
-        await asyncio.sleep(0)  # it is on its way, and the world has not looked yet
-        assert cell.robot.follows
-        cell.advance(cell.world.time + 0.02)
-        assert not cell.robot.follows
-        await holding
-        assert (await following).reason == "held"
-
-
-async def test_late_action_is_refused_and_a_late_hold_is_not() -> None:
-    async with asyncio.timeout(PATIENCE), linked(LateClock()) as (_, devices):
-        await devices["robot"].connect()
-        for call in (devices["robot"].follow(motion(5.0)), devices["stimulator"].arm()):
-            with pytest.raises(DeviceError, match=r"came 5\.0 s late"):
-                await call
-        assert not (await devices["robot"].hold()).moving
-        assert not (await devices["stimulator"].disarm()).armed

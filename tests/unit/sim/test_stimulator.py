@@ -1,3 +1,5 @@
+"""The simulated stimulator: it charges, heats and disarms itself."""
+
 import asyncio
 from collections.abc import AsyncIterator
 
@@ -10,7 +12,6 @@ from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import DeviceEvent
 from pcmrs.testing.clock import ManualClock, settle
 from pcmrs_sim.cell import CellSimulation
-from pcmrs_sim.faults import inject
 from pcmrs_sim.settings import SimSettings, StimulatorSettings
 from pcmrs_sim.stimulator import SimStimulator
 
@@ -122,19 +123,6 @@ async def test_a_pulse_reaches_the_muscle_of_the_world(cell: CellSimulation, clo
     felt = cell.world.muscle.stimulus(9)
     assert felt is not None
     assert (felt.intensity, felt.time) == (66.0, pulse.fired)
-
-
-async def test_faults_of_the_muscle_can_be_injected(cell: CellSimulation) -> None:
-    inject(cell, "no_mep", {})
-    assert cell.world.muscle.silent
-    inject(cell, "no_mep", {"on": False})
-    assert not cell.world.muscle.silent
-    inject(cell, "preactivation", {"microvolts": 80.0})
-    rate = cell.world.settings.muscle.rate_hz
-    first = round((cell.world.time + 1.0) * rate)
-    assert cell.world.muscle.samples(first, rate).std() == pytest.approx(80e-6, rel=0.05)
-    with pytest.raises(DeviceError, match="microvolts"):
-        inject(cell, "preactivation", {"microvolts": -1.0})
 
 
 async def test_it_disarms_by_itself_in_a_running_cell(cell: CellSimulation, clock: ManualClock) -> None:

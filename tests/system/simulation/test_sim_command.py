@@ -12,15 +12,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-import pytest
-import structlog
-from click.testing import CliRunner
-
-from pcmrs.errors import ConfigurationError
-from pcmrs_sim.cli import main
-from pcmrs_sim.cli.lines import read_schedule
-from pcmrs_sim.faults import FAULTS
-
 COMMAND = [sys.executable, "-c", "from pcmrs_sim.cli import main; main()"]
 DEADLINE = 60.0
 ENDED_BY_US = 0
@@ -125,82 +116,3 @@ def test_it_runs_in_the_background_of_a_terminal() -> None:
     os.close(terminal)
     os.waitpid(child, 0)
     assert b"status 0" in said
-
-
-@pytest.mark.parametrize(
-    ("arguments", "status", "text"),
-    [
-        (["kst", "--port", "0", "--model", "ur5"], 4, "has 6"),
-        (["kst", "--port", "0", "--set", "sim.seeed=3"], 4, "seeed"),
-        (["cell", "--phantom", "knee"], 2, "knee"),
-        (["ndi", "--port", "70000"], 2, "70000"),
-        (["ndi", "--port", "0", "--duration", "nan"], 2, "nan is not finite"),
-        (["kst", "--port", "0", "--accept-timeout", "nan"], 2, "nan is not finite"),
-    ],
-)
-@pytest.mark.usefixtures("quiet_log")
-def test_impossible_arguments_are_refused_in_one_sentence(arguments: list[str], status: int, text: str) -> None:
-    ended = CliRunner().invoke(main, arguments)
-    assert ended.exit_code == status
-    assert text in ended.stderr
-    assert "Traceback" not in ended.stderr
-
-
-@pytest.mark.usefixtures("quiet_log")
-def test_taken_port_is_reported_with_the_remedy(taken_port: int) -> None:
-    ended = CliRunner().invoke(main, ["kst", "--port", str(taken_port)])
-    assert ended.exit_code == 2
-    assert "Choose another port" in ended.stderr
-
-
-@pytest.fixture
-def quiet_log() -> Iterator[None]:
-    """The command logs to the standard error of its time, which is closed after it."""
-    yield
-    structlog.reset_defaults()
-
-
-@pytest.fixture
-def taken_port() -> Iterator[int]:
-    with socket.socket() as holder:
-        holder.bind(("127.0.0.1", 0))
-        holder.listen(1)
-        yield holder.getsockname()[1]
-
-
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("5.0 occlud coil", "line 1: There is no fault 'occlud'"),
-        ("\nsoon e_stop", "line 2: write: seconds, then a fault"),
-        ("5.0", "line 1: write: seconds, then a fault"),
-        ("-5 e_stop", "line 1: the time is -5; it must be 0 s or later"),
-        ("nan e_stop", "line 1: the time is nan"),
-        ("1 cut_robot on now", "line 1: 'cut_robot on now' has 2 arguments"),
-    ],
-)
-def test_a_schedule_names_the_line_that_is_wrong(tmp_path: Path, text: str, complaint: str) -> None:
-    file = tmp_path / "faults.txt"
-    file.write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigurationError, match=complaint):
-        read_schedule(file)
-
-
-def test_a_schedule_is_in_the_order_of_time(tmp_path: Path) -> None:
-    file = tmp_path / "faults.txt"
-    file.write_text("5 e_stop off  # again\n1.5 e_stop on\n", encoding="utf-8")
-    assert read_schedule(file) == [(1.5, "e_stop on"), (5.0, "e_stop off")]
-
-
-def test_the_faults_are_listed() -> None:
-    listed = json.loads(CliRunner().invoke(main, ["faults", "--json"]).output)
-    assert {row["name"] for row in listed} == set(FAULTS)
-    text = CliRunner().invoke(main, ["faults"]).output
-    assert "B5   e_stop <on>" in text
-
-
-@pytest.mark.parametrize("command", ["kst", "ndi", "cell", "faults"])
-def test_every_command_says_how_it_is_used(command: str) -> None:
-    help_text = CliRunner().invoke(main, [command, "--help"]).output
-    assert "Example: " in help_text
-    assert f"pcmrs-sim {command}" in help_text
