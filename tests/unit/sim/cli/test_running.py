@@ -37,8 +37,10 @@ class Server:
 
     @asynccontextmanager
     async def __call__(self, cell: CellSimulation) -> AsyncIterator[Address]:
-        yield self.address
-        self.drives_off, self.ended = cell.robot_faults.drives_off, True
+        try:
+            yield self.address
+        finally:
+            self.drives_off, self.ended = cell.robot_faults.drives_off, True
 
 
 @asynccontextmanager
@@ -70,6 +72,7 @@ async def test_a_device_that_cannot_listen_ends_the_others(capsys: pytest.Captur
     with pytest.raises(DeviceError, match=r"The virtual ndi cannot listen: Address already in use\.") as refused:
         await serve({"kst": first, "ndi": taken}, SETTINGS, None, 1.0, as_json=True)
     assert refused.value.fields == {"device": "ndi"}
+    assert first.ended
     assert capsys.readouterr().out == ""
 
 
