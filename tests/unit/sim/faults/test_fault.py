@@ -16,6 +16,7 @@ from pcmrs.errors import DeviceError
 from pcmrs.kinematics.arms import ARMS
 from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.faults import FAULTS, find_fault, inject, parse_fault
+from pcmrs_sim.faults.fault import choice, number, switch
 from pcmrs_sim.settings import SimSettings
 
 pytest.importorskip("mujoco")
@@ -109,3 +110,33 @@ def test_a_line_is_a_fault_or_is_refused(still_cell: CellSimulation, line: str) 
         return  # such lines are passed over
     with suppress(DeviceError):
         inject(still_cell, *parse_fault(line))
+
+
+def test_a_switch_is_on_unless_it_says_otherwise() -> None:
+    assert switch({}, "on")
+    assert not switch({"on": False}, "on")
+    with pytest.raises(DeviceError, match="The argument on is 1, must be on or off") as refused:
+        switch({"on": 1}, "on")
+    assert refused.value.fields == {"argument": "on", "value": 1}
+
+
+@given(st.floats(allow_nan=True) | st.integers())
+def test_a_number_is_within_its_range_or_refused_with_it(value: float) -> None:
+    if -2.0 <= value <= 3.0:
+        assert number({"size": value}, "size", -2.0, 3.0) == value
+    else:
+        with pytest.raises(DeviceError, match=r"must be a number from -2 to 3\.") as refused:
+            number({"size": value}, "size", -2.0, 3.0)
+        assert (refused.value.fields["lowest"], refused.value.fields["highest"]) == (-2.0, 3.0)
+
+
+@pytest.mark.parametrize("value", [None, True, "2", [2.0]])
+def test_what_is_no_number_is_refused(value: Any) -> None:
+    with pytest.raises(DeviceError, match="The argument size is"):
+        number({"size": value}, "size", -2.0, 3.0)
+
+
+def test_a_choice_is_refused_with_the_words_that_are_known() -> None:
+    assert choice({"how": "split"}, "how", ("split", "whole")) == "split"
+    with pytest.raises(DeviceError, match="is 'both', must be one of split, whole"):
+        choice({"how": "both"}, "how", ("split", "whole"))
