@@ -33,7 +33,7 @@ def test_options_become_settings_of_the_whole_configuration() -> None:
     assert (options["schedule"], options["duration"], options["as_json"]) == (None, None, False)
 
 
-def test_a_setting_overrides_an_option_but_not_the_guard_of_the_force() -> None:
+def test_a_setting_overrides_an_option_but_not_the_force_guard() -> None:
     """The driver of a real arm guards the force, and so must that of a virtual one."""
     settings = options_of("--seed", "3", "--set", "sim.seed=4", "--set", "robot.driver=sim")["settings"]
     assert settings["sim"]["seed"] == 4

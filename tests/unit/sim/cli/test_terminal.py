@@ -44,7 +44,7 @@ async def test_lines_arrive_in_order_and_blank_ones_are_left_out(monkeypatch: py
     assert lines.empty()
 
 
-async def test_reading_from_a_terminal_in_the_background_does_not_stop_it(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_reading_in_the_background_does_not_stop_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO(""))
     forward_lines(lambda _: None)
     assert signal.getsignal(signal.SIGTTIN) is signal.SIG_IGN

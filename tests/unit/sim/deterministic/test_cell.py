@@ -27,7 +27,7 @@ def test_starting_what_runs_changes_nothing(tmp_path: Path) -> None:
     in_cell(play, tmp_path)
 
 
-def test_a_crashed_node_is_noticed_and_its_successor_serves_the_robot(tmp_path: Path) -> None:
+def test_a_crashed_node_is_noticed_and_can_be_started_again(tmp_path: Path) -> None:
     async def play(cell: SimulatedCell, client: CellInSimulatedTime) -> None:
         await connect(client)
         assert client.snapshot.branches["robot"] == "1"

@@ -15,7 +15,7 @@ PLANNER = 5000
 
 
 def test_each_run_is_observed_before_its_first_decision(tmp_path: Path) -> None:
-    decided: list[list[str]] = []
+    decided: list[list[str | None]] = []
     robots: list[str] = []
 
     def observe(dispatcher: ProcedureDispatcher, journal: JournalReader) -> None:
@@ -32,7 +32,7 @@ def test_each_run_is_observed_before_its_first_decision(tmp_path: Path) -> None:
     in_cell(play, tmp_path, observe=observe)
 
 
-def test_a_crash_ends_the_daemon_at_once_and_keeps_what_was_written(tmp_path: Path) -> None:
+def test_a_crash_ends_the_daemon_at_once_and_keeps_the_journal(tmp_path: Path) -> None:
     async def play(cell: SimulatedCell, client: CellInSimulatedTime) -> None:
         await connect(client)
         daemon = cell.daemon

@@ -55,7 +55,7 @@ async def test_a_repeated_id_runs_once_and_has_the_same_answer(planner: Planner)
     assert len(planner.verdicts) == 2
 
 
-async def test_a_command_without_an_id_is_acknowledged_to_an_old_client(planner: Planner) -> None:
+async def test_a_command_without_an_id_is_acknowledged_to_old_clients(planner: Planner) -> None:
     await planner.send("rob_conn_onxxxxx;", old=True)
     assert planner.core.operations == ["connect"]
     assert planner.acknowledgements == ["ack"]

@@ -47,7 +47,7 @@ def test_a_request_waits_when_all_threads_of_the_pool_are_busy() -> None:
     assert senders.delay("later", 11.0) == pytest.approx(0.1), "all threads are free again"
 
 
-def test_requests_of_a_sender_with_its_own_thread_keep_their_order() -> None:
+def test_requests_of_a_sender_with_its_own_thread_keep_order() -> None:
     windows = ScriptedWindows(0.4, 0.1, 0.0)
     senders = Senders(windows)
     assert senders.delay("first", 10.0, "watch") == pytest.approx(0.4)

@@ -37,9 +37,7 @@ jumps = st.lists(st.floats(-0.09, 0.09), min_size=7, max_size=7).map(np.array)
 
 @examples(20)
 @given(st.lists(st.tuples(jumps, st.integers(1, 40)), min_size=1, max_size=6), st.sampled_from([0.1, 1.0]))
-def test_the_reference_ends_at_the_last_set_point_within_its_limits(
-    stream: list[tuple[Floats, int]], fraction: float
-) -> None:
+def test_the_last_set_point_is_reached_within_the_limits(stream: list[tuple[Floats, int]], fraction: float) -> None:
     destination, target, samples = Destination(HOME, FACTS, SETTINGS, fraction), HOME, [HOME]
     for jump, steps in stream:
         target = target + jump
@@ -65,7 +63,7 @@ def test_a_set_point_out_of_the_range_of_a_joint_halts(joint: int, beyond: float
     assert np.array_equal(destination.advance()[0], near), "it was not followed"
 
 
-def test_a_jump_is_measured_from_the_last_set_point_and_not_from_the_arm() -> None:
+def test_a_jump_is_measured_from_the_last_set_point() -> None:
     """A fast stream that the arm lags behind is no jump."""
     destination, target = Destination(HOME, FACTS, SETTINGS, 0.1), HOME
     for _ in range(5):

@@ -74,7 +74,7 @@ def test_six_numbers_come_back_from_their_pose(place: tuple[float, ...], turn: t
     assert to_xyzabc(from_xyzabc([*place, *turn])) == pytest.approx([*place, *turn], abs=1e-6)
 
 
-def test_the_moment_is_that_of_the_force_at_the_flange_about_the_tool() -> None:
+def test_the_moment_is_that_of_the_flange_force_about_the_tool() -> None:
     """In the base frame it is the lever from the tool's origin to the flange, times the force."""
     arm = KinematicArm(FACTS, SimSettings(), ForceSettings(), HEAD)
     arm.disturbance.push = 20.0

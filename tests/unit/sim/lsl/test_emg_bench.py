@@ -18,7 +18,7 @@ def response(bench: EmgBench, number: int = 1) -> float:
     return bench.stimulate(number, 100.0, 100.0).amplitude
 
 
-def test_the_coil_starts_at_the_hotspot_and_a_line_moves_it_away_and_back() -> None:
+def test_a_line_moves_the_coil_away_from_the_hotspot_and_back() -> None:
     bench, stays = make_bench(), make_bench()
     assert response(bench) == response(stays) > 200e-6
     bench.execute("coil 60 0 0 0")
@@ -55,7 +55,7 @@ def test_preactivation_is_in_microvolts_from_now_on() -> None:
     ["", "nonsense", "coil", "coil 1 2 3", "coil 1 2 3 4 5", "coil nan 0 0 0", "coil 0 0 0 inf", "no_mep", "no_mep 1",
      "preactivation", "preactivation much", "preactivation nan"],
 )  # fmt: skip
-def test_other_lines_are_refused_with_the_usage_and_change_nothing(line: str) -> None:
+def test_other_lines_are_refused_with_usage_and_change_nothing(line: str) -> None:
     bench, untouched = make_bench(), make_bench()
     with pytest.raises(DeviceError) as refused:
         bench.execute(line)

@@ -126,7 +126,7 @@ async def test_states_events_and_troubles_are_those_of_their_device() -> None:
         assert (robot.dropped, robot.trouble, tracker.trouble) == (3, "", "switched off")
 
 
-async def test_a_world_that_ends_leaves_unknown_outcomes_and_ends_streams() -> None:
+async def test_end_of_the_world_is_an_unknown_outcome_and_ends_streams() -> None:
     reports: list[str] = []
     async with linked(lambda: reports.append("lost")) as (client, world):
         robot = devices_of(client, ("robot",), CLOCK)["robot"]

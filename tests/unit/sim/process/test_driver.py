@@ -27,7 +27,7 @@ def replace_world(monkeypatch: pytest.MonkeyPatch, program: str) -> list[subproc
         started.append(Popen([sys.executable, "-c", program], stdin=stdin, start_new_session=start_new_session))
         return started[-1]
 
-    monkeypatch.setattr(driver.subprocess, "Popen", start)
+    monkeypatch.setattr(subprocess, "Popen", start)
     return started
 
 
@@ -57,7 +57,7 @@ async def test_no_socket_is_left_open(monkeypatch: pytest.MonkeyPatch) -> None:
         return ends[0], ends[1]
 
     replace_world(monkeypatch, "pass")
-    monkeypatch.setattr(driver.socket, "socketpair", remember)
+    monkeypatch.setattr(socket, "socketpair", remember)
     with pytest.raises(UnknownOutcomeError):
         async with asyncio.timeout(30.0), open_devices(("robot",), {}, CLOCK):
             pass
