@@ -28,10 +28,11 @@ def test_a_line_moves_the_coil_away_from_the_hotspot_and_back() -> None:
     assert response(bench, 3) == response(stays, 3), "nothing but the pose has changed"
 
 
-def test_a_turned_coil_has_less_effect() -> None:
-    turned, straight = make_bench(), make_bench()
+def test_a_coil_turned_by_a_right_angle_has_less_effect() -> None:
+    turned, around, straight = make_bench(), make_bench(), make_bench()
     turned.execute("coil 0 0 0 90")
-    assert response(turned) < response(straight)
+    around.execute("coil 0 0 0 360")
+    assert response(turned) < response(straight) == pytest.approx(response(around))
 
 
 def test_a_silent_muscle_answers_again_when_it_is_switched_back() -> None:
