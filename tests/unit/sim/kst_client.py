@@ -7,6 +7,9 @@ from contextlib import asynccontextmanager, suppress
 from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.kst.server import serve_kst
 
+DONE, NAK = b"done\n", b"nak\n"
+NUMBER = rb"-?\d+\.\d+(E-?\d+)?_"
+ROUNDING = 6e-5  # rad: of five decimals and of an arm at rest
 DEADLINE = 20.0  # of a reply; longer than any motion here
 
 

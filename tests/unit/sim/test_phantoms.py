@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 
 from pcmrs_sim import femur, head
-from pcmrs_sim.phantoms import SURFACE_POINTS
+from pcmrs_sim.phantoms import PHANTOMS, SURFACE_POINTS
 
 COUNT = 300
 
@@ -25,3 +27,10 @@ def test_nobody_reaches_under_the_head() -> None:
     directions = np.array([SURFACE_POINTS["head"](rng) for _ in range(COUNT)]) - head.CENTRE
     assert not np.any((directions[:, 2] < 0.0) & (directions[:, 1] < 0.0))
     assert np.ptp(directions, axis=0).min() > 0.1, "they are spread over it"
+
+
+@pytest.mark.parametrize("phantom", ["head", "femur"])
+def test_the_tool_lies_behind_its_face(phantom: Literal["head", "femur"]) -> None:
+    for shape in PHANTOMS[phantom].tool:
+        cap = shape.size[0] if shape.kind == "capsule" else 0.0
+        assert shape.pose.translation[2] - shape.size[1] - cap >= -1e-12

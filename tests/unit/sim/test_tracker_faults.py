@@ -11,8 +11,7 @@ import pytest
 from pcmrs.clock import Clock
 from pcmrs.devices.jumps import PoseLimits
 from pcmrs.devices.poses import PoseFeed
-from pcmrs.errors import DeviceError, RefusalError
-from pcmrs_sim.faults.tracker import FAULTS
+from pcmrs.errors import RefusalError
 
 LIMITS = PoseLimits(error=1e-3, speed=2.0, turn=20.0, steady=10)
 MAX_AGE = 0.25
@@ -119,24 +118,3 @@ async def test_a_rate_that_falls_is_seen(watch: Watch) -> None:
     await watch.scene.inject("tracker_rate", {"hertz": 0.0})
     await watch.frames(70)
     assert watch.feed.rate_hz("coil") == pytest.approx(60.0, abs=3.0)
-
-
-@pytest.mark.parametrize(
-    ("fault", "arguments"),
-    [
-        ("occlude", {"body": "nobody"}),
-        ("occlude", {}),
-        ("frame_frozen", {"on": "perhaps"}),
-        ("not_measured", {"body": "coil", "reason": "boredom"}),
-        ("pose_jump", {"body": "coil", "millimetres": float("nan")}),
-        ("tool_swap", {"first": "coil"}),
-        ("tracker_rate", {"hertz": -1.0}),
-    ],
-)
-async def test_arguments_that_mean_nothing_are_refused(cell: Devices, fault: str, arguments: dict[str, Any]) -> None:
-    with pytest.raises(DeviceError):
-        await cell["scene"].inject(fault, arguments)
-
-
-def test_every_sensor_row_of_the_tracker_has_its_fault() -> None:
-    assert {fault.row for fault in FAULTS} == {"S1", "S2", "S3", "S4", "S5", "S7", "S8", "S9", "S10", "S11"}

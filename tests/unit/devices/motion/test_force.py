@@ -50,3 +50,17 @@ def test_no_report_below_the_limit_and_none_is_missed_at_rest(limit: float, cour
 def test_limits_that_protect_nobody_are_refused(key: str, value: Any) -> None:
     with pytest.raises(msgspec.ValidationError, match=key):
         msgspec.convert({key: value}, ForceSettings)
+
+
+def test_limit_counts_once_and_again_only_if_the_force_grows() -> None:
+    guard = ForceGuard(25.0)
+    course = [10.0, 25.5, 26.0, 24.0, 26.0, 25.4 + HYSTERESIS, 25.6 + HYSTERESIS, 25.0 - HYSTERESIS - 0.1, 25.1]
+    assert [guard.exceeded(force) for force in course] == [False, True, False, False, False, False, True, False, True]
+
+
+@pytest.mark.parametrize("limit", [1.0, 3.0, 5.0, 6.0, 25.0])
+def test_limit_of_any_size_counts_again_after_the_force_fell(limit: float) -> None:
+    guard = ForceGuard(limit)
+    fallen = max(limit - HYSTERESIS, limit / 2)
+    course = [1.01 * limit, 1.01 * fallen, 1.01 * limit, 0.99 * fallen, limit, 1.01 * limit]
+    assert [guard.exceeded(force) for force in course] == [True, False, False, False, False, True]

@@ -1,0 +1,50 @@
+"""Frames of the simulated tracker: rate, latency, accuracy and hidden bodies."""
+
+import numpy as np
+import pytest
+
+from pcmrs.clock import Clock
+from pcmrs.errors import DeviceError
+from pcmrs.spatial import distance
+from pcmrs_sim.cell import BATCH
+from pcmrs_sim.plant import STEP
+from tests.unit.sim.cell_readings import Devices, next_frames, transform
+
+
+async def test_frames_come_at_their_rate_and_latency(cell: Devices) -> None:
+    frames = await next_frames(cell, 60)
+    captured = np.array([frame[0].captured for frame in frames])
+    assert [pose.body for pose in frames[0]] == ["coil", "body_ref", "pointer", "witness"]
+    assert np.diff([frame[0].frame_number for frame in frames]).tolist() == [1] * 59
+    assert np.mean(np.diff(captured)) == pytest.approx(1 / 60, rel=0.01)
+    ages = [pose.sent - pose.captured for frame in frames for pose in frame]
+    assert 0.030 - 1e-9 <= min(ages) <= max(ages) < 0.030 + BATCH + STEP
+
+
+async def test_a_moved_body_is_seen_only_after_the_latency(cell: Devices, clock: Clock) -> None:
+    await next_frames(cell, 3)
+    moved_at = clock.monotonic()
+    before = transform((await cell["scene"].truth()).tracker_from_body_ref).translation
+    await cell["scene"].move_body((0.01, 0.0, 0.0))
+    frames = await next_frames(cell, 20)
+    seen = {body_ref.captured >= moved_at: body_ref.position[0] - before[0] for _, body_ref, _, _ in frames}
+    assert seen[False] == pytest.approx(0.0, abs=1e-3)
+    assert seen[True] == pytest.approx(0.01, abs=1e-3)
+
+
+async def test_measured_coil_is_near_the_truth(cell: Devices) -> None:
+    truth = transform((await cell["scene"].truth()).tracker_from_coil)
+    for coil, _, _, _ in await next_frames(cell, 20):
+        assert distance(transform(coil), truth) < 1e-3
+
+
+async def test_occluded_bodies_are_invalid_until_shown(cell: Devices) -> None:
+    await cell["scene"].occlude("coil", True)
+    coil, body_ref, pointer, _ = (await next_frames(cell, 5))[-1]
+    assert (coil.valid, coil.reason) == (False, "occluded")
+    assert body_ref.valid
+    assert (pointer.valid, pointer.reason) == (False, "not_visible")
+    await cell["scene"].occlude("coil", False)
+    assert (await next_frames(cell, 5))[-1][0].valid
+    with pytest.raises(DeviceError, match="nose"):
+        await cell["scene"].occlude("nose", True)
