@@ -14,11 +14,12 @@ SHARE = 0.95
 
 def behaves(module: Path) -> bool:
     """Return whether a module contains a function that does something; protocols and tables only declare."""
-    functions = (ast.FunctionDef, ast.AsyncFunctionDef)
-    bodies = [node.body for node in ast.walk(ast.parse(module.read_text())) if isinstance(node, functions)]
-    return any(
-        not isinstance(last := body[-1], ast.Expr) or not isinstance(last.value, ast.Constant) for body in bodies
-    )
+    for node in ast.walk(ast.parse(module.read_text())):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            last = node.body[-1]
+            if not isinstance(last, ast.Expr) or not isinstance(last.value, ast.Constant):
+                return True
+    return False
 
 
 def unit_test(module: Path) -> Path:

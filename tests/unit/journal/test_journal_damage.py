@@ -74,7 +74,7 @@ def test_rows_that_nobody_misses_are_seen(whole: Sample, tmp_path: Path) -> None
     """A journal of fewer rows is sound in itself."""
     (tmp_path / "other").mkdir()
     other = sample(tmp_path / "other", killed=False, commits=len(whole.rows) // 3 - 1)
-    with pytest.raises(Unmet, match="rows are missing or others"):
+    with pytest.raises(Unmet, match="rows are missing or changed"):
         is_recovered(place(other.files, tmp_path / "placed"), whole.rows)
 
 
