@@ -77,6 +77,28 @@ def test_poses_continue_after_a_restart_if_head_moved_in_a_swap() -> None:
     assert (found.invariant, found.text) == ("", "")
 
 
+def test_tracker_is_restarted_if_tools_were_swapped_at_its_first_poses() -> None:
+    """Seed 9040404: no feed knows which body is which if the first frames after a restart already show a swap."""
+    swap = {"first": "witness", "second": "body_ref", "on": True, "lasts": 2.931}
+    acts = [
+        Act(0.709, "fault:tracker_restart", "", {}, waits=False),
+        Act(0.637, "fault:tool_swap", "", swap, waits=False),
+    ]
+    found = run_session(SessionScript(9040404, workflow="ratms_threshold", slow=0.3, acts=acts))
+    assert (found.invariant, found.text) == ("", "")
+
+
+def test_promise_about_accepted_commands_is_not_one_about_states() -> None:
+    """Seed 9060648: no_hole_is_drilled_twice says what is not accepted, and nothing was drilled."""
+    surgeon = {"surgeon": "simulated surgeon"}
+    acts = [
+        Act(13.354, "treatment.confirm_clear", "anna", surgeon),
+        Act(12.866, "treatment.abandon", "anna", surgeon, waits=False),
+    ]
+    found = run_session(SessionScript(9060648, workflow="femoroplasty", coded=True, acts=acts))
+    assert (found.invariant, found.text) == ("", "")
+
+
 @pytest.mark.nightly
 def test_a_pulse_is_given_when_nothing_is_wrong() -> None:
     """What is explored must come to what matters: rates that are too low for a pulse would hide all that follows."""

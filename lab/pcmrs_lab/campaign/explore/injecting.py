@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections import Counter
 from collections.abc import Awaitable, Callable
 from typing import Any
@@ -24,6 +25,8 @@ FROM_OUTSIDE = ("guide_by_hand", "offset_joint", "push_tool")
 """Faults that move the arm away from its commanded motion."""
 
 
+FIRST_POSES_WITHIN = 1.0
+"""Longest time from the restart of a feed to its first poses: a frame, and the longest window, s."""
 MOVES = ("shift_body", "bump_reference", "dash_head")
 """Faults that move a tracked body, perhaps to where another one was."""
 
@@ -38,8 +41,9 @@ class Faults:
 
     Attributes:
         reached: Number of times that each fault was injected.
-        mistaken: True if a feed of poses has restarted, or a body has moved, while two tools were swapped. No feed can
-            then tell the bodies apart, and the tracker has to be restarted.
+        mistaken: True if a feed of poses has restarted, or a body has moved, while two tools were swapped, or if they
+            were swapped before a restarted feed had its first poses. No feed can then tell the bodies apart, and the
+            tracker has to be restarted.
     """
 
     def __init__(self, cell: SimulatedCell, operators: Operators, witness: Witness) -> None:
@@ -48,6 +52,7 @@ class Faults:
         self._operators = operators
         self._witness = witness
         self.mistaken = False
+        self._feed_restarted = -math.inf
         self._wrong: Counter[str] = Counter()
         self._ending: dict[asyncio.Task[None], None] = {}
         self._hosts: dict[str, Callable[[dict[str, Any]], Awaitable[None]]] = {
@@ -110,12 +115,15 @@ class Faults:
 
     def _restart_poses(self) -> None:
         self.mistaken = self._wrong["tool_swap"] > 0
+        self._feed_restarted = asyncio.get_running_loop().time()
 
     def _begin(self, name: str) -> None:
         view = self._witness.view
-        self.mistaken = self.mistaken or (name in MOVES and self._wrong["tool_swap"] > 0)
-        self._wrong[name] += 1
         view.now = asyncio.get_running_loop().time()
+        moved_in_swap = name in MOVES and self._wrong["tool_swap"] > 0
+        swapped_at_first = name == "tool_swap" and view.now - self._feed_restarted < FIRST_POSES_WITHIN
+        self.mistaken = self.mistaken or moved_in_swap or swapped_at_first
+        self._wrong[name] += 1
         view.calm.set(False, view.now)
         if name in FROM_OUTSIDE:
             view.by_hand = float("inf")

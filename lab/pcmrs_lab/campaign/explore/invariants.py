@@ -86,7 +86,7 @@ def promises_are_kept(view: View, event: Event) -> str | None:
             continue
         if promise.always is not None and not promise.always.accepted and not _holds(promise.always, event):
             return f"{promise.id} is broken: {promise.text}"
-        if promise.never is not None and _holds(promise.never, event):
+        if promise.never is not None and not promise.never.accepted and _holds(promise.never, event):
             return f"{promise.id} is broken: {promise.text}"
     return None
 
