@@ -25,7 +25,7 @@ def test_no_window_has_more_than_burst_and_rate(pauses: list[float]) -> None:
             assert last - first + 1 <= BURST + RATE_HZ * (taken[last] - taken[first]) + 1e-6
 
 
-def test_full_bucket_gives_its_burst_at_once_however_long_it_waited() -> None:
+def test_full_bucket_gives_its_burst_at_once_after_any_wait() -> None:
     clock = ManualClock()
     bucket = TokenBucket(RATE_HZ, BURST, clock)
     clock.stall(1e6)

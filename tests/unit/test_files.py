@@ -60,7 +60,7 @@ def test_secret_that_others_may_use_is_refused_with_the_remedy(tmp_path: Path, m
     assert "hunter2" not in raised.value.text
 
 
-def test_credential_of_a_service_manager_may_be_read_by_its_group(
+def test_credential_of_service_manager_may_be_read_by_its_group(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its access list shows as mode 0440; the same file elsewhere is refused."""
@@ -81,7 +81,7 @@ def test_credential_of_a_service_manager_may_be_read_by_its_group(
 
 
 @pytest.mark.parametrize("before", [None, 0o755, 0o777, 0o750, 0o700, 0o500])
-def test_private_folder_is_closed_to_others_and_not_opened_further(tmp_path: Path, before: int | None) -> None:
+def test_private_folder_is_closed_to_others_and_stays_as_closed(tmp_path: Path, before: int | None) -> None:
     folder = tmp_path / "a" / "cell"
     if before is not None:
         folder.mkdir(parents=True)

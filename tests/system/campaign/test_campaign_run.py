@@ -33,7 +33,7 @@ def _scripted(monkeypatch: pytest.MonkeyPatch) -> None:
     """Injections of which the outcome is known, in place of the real ones."""
     monkeypatch.setattr(registry, "REGISTERED", {})
     monkeypatch.setattr("pcmrs_lab.campaign.run.injections", lambda: registry.REGISTERED)
-    monkeypatch.setattr("answered.injections", lambda: registry.REGISTERED)
+    monkeypatch.setattr("tests.system.campaign.answered.injections", lambda: registry.REGISTERED)
 
     @fault("S1", how="well")
     async def well(lab: Lab) -> Evidence:

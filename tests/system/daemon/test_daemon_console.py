@@ -30,7 +30,7 @@ def status(url: str) -> int:
             return int(answer.status)
     except HTTPError as error:
         return error.code
-    except (URLError, ConnectionError):
+    except (URLError, ConnectionError, TimeoutError):  # it is not there yet, or too busy to answer
         return 0
 
 

@@ -77,7 +77,7 @@ def test_poses_continue_after_a_restart_if_head_moved_in_a_swap() -> None:
     assert (found.invariant, found.text) == ("", "")
 
 
-def test_tracker_is_restarted_if_tools_were_swapped_at_its_first_poses() -> None:
+def test_tracker_is_restarted_if_its_first_poses_were_swapped() -> None:
     """Seed 9040404: no feed knows which body is which if the first frames after a restart already show a swap."""
     swap = {"first": "witness", "second": "body_ref", "on": True, "lasts": 2.931}
     acts = [

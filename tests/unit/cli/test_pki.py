@@ -66,7 +66,7 @@ def test_a_device_key_is_new_private_and_never_replaced(tmp_path: Path) -> None:
     assert run("pki", "device-key", str(tmp_path / "none" / "device.key")).exit_code == 2
 
 
-def test_the_printed_roles_are_the_table_behind_the_access_control() -> None:
+def test_printed_roles_are_the_table_of_the_access_control() -> None:
     ended = run("pki", "roles")
     assert ended.stdout == roles_as_markdown()
     assert json.loads(run("pki", "roles", "--json").stdout)

@@ -33,7 +33,7 @@ def view_of(page: DetachedPage, view: ShownCell, surfaces: Any = None, **changed
     return BodyView(scene, view, replace(setup(), **changed), surfaces)
 
 
-def test_the_image_is_shown_where_registration_and_tracker_put_it(page: DetachedPage) -> None:
+def test_image_is_shown_where_registration_and_tracker_put_it(page: DetachedPage) -> None:
     view = ShownCell()
     shown = view_of(page, view, surface=SURFACE)
     assert shown.follow(some_pose(1), zone=True) is None, "nothing is registered"

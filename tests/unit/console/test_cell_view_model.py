@@ -9,7 +9,7 @@ from pcmrs.messages import DeviceEvent, Epoch
 from tests.unit.console.detached_page import ShownCell
 
 
-def test_an_age_counts_from_the_last_message_and_is_none_before_it() -> None:
+def test_age_counts_from_the_last_message_and_is_none_before() -> None:
     view = ShownCell()
     view.received["coil"], view.now = 10.0, 12.5
     assert view.age("coil") == pytest.approx(2.5)

@@ -67,7 +67,7 @@ async def test_an_unknown_outcome_is_no_verdict_but_is_shown(page: DetachedPage)
     assert page.notified == ["It is silent."]
 
 
-async def test_without_a_daemon_nothing_is_sent_and_the_reason_is_shown(page: DetachedPage) -> None:
+async def test_without_daemon_nothing_is_sent_and_the_reason_shown(page: DetachedPage) -> None:
     with page.client:
         assert await sender(None).ask("robot.connect", {}) is None
         await sender(None).stop()

@@ -95,7 +95,7 @@ async def test_it_says_who_one_is_and_that_the_cell_is_simulated(page: DetachedP
     assert not page.at("trouble").visible
 
 
-async def test_without_a_daemon_the_reason_is_on_top_and_nothing_is_possible(page: DetachedPage) -> None:
+async def test_without_daemon_the_reason_is_on_top_of_the_page(page: DetachedPage) -> None:
     cell = Cell()
     cell.client, cell.trouble = None, "The cable is cut."
     await opened(page, cell)

@@ -44,7 +44,7 @@ async def test_15_two_active_states_are_fail_stop(bench: Bench) -> None:
     assert (await bench.do("toolplan.plan")).decision == "rejected"
 
 
-def test_decisions_rest_on_promised_states_and_users_see_committed(procedure: Procedure[Any, Notes]) -> None:
+def test_decisions_use_promised_states_and_users_see_committed(procedure: Procedure[Any, Notes]) -> None:
     (change,) = connect(procedure).outcomes.values()
     sequence = procedure.reserve(change)
     assert (procedure.joint()["robot"], procedure.promised()["robot"]) == ("0", "1")

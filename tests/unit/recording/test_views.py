@@ -54,7 +54,7 @@ def test_a_file_starts_with_what_still_holds() -> None:
     assert set(topics(views.opening(NOW))) == {"/tf/calibration", "/tf/robot_base", "/tf/image", "/target"}
 
 
-def test_plan_and_registration_that_were_given_up_do_not_come_back() -> None:
+def test_abandoned_plan_and_registration_do_not_come_back() -> None:
     views = RecordingViews(ARM, MOUNTING, 1.0)
     views.of(sample("state/target", target()), NOW)
     views.of(sample("state/target", target(planned=False)), NOW)

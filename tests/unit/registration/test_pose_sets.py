@@ -84,7 +84,7 @@ def test_good_sets_seldom_lose_a_measurement() -> None:
     assert lost <= 15  # 2 % of 300 are 6; more than 15 have a probability below 0.1 %
 
 
-def test_too_many_bad_measurements_are_refused_with_their_numbers() -> None:
+def test_too_many_bad_measurements_are_refused_and_numbered() -> None:
     points = np.random.default_rng(5).normal(0.0, 0.001, (20, 3))
     points[:6] += 10.0 ** np.arange(6)[:, None] * np.array((1.0, -0.5, 0.2))
     with pytest.raises(RefusalError, match="look for what moved") as refused:

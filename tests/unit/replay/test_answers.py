@@ -94,7 +94,7 @@ def activity(name: str) -> PendingActivity:
     return PendingActivity(name, loop.create_future(), asyncio.Event(), loop.create_future())
 
 
-async def test_activities_that_were_asked_to_end_do_so_by_source_or_all() -> None:
+async def test_activities_asked_to_end_do_so_by_source_or_all() -> None:
     following, watching, other = activity("follow_head"), activity("watch_alignment"), activity("teleoperate")
     following.end_requested.set()
     watching.end_requested.set()

@@ -24,7 +24,7 @@ def test_a_rejection_that_names_an_older_commit_was_made_before() -> None:
     assert held_until(rows) == [1, 1, 2]
 
 
-def test_a_command_that_found_locks_held_came_before_they_were_released() -> None:
+def test_command_that_found_locks_held_came_before_release() -> None:
     found = busy(["robot.connect"], "c2")
     rows = [outcome("robot.connect", "c1", sequence=5), found, busy(["placement.home"], "c3")]
     assert held_until(rows)[0] == 1

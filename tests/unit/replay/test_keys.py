@@ -66,7 +66,7 @@ def test_rejections_are_told_from_failures_and_by_their_source() -> None:
     assert not same_reason(outcome("robot.connect"), None, "")
 
 
-def test_commands_that_follow_a_report_are_known_by_id_and_source() -> None:
+def test_commands_after_a_report_are_known_by_id_and_source() -> None:
     assert is_followed_by_report(outcome("robot.link_lost", f"link_lost-{ONE}", source="device:robot"))
     assert not is_followed_by_report(outcome("robot.link_lost", f"link_lost-{ONE}", source="bus:test"))
     assert not is_followed_by_report(outcome("robot.link_lost", "c1", source="device:robot"))

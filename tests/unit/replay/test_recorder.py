@@ -41,7 +41,7 @@ async def test_a_decision_without_a_row_is_extra() -> None:
     assert recorder.decided(0) is None
 
 
-async def test_a_decision_is_durable_only_after_the_rows_made_without_it() -> None:
+async def test_decision_is_durable_after_the_rows_made_without_it() -> None:
     """The second row names an older commit: the first was not yet on the disk."""
     rows = [outcome("robot.connect", "c1", sequence=5), outcome("toolplan.plan", "c2", "rejected", sequence=4)]
     recorder = ReplayRecorder(stored([*rows, outcome("robot.connect", "c3", sequence=6)]))

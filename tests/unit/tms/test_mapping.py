@@ -41,7 +41,7 @@ def test_the_middle_of_a_map_is_the_centre_of_gravity() -> None:
     assert -1e-3 < away_from_it[2] <= 0.0
 
 
-def test_a_map_without_responses_is_centred_and_as_uncertain_as_wide() -> None:
+def test_map_without_responses_is_centred_and_uncertain() -> None:
     search = begun("grid", rings=1, spacing_mm=8.0)
     patch = scalp_patch(search.settings, search.places)
     pulses = [MapPulse(place, 20e-6) for place in search.places]

@@ -47,7 +47,7 @@ def test_amplitudes_are_microvolts_and_grey_if_they_do_not_count(page: DetachedP
     assert "52 %" in page.text("stimulation")
 
 
-def test_the_newest_signal_stands_out_and_the_scale_ignores_the_artefact(page: DetachedPage) -> None:
+def test_newest_signal_stands_out_and_scale_ignores_artefact(page: DetachedPage) -> None:
     panel = MusclePanel(view := ShownCell(), setup(), ENGLISH)
     samples = [0.0] * 1000
     samples[600] = 1.0  # 1 V at the pulse

@@ -65,7 +65,7 @@ def test_a_pulse_that_was_refused_is_not_one() -> None:
     assert [pulse.pulse for pulse in session(rows).pulses()] == [1, *range(3, len(rows))]
 
 
-def test_placements_have_the_error_that_was_predicted_for_their_plan() -> None:
+def test_placements_have_the_error_predicted_for_their_plan() -> None:
     rows, placements = accepted("placement.confirm"), session(ROWS).placements()
     assert len(placements) == len(rows) > 0
     for placement, row in zip(placements, rows, strict=True):
@@ -87,7 +87,7 @@ def test_ceiling_and_registration_are_the_last_ones() -> None:
     assert registration.limit_mm == pytest.approx(1e3 * reported["limit"])
 
 
-def test_repeated_refusals_are_one_and_unfinished_commands_are_listed() -> None:
+def test_repeated_refusals_are_one_and_unfinished_are_listed() -> None:
     (refused,) = [row for row in ROWS if row["kind"] == "outcome" and row["verdict"]["decision"] == "rejected"][:1]
     intent = {**next(row for row in ROWS if row["kind"] == "intent"), "command_id": "never ended"}
     *repeated, unfinished = session([ROWS[0], refused, refused, refused, intent]).refusals()

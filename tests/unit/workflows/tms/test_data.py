@@ -20,7 +20,7 @@ async def test_missing_stimulator_is_refused_with_the_setting_to_set(bench: Stim
     assert "stimulator.driver" in verdict.reason.text
 
 
-async def test_missing_electromyograph_is_refused_with_the_setting_to_set(bench: StimulationBench) -> None:
+async def test_missing_electromyograph_is_refused_with_its_setting(bench: StimulationBench) -> None:
     assert emg_of(bench.bench.cell) is bench.emg
     bench.bench.cell.emg = None
     with pytest.raises(RefusalError, match=r"emg\.driver") as refused:
