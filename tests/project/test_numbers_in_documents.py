@@ -31,7 +31,7 @@ from pcmrs_lab.campaign.catalogue import catalogue
 from tests import ROOT
 from tests.support.trials import USUAL
 
-WORDS = {"six": 6, "Seven": 7, "nine": 9}
+WORDS = {"six": 6, "Seven": 7, "eight": 8, "nine": 9}
 
 
 def stated(page: str, pattern: str) -> list[tuple[str, ...]]:
