@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcmrs.clock import SystemClock
 from pcmrs.devices.protocols import OpenDriver
 from pcmrs.errors import (
     ConfigurationError,
@@ -24,9 +23,8 @@ from pcmrs.errors import (
     PayloadError,
     UnknownOutcomeError,
 )
-from pcmrs.kinematics.arms import ARMS
-from pcmrs.messages import JointTrajectory
 from pcmrs_sim.process.driver import open_devices
+from tests.unit.sim.process.world_motion import CLOCK, HOME, PATIENCE, motion, until
 
 DRIVER: OpenDriver = open_devices  # the type checker proves it
 
@@ -34,20 +32,6 @@ DRIVER: OpenDriver = open_devices  # the type checker proves it
 pytest.importorskip("mujoco")
 
 DEVICES = ("robot", "tracker", "pointer", "scene", "stimulator", "emg")
-HOME = np.array(ARMS["iiwa14"].home)
-CLOCK = SystemClock()
-PATIENCE = 60.0
-
-
-def motion(seconds: float) -> JointTrajectory:
-    way = (1 - np.cos(np.linspace(0.0, np.pi, 200))) / 2
-    return JointTrajectory(period=seconds / 199, positions=(HOME + way[:, None] * 0.5).tolist())
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    async with asyncio.timeout(PATIENCE):
-        while not condition():  # noqa: ASYNC110
-            await asyncio.sleep(0.01)
 
 
 def worlds_of(pid: int) -> list[int]:

@@ -5,15 +5,13 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from pcmrs.devices.motion.force import ForceSettings
 from pcmrs.devices.protocols import StimulatorDriver
 from pcmrs.errors import DeviceError
-from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import DeviceEvent
 from pcmrs.testing.clock import ManualClock, settle
 from pcmrs_sim.cell import CellSimulation
-from pcmrs_sim.settings import SimSettings, StimulatorSettings
 from pcmrs_sim.stimulator import SimStimulator
+from tests.unit.sim.stimulator_cell import make_cell, stimulator_of
 
 DRIVER: type[StimulatorDriver] = SimStimulator  # the type checker proves it
 
@@ -23,23 +21,11 @@ def clock() -> ManualClock:
     return ManualClock()
 
 
-def make_cell(clock: ManualClock, **settings: float) -> CellSimulation:
-    return CellSimulation(
-        SimSettings(stimulator=StimulatorSettings(**settings)), ARMS["iiwa14"], ForceSettings(), clock
-    )
-
-
 @pytest.fixture
 async def cell(clock: ManualClock) -> AsyncIterator[CellSimulation]:
     cell = make_cell(clock)
     yield cell
     stimulator_of(cell).close()
-
-
-def stimulator_of(cell: CellSimulation) -> SimStimulator:
-    stimulator = cell.devices["stimulator"]
-    assert isinstance(stimulator, SimStimulator)
-    return stimulator
 
 
 async def armed(cell: CellSimulation, clock: ManualClock) -> SimStimulator:

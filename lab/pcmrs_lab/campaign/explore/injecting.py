@@ -23,8 +23,6 @@ ATTEMPTS = 60
 """Number of attempts to start a daemon: they take longer than any fault lasts."""
 FROM_OUTSIDE = ("guide_by_hand", "offset_joint", "push_tool")
 """Faults that move the arm away from its commanded motion."""
-
-
 FIRST_POSES_WITHIN = 1.0
 """Longest time from the restart of a feed to its first poses: a frame, and the longest window, s."""
 MOVES = ("shift_body", "bump_reference", "dash_head")

@@ -4,14 +4,11 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from pcmrs.devices.motion.force import ForceSettings
 from pcmrs.errors import DeviceError
-from pcmrs.kinematics.arms import ARMS
 from pcmrs.testing.clock import ManualClock
 from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.faults import inject
-from pcmrs_sim.settings import SimSettings, StimulatorSettings
-from pcmrs_sim.stimulator import SimStimulator
+from tests.unit.sim.stimulator_cell import make_cell, stimulator_of
 
 
 @pytest.fixture
@@ -19,23 +16,11 @@ def clock() -> ManualClock:
     return ManualClock()
 
 
-def make_cell(clock: ManualClock, **settings: float) -> CellSimulation:
-    return CellSimulation(
-        SimSettings(stimulator=StimulatorSettings(**settings)), ARMS["iiwa14"], ForceSettings(), clock
-    )
-
-
 @pytest.fixture
 async def cell(clock: ManualClock) -> AsyncIterator[CellSimulation]:
     cell = make_cell(clock)
     yield cell
     stimulator_of(cell).close()
-
-
-def stimulator_of(cell: CellSimulation) -> SimStimulator:
-    stimulator = cell.devices["stimulator"]
-    assert isinstance(stimulator, SimStimulator)
-    return stimulator
 
 
 async def test_faults_of_the_muscle_can_be_injected(cell: CellSimulation) -> None:

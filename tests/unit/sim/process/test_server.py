@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from typing import Any
 
-import numpy as np
 import pytest
 
 from pcmrs.background import background_task
@@ -16,27 +15,11 @@ from pcmrs.clock import SystemClock
 from pcmrs.errors import (
     DeviceError,
 )
-from pcmrs.kinematics.arms import ARMS
-from pcmrs.messages import JointTrajectory
 from pcmrs_sim.process.client import WorldClient, devices_of
 from pcmrs_sim.process.server import Server
+from tests.unit.sim.process.world_motion import CLOCK, PATIENCE, motion, until
 
 pytest.importorskip("mujoco")
-
-HOME = np.array(ARMS["iiwa14"].home)
-CLOCK = SystemClock()
-PATIENCE = 60.0
-
-
-def motion(seconds: float) -> JointTrajectory:
-    way = (1 - np.cos(np.linspace(0.0, np.pi, 200))) / 2
-    return JointTrajectory(period=seconds / 199, positions=(HOME + way[:, None] * 0.5).tolist())
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    async with asyncio.timeout(PATIENCE):
-        while not condition():  # noqa: ASYNC110
-            await asyncio.sleep(0.01)
 
 
 class LateClock(SystemClock):
