@@ -9,6 +9,7 @@ import msgspec
 
 from pcmrs.errors import CommandRefusedError
 from pcmrs.testing.plan import Plan
+from pcmrs_lab.experiment.placements import once_seen
 from pcmrs_lab.experiment.private import ExperimentBench, private_bench
 from pcmrs_lab.experiment.published import FailureRun, published
 from pcmrs_lab.experiment.setup import ExperimentSetup
@@ -134,7 +135,7 @@ async def _run(bench: ExperimentBench, setup: ExperimentSetup, run: FailureRun) 
         reason = error.fields["verdict"].reason
     refused: bool | None = None
     if reason is not None:
-        await bench.planner.plan_pose(pose.position, pose.quat_xyzw)
+        await once_seen(lambda: bench.planner.plan_pose(pose.position, pose.quat_xyzw))
         refused = (await bench.planner.command("execute_motionxx", timeout=120.0)).decision == "rejected"
     reached, residual = _reached(bench)
     return FailureResult(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Awaitable, Callable, Sequence
+from typing import TypeVar
 
 import msgspec
 
@@ -18,6 +19,8 @@ from pcmrs_lab.experiment.private import ExperimentBench, private_bench
 from pcmrs_lab.experiment.published import Reported, published
 from pcmrs_lab.experiment.setup import ExperimentSetup
 from pcmrs_lab.experiment.treatment import Treated, prepare, treat
+
+T = TypeVar("T")
 
 PATIENCE = 50
 """Number of times that a planner repeats a request on a machine that is too busy to publish poses in time."""
@@ -126,8 +129,8 @@ async def run_placements(setup: ExperimentSetup, trials: int) -> PlacementReport
             done.append(await _place(bench, number, pose, registration))
             if number == trials:
                 treatment = await treat(bench.client, setup.workflow)
-            await bench.planner.back_off()
-            await bench.planner.home()
+            await once_seen(bench.planner.back_off)
+            await once_seen(bench.planner.home)
     progress("done", steps, steps)
     return PlacementReport(
         experiment="placements",
@@ -148,7 +151,7 @@ async def _place(bench: ExperimentBench, number: int, pose: ToolPose, body_ref_f
     """Bring the tool to a pose, leave it there and measure it."""
     await once_seen(lambda: bench.planner.plan_pose(pose.position, pose.quat_xyzw))
     await once_seen(bench.planner.approach)
-    placement = await bench.planner.confirm()
+    placement = await once_seen(bench.planner.confirm)
     truth = await bench.scene.truth()
     planned = Transform.from_quat_xyzw(pose.position, pose.quat_xyzw)
     measured = Transform.from_quat_xyzw(placement.position, placement.quat_xyzw)
@@ -167,13 +170,25 @@ async def _place(bench: ExperimentBench, number: int, pose: ToolPose, body_ref_f
     )
 
 
-async def once_seen(ask: Callable[[], Awaitable[None]]) -> None:
-    """Send a request, and repeat it while it is refused because the tracker has not shown all bodies at rest yet."""
+async def once_seen(ask: Callable[[], Awaitable[T]]) -> T:
+    """Send a request, and repeat it while it is rejected because the tracker has not shown all bodies at rest yet.
+
+    Args:
+        ask: Sends the request.
+
+    Returns:
+        What the accepted request returns.
+
+    Raises:
+        CommandRefusedError: The request was rejected for another reason or too often, or it has failed: a motion that
+            has begun is not repeated.
+    """
     for _ in range(PATIENCE):
         try:
             return await ask()
         except CommandRefusedError as error:
-            if error.fields["verdict"].reason not in NOT_SEEN:
+            verdict = error.fields["verdict"]
+            if verdict.decision != "rejected" or verdict.reason not in NOT_SEEN:
                 raise
         await asyncio.sleep(PAUSE)
     return await ask()
