@@ -9,12 +9,13 @@ An error crosses the bus as a `Reason` and is raised again where the request was
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from typing import Any, Final, TypeVar
+from collections.abc import Callable, Hashable, Iterable
+from typing import Any, Final, TypeVar, cast
 
 import msgpack
 import msgspec
 
+from pcmrs.bus.closed_decoder import INTEGER_LIMIT, closed_decoder
 from pcmrs.errors import DeviceError, PayloadError, PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, Message, Reason, Verdict
 
@@ -25,8 +26,6 @@ MAX_BYTES: Final = 16 * 1024 * 1024
 
 MAX_DEPTH: Final = 32
 """Greatest nesting of lists and maps; far below Python's recursion limit, which handlers of a message rely on."""
-
-_INTEGER_LIMIT: Final = 2**63
 
 
 class Empty(Message, frozen=True, kw_only=True):
@@ -80,6 +79,10 @@ def unpack(payload: bytes, kind: type[T]) -> T:
     limit = getattr(kind, "max_bytes", MAX_BYTES)
     if len(payload) > limit:
         raise PayloadError(f"{len(payload)} bytes are too long: at most {limit}.", length=len(payload), limit=limit)
+    decode = closed_decoder(cast(Hashable, kind))
+    if decode is not None and not is_text(payload) and (message := decode(payload)) is not None:
+        return cast(T, message)
+    # JSON text, a type with open parts, or a payload to refuse with its reason
     value = _decode(payload)
     _require_plain(value)
     return convert(value, kind)
@@ -141,7 +144,7 @@ def _parts(item: Any) -> Iterable[Any]:
         if not math.isfinite(item):
             raise PayloadError(f"{item} is not a finite number; send finite numbers only.", value=str(item))
     elif isinstance(item, int):
-        if not -_INTEGER_LIMIT <= item < _INTEGER_LIMIT:
+        if not -INTEGER_LIMIT <= item < INTEGER_LIMIT:
             raise PayloadError("An integer has more than 64 bits; send it as text.")
     elif not isinstance(item, str | bytes | None):
         raise PayloadError(f"{type(item).__name__} cannot be sent on this bus; use numbers, text, lists and maps.")
