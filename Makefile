@@ -17,6 +17,9 @@ OPTIONS :=
 WORKERS := $(shell echo $$((3 * $$(nproc) / 2)))
 EXTRAS := daemon recording report authoring hardware console imaging ros2 docs fuzz dev
 
+# Some containers set it; each process would then compile every module that it imports.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help install demo test check nightly evidence mutants fuzz tools spin browser mono screenshots docs lint lock release clean
 
 help: ## List these targets
