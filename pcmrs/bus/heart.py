@@ -15,7 +15,6 @@ import struct
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
-from pathlib import Path
 
 import msgspec
 import zenoh
@@ -30,7 +29,7 @@ from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.clock import SystemClock
 from pcmrs.errors import PcmrsError
 from pcmrs.messages import Beat, DeviceEvent
-from pcmrs.threads import Priority, RealTime, Runaway, Runaways
+from pcmrs.threads import Priority, RealTime, Runaway, Runaways, child_processes
 
 SIGN = struct.Struct("<Qd")
 """A sign of life: its number, and the time at which the loop wrote it, s of the machine's monotonic clock."""
@@ -110,10 +109,7 @@ class Heart:
 
 def watched_processes(daemon: int) -> list[int]:
     """Return the process ids of the daemon and its children, without the heart, which would watch itself."""
-    found = [daemon]
-    for task in Path(f"/proc/{daemon}/task").glob("*/children"):
-        with suppress(OSError):  # the thread has ended
-            found += map(int, task.read_text().split())
+    found = [daemon, *child_processes(daemon)]
     return [process for process in found if process != os.getpid()]
 
 

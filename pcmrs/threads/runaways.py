@@ -70,11 +70,11 @@ class Runaways:
         before, self._seen, found = self._seen, {}, []
         for process in self._processes():
             threads = Threads(process)
-            for thread, times in threads.times().items():
+            for thread, times in threads.times(self._is_watched).items():
                 last = before.get(thread, _Seen(now, times, now))
                 if thread in self._demoted:
                     self._check_demoted(thread, last, times, now)
-                elif _is_realtime(thread):
+                else:
                     rested = times.ran - last.times.ran < (1.0 - REST) * (now - last.at)
                     seen = self._seen[thread] = _Seen(now, times, now if rested else last.since)
                     if now - seen.since > LONGEST:
@@ -82,6 +82,9 @@ class Runaways:
                         found.append(Runaway(process, thread, threads.names().get(thread, ""), now - seen.since))
         self._demoted = {thread: many for thread, many in self._demoted.items() if thread in self._seen}
         return found
+
+    def _is_watched(self, thread: int) -> bool:
+        return thread in self._demoted or _is_realtime(thread)
 
     def _demote(self, thread: int) -> None:
         with suppress(OSError):  # it has ended

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from pathlib import Path
 from typing import NamedTuple
 
 
@@ -23,6 +22,8 @@ class ThreadTimes(NamedTuple):
 
 
 _NONE = ThreadTimes(0.0, 0.0)
+_SMALL = 4096
+"""Size above which a file of `proc(5)` may be read in parts, bytes."""
 
 
 class Load(NamedTuple):
@@ -49,12 +50,23 @@ class Threads:
     """
 
     def __init__(self, pid: int | None = None) -> None:
-        self._folder = Path(f"/proc/{pid or os.getpid()}/task")
+        self._folder = f"/proc/{pid or os.getpid()}/task"
         self._before: dict[int, ThreadTimes] | None = None
 
-    def times(self) -> dict[int, ThreadTimes]:
-        """Return the times by thread id; empty if the process has ended or the kernel does not count them."""
-        return {thread: _times_of(text) for thread, text in self._read("schedstat")}
+    def ids(self) -> list[int]:
+        """Return the ids of the threads; empty if the process has ended."""
+        try:
+            return list(map(int, os.listdir(self._folder)))  # noqa: PTH208  # the heart calls it often
+        except OSError:
+            return []
+
+    def times(self, which: Callable[[int], bool] = lambda _: True) -> dict[int, ThreadTimes]:
+        """Return the times by thread id; empty if the process has ended or the kernel does not count them.
+
+        Args:
+            which: Returns True for the id of a thread whose times are wanted.
+        """
+        return {thread: _times_of(text) for thread, text in self._read("schedstat", which)}
 
     def waited(self) -> float:
         """Return the longest total wait of a thread for a processor since the last call, s; 0 at the first call."""
@@ -76,14 +88,34 @@ class Threads:
 
     def load(self) -> Load:
         """Return the present load of the machine."""
-        running = Path("/proc/loadavg").read_text().split()[3].partition("/")[0]
+        running = _read_small("/proc/loadavg").split()[3].partition("/")[0]
         return Load(int(running), len(os.sched_getaffinity(0)))
 
-    def _read(self, file: str) -> Iterator[tuple[int, str]]:
-        with suppress(OSError):  # the process has ended
-            for thread in self._folder.iterdir():
-                with suppress(OSError):  # the thread has
-                    yield int(thread.name), (thread / file).read_text()
+    def _read(self, file: str, which: Callable[[int], bool] = lambda _: True) -> Iterator[tuple[int, str]]:
+        for thread in filter(which, self.ids()):
+            with suppress(OSError):  # the thread has ended
+                yield thread, _read_small(f"{self._folder}/{thread}/{file}")
+
+
+def child_processes(pid: int) -> list[int]:
+    """Return the ids of the child processes that the main thread of a process has started.
+
+    Args:
+        pid: Id of the process; the list is empty if it has ended.
+    """
+    try:
+        return list(map(int, _read_small(f"/proc/{pid}/task/{pid}/children").split()))
+    except OSError:
+        return []
+
+
+def _read_small(path: str) -> str:
+    """Returns the content of a small file of `proc(5)`; `Path.read_text` takes four times as long."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        return os.read(descriptor, _SMALL).decode()
+    finally:
+        os.close(descriptor)
 
 
 def _times_of(text: str) -> ThreadTimes:

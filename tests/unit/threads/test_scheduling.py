@@ -1,4 +1,4 @@
-""""""
+"""What Linux says of the threads and children of a process."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 
-from pcmrs.threads import Threads
+from pcmrs.threads import Threads, child_processes
 
 WORK = "n = 0\nwhile n < 2_000_000: n += 1\nprint('done', flush=True)\ninput()"
 
@@ -21,12 +21,14 @@ def test_working_thread_is_pending_and_a_sleeping_one_is_not() -> None:
     threads = Threads()
     assert thread.native_id in threads.times()
     assert threading.get_native_id() in threads.names()
+    assert list(threads.times(lambda thread: thread == os.getpid())) == [os.getpid()]
     with subprocess.Popen([sys.executable, "-c", UNTIL_TOLD], stdin=subprocess.PIPE) as child:
         other = Threads(child.pid)
         while not other.pending() or other.times()[child.pid].ran == 0.0:
             assert child.poll() is None
         child.communicate(b"\n")
     assert other.times() == {}, "it has ended"
+    assert other.ids() == []
     resting.set()
     thread.join()
 
@@ -56,3 +58,11 @@ def test_processes_sharing_a_processor_wait_and_add_to_the_load() -> None:
         assert Threads().load().processors == len(os.sched_getaffinity(0))
         for child in pair:
             child.communicate(b"\n")
+
+
+def test_children_are_those_that_run_and_none_of_an_ended_process() -> None:
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as child:
+        assert child.pid in child_processes(os.getpid())
+        child.communicate(b"\n")
+    assert child.pid not in child_processes(os.getpid())
+    assert child_processes(child.pid) == []
