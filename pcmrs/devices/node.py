@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
 import uuid
 from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
@@ -55,6 +56,8 @@ STREAM_TIMEOUT = 1.0
 
 HEALTH_PERIOD = 1.0
 """Time between two reports of a device's health, s of the machine."""
+PASSIVE_PERIOD = 0.25
+"""Time between two heartbeats of a device that does not act, s of the machine: only its health depends on them."""
 
 DAEMON_BEAT = "daemon/beat"
 """Key of the daemon's heartbeats. It is not a device's key, so that no device's certificate can forge them."""
@@ -234,17 +237,17 @@ class DeviceNode:
             raise DeviceError("The robot still moves: it can be released when it stands. Ask again.", code="moving")
 
     async def _beat(self) -> None:
-        period, number = beat_period(self._deadman.limit), 0
-        health_every = max(2, round(HEALTH_PERIOD / period))
-        while True:
-            number += 1
+        period = beat_period(self._deadman.limit)
+        passive_every, health_every = (max(1, int(each / period)) for each in (PASSIVE_PERIOD, HEALTH_PERIOD))
+        for turn in itertools.count():
             for name in self._devices:
                 gate = self._gates.get(name)
-                state = gate.state if gate is not None else None
-                self._link.publish(
-                    f"dev/{name}/beat", NodeBeat(number=number, sent=self._clock.monotonic(), gate=state)
-                )
-                if number % health_every == 1 and (health := self._health(name)) is not None:
+                every = 1 if gate is not None else passive_every
+                if turn % every == 0:
+                    state = gate.state if gate is not None else None
+                    beat = NodeBeat(number=turn // every + 1, sent=self._clock.monotonic(), gate=state)
+                    self._link.publish(f"dev/{name}/beat", beat)
+                if turn % health_every == 0 and (health := self._health(name)) is not None:
                     self._link.publish(f"dev/{name}/state", health)
             await self._clock.sleep(period)
             self._note_turn()
