@@ -7,6 +7,7 @@ import sys
 
 import click
 
+import pcmrs.lean_structlog  # noqa: F401
 from pcmrs.cli.lazy import LABORATORY, LazyGroup
 
 COMMANDS = {

@@ -9,11 +9,10 @@ from typing import Any
 
 import click
 import msgspec
-from rich.table import Table
 
 from pcmrs.bus.keys import KeyTable
 from pcmrs.cli.options import Address, address_options, json_option
-from pcmrs.cli.printing import Terminal, say
+from pcmrs.cli.printing import say
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors, run
 from pcmrs.client import Event
 from pcmrs.errors import PayloadError, PcmrsError
@@ -70,6 +69,10 @@ def watch(as_json: bool, address: Address) -> None:
 @readable_errors
 def keys(as_json: bool, address: Address) -> None:
     """List the keys to publish and subscribe to, with their payloads."""
+    from rich.table import Table  # not at the top: stop must not load Rich first
+
+    from pcmrs.cli.tables import Terminal
+
     table = run(_keys(address))
     if as_json:
         say(_json(table))
@@ -172,6 +175,10 @@ def _unknown(outcome: UnknownOutcome) -> str:
 
 
 def _print_snapshot(snapshot: Snapshot) -> None:
+    from rich.table import Table
+
+    from pcmrs.cli.tables import Terminal
+
     table = Table(
         "branch", "state", title=f"{snapshot.blueprint.id} {snapshot.blueprint.version}", title_justify="left"
     )

@@ -12,8 +12,9 @@ from rich.table import Table
 from pcmrs.bus import BusSettings
 from pcmrs.bus.cells import find_cells
 from pcmrs.cli.options import Address, address_options, json_option
-from pcmrs.cli.printing import Terminal, say_json
+from pcmrs.cli.printing import say_json
 from pcmrs.cli.running import readable_errors, run
+from pcmrs.cli.tables import Terminal
 from pcmrs.errors import PcmrsError
 from pcmrs.messages import Snapshot
 

@@ -12,8 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 from pcmrs.cli.options import config_options, json_option
-from pcmrs.cli.printing import print_report
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors
+from pcmrs.cli.tables import print_report
 
 if TYPE_CHECKING:
     from pcmrs.doctor import Examination

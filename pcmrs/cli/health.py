@@ -13,8 +13,9 @@ from rich.table import Table
 from rich.text import Text
 
 from pcmrs.cli.options import Address, address_options, json_option
-from pcmrs.cli.printing import NARROWEST, Terminal, say_json
+from pcmrs.cli.printing import say_json
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
+from pcmrs.cli.tables import NARROWEST, Terminal
 from pcmrs.clock import SystemClock
 from pcmrs.messages.health import Health, LatencyStatus
 

@@ -15,9 +15,9 @@ from rich.table import Table
 
 from pcmrs.cli.journal import journal_of_cell, path_argument
 from pcmrs.cli.options import config_options, json_option
-from pcmrs.cli.printing import print_report
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors
+from pcmrs.cli.tables import print_report
 
 if TYPE_CHECKING:
     from pcmrs.replay import ReplayReport

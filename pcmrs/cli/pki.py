@@ -10,8 +10,9 @@ import click
 
 from pcmrs.cli.lazy import LazyGroup
 from pcmrs.cli.options import json_option
-from pcmrs.cli.printing import Terminal, say, say_json
+from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import readable_errors
+from pcmrs.cli.tables import Terminal
 from pcmrs.messages.identity import ROLES, Role
 
 if TYPE_CHECKING:

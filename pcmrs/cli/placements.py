@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from pcmrs.cli.options import json_option, plot_option
-from pcmrs.cli.printing import print_report
 from pcmrs.cli.running import readable_errors
+from pcmrs.cli.tables import print_report
 from pcmrs.cli.values import Finite
 
 if TYPE_CHECKING:

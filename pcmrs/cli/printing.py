@@ -1,29 +1,11 @@
-"""Output of commands. Text from outside can neither control the terminal nor forge a line of PCMRS."""
+"""Lines that commands print. Text from outside can neither control the terminal nor forge a line of PCMRS."""
 
 from __future__ import annotations
 
-import io
-import re
-from pathlib import Path
-from typing import Any
-
 import click
 import msgspec
-from rich.console import Console, RenderableType
-from rich.text import Text
 
 from pcmrs.visible import visible
-
-NARROWEST = 120
-"""Smallest width of a table, in columns: a narrower terminal wraps its lines, so that no number is cut."""
-
-
-class Terminal(Console):
-    """Rich's console; only its own styles can control the terminal."""
-
-    def render_str(self, text: str, **options: Any) -> Text:
-        """Return a text for a table or a line; Rich calls this for every text."""
-        return super().render_str(visible(text, keep="\n"), **options)
 
 
 def say(text: str, *, err: bool = False) -> None:
@@ -39,34 +21,3 @@ def say(text: str, *, err: bool = False) -> None:
 def say_json(value: object) -> None:
     """Print a message, or anything else that `msgspec` can encode, as one line of JSON."""
     say(msgspec.json.encode(value).decode())
-
-
-def print_report(report: msgspec.Struct, table: RenderableType, *, as_json: bool) -> None:
-    """Print a report as JSON or as a table.
-
-    Args:
-        report: The report.
-        table: Its table.
-        as_json: Print JSON.
-    """
-    if as_json:
-        say_json(report)
-    else:
-        Terminal(width=max(Terminal().width, NARROWEST)).print(table)
-
-
-def save_svg(table: RenderableType, path: Path) -> None:
-    """Write a table as an SVG file.
-
-    Args:
-        table: The table.
-        path: File to write.
-
-    Raises:
-        OSError: It cannot be written.
-    """
-    console = Terminal(width=NARROWEST, record=True, file=io.StringIO())
-    console.print(table)
-    svg = console.export_svg(title="pcmrs")
-    # Rich refers to a web font; a picture of a medical device's results must not load anything.
-    path.write_text(re.sub(r"@font-face\s*{[^}]*}", "", svg), encoding="utf-8")

@@ -19,7 +19,7 @@ import click
 
 from pcmrs.cli.lifeline import NICENESS, inherited
 from pcmrs.cli.options import OutputFile, config_options, json_option
-from pcmrs.cli.printing import Terminal, say_json
+from pcmrs.cli.printing import say_json
 from pcmrs.cli.running import EXIT_FAILED, readable_errors, run
 from pcmrs.cli.values import POSITIVE, Size
 
@@ -178,6 +178,8 @@ async def _record(
 @contextmanager
 def _status(writer: RecordingWriter, name: str) -> Iterator[Callable[[], Coroutine[Any, Any, None]]]:
     """Show a line on a terminal with the number of recorded messages; the yielded function updates it."""
+    from pcmrs.cli.tables import Terminal  # not at the top: the daemon's recorder has no terminal
+
     with Terminal(stderr=True).status(f"recording {name}") as status:
 
         async def show() -> None:

@@ -15,8 +15,9 @@ from rich.text import Text
 
 from pcmrs.background import background_task
 from pcmrs.cli.options import Address, address_options, json_option
-from pcmrs.cli.printing import Terminal, say, say_json
+from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors, run
+from pcmrs.cli.tables import Terminal
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.errors import CommandRefusedError

@@ -13,6 +13,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any, BinaryIO
 
+import pcmrs.lean_structlog  # noqa: F401
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import Reason

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from pcmrs.cli.cell import event_line
 from pcmrs.cli.log import log_to_stderr
-from pcmrs.cli.printing import Terminal, say
+from pcmrs.cli.printing import say
+from pcmrs.cli.tables import Terminal
 from pcmrs.messages import DeviceEvent
 from pcmrs.visible import visible
 

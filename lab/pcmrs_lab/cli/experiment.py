@@ -10,9 +10,9 @@ import msgspec
 from rich.console import RenderableType
 
 from pcmrs.cli.options import json_option, plot_option
-from pcmrs.cli.printing import print_report, save_svg
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
+from pcmrs.cli.tables import print_report, save_svg
 from pcmrs.cli.values import Finite
 from pcmrs_lab.cli.experiment_options import ExperimentOptions, experiment_options
 

@@ -14,9 +14,10 @@ from rich.table import Table
 
 from pcmrs.cli.fsm.files import file_argument, output_option, refuse, sound, write
 from pcmrs.cli.options import Address, address_options, json_option, refuse_given
-from pcmrs.cli.printing import Terminal, say, say_json
+from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import readable_errors, run
+from pcmrs.cli.tables import Terminal
 from pcmrs.errors import PcmrsError
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from pcmrs.calibration.pose_collection import PoseCollection
 from pcmrs.calibration.poses import write_poses
 from pcmrs.cli.calibrate.options import LiveOptions
 from pcmrs.cli.options import Address
-from pcmrs.cli.printing import Terminal
+from pcmrs.cli.tables import Terminal
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.errors import RefusalError

@@ -21,8 +21,9 @@ from rich.table import Table
 from pcmrs.analysis.plots import BLUE, ORANGE, new_figure, save_png
 from pcmrs.calibration import Calibration, Kind, ToolType, next_version, write_calibration
 from pcmrs.cli.calibrate.options import CalibrationLabel, CalibrationRequest
-from pcmrs.cli.printing import Terminal, say
+from pcmrs.cli.printing import say
 from pcmrs.cli.running import EXIT_REJECTED
+from pcmrs.cli.tables import Terminal
 from pcmrs.clock import SystemClock
 from pcmrs.errors import DegenerateMotionError, RefusalError
 from pcmrs.messages import PoseMessage

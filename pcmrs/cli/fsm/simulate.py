@@ -12,8 +12,9 @@ from rich.table import Table
 
 from pcmrs.cli.fsm.files import file_argument, sound
 from pcmrs.cli.options import json_option
-from pcmrs.cli.printing import Terminal, say_json
+from pcmrs.cli.printing import say_json
 from pcmrs.cli.running import readable_errors
+from pcmrs.cli.tables import Terminal
 from pcmrs.errors import RefusalError
 from pcmrs.fsm.behaviour import line_of
 

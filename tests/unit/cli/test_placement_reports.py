@@ -11,7 +11,7 @@ from rich.console import RenderableType
 
 from pcmrs.analysis.placements import PlacementTrial
 from pcmrs.cli.placement_reports import placements_report, placements_tables, pose_log_report, pose_log_table
-from pcmrs.cli.printing import NARROWEST, Terminal
+from pcmrs.cli.tables import NARROWEST, Terminal
 from pcmrs.formats.pose_file import Placement
 from pcmrs.formats.pose_log import ROWS, PoseLog
 from pcmrs.spatial import Transform

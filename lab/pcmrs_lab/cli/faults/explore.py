@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import click
 
 from pcmrs.cli.options import json_option
-from pcmrs.cli.printing import print_report
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors
+from pcmrs.cli.tables import print_report
 from pcmrs_lab.cli.faults.options import minutes_option, output_option, seed_option
 
 if TYPE_CHECKING:

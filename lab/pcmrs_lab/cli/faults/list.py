@@ -8,8 +8,8 @@ import click
 import msgspec
 
 from pcmrs.cli.options import json_option
-from pcmrs.cli.printing import print_report
 from pcmrs.cli.running import readable_errors
+from pcmrs.cli.tables import print_report
 from pcmrs_lab.cli.faults.options import choosing, chosen
 
 if TYPE_CHECKING:

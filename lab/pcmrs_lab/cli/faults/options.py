@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 import msgspec
 
-from pcmrs.cli.printing import Terminal, say_json
+from pcmrs.cli.printing import say_json
 from pcmrs.cli.running import EXIT_REJECTED
+from pcmrs.cli.tables import Terminal
 from pcmrs.cli.values import POSITIVE
 from pcmrs.errors import ConfigurationError
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import click
 
 from pcmrs.cli.options import json_option
-from pcmrs.cli.printing import print_report
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
+from pcmrs.cli.tables import print_report
 from pcmrs_lab.cli.faults.options import PartOf, choosing, chosen, output_option
 
 if TYPE_CHECKING:
