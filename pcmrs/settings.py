@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,6 +20,7 @@ from pcmrs.devices.dwell import DwellSettings
 from pcmrs.devices.opening import DRIVERS
 from pcmrs.errors import ConfigurationError, PayloadError
 from pcmrs.gateway.settings import GatewayConfig
+from pcmrs.installed import entry_points_of
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages.identity import Identity
@@ -359,7 +359,7 @@ def _check_cell(settings: Settings) -> None:
     except PayloadError as error:
         raise ConfigurationError(f"cell.site and cell.name: {error.text}", **error.fields) from None
     _check_home(settings.procedure.home, find_arm(settings.robot.model))
-    known = {point.name for point in entry_points(group=DRIVERS)}
+    known = {point.name for point in entry_points_of(DRIVERS)}
     _check_dwell(settings)
     _check_access(settings.access)
     for driver in settings.drivers():
@@ -398,7 +398,7 @@ def _check_home(home: tuple[float, ...], arm: ArmFacts) -> None:
 
 def _check_driver_tables(tables: Mapping[str, Mapping[str, Any]], where: str = "") -> None:
     """Check the table of each driver with the type that the driver declares for it."""
-    for point in entry_points(group=DRIVER_SETTINGS):
+    for point in entry_points_of(DRIVER_SETTINGS):
         if point.name in tables:
             try:
                 msgspec.convert(tables[point.name], point.load())

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from typing import Any, Final
 
 import click
+
+from pcmrs.installed import entry_points_of
 
 LABORATORY: Final = "pcmrs-lab"
 """Distribution with the commands of the laboratory."""
@@ -56,5 +58,5 @@ class LazyGroup(click.Group):
     def _entry_points(self) -> dict[str, EntryPoint]:
         if self._prefix is None:
             return {}
-        names = {point.name.removeprefix(self._prefix): point for point in entry_points(group=ENTRY_POINTS)}
+        names = {point.name.removeprefix(self._prefix): point for point in entry_points_of(ENTRY_POINTS)}
         return {name: point for name, point in names.items() if self._prefix + name == point.name and "." not in name}

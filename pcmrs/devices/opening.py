@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import AbstractAsyncContextManager
-from importlib.metadata import entry_points
 from typing import Any, Protocol
 
 from pcmrs.clock import SystemClock
 from pcmrs.devices.calls import PROTOCOLS
 from pcmrs.devices.protocols import OpenDriver
 from pcmrs.errors import ConfigurationError
+from pcmrs.installed import entry_points_of
 
 
 def check_conformity(driver: str, devices: Mapping[str, Any]) -> None:
@@ -55,6 +55,6 @@ def open_driver(
         devices: Devices to open together.
         table: Whole configuration as plain data.
     """
-    (point,) = entry_points(group=DRIVERS, name=driver)
+    (point,) = (each for each in entry_points_of(DRIVERS) if each.name == driver)
     opened: OpenDriver = point.load()
     return opened(devices, table, SystemClock(table.get("cell", {}).get("rate", 1.0)))

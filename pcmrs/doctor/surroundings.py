@@ -7,7 +7,7 @@ import os
 import socket
 import stat
 from collections.abc import Iterator, Mapping
-from importlib.metadata import PackageNotFoundError, entry_points, requires, version
+from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,6 +20,7 @@ from pcmrs.doctor.check_result import CheckResult, bad, good, warning
 from pcmrs.errors import ConfigurationError
 from pcmrs.gateway.settings import UNIX_NS
 from pcmrs.hosts import is_loopback
+from pcmrs.installed import entry_points_of
 from pcmrs.service.health.metrics import HOST as METRICS_HOST
 from pcmrs.service.health.report import ENDS_SOON
 from pcmrs.settings import DRIVER_SETTINGS, SIMULATED, Settings
@@ -211,10 +212,10 @@ def _is_installed(package: str) -> bool:
 
 def _place(driver: str, table: Mapping[str, Any]) -> Path | tuple[str, int] | None:
     """Return where a driver finds its device, by its table with the driver's defaults; None if it has no address."""
-    points = entry_points(group=DRIVER_SETTINGS, name=driver)
-    if not points:
+    point = next((each for each in entry_points_of(DRIVER_SETTINGS) if each.name == driver), None)
+    if point is None:
         return None  # a driver of another distribution, without a table
-    found = msgspec.convert(table, points[driver].load())
+    found = msgspec.convert(table, point.load())
     if driver == "ndi":
         host, _, port = found.device.rpartition(":")
         return Path(found.device) if found.device.startswith("/") else (host, int(port))

@@ -148,7 +148,7 @@ class Daemon:
             supervisor.start("disk watch", space.run)
             procedure.start()
             heart.start(supervisor)
-            planner.start(supervisor, procedure.cell.surface)
+            planner.start(supervisor, blueprint, procedure.cell.surface)
             nodes.start(supervisor)
             await procedure.readiness.wait()
             await planner.wait()

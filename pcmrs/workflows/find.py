@@ -6,10 +6,10 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.machinery import ModuleSpec
-from importlib.metadata import entry_points
 from pathlib import Path
 
 from pcmrs.errors import ConfigurationError
+from pcmrs.installed import entry_points_of
 
 FOLDER = Path(__file__).parent
 GROUP = "pcmrs.workflows"
@@ -72,7 +72,7 @@ def find_installed(name: str) -> WorkflowFiles:
 
 def _refuse_incomplete(name: str) -> None:
     """Raise `ConfigurationError` if a package offers the workflow but lacks the module that it names."""
-    for point in entry_points(group=GROUP, name=name):
+    for point in (each for each in entry_points_of(GROUP) if each.name == name):
         package = point.dist.name if point.dist is not None else "a package"
         text = f"The workflow {name!r} is installed by {package}, but its module {point.module} is missing: "
         raise ConfigurationError(f"{text}install {package} again, with that module in it.", workflow=name)
@@ -87,7 +87,7 @@ def _at(path: Path) -> WorkflowFiles:
 def _installed() -> Iterator[tuple[str, WorkflowFiles]]:
     for path in FOLDER.glob("*.toml"):
         yield path.stem, WorkflowFiles(path, f"{__package__}.{path.stem}")
-    for point in entry_points(group=GROUP):
+    for point in entry_points_of(GROUP):
         spec = _spec_of(point.module)
         if spec is not None and spec.origin is not None:
             yield point.name, WorkflowFiles(Path(spec.origin).with_suffix(".toml"), point.module)

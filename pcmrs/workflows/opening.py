@@ -7,7 +7,7 @@ from typing import Any
 
 from pcmrs.dispatcher import Registry, Workflow
 from pcmrs.errors import BlueprintError, ConfigurationError
-from pcmrs.fsm import load_blueprint
+from pcmrs.fsm import Blueprint, load_blueprint
 from pcmrs.workflows.alignment import register_alignment
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.code import WorkflowCode, add_source_location, load_code
@@ -42,6 +42,20 @@ def open_workflow(name: str) -> Workflow[Cell, PlacementData]:
     return _open(find_workflow(name))
 
 
+def open_verified(name: str, blueprint: Blueprint) -> Workflow[Cell, PlacementData]:
+    """Return a workflow whose blueprint this process has from the one that has read and verified it.
+
+    Args:
+        name: Name of the workflow, or path of its blueprint; its Python file is run.
+        blueprint: The blueprint.
+
+    Raises:
+        ConfigurationError: The workflow does not exist, or its Python file is faulty.
+        BlueprintError: The blueprint uses a name that is not registered.
+    """
+    return _complete(find_workflow(name), blueprint)
+
+
 def open_installed(name: str) -> Workflow[Cell, PlacementData]:
     """Return an installed workflow ready to run.
 
@@ -58,7 +72,10 @@ def open_installed(name: str) -> Workflow[Cell, PlacementData]:
 
 
 def _open(files: WorkflowFiles) -> Workflow[Cell, PlacementData]:
-    blueprint = load_blueprint(files.blueprint, warn=lambda warning: _log.warning("%s", warning.heading))
+    return _complete(files, load_blueprint(files.blueprint, warn=lambda warning: _log.warning("%s", warning.heading)))
+
+
+def _complete(files: WorkflowFiles, blueprint: Blueprint) -> Workflow[Cell, PlacementData]:
     code = load_code(files)
     registry = _registry_with(files, code)
     initial = add_source_location(files.code, code.data.begin, blueprint)

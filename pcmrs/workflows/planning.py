@@ -15,6 +15,7 @@ from pcmrs.dispatcher import Workflow
 from pcmrs.dispatcher.execution import reason_of, refusal
 from pcmrs.errors import PcmrsError, RefusalError
 from pcmrs.formats.mesh import Mesh
+from pcmrs.fsm import Blueprint
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import Command, Reason
 from pcmrs.workflows.cell import Cell
@@ -44,12 +45,14 @@ class PlanningSettings:
 
     Attributes:
         workflow: Name of the workflow, or path of its blueprint.
+        blueprint: Its blueprint as read and verified by the daemon, so that both run the same one.
         procedure: Settings of the procedure.
         arm: Name of the arm, or path of its URDF.
         surface: Surface of the body as read by the daemon, so that plans and the guard of motions use the same surface.
     """
 
     workflow: str
+    blueprint: Blueprint
     procedure: ProcedureSettings
     arm: str
     surface: Mesh | None

@@ -17,7 +17,7 @@ import pcmrs.lean_structlog  # noqa: F401
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import Reason
-from pcmrs.workflows.opening import open_workflow
+from pcmrs.workflows.opening import open_verified
 from pcmrs.workflows.planning import PlanAnswer, PlanningCell, PlanningSettings
 
 HEADER = struct.Struct("<QI")
@@ -47,7 +47,8 @@ def main() -> None:
         return
     settings: PlanningSettings = first[1]
     arm = ArmModel(find_arm(settings.arm))
-    cell = PlanningCell(open_workflow(settings.workflow), settings.procedure, arm, settings.surface)
+    workflow = open_verified(settings.workflow, settings.blueprint)
+    cell = PlanningCell(workflow, settings.procedure, arm, settings.surface)
     _write(answers, 0, None)
     for number, request in messages:
         _write(answers, number, cell.answer(request))

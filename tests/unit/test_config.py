@@ -174,7 +174,7 @@ def test_a_real_device_runs_in_real_time(monkeypatch: pytest.MonkeyPatch) -> Non
     def installed(group: str) -> list[EntryPoint]:
         return [EntryPoint(name, "nowhere:open", group) for name in ("sim", "kst")] if group.endswith("drivers") else []
 
-    monkeypatch.setattr(settings_module, "entry_points", installed)
+    monkeypatch.setattr(settings_module, "entry_points_of", installed)
     assert read_settings(None, ["robot.driver=kst"]).drivers() == {
         "kst": ["robot"],
         "sim": ["tracker", "pointer", "scene", "stimulator", "emg"],

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from importlib.metadata import entry_points
 
 import msgspec
 import numpy as np
@@ -17,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from pcmrs.analysis.placements import Summary, summarize
 from pcmrs.errors import ConfigurationError
+from pcmrs.installed import entry_points_of
 from pcmrs.registration import RegistrationLimits, RegistrationVerdict, judge
 from pcmrs.settings import DRIVER_SETTINGS, Settings, read_settings
 from pcmrs.spatial import Floats, Transform
@@ -152,7 +152,7 @@ def _noise(setup: ExperimentSetup) -> NoiseUsed:
 
 def _touch_errors_mm(settings: Settings) -> tuple[float, float]:
     """Return planning bias and noise of a touch of the simulated pointer, mm per axis."""
-    for point in entry_points(group=DRIVER_SETTINGS, name="sim"):
+    for point in (each for each in entry_points_of(DRIVER_SETTINGS) if each.name == "sim"):
         errors = msgspec.convert(settings.sim, point.load()).digitization
         return errors.planning_bias_mm, errors.noise_mm
     raise ConfigurationError(

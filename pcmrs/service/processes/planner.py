@@ -15,6 +15,7 @@ from pcmrs.dispatcher import Run
 from pcmrs.dispatcher.execution import reason_of
 from pcmrs.errors import RefusalError
 from pcmrs.formats.mesh import Mesh
+from pcmrs.fsm import Blueprint
 from pcmrs.killing import kill_and_wait
 from pcmrs.messages import DeviceEvent, Reason
 from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
@@ -67,16 +68,17 @@ class PlanningProcess:
             return reason_of(refusal)
         return apply_answer(run, request, answer)
 
-    def start(self, supervisor: Supervisor, surface: Mesh | None) -> None:
+    def start(self, supervisor: Supervisor, blueprint: Blueprint, surface: Mesh | None) -> None:
         """Start the process, and keep it running.
 
         Args:
             supervisor: Supervisor of the task that keeps it running.
+            blueprint: The verified blueprint of the daemon's workflow.
             surface: Surface of the body, as the daemon has read it.
         """
         settings = self._settings
         procedure = settings.procedure.in_cell_time(settings.cell.rate)
-        start = PlanningSettings(settings.workflow, procedure, settings.robot.model, surface)
+        start = PlanningSettings(settings.workflow, blueprint, procedure, settings.robot.model, surface)
         self._start = frame_message(0, pickle.dumps(start, pickle.HIGHEST_PROTOCOL))
         supervisor.start("planner", self._keep)
 

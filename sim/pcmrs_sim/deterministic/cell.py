@@ -6,7 +6,6 @@ import asyncio
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from functools import cache
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,6 +14,7 @@ from pcmrs.config import as_table
 from pcmrs.devices.node import DeviceNode
 from pcmrs.devices.protocols import OpenDriver
 from pcmrs.dispatcher import Workflow
+from pcmrs.installed import entry_points_of
 from pcmrs.messages import Beat
 from pcmrs.settings import Settings
 from pcmrs.simulated_time.clock import SimulatedClock
@@ -175,6 +175,6 @@ async def simulated_cell(
 
 @cache
 def _open_driver() -> OpenDriver:
-    (point,) = entry_points(group=SIMULATIONS, name=DRIVER)
+    (point,) = (each for each in entry_points_of(SIMULATIONS) if each.name == DRIVER)
     opened: OpenDriver = point.load()
     return opened

@@ -45,14 +45,16 @@ def on_the_machine(work: Coroutine[Any, Any, None]) -> None:
 
 
 @asynccontextmanager
-async def planning(bench: WorkflowBench) -> AsyncIterator[tuple[PlanningProcess, asyncio.Queue[DeviceEvent]]]:
+async def planning(
+    bench: WorkflowBench, workflow: str = "ratms"
+) -> AsyncIterator[tuple[PlanningProcess, asyncio.Queue[DeviceEvent]]]:
     """A process that plans for the cell of a bench, and what is reported of it."""
     clock, events = SystemClock(), asyncio.Queue[DeviceEvent]()
-    planner = PlanningProcess(Settings(procedure=bench.cell.settings), clock)
+    planner = PlanningProcess(Settings(workflow=workflow, procedure=bench.cell.settings), clock)
     planner.report = events.put_nowait
     try:
         async with Supervisor(clock) as supervisor:
-            planner.start(supervisor, bench.cell.surface)
+            planner.start(supervisor, shipped_workflow("ratms").blueprint, bench.cell.surface)
             await planner.wait()
             yield planner, events
     finally:
@@ -98,6 +100,20 @@ async def test_it_answers_as_the_checks_do_in_the_loop() -> None:
             assert process.stdin is not None
             process.stdin.close()  # as when the daemon is killed
             assert await process.wait() == 0
+
+    async with open_bench() as bench:
+        await bench.register()
+        on_the_machine(ask(bench))
+
+
+async def test_it_runs_the_blueprint_that_the_daemon_has_verified(tmp_path: Path) -> None:
+    """A file that is changed before the process is restarted must not give it another workflow than the daemon's."""
+    changed = tmp_path / "ratms.toml"
+    changed.write_text("this is being edited")
+
+    async def ask(bench: WorkflowBench) -> None:
+        async with planning(bench, str(changed)) as (planner, _):
+            assert await planner.check(run_of(bench, "placement.approach")) is None
 
     async with open_bench() as bench:
         await bench.register()

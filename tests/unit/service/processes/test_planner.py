@@ -15,6 +15,7 @@ from pcmrs.service.processes.planner import PAUSE, PLANNING_TIME, PlanningProces
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 from pcmrs.settings import Settings
 from pcmrs.testing.clock import ManualClock, settle
+from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.planning import PlanAnswer
 from pcmrs.workflows.planning_process import HEADER, frame_message
 
@@ -79,7 +80,7 @@ class Bench:
 async def bench() -> AsyncIterator[Bench]:
     made = Bench()
     async with made.supervisor:
-        made.planner.start(made.supervisor, None)
+        made.planner.start(made.supervisor, open_workflow("ratms").blueprint, None)
         await settle()
         yield made
 
