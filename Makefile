@@ -20,7 +20,7 @@ EXTRAS := daemon recording report authoring hardware console imaging ros2 docs f
 # Some containers set it; each process would then compile every module that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install demo test check nightly evidence mutants fuzz tools spin browser mono screenshots docs lint lock release clean
+.PHONY: help install demo test check quick nightly evidence mutants fuzz tools spin browser mono screenshots docs lint lock release clean
 
 help: ## List these targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  make \1\t\2/p' Makefile
@@ -75,8 +75,11 @@ docs: install ## Build the documentation into site/, strictly: a broken link fai
 screenshots: install ## Take the pictures of the console that docs/console.md shows; needs `make browser`
 	$(BIN)/python -m tests.system.console.screenshots docs/pictures
 
-check: lint ## Check style, types and words, and run the unit tests
-	$(BIN)/pytest -n $(WORKERS) --dist worksteal $(OPTIONS) tests/unit
+check: install ## Check style, types and words, and run the unit tests that are quick (tests/slow.txt has the others)
+	$(MAKE) --no-print-directory --jobs=2 --output-sync lint quick
+
+quick: install
+	$(BIN)/pytest -n $$(nproc) --dist worksteal --quick $(OPTIONS) tests/unit
 
 lint: install ## Check style, format, words, types and import contracts
 	$(BIN)/ruff check

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import signal
 from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import pytest
@@ -12,6 +13,7 @@ import structlog
 from hypothesis import settings
 
 from tests import TESTS
+from tests.support import quick
 from tests.support.skip_budget import OPTION, SkipBudget
 from tests.support.trials import USUAL
 
@@ -32,11 +34,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         OPTION, action="store_true", help="fail when a test is skipped that tests/support/skips.toml does not name"
     )
+    quick.add_options(parser)
 
 
 def pytest_configure(config: pytest.Config) -> None:
     if config.getoption(OPTION):
         config.pluginmanager.register(SkipBudget(), "skip-budget")
+    if (costs := config.getoption(quick.COSTS)) is not None:
+        config.pluginmanager.register(quick.Costs(Path(costs).absolute()), "costs")
 
 
 class Collected(NamedTuple):
@@ -65,6 +70,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         )
         for item in items
     ]
+    if config.getoption(quick.QUICK):
+        quick.leave_out_slow(config, items)
 
 
 @pytest.fixture
