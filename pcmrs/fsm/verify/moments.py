@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +14,7 @@ from pcmrs.fsm.verify.decision_tree import Decision, DecisionTree
 from pcmrs.fsm.verify.encoding import Batch, Encoding
 from pcmrs.fsm.verify.search import Reached, SearchBudget, Visited, search, states_leading_to
 from pcmrs.fsm.verify.space import Ending, Space, check_encodable, digits, endings_of, guard
-from pcmrs.fsm.verify.transition import Transition, TransitionTree
+from pcmrs.fsm.verify.transition import Transition, TransitionTree, most_selective_first
 
 Locks = tuple[frozenset[str], frozenset[str]]
 """Branches locked for writing, and for reading."""
@@ -50,6 +52,7 @@ class Moments:
     """
 
     def __init__(self, space: Space, observed: frozenset[str], work: SearchBudget) -> None:
+        self._space = space
         self._observed = [operation for operation in space.operations if operation.name in observed]
         self._locks = {each.name: sorted(_locks(each), key=_sorted) for each in self._observed}
         joint = dict(zip(space.encoding.names, space.encoding.values, strict=True))
@@ -58,15 +61,15 @@ class Moments:
         check_encodable(self._encoding)
         self._work = work
         self.transitions: list[Transition] = []
-        accepting: dict[str, list[Transition]] = {operation.name: [] for operation in space.operations}
+        self._accepting: dict[str, list[Transition]] = {operation.name: [] for operation in space.operations}
+        self._accepting_trees: dict[str, TransitionTree] = {}
         stranded: list[Transition] = []
         for operation, decision in space.decisions():
-            accepting[operation.name] += self._begins(operation, decision)
+            self._accepting[operation.name] += self._begins(operation, decision)
             self._ends(operation, decision)
             stranded += self._stays(operation, decision)
-        self._accepting = {name: TransitionTree(transitions) for name, transitions in accepting.items()}
         self._stranded = TransitionTree(stranded)
-        self.reached = self._search(space) if self._observed else space.reached
+        self.reached = self._search() if self._observed else space.reached
 
     def path_to(self, code: int) -> tuple[str, ...]:
         """Return the commands of a shortest path to a moment."""
@@ -124,10 +127,12 @@ class Moments:
     def _accepted(self, name: str, batch: Batch) -> NDArray[np.bool_]:
         if name not in self._accepting:  # called by children only
             return np.zeros(len(batch.codes), dtype=np.bool_)
-        return batch.cached(name, self._accepting[name].mark)
+        if name not in self._accepting_trees:  # few conditions name an operation, and a tree takes time to make
+            self._accepting_trees[name] = TransitionTree(self._accepting[name])
+        return batch.cached(name, self._accepting_trees[name].mark)
 
-    def _search(self, space: Space) -> Reached:
-        initial = np.array([self._encoding.code(space.blueprint.initial())], dtype=np.int64)
+    def _search(self) -> Reached:
+        initial = np.array([self._encoding.code(self._space.blueprint.initial())], dtype=np.int64)
         following = TransitionTree(self.transitions).successors
         limit = self._encoding.combinations
         reached = search(self._encoding, initial, following, limit=limit, progress=self._work.follow)
@@ -139,15 +144,21 @@ class Moments:
         closure = decision.answer
         if not isinstance(closure, Closure):
             return []
-        where = guard(self._encoding, decision) | self._free(operation, (closure.writes, closure.reads))
+        free = self._free(operation, (closure.writes, closure.reads))
         found: list[Transition] = []
         if operation.name in self._locks:
             digit = self._encoding.position[operation.name]
             held = self._locks[operation.name].index((closure.writes, closure.reads)) + 1
-            where[digit] = (0,)
+            free[digit] = (0,)
             started = Ending(f"{operation.name}:{STARTED}", declared=True, targets={})
+            where = guard(self._encoding, decision) | free
             found.append(self._transition(operation, started, where, {digit: held}))
-        found += [self._transition(operation, ending, where, {}) for ending in endings_of(operation, decision)]
+        at_once = self._space.transitions_after(decision)
+        self._work.spend(COST_OF_TRANSITION * len(at_once))
+        if free:
+            unhindered = most_selective_first(self._encoding, guard(self._encoding, decision) | free)
+            at_once = [replace(each, guard=unhindered) for each in at_once]
+        found += at_once
         self.transitions += found
         return found
 

@@ -65,6 +65,10 @@ class Space:
         """Every transition that can be taken."""
         return [transition for found in self._transitions.values() for transition in found]
 
+    def transitions_after(self, decision: Decision) -> list[Transition]:
+        """Return the transitions that can be taken where a decision is taken."""
+        return self._transitions[decision]
+
     def decisions(self) -> Iterator[tuple[DecisionTree, Decision]]:
         """Return every operation with each decision about it that occurs."""
         for operation in self.operations:

@@ -59,9 +59,7 @@ class Transition:
         """
         moved = {digit: value for digit, value in targets.items() if guard[digit] != (value,)}
         shift = sum((value - guard[digit][0]) * encoding.weights[digit] for digit, value in moved.items())
-        # The most selective digit first: most rows are then dropped by the first question.
-        by_choice = sorted(guard.items(), key=lambda part: len(part[1]) / encoding.sizes[part[0]])
-        return cls(command, *requested, intended, tuple(by_choice), moved, shift)
+        return cls(command, *requested, intended, most_selective_first(encoding, guard), moved, shift)
 
     def backward(self) -> Transition:
         """Return the reverse of the transition."""
@@ -70,48 +68,36 @@ class Transition:
         return replace(self, guard=tuple(guard.items()), targets=before, shift=-self.shift)
 
 
+def most_selective_first(encoding: Encoding, guard: dict[int, tuple[int, ...]]) -> Guard:
+    """Return a guard in the order in which most rows are dropped by the first question.
+
+    Args:
+        encoding: Encoding of the codes.
+        guard: Digits, with the values that each may have.
+    """
+    return tuple(sorted(guard.items(), key=lambda part: len(part[1]) / encoding.sizes[part[0]]))
+
+
 class TransitionTree:
     """Transitions as a decision tree of their guards: a condition that many share is evaluated once.
 
     Args:
-        transitions: Transitions of the tree; those with an empty rest of the guard are taken at this node.
-        depth: Number of parts of each guard that are known to hold here.
+        transitions: Transitions of the tree.
     """
 
-    def __init__(self, transitions: Iterable[Transition], depth: int = 0) -> None:
-        self.taken: list[Transition] = []
-        below: dict[tuple[int, tuple[int, ...]], list[Transition]] = {}
+    def __init__(self, transitions: Iterable[Transition]) -> None:
+        by_guard: dict[Guard, list[Transition]] = {}
         for transition in transitions:
-            if len(transition.guard) == depth:
-                self.taken.append(transition)
-            else:
-                below.setdefault(transition.guard[depth], []).append(transition)
-        self._one_of: list[tuple[int, tuple[int, ...], TransitionTree]] = []
-        self._exactly: dict[int, dict[int, TransitionTree]] = {}
-        for (digit, allowed), those in below.items():
-            following = TransitionTree(those, depth + 1)
-            if len(allowed) == 1:
-                self._exactly.setdefault(digit, {})[allowed[0]] = following
-            else:
-                self._one_of.append((digit, allowed, following))
+            by_guard.setdefault(transition.guard, []).append(transition)
+        self._root = _Node(by_guard.items(), 0)
 
-    def enabled(self, batch: Batch, rows: Rows | None = None) -> Iterator[tuple[list[Transition], Rows]]:
+    def enabled(self, batch: Batch) -> Iterator[tuple[list[Transition], Rows]]:
         """Return groups of transitions with the same guard, and the rows where it holds; no row twice, no empty group.
 
         Args:
             batch: Some codes.
-            rows: Rows to look at; all by default.
         """
-        if self.taken:
-            yield self.taken, np.arange(len(batch.codes)) if rows is None else rows
-        for digit, by_value in self._exactly.items():
-            for value, part in batch.split(digit, rows):
-                if value in by_value and len(part):
-                    yield from by_value[value].enabled(batch, part)
-        for digit, allowed, following in self._one_of:
-            part = batch.rows_among(digit, allowed, rows)
-            if len(part):
-                yield from following.enabled(batch, part)
+        return self._root.enabled(batch, None)
 
     def mark(self, batch: Batch) -> NDArray[np.bool_]:
         """Return a mask of the rows where any of the transitions can be taken; shape (n,)."""
@@ -126,3 +112,43 @@ class TransitionTree:
             codes = batch.codes[rows]
             for shift in {transition.shift for transition in transitions} - {0}:
                 yield codes + shift
+
+
+class _Node:
+    """A question of the tree.
+
+    Args:
+        groups: Transitions by their guards; those with an empty rest of the guard are taken here.
+        depth: Number of parts of each guard that are known to hold here.
+    """
+
+    def __init__(self, groups: Iterable[tuple[Guard, list[Transition]]], depth: int) -> None:
+        self.taken: list[Transition] = []
+        below: dict[tuple[int, tuple[int, ...]], list[tuple[Guard, list[Transition]]]] = {}
+        for group in groups:
+            guard, transitions = group
+            if len(guard) == depth:
+                self.taken = transitions
+            else:
+                below.setdefault(guard[depth], []).append(group)
+        self._one_of: list[tuple[int, tuple[int, ...], _Node]] = []
+        self._exactly: dict[int, dict[int, _Node]] = {}
+        for (digit, allowed), those in below.items():
+            following = _Node(those, depth + 1)
+            if len(allowed) == 1:
+                self._exactly.setdefault(digit, {})[allowed[0]] = following
+            else:
+                self._one_of.append((digit, allowed, following))
+
+    def enabled(self, batch: Batch, rows: Rows | None) -> Iterator[tuple[list[Transition], Rows]]:
+        """See `TransitionTree.enabled`; `rows` are those to look at, None for all."""
+        if self.taken:
+            yield self.taken, np.arange(len(batch.codes)) if rows is None else rows
+        for digit, by_value in self._exactly.items():
+            for value, part in batch.split(digit, rows):
+                if value in by_value and len(part):
+                    yield from by_value[value].enabled(batch, part)
+        for digit, allowed, following in self._one_of:
+            part = batch.rows_among(digit, allowed, rows)
+            if len(part):
+                yield from following.enabled(batch, part)
