@@ -52,11 +52,19 @@ class ServeProcess:
         self.ready = ready
         self.settings = list(settings)
         self._folder = folder
+        self._forgotten = 0
 
     @property
     def log(self) -> str:
-        """Everything that daemon and node have written to standard error."""
-        return (self._folder / "log").read_text(errors="replace")
+        """Everything that daemon and node have written to standard error since `forget_log`."""
+        return self._written()[self._forgotten :].decode(errors="replace")
+
+    def forget_log(self) -> None:
+        """Leaves out of `log` what was written before: a test that shares the daemon must not find it there."""
+        self._forgotten = len(self._written())
+
+    def _written(self) -> bytes:
+        return (self._folder / "log").read_bytes()
 
     @property
     def cell(self) -> str:

@@ -25,10 +25,10 @@ async def daemon(shared_daemon: ServeProcess) -> AsyncIterator[ServeProcess]:
     """The shared daemon, reset; fails the test when something went wrong in it."""
     async with shared_daemon.client() as client:
         await reset_cell(client)
-    before = len(shared_daemon.log)
+    shared_daemon.forget_log()
     yield shared_daemon
     assert shared_daemon.process.poll() is None
-    assert "Traceback" not in shared_daemon.log[before:]
+    assert "Traceback" not in shared_daemon.log
 
 
 @pytest.fixture
