@@ -26,7 +26,6 @@ from pcmrs.testing.driving import (
     connect,
     landmarks,
     register,
-    reset_cell,
     showing,
     to_standoff,
     tool_pose,
@@ -42,6 +41,7 @@ from tests.system.daemon.daemon_process import (
     own_settings,
     running_daemon,
     stands_still,
+    start_over,
     wait_until,
 )
 from tests.unit.sim.deterministic.simulated_cells import in_cell
@@ -211,12 +211,7 @@ def started_apart(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Apart]:
 
 @pytest.fixture
 async def apart(started_apart: Apart) -> AsyncIterator[Apart]:
-    """Daemon and node in the initial state, whatever they were used for before."""
-    async with started_apart.daemon.client() as client:
-        if (await client.state()).branches["robot"] == "0":
-            await connect(client)
-        await reset_cell(client)
-    started_apart.daemon.forget_log()
+    await start_over(started_apart.daemon)
     yield started_apart
     assert started_apart.daemon.process.poll() is None
     assert "Traceback" not in started_apart.daemon.log
