@@ -33,6 +33,8 @@ QUICK = (
     "sim.digitization.rest_time=0.1",
 )
 """Default settings of every daemon: a fast cell."""
+LIGHT = ("sim.arm.physics=kinematic", "sim.tracker.rate_hz=10", "sim.arm.state_rate_hz=10")
+"""Settings for tests in which neither dynamics nor rates matter: a cell at rest takes half the processor time."""
 REAL_TIME = (
     "cell.rate=1",
     "procedure.max_pose_age=0.5",

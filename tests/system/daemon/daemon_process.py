@@ -25,6 +25,7 @@ from pcmrs.planner import Planner
 from pcmrs.service import Ready
 from pcmrs.testing.cell import QUICK
 from pcmrs.testing.daemon import DEVICE_KEY, descendants, device_key, free_port
+from pcmrs.testing.driving import connect, reset_cell
 from tests import ROOT
 
 PLAN: dict[str, Any] = json.loads((ROOT / "examples" / "ratms_plan.json").read_text())
@@ -52,11 +53,19 @@ class ServeProcess:
         self.ready = ready
         self.settings = list(settings)
         self._folder = folder
+        self._forgotten = 0
 
     @property
     def log(self) -> str:
-        """Everything that daemon and node have written to standard error."""
-        return (self._folder / "log").read_text(errors="replace")
+        """Everything that daemon and node have written to standard error since `forget_log`."""
+        return self._written()[self._forgotten :].decode(errors="replace")
+
+    def forget_log(self) -> None:
+        """Leaves out of `log` what was written before: a test that shares the daemon must not find it there."""
+        self._forgotten = len(self._written())
+
+    def _written(self) -> bytes:
+        return (self._folder / "log").read_bytes()
 
     @property
     def cell(self) -> str:
@@ -197,6 +206,16 @@ def running_daemon(settings: Sequence[str], folder: Path) -> Iterator[ServeProce
             os.kill(node, signal.SIGKILL)
         if process.stdout is not None:
             process.stdout.close()
+
+
+async def start_over(daemon: ServeProcess) -> None:
+    """Brings a shared cell to its initial state, whatever a test has done to its processes, and forgets the log."""
+    async with daemon.client() as client:
+        if (await client.state()).branches["robot"] == "0":
+            await connect(client)  # its node may be starting
+        await reset_cell(client)
+        assert not (await client.state()).latched
+    daemon.forget_log()
 
 
 async def stands_still(client: Client) -> bool:

@@ -18,7 +18,6 @@ from tests.system.daemon.daemon_process import (
     PATIENCE,
     ServeProcess,
     own_settings,
-    run_pcmrs,
     running_daemon,
     wait_until,
 )
@@ -150,11 +149,3 @@ def restarts(daemon: ServeProcess) -> int:
     (node,) = json.loads(daemon.pcmrs("health", "--json").stdout)["nodes"]
     many: int = node["restarts"]
     return many
-
-
-def test_healthy_daemon_has_status_0_and_an_absent_one_has_3(daemon: ServeProcess) -> None:
-    assert wait_until(lambda: daemon.pcmrs("health").returncode == 0)
-    ended = run_pcmrs("health", "--endpoint", daemon.ready.endpoint, "--site", "test", "--cell", "elsewhere")
-    assert ended.returncode == 3
-    assert ended.stdout == ""
-    assert "elsewhere" in ended.stderr

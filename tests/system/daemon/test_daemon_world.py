@@ -5,11 +5,12 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
 import pytest
 
+from pcmrs.testing.cell import LIGHT
 from pcmrs.testing.driving import accept, moving, register, showing, until
 from tests.system.daemon.daemon_process import (
     SLOW,
@@ -19,17 +20,25 @@ from tests.system.daemon.daemon_process import (
     own_settings,
     running_daemon,
     stands_still,
+    start_over,
     wait_until,
 )
 
 REALTIME = os.SCHED_RR | os.SCHED_RESET_ON_FORK
 
 
-@pytest.fixture
-def daemon(tmp_path: Path) -> Iterator[ServeProcess]:
-    with running_daemon([*own_settings(tmp_path), *SLOW], tmp_path) as daemon:
+@pytest.fixture(scope="module")
+def shared_daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeProcess]:
+    folder = tmp_path_factory.mktemp("cell")
+    with running_daemon([*own_settings(folder), *SLOW, *LIGHT, "sim.arm.physics=mujoco"], folder) as daemon:
         yield daemon
-        assert "Traceback" not in daemon.log
+
+
+@pytest.fixture
+async def daemon(shared_daemon: ServeProcess) -> AsyncIterator[ServeProcess]:
+    await start_over(shared_daemon)
+    yield shared_daemon
+    assert "Traceback" not in shared_daemon.log
 
 
 def policies(pid: int) -> list[int]:

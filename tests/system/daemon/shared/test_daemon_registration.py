@@ -8,7 +8,7 @@ import pytest
 
 from pcmrs.client import Client
 from pcmrs.planner import Planner
-from pcmrs.testing.driving import accept, landmarks, register, reset_cell, showing, until
+from pcmrs.testing.driving import accept, landmarks, register, showing, until
 from tests.system.daemon.daemon_process import PLAN, ServeProcess, own_settings, running_daemon
 
 POINTS = 25
@@ -18,7 +18,6 @@ POINTS = 25
 async def test_the_wire_refines_a_registration_by_the_surface(
     daemon: ServeProcess, client: Client, planner: Planner
 ) -> None:
-    await reset_cell(client)
     await planner.plan_landmarks([landmark["position"] for landmark in PLAN["landmarks"]])
     assert (await planner.command("icp_digitizexxxx")).reason == "invalid_in_state"
     await planner.digitize_all()
@@ -37,7 +36,6 @@ async def test_the_wire_refines_a_registration_by_the_surface(
 
 
 async def test_swapped_landmarks_are_named(daemon: ServeProcess, client: Client) -> None:
-    await reset_cell(client)
     await accept(client, "registration.plan_landmarks", **landmarks())
     first, second = (PLAN["landmarks"][index] for index in (0, 4))
     between = [b - a for a, b in zip(first["position"], second["position"], strict=True)]

@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 import pytest
 
 from pcmrs.client import Client
-from pcmrs.testing.driving import accept, reset_cell, showing, until
+from pcmrs.testing.driving import accept, showing, until
 from tests.system.daemon.daemon_process import PLAN, ServeProcess
 
 ACK_WITHIN = 0.5
@@ -78,7 +78,6 @@ def _plan_of_pose(number: int) -> list[str]:
 
 
 async def test_the_workflow_with_fixed_reply_ports(daemon: ServeProcess, client: Client) -> None:
-    await reset_cell(client)
     async with _lab_client(daemon) as lab:
         assert await lab.ask("robot", "get_jnt_angsxxxx;") == "no_data_returned;"
         await lab.tell("robot", "rob_conn_onxxxxx;")
@@ -111,7 +110,6 @@ async def test_the_workflow_with_fixed_reply_ports(daemon: ServeProcess, client:
 
 
 async def test_after_a_refused_plan_no_motion_goes_to_the_old_target(daemon: ServeProcess, client: Client) -> None:
-    await reset_cell(client)
     async with _lab_client(daemon) as lab:
         for command in _plan_of_landmarks():
             await lab.tell("planner", command)

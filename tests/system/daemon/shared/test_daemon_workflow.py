@@ -2,14 +2,12 @@ from __future__ import annotations
 
 from pcmrs.client import Client
 from pcmrs.planner import Planner
-from pcmrs.testing.driving import reset_cell
 from tests.system.daemon.daemon_process import PLAN, ServeProcess
 
 
 async def test_an_external_planner_completes_the_procedure_over_udp(
     daemon: ServeProcess, planner: Planner, client: Client
 ) -> None:
-    await reset_cell(client)
     await planner.connect()
     await planner.plan_landmarks([landmark["position"] for landmark in PLAN["landmarks"]])
     await planner.digitize_all()
