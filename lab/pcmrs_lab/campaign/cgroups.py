@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,6 +17,8 @@ MOUNTED = Path("/sys/fs/cgroup")
 PERIOD_US = 100_000
 REALTIME_PERIOD_US = 1_000_000
 """Default period of the kernel for the real-time policy."""
+FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
+"""Errors of groups that exist and may not be written, such as those that a container mounts read-only."""
 
 
 @contextmanager
@@ -62,16 +65,23 @@ def _group(controller: str, first: dict[str, str], second: dict[str, str], pids:
     parent, settings = (own, first) if own.is_dir() else (MOUNTED, second)
     folder = parent / f"pcmrs-{uuid.uuid4().hex[:8]}"
     try:
+        _make(folder, settings, pids)
+        yield folder
+    finally:
+        _dissolve(folder, parent)
+
+
+def _make(folder: Path, settings: dict[str, str], pids: Sequence[int]) -> None:
+    try:
         folder.mkdir()
         for name, value in settings.items():
             (folder / name).write_text(value)
         for pid in () if is_sham() else pids:
             (folder / "cgroup.procs").write_text(str(pid))
-        yield folder
-    except PermissionError as error:
+    except OSError as error:
+        if error.errno not in FORBIDDEN:
+            raise
         raise NotRun(f"Control groups cannot be written here: {error}.") from None
-    finally:
-        _dissolve(folder, parent)
 
 
 def _killed(folder: Path) -> int:

@@ -1,7 +1,4 @@
-"""Millions of malformed commands at a daemon's UDP socket: made by the grammar, changed at one place, or random.
-
--
-"""
+"""Millions of malformed commands at a daemon's UDP socket: made by the grammar, changed at one place, or random."""
 
 from __future__ import annotations
 
@@ -95,7 +92,6 @@ GROWTH_MB = 10.0
 """Limit for the growth of the daemon after that, MB."""
 
 LOOKS = 10
-"""Memory is the least of so many looks, `BETWEEN` s of the machine apart: at any moment a few MB may be about to go."""
 BETWEEN = 0.3
 """Memory is the least of `LOOKS` measurements, this time apart (s of the machine), since a few MB may be about to be
 freed."""

@@ -1,7 +1,4 @@
-"""Resources of a process, as the kernel reports them: memory, file descriptors, threads.
-
--
-"""
+"""Resources of a process, as the kernel reports them: memory, file descriptors, threads."""
 
 from __future__ import annotations
 

@@ -18,6 +18,7 @@ from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.cli.tables import Terminal
+from pcmrs.cli.values import POSITIVE
 from pcmrs.errors import PcmrsError
 
 if TYPE_CHECKING:
@@ -39,8 +40,10 @@ LIVE_ONLY = ("connect", "endpoint", "site", "cell", "rate", "seed", "overrides",
 @click.option("--live", is_flag=True, help="Test a running daemon on simulated devices, by default a separate one.")
 @click.option("--connect", is_flag=True, help="With --live: test the daemon at --endpoint, which nobody else may use.")
 @address_options
-@click.option("--rate", default=10.0, show_default=True, help="Speed of the separate daemon's simulation.")
-@click.option("--seed", default=1, show_default=True, help="Seed of its simulated errors.")
+@click.option(
+    "--rate", type=POSITIVE, default=10.0, show_default=True, help="Speed of the separate daemon's simulation."
+)
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of its simulated errors.")
 @click.option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="Set one value of its configuration.")
 @click.option(
     "--arguments",
@@ -48,7 +51,9 @@ LIVE_ONLY = ("connect", "endpoint", "site", "cell", "rate", "seed", "overrides",
     type=click.Path(path_type=Path),
     help="TOML file of arguments, by payload or operation; by default those of the workflow's example plan.",
 )
-@click.option("--time-limit", default=900.0, show_default=True, help="Seconds after which a live tour ends.")
+@click.option(
+    "--time-limit", type=POSITIVE, default=900.0, show_default=True, help="Seconds after which a live tour ends."
+)
 @click.option(
     "--limit",
     default=5000,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from pcmrs_lab.experiment.error_series import ErrorSeries, PlacementErrorMonitor
 from pcmrs_lab.experiment.head_motions import Scenario, scenarios
 from pcmrs_lab.experiment.placements import NOT_SEEN, PATIENCE, PAUSE, once_seen, registered
 from pcmrs_lab.experiment.private import ExperimentBench, private_bench
+from pcmrs_lab.experiment.session.operator import TO_PLACED
 from pcmrs_lab.experiment.setup import ExperimentSetup
 
 ALIGNED_WITHIN = 10.0
@@ -26,8 +28,6 @@ ATTEMPTS = 3
 """Number of attempts: on a busy machine the robot may miss its set points, and hold."""
 OCCLUDED = 3.0
 """Time for which the reference is hidden at the end, s of the cell."""
-TO_PLACED = {"held": "back_off", "retracted": "approach", "standoff": "confirm", "following": "stop_following"}
-"""Operation that leads to the planned pose, by state of the placement."""
 
 
 class ErrorSummary(msgspec.Struct, frozen=True):
@@ -178,7 +178,7 @@ async def _begin(bench: ExperimentBench, monitor: PlacementErrorMonitor) -> None
         if (await bench.client.state()).latched:
             await bench.client.acknowledge()
         while (state := (await bench.client.state()).branches["placement"]) != "placed":
-            await _request(bench, f"placement.{TO_PLACED[state]}")
+            await _request(bench, TO_PLACED[state])
         await _request(bench, "placement.follow")
         if await monitor.aligned(ALIGNED_WITHIN):
             return
@@ -214,6 +214,9 @@ def _result(scenario: Scenario, series: ErrorSeries, monitor: PlacementErrorMoni
 
 
 def _error_summary(errors_mm: Sequence[float]) -> ErrorSummary:
+    """Return the statistics; nan if there are no errors: the tool was lost before the tracker's first frame."""
+    if not errors_mm:
+        return ErrorSummary(math.nan, math.nan, math.nan)
     errors = np.array(errors_mm)
     rms = float(np.sqrt(np.mean(errors**2)))
     return ErrorSummary(rms, float(np.percentile(errors, 99.0)), float(errors.max()))

@@ -45,7 +45,9 @@ def reachable_speed(wanted: float, share: float) -> Speed:
     Returns:
         Rate, with the reason if it is reduced.
     """
-    rate = max(min(wanted, 1.0), round(wanted * min(1.0, share / ENOUGH), 1))
+    if share >= ENOUGH or wanted <= 1.0:
+        return Speed(wanted)
+    rate = min(wanted, max(1.0, round(wanted * share / ENOUGH, 1)))
     if rate == wanted:
         return Speed(wanted)
     why = f"The machine is busy ({Threads().load()}): the simulated cell runs {rate:g} times as fast as real time, "

@@ -17,9 +17,9 @@ from pcmrs_lab.campaign import cgroups, loopdisk, syscalls
 from pcmrs_lab.campaign.cgroups import processor_quota
 from pcmrs_lab.campaign.fault import NotRun
 from pcmrs_lab.campaign.loopdisk import loop_disk
-from pcmrs_lab.campaign.needs import Need, program
+from pcmrs_lab.campaign.needs import Need
 from pcmrs_lab.campaign.syscalls import injected
-from pcmrs_lab.campaign.tools import require, tool
+from pcmrs_lab.campaign.tools import require
 
 WRITER = """
 import os, sys
@@ -114,17 +114,6 @@ def test_a_process_gets_no_more_than_its_share() -> None:
 
 def _ran(pid: int) -> float:
     return sum(each.ran for each in Threads(pid).times().values())
-
-
-async def test_a_tool_that_fails_is_not_run() -> None:
-    with pytest.raises(NotRun, match="failed here"):
-        await tool(["false"])
-
-
-def test_missing_item_is_named() -> None:
-    require([program("sh")])
-    with pytest.raises(NotRun, match="missing here: no-such-program, moon;"):
-        require([program("sh"), program("no-such-program"), Need("moon", lambda: False)])
 
 
 @contextmanager

@@ -5,18 +5,11 @@ from __future__ import annotations
 import pytest
 
 from pcmrs_lab.campaign.catalogue import choose
-from pcmrs_lab.campaign.injections import injections
 from pcmrs_lab.campaign.run import run_campaign
 from tests.system.campaign.answered import check_answered
 
-CLASSES = ("network", "process", "storage", "clock", "adversary", "order")
-ROWS = choose(CLASSES)
 QUICK = ("N5", "A7")
 """On one daemon, in seconds."""
-
-
-def test_every_row_can_be_injected() -> None:
-    assert not [row.id for row in ROWS if not injections().get(row.id)]
 
 
 @pytest.mark.nightly

@@ -29,12 +29,6 @@ async def pool(tmp_path: Path) -> AsyncIterator[Pool]:
     await made.close()
 
 
-def test_the_class_has_its_rows_and_each_is_injected() -> None:
-    rows = [row.id for row in choose(["order"])]
-    assert len(rows) >= 25
-    assert not set(rows) - injections().keys()
-
-
 async def expect_found_out(way: Injection, folder: Path, pool: Pool) -> None:
     """A row whose fault does not take place says so by itself."""
     with sham():

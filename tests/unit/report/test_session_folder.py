@@ -10,6 +10,7 @@ import pytest
 
 from pcmrs.errors import ConfigurationError
 from pcmrs.journal import JournalReader
+from pcmrs.journal.writer import JournalWriter
 from pcmrs.report.session_folder import (
     CONFIGURATION,
     JOURNAL,
@@ -25,6 +26,7 @@ from pcmrs.report.session_folder import (
 )
 from pcmrs.settings import read_settings
 from tests.support.session_records import mesh, record
+from tests.unit.journal.journal_rows import ROW
 from tests.unit.report import report_journals
 
 
@@ -64,6 +66,18 @@ def test_a_copied_journal_has_the_rows_of_its_source(tmp_path: Path) -> None:
     with JournalReader(source) as original, JournalReader(folder / JOURNAL) as copy:
         assert list(copy.read()) == list(original.read())
     assert len((folder / ROWS).read_text().splitlines()) == 20
+
+
+def test_a_journal_is_copied_while_it_is_written(tmp_path: Path) -> None:
+    writer = JournalWriter(tmp_path / "live.sqlite", durable=False)
+    writer.write([ROW])
+    folder = tmp_path / "session"
+    folder.mkdir()
+    write_journal(tmp_path / "live.sqlite", folder)
+    writer.close()
+    with JournalReader(folder / JOURNAL) as copy:
+        assert [stored.row for stored in copy.read()] == [ROW[0]]
+    assert not list(folder.glob(f"{JOURNAL}-*")), "what is beside a journal that is being written is not copied"
 
 
 def test_results_are_in_the_folder_with_a_hash_of_each(tmp_path: Path) -> None:

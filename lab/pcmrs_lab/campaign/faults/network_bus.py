@@ -33,13 +33,13 @@ BURST = 10
 """Number of poses that may come between the two counts, of received and of dropped ones."""
 
 
-@fault("N9", how=WIRE)
+@fault("N9", how=f"{WIRE}; nothing arrives at the node")
 async def the_daemon_does_not_reach_the_robot(lab: Lab) -> Evidence:
     """In motion, messages from the daemon to the node are lost: the node holds the arm by itself."""
     return await _cut_in_motion(lab, towards=True, back=False)
 
 
-@fault("N9", how=WIRE)
+@fault("N9", how=f"{WIRE}; nothing arrives at the daemon")
 async def the_robot_does_not_reach_the_daemon(lab: Lab) -> Evidence:
     """In motion, messages from the node to the daemon are lost."""
     return await _cut_in_motion(lab, towards=False, back=True)

@@ -28,6 +28,7 @@ def soak(hours: float, seed: int, plot: Path | None, as_json: bool) -> None:
     Example: pcmrs faults soak --hours 8 --plot soak.png
     """
     from rich.box import SIMPLE_HEAD
+    from rich.markup import escape
     from rich.table import Table
 
     from pcmrs.clock import SystemClock
@@ -39,8 +40,8 @@ def soak(hours: float, seed: int, plot: Path | None, as_json: bool) -> None:
         from pcmrs_lab.campaign.soak_plot import draw_soak
 
         draw_soak(report, plot)
-    title = f"{report.steps} commands, {report.stops} of them Stop, in {report.seconds / 3600:.2f} h. {report.ended}"
-    table = Table("process", "measure", "first", "last", "rise of its line", "", box=SIMPLE_HEAD, title=title)
+    title = f"{report.steps} commands, {report.stops} of them Stop, in {report.seconds / 3600:.2f} h. "
+    table = Table("process", "measure", "first", "last", "rise of its line", "", box=SIMPLE_HEAD, title=title + escape(report.ended))
     for trend in report.courses:
         scale = 1e6 if trend.measure == "memory" else 1.0
         unit = " MB" if trend.measure == "memory" else ""

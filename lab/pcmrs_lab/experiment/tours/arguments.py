@@ -61,9 +61,9 @@ class Arguments:
             name: Operation, ``branch.operation``.
             payload: Name of its payload type.
         """
-        tables = self._tables(name, payload)
+        tables, used = self._tables(name, payload), self._used[name]
         self._used[name] += 1
-        return tables[self._used[name] % len(tables)] if tables else {}
+        return tables[used % len(tables)] if tables else {}
 
     def _tables(self, name: str, payload: str) -> list[Table]:
         if name in self._given:
@@ -100,5 +100,5 @@ def read_arguments(path: Path) -> dict[str, Table | list[Table]]:
         return msgspec.convert(given, dict[str, Table | list[Table]])
     except OSError as error:
         raise ConfigurationError(f"{path} cannot be read: {error.strerror}.") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, msgspec.ValidationError, RecursionError) as error:
         raise ConfigurationError(f"{path} contains no valid arguments: {error}.") from None

@@ -8,9 +8,7 @@ import sys
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 
-from pcmrs.cli import main
 from pcmrs_lab.experiment.published import PUBLISHED
 
 pytestmark = pytest.mark.slow
@@ -76,21 +74,3 @@ def test_every_injected_error_is_rejected_where_the_paper_says() -> None:
         assert run["motion_refused"] is (None if paper.rejected_at is None else True)
     summary = report["summary"]
     assert summary == {"runs": 20, "as_published": 20, "controls_completed": 6, "injections_rejected": 14}
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("placements", "--workflow", "no_such"), "The paper has no experiment with workflow 'no_such'"),
-        (("placements", "--trials", "1"), "1 is not in the range x>=2"),
-        (("placements", "--plan", "/no/such/file"), "cannot be read"),
-        (("failures", "--plan", "examples/ratms_plan.json"), "name it with --workflow"),
-        (("failures", "--set", "robot.wheels=4", "--rate", "9"), "wheels"),
-    ],
-)
-def test_bad_requests_are_refused_in_one_line(words: tuple[str, ...], said: str) -> None:
-    ended = CliRunner().invoke(main, ["experiment", *words, "--json"])
-    assert ended.exit_code != 0
-    assert isinstance(ended.exception, SystemExit)  # anything else would be a traceback
-    assert ended.stdout == ""
-    assert said in ended.stderr

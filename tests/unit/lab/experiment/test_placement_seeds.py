@@ -11,39 +11,19 @@ from click.testing import CliRunner, Result
 
 from pcmrs.cli import main
 from pcmrs.errors import CommandRefusedError
-from pcmrs.messages import PoseMessage
 from pcmrs_lab.experiment import placement_seeds
-from pcmrs_lab.experiment.placements import PlacementReport, Trial, summary_of
+from pcmrs_lab.experiment.placements import PlacementReport
 from pcmrs_lab.experiment.setup import ExperimentSetup
+from tests.unit.lab.experiment.example_reports import placement_report
 
 REFUSED_SEED = 6
-POSE = PoseMessage(position=(0.0, 0.0, 0.0), quat_wxyz=(1.0, 0.0, 0.0, 0.0))
-
-
-def _trial(number: int, seed: int) -> Trial:
-    """Errors that tell trial and seed: the translation error is seed.trial."""
-    error = seed + number / 10
-    return Trial(number, error, error / 10, 2 * error, error / 5, 3.0, 0.5, POSE, POSE)
 
 
 async def _measured(setup: ExperimentSetup, trials: int) -> PlacementReport:
     setup.progress("placing", 1, trials)
     if setup.seed == REFUSED_SEED:
         raise CommandRefusedError("registration.register was rejected: the residual is too large.")
-    done = [_trial(number, setup.seed) for number in range(1, trials + 1)]
-    return PlacementReport(
-        experiment="placements",
-        workflow=setup.workflow,
-        seed=setup.seed,
-        rate=setup.rate,
-        settings=setup.settings(),
-        simulated=True,
-        tool="coil",
-        residual_mm=2.0,
-        trials=done,
-        treatment=[],
-        summary=summary_of(setup.workflow, done),
-    )
+    return placement_report(setup.seed, trials, setup.workflow)
 
 
 def _run(monkeypatch: pytest.MonkeyPatch, *words: str) -> Result:

@@ -5,29 +5,23 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from types import SimpleNamespace
+from typing import Any, cast
 
+import msgspec
 import pytest
 
-from pcmrs.errors import CommandRefusedError
-from pcmrs.messages import PoseMessage, SceneTruth
+from pcmrs.errors import CommandRefusedError, ConfigurationError
 from pcmrs.planner import Decision, MeasuredPlacement, PlannerVerdict
 from pcmrs.testing.plan import example_plan, read_plan
-from pcmrs.workflows.data import Registered
+from pcmrs.workflows.toolplan import ToolPose
 from pcmrs_lab.experiment import placements
-from pcmrs_lab.experiment.placements import once_seen, run_placements
+from pcmrs_lab.experiment.placements import Trial, once_seen, registered, run_placements, summary_of
+from pcmrs_lab.experiment.private import ExperimentBench
+from pcmrs_lab.experiment.published import PUBLISHED
 from pcmrs_lab.experiment.setup import ExperimentSetup
+from tests.unit.lab.experiment.scene_at_rest import POSE, REGISTERED, SceneAtRest
+from tests.unit.lab.scripted_client import row
 
-POSE = PoseMessage(position=(0.0, 0.0, 0.0), quat_wxyz=(1.0, 0.0, 0.0, 0.0))
-REGISTERED = Registered(
-    id="r",
-    body_ref_from_image=POSE,
-    residual=0.0,
-    rms=0.0,
-    landmarks=(),
-    digitized=(),
-    patient="",
-    calibration="",
-)
 NEEDS_POSES = ("plan_pose", "approach", "confirm", "back_off", "home")
 
 
@@ -55,12 +49,9 @@ class _BusyPlanner:
 async def test_what_a_busy_tracker_rejects_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
     planner = _BusyPlanner()
 
-    async def truth() -> SceneTruth:
-        return SceneTruth(tracker_from_coil=POSE, tracker_from_body_ref=POSE, body_ref_from_image=POSE)
-
     @asynccontextmanager
     async def bench(_: Sequence[str]) -> AsyncIterator[SimpleNamespace]:
-        yield SimpleNamespace(planner=planner, client=None, scene=SimpleNamespace(truth=truth), journal=None)
+        yield SimpleNamespace(planner=planner, client=None, scene=SceneAtRest(), journal=None)
 
     monkeypatch.setattr(placements, "private_bench", bench)
     monkeypatch.setattr(placements, "registered", lambda _: REGISTERED)
@@ -82,3 +73,42 @@ async def test_begun_motion_and_other_reasons_are_not_asked_again(decision: Deci
     with pytest.raises(CommandRefusedError, match=reason):
         await once_seen(ask)
     assert len(asked) == 1
+
+
+@pytest.mark.parametrize(("trials", "poses"), [(1, None), (2, ())])
+async def test_too_few_trials_or_poses_are_refused_before_a_daemon_starts(
+    monkeypatch: pytest.MonkeyPatch, trials: int, poses: tuple[ToolPose, ...] | None
+) -> None:
+    monkeypatch.setattr(placements, "private_bench", None)
+    plan = read_plan(example_plan("ratms"))
+    plan = plan if poses is None else msgspec.structs.replace(plan, poses=poses)
+    with pytest.raises(ConfigurationError, match="at least 2 trials and 1 pose"):
+        await run_placements(ExperimentSetup(plan, "ratms", 1, 1.0, "builtin", (), lambda *_: None), trials)
+
+
+async def test_a_tracker_that_stays_late_is_reported_at_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(placements, "PAUSE", 0.0)
+    asked: list[int] = []
+
+    async def ask() -> None:
+        asked.append(1)
+        raise _refused("rejected", "pose_stale")
+
+    with pytest.raises(CommandRefusedError, match="pose_stale"):
+        await once_seen(ask)
+    assert len(asked) == placements.PATIENCE + 1
+
+
+def test_the_registration_in_force_is_the_last_one_of_the_journal() -> None:
+    given = [msgspec.structs.replace(REGISTERED, id=name) for name in ("old", "new")]
+    results: list[dict[str, Any] | None] = [{"registered": msgspec.to_builtins(each)} for each in given]
+    rows = [row(result=result) for result in (*results, {"registered": None}, {"other": 1}, None)]
+    journal = SimpleNamespace(read=lambda **_: [SimpleNamespace(row=each) for each in rows])
+    assert registered(cast(ExperimentBench, SimpleNamespace(journal=journal))) == given[1]
+
+
+def test_summary_is_over_all_trials_beside_the_papers_values() -> None:
+    trials = [Trial(number, number, 0.1, 2.0 * number, 0.2, 3.0, 0.5, POSE, POSE) for number in (1, 2, 3)]
+    summary = summary_of("femoroplasty", trials)
+    assert (summary.trials, summary.translation_error_mm.mean, summary.true_translation_error_mm.max) == (3, 2.0, 6.0)
+    assert summary.published_translation_error_mm == PUBLISHED["femoroplasty"].translation_error_mm

@@ -7,9 +7,6 @@ import subprocess
 import sys
 
 import pytest
-from click.testing import CliRunner
-
-from pcmrs.cli import main
 
 QUICK = (  # motion in real time, but not more of it than the test needs
     "procedure.motion.joint_speed_fraction=1.0",
@@ -38,10 +35,3 @@ def test_placements_by_real_drivers_are_as_accurate_as_promised() -> None:
         assert 0.0 < trial["translation_error_mm"] <= 0.08  # the tolerance of the placement
         assert 0.0 < trial["true_translation_error_mm"] <= 0.25
         assert trial["rotation_error_deg"] <= 0.08
-
-
-@pytest.mark.parametrize("command", [("demo",), ("experiment", "placements"), ("experiment", "failures")])
-def test_virtual_devices_run_in_real_time_only(command: tuple[str, ...]) -> None:
-    ended = CliRunner().invoke(main, [*command, "--drivers", "virtual", "--rate", "5"])
-    assert ended.exit_code == 2
-    assert "--drivers virtual runs in real time: leave out --rate 5." in ended.stderr

@@ -96,6 +96,13 @@ def test_repeated_refusals_are_one_and_unfinished_are_listed() -> None:
     assert unfinished.operation == f"{intent['branch']}.{intent['operation']}"
 
 
+def test_refusals_in_a_row_are_one_only_if_they_are_alike() -> None:
+    refused = next(row for row in ROWS if row["kind"] == "outcome" and row["verdict"]["decision"] == "rejected")
+    failed = refused | {"verdict": refused["verdict"] | {"decision": "failed"}}
+    found = session([ROWS[0], refused, refused, failed, refused]).refusals()
+    assert [(each.decision, each.times) for each in found] == [("rejected", 2), ("failed", 1), ("rejected", 1)]
+
+
 def test_a_session_in_which_nothing_was_done_has_no_results() -> None:
     found = session(ROWS[:1])
     assert (found.pulses(), found.placements(), found.refusals()) == ((), (), ())

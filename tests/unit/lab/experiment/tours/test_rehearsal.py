@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import AsyncGenerator, Iterator
+from contextlib import aclosing
 from functools import cache
-from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-import msgspec
 import pytest
 import structlog
-from click.testing import CliRunner
 
-import pcmrs
-from pcmrs.authoring.trial.coverage import Deviation, is_complete
+from pcmrs.authoring.trial.coverage import Deviation
 from pcmrs.authoring.trial.tour import Tour, TourCommand, plan_tour
-from pcmrs.cli import main
-from pcmrs.fsm import Blueprint, load_blueprint
+from pcmrs.fsm import Blueprint
 from pcmrs_lab.experiment.tours.rehearsal import LeapingClock, rehearse
 from tests.support.altered import with_operation
+from tests.unit.lab.blueprints import ratms, small
 
-RATMS = load_blueprint(Path(pcmrs.__file__).parent / "workflows" / "ratms.toml")
+Judged = tuple[TourCommand, Deviation | None]
 
 
 @pytest.fixture(autouse=True)
@@ -33,23 +30,24 @@ def steps_that_raise_are_not_logged() -> Iterator[None]:
 
 @cache
 def tour() -> Tour:
-    return plan_tour(RATMS)
+    return plan_tour(ratms())
 
 
-async def rehearsed(blueprint: Blueprint, *, outside: bool = True) -> list[tuple[TourCommand, Deviation | None]]:
+async def rehearsed(blueprint: Blueprint, *, outside: bool = True) -> list[Judged]:
     return [judged async for judged in rehearse(blueprint, tour(), outside=outside)]
 
 
 @pytest.mark.parametrize("outside", [True, False])
 async def test_the_dispatcher_does_as_the_tour_says(outside: bool) -> None:
-    done = await rehearsed(RATMS, outside=outside)
+    done = await rehearsed(ratms(), outside=outside)
     assert [deviation for _, deviation in done if deviation is not None] == []
     assert {move for move, _ in done} == set(tour().wanted)
 
 
 async def test_nothing_is_too_late_however_busy_the_machine_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pcmrs.dispatcher.command_checks.CHECKS_BEGIN_WITHIN", 0.0)
-    assert [deviation for _, deviation in await rehearsed(RATMS) if deviation is not None] == []
+    done = [judged async for judged in rehearse(small(), plan_tour(small()), outside=True)]
+    assert [deviation for _, deviation in done if deviation is not None] == []
 
 
 @pytest.mark.parametrize(
@@ -67,8 +65,9 @@ async def test_nothing_is_too_late_however_busy_the_machine_is(monkeypatch: pyte
 async def test_a_dispatcher_that_runs_something_else_deviates(
     branch: str, operation: str, fields: dict[str, Any]
 ) -> None:
-    done = await rehearsed(with_operation(RATMS, branch, operation, **fields))
-    first = next(deviation for _, deviation in done if deviation is not None)
+    other = with_operation(ratms(), branch, operation, **fields)
+    async with aclosing(cast(AsyncGenerator[Judged, None], rehearse(other, tour(), outside=True))) as judged:
+        first = await anext(deviation async for _, deviation in judged if deviation is not None)
     assert first.command.startswith(f"{branch}.{operation}:")
 
 
@@ -88,21 +87,18 @@ async def test_a_deadline_that_is_leapt_over_has_passed() -> None:
     assert clock.monotonic() - begin == 20.0
 
 
-def test_the_command_reports_everything_covered(tmp_path: Path) -> None:
-    file = tmp_path / "tour.jsonl"
-    run = CliRunner().invoke(main, ["fsm", "test", "ratms", "--json", "-o", str(file)])
-    assert run.exit_code == 0
-    from pcmrs_lab.experiment.tours.report import TourReport
-
-    report = msgspec.json.decode(run.stdout, type=TourReport)
-    assert report.passed
-    assert is_complete(report.coverage)
-    assert report.joint_states == 39
-    moves = [msgspec.json.decode(line, type=TourCommand) for line in file.read_bytes().splitlines()]
-    assert moves == [move for stretch in tour().stretches for move in stretch]
+async def test_the_end_of_a_step_is_what_the_move_requires() -> None:
+    """The verdict names the check or the step that ended it: another one would be a deviation."""
+    done = [judged async for judged in rehearse(small(), plan_tour(small()), outside=True)]
+    endings = {(move.at, move.how, move.ending) for move, deviation in done if deviation is None}
+    assert {("follow", how, "failed") for how in ("refuses", "raises", "late")} <= endings
+    assert ("follow", "silent", "unknown") in endings
 
 
-def test_the_command_refuses_what_is_too_large() -> None:
-    run = CliRunner().invoke(main, ["fsm", "test", "ratms", "--limit", "5"])
-    assert run.exit_code == 2
-    assert "over 5 joint states" in run.stderr
+async def test_a_stretch_that_has_left_the_tour_is_not_continued() -> None:
+    other = with_operation(small(), "top", "prepare", to="00")
+    planned = plan_tour(small())
+    done = [judged async for judged in rehearse(other, planned, outside=True)]
+    last = [deviation for _, deviation in done][-1]
+    assert last is not None
+    assert len(done) < sum(map(len, planned.stretches))

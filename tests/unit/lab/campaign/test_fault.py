@@ -1,0 +1,64 @@
+"""Evidence of a row: what makes it `not proved`, and the registry of ways to inject a fault."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from pcmrs.errors import ConfigurationError
+from pcmrs_lab.campaign import fault as registry
+from pcmrs_lab.campaign.fault import DEADLINE, Evidence, fault
+from pcmrs_lab.campaign.lab import Lab
+from pcmrs_lab.campaign.needs import ROOT
+
+SEEN = {"seen": 1}
+NOTHING = [0, 0.0, "", None, False, [], {}, math.nan, math.inf, -math.inf]
+
+
+@pytest.mark.parametrize("nothing", NOTHING, ids=repr)
+def test_a_measurement_of_nothing_proves_nothing(nothing: Any) -> None:
+    wrong = Evidence("held", took_place={"seen": 1, "way_m": nothing}, control=SEEN)
+    assert wrong.missing == "The measurement that the fault took place is of nothing: way_m."
+    uncontrolled = Evidence("held", took_place=SEEN, control={"way_m": nothing, "also": nothing})
+    assert uncontrolled.missing == "The measurement of its control is of nothing: way_m, also."
+
+
+@pytest.mark.parametrize("something", [1, -0.1, "accepted", True, [0], {"a": 0}], ids=repr)
+def test_any_measurement_of_fault_and_control_is_a_proof(something: Any) -> None:
+    assert Evidence("held", took_place={"x": something}, control={"y": something}).missing == ""
+
+
+def test_a_row_without_measurements_says_which_are_missing() -> None:
+    assert Evidence("", took_place={}, control={}).missing == "There is no measurement that the fault took place."
+    assert Evidence("", took_place=SEEN, control={}).missing == "There is no measurement of its control."
+
+
+def test_a_report_has_all_measurements() -> None:
+    given = Evidence("held", {"rate_hz": 5.0}, took_place=SEEN, control={"alone": "accepted"})
+    assert given.measured == {"took_place": SEEN, "control": {"alone": "accepted"}, "rate_hz": 5.0}
+
+
+def test_nothing_is_registered_for_a_fault_that_does_not_exist() -> None:
+    with pytest.raises(ConfigurationError, match="Z9"):
+        fault("Z9", how="by magic")
+
+
+def test_several_ways_are_kept_in_order_with_what_each_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "REGISTERED", {})
+
+    @fault("S1", how="first")
+    async def first(lab: Lab) -> Evidence:
+        raise AssertionError
+
+    @fault("S1", how="second", needs=[ROOT], deadline=9.0)
+    async def second(lab: Lab) -> Evidence:
+        raise AssertionError
+
+    ways = registry.REGISTERED["S1"]
+    assert [(way.name, way.how, way.needs, way.deadline) for way in ways] == [
+        ("first", "first", (), DEADLINE),
+        ("second", "second", (ROOT,), 9.0),
+    ]
+    assert ways[1].run is second
