@@ -41,7 +41,8 @@ def soak(hours: float, seed: int, plot: Path | None, as_json: bool) -> None:
 
         draw_soak(report, plot)
     title = f"{report.steps} commands, {report.stops} of them Stop, in {report.seconds / 3600:.2f} h. "
-    table = Table("process", "measure", "first", "last", "rise of its line", "", box=SIMPLE_HEAD, title=title + escape(report.ended))
+    title += escape(report.ended)
+    table = Table("process", "measure", "first", "last", "rise of its line", "", box=SIMPLE_HEAD, title=title)
     for trend in report.courses:
         scale = 1e6 if trend.measure == "memory" else 1.0
         unit = " MB" if trend.measure == "memory" else ""

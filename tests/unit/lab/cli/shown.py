@@ -6,7 +6,7 @@ import io
 
 from rich.console import RenderableType
 
-from pcmrs.cli.printing import Terminal
+from pcmrs.cli.tables import Terminal
 
 
 def shown(table: RenderableType) -> str:
