@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Sequence
+from contextlib import AbstractAsyncContextManager
 from typing import Any
 
+from pcmrs.devices.protocols import ServoStream
+from pcmrs.devices.servo import servo_session
 from pcmrs.errors import DeviceError
 from pcmrs.messages import (
     BodyPose,
@@ -18,10 +21,13 @@ from pcmrs.messages import (
     JointTrajectory,
     LandmarkPrompt,
     MotionResult,
+    PoseMessage,
     PressRequest,
+    SceneTruth,
     ServoSession,
     StimulatorState,
 )
+from pcmrs.testing.clock import ManualClock
 
 SESSION = 4
 """Number of the servo session of `FakeRobot`."""
@@ -29,6 +35,8 @@ STATE = JointState(captured=1.0, sent=1.0, positions=[0.1] * 7, velocities=[0.0]
 """Joints of an arm at rest, rad."""
 END = JointSetpoint(session=0, number=0, sent=0.0, positions=[], velocities=[])
 """Marks the end of a session among the set points of `FakeRobot`."""
+ORIGIN = PoseMessage(position=(0.0, 0.0, 0.0), quat_wxyz=(1.0, 0.0, 0.0, 0.0))
+"""The pose of a body whose frame is that of the tracker."""
 EPOCH = Epoch(pulse=1, muscle="FDI", rate_hz=5000.0, start=-0.1, samples=[0.0, 1e-5])
 """The signal around pulse 1, V."""
 
@@ -92,6 +100,9 @@ class FakeRobot:
             raise self.error
         return self.servo_end
 
+    def servo(self) -> AbstractAsyncContextManager[ServoStream]:
+        return servo_session(self, self.set_point, ManualClock())
+
     def set_point(self, setpoint: JointSetpoint) -> None:
         self.setpoints.append(setpoint)
 
@@ -129,7 +140,7 @@ class FakeTracker:
 
 
 class FakeHand:
-    """A pointer and a scene in one, which only records its requests.
+    """A pointer and a scene in one, which only records its requests; its body and tool lie at the tracker's origin.
 
     Attributes:
         calls: Requests, in order.
@@ -146,6 +157,21 @@ class FakeHand:
 
     async def release(self) -> None:
         self.calls.append("release")
+
+    async def truth(self) -> SceneTruth:
+        return SceneTruth(tracker_from_coil=ORIGIN, tracker_from_body_ref=ORIGIN, body_ref_from_image=ORIGIN)
+
+    async def occlude(self, body: str, hidden: bool) -> None:
+        self.calls.append((body, hidden))
+
+    async def move_body(self, offset_in_tracker: tuple[float, float, float]) -> None:
+        self.calls.append(offset_in_tracker)
+
+    async def cut_robot(self, cut: bool) -> None:
+        self.calls.append(cut)
+
+    async def inject(self, fault: str, arguments: dict[str, Any]) -> None:
+        self.calls.append((fault, arguments))
 
     async def displace_touch(self, index: int, offset_in_image: tuple[float, float, float]) -> None:
         self.calls.append((index, offset_in_image))

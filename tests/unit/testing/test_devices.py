@@ -25,8 +25,10 @@ PRESS = PressRequest(force=3.0, direction_in_flange=(0.0, 0.0, 1.0), travel=0.01
 @pytest.mark.parametrize(
     ("name", "fake"),
     [
+        ("robot", FakeRobot()),
         ("tracker", FakeTracker()),
         ("pointer", FakeHand()),
+        ("scene", FakeHand()),
         ("stimulator", FakeStimulator()),
         ("emg", FakeEmg()),
     ],
@@ -42,6 +44,15 @@ async def test_a_robot_records_its_motions_in_order() -> None:
     assert [(await robot.follow(way)).positions for way in ways] == [[0.1] * 7, [0.2] * 7]
     await robot.press(PRESS)
     assert (robot.followed, robot.pressed) == (ways, [PRESS])
+
+
+async def test_robot_records_the_set_points_of_a_servo_block() -> None:
+    robot = FakeRobot()
+    async with robot.servo() as stream:
+        stream.send([0.2] * 7, [0.0] * 7)
+    first, last = robot.setpoints
+    assert (first.session, first.number, first.positions) == (SESSION, 1, [0.2] * 7)
+    assert last is END
 
 
 async def test_a_robot_has_one_session_and_marks_its_end() -> None:
