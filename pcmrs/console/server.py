@@ -87,30 +87,30 @@ async def serve_console(
         reconnect_timeout=RECONNECT_TIMEOUT,
         message_history_length=MESSAGE_HISTORY,
     )
-    listening = _listen(place)
-    host, port = listening.getsockname()[:2]
-    use_temporary_folder(uploads)
-    names = {f"{name}:{port}" for name in (host, "127.0.0.1", "localhost")} | {*place.names}
-    guarded = Guard(UploadLimit(app, LARGEST_UPLOAD + FORM_BYTES), token, names)
-    server = _Server(
-        uvicorn.Config(
-            guarded,
-            log_level="warning",
-            access_log=False,
-            ws_max_size=LARGEST,
-            ws_ping_interval=None,  # the page has its own pings, with a longer timeout
-            timeout_graceful_shutdown=SHUTDOWN_TIMEOUT,
+    with _listen(place) as listening:
+        host, port = listening.getsockname()[:2]
+        use_temporary_folder(uploads)
+        names = {f"{name}:{port}" for name in (host, "127.0.0.1", "localhost")} | {*place.names}
+        guarded = Guard(UploadLimit(app, LARGEST_UPLOAD + FORM_BYTES), token, names)
+        server = _Server(
+            uvicorn.Config(
+                guarded,
+                log_level="warning",
+                access_log=False,
+                ws_max_size=LARGEST,
+                ws_ping_interval=None,  # the page has its own pings, with a longer timeout
+                timeout_graceful_shutdown=SHUTDOWN_TIMEOUT,
+            )
         )
-    )
-    async with asyncio.TaskGroup() as group:
-        following = group.create_task(feed.run())
-        serving = group.create_task(server.serve(sockets=[listening]))
-        await server.serving.wait()
-        ready(f"http://{host}:{port}/?token={token}")
-        await ended.wait()
-        server.should_exit = True
-        await serving
-        following.cancel()
+        async with asyncio.TaskGroup() as group:
+            following = group.create_task(feed.run())
+            serving = group.create_task(server.serve(sockets=[listening]))
+            await server.serving.wait()
+            ready(f"http://{host}:{port}/?token={token}")
+            await ended.wait()
+            server.should_exit = True
+            await serving
+            following.cancel()
 
 
 class _Server(uvicorn.Server):

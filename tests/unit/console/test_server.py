@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from pcmrs.console.server import ListenAddress, serve_console
-from pcmrs.errors import BusError
+from pcmrs.errors import BusError, ConfigurationError
 
 TOKEN = "a token of more than twenty characters"
 
@@ -46,3 +46,12 @@ async def test_a_port_that_is_taken_is_named_and_nothing_is_made(tmp_path: Path)
 async def test_an_address_of_another_machine_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BusError, match=r"cannot listen at 192\.0\.2\.1:0"):
         await serve(ListenAddress(host="192.0.2.1", port=0), TOKEN, tmp_path, asyncio.Event(), [])
+
+
+async def test_port_is_free_again_after_a_token_that_is_too_short(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    with pytest.raises(ConfigurationError, match="token has 5 characters") as error:
+        await serve(ListenAddress(port=port), "short", tmp_path, asyncio.Event(), [])
+    with socket.create_server(("127.0.0.1", port)):
+        assert error.value.fields["characters"] == 5
