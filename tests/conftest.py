@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import signal
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
@@ -28,6 +29,11 @@ settings.register_profile("pcmrs", deadline=None, max_examples=USUAL)
 settings.register_profile("nightly", deadline=None, max_examples=100)
 settings.register_profile("thorough", deadline=None, max_examples=1000)
 settings.load_profile("pcmrs")
+
+
+# By default, structlog draws a traceback with Rich, which takes a quarter of a second.
+RENDERER = structlog.dev.ConsoleRenderer(exception_formatter=structlog.dev.plain_traceback)
+PROCESSORS = [*structlog.get_config()["processors"][:-1], RENDERER]
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -56,6 +62,17 @@ class Collected(NamedTuple):
     nightly: bool
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Collects without garbage collection: what is collected stays, and it is most of what the process has."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.freeze()
+
+
 COLLECTED = pytest.StashKey[list[Collected]]()
 
 
@@ -81,8 +98,9 @@ def collected(request: pytest.FixtureRequest) -> list[Collected]:
 
 
 @pytest.fixture(autouse=True)
-def logging_as_it_was() -> Iterator[None]:
-    """A command line that ran in this process may have set how it logs."""
+def plain_logging() -> Iterator[None]:
+    """Logs as by default, but with plain tracebacks, whatever a command line that ran in this process has set."""
+    structlog.configure(processors=PROCESSORS)
     yield
     structlog.reset_defaults()
 

@@ -10,12 +10,12 @@ import pytest
 from pcmrs.authoring.chart import svg
 from pcmrs.console import chart
 from pcmrs.console.chart import ChartPanel
-from pcmrs.fsm import Blueprint, load_blueprint
+from pcmrs.fsm import Blueprint
 from pcmrs.messages import BlueprintTag, Snapshot
-from pcmrs.workflows import find_workflow
+from tests.support.shipped import shipped_blueprint
 from tests.unit.console.detached_page import DetachedPage
 
-BLUEPRINT = load_blueprint(find_workflow("ratms").blueprint)
+BLUEPRINT = shipped_blueprint("ratms")
 START = {name: next(iter(branch.states)) for name, branch in BLUEPRINT.branches.items()}
 SNAPSHOT = Snapshot(
     sequence=1, branches=START, flags={"connected": True, "armed": False}, running=[], latched=False,

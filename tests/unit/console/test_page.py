@@ -11,16 +11,15 @@ from nicegui import ui
 
 from pcmrs.console.page import Page
 from pcmrs.console.surfaces import Surfaces
-from pcmrs.fsm import load_blueprint
 from pcmrs.messages import BlueprintTag, Snapshot
 from pcmrs.messages.setup import ProcedureDataView
 from pcmrs.messages.snapshot import LeaseState
-from pcmrs.workflows import find_workflow
 from pcmrs.workflows.data import as_message
+from tests.support.shipped import shipped_blueprint
 from tests.unit.console.detached_page import ENGLISH, DetachedPage, ShownCell, settle
 from tests.unit.console.shown_cell import body, setup, some_pose
 
-BLUEPRINT = load_blueprint(find_workflow("ratms").blueprint)
+BLUEPRINT = shipped_blueprint("ratms")
 START = Snapshot(
     sequence=1, branches={name: next(iter(branch.states)) for name, branch in BLUEPRINT.branches.items()}, flags={},
     running=[], latched=False, blueprint=BlueprintTag(id="ratms", version="1", hash="0"),

@@ -10,13 +10,12 @@ import msgspec
 
 from pcmrs.console.choices import Choice, Choices
 from pcmrs.console.workflow import REFUSED, WorkflowPanel
-from pcmrs.fsm import load_blueprint
 from pcmrs.messages import BlueprintTag, DeviceEvent, Reason, Running, Snapshot, Verdict
-from pcmrs.workflows import find_workflow
+from tests.support.shipped import shipped_blueprint
 from tests.unit.console.detached_page import ENGLISH, DetachedPage, ShownCell
 from tests.unit.console.shown_cell import setup
 
-BLUEPRINT = load_blueprint(find_workflow("ratms").blueprint)
+BLUEPRINT = shipped_blueprint("ratms")
 START = Snapshot(
     sequence=1, branches={name: next(iter(branch.states)) for name, branch in BLUEPRINT.branches.items()}, flags={},
     running=[], latched=False, blueprint=BlueprintTag(id="ratms", version="1", hash="0"),

@@ -6,6 +6,7 @@ import asyncio
 import itertools
 from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from contextlib import suppress
+from functools import cache
 from typing import Any
 
 import msgspec
@@ -15,12 +16,13 @@ from pcmrs.dispatcher import Activity, Dispatcher, DispatcherListener, Procedure
 from pcmrs.dispatcher.execution import MotionChecker
 from pcmrs.dispatcher.recorder import EarlierDecision
 from pcmrs.errors import JournalError, RefusalError, UnknownOutcomeError
-from pcmrs.fsm import Blueprint, Effect, load_blueprint
+from pcmrs.fsm import Blueprint, Effect
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
 from pcmrs.testing.clock import ManualClock, settle
-from tests.support.ratms_oracle import BLUEPRINT, INITIAL, Joint, all_operations, expected
+from tests.support.ratms_oracle import Joint, all_operations, expected
+from tests.support.shipped import shipped_blueprint
 
-RATMS = load_blueprint(BLUEPRINT)
+RATMS = shipped_blueprint("ratms")
 
 
 WORLDLY_BRANCHES = ("digitization", "robot", "placement")
@@ -311,8 +313,8 @@ class Bench(DispatcherListener):
         return task
 
     async def go(self, joint: Joint) -> None:
-        """Takes the shortest way to a joint state, by commands."""
-        for branch, operation, ending in ROUTES[joint]:
+        """Takes the shortest way from the present joint state to another, by commands."""
+        for branch, operation, ending in routes_from(self.joint)[joint]:
             await self.take(branch, operation, ending)
         assert self.joint == joint
 
@@ -340,9 +342,11 @@ def has_steps(branch: str, operation: str) -> bool:
     return bool(RATMS.branches[branch].operations[operation].steps)
 
 
-def _routes() -> dict[Joint, Route]:
-    found: dict[Joint, Route] = {INITIAL: []}
-    waiting = [INITIAL]
+@cache
+def routes_from(start: Joint) -> dict[Joint, Route]:
+    """Return the shortest way to each joint state that can be reached from `start`, as the oracle says."""
+    found: dict[Joint, Route] = {start: []}
+    waiting = [start]
     while waiting:
         joint = waiting.pop(0)
         for branch, operation in all_operations():
@@ -351,9 +355,6 @@ def _routes() -> dict[Joint, Route]:
                     found[after] = [*found[joint], (branch, operation, ending)]
                     waiting.append(after)
     return found
-
-
-ROUTES = _routes()
 
 
 PLACED: Joint = ("111", "1", "1", "1", "placed", "0", "off")

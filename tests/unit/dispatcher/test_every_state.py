@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from pcmrs.testing.clock import settle
-from tests.support.ratms_oracle import INTERNAL_OPERATIONS, MOTIONS, Joint, all_operations, expected
-from tests.unit.dispatcher.dispatcher_fakes import RATMS, ROUTES, Bench, has_steps
+from tests.support.ratms_oracle import INITIAL, INTERNAL_OPERATIONS, MOTIONS, Joint, all_operations, expected
+from tests.unit.dispatcher.dispatcher_fakes import RATMS, Bench, has_steps, routes_from
 
-JOINTS = list(ROUTES)
+JOINTS = list(routes_from(INITIAL))
 EVERY_STATE = pytest.mark.parametrize("joint", JOINTS, ids=["-".join(joint) for joint in JOINTS])
 
 
@@ -43,12 +43,11 @@ async def test_rejections_of_the_oracle_change_nothing(bench: Bench, joint: Join
 
 
 @EVERY_STATE
-async def test_accepted_operations_end_where_the_oracle_says(joint: Joint) -> None:
+async def test_accepted_operations_end_where_the_oracle_says(bench: Bench, joint: Joint) -> None:
     for branch, operation in all_operations():
         for ending, after in (expected(joint, branch, operation) or {}).items():
             if ending in ("failed", "unknown") and not has_steps(branch, operation):
                 continue
-            bench = Bench()
             await bench.go(joint)
             sequence = bench.dispatcher.snapshot().sequence
             verdict = await bench.take(branch, operation, ending)
@@ -57,7 +56,6 @@ async def test_accepted_operations_end_where_the_oracle_says(joint: Joint) -> No
             assert verdict.sequence == bench.dispatcher.snapshot().sequence == sequence + 1
             assert bench.snapshots()[-1] == bench.dispatcher.snapshot()
             assert bench.recorder.rows[-1][2] == bench.dispatcher.snapshot().branches
-            await bench.dispatcher.close()
 
 
 @EVERY_STATE

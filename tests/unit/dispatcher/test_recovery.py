@@ -11,7 +11,7 @@ from pcmrs.dispatcher.recovery import PendingOutcomes
 from pcmrs.errors import JournalError, PcmrsError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, UnknownOutcome, Verdict
 from pcmrs.testing.clock import settle
-from pcmrs.workflows.opening import open_workflow
+from tests.support.shipped import shipped_blueprint
 from tests.unit.dispatcher.dispatcher_fakes import HELD, PLACED, RETRACTED, STANDOFF, Bench
 
 
@@ -340,7 +340,7 @@ async def test_of_an_operation_that_stays_unknown_the_newest_is_shown(bench: Ben
     assert [each.command for each in bench.dispatcher.snapshot().unknown] == ["c3"]
 
 
-BLUEPRINT = open_workflow("ratms_threshold").blueprint
+BLUEPRINT = shipped_blueprint("ratms_threshold")
 
 
 SETTLING = {

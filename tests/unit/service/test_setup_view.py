@@ -13,7 +13,8 @@ from pcmrs.settings import Settings
 from pcmrs.simulated_time.loop import SimulatedLoop
 from pcmrs.workflows.data import as_transform
 from tests import ROOT
-from tests.unit.workflows.workflow_bench import LANDMARKS, WorkflowBench, open_bench, shipped_workflow
+from tests.support.shipped import shipped_workflow
+from tests.unit.workflows.workflow_bench import LANDMARKS, WorkflowBench, open_bench
 
 
 def on_a_bench(work: Callable[[WorkflowBench], Awaitable[None]], surface: str = "") -> None:

@@ -15,7 +15,8 @@ from pcmrs.spatial import Floats
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.collision_checks import update_collision_scene
 from pcmrs.workflows.data import PlacementData, Registered
-from tests.unit.workflows.workflow_bench import WorkflowBench, open_bench, shipped_workflow
+from tests.support.shipped import shipped_workflow
+from tests.unit.workflows.workflow_bench import WorkflowBench, open_bench
 
 ASIDE = (IIWA14_R820.home[0] + 0.3, *IIWA14_R820.home[1:])
 """A home posture that the simulated arm does not start in."""

@@ -15,7 +15,8 @@ from pcmrs.dispatcher.execution import refusal
 from pcmrs.errors import PcmrsError
 from pcmrs.messages import Command, Reason
 from pcmrs.workflows.planning import MAX_JOINT_DRIFT, PlanAnswer, PlanningCell, apply_answer, request_of
-from tests.unit.workflows.workflow_bench import POSES, WorkflowBench, shipped_workflow
+from tests.support.shipped import shipped_workflow
+from tests.unit.workflows.workflow_bench import POSES, WorkflowBench
 
 FAR = POSES[0] | {"position": [0.9, 0.9, 0.9]}
 NOTHING_REFUSED = PlanAnswer(None, "a trajectory", {"tre": 0.002}, ["a question"])

@@ -28,7 +28,8 @@ from pcmrs.service.processes.planner import PlanningProcess
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.settings import Settings
 from tests import ROOT
-from tests.unit.workflows.workflow_bench import POSES, WorkflowBench, open_bench, shipped_workflow
+from tests.support.shipped import shipped_workflow
+from tests.unit.workflows.workflow_bench import POSES, WorkflowBench, open_bench
 
 FAR = POSES[0] | {"position": [0.9, 0.9, 0.9]}
 

@@ -7,7 +7,6 @@ import itertools
 import json
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
-from functools import cache
 from typing import Any, cast
 
 import msgspec
@@ -25,11 +24,11 @@ from pcmrs.simulated_time.clock import SimulatedClock
 from pcmrs.spatial import Transform
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_transform
-from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.settings import ProcedureSettings
 from pcmrs.workflows.surface import read_surface
 from pcmrs_sim.opening import open_devices
 from tests import ROOT
+from tests.support.shipped import shipped_workflow
 
 PLAN: dict[str, Any] = json.loads((ROOT / "examples" / "ratms_plan.json").read_text())
 LANDMARKS = PLAN["landmarks"]
@@ -258,12 +257,6 @@ class WorkflowBench(DispatcherListener):
         async for frame in self.tracker.frames():
             for pose in frame:
                 self.cell.poses.update(msgspec.structs.replace(pose, session=self.tracker_session))
-
-
-@cache
-def shipped_workflow(name: str) -> Workflow[Cell, PlacementData]:
-    """Verified once for all tests of a worker: it is never written to."""
-    return open_workflow(name)
 
 
 @asynccontextmanager

@@ -12,11 +12,10 @@ from hypothesis import strategies as st
 
 from pcmrs.authoring.trial.session import SimulationSession, TrialStep
 from pcmrs.cli import main
-from pcmrs.fsm import load_blueprint
-from tests.support.ratms_oracle import BLUEPRINT
+from tests.support.shipped import shipped_blueprint
 from tests.support.trials import examples
 
-RATMS = load_blueprint(BLUEPRINT)
+RATMS = shipped_blueprint("ratms")
 
 
 def simulate(*words: str, lines: str | bytes | None = None) -> Result:

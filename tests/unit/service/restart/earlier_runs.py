@@ -13,12 +13,9 @@ from pcmrs.messages import BlueprintTag, Command, Decision, PoseMessage, Reason,
 from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs.testing.clock import ManualClock
 from pcmrs.workflows.data import Planned
-from pcmrs.workflows.opening import open_workflow
+from tests.support.shipped import shipped_blueprint
 
-WORKFLOW = open_workflow("ratms")
-
-
-RATMS = WORKFLOW.blueprint
+RATMS = shipped_blueprint("ratms")
 
 
 TAG = BlueprintTag(id=RATMS.id, version=RATMS.version, hash=RATMS.hash)

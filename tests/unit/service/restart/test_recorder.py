@@ -20,7 +20,8 @@ from pcmrs.settings import Settings
 from pcmrs.testing.clock import ManualClock
 from pcmrs.workflows import read_workflow
 from pcmrs.workflows.data import Landmark, PlacementData, Registered
-from tests.unit.service.restart.earlier_runs import PLANNED, WORKFLOW, Flaky, as_row, command, recorder_of, write
+from tests.support.shipped import shipped_workflow
+from tests.unit.service.restart.earlier_runs import PLANNED, Flaky, as_row, command, recorder_of, write
 
 TAG = BlueprintTag(id="ratms", version="1.0.0", hash="abc")
 
@@ -150,7 +151,7 @@ async def test_snapshot_is_in_the_commit_of_every_thousandth_row(
     """Reading continues from it."""
     monkeypatch.setattr(recorder_module, "SNAPSHOT_EVERY", 10)
     recorder = recorder_of(journal)
-    await recover(journal, recorder, WORKFLOW, configured)
+    await recover(journal, recorder, shipped_workflow("ratms"), configured)
     await write(recorder, "toolplan.plan", previous_plan=PLANNED)
     await recorder.intent(command("robot.connect", 77), {"robot": "0"})
     for _ in range(20):
@@ -168,7 +169,7 @@ async def test_state_is_carried_over_from_an_earlier_journal_file(
     path = tmp_path / "grown.sqlite"
     journal = Journal.open(path, durable=False, largest=1.0)
     recorder = recorder_of(journal)
-    await recover(journal, recorder, WORKFLOW, configured)
+    await recover(journal, recorder, shipped_workflow("ratms"), configured)
     await write(recorder, "toolplan.plan", previous_plan=PLANNED)
     await recorder.event(DeviceEvent(device="robot", code="force_limit", text="", danger=True), {})
     await recorder.intent(command("robot.connect", 77), {"robot": "0"})
@@ -178,7 +179,7 @@ async def test_state_is_carried_over_from_an_earlier_journal_file(
     assert len(journal_files(path)) > 2
 
     again = Journal.open(path, durable=False)
-    recovered = await recover(again, recorder_of(again, "s2"), WORKFLOW, configured)
+    recovered = await recover(again, recorder_of(again, "s2"), shipped_workflow("ratms"), configured)
     await again.close()
     assert recovered.latched
     assert [each.command for each in recovered.unknown] == ["c77"]
@@ -187,7 +188,7 @@ async def test_state_is_carried_over_from_an_earlier_journal_file(
 
 async def test_an_orderly_end_leaves_a_snapshot_as_the_last_row(journal: Journal, configured: Settings) -> None:
     recorder = recorder_of(journal)
-    await recover(journal, recorder, WORKFLOW, configured)
+    await recover(journal, recorder, shipped_workflow("ratms"), configured)
     await recorder.conclude()
     (last,) = journal.reader.read(last=1)
     assert (last.row.kind, last.row.operation) == ("snapshot", "snapshot")
@@ -208,7 +209,7 @@ async def test_a_snapshot_never_has_what_the_disk_has_lost(
     monkeypatch.setattr(recorder_module, "SNAPSHOT_EVERY", 10)
     flaky: Any = Flaky(journal)
     recorder = JournalRecorder(flaky, ManualClock(), "s1", TAG)
-    await recover(flaky, recorder, WORKFLOW, configured)
+    await recover(flaky, recorder, shipped_workflow("ratms"), configured)
     flaky.failing = "lost"
     with pytest.raises(JournalError):
         await write(recorder, "toolplan.plan", previous_plan=PLANNED)

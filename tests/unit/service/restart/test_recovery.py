@@ -30,8 +30,8 @@ from pcmrs.service.restart.recovery import RETRY_AFTER, conclude, keep_journal, 
 from pcmrs.settings import Settings
 from pcmrs.testing.clock import ManualClock, settle
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.opening import open_workflow
-from tests.unit.service.restart.earlier_runs import PLANNED, RATMS, TAG, WORKFLOW, Flaky, command, recorder_of, write
+from tests.support.shipped import shipped_workflow
+from tests.unit.service.restart.earlier_runs import PLANNED, RATMS, TAG, Flaky, command, recorder_of, write
 
 FAILED = Reason(code=JournalError.code, text="The journal cannot be written: disk full.")
 
@@ -124,7 +124,7 @@ async def test_an_end_without_a_last_row_is_an_end_too(tmp_path: Path, monkeypat
 
     journal = Journal.open(tmp_path / "ratms.sqlite", durable=False)
     recorder = JournalRecorder(journal, ManualClock(), "s1", BlueprintTag(id="", version="", hash=""))
-    recorder.read_back(open_workflow("ratms").blueprint)
+    recorder.read_back(shipped_workflow("ratms").blueprint)
     monkeypatch.setattr(journal, "append", full)
     with capture_logs() as logged:
         await conclude(recorder)
@@ -133,7 +133,7 @@ async def test_an_end_without_a_last_row_is_an_end_too(tmp_path: Path, monkeypat
 
 
 async def test_a_run_begins_with_what_it_runs_under(journal: Journal, configured: Settings) -> None:
-    await recover(journal, recorder_of(journal), WORKFLOW, configured)
+    await recover(journal, recorder_of(journal), shipped_workflow("ratms"), configured)
     (stored,) = journal.reader.read()
     row = stored.row
     assert (row.kind, row.operation) == ("config", "started")
@@ -146,28 +146,28 @@ async def test_a_run_begins_with_what_it_runs_under(journal: Journal, configured
 async def test_plan_of_an_earlier_run_can_be_taken_back(journal: Journal, configured: Settings) -> None:
     """It is not in force before."""
     earlier = recorder_of(journal)
-    await recover(journal, earlier, WORKFLOW, configured)
+    await recover(journal, earlier, shipped_workflow("ratms"), configured)
     await write(earlier, "toolplan.plan", plan=PLANNED.image_from_coil, plan_id="plan-1", previous_plan=PLANNED)
-    recovered = await recover(journal, recorder_of(journal, "s2"), WORKFLOW, configured)
+    recovered = await recover(journal, recorder_of(journal, "s2"), shipped_workflow("ratms"), configured)
     assert recovered.workflow.initial == PlacementData(previous_plan=PLANNED)
 
 
 async def test_started_command_is_unknown_until_it_is_settled(journal: Journal, configured: Settings) -> None:
     """It stays so over any number of starts."""
     earlier = recorder_of(journal)
-    await recover(journal, earlier, WORKFLOW, configured)
+    await recover(journal, earlier, shipped_workflow("ratms"), configured)
     await earlier.intent(command("placement.approach"), {"placement": "retracted"})
     for session in ("s2", "s3"):
-        recovered = await recover(journal, recorder_of(journal, session), WORKFLOW, configured)
+        recovered = await recover(journal, recorder_of(journal, session), shipped_workflow("ratms"), configured)
         (shown,) = recovered.unknown
         assert (shown.command, shown.source, shown.operation) == ("c1", "bus:local", "approach")
         assert shown.since == ManualClock().wall()
         assert recovered.latched
     last = recorder_of(journal, "s4")
-    await recover(journal, last, WORKFLOW, configured)
+    await recover(journal, last, shipped_workflow("ratms"), configured)
     await write(last, "placement.locate")
     await write(last, "robot.acknowledge")
-    recovered = await recover(journal, recorder_of(journal, "s5"), WORKFLOW, configured)
+    recovered = await recover(journal, recorder_of(journal, "s5"), shipped_workflow("ratms"), configured)
     assert (recovered.latched, recovered.unknown) == (False, ())
     outcomes = [stored.row for stored in journal.reader.read(kind="outcome", command_id="c1")]
     assert [row.verdict.decision for row in outcomes if row.verdict] == ["unknown"], "it is closed once"
@@ -176,18 +176,18 @@ async def test_started_command_is_unknown_until_it_is_settled(journal: Journal, 
 async def test_activity_that_moved_the_robot_latches_over_all_starts(journal: Journal, configured: Settings) -> None:
     """It is shown, too."""
     earlier = recorder_of(journal)
-    await recover(journal, earlier, WORKFLOW, configured)
+    await recover(journal, earlier, shipped_workflow("ratms"), configured)
     fields = {"branch": "placement", "state": "following", "command": "c7"}
     begun = DeviceEvent(device="activity:follow_head", code="activity_started", text="", fields=fields)
     await earlier.event(begun, {"placement": "following"})
     for session in ("s2", "s3"):
-        recovered = await recover(journal, recorder_of(journal, session), WORKFLOW, configured)
+        recovered = await recover(journal, recorder_of(journal, session), shipped_workflow("ratms"), configured)
         (shown,) = recovered.unknown
         assert (shown.command, shown.source) == ("c7", "activity:follow_head")
         assert (shown.branch, shown.operation) == ("placement", "follow_head")
         assert recovered.latched
     last = recorder_of(journal, "s4")
-    await recover(journal, last, WORKFLOW, configured)
+    await recover(journal, last, shipped_workflow("ratms"), configured)
     await write(last, "placement.locate")
     assert last.kept.unknown == ()
     assert last.kept.latched
@@ -199,7 +199,7 @@ async def test_journal_of_another_blueprint_is_refused_unchanged(journal: Journa
     other = JournalRecorder(journal, ManualClock(), "s0", BlueprintTag(id="ratms", version="0.1", hash="ab"))
     await other.event(DeviceEvent(device="x", code="y", text=""), {})
     with pytest.raises(ConfigurationError, match="migrations"):
-        await recover(journal, recorder_of(journal), WORKFLOW, configured)
+        await recover(journal, recorder_of(journal), shipped_workflow("ratms"), configured)
     assert len(list(journal.reader.read())) == 1
 
 
@@ -207,7 +207,7 @@ async def test_declared_migration_is_journalled_before_any_decision(journal: Jou
     other = JournalRecorder(journal, ManualClock(), "s0", BlueprintTag(id="ratms", version="0.1", hash="ab"))
     await other.event(DeviceEvent(device="x", code="y", text=""), {})
     declared = MigrationSpec(version="0.1", hash="ab", why="only a deadline changed")
-    workflow = replace(WORKFLOW, blueprint=msgspec.structs.replace(RATMS, migrations=[declared]))
+    workflow = replace(shipped_workflow("ratms"), blueprint=msgspec.structs.replace(RATMS, migrations=[declared]))
     await recover(journal, recorder_of(journal), workflow, configured)
     rows = [stored.row for stored in journal.reader.read(after=1)]
     assert [row.operation for row in rows] == ["started", "taken_up"]
@@ -235,7 +235,7 @@ async def test_after_a_failure_the_procedure_is_what_the_disk_says(
     async def hold(_latch: bool) -> None:
         return None
 
-    workflow = open_workflow("ratms")
+    workflow = shipped_workflow("ratms")
     workflow.registry.checks["plan_reachable"] = lambda run: None
     workflow.registry.steps["keep_plan"] = lambda run: run.keep(plan_id="p", previous_plan=PLANNED)
     recovered = await recover(flaky, recorder, workflow, configured)

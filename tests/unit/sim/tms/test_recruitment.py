@@ -11,10 +11,18 @@ from hypothesis import strategies as st
 
 from pcmrs_sim.tms.recruitment import RESPONSE, Recruitment, draw
 
-SUBJECTS = [draw(np.random.default_rng((5, number))) for number in range(300)]
+
+def drawn(number: int) -> Recruitment:
+    return draw(np.random.default_rng((5, number)))
 
 
-@pytest.mark.parametrize("subject", [Recruitment(50.0), SUBJECTS[0], SUBJECTS[1]], ids=["middle", "first", "second"])
+@pytest.fixture(scope="module")
+def subjects() -> list[Recruitment]:
+    """A population. Nobody changes a subject, and drawing so many takes a second."""
+    return [drawn(number) for number in range(300)]
+
+
+@pytest.mark.parametrize("subject", [Recruitment(50.0), drawn(0), drawn(1)], ids=["middle", "first", "second"])
 @pytest.mark.parametrize("above", [-8.0, -3.0, 0.0, 3.0, 8.0])
 def test_the_probability_is_the_share_of_responses(subject: Recruitment, above: float) -> None:
     rng = np.random.default_rng(3)
@@ -24,8 +32,8 @@ def test_the_probability_is_the_share_of_responses(subject: Recruitment, above: 
     assert share == pytest.approx(probability, abs=4.0 * np.sqrt(probability * (1.0 - probability) / 2000) + 0.005)
 
 
-def test_half_of_the_pulses_at_the_threshold_are_answered() -> None:
-    for subject in SUBJECTS:
+def test_half_of_the_pulses_at_the_threshold_are_answered(subjects: list[Recruitment]) -> None:
+    for subject in subjects:
         assert subject.probability(subject.threshold) == pytest.approx(0.5, abs=1e-6)
 
 
@@ -48,20 +56,20 @@ def test_without_stimulus_there_is_the_noise_of_the_measurement() -> None:
     assert np.mean(np.array(silent) >= RESPONSE) < 0.01
 
 
-def test_the_population_is_the_published_one() -> None:
+def test_the_population_is_the_published_one(subjects: list[Recruitment]) -> None:
     # Prior in the code of Wang, Peterchev, Goetz 2023, fitted to 25,000 subjects of this model: 65.8 % ± 9.0 %.
-    thresholds = np.array([subject.threshold for subject in SUBJECTS])
+    thresholds = np.array([subject.threshold for subject in subjects])
     assert thresholds.mean() == pytest.approx(65.8, abs=2.0)
     assert thresholds.std() == pytest.approx(9.0, abs=1.5)
     assert np.all((thresholds > 30.0) & (thresholds < 100.0))
 
 
-def test_curves_are_about_as_flat_as_those_of_awiszus() -> None:
+def test_curves_are_about_as_flat_as_those_of_awiszus(subjects: list[Recruitment]) -> None:
     slopes = [
         subject.probability(subject.threshold + 0.5) - subject.probability(subject.threshold - 0.5)
-        for subject in SUBJECTS
+        for subject in subjects
     ]
-    spreads = [1.0 / (np.sqrt(2.0 * np.pi) * slope * s.threshold) for slope, s in zip(slopes, SUBJECTS, strict=True)]
+    spreads = [1.0 / (np.sqrt(2.0 * np.pi) * slope * s.threshold) for slope, s in zip(slopes, subjects, strict=True)]
     assert 0.07 < np.median(spreads) < 0.08
 
 
