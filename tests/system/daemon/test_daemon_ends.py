@@ -1,4 +1,4 @@
-"""How a daemon ends, by its own will or not, and what the next one makes of it."""
+"""How a daemon ends when a signal asks it to, and when the program that started it is killed."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ import pytest
 
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.journal import JournalReader, JournalRow
-from pcmrs.testing.driving import accept, moving, register
+from pcmrs.testing.cell import LIGHT
+from pcmrs.testing.driving import moving, register
 from tests.system.daemon.daemon_process import SLOW, is_running, own_settings, running_daemon, wait_until
-
-NODE_ENDS_WITHIN = 2.0
 
 
 def _rows(folder: Path) -> list[JournalRow]:
@@ -25,7 +24,7 @@ def _rows(folder: Path) -> list[JournalRow]:
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.nightly)])
 async def test_a_signal_holds_the_motion_before_everything_ends(tmp_path: Path, number: int) -> None:
-    with running_daemon([*own_settings(tmp_path), *SLOW], tmp_path) as daemon:
+    with running_daemon([*own_settings(tmp_path), *SLOW, *LIGHT], tmp_path) as daemon:
         nodes = [*daemon.children(), daemon.heart()]
         async with daemon.client() as client:
             await register(client)
@@ -43,47 +42,14 @@ async def test_a_signal_holds_the_motion_before_everything_ends(tmp_path: Path, 
     assert outcome.verdict.state == "held"
 
 
-async def test_nodes_end_by_themselves_after_the_daemon_is_killed(
-    tmp_path: Path,
-) -> None:
-    """Their successor does not know where the arm is."""
-    settings = [*own_settings(tmp_path), *SLOW]
-    with running_daemon(settings, tmp_path) as daemon:
-        nodes = [*daemon.children(), daemon.heart()]
-        async with daemon.client() as client:
-            planned = await client.call("registration.clear_landmarks", id="before-the-crash")
-            await register(client)
-            async with moving(client) as approach:
-                daemon.end(signal.SIGKILL)
-                with pytest.raises(UnknownOutcomeError):
-                    await approach
-        assert wait_until(lambda: not any(map(is_running, nodes)), NODE_ENDS_WITHIN)
-    with running_daemon(settings, tmp_path) as successor:
-        async with successor.client() as client:
-            state = await client.state()
-            assert state.branches == {
-                "registration": "000",
-                "digitization": "0",
-                "toolplan": "0",
-                "robot": "0",
-                "placement": "unknown",
-                "alignment": "0",
-                "teleoperation": "off",
-            }
-            assert await client.call("registration.clear_landmarks", id="before-the-crash") == planned
-            await accept(client, "robot.connect")
-        assert "Traceback" not in successor.log
-    (lost,) = (row for row in _rows(tmp_path) if row.verdict is not None and row.verdict.decision == "unknown")
-    assert (lost.branch, lost.operation) == ("placement", "approach")
-
-
 STARTER = """
 import asyncio, sys
 from pathlib import Path
+from pcmrs.testing.cell import LIGHT
 from pcmrs.testing.daemon import own_settings, running_daemon
 
 async def main(folder):
-    async with running_daemon(own_settings(folder / "cell", "left"), folder / "log") as daemon:
+    async with running_daemon([*own_settings(folder / "cell", "left"), *LIGHT], folder / "log") as daemon:
         print(daemon.process.pid, flush=True)
         await asyncio.sleep(3600)
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from pcmrs.client import Client
+from pcmrs.testing.cell import LIGHT
 from pcmrs.testing.driving import accept, moving, register
 from tests.system.daemon.daemon_process import (
     SLOW,
@@ -48,7 +49,12 @@ async def stop_by_command_line(daemon: ServeProcess, client: Client) -> None:
     assert ended.returncode == 0, ended.stderr
 
 
-@pytest.mark.parametrize("drivers", [list, pytest.param(virtual_drivers, marks=pytest.mark.nightly)])
+def simulated_drivers() -> list[str]:
+    """Settings of an arm with dynamics."""
+    return [*LIGHT, "sim.arm.physics=mujoco"]
+
+
+@pytest.mark.parametrize("drivers", [simulated_drivers, pytest.param(virtual_drivers, marks=pytest.mark.nightly)])
 async def test_stop_from_every_edge_holds_a_moving_arm_and_latches(
     tmp_path: Path, drivers: Callable[[], list[str]]
 ) -> None:
