@@ -22,7 +22,7 @@ def test_list_names_unit_tests_that_exist(collected: list[Any]) -> None:
     assert sorted(set(SLOW)) == SLOW
 
 
-def test_test_is_slow_if_one_instance_is_and_none_of_whole_cells_is_listed() -> None:
+def test_test_is_slow_if_one_of_its_instances_is() -> None:
     lines = [
         f"{LONGEST / 2} unit/a/test_a.py::test_quick",
         f"{LONGEST / 2} unit/a/test_a.py::test_one_instance",
