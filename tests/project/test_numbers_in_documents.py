@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
-from functools import cache
 
 import pytest
 from click.testing import CliRunner
@@ -19,8 +18,6 @@ from pcmrs.bus.settings import STOPS
 from pcmrs.cli.fsm.verify import verify
 from pcmrs.console.geometry import FACES
 from pcmrs.dispatcher.locks import MAX_WAITING
-from pcmrs.fsm import Blueprint
-from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.fsm.verify.space import Space
 from pcmrs.gateway.intake import MAX_SESSIONS
 from pcmrs.journal.group import MOST_WAITING
@@ -29,6 +26,7 @@ from pcmrs.settings import Settings
 from pcmrs.workflows.collision_checks import SAMPLES_PER_PART
 from pcmrs_lab.campaign.catalogue import catalogue
 from tests import ROOT
+from tests.support.shipped import shipped_blueprint
 from tests.support.trials import USUAL
 
 WORDS = {"six": 6, "Seven": 7, "eight": 8, "nine": 9}
@@ -46,24 +44,16 @@ def number(text: str) -> float:
     return WORDS[text] if text in WORDS else float(text.replace(",", ""))
 
 
-@cache
-def workflow(name: str) -> Blueprint:
-    file = ROOT / "pcmrs" / "workflows" / f"{name}.toml"
-    blueprint, findings = read_blueprint(file.read_bytes(), file.name, file.parent)
-    assert blueprint is not None, findings
-    return blueprint
-
-
 def verified(name: str) -> tuple[int, ...]:
     """Joint states, transitions and properties of a workflow, as `pcmrs fsm verify` counts them."""
-    space = Space(workflow(name), 100_000)
-    return len(space.reached), space.taken, len(workflow(name).properties)
+    space = Space(shipped_blueprint(name), 100_000)
+    return len(space.reached), space.taken, len(shipped_blueprint(name).properties)
 
 
 def toured() -> tuple[int, ...]:
     """What `pcmrs fsm test ratms` counts, in the page's order; of the first six it prints both columns."""
-    tour = plan_tour(workflow("ratms"))
-    counts = [count.total for count in coverage(workflow("ratms"), [], tour.wanted).values()]
+    tour = plan_tour(shipped_blueprint("ratms"))
+    counts = [count.total for count in coverage(shipped_blueprint("ratms"), [], tour.wanted).values()]
     commands = sum(len(stretch) for stretch in tour.stretches)
     return *(each for count in counts[:6] for each in (count, count)), commands, commands
 
@@ -106,7 +96,7 @@ TOUR = "".join(
 )  # fmt: skip
 FLOODS = r"beyond ([\d,]+) puts and ([\d,]+) queries a second"
 DECIDED: list[tuple[str, str, Callable[[], tuple[float, ...]]]] = [
-    ("README.md", r"(\w+) State Branches;", lambda: (len(workflow("ratms").branches),)),
+    ("README.md", r"(\w+) State Branches;", lambda: (len(shipped_blueprint("ratms").branches),)),
     ("README.md", r"digitizes (\d+) landmarks, registers, and places the coil at (\d+) poses", planned),
     ("CHANGELOG.md", r"(\d+) examples instead of (\d+)", lambda: (profile.get_profile("nightly").max_examples, USUAL)),
     ("CHANGELOG.md", r"looked at in parts of (\d+) samples", lambda: (SAMPLES_PER_PART,)),

@@ -8,11 +8,15 @@ from typing import TYPE_CHECKING
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.workflows import find_workflow
+from pcmrs.workflows.find import FOLDER
 
 if TYPE_CHECKING:
     from pcmrs.dispatcher import Workflow
     from pcmrs.workflows.cell import Cell
     from pcmrs.workflows.data import PlacementData
+
+
+NAMES = sorted(path.stem for path in FOLDER.glob("*.toml"))
 
 
 @cache

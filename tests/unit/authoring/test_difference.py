@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 
 from pcmrs.authoring.difference import BlueprintDifference, Kind, compare
 from pcmrs.errors import BlueprintError
-from pcmrs.fsm import Blueprint, BranchSpec, OperationSpec, load_blueprint
+from pcmrs.fsm import Blueprint, BranchSpec, OperationSpec
 from pcmrs.fsm.blueprint import Condition
 from tests.support.altered import with_branch, with_operation
-from tests.support.ratms_oracle import BLUEPRINT, as_dict, expected, reachable
+from tests.support.ratms_oracle import as_dict, expected, reachable
+from tests.support.shipped import shipped_blueprint
 from tests.support.trials import examples
 from tests.unit.fsm.arm_workflow import arm_blueprint
 from tests.unit.fsm.large_blueprints import free
@@ -39,7 +40,7 @@ def test_a_difference_in_them_is_one_in_behaviour() -> None:
     assert compare(arm_blueprint(), arm_blueprint()) == []
 
 
-RATMS = load_blueprint(BLUEPRINT)
+RATMS = shipped_blueprint("ratms")
 
 MIRRORED: dict[Kind, Kind] = {
     "added": "removed",

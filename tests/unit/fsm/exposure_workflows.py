@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import pcmrs
 from pcmrs.authoring.design import design
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.files.load import read_blueprint
 from tests import ROOT
 
-SHIPPED = Path(pcmrs.__file__).parent / "workflows"
 BIOPSY = ROOT / "examples/biopsy_steps.toml"
 BY_HAND = b"""
 id = "injection_steps"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -12,22 +11,14 @@ import msgspec
 
 import pcmrs.workflows
 from pcmrs.fsm.blueprint import Blueprint
-from pcmrs.fsm.files.load import read_blueprint
+from tests.support.shipped import shipped_blueprint
 
 FILE = Path(pcmrs.workflows.__file__).parent / "ratms.toml"
 
 
-@cache
-def ratms() -> Blueprint:
-    """The workflow as it is, sound or not."""
-    blueprint, findings = read_blueprint(FILE.read_bytes(), FILE.name)
-    assert blueprint is not None, findings
-    return blueprint
-
-
 def changed(change: Callable[[dict[str, Any]], object]) -> Blueprint:
     """The workflow after a change of its branches as plain dictionaries."""
-    table = copy.deepcopy(msgspec.to_builtins(ratms()))
+    table = copy.deepcopy(msgspec.to_builtins(shipped_blueprint("ratms")))
     change(table["branches"])
     return msgspec.convert(table, Blueprint)
 
@@ -39,7 +30,7 @@ def without(branch: str, operation: str, key: str) -> Blueprint:
 
 def mutants() -> Iterator[tuple[str, Blueprint]]:
     """The workflow without each requirement, set state, signal, event and revocation, one at a time."""
-    for name, branch in ratms().branches.items():
+    for name, branch in shipped_blueprint("ratms").branches.items():
         for operation, spec in branch.operations.items():
             for key in ("requires", "sets", "signals", "event"):
                 if getattr(spec, key):

@@ -5,10 +5,9 @@ from __future__ import annotations
 import pytest
 
 from pcmrs.errors import BlueprintError
-from pcmrs.fsm import Closure, close, load_blueprint
+from pcmrs.fsm import Closure, close
 from pcmrs.fsm.behaviour import behaviour, endings, operations
 from tests.support.ratms_oracle import (
-    BLUEPRINT,
     BRANCHES,
     EVENT_OPERATIONS,
     INTERNAL_OPERATIONS,
@@ -21,8 +20,9 @@ from tests.support.ratms_oracle import (
     expected,
     reachable,
 )
+from tests.support.shipped import shipped_blueprint
 
-RATMS = load_blueprint(BLUEPRINT)
+RATMS = shipped_blueprint("ratms")
 REACHABLE = reachable()
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from pcmrs.fsm import load_blueprint, parse_blueprint
+from pcmrs.fsm import parse_blueprint
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, OperationSpec, OutcomeSpec
 from pcmrs.messages.identity import COMMANDING
-from tests.unit.fsm.exposure_workflows import BIOPSY, BY_HAND, SHIPPED, designed
+from tests.support.shipped import shipped_blueprint
+from tests.unit.fsm.exposure_workflows import BIOPSY, BY_HAND, designed
 from tests.unit.fsm.files.pump_workflow import PUMP
 from tests.unit.fsm.rules.small_workflow import SMALL
 
@@ -30,7 +31,7 @@ def test_the_sound_blueprint_loads() -> None:
 def test_a_workflow_uses_the_robot_where_it_connects_or_moves_it() -> None:
     assert not designed(BY_HAND).uses_robot
     assert designed(BIOPSY.read_bytes()).uses_robot
-    ratms = load_blueprint(SHIPPED / "ratms.toml")
+    ratms = shipped_blueprint("ratms")
     assert msgspec.structs.replace(ratms, branches={"placement": ratms.branches["placement"]}).uses_robot
 
 

@@ -13,12 +13,11 @@ from pcmrs.fsm import (
     State,
     StateSet,
     flags_of,
-    load_blueprint,
 )
 from pcmrs.fsm.classes import states_of
-from tests.support.ratms_oracle import BLUEPRINT
+from tests.support.shipped import shipped_blueprint
 
-RATMS = load_blueprint(BLUEPRINT)
+RATMS = shipped_blueprint("ratms")
 
 
 def every_state(states: StateSet) -> list[State]:

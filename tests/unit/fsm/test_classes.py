@@ -17,10 +17,9 @@ from pcmrs.fsm import (
     OperationSpec,
     State,
     StateSet,
-    load_blueprint,
 )
 from pcmrs.fsm.classes import source_of, states_of
-from tests.support.ratms_oracle import BLUEPRINT
+from tests.support.shipped import shipped_blueprint
 from tests.unit.fsm.arm_workflow import arm_blueprint
 
 
@@ -31,7 +30,7 @@ def test_generated_class_names_the_activities() -> None:
     assert len(states_of(arm_blueprint())["arm"]) == 5
 
 
-RATMS = load_blueprint(BLUEPRINT)
+RATMS = shipped_blueprint("ratms")
 
 
 def every_state(states: StateSet) -> list[State]:

@@ -7,13 +7,14 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.fsm import Change, Closure, Denial, Effect, Engine, close, load_blueprint, parse_blueprint
+from pcmrs.fsm import Change, Closure, Denial, Effect, Engine, close, parse_blueprint
 from pcmrs.fsm.behaviour import operations
 from pcmrs.fsm.closure import MAX_EFFECTS
-from tests.support.ratms_oracle import BLUEPRINT, Joint, as_dict, reachable
+from tests.support.ratms_oracle import Joint, as_dict, reachable
+from tests.support.shipped import shipped_blueprint
 from tests.unit.fsm.level_workflow import THREE_LEVELS
 
-RATMS = load_blueprint(BLUEPRINT)
+RATMS = shipped_blueprint("ratms")
 
 JOINTS: list[Joint] = reachable()
 

@@ -9,11 +9,10 @@ from pcmrs.fsm import (
     Closure,
     Engine,
     StateSet,
-    load_blueprint,
     parse_blueprint,
 )
 from pcmrs.fsm.classes import source_of
-from tests.support.ratms_oracle import BLUEPRINT
+from tests.support.shipped import shipped_blueprint
 from tests.unit.fsm.level_workflow import THREE_LEVELS
 
 
@@ -25,7 +24,7 @@ def test_operation_without_steps_cannot_fail() -> None:
     assert engine.joint() == parse_blueprint(THREE_LEVELS).initial()
 
 
-RATMS = load_blueprint(BLUEPRINT)
+RATMS = shipped_blueprint("ratms")
 
 
 def test_allowed_lists_what_a_user_may_ask_for() -> None:

@@ -7,11 +7,12 @@ from typing import Any
 import msgspec
 import pytest
 
-from pcmrs.fsm import Blueprint, load_blueprint
+from pcmrs.fsm import Blueprint
 from pcmrs.fsm.blueprint import ActivitySpec
 from pcmrs.fsm.exposure import Exposure
 from tests.support.altered import with_operation
-from tests.unit.fsm.exposure_workflows import BIOPSY, SHIPPED, designed
+from tests.support.shipped import NAMES, shipped_blueprint
+from tests.unit.fsm.exposure_workflows import BIOPSY, designed
 
 
 def exposing(blueprint: Blueprint, branch: str, **others: str) -> set[str]:
@@ -21,22 +22,22 @@ def exposing(blueprint: Blueprint, branch: str, **others: str) -> set[str]:
     return {state for state in blueprint.branches[branch].states if exposure.holds(joint | {branch: state})}
 
 
-@pytest.mark.parametrize("name", ["ratms", "ratms_threshold", "femoroplasty", "grid_mapping"])
+@pytest.mark.parametrize("name", NAMES)
 def test_the_tool_exposes_the_patient_where_it_is_at_the_body(name: str) -> None:
-    blueprint = load_blueprint(SHIPPED / f"{name}.toml")
+    blueprint = shipped_blueprint(name)
     away = {"unknown", "retracted", "held"}
     assert exposing(blueprint, "placement") == blueprint.branches["placement"].states.keys() - away
 
 
 def test_armed_stimulator_exposes_anywhere_and_its_results_never() -> None:
-    blueprint = load_blueprint(SHIPPED / "ratms_threshold.toml")
+    blueprint = shipped_blueprint("ratms_threshold")
     assert exposing(blueprint, "stimulation", placement="retracted") == {"armed"}
     for branch in ("hotspot", "threshold"):
         assert exposing(blueprint, branch, placement="retracted") == set()
 
 
 def test_a_map_of_points_exposes_only_while_the_tool_is_there() -> None:
-    blueprint = load_blueprint(SHIPPED / "grid_mapping.toml")
+    blueprint = shipped_blueprint("grid_mapping")
     assert exposing(blueprint, "mapping", placement="retracted") == set()
     assert exposing(blueprint, "mapping", placement="placed") == blueprint.branches["mapping"].states.keys()
 
@@ -51,7 +52,7 @@ def test_a_designed_biopsy_exposes_until_it_is_made_safe() -> None:
 
 
 def test_activity_exposes_if_it_moves_the_robot_or_treats() -> None:
-    ratms = load_blueprint(SHIPPED / "ratms_threshold.toml")
+    ratms = shipped_blueprint("ratms_threshold")
 
     def with_activity(branch: str, state: str, *, moves: bool) -> Blueprint:
         spec = ratms.branches[branch]
@@ -75,5 +76,5 @@ def test_activity_exposes_if_it_moves_the_robot_or_treats() -> None:
     ],
 )
 def test_declarations_of_an_operation_decide_its_exposure(declared: dict[str, Any], exposed: set[str]) -> None:
-    ratms = load_blueprint(SHIPPED / "ratms.toml")
+    ratms = shipped_blueprint("ratms")
     assert exposing(with_operation(ratms, "toolplan", "plan", **declared), "toolplan") == exposed

@@ -7,13 +7,12 @@ import pytest
 from pcmrs.fsm import (
     Denial,
     StateSet,
-    load_blueprint,
 )
 from pcmrs.fsm.blueprint import OperationSpec
 from pcmrs.fsm.state import Answer, State
-from tests.support.ratms_oracle import BLUEPRINT
+from tests.support.shipped import shipped_blueprint
 
-RATMS = load_blueprint(BLUEPRINT)
+RATMS = shipped_blueprint("ratms")
 
 
 def test_a_refusal_names_branch_state_and_operation() -> None:

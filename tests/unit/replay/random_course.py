@@ -12,7 +12,7 @@ import msgspec
 from pcmrs.dispatcher import Activity, Dispatcher, Registry, Run, Workflow
 from pcmrs.dispatcher.lease import lapse
 from pcmrs.errors import DeviceError, PcmrsError, RefusalError, UnknownOutcomeError
-from pcmrs.fsm import Effect, load_blueprint
+from pcmrs.fsm import Effect
 from pcmrs.journal import JournalRow, StoredRow
 from pcmrs.journal.rows import GENESIS
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Verdict
@@ -21,9 +21,10 @@ from pcmrs.replay.history import DaemonRun
 from pcmrs.replay.world import RowsClock
 from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs.workflows.data import PlacementData
-from tests.support.ratms_oracle import BLUEPRINT, EVENT_OPERATIONS, all_operations
+from tests.support.ratms_oracle import EVENT_OPERATIONS, all_operations
+from tests.support.shipped import shipped_blueprint
 
-RATMS = load_blueprint(BLUEPRINT)
+RATMS = shipped_blueprint("ratms")
 TAG = BlueprintTag(id=RATMS.id, version=RATMS.version, hash=RATMS.hash)
 ENDS = " ends"
 """After its name: what an activity waits for when it was told to end."""

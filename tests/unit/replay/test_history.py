@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from pcmrs.dispatcher import Workflow
 from pcmrs.errors import ReplayError
 from pcmrs.journal import JournalRow, StoredRow
 from pcmrs.replay.history import CarryOver, DaemonRun, closes_earlier_run, read_runs
@@ -65,25 +66,25 @@ KILLED = "grid_mapping"
 """The golden daemon of this workflow was killed in a motion."""
 
 
-def carried(runs: list[DaemonRun]) -> list[tuple[str, Any, Any]]:
+def carried(workflow: Workflow[Any, Any], runs: list[DaemonRun]) -> list[tuple[str, Any, Any]]:
     """What the second run closed otherwise than the first one left it."""
-    workflow, carry_over = open_installed(KILLED), CarryOver()
+    carry_over = CarryOver()
     assert list(carry_over.begin(runs[0], workflow)) == []
     carry_over.end(runs[0], workflow)
     return [(each.row, each.recorded, each.decided) for each in carry_over.begin(runs[1], workflow)]
 
 
 def test_operations_of_a_killed_run_must_be_closed_by_the_next() -> None:
-    first, second = read_runs(GOLDEN / f"{KILLED}.jsonl")
-    assert carried([first, second]) == []
+    workflow, (first, second) = open_installed(KILLED), read_runs(GOLDEN / f"{KILLED}.jsonl")
+    assert carried(workflow, [first, second]) == []
     closing = [stored for stored in second.rows if closes_earlier_run(stored)]
     assert closing
     name = f"outcome {closing[0].row.branch}.{closing[0].row.operation}"
     without = replace(second, rows=[stored for stored in second.rows if stored not in closing])
-    assert carried([first, without]) == [(name, None, "unknown")]
+    assert carried(workflow, [first, without]) == [(name, None, "unknown")]
     other = msgspec.structs.replace(closing[0].row, command_id="another")
     added = replace(second, rows=[*second.rows, _with_row(closing[0], other)])
-    assert carried([first, added]) == [(name, "unknown", None)]
+    assert carried(workflow, [first, added]) == [(name, "unknown", None)]
 
 
 def _with_row(stored: StoredRow, row: JournalRow) -> StoredRow:

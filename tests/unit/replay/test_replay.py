@@ -15,13 +15,13 @@ from pcmrs.cli import main
 from pcmrs.clock import SystemClock
 from pcmrs.dispatcher.locks import LockManager
 from pcmrs.dispatcher.procedure import Procedure
-from pcmrs.fsm import load_blueprint
 from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.replay import ReplayReport, replay
 from pcmrs.replay.history import read_runs
 from pcmrs.replay.replay import replay_runs
 from pcmrs.workflows.opening import open_workflow
 from tests.support.ratms_oracle import BLUEPRINT
+from tests.support.shipped import shipped_blueprint
 from tests.unit.replay.golden import GOLDEN, WORKFLOWS
 
 RATMS = GOLDEN / "ratms.jsonl"
@@ -131,7 +131,7 @@ def test_the_status_is_1_and_differences_are_listed(tmp_path: Path) -> None:
 
 def test_the_status_is_2_where_the_blueprint_is_another_one(tmp_path: Path) -> None:
     other = tmp_path / "other.jsonl"
-    other.write_text(RATMS.read_text().replace(load_blueprint(BLUEPRINT).hash, "0" * 64))
+    other.write_text(RATMS.read_text().replace(shipped_blueprint("ratms").hash, "0" * 64))
     status, _, err = run(str(other))
     assert status == 2
     assert "--blueprint" in err

@@ -10,7 +10,7 @@ import pytest
 
 from pcmrs.dispatcher import Registry, Run, Workflow
 from pcmrs.errors import DeviceError, RefusalError, UnknownOutcomeError
-from pcmrs.fsm import Engine, load_blueprint
+from pcmrs.fsm import Engine
 from pcmrs.journal import JournalRow
 from pcmrs.messages import Command, Reason
 from pcmrs.replay.recorder import ReplayRecorder
@@ -18,10 +18,10 @@ from pcmrs.replay.workflow import ReplayWorkflow
 from pcmrs.replay.world import ReplayCell, RowsClock
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.settings import ProcedureSettings
-from tests.support.ratms_oracle import BLUEPRINT
+from tests.support.shipped import shipped_blueprint
 from tests.unit.replay.rows import outcome, stored
 
-RATMS = load_blueprint(BLUEPRINT)
+RATMS = shipped_blueprint("ratms")
 
 
 def replayed(rows: list[JournalRow], *, check: Any = None, step: Any = None) -> ReplayWorkflow:

@@ -60,7 +60,7 @@ def test_processes_sharing_a_processor_wait_and_add_to_the_load() -> None:
             child.communicate(b"\n")
 
 
-def test_children_are_those_that_run_and_none_of_an_ended_process() -> None:
+def test_children_are_those_that_run_and_none_of_ended_process() -> None:
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as child:
         assert child.pid in child_processes(os.getpid())
         child.communicate(b"\n")

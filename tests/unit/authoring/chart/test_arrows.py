@@ -6,8 +6,8 @@ from hypothesis import given
 
 from pcmrs.authoring.chart import svg
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
+from tests.support.trials import examples
 from tests.unit.authoring.chart import chart_reading as reading
-from tests.unit.authoring.chart.ratms_chart import charts
 from tests.unit.fsm.random_blueprints import blueprints
 
 
@@ -15,7 +15,7 @@ def in_every_state(operation: OperationSpec, branch: BranchSpec) -> list[str]:
     return list(branch.states) if operation.from_ == ["*"] else operation.from_
 
 
-@charts
+@examples(25)
 @given(blueprints())
 def test_every_ending_is_at_an_arrow_from_where_it_may_start(blueprint: Blueprint) -> None:
     root = reading.parse(svg(blueprint))

@@ -8,7 +8,7 @@ from pcmrs.authoring.chart.arrows import arrows
 from pcmrs.authoring.chart.column import Lane, column
 from pcmrs.authoring.chart.links import links
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
-from tests.unit.authoring.chart.ratms_chart import charts
+from tests.support.trials import examples
 from tests.unit.fsm.random_blueprints import blueprints
 
 
@@ -17,7 +17,7 @@ def passed(lane: Lane, order: list[str]) -> set[int]:
     return set(range(min(ends), max(ends) + 1))
 
 
-@charts
+@examples(25)
 @given(blueprints())
 def test_every_arrow_is_in_one_place(blueprint: Blueprint) -> None:
     for name, branch in blueprint.branches.items():
@@ -29,7 +29,7 @@ def test_every_arrow_is_in_one_place(blueprint: Blueprint) -> None:
         assert {state for state, row in made.rows.items() if row.loops} == {a.target for a in drawn if a.loops}
 
 
-@charts
+@examples(25)
 @given(blueprints())
 def test_arrows_of_one_lane_pass_no_state_together(blueprint: Blueprint) -> None:
     for name, branch in blueprint.branches.items():
@@ -40,7 +40,7 @@ def test_arrows_of_one_lane_pass_no_state_together(blueprint: Blueprint) -> None
             taken[lane.number] = taken.get(lane.number, set()) | rows
 
 
-@charts
+@examples(25)
 @given(blueprints())
 def test_every_end_of_a_line_has_its_own_port(blueprint: Blueprint) -> None:
     joined = [link for link in links(blueprint) if link.kind != "revocation"]

@@ -13,15 +13,15 @@ from pcmrs.authoring.chart import dot, mermaid, svg
 from pcmrs.authoring.chart.current import MAX_LEVEL
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, ParentSpec
+from tests.support.shipped import shipped_blueprint
 from tests.support.trials import examples
-from tests.unit.authoring.chart.ratms_chart import ratms
 from tests.unit.fsm.random_blueprints import blueprints
 
 
 @pytest.mark.parametrize(("current", "known"), [({"arm": "1"}, "registration"), ({"robot": "7"}, "0, 1")])
 def test_an_unknown_state_is_refused_with_those_there_are(current: dict[str, str], known: str) -> None:
     with pytest.raises(ConfigurationError, match=known):
-        svg(ratms(), current)
+        svg(shipped_blueprint("ratms"), current)
 
 
 texts = examples(25)

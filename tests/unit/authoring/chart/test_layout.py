@@ -8,12 +8,12 @@ from hypothesis import given
 
 from pcmrs.authoring.chart import svg
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
+from tests.support.trials import examples
 from tests.unit.authoring.chart import chart_reading as reading
-from tests.unit.authoring.chart.ratms_chart import charts
 from tests.unit.fsm.random_blueprints import blueprints
 
 
-@charts
+@examples(25)
 @given(blueprints())
 def test_states_and_branches_are_drawn_once_and_boxes_keep_apart(blueprint: Blueprint) -> None:
     root = reading.parse(svg(blueprint))
@@ -23,7 +23,7 @@ def test_states_and_branches_are_drawn_once_and_boxes_keep_apart(blueprint: Blue
     assert not [pair for pair in itertools.combinations(boxes.items(), 2) if pair[0][1].meets(pair[1][1])]
 
 
-@charts
+@examples(25)
 @given(blueprints())
 def test_a_child_stands_inside_its_parent_and_others_apart(blueprint: Blueprint) -> None:
     frames = reading.frames(reading.parse(svg(blueprint)))
@@ -41,7 +41,7 @@ def above(blueprint: Blueprint, name: str) -> list[str]:
     return [] if parent is None else [parent.branch, *above(blueprint, parent.branch)]
 
 
-@charts
+@examples(25)
 @given(blueprints())
 def test_captions_meet_neither_lines_nor_boxes_nor_each_other(blueprint: Blueprint) -> None:
     root = reading.parse(svg(blueprint))
@@ -51,7 +51,7 @@ def test_captions_meet_neither_lines_nor_boxes_nor_each_other(blueprint: Bluepri
     assert not [pair for pair in itertools.combinations(captions, 2) if pair[0].meets(pair[1])]
 
 
-@charts
+@examples(25)
 @given(blueprints())
 def test_lines_cross_but_never_run_on_each_other(blueprint: Blueprint) -> None:
     lines = reading.segments(reading.parse(svg(blueprint)))

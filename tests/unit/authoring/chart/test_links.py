@@ -6,12 +6,12 @@ from hypothesis import given
 
 from pcmrs.authoring.chart import svg
 from pcmrs.fsm.blueprint import Blueprint
+from tests.support.trials import examples
 from tests.unit.authoring.chart import chart_reading as reading
-from tests.unit.authoring.chart.ratms_chart import charts
 from tests.unit.fsm.random_blueprints import blueprints
 
 
-@charts
+@examples(25)
 @given(blueprints())
 def test_rules_and_revocations_join_branches(blueprint: Blueprint) -> None:
     root = reading.parse(svg(blueprint))

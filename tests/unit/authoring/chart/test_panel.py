@@ -10,12 +10,12 @@ from pcmrs.authoring.chart.layout import layout
 from pcmrs.authoring.chart.links import links
 from pcmrs.authoring.chart.panel import PITCH, panel
 from pcmrs.fsm.blueprint import Blueprint
-from tests.unit.authoring.chart.ratms_chart import charts
+from tests.support.trials import examples
 from tests.unit.fsm.arm_workflow import arm_blueprint
 from tests.unit.fsm.random_blueprints import blueprints
 
 
-@charts
+@examples(25)
 @given(blueprints())
 def test_parts_of_a_panel_are_side_by_side_in_its_frame(blueprint: Blueprint) -> None:
     for each in layout(blueprint).panels.values():
@@ -31,7 +31,7 @@ def test_parts_of_a_panel_are_side_by_side_in_its_frame(blueprint: Blueprint) ->
         assert all(rows[-1].bottom < child.y for child in each.children)
 
 
-@charts
+@examples(25)
 @given(blueprints())
 def test_a_lane_holds_one_link(blueprint: Blueprint) -> None:
     for each in layout(blueprint).panels.values():

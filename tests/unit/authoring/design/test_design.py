@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from random import Random
 from typing import Any
 
@@ -11,15 +10,13 @@ import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
 
-import pcmrs
 from pcmrs.authoring.design import Design, design
-from pcmrs.fsm import Blueprint, Closure, Engine, flags_of, load_blueprint, parse_blueprint
+from pcmrs.fsm import Blueprint, Closure, Engine, flags_of, parse_blueprint
+from tests.support.shipped import shipped_blueprint
 from tests.support.trials import examples
 from tests.unit.authoring.design.designed_tables import RANDOMS, Joint, designed, endings
 from tests.unit.authoring.design.step_table_oracle import Model, random_table
 from tests.unit.authoring.design.step_tables import RATMS_STEPS, blueprint_of
-
-WORKFLOWS = Path(pcmrs.__file__).parent / "workflows"
 
 CLEARED_BEFORE = {("registration", "clear_landmarks", "000"), ("toolplan", "clear", "0")}
 """What ratms.toml also accepts where nothing is there to be cleared."""
@@ -48,7 +45,7 @@ def accepted(engine: Engine, branches: list[str]) -> dict[tuple[str, ...], dict[
 
 def test_the_papers_table_becomes_what_was_written_by_hand() -> None:
     branches = ["registration", "digitization", "toolplan"]
-    by_hand = accepted(Engine(load_blueprint(WORKFLOWS / "ratms.toml")), branches)
+    by_hand = accepted(Engine(shipped_blueprint("ratms")), branches)
     designed = accepted(Engine(blueprint_of(RATMS_STEPS)), branches)
     assert set(designed) == set(by_hand)
     common = {operation for here in designed.values() for operation in here}

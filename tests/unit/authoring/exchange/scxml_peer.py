@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from random import Random
 
 from statemachine.io.scxml.processor import SCXMLProcessor
@@ -14,7 +13,6 @@ from pcmrs.authoring.exchange.exporting.scxml import scxml
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.closure import Denial
 from pcmrs.fsm.engine import Engine
-from pcmrs.fsm.files.load import read_blueprint
 
 
 class Peer:
@@ -48,18 +46,6 @@ def fits(blueprint: Blueprint, joint: Mapping[str, str]) -> bool:
     """Whether every child fits its parent."""
     parents = {name: spec.parent for name, spec in blueprint.branches.items()}
     return all(p is None or joint[p.branch] in p.compatible[joint[name]] for name, p in parents.items())
-
-
-WORKFLOWS = Path("pcmrs/workflows")
-
-
-def workflow(name: str) -> Blueprint:
-    blueprint, findings = read_blueprint((WORKFLOWS / name).read_bytes(), name, WORKFLOWS)
-    assert blueprint is not None, findings
-    return blueprint
-
-
-RATMS = workflow("ratms.toml")
 
 
 def perform(engine: Engine, command: OperationEnding) -> bool:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from functools import cache
 
 from pcmrs.authoring.trial.tour import Tour, plan_tour
-from pcmrs.fsm import Blueprint, load_blueprint
-from tests.support.ratms_oracle import BLUEPRINT
+from pcmrs.fsm import Blueprint
+from tests.support.shipped import shipped_blueprint
 
-RATMS = load_blueprint(BLUEPRINT)
+RATMS = shipped_blueprint("ratms")
 
 
 @cache

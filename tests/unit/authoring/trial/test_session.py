@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 
 from pcmrs.authoring.trial.session import SimulationSession
 from pcmrs.errors import RefusalError
-from pcmrs.fsm import Blueprint, load_blueprint
-from tests.support.ratms_oracle import BLUEPRINT, INITIAL, Joint, all_operations, as_dict, expected
+from pcmrs.fsm import Blueprint
+from tests.support.ratms_oracle import INITIAL, Joint, all_operations, as_dict, expected
+from tests.support.shipped import shipped_blueprint
 from tests.support.trials import examples
 from tests.unit.fsm.random_blueprints import blueprints
 
-RATMS = load_blueprint(BLUEPRINT)
+RATMS = shipped_blueprint("ratms")
 
 
 def joint(walk: SimulationSession) -> Joint:

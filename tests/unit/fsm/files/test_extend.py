@@ -14,6 +14,7 @@ from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Blueprint, Finding, examine, load_blueprint, parse_blueprint
 from pcmrs.fsm.files.dump import blueprint_toml
 from pcmrs.fsm.files.toml import MAX_BYTES
+from tests.support.shipped import shipped_blueprint
 from tests.support.trials import examples
 from tests.unit.fsm.files.pump_workflow import PUMP
 
@@ -294,8 +295,7 @@ def test_it_can_be_compared_and_stepped_through(folder: Path) -> None:
 
 def test_the_shipped_grid_mapping_is_ratms_and_its_own() -> None:
     """What extends ratms.toml says all else as ratms.toml does."""
-    folder = Path("pcmrs/workflows")
-    ratms, grid = load_blueprint(folder / "ratms.toml"), load_blueprint(folder / "grid_mapping.toml")
+    ratms, grid = shipped_blueprint("ratms"), shipped_blueprint("grid_mapping")
     assert {name: branch for name, branch in grid.branches.items() if name not in ("mapping", "toolplan")} == {
         name: branch for name, branch in ratms.branches.items() if name != "toolplan"
     }

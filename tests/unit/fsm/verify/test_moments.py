@@ -10,9 +10,9 @@ from pcmrs.fsm.behaviour import branch_states, joint_of
 from pcmrs.fsm.blueprint import Blueprint, Condition, PropertySpec
 from pcmrs.fsm.verify.liveness import TimedOperations
 from pcmrs.fsm.verify.space import Space
+from tests.support.shipped import shipped_blueprint
 from tests.support.trials import examples
 from tests.unit.fsm.random_blueprints import blueprints
-from tests.unit.fsm.ratms_mutants import ratms
 from tests.unit.fsm.verify.moment_oracle import lengths, some_operations, stranded
 
 
@@ -26,8 +26,8 @@ def test_finds_every_moment_on_its_level(blueprint: Blueprint, data: st.DataObje
 def test_a_commit_waits_for_what_runs_on_a_branch_it_would_move(other: str) -> None:
     """A way home runs while a registration changes on which the standoff it began at rests: it can be concluded."""
     observed = frozenset({"placement.home", other})
-    check_moments(ratms(), observed)
-    moments = TimedOperations(Space(ratms(), 100)).moments(observed)
+    check_moments(shipped_blueprint("ratms"), observed)
+    moments = TimedOperations(Space(shipped_blueprint("ratms"), 100)).moments(observed)
     assert not any(moments.stranded(batch).any() for batch in moments.reached.batches())
 
 
@@ -61,7 +61,7 @@ def test_conditions_hold_at_the_same_moments(blueprint: Blueprint, data: st.Data
 
 
 def test_an_operation_that_is_only_called_by_children_never_runs() -> None:
-    runs = TimedOperations(Space(ratms(), 100))
+    runs = TimedOperations(Space(shipped_blueprint("ratms"), 100))
     moments = runs.moments(frozenset({"registration.digitized"}))
     spec = PropertySpec(id="never", never=Condition(running=["registration.digitized"]))
     assert spec.never is not None

@@ -11,11 +11,12 @@ from pcmrs.fsm.blueprint import Blueprint, Condition, PropertySpec
 from pcmrs.fsm.codes import VERIFICATION
 from pcmrs.fsm.rules import check_rules
 from pcmrs.fsm.verify import verify
+from tests.support.shipped import shipped_blueprint
 from tests.support.trials import examples
 from tests.unit.fsm.command_trace import follow_commands
 from tests.unit.fsm.large_blueprints import entangled, free, promising
 from tests.unit.fsm.random_blueprints import blueprints
-from tests.unit.fsm.ratms_mutants import mutants, ratms
+from tests.unit.fsm.ratms_mutants import mutants
 from tests.unit.fsm.verify.finding_oracle import cut_short
 from tests.unit.fsm.verify.joint_state_oracle import levels
 
@@ -72,7 +73,7 @@ def test_million_joint_states_are_twice_as_many_while_one_runs() -> None:
 
 
 def test_ratms_is_sound() -> None:
-    found = verify(ratms())
+    found = verify(shipped_blueprint("ratms"))
     assert found.findings == []
     assert found.joint_states == 39
 

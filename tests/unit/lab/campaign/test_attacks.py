@@ -31,7 +31,7 @@ def test_the_threat_model_has_the_table_of_attacks() -> None:
     assert attacks_as_markdown() in document
 
 
-def test_a_proof_is_listed_once_for_an_entry_point_and_an_attacker() -> None:
+def test_proof_is_listed_once_for_an_entry_point_and_an_attacker() -> None:
     table = Attacks(
         ways=["key", "port"],
         attackers=["viewer", "stranger"],

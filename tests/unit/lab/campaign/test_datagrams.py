@@ -76,7 +76,7 @@ def test_an_accepted_datagram_is_found_by_its_answer(monkeypatch: pytest.MonkeyP
         run(monkeypatch, refused_all(cell.as_cell, [b"a;"]))
 
 
-def test_an_accepted_command_without_an_answer_is_found_in_the_journal(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_accepted_command_without_answer_is_found_in_the_journal(monkeypatch: pytest.MonkeyPatch) -> None:
     cell = ScriptedCell()
     linked(monkeypatch, cell).also = lambda: cell.client.rows.append(row(verdict=verdict("toolplan.plan")))
     with pytest.raises(Unmet, match=r"The journal has an accepted toolplan\.plan"):

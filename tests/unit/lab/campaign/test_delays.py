@@ -39,9 +39,7 @@ def record(rule: Rule, begun: float = 1.0) -> Delayed:
     return Delayed(rule, begun, begun + 0.5, 3)
 
 
-def test_a_process_and_its_children_are_delayed_by_their_environment(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_process_and_its_children_delayed_by_their_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", "/elsewhere")
     environment = Delays(tmp_path / FOLDER).install()
     assert environment == {VARIABLE: str(tmp_path / FOLDER), "PYTHONPATH": f"{tmp_path / FOLDER}{os.pathsep}/elsewhere"}

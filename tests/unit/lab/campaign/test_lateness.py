@@ -17,7 +17,7 @@ from tests.unit.simulated_time.running import simulated
 @given(
     values=st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=30), share=st.sampled_from([0.0, 0.5, 0.9, 0.99, 1.0])
 )
-def test_percentile_is_the_smallest_value_that_enough_do_not_exceed(values: list[float], share: float) -> None:
+def test_percentile_is_smallest_value_that_enough_do_not_exceed(values: list[float], share: float) -> None:
     assert percentile(values, share) == np.quantile(values, share, method="inverted_cdf")
 
 

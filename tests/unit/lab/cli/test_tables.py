@@ -35,7 +35,7 @@ def test_the_papers_means_stand_below_the_measured_ones() -> None:
     assert line_of(table, "paper,")[-2:] == ["0.5096", "0.1692"]
 
 
-def test_treatment_names_who_confirmed_and_how_far_the_guide_is_off() -> None:
+def test_treatment_names_who_confirmed_and_how_far_guide_is_off() -> None:
     steps = [
         Treated("treatment.start_drilling", "drilling", {"surgeon": "simulated surgeon"}),
         Treated("treatment.check_guide", "checked", {"translation_error": 1.5e-4, "rotation_error": 0.001}),

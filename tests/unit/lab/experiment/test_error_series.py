@@ -65,7 +65,7 @@ def test_true_errors_are_sampled_until_the_time_is_over() -> None:
 
 
 @pytest.mark.parametrize("even_if_lost", [False, True])
-def test_a_tool_that_was_lost_ends_the_run_unless_that_is_watched(even_if_lost: bool) -> None:
+def test_tool_that_was_lost_ends_the_run_unless_that_is_watched(even_if_lost: bool) -> None:
     client = ScriptedClient(placement="following")
 
     async def watch() -> ErrorSeries:

@@ -144,7 +144,7 @@ async def test_a_run_without_any_frame_has_no_numbers(monkeypatch: pytest.Monkey
     assert all(math.isnan(value) for value in (run.measured_mm.rms, run.measured_mm.p99, run.measured_mm.max))
 
 
-async def test_the_hidden_reference_is_watched_although_the_tool_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_hidden_reference_is_watched_although_the_tool_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     experiment = Experiment(monkeypatch, aligned=[])
     report, _ = await experiment.run()
     assert experiment.monitor.watched[-2:] == [(1.0, False), (OCCLUDED, True)]

@@ -76,7 +76,7 @@ async def test_begun_motion_and_other_reasons_are_not_asked_again(decision: Deci
 
 
 @pytest.mark.parametrize(("trials", "poses"), [(1, None), (2, ())])
-async def test_too_few_trials_or_poses_are_refused_before_a_daemon_starts(
+async def test_too_few_trials_or_poses_refused_before_daemon_starts(
     monkeypatch: pytest.MonkeyPatch, trials: int, poses: tuple[ToolPose, ...] | None
 ) -> None:
     monkeypatch.setattr(placements, "private_bench", None)
@@ -99,7 +99,7 @@ async def test_a_tracker_that_stays_late_is_reported_at_last(monkeypatch: pytest
     assert len(asked) == placements.PATIENCE + 1
 
 
-def test_the_registration_in_force_is_the_last_one_of_the_journal() -> None:
+def test_registration_in_force_is_the_last_one_of_the_journal() -> None:
     given = [msgspec.structs.replace(REGISTERED, id=name) for name in ("old", "new")]
     results: list[dict[str, Any] | None] = [{"registered": msgspec.to_builtins(each)} for each in given]
     rows = [row(result=result) for result in (*results, {"registered": None}, {"other": 1}, None)]

@@ -26,7 +26,7 @@ from tests.unit.lab.experiment.example_reports import FOLLOWED, HUNTED, MONTE_CA
 pytest.importorskip("matplotlib")
 
 
-def test_each_motion_has_a_panel_with_both_runs_and_blocked_times() -> None:
+def test_each_motion_has_panel_with_both_runs_and_blocked_times() -> None:
     figure = following_figure(FOLLOWED)
     assert [axes.get_ylabel().splitlines()[0] for axes in figure.axes] == ["still", "steps"]
     for axes in figure.axes:

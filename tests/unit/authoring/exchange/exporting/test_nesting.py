@@ -9,12 +9,13 @@ import pytest
 from pcmrs.authoring.exchange.exporting.nesting import nesting_of
 from pcmrs.authoring.exchange.exporting.scxml import scxml
 from pcmrs.fsm.files.load import read_blueprint
-from tests.unit.authoring.exchange.scxml_peer import RATMS, Peer, trace
+from tests.support.shipped import shipped_blueprint
+from tests.unit.authoring.exchange.scxml_peer import Peer, trace
 
 
 def test_a_child_that_refines_one_state_is_drawn_inside_it() -> None:
-    assert nesting_of(RATMS).nested == {"placement", "teleoperation"}
-    peer = Peer(scxml(RATMS))
+    assert nesting_of(shipped_blueprint("ratms")).nested == {"placement", "teleoperation"}
+    peer = Peer(scxml(shipped_blueprint("ratms")))
     assert not any(state.startswith("placement") for state in peer.configuration())
     peer.send("robot.connect")
     assert "placement.unknown" in peer.configuration()

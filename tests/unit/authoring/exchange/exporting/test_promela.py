@@ -16,8 +16,9 @@ import pytest
 from pcmrs.authoring.exchange.exporting.promela import promela
 from pcmrs.fsm.blueprint import Blueprint, Condition, PropertySpec
 from pcmrs.fsm.verify import Verification, verify
+from tests.support.shipped import shipped_blueprint
 from tests.unit.fsm.random_blueprints import random_blueprint
-from tests.unit.fsm.ratms_mutants import mutants, ratms
+from tests.unit.fsm.ratms_mutants import mutants
 
 MISSING = [program for program in ("spin", "tcc") if shutil.which(program) is None]
 
@@ -75,7 +76,7 @@ def promising(blueprint: Blueprint, rng: Random) -> Blueprint:
 
 
 def workflows() -> Iterator[tuple[str, Blueprint]]:
-    yield "ratms", ratms()
+    yield "ratms", shipped_blueprint("ratms")
     yield from mutants()
     for seed in range(35):
         rng = Random(seed)
@@ -117,6 +118,6 @@ def test_spin_says_the_same(name: str, tmp_path: Path) -> None:
 
 
 def test_properties_of_running_operations_are_not_modelled() -> None:
-    model = promela(ratms())
+    model = promela(shipped_blueprint("ratms"))
     assert "property 0, approach_only_when_ready: it needs `running`" in model
     assert "never property_0" not in model

@@ -10,9 +10,9 @@ from pcmrs.authoring.exchange.exporting.events import change_of, commands
 from pcmrs.authoring.exchange.exporting.nesting import Nesting, nesting_of
 from pcmrs.authoring.exchange.exporting.reactions import reactions
 from pcmrs.fsm.blueprint import Blueprint
+from tests.support.shipped import shipped_blueprint
 from tests.support.trials import examples
 from tests.unit.fsm.random_blueprints import blueprints
-from tests.unit.fsm.ratms_mutants import ratms
 
 
 @examples(30)
@@ -33,9 +33,9 @@ def test_reactions_move_what_the_command_moves(blueprint: Blueprint) -> None:
 
 
 def test_entering_a_state_names_only_what_is_nested_in_it() -> None:
-    nesting = nesting_of(ratms())
+    nesting = nesting_of(shipped_blueprint("ratms"))
     assert "placement" in nesting.nested
-    found = list(reactions(ratms(), nesting))
+    found = list(reactions(shipped_blueprint("ratms"), nesting))
     for reaction in found:
         entered = [branch for branch, _ in reaction.entered]
         assert all(branch == reaction.branch or reaction.branch in nesting.around(branch) for branch in entered)

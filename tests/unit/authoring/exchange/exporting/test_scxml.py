@@ -6,7 +6,8 @@ from random import Random
 
 import pytest
 
-from tests.unit.authoring.exchange.scxml_peer import RATMS, WORKFLOWS, trace, workflow
+from tests.support.shipped import NAMES, shipped_blueprint
+from tests.unit.authoring.exchange.scxml_peer import trace
 from tests.unit.fsm.random_blueprints import random_blueprint
 
 
@@ -27,9 +28,9 @@ def test_many_random_workflows() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_ratms(seed: int) -> None:
-    assert trace(RATMS, Random(seed), 400) > 40
+    assert trace(shipped_blueprint("ratms"), Random(seed), 400) > 40
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in WORKFLOWS.glob("*.toml")))
+@pytest.mark.parametrize("name", NAMES)
 def test_shipped_workflows(name: str) -> None:
-    assert trace(workflow(name), Random(name), 150) > 10
+    assert trace(shipped_blueprint(name), Random(name), 150) > 10

@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from pcmrs.authoring.exchange.exporting.table import COLUMNS, table
-from pcmrs.fsm import Blueprint
 from pcmrs.fsm.behaviour import behaviour, endings
 from pcmrs.fsm.closure import Denial
-from pcmrs.fsm.files.load import read_blueprint
-
-WORKFLOWS = sorted(Path("pcmrs/workflows").glob("*.toml"))
-
-
-def workflow(path: Path) -> Blueprint:
-    blueprint, findings = read_blueprint(path.read_bytes(), str(path), path.parent)
-    assert blueprint is not None, findings
-    return blueprint
+from tests.support.shipped import NAMES, shipped_blueprint
 
 
 def rows(text: str) -> list[dict[str, str]]:
@@ -26,9 +15,9 @@ def rows(text: str) -> list[dict[str, str]]:
     return [dict(zip(COLUMNS, (cell.strip() for cell in line), strict=True)) for line in lines[2:]]
 
 
-@pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
-def test_every_way_an_operation_can_end_has_a_row(path: Path) -> None:
-    blueprint = workflow(path)
+@pytest.mark.parametrize("name", NAMES)
+def test_every_way_an_operation_can_end_has_a_row(name: str) -> None:
+    blueprint = shipped_blueprint(name)
     endings = sum(
         len(operation.endings) + (operation.on_failure is not None) + (operation.on_unknown is not None)
         for spec in blueprint.branches.values()
@@ -42,7 +31,7 @@ def test_every_way_an_operation_can_end_has_a_row(path: Path) -> None:
 
 
 def test_the_table_says_what_an_operation_needs_and_does() -> None:
-    shown = rows(table(workflow(Path("pcmrs/workflows/ratms.toml"))))
+    shown = rows(table(shipped_blueprint("ratms")))
     found = {row["operation"]: row for row in shown if row["branch"] != "toolplan (1)"}
     assert found["use_previous"] == {
         "branch": "registration (1)",
@@ -59,10 +48,10 @@ def test_the_table_says_what_an_operation_needs_and_does() -> None:
     assert (found["link_lost"]["asked by"], found["digitized (IIO)"]["asked by"]) == ("a device", "a child")
 
 
-@pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
-def test_calls_are_the_parent_operations_that_the_workflow_calls(path: Path) -> None:
+@pytest.mark.parametrize("name", NAMES)
+def test_calls_are_the_parent_operations_that_the_workflow_calls(name: str) -> None:
     """Oracle: the closures of every operation in every joint state, cascades of the parent's own left out."""
-    blueprint = workflow(path)
+    blueprint = shipped_blueprint(name)
     called: dict[str, set[str]] = {}
     for rulings in behaviour(blueprint).values():
         for name, said in rulings.items():

@@ -77,7 +77,7 @@ def test_a_folder_that_cannot_be_made_is_refused_before_the_work(tmp_path: Path)
     assert not stat.S_ISDIR((tmp_path / "file").stat().st_mode)
 
 
-def test_rows_are_chosen_by_class_and_id_and_unknown_ones_refused() -> None:
+def test_rows_chosen_by_class_and_id_and_unknown_ones_refused() -> None:
     assert chosen((), ()) == list(catalogue().values())
     assert {row.id for row in chosen(("clock",), ("S3",))} == {"S3", "C1", "C2", "C3", "C4", "C5", "C6"}
     with pytest.raises(click.UsageError, match="Unknown fault Z9"):

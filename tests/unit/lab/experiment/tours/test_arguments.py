@@ -54,7 +54,7 @@ def test_other_workflows_have_arguments_for_their_payloads(workflow: str, withou
     assert payloads - plan_arguments(PLAN).keys() - {"none"} == without
 
 
-def test_operations_without_arguments_are_named_with_their_payload() -> None:
+def test_operations_without_arguments_named_with_their_payload() -> None:
     given = plan_arguments(PLAN)
     del given["nudge"]
     arguments = Arguments(given | {"press": []})

@@ -87,7 +87,7 @@ async def test_a_verdict_is_waited_for_that_is_not_known_yet() -> None:
         assert await waiting == new
 
 
-def test_a_cell_is_settled_when_nothing_runs_and_all_is_published() -> None:
+def test_cell_is_settled_when_nothing_runs_and_all_is_published() -> None:
     async def settle() -> tuple[Snapshot, float]:
         cell, loop = PublishingCell(), asyncio.get_running_loop()
         done = msgspec.structs.replace(cell.now, sequence=7)
@@ -102,7 +102,7 @@ def test_a_cell_is_settled_when_nothing_runs_and_all_is_published() -> None:
     assert time == 0.8
 
 
-def test_a_state_that_is_never_published_is_taken_as_it_was_answered() -> None:
+def test_state_never_published_is_taken_as_it_was_answered() -> None:
     async def settle() -> int:
         cell = PublishingCell()
         async with observing(client(cell)) as observer:

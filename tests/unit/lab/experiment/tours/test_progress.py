@@ -64,7 +64,7 @@ def test_a_refusing_check_is_no_deviation_but_not_covered_either() -> None:
     assert tour.agenda.unseen()[wanted] == "refused by its check: too_far"
 
 
-def test_another_ending_than_the_requested_one_is_covered_as_it_was() -> None:
+def test_another_ending_than_requested_one_is_covered_as_it_was() -> None:
     tour, wanted = progress(), move("side.move", "failed", ready())
     done = move("side.move", "done", ready())
     tour.ended(wanted, verdict("side.move"), done.after, ran=True)
@@ -73,7 +73,7 @@ def test_another_ending_than_the_requested_one_is_covered_as_it_was() -> None:
     assert tour.seen.left == {}
 
 
-def test_operation_that_is_decided_at_once_is_not_expected_to_fail() -> None:
+def test_operation_decided_at_once_is_not_expected_to_fail() -> None:
     """Stop cannot come in between if it was accepted and was never shown as running."""
     tour, wanted = progress(), move("side.move", "failed", ready())
     tour.ended(wanted, verdict("side.move"), move("side.move", "done", ready()).after, ran=False)
@@ -81,13 +81,13 @@ def test_operation_that_is_decided_at_once_is_not_expected_to_fail() -> None:
     assert all(each.ending == "failed" and each.name == "side.move" for each in tour.seen.left)
 
 
-def test_an_ending_in_a_joint_state_that_no_move_leads_to_deviates() -> None:
+def test_an_ending_in_joint_state_that_no_move_leads_to_deviates() -> None:
     tour, wanted = progress(), move("side.move", "done", ready())
     tour.ended(wanted, verdict("side.move"), START, ran=True)
     assert [each.command for each in tour.seen.deviations] == ["side.move:done"]
 
 
-def test_a_move_that_deviates_after_it_was_covered_does_not_count() -> None:
+def test_move_that_deviates_after_it_was_covered_does_not_count() -> None:
     tour, wanted = progress(), move("side.move", "done", ready())
     tour.cover([wanted])
     tour.judge(wanted, "followed by an unrequested change", START, "")
