@@ -13,13 +13,14 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
+from pcmrs.testing.cell import LIGHT
 from pcmrs.testing.daemon import free_port
 from tests.system.daemon.daemon_process import START_TIME, own_settings, wait_until
 
 SERVE = "pcmrs-serve"
 KEPT_RUNNING = (SERVE, "pcmrs watch", "pcmrs console")
 """Commands that a user leaves running in a terminal of their own, until Ctrl-C."""
-PATIENT = ("cell.rate=2", "robot.deadman=1", "sim.arm.physics=kinematic")
+PATIENT = ("cell.rate=2", "robot.deadman=1", *LIGHT)
 """No page shows what comes of a machine that has no time for the daemon, or what the arm weighs."""
 SHELLS = ("sh", "bash", "console")
 DONE = "the command has ended: "
