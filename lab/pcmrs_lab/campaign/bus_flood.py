@@ -25,7 +25,7 @@ from pcmrs.bus.qos import REQUESTS
 from pcmrs.bus.requests import send_query
 from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.bus.stop import Stopping
-from pcmrs.errors import DeviceError, PcmrsError
+from pcmrs.errors import DeviceError, PcmrsError, UnknownOutcomeError
 from pcmrs.messages import Verdict
 from pcmrs_lab.campaign.sham import is_sham
 
@@ -172,7 +172,7 @@ class _Flood:
             except PcmrsError as error:
                 code = str(error.fields.get("reason", error.code))
             self._codes[code] = self._codes.get(code, 0) + 1
-            self._answered += code != "unknown_outcome"
+            self._answered += code != UnknownOutcomeError.code
 
 
 def _outcome_of(answer: bytes) -> str:

@@ -35,7 +35,7 @@ def as_version_1(path: Path) -> int:
         rows = [stored.row for stored in reader.read() if stored.row.kind in KINDS]
     if is_sham():
         return len(rows)
-    for file in (*path.parent.glob(f"{path.name}*"), *path.parent.glob("journal.*")):
+    for file in {*path.parent.glob(f"{path.name}*"), *path.parent.glob("journal.*")}:
         file.unlink()
     with closing(sqlite3.connect(path)) as old, old:
         for statement in statements(HEADLESS).values():
@@ -147,6 +147,7 @@ def damages(
         places = [(whole, file, place) for whole in wholes for file, place in _tails(whole)]
     else:
         files = [(whole, file, len(content)) for whole in wholes for file, content in sorted(contents(whole).items())]
+        files = [each for each in files if each[2] > first]  # an empty file has no bit
         chosen = [generator.choice(files) for _ in range(count)]
         places = [(whole, file, generator.randrange(first, length)) for whole, file, length in chosen]
     return [(whole, Damage(file, place, generator.randrange(8) if flips else None)) for whole, file, place in places]

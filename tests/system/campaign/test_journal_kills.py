@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from pcmrs.clock import SystemClock
-from pcmrs.errors import JournalError
-from pcmrs.journal import Journal
 from pcmrs_lab.campaign import kills
 from pcmrs_lab.campaign.cuts import cut_and_flip
-from pcmrs_lab.campaign.kills import JOURNAL_FAILPOINTS, RANDOM, VerifiedPrefix, kill_writers, lost_rows
-from pcmrs_lab.campaign.writing import row
+from pcmrs_lab.campaign.kills import JOURNAL_FAILPOINTS, RANDOM, kill_writers
 
 
 def test_no_acknowledged_row_is_lost_at_any_failpoint_or_instant() -> None:
@@ -47,27 +42,6 @@ def test_nothing_acknowledged_is_lost_in_many_kills() -> None:
     found = kill_writers(600, 4, SystemClock())
     assert not found.violated
     assert set(found.at) == {*JOURNAL_FAILPOINTS, RANDOM}
-
-
-async def _journal(path: Path, rows: int) -> None:
-    journal = Journal.open(path)
-    for number in range(rows):
-        await journal.append([row("run0", 0, number)])
-    await journal.close()
-
-
-async def test_a_row_that_is_not_there_is_a_loss(tmp_path: Path) -> None:
-    await _journal(tmp_path / "journal.sqlite", 3)
-    assert lost_rows(tmp_path / "journal.sqlite", "run0", [2, 3], VerifiedPrefix()) == 0
-    assert lost_rows(tmp_path / "journal.sqlite", "run0", [3, 9], VerifiedPrefix()) == 1
-    assert lost_rows(tmp_path / "journal.sqlite", "run1", [2, 3], VerifiedPrefix()) == 2
-    assert lost_rows(tmp_path / "nowhere.sqlite", "run0", [1], VerifiedPrefix()) == 1
-
-
-async def test_broken_chain_is_detected(tmp_path: Path) -> None:
-    await _journal(tmp_path / "journal.sqlite", 3)
-    with pytest.raises(JournalError, match="does not continue"):
-        lost_rows(tmp_path / "journal.sqlite", "run0", [2], VerifiedPrefix(1, bytes(32)))
 
 
 def test_no_cut_and_no_flipped_bit_is_a_silent_loss() -> None:
