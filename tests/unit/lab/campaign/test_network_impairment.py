@@ -26,7 +26,7 @@ def test_a_seed_always_gives_the_same_weather(seed: int) -> None:
     assert [first.delays(0.0) for _ in range(50)] == [second.delays(0.0) for _ in range(50)]
 
 
-def test_a_message_that_arrives_before_an_earlier_one_has_overtaken_it() -> None:
+def test_message_arriving_before_an_earlier_one_has_overtaken_it() -> None:
     weather = NetworkImpairment(delay=0.5)
     assert weather.wait(0.0) == 0.5
     weather.delay = 0.1
