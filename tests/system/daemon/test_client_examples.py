@@ -9,7 +9,7 @@ import sys
 from io import StringIO
 from pathlib import Path
 
-from pcmrs.testing.cell import RunningCell, open_cell
+from pcmrs.testing.cell import LIGHT, RunningCell, open_cell
 from tests import ROOT
 
 EXAMPLES = ROOT / "examples" / "clients"
@@ -37,7 +37,7 @@ async def run(cell: RunningCell, name: str, *words: str) -> str:
 
 
 async def test_each_program_does_what_it_says(tmp_path: Path) -> None:
-    async with open_cell(tmp_path / "shown", ("sim.arm.physics=kinematic",)) as cell:
+    async with open_cell(tmp_path / "shown", LIGHT) as cell:
         placed = await run(cell, "place.py")
         assert placed.startswith("too early: ")
         assert "placement.home: accepted, placement is retracted" in placed
