@@ -13,6 +13,7 @@ import pytest
 
 from pcmrs.console.settings import TOKEN
 from pcmrs.journal import JournalReader
+from pcmrs.testing.cell import LIGHT
 from pcmrs.testing.daemon import free_port
 from pcmrs.testing.driving import accept
 from tests.system.daemon.daemon_process import own_settings, running_daemon, wait_until
@@ -20,7 +21,7 @@ from tests.system.daemon.daemon_process import own_settings, running_daemon, wai
 
 def with_page(folder: Path, port: int) -> list[str]:
     shown = [each for each in own_settings(folder) if not each.startswith("console.")]
-    return [*shown, f"console.port={port}"]
+    return [*shown, f"console.port={port}", *LIGHT]
 
 
 def status(url: str) -> int:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from pcmrs.authoring.design import design
 from pcmrs.messages import DeviceEvent
+from pcmrs.testing.cell import LIGHT
 from pcmrs.testing.driving import accept
 from tests import ROOT
 from tests.system.daemon.daemon_process import own_settings, running_daemon
@@ -32,7 +33,7 @@ affects_patient = true
 async def test_steps_at_the_patient_wait_for_the_release_in_the_hint(tmp_path: Path) -> None:
     workflow = tmp_path / "biopsy_steps.toml"
     workflow.write_text(design(TABLE.read_bytes()).text)
-    settings = [*own_settings(tmp_path), f"workflow={workflow}"]
+    settings = [*own_settings(tmp_path), *LIGHT, f"workflow={workflow}"]
     with running_daemon(settings, tmp_path) as daemon:
         async with daemon.client() as client:
             for operation in ("robot.connect", "procedure.register", "procedure.plan_path", "procedure.align"):

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from pcmrs.testing.cell import LIGHT
 from pcmrs.testing.driving import accept
 from tests.system.daemon.daemon_process import (
     PATIENCE,
@@ -71,7 +72,7 @@ def scrape(daemon: ServeProcess) -> dict[tuple[str, tuple[str, ...]], float]:
 async def test_daemon_notifies_and_is_scraped_unless_it_is_blocked(
     tmp_path: Path, manager: ServiceManager, blocked: Path
 ) -> None:
-    with running_daemon([*own_settings(tmp_path), "metrics.port=0"], tmp_path) as daemon:
+    with running_daemon([*own_settings(tmp_path), *LIGHT, "metrics.port=0"], tmp_path) as daemon:
         assert manager.next() == {"READY": "1"}
         fed = manager.next()
         assert fed["WATCHDOG"] == "1"

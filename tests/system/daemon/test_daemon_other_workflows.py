@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from pcmrs.errors import CommandRefusedError
+from pcmrs.testing.cell import LIGHT
 from pcmrs.testing.driving import accept, register
 from pcmrs.workflows import find_workflow
 from tests import ROOT
@@ -16,7 +17,7 @@ BIOPSY = ROOT / "examples" / "biopsy" / "biopsy.toml"
 
 
 async def test_a_workflow_of_two_branches_without_a_robot(tmp_path: Path) -> None:
-    with running_daemon([*own_settings(tmp_path), f"workflow={BIOPSY}"], tmp_path) as daemon:
+    with running_daemon([*own_settings(tmp_path), *LIGHT, f"workflow={BIOPSY}"], tmp_path) as daemon:
         assert daemon.ready.workflow == "biopsy 1.0.0"
         assert Path(daemon.ready.journal) == tmp_path / "biopsy.sqlite"
         async with daemon.client() as client, daemon.planner() as planner:

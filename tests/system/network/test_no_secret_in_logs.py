@@ -13,6 +13,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
 from pcmrs.gateway.signing import Signer, read_key
+from pcmrs.testing.cell import LIGHT
 from tests.system.network.remote_cell import Loopback, remote_cell
 
 
@@ -41,7 +42,7 @@ def test_no_key_is_written_anywhere_else(tmp_path: Path) -> None:
     key_file.chmod(0o600)
     signed = (f"gateway.peers.planner.key_file={key_file}", "recording.enabled=true", "gateway.unsigned_peers=[]")
     printed: list[str] = []
-    with remote_cell(Loopback(), tmp_path, *signed) as cell:
+    with remote_cell(Loopback(), tmp_path, *signed, *LIGHT) as cell:
         for words in (("call", "robot.connect"), ("state", "--json"), ("keys", "--json"), ("health", "--json")):
             done = cell.pcmrs(*words)
             printed += [done.stdout, done.stderr]
