@@ -31,7 +31,7 @@ def test_arguments_are_used_in_turn_from_the_first_one_on() -> None:
     assert other == {"index": 0}, "each operation has its own turn"
 
 
-def test_arguments_of_operation_count_before_those_of_its_payload() -> None:
+def test_arguments_of_operation_count_before_its_payloads() -> None:
     arguments = Arguments({"press": PRESSES, "placement.press": {"force": 3.0}})
     assert [arguments.next("placement.press", "press") for _ in range(2)] == [{"force": 3.0}] * 2
     assert arguments.next("other.press", "press") == PRESSES[0]
