@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
 
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.files.load import read_blueprint
@@ -37,4 +39,7 @@ def shipped_workflow(name: str) -> Workflow[Cell, PlacementData]:
     # Imported here, because it loads all that operations need, and most tests of a blueprint need nothing of that.
     from pcmrs.workflows.opening import open_workflow
 
-    return open_workflow(name)
+    workflow = open_workflow(name)
+    registry = workflow.registry
+    frozen: Any = {"checks": MappingProxyType(registry.checks), "steps": MappingProxyType(registry.steps)}
+    return replace(workflow, registry=replace(registry, **frozen))

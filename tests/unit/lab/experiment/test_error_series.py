@@ -39,8 +39,8 @@ def monitor(client: ScriptedClient, scene: Scene, rate: float = 1.0) -> Placemen
 
 def pose(body: str, number: int, off: float = 0.0, **more: Any) -> BodyPose:
     position = (off, 0.0, 0.1) if body == "coil" else (0.0, 0.0, 0.0)
-    given: dict[str, Any] = {"frame_number": number, "captured": 0.0, "sent": 0.0, "position": position}
-    return BodyPose(body=body, valid=True, **(given | {"quat_wxyz": IDENTITY} | more))
+    given: dict[str, Any] = {"frame_number": number, "captured": 0.0, "sent": 0.0, "valid": True}
+    return BodyPose(body=body, **(given | {"position": position, "quat_wxyz": IDENTITY} | more))
 
 
 def test_errors_while_blocked_do_not_count_as_allowed() -> None:
@@ -114,7 +114,7 @@ async def test_frames_that_never_get_their_other_body_are_dropped() -> None:
     await asyncio.sleep(0)
     for number in range(HISTORY + 1):
         client.handlers["state/pose/*"](pose("coil", number))
-    for number in (0, 1):
+    for number in (0, HISTORY):
         client.handlers["state/pose/*"](pose("body_ref", number))
     client.handlers["state/fsm"](snapshot(placement="held", alignment="0"))
     assert len((await task).measured_mm) == 1

@@ -235,9 +235,13 @@ async def test_after_a_failure_the_procedure_is_what_the_disk_says(
     async def hold(_latch: bool) -> None:
         return None
 
-    workflow = shipped_workflow("ratms")
-    workflow.registry.checks["plan_reachable"] = lambda run: None
-    workflow.registry.steps["keep_plan"] = lambda run: run.keep(plan_id="p", previous_plan=PLANNED)
+    shipped = shipped_workflow("ratms")
+    registry = replace(
+        shipped.registry,
+        checks=dict(shipped.registry.checks) | {"plan_reachable": lambda run: None},
+        steps=dict(shipped.registry.steps) | {"keep_plan": lambda run: run.keep(plan_id="p", previous_plan=PLANNED)},
+    )
+    workflow = replace(shipped, registry=registry)
     recovered = await recover(flaky, recorder, workflow, configured)
     cell: Any = None
     dispatcher = Dispatcher(recovered.workflow, cell, clock, recorder, hold)
