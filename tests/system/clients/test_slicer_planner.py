@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from pcmrs.gateway.signing import new_key
+from pcmrs.testing.cell import LIGHT
 from pcmrs.testing.daemon import free_port
 from pcmrs.testing.driving import accept, plan, reset_cell
 from tests.system.clients.slicer_program import Cell, Program, core, lossy_way, running_cell
@@ -91,6 +92,8 @@ def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
         "gateway.peers.slicer.role=operator",
         "gateway.peers.slicer.counter=unix_ns",
         'gateway.peers.slicer.allow=["read","stream","plan","digitize","register","robot","motion"]',
+        *LIGHT,
+        "sim.tracker.rate_hz=30",  # a program that does not tick for a second has a backlog
         "cell.rate=2",  # what is quicker fails on a machine that does much else
         "robot.deadman=1.0",  # likewise: such a machine leaves a daemon alone for so long, and the arm would be held
         "procedure.motion.linear_velocity=0.25",  # slow enough to be stopped on the way

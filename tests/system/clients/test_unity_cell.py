@@ -20,7 +20,7 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import BodyPose, JointState, PoseMessage, Target
 from pcmrs.spatial import Transform
-from pcmrs.testing.cell import RunningCell
+from pcmrs.testing.cell import LIGHT, RunningCell
 from pcmrs.testing.daemon import free_port
 from pcmrs.testing.driving import MOVES, plan, until, wait_until_stationary
 from pcmrs_lab.campaign.checks import stands
@@ -139,6 +139,7 @@ async def test_a_procedure_is_run_and_seen_by_the_client(programs: Path, tmp_pat
     key = tmp_path / "unity.key"
     new_key(key)
     overrides = (
+        *LIGHT,
         *(f"gateway.{link}.stream_port={port}" for link, port in streams.items()),
         "gateway.openigtlink.enabled=true",
         "gateway.openigtlink.port=0",

@@ -15,15 +15,16 @@ from pcmrs.messages.teleop import Twist
 from pcmrs.spatial import Transform
 from pcmrs.teleop.session import TeleopSession
 from pcmrs.teleop.twist_script import TwistScript
-from pcmrs.testing.cell import RunningCell
+from pcmrs.testing.cell import LIGHT, RunningCell
 from pcmrs.testing.driving import accept, showing, to_standoff, until
 from pcmrs.workflows.data import as_transform
 from pcmrs_lab.campaign.lab import Lab
 
 PATIENT = (
+    *LIGHT,
+    "sim.tracker.rate_hz=30",
     "cell.rate=1",
     "robot.deadman=1.0",
-    "sim.arm.physics=kinematic",
     "procedure.following.longest_gap=0.2",
     "procedure.teleoperation.deadman=0.5",
     "procedure.teleoperation.slow_delay=1",

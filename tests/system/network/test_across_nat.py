@@ -21,6 +21,7 @@ from pcmrs.client import PlainClient
 from pcmrs.clock import SystemClock
 from pcmrs.messages import BodyPose, DeviceHealth, JointState, Snapshot
 from pcmrs.pki import read_credentials
+from pcmrs.testing.cell import LIGHT
 from pcmrs_lab.campaign.natlab import Side, missing
 from tests.system.network.remote_cell import (
     CELL,
@@ -83,7 +84,7 @@ def test_the_workflow_runs_from_behind_another_nat(tmp_path: Path) -> None:
 
 def test_the_workflow_runs_through_a_router_on_loopback(tmp_path: Path) -> None:
     network = Loopback()
-    with remote_cell(network, tmp_path, *PATIENT, "procedure.max_pose_age=3") as cell:
+    with remote_cell(network, tmp_path, *PATIENT, *LIGHT, "procedure.max_pose_age=3") as cell:
         check_that_devices_are_heard(network, tmp_path)
         with holding(cell):
             perform(cell)
