@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator
 
@@ -59,11 +58,19 @@ def combinations(blueprint: Blueprint, branches: list[str]) -> Iterator[Joint]:
     if number > MAX_COMBINATIONS:
         text = f"{', '.join(branches)} depend on each other in {number} combinations, over {MAX_COMBINATIONS}."
         raise BlueprintError(text, combinations=number, limit=MAX_COMBINATIONS)
-    initial = blueprint.initial()
-    for states in itertools.product(*(blueprint.branches[name].states for name in branches)):
-        joint = initial | dict(zip(branches, states, strict=True))
-        if all(_fits(blueprint, name, joint) for name in branches):
-            yield joint
+    # One branch after the other, so that a child that does not fit is dropped before the branches that follow.
+    joints = [blueprint.initial()]
+    for place, name in enumerate(branches):
+        checked = [child for child in branches if _decided_by(blueprint, child, name, branches[place + 1 :])]
+        extended = (joint | {name: state} for joint in joints for state in blueprint.branches[name].states)
+        joints = [joint for joint in extended if all(_fits(blueprint, child, joint) for child in checked)]
+    yield from joints
+
+
+def _decided_by(blueprint: Blueprint, child: str, name: str, undecided: list[str]) -> bool:
+    """Return true if a child and its parent are decided with the branch `name`, and were not before."""
+    parent = blueprint.branches[child].parent
+    return parent is not None and name in (child, parent.branch) and not {child, parent.branch} & {*undecided}
 
 
 def _fits(blueprint: Blueprint, branch: str, joint: Joint) -> bool:

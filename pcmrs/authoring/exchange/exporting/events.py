@@ -42,19 +42,27 @@ def commands(blueprint: Blueprint) -> Iterator[OperationEnding]:
                 )
 
 
-def change_of(blueprint: Blueprint, states: Joint, command: OperationEnding) -> Change | None:
-    """Return the change of a command in a joint state, or None if it is rejected.
+def commands_by_operation(blueprint: Blueprint) -> Iterator[tuple[str, str, list[OperationEnding]]]:
+    """Return each operation of `commands` with its commands: one for each of its endings."""
+    for (branch, operation), group in itertools.groupby(commands(blueprint), _operation_of):
+        yield branch, operation, list(group)
+
+
+def _operation_of(command: OperationEnding) -> tuple[str, str]:
+    return command.branch, command.operation
+
+
+def changes_of(blueprint: Blueprint, states: Joint, branch: str, operation: str) -> dict[str, Change | None]:
+    """Return the change of each ending of an operation in a joint state; empty if it is rejected.
 
     Args:
         blueprint: The workflow.
         states: The joint state.
-        command: The command.
+        branch: Branch of the operation.
+        operation: Name of the operation.
     """
-    closure = close(blueprint, states, command.branch, command.operation)
-    if not isinstance(closure, Closure):
-        return None
-    operation = blueprint.branches[command.branch].operations[command.operation]
-    return endings(operation, closure).get(command.ending)
+    closure = close(blueprint, states, branch, operation)
+    return endings(blueprint.branches[branch].operations[operation], closure) if isinstance(closure, Closure) else {}
 
 
 Key = tuple[str, str]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from pcmrs.authoring.exchange.exporting.coupling import combinations, coupled
-from pcmrs.authoring.exchange.exporting.events import change_of, commands
+from pcmrs.authoring.exchange.exporting.events import changes_of, commands_by_operation
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec
 
 
@@ -105,9 +105,11 @@ def _has_the_shape(spec: BranchSpec) -> bool:
 def _first_broken(blueprint: Blueprint, nesting: Nesting) -> set[str]:
     if not nesting.nested:
         return set()
-    for command in commands(blueprint):
-        for joint in combinations(blueprint, coupled(blueprint, command.branch, command.operation)):
-            change = change_of(blueprint, joint, command) if nesting.holds(joint) else None
-            if change is not None and (broken := nesting.broken(change.states)):
-                return broken
+    for branch, operation, endings in commands_by_operation(blueprint):
+        joints = filter(nesting.holds, combinations(blueprint, coupled(blueprint, branch, operation)))
+        changes = [changes_of(blueprint, joint, branch, operation) for joint in joints]
+        for command in endings:
+            for change in (each.get(command.ending) for each in changes):
+                if change is not None and (broken := nesting.broken(change.states)):
+                    return broken
     return set()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from pcmrs.authoring.exchange.cubes import Cube, cover
 from pcmrs.authoring.exchange.exporting.coupling import Joint, combinations, coupled
-from pcmrs.authoring.exchange.exporting.events import OperationEnding, change_of, commands
+from pcmrs.authoring.exchange.exporting.events import OperationEnding, changes_of, commands_by_operation
 from pcmrs.authoring.exchange.exporting.nesting import Nesting
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.closure import Change
@@ -46,12 +46,14 @@ def reactions(blueprint: Blueprint, nesting: Nesting) -> Iterator[Reaction]:
     Raises:
         BlueprintError: Too many branches depend on each other.
     """
-    for command in commands(blueprint):
-        branches = coupled(blueprint, command.branch, command.operation)
+    for asked, operation, endings in commands_by_operation(blueprint):
+        branches = coupled(blueprint, asked, operation)
         before = [joint for joint in combinations(blueprint, branches) if nesting.holds(joint)]
-        changes = [(joint, change_of(blueprint, joint, command)) for joint in before]
-        for branch in branches:
-            yield from _of_branch(command, branch, nesting, changes, [name for name in branches if name != branch])
+        after = [changes_of(blueprint, joint, asked, operation) for joint in before]
+        for command in endings:
+            changes = [(joint, each.get(command.ending)) for joint, each in zip(before, after, strict=True)]
+            for branch in branches:
+                yield from _of_branch(command, branch, nesting, changes, [name for name in branches if name != branch])
 
 
 def _of_branch(
@@ -75,7 +77,7 @@ def _of_branch(
 
 def _entered(command: OperationEnding, branch: str, nesting: Nesting, before: Joint, change: Change) -> Entered | None:
     """Return the target of the branch itself: empty if it is the one asked and stays, None if it is not affected."""
-    after = dict(change.states)
+    after = change.states
     if any(before[above] != after[above] for above in nesting.around(branch)):
         return None
     if before[branch] != after[branch]:

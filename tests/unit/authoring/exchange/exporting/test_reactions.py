@@ -6,7 +6,7 @@ from hypothesis import given
 
 from pcmrs.authoring.exchange.cubes import holds
 from pcmrs.authoring.exchange.exporting.coupling import combinations, coupled
-from pcmrs.authoring.exchange.exporting.events import change_of, commands
+from pcmrs.authoring.exchange.exporting.events import changes_of, commands
 from pcmrs.authoring.exchange.exporting.nesting import Nesting, nesting_of
 from pcmrs.authoring.exchange.exporting.reactions import reactions
 from pcmrs.fsm.blueprint import Blueprint
@@ -24,7 +24,7 @@ def test_reactions_move_what_the_command_moves(blueprint: Blueprint) -> None:
         own = [each for each in found if each.event == command.event]
         for joint in combinations(blueprint, coupled(blueprint, command.branch, command.operation)):
             fired = [each for each in own if joint[each.branch] == each.source and holds(each.guard, joint)]
-            change = change_of(blueprint, joint, command)
+            change = changes_of(blueprint, joint, command.branch, command.operation).get(command.ending)
             after = dict(change.states) if change else joint
             moved = dict(pair for each in fired for pair in each.entered)
             assert moved == {name: state for name, state in after.items() if state != joint[name]}

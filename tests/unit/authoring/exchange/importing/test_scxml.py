@@ -92,7 +92,7 @@ def walk(seeds: range) -> None:
 
 
 def test_import_then_export_is_the_identity_on_behaviour() -> None:
-    walk(range(200))
+    walk(range(100))
 
 
 CORNERS = {
