@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from tests import ROOT, TESTS
 from tests.support.quick import COSTS, LIST, LONGEST, QUICK, slow_tests
 
@@ -53,4 +55,6 @@ def test_costs_of_each_test_are_noted(tmp_path: Path) -> None:
 
 def _pytest(*words: str) -> str:
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *words]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert ended.returncode in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED), ended.stdout  # all may be slow
+    return ended.stdout
