@@ -6,6 +6,8 @@ of 100 ms in an idle process is measured at the same time.
 
     .venv/bin/python benchmarks/loaded.py [demo failures] [--runs 20] [--hogs 8] [--without-permission] [--json]
 
+`--keep F` copies the cell's folder and the output of each run that does not pass to a folder in F.
+
 `--without-permission` removes RLIMIT_RTPRIO and, for root, CAP_SYS_NICE from the runs, so that none of their threads
 has the real-time policy."""
 
@@ -18,12 +20,14 @@ import multiprocessing
 import os
 import platform
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 
@@ -72,12 +76,13 @@ def without_permission() -> None:
         raise OSError("CAP_SYS_NICE cannot be dropped")
 
 
-def run_once(words: tuple[str, ...], prepare: Callable[[], None] | None) -> tuple[str, str, float]:
+def run_once(words: tuple[str, ...], prepare: Callable[[], None] | None, keep: Path | None) -> tuple[str, str, float]:
     """Return how one run ended (passed, held, broken), its last line, and its duration, s.
 
     Args:
         words: Words of the command.
         prepare: Called in the child process before the command; None for nothing.
+        keep: Folder for what a run that does not pass leaves; None to delete it.
     """
     started = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
@@ -95,6 +100,10 @@ def run_once(words: tuple[str, ...], prepare: Callable[[], None] | None) -> tupl
             )
         except subprocess.TimeoutExpired:
             return "broken", f"not ended after {LONGEST:g} s", LONGEST
+        if keep is not None and ended.returncode != 0:
+            kept = keep / f"{'-'.join(words)}-{time.strftime('%Y%m%dT%H%M%S')}"
+            shutil.copytree(folder, kept, ignore_dangling_symlinks=True)
+            (kept / "output").write_text(ended.stdout + ended.stderr)
     lines = [line for line in (ended.stdout + ended.stderr).splitlines() if line.strip()]
     if ended.returncode == 0:
         return "passed", "", time.monotonic() - started
@@ -102,7 +111,9 @@ def run_once(words: tuple[str, ...], prepare: Callable[[], None] | None) -> tupl
     return kind, lines[-1] if lines else f"exit status {ended.returncode}", time.monotonic() - started
 
 
-def measure(what: list[str], runs: int, hogs: int, prepare: Callable[[], None] | None) -> Report:
+def measure(
+    what: list[str], runs: int, hogs: int, prepare: Callable[[], None] | None, keep: Path | None = None
+) -> Report:
     """Return the results of some commands.
 
     Args:
@@ -110,13 +121,14 @@ def measure(what: list[str], runs: int, hogs: int, prepare: Callable[[], None] |
         runs: Number of runs of each.
         hogs: Number of busy processes.
         prepare: Called in the child process before the command; None for nothing.
+        keep: See `run_once`.
     """
     found: Report = {}
     for name in what:
         with beside(hogs) as late:
             ends = []
             for number in range(runs):
-                ends.append(run_once(COMMANDS[name], prepare))
+                ends.append(run_once(COMMANDS[name], prepare, keep))
                 print(f"{name} {number + 1} of {runs}: {ends[-1]}", file=sys.stderr, flush=True)
             timer = []
             while not late.empty():
@@ -139,11 +151,12 @@ def main() -> None:
     parser.add_argument("--hogs", type=int, default=8)
     parser.add_argument("--processors", type=int, default=2, help="number of processors that all processes share")
     parser.add_argument("--without-permission", action="store_true")
+    parser.add_argument("--keep", type=Path, metavar="F", help="folder for what failed runs leave")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[: options.processors])
     prepare = without_permission if options.without_permission else None
-    found = measure(options.what or list(COMMANDS), options.runs, options.hogs, prepare)
+    found = measure(options.what or list(COMMANDS), options.runs, options.hogs, prepare, options.keep)
     if options.json:
         print(json.dumps(found))
         return
