@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 from collections.abc import AsyncIterator, Sequence
-from contextlib import AsyncExitStack, asynccontextmanager
+from contextlib import AsyncExitStack, ExitStack, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,16 +42,21 @@ class ExperimentBench:
 async def private_bench(overrides: Sequence[str]) -> AsyncIterator[ExperimentBench]:
     """Start a daemon, wait until it is ready, and end it at the end of the context.
 
+    If a command is refused, the folder of the cell stays, and the text of the error has its name.
+
     Args:
         overrides: Settings of the daemon, ``key=value`` each.
 
     Raises:
+        CommandRefusedError: A command of the experiment was refused; see `explained`.
         DeviceError: The daemon did not start; the text has the end of its log.
     """
-    with tempfile.TemporaryDirectory(prefix="pcmrs-") as folder:
+    with ExitStack() as cleaning:
+        folder = Path(tempfile.mkdtemp(prefix="pcmrs-"))
+        cleaning.callback(shutil.rmtree, folder)
         cell = f"experiment-{os.getpid()}"
-        settings = [*own_settings(Path(folder), cell), *overrides]
-        async with running_daemon(settings, Path(folder) / "log") as daemon, AsyncExitStack() as stack:
+        settings = [*own_settings(folder, cell), *overrides]
+        async with running_daemon(settings, folder / "log") as daemon, AsyncExitStack() as stack:
             ready = daemon.ready
             bus = await Bus.open(BusSettings(endpoint=ready.endpoint, cell=cell))
             stack.push_async_callback(bus.close)
@@ -63,11 +69,12 @@ async def private_bench(overrides: Sequence[str]) -> AsyncIterator[ExperimentBen
             try:
                 yield bench
             except CommandRefusedError as error:
+                cleaning.pop_all()
                 raise explained(error, bench.journal, Threads().load()) from None
 
 
 def explained(error: CommandRefusedError, journal: JournalReader, load: Load) -> CommandRefusedError:
-    """Return the refusal with the text of the last danger event, and with the load of the machine if it is overloaded.
+    """Return the refusal with the text of the last danger event, the load if it is too high, and the journal's file.
 
     Args:
         error: Refusal, whose text has only the code of the reason, as string commands give it.
@@ -84,4 +91,5 @@ def explained(error: CommandRefusedError, journal: JournalReader, load: Load) ->
         text += f" {dangers[-1]}"
     if load.running > load.processors:
         text += f" The machine is overloaded: {load}."
+    text += f" The journal was kept: {journal.path}."
     return CommandRefusedError(text, **error.fields)

@@ -11,6 +11,7 @@ import sys
 
 from pcmrs.cli.log import log_to_stderr
 from pcmrs.cli.running import run
+from pcmrs_sim.process.priority import go_ahead_of_others
 from pcmrs_sim.process.server import Server
 
 
@@ -22,5 +23,6 @@ if __name__ == "__main__":
     for number in (signal.SIGINT, signal.SIGTERM):
         # Its node holds the arm before it ends, and then closes the link, which ends this process.
         signal.signal(number, signal.SIG_IGN)
+    go_ahead_of_others()
     log_to_stderr()
     run(_serve())

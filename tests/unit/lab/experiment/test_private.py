@@ -27,10 +27,10 @@ async def test_refusal_is_explained_by_last_danger_and_excessive_load(tmp_path: 
         ("node_restarted", "The node was restarted.", False),
     ):
         await recorder.event(DeviceEvent(device="robot", code=code, text=text, danger=danger), {})
+    kept = f" The journal was kept: {tmp_path / 'journal.sqlite'}."
     busy = explained(REFUSED, journal.reader, Load(running=9, processors=2))
-    assert busy.text == (
-        f"{REFUSED.text} The node held the arm. The machine is overloaded: 9 threads want to run on 2 processors."
-    )
+    overloaded = " The machine is overloaded: 9 threads want to run on 2 processors."
+    assert busy.text == f"{REFUSED.text} The node held the arm.{overloaded}{kept}"
     assert busy.fields == REFUSED.fields
-    assert explained(REFUSED, journal.reader, Load(1, 2)).text == f"{REFUSED.text} The node held the arm."
+    assert explained(REFUSED, journal.reader, Load(1, 2)).text == f"{REFUSED.text} The node held the arm.{kept}"
     await journal.close()
