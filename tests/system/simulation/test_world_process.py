@@ -24,6 +24,8 @@ from pcmrs.errors import (
     UnknownOutcomeError,
 )
 from pcmrs_sim.process.driver import open_devices
+from pcmrs_sim.process.priority import go_ahead_of_others
+from tests.unit.sim.process.test_priority import nice_after
 from tests.unit.sim.process.world_motion import CLOCK, HOME, PATIENCE, motion, until
 
 DRIVER: OpenDriver = open_devices  # the type checker proves it
@@ -44,6 +46,8 @@ async def test_calls_streams_and_errors_are_those_of_the_devices() -> None:
     async with asyncio.timeout(PATIENCE), open_devices(DEVICES, {}, CLOCK) as devices:
         robot, scene = devices["robot"], devices["scene"]
         assert set(devices) == set(DEVICES)
+        (world,) = worlds_of(os.getpid())
+        assert os.getpriority(os.PRIO_PROCESS, world) == nice_after(go_ahead_of_others)
         with pytest.raises(DeviceError, match="not connected"):
             await robot.joints()
         assert np.allclose((await robot.connect()).positions, HOME, atol=1e-3)
