@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import suppress
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import msgspec
 import pytest
 
-import pcmrs
 from pcmrs.devices.link import Link
 from pcmrs.dispatcher import Dispatcher, DispatcherListener
-from pcmrs.fsm import load_blueprint
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Running, Snapshot, TeleopStatus
 from pcmrs.messages.identity import HOLDING, ROLES, Role
 from pcmrs.service.teleoperation import connect_teleoperators
 from pcmrs.service.watches.abandoned import AbandonedWatch
 from pcmrs.testing.clock import ManualClock, settle
 from pcmrs.workflows.teleop_port import TeleopPort
+from tests.support.shipped import shipped_blueprint
 
-BLUEPRINT = load_blueprint(Path(pcmrs.__file__).parent / "workflows" / "ratms_threshold.toml")
+BLUEPRINT = shipped_blueprint("ratms_threshold")
 AFTER = 10.0
 
 
