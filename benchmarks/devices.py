@@ -304,6 +304,7 @@ async def tracker_ages(driver: str, seconds: float) -> tuple[Floats, Floats]:
     from pcmrs.bus.seal import Seal, new_key
     from pcmrs.devices.poses import PoseFeed
     from pcmrs.service.processes.nodes import NodeProcesses
+    from pcmrs.service.processes.starting import start_by_exec
     from pcmrs.service.supervisor import Supervisor
     from pcmrs.settings import read_settings
 
@@ -328,7 +329,7 @@ async def tracker_ages(driver: str, seconds: float) -> tuple[Floats, Floats]:
             stack.push_async_callback(bus.close)
             bus.subscribe("state/pose/**", BodyPose, take)
             supervisor = Supervisor(clock)
-            nodes = NodeProcesses(settings, key, ended, lambda event: print(event.text), clock)
+            nodes = NodeProcesses(settings, key, ended, lambda event: print(event.text), clock, start_by_exec)
             stack.push_async_callback(nodes.stop)
             await stack.enter_async_context(supervisor)
             nodes.start(supervisor)

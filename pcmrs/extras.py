@@ -8,7 +8,17 @@ from typing import Final
 from pcmrs.errors import ConfigurationError
 
 EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
-    "daemon": ("coal", "pinocchio", "prometheus_client", "ruckig", "scipy", "threadpoolctl", "trimesh", "uvloop"),
+    "daemon": (
+        "coal",
+        "pinocchio",
+        "prometheus_client",
+        "ruckig",
+        "scipy",
+        "setproctitle",
+        "threadpoolctl",
+        "trimesh",
+        "uvloop",
+    ),
     "recording": ("foxglove", "mcap", "zstandard"),
     "report": ("jinja2", "matplotlib", "plutoprint", "scipy", "threadpoolctl"),
     "authoring": ("resvg_py",),

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-import asyncio
 from contextlib import suppress
+from typing import Protocol
 
 
-async def kill_and_wait(process: asyncio.subprocess.Process) -> int:
+class KillableProcess(Protocol):
+    """What is used of `asyncio.subprocess.Process`."""
+
+    def kill(self) -> None: ...
+
+    async def communicate(self) -> tuple[bytes | None, bytes | None]: ...
+
+    async def wait(self) -> int: ...
+
+
+async def kill_and_wait(process: KillableProcess) -> int:
     """Kill a child process that may have ended, wait for its end, and return its exit status.
 
     Unread output is discarded. `Process.wait` alone would never return if there is more of it than a stream holds: it

@@ -29,7 +29,7 @@ from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.clock import SystemClock
 from pcmrs.errors import PcmrsError
 from pcmrs.messages import Beat, DeviceEvent
-from pcmrs.threads import Priority, RealTime, Runaway, Runaways, child_processes
+from pcmrs.threads import Priority, RealTime, Runaway, Runaways, descendants
 
 SIGN = struct.Struct("<Qd")
 """A sign of life: its number, and the time at which the loop wrote it, s of the machine's monotonic clock."""
@@ -48,12 +48,14 @@ class HeartSettings(msgspec.Struct, frozen=True, kw_only=True):
         key: Relative key of the heartbeats.
         session: Session id of the daemon.
         device_key: Key with which daemon and nodes seal their messages.
+        daemon: Process id of the daemon.
     """
 
     bus: BusSettings
     key: str
     session: str
     device_key: bytes
+    daemon: int
 
 
 Sign = tuple[int, float]
@@ -65,11 +67,10 @@ class Heart:
 
     Args:
         session: Zenoh session.
-        settings: Contents and key of the heartbeats.
-        daemon: Process id of the daemon.
+        settings: Contents and key of the heartbeats, and the daemon.
     """
 
-    def __init__(self, session: zenoh.Session, settings: HeartSettings, daemon: int) -> None:
+    def __init__(self, session: zenoh.Session, settings: HeartSettings) -> None:
         self._session, self._settings = session, settings
         self._prefix = cell_prefix(settings.bus.site, settings.bus.cell)
         self._seal = Seal(settings.device_key)
@@ -77,7 +78,7 @@ class Heart:
         self._events = self._publisher(EVENTS)
         self._clock = SystemClock()
         self._realtime = RealTime(Priority.HEART)
-        self._runaways = Runaways(lambda: watched_processes(daemon))
+        self._runaways = Runaways(lambda: watched_processes(settings.daemon))
         self._last_check = -WATCH_PERIOD
 
     def run(self, signs: Iterator[Sign | None]) -> None:
@@ -108,8 +109,8 @@ class Heart:
 
 
 def watched_processes(daemon: int) -> list[int]:
-    """Return the process ids of the daemon and its children, without the heart, which would watch itself."""
-    found = [daemon, *child_processes(daemon)]
+    """Return the process ids of the daemon and all below it, without the heart, which would watch itself."""
+    found = [daemon, *descendants(daemon)]
     return [process for process in found if process != os.getpid()]
 
 
@@ -155,7 +156,7 @@ def main() -> None:
     except PcmrsError as error:
         sys.exit(f"The daemon's heart: {error.text}")
     try:
-        Heart(session, settings, os.getppid()).run(read_signs(descriptor))
+        Heart(session, settings).run(read_signs(descriptor))
     finally:
         session.close()  # type: ignore[no-untyped-call]
 

@@ -6,6 +6,7 @@ import asyncio
 import os
 import signal
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,7 @@ from pcmrs.files import read_secret
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the robot's kinematics.
     from pcmrs.service import Ready
+    from pcmrs.service.processes.starting import ProcessStarter
     from pcmrs.settings import Settings
 
 log = structlog.get_logger(__name__)
@@ -43,12 +45,15 @@ def serve(file: Path | None, overrides: tuple[str, ...], as_json: bool, verbose:
     Ends on SIGINT and SIGTERM; a running motion is held first. Exit status: 0 ended as requested,
     2 failed, 3 the bus cannot be opened (another daemon listens there), 4 bad configuration.
     """
+    from pcmrs.service.processes.fork_server import ForkServer
     from pcmrs.settings import read_settings
 
     reserve()
     os.umask(0o077)  # journal and recordings name the patient; the daemon's children inherit this
     log_to_stderr(verbose=verbose)
-    run(_serve(read_settings(file, overrides), as_json=as_json, lifeline=lifeline))
+    settings = read_settings(file, overrides)
+    with closing(ForkServer.fork()) as start_process:
+        run(_serve(settings, start_process, as_json=as_json, lifeline=lifeline))
 
 
 @click.command(hidden=True)
@@ -89,7 +94,7 @@ def node(driver: str, devices: tuple[str, ...], file: Path | None, overrides: tu
     run(serve_devices(settings, driver, devices, opening, key, lifeline=lifeline))
 
 
-async def _serve(settings: Settings, *, as_json: bool, lifeline: bool) -> None:
+async def _serve(settings: Settings, start_process: ProcessStarter, *, as_json: bool, lifeline: bool) -> None:
     from pcmrs.node import when_input_ends
     from pcmrs.service import Daemon
 
@@ -98,7 +103,7 @@ async def _serve(settings: Settings, *, as_json: bool, lifeline: bool) -> None:
         loop.add_signal_handler(number, ended.set)
     if lifeline:
         when_input_ends(ended.set)
-    async with Daemon(settings).running() as ready:
+    async with Daemon(settings, start_process).running() as ready:
         if as_json:
             say_json(ready)
         else:

@@ -36,6 +36,7 @@ from pcmrs.service.processes.heart import HeartProcess
 from pcmrs.service.processes.nodes import NodeProcesses
 from pcmrs.service.processes.planner import PlanningProcess
 from pcmrs.service.processes.recording import start_recording
+from pcmrs.service.processes.starting import ProcessStarter, start_by_exec
 from pcmrs.service.publishing import answer_queries, tell_health
 from pcmrs.service.restart.audit import audit
 from pcmrs.service.restart.recorder import JournalRecorder
@@ -79,10 +80,16 @@ class Ready(msgspec.Struct, frozen=True):
 
 
 class Daemon:
-    """One running cell."""
+    """One running cell.
 
-    def __init__(self, settings: Settings) -> None:
+    Args:
+        settings: Its settings.
+        start_process: Starts its child processes.
+    """
+
+    def __init__(self, settings: Settings, start_process: ProcessStarter = start_by_exec) -> None:
         self._settings = settings
+        self._start_process = start_process
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[Ready]:
@@ -121,8 +128,8 @@ class Daemon:
             stack.push_async_callback(conclude, recorder)
             supervisor = Supervisor(machine)
             clocks = Clocks(clock, machine)
-            heart = HeartProcess(settings.bus("client"), machine, device_key)
-            planner = PlanningProcess(settings, machine)
+            heart = HeartProcess(settings.bus("client"), machine, device_key, self._start_process)
+            planner = PlanningProcess(settings, machine, self._start_process)
             procedure = RunningProcedure(
                 bus, settings, recovered.workflow, recorder, clocks, supervisor, heart, planner
             )
@@ -130,7 +137,7 @@ class Daemon:
             heart.report = planner.report = dispatcher.report_later
             recovered.give_to(dispatcher, journal)
             recorder.attach(dispatcher.procedure)
-            children = _child_processes(settings, session, device_key, procedure, machine)
+            children = _child_processes(settings, session, device_key, procedure, machine, self._start_process)
             nodes, recording, console = await stack.enter_async_context(children)
             stack.push_async_callback(heart.stop)
             stack.push_async_callback(planner.stop)
@@ -199,15 +206,20 @@ class Daemon:
 
 @asynccontextmanager
 async def _child_processes(
-    settings: Settings, session: str, device_key: bytes, procedure: RunningProcedure, machine: Clock
+    settings: Settings,
+    session: str,
+    device_key: bytes,
+    procedure: RunningProcedure,
+    machine: Clock,
+    start: ProcessStarter,
 ) -> AsyncIterator[tuple[NodeProcesses, ChildProcess, ChildProcess]]:
     """Yields device nodes, recorder and console, not yet started; they are stopped in this order."""
     report = procedure.dispatcher.report_later
-    nodes = NodeProcesses(settings, device_key, procedure.lose, report, machine)
+    nodes = NodeProcesses(settings, device_key, procedure.lose, report, machine, start)
     recording = ChildProcess(
-        "recording", partial(start_recording, settings, session, machine, device_key), report, machine
+        "recording", partial(start_recording, start, settings, session, machine, device_key), report, machine
     )
-    console = ChildProcess("console", partial(open_console, settings), report, machine)
+    console = ChildProcess("console", partial(open_console, start, settings), report, machine)
     async with AsyncExitStack() as stack:
         stack.push_async_callback(console.stop)
         stack.push_async_callback(recording.stop)  # after the nodes, so that it writes their last messages

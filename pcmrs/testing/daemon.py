@@ -117,7 +117,12 @@ def descendants(pid: int) -> list[int]:
     return found + [below for child in found for below in descendants(child)]
 
 
-CHILDREN = {"node": b"\0node\0", "world": b"\0pcmrs_sim.process\0", "heart": b"\0pcmrs.bus.heart\0"}
+def command_line(pid: int) -> list[str]:
+    """Return the words of the command line of a process; a child of the fork server has them as its title."""
+    return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode().split()
+
+
+CHILDREN = {"node": "node", "world": "pcmrs_sim.process", "heart": "pcmrs.bus.heart"}
 """Permanent child processes of a daemon, each with a word of its command line."""
 
 
@@ -125,8 +130,8 @@ def processes_of(pid: int) -> list[tuple[str, int]]:
     """Return the names and ids of a daemon's process and of its `CHILDREN`."""
     found = [("daemon", pid)]
     for child in descendants(pid):
-        line = Path(f"/proc/{child}/cmdline").read_bytes()
-        found += [(name, child) for name, word in CHILDREN.items() if word in line]
+        words = command_line(child)
+        found += [(name, child) for name, word in CHILDREN.items() if word in words]
     return found
 
 
@@ -155,7 +160,7 @@ async def _end(process: asyncio.subprocess.Process, children: Sequence[int]) -> 
 def _is_ours(pid: int) -> bool:
     """Return True if a process still belongs to a daemon; its id may be in use by another one."""
     with suppress(OSError):
-        return b"pcmrs" in Path(f"/proc/{pid}/cmdline").read_bytes()
+        return any("pcmrs" in word for word in command_line(pid))
     return False
 
 

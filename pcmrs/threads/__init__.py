@@ -2,7 +2,7 @@
 
 from pcmrs.threads.realtime import NOT_PERMITTED, Priority, RealTime, keep_pauses_short
 from pcmrs.threads.runaways import Runaway, Runaways
-from pcmrs.threads.scheduling import Load, Threads, ThreadTimes, child_processes
+from pcmrs.threads.scheduling import Load, Threads, ThreadTimes, descendants
 
 __all__ = [
     "NOT_PERMITTED",
@@ -13,6 +13,6 @@ __all__ = [
     "Runaways",
     "ThreadTimes",
     "Threads",
-    "child_processes",
+    "descendants",
     "keep_pauses_short",
 ]

@@ -97,16 +97,17 @@ class Threads:
                 yield thread, _read_small(f"{self._folder}/{thread}/{file}")
 
 
-def child_processes(pid: int) -> list[int]:
-    """Return the ids of the child processes that the main thread of a process has started.
+def descendants(pid: int) -> list[int]:
+    """Return the ids of the child processes that the main thread of a process has started, and of theirs.
 
     Args:
         pid: Id of the process; the list is empty if it has ended.
     """
     try:
-        return list(map(int, _read_small(f"/proc/{pid}/task/{pid}/children").split()))
+        children = list(map(int, _read_small(f"/proc/{pid}/task/{pid}/children").split()))
     except OSError:
         return []
+    return children + [below for child in children for below in descendants(child)]
 
 
 def _read_small(path: str) -> str:

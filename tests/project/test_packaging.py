@@ -42,6 +42,7 @@ PACKAGES = {
     "nicegui": "nicegui", "pin": "pinocchio", "plutoprint": "plutoprint", "prometheus-client": "prometheus_client",
     "pycdr2": "pycdr2", "pydicom": "pydicom", "pyigtl": "pyigtl", "pylsl": "pylsl", "pyserial": "serial",
     "resvg-py": "resvg_py", "ruckig": "ruckig", "scikit-image": "skimage", "scipy": "scipy",
+    "setproctitle": "setproctitle",
     "threadpoolctl": "threadpoolctl", "trimesh": "trimesh", "uvloop": "uvloop", "zstandard": "zstandard",
 }  # fmt: skip
 """Names of packages to the modules that are imported."""

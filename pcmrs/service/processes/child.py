@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import sys
 from collections.abc import Awaitable, Callable
-from typing import Any
 
 import msgspec
 import structlog
@@ -14,42 +12,36 @@ from pcmrs.clock import Clock
 from pcmrs.errors import DeviceError
 from pcmrs.killing import kill_and_wait
 from pcmrs.messages import DeviceEvent
+from pcmrs.service.processes.starting import Process, ProcessStarter
 from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 from pcmrs.settings import Inherited, Settings
 
 
 async def open_child(
-    *words: str, settings: Settings, device_key: bytes = b"", **streams: Any
-) -> asyncio.subprocess.Process:
+    start: ProcessStarter, *words: str, settings: Settings, device_key: bytes = b"", stdout: int | None = None
+) -> Process:
     """Start ``pcmrs`` with some arguments, and send it `Inherited` on its standard input.
 
     The pipe stays open: its end tells the child that the daemon is gone, even after a crash.
 
     Args:
+        start: Starts the process.
         words: Arguments of the command line.
         settings: Settings of the daemon.
         device_key: Key for a child that speaks as a device, or for the daemon; see `pcmrs.bus.seal`.
-        streams: Standard output and error, if they are not the daemon's.
+        stdout: See `ProcessStarter`.
 
     Raises:
         OSError: The process cannot be started.
     """
-    process = await asyncio.create_subprocess_exec(
-        sys.executable,
-        "-m",
-        "pcmrs.cli",
-        *words,
-        stdin=asyncio.subprocess.PIPE,
-        start_new_session=True,  # a Ctrl-C at the terminal is the daemon's to handle
-        **streams,
-    )
+    process = await start("pcmrs.cli", *words, stdout=stdout)
     if process.stdin is None:
         raise DeviceError(f"pcmrs {words[0]} has no standard input.", words=list(words))
     process.stdin.write(msgspec.json.encode(Inherited(settings=settings, device_key=device_key)) + b"\n")
     return process
 
 
-async def end_child(process: asyncio.subprocess.Process, patience: float) -> bool:
+async def end_child(process: Process, patience: float) -> bool:
     """Wait for a process that is ending, and kill it if it is late; return whether it has ended by itself.
 
     Args:
@@ -90,7 +82,7 @@ class ChildProcess:
     def __init__(
         self,
         name: str,
-        begin: Callable[[], Awaitable[asyncio.subprocess.Process]],
+        begin: Callable[[], Awaitable[Process]],
         report: Callable[[DeviceEvent], None],
         clock: Clock,
     ) -> None:
@@ -99,7 +91,7 @@ class ChildProcess:
         self._report = report
         self._clock = clock
         self.ended = ""
-        self._process: asyncio.subprocess.Process | None = None
+        self._process: Process | None = None
 
     def start(self, supervisor: Supervisor) -> None:
         """Start it, and keep it running."""

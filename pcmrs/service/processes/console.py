@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from pcmrs.console.settings import TOKEN
 from pcmrs.files import SECRET, write_durably
 from pcmrs.service.processes.child import open_child
+from pcmrs.service.processes.starting import Process, ProcessStarter
 from pcmrs.settings import Settings
 
 
@@ -17,7 +18,7 @@ def is_served(settings: Settings) -> bool:
     return settings.console.enabled and find_spec("nicegui") is not None
 
 
-async def open_console(settings: Settings) -> asyncio.subprocess.Process:
+async def open_console(start: ProcessStarter, settings: Settings) -> Process:
     """Start the process that serves the page. Its token is in the cell's folder, and is created if there is none.
 
     Raises:
@@ -26,4 +27,4 @@ async def open_console(settings: Settings) -> asyncio.subprocess.Process:
     token = settings.cell.path() / TOKEN
     if not token.exists():
         write_durably(token, secrets.token_urlsafe(24).encode(), mode=SECRET)
-    return await open_child("console", "--lifeline", settings=settings, stdout=asyncio.subprocess.DEVNULL)
+    return await open_child(start, "console", "--lifeline", settings=settings, stdout=asyncio.subprocess.DEVNULL)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import os
-import sys
 import uuid
 from collections.abc import Callable
 from contextlib import suppress
@@ -19,6 +18,7 @@ from pcmrs.clock import Clock
 from pcmrs.devices.node import DAEMON_BEAT
 from pcmrs.messages import Beat, DeviceEvent
 from pcmrs.service.processes.child import end_child
+from pcmrs.service.processes.starting import Process, ProcessStarter
 from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 
 log = structlog.get_logger(__name__)
@@ -82,22 +82,24 @@ class HeartProcess:
         settings: Settings of the bus, for a client.
         clock: The machine's clock.
         device_key: Key of daemon and nodes to seal their messages.
+        start_process: Starts the process.
 
     Attributes:
         session: See `BeatSender`.
         report: Takes the event that the process has ended by itself.
     """
 
-    def __init__(self, settings: BusSettings, clock: Clock, device_key: bytes) -> None:
+    def __init__(self, settings: BusSettings, clock: Clock, device_key: bytes, start_process: ProcessStarter) -> None:
         self.session = uuid.uuid4().hex
         self._device_key = device_key
+        self._start_process = start_process
         self.report: Callable[[DeviceEvent], None] = lambda _: None
         self._settings, self._clock = settings, clock
         self._number = 0
         self._patience = STARTING_TIME
         self._unanswered_since: float | None = None
         self._pipe: int | None = None
-        self._process: asyncio.subprocess.Process | None = None
+        self._process: Process | None = None
 
     def sign(self, alive: float) -> None:
         self._number += 1
@@ -137,15 +139,19 @@ class HeartProcess:
             if given_up:
                 await asyncio.Event().wait()
 
-    async def _begin(self) -> asyncio.subprocess.Process:
+    async def _begin(self) -> Process:
         reading, self._pipe = os.pipe()
         os.set_blocking(self._pipe, False)
-        settings = HeartSettings(bus=self._settings, key=DAEMON_BEAT, session=self.session, device_key=self._device_key)
+        settings = HeartSettings(
+            bus=self._settings,
+            key=DAEMON_BEAT,
+            session=self.session,
+            device_key=self._device_key,
+            daemon=os.getpid(),
+        )
         os.write(self._pipe, msgspec.json.encode(settings) + b"\n")
         try:
-            command = (sys.executable, "-m", "pcmrs.bus.heart")
-            # A Ctrl-C at the terminal is the daemon's to handle.
-            return await asyncio.create_subprocess_exec(*command, stdin=reading, start_new_session=True)
+            return await self._start_process("pcmrs.bus.heart", stdin=reading)
         finally:
             os.close(reading)
 

@@ -12,6 +12,7 @@ import structlog
 from pcmrs.clock import Clock
 from pcmrs.messages import DeviceEvent
 from pcmrs.service.processes.child import end_child, open_child
+from pcmrs.service.processes.starting import Process, ProcessStarter
 from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 from pcmrs.settings import Settings
 
@@ -33,6 +34,7 @@ class NodeProcesses:
         on_end: Called with the devices of a node that has ended by itself; returns whether to restart it.
         report: Takes the event of every restart, and a danger event if a node is not restarted.
         clock: The machine's clock.
+        start: Starts their processes.
 
     Attributes:
         restarts: Driver to the number of restarts of its node.
@@ -46,12 +48,14 @@ class NodeProcesses:
         on_end: Callable[[list[str]], bool],
         report: Callable[[DeviceEvent], None],
         clock: Clock,
+        start: ProcessStarter,
     ) -> None:
+        self._start = start
         self._settings, self._device_key = settings, device_key
         self._on_end = on_end
         self._report = report
         self._clock = clock
-        self._processes: dict[str, asyncio.subprocess.Process] = {}
+        self._processes: dict[str, Process] = {}
         self.restarts: dict[str, int] = {}
         self.given_up: set[str] = set()
 
@@ -72,7 +76,9 @@ class NodeProcesses:
     async def _keep(self, driver: str, devices: list[str]) -> None:
         limit = RestartLimit(RESTARTS, WITHIN, self._clock)
         while True:
-            process = await open_child("node", driver, *devices, settings=self._settings, device_key=self._device_key)
+            process = await open_child(
+                self._start, "node", driver, *devices, settings=self._settings, device_key=self._device_key
+            )
             self._processes[driver] = process
             status = await process.wait()
             log.error("node_ended", driver=driver, devices=devices, status=status)

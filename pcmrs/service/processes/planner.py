@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import pickle
-import sys
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -18,6 +17,7 @@ from pcmrs.formats.mesh import Mesh
 from pcmrs.fsm import Blueprint
 from pcmrs.killing import kill_and_wait
 from pcmrs.messages import DeviceEvent, Reason
+from pcmrs.service.processes.starting import Process, ProcessStarter
 from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 from pcmrs.settings import Settings
 from pcmrs.workflows.cell import Cell
@@ -44,20 +44,22 @@ class PlanningProcess:
     Args:
         settings: Settings of the daemon.
         clock: The machine's clock.
+        start_process: Starts the process.
 
     Attributes:
         report: Takes the event that the process has ended by itself.
     """
 
-    def __init__(self, settings: Settings, clock: Clock) -> None:
+    def __init__(self, settings: Settings, clock: Clock, start_process: ProcessStarter) -> None:
         self.report: Callable[[DeviceEvent], None] = lambda _: None
         self._settings = settings
+        self._start_process = start_process
         self._clock = clock
         self._start = b""
         self._number = 0
         self._pending: dict[int, asyncio.Future[PlanAnswer]] = {}
         self._ready = asyncio.Event()
-        self._process: asyncio.subprocess.Process | None = None
+        self._process: Process | None = None
 
     async def check(self, run: Run[Cell, PlacementData]) -> Reason | None:
         """See `MotionChecker`; the present joints must be those of the plan."""
@@ -128,20 +130,13 @@ class PlanningProcess:
             if limit.reached():
                 await self._clock.sleep(PAUSE)
 
-    async def _begin(self) -> asyncio.subprocess.Process:
-        process = await asyncio.create_subprocess_exec(
-            sys.executable,
-            "-m",
-            "pcmrs.workflows.planning_process",
-            stdin=asyncio.subprocess.PIPE,
-            stdout=asyncio.subprocess.PIPE,
-            start_new_session=True,  # a Ctrl-C at the terminal is the daemon's to handle
-        )
+    async def _begin(self) -> Process:
+        process = await self._start_process("pcmrs.workflows.planning_process", stdout=asyncio.subprocess.PIPE)
         if process.stdin is not None:
             process.stdin.write(self._start)
         return process
 
-    async def _take_answers(self, process: asyncio.subprocess.Process) -> None:
+    async def _take_answers(self, process: Process) -> None:
         """Takes answers until the process ends."""
         answers = process.stdout
         while answers is not None:

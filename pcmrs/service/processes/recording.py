@@ -8,15 +8,17 @@ import datetime
 from pcmrs.clock import Clock
 from pcmrs.recording.settings import FOLDER
 from pcmrs.service.processes.child import open_child
+from pcmrs.service.processes.starting import Process, ProcessStarter
 from pcmrs.settings import Settings
 
 
 async def start_recording(
-    settings: Settings, session: str, clock: Clock, device_key: bytes
-) -> asyncio.subprocess.Process:
+    start: ProcessStarter, settings: Settings, session: str, clock: Clock, device_key: bytes
+) -> Process:
     """Start the process that records the session into a new file in the cell's folder.
 
     Args:
+        start: Starts the process.
         settings: Settings of the daemon.
         session: Id of the session in the journal.
         clock: The machine's clock.
@@ -30,4 +32,4 @@ async def start_recording(
     begun = datetime.datetime.fromtimestamp(clock.wall(), datetime.UTC)
     name = f"{begun:%Y%m%dT%H%M%SZ}-{session[:8]}.mcap"
     words = ("record", str(folder / name), "--lifeline", "--session", session)
-    return await open_child(*words, settings=settings, device_key=device_key, stdout=asyncio.subprocess.DEVNULL)
+    return await open_child(start, *words, settings=settings, device_key=device_key, stdout=asyncio.subprocess.DEVNULL)

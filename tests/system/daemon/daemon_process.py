@@ -24,7 +24,7 @@ from pcmrs.client import Client
 from pcmrs.planner import Planner
 from pcmrs.service import Ready
 from pcmrs.testing.cell import QUICK
-from pcmrs.testing.daemon import DEVICE_KEY, descendants, device_key, free_port
+from pcmrs.testing.daemon import DEVICE_KEY, command_line, descendants, device_key, free_port
 from pcmrs.testing.driving import connect, reset_cell
 from tests import ROOT
 
@@ -115,20 +115,22 @@ class ServeProcess:
 
     def children(self) -> list[int]:
         """Ids of the daemon's children but heart and planner: the nodes, and recorder and console if they run."""
-        return self._run_as(b"pcmrs.cli")
+        return _running(self.process.pid, "pcmrs.cli")
 
     def heart(self) -> int:
         """Id of the process that sends the daemon's heartbeats."""
-        (found,) = self._run_as(b"pcmrs.bus.heart")
+        (found,) = _running(self.process.pid, "pcmrs.bus.heart")
+        return found
+
+    def fork_server(self) -> int:
+        """Id of the process that starts the daemon's children."""
+        (found,) = _running(self.process.pid, "pcmrs.service.processes.forked")
         return found
 
     def world_of(self, node: int) -> int:
         """Id of the process in which the devices of a node are simulated."""
-        (found,) = _running(node, b"pcmrs_sim.process")
+        (found,) = _running(node, "pcmrs_sim.process")
         return found
-
-    def _run_as(self, module: bytes) -> list[int]:
-        return _running(self.process.pid, module)
 
     def end(self, number: int = signal.SIGTERM) -> int:
         """Sends a signal and returns the exit status."""
@@ -189,7 +191,7 @@ def running_daemon(settings: Sequence[str], folder: Path) -> Iterator[ServeProce
         assert process.stdout is not None
         line = first_line(process.stdout)
         assert line, f"the daemon did not start: {(folder / 'log').read_text()}"
-        nodes = _children(process.pid)
+        nodes = descendants(process.pid)
         yield ServeProcess(process, msgspec.json.decode(line, type=Ready), settings, folder)
     finally:
         if process.poll() is None:
@@ -252,14 +254,9 @@ async def _opened(address: tuple[str, int]) -> AsyncIterator[Planner]:
         yield planner
 
 
-def _running(pid: int, module: bytes) -> list[int]:
-    """Ids of the children of a process that run a module."""
-    return [each for each in _children(pid) if module in Path(f"/proc/{each}/cmdline").read_bytes().split(b"\0")]
-
-
-def _children(pid: int) -> list[int]:
-    tasks = Path(f"/proc/{pid}/task").glob("*/children")
-    return [int(child) for task in tasks for child in task.read_text().split()]
+def _running(pid: int, module: str) -> list[int]:
+    """Ids of the processes below a process that run a module."""
+    return [each for each in descendants(pid) if module in command_line(each)]
 
 
 def first_line(stream: IO[bytes]) -> bytes:

@@ -146,3 +146,23 @@ async def test_without_its_heart_the_daemon_moves_nothing(supervised: Supervised
         async with asyncio.timeout(PATIENCE):
             while (await client.call("placement.back_off")).decision != "accepted":  # noqa: ASYNC110
                 await asyncio.sleep(0.2)
+
+
+async def test_the_cell_works_on_without_its_fork_server(tmp_path: Path) -> None:
+    """A motion goes on, and a node that dies later is restarted."""
+    with running_daemon([*own_settings(tmp_path), *SLOW, *LIGHT], tmp_path) as daemon:
+        (node,), heart = daemon.children(), daemon.heart()
+        async with daemon.client() as client:
+            await register(client)
+            async with moving(client) as approach:
+                os.kill(daemon.fork_server(), signal.SIGKILL)
+                assert await asyncio.to_thread(wait_until, lambda: "fork_server_lost" in daemon.log)
+                assert (await approach).decision == "accepted"
+            os.kill(node, signal.SIGKILL)
+            await until(client, showing(robot="0", placement="unknown"))
+            async with asyncio.timeout(START_TIME):
+                while (await client.call("robot.connect")).decision != "accepted":  # noqa: ASYNC110
+                    await asyncio.sleep(0.2)
+            (successor,) = daemon.children()
+        assert daemon.end() == 0
+        assert not any(map(is_running, (heart, node, successor)))

@@ -13,6 +13,7 @@ import pytest
 
 from pcmrs.client import Client
 from pcmrs.spatial import Floats
+from pcmrs.testing.daemon import command_line
 from pcmrs.testing.driving import moving, register, showing, until
 from tests.system.daemon.daemon_process import (
     PATIENCE,
@@ -42,7 +43,7 @@ def daemon(tmp_path: Path) -> Iterator[ServeProcess]:
 
 def node_of(daemon: ServeProcess, driver: str) -> int:
     """The process id of the node of a driver."""
-    (node,) = (pid for pid in daemon.children() if driver in Path(f"/proc/{pid}/cmdline").read_text().split("\0"))
+    (node,) = (pid for pid in daemon.children() if driver in command_line(pid))
     return node
 
 

@@ -18,6 +18,7 @@ from pcmrs.bus.seal import Seal, new_key
 from pcmrs.clock import SystemClock
 from pcmrs.messages import Beat, DeviceEvent
 from pcmrs.service.processes.heart import ANSWER_TIME, HeartProcess
+from pcmrs.service.processes.starting import start_by_exec
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus
 
@@ -44,7 +45,7 @@ async def opened() -> AsyncIterator[Bench]:
     settings = new_cell()
     key = new_key()
     async with open_bus(settings, Seal(key)) as router:
-        bench = Bench(HeartProcess(client_of(settings), SystemClock(), key))
+        bench = Bench(HeartProcess(client_of(settings), SystemClock(), key, start_by_exec))
         bench.heart.report = bench.events.put_nowait
         router.subscribe("daemon/beat", Beat, lambda _, beat: bench.beats.put_nowait(beat))
         async with Supervisor(SystemClock()) as supervisor:

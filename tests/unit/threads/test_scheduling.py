@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 
-from pcmrs.threads import Threads, child_processes
+from pcmrs.threads import Threads, descendants
 
 WORK = "n = 0\nwhile n < 2_000_000: n += 1\nprint('done', flush=True)\ninput()"
 
@@ -62,7 +62,7 @@ def test_processes_sharing_a_processor_wait_and_add_to_the_load() -> None:
 
 def test_children_are_those_that_run_and_none_of_ended_process() -> None:
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as child:
-        assert child.pid in child_processes(os.getpid())
+        assert child.pid in descendants(os.getpid())
         child.communicate(b"\n")
-    assert child.pid not in child_processes(os.getpid())
-    assert child_processes(child.pid) == []
+    assert child.pid not in descendants(os.getpid())
+    assert descendants(child.pid) == []

@@ -25,6 +25,7 @@ from pcmrs.dispatcher.execution import refusal
 from pcmrs.messages import Command, DeviceEvent, Reason
 from pcmrs.service.processes import planner as planner_module
 from pcmrs.service.processes.planner import PlanningProcess
+from pcmrs.service.processes.starting import start_by_exec
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.settings import Settings
 from tests import ROOT
@@ -51,7 +52,7 @@ async def planning(
 ) -> AsyncIterator[tuple[PlanningProcess, asyncio.Queue[DeviceEvent]]]:
     """A process that plans for the cell of a bench, and what is reported of it."""
     clock, events = SystemClock(), asyncio.Queue[DeviceEvent]()
-    planner = PlanningProcess(Settings(workflow=workflow, procedure=bench.cell.settings), clock)
+    planner = PlanningProcess(Settings(workflow=workflow, procedure=bench.cell.settings), clock, start_by_exec)
     planner.report = events.put_nowait
     try:
         async with Supervisor(clock) as supervisor:

@@ -15,6 +15,7 @@ import pytest
 from pcmrs.clock import SystemClock
 from pcmrs.messages import DeviceEvent
 from pcmrs.service.processes.child import ChildProcess, end_child, open_child
+from pcmrs.service.processes.starting import Process, start_by_exec
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 from pcmrs.settings import CellSettings, Inherited, Settings
 from pcmrs.testing.clock import ManualClock, settle
@@ -46,7 +47,7 @@ class Bench:
         self.events: list[DeviceEvent] = []
         clock = ManualClock()
         self.supervisor = Supervisor(clock)
-        begin = cast(Callable[[], Awaitable[asyncio.subprocess.Process]], self._begin)
+        begin = cast(Callable[[], Awaitable[Process]], self._begin)
         self.child = ChildProcess("recording", begin, self.events.append, clock)
 
     async def _begin(self) -> FakeChild:
@@ -121,7 +122,7 @@ def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 async def test_child_inherits_settings_and_key_and_ends_with_its_input(program: Path) -> None:
     settings = Settings(cell=CellSettings(name="cell7"))
-    process: Any = await open_child("record", "a b.mcap", settings=settings, device_key=b"k" * 32)
+    process: Any = await open_child(start_by_exec, "record", "a b.mcap", settings=settings, device_key=b"k" * 32)
     await process.stdin.drain()
     process.stdin.close()  # as when the daemon is gone
     async with SystemClock().timeout(WITHIN):

@@ -14,6 +14,7 @@ from pcmrs.bus.heart import SIGN
 from pcmrs.devices.node import DAEMON_BEAT
 from pcmrs.messages import Beat
 from pcmrs.service.processes.heart import ANSWER_TIME, STARTING_TIME, HeartProcess, LoopHeart
+from pcmrs.service.processes.starting import start_by_exec
 from pcmrs.testing.clock import ManualClock
 
 
@@ -24,7 +25,7 @@ class Hanging:
         self.kills = 0
         self.reading, writing = os.pipe()
         os.set_blocking(writing, False)
-        self.heart = HeartProcess(BusSettings(), ManualClock(), b"")
+        self.heart = HeartProcess(BusSettings(), ManualClock(), b"", start_by_exec)
         self.heart._pipe = writing
         self.heart._process = cast(Any, SimpleNamespace(kill=self._kill))
 

@@ -15,6 +15,7 @@ from pcmrs.bus.seal import new_key
 from pcmrs.clock import SystemClock
 from pcmrs.messages import DeviceEvent
 from pcmrs.service.processes.nodes import NodeProcesses
+from pcmrs.service.processes.starting import start_by_exec
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 from pcmrs.settings import Settings
 
@@ -35,7 +36,7 @@ class Bench:
         self.worth_a_restart = True
         clock = SystemClock()
         self.supervisor = Supervisor(clock)
-        self.nodes = NodeProcesses(Settings(), new_key(), self._end, self._report, clock)
+        self.nodes = NodeProcesses(Settings(), new_key(), self._end, self._report, clock, start_by_exec)
 
     def _end(self, devices: list[str]) -> bool:
         self.ended.append(devices)

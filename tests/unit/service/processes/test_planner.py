@@ -12,6 +12,7 @@ import pytest
 from pcmrs.errors import RefusalError
 from pcmrs.messages import DeviceEvent, Reason
 from pcmrs.service.processes.planner import PAUSE, PLANNING_TIME, PlanningProcess
+from pcmrs.service.processes.starting import start_by_exec
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 from pcmrs.settings import Settings
 from pcmrs.testing.clock import ManualClock, settle
@@ -58,7 +59,7 @@ class Bench:
         self.supervisor = Supervisor(self.clock)
         self.processes: list[FakeProcess] = []
         self.events: list[DeviceEvent] = []
-        self.planner = PlanningProcess(Settings(), self.clock)
+        self.planner = PlanningProcess(Settings(), self.clock, start_by_exec)
         self.planner.report = self.events.append
         self.planner._begin = cast(Any, self._begin)  # type: ignore[method-assign]
 

@@ -1,0 +1,205 @@
+"""The fork server: a process that has imported what the daemon's children need, and forks them on request.
+
+It is itself a fork of the daemon, made before the daemon has an event loop, threads or open files. So a child needs no
+imports of its own, and shares its memory with the others. The server does nothing else, and ends with the daemon.
+"""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import os
+import selectors
+import socket
+import sys
+import traceback
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import NoReturn
+
+import msgspec
+from setproctitle import setproctitle
+
+PRELOADED = (
+    "pcmrs.bus.heart",
+    "pcmrs.cli.serve",
+    "pcmrs.node",
+    "pcmrs.workflows.planning_process",
+    "pcmrs.cli.recording",
+    "pcmrs.recording.recorder",
+)
+"""Modules of the children, imported once."""
+
+LARGEST = 65536
+"""Limit of a message, bytes: a request holds a command line."""
+
+
+class Request(msgspec.Struct, frozen=True):
+    """Start of a child; comes with the file descriptors of its standard streams.
+
+    Attributes:
+        number: Number of the request.
+        module: Module whose ``main`` it runs.
+        words: Its command line.
+        streams: Which of its streams, 0 or 1, the descriptors become.
+        silent: True to discard its standard output.
+    """
+
+    number: int
+    module: str
+    words: tuple[str, ...]
+    streams: tuple[int, ...]
+    silent: bool
+
+
+class Started(msgspec.Struct, frozen=True, tag=True):
+    """A child has been started; comes with a descriptor of the process.
+
+    Attributes:
+        number: Number of the request.
+        pid: Id of the process.
+    """
+
+    number: int
+    pid: int
+
+
+class Refused(msgspec.Struct, frozen=True, tag=True):
+    """A child cannot be started.
+
+    Attributes:
+        number: Number of the request.
+        error: Number of the system's error.
+    """
+
+    number: int
+    error: int
+
+
+class Ended(msgspec.Struct, frozen=True, tag=True):
+    """A child has ended.
+
+    Attributes:
+        pid: Id of the process.
+        status: Exit status; the negative number of the signal that ended it.
+    """
+
+    pid: int
+    status: int
+
+
+Answer = Started | Refused | Ended
+
+
+class _Server:
+    """Serves requests.
+
+    Args:
+        control: Socket of the daemon; its end is the daemon's end.
+    """
+
+    def __init__(self, control: socket.socket) -> None:
+        self._control = control
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(control, selectors.EVENT_READ)
+        self._children: dict[int, int] = {}  # descriptor of a process to its id
+
+    def run(self) -> NoReturn:
+        while True:
+            for key, _ in self._selector.select():
+                if key.fd == self._control.fileno():
+                    self._serve()
+                else:
+                    self._reap(key.fd)
+
+    def _serve(self) -> None:
+        message, descriptors, *_ = socket.recv_fds(self._control, LARGEST, 2)
+        if not message:
+            os._exit(0)
+        request = msgspec.json.decode(message, type=Request)
+        try:
+            pid = os.fork()
+        except OSError as error:
+            self._answer(Refused(request.number, error.errno or 0))
+        else:
+            if pid == 0:
+                self._become(request, descriptors)
+            process = os.pidfd_open(pid)
+            self._children[process] = pid
+            self._selector.register(process, selectors.EVENT_READ)
+            self._answer(Started(request.number, pid), process)
+        finally:
+            for each in descriptors:
+                os.close(each)
+
+    def _reap(self, process: int) -> None:
+        self._selector.unregister(process)
+        os.close(process)
+        pid = self._children.pop(process)
+        _, status = os.waitpid(pid, 0)
+        self._answer(Ended(pid, os.waitstatus_to_exitcode(status)))
+
+    def _answer(self, answer: Answer, *descriptors: int) -> None:
+        with suppress(BrokenPipeError):  # the daemon has ended, which the next read tells
+            socket.send_fds(self._control, [msgspec.json.encode(answer)], descriptors)
+
+    def _become(self, request: Request, descriptors: Sequence[int]) -> NoReturn:
+        """Turn the new process into the child."""
+        status = 1
+        try:
+            self._selector.close()
+            self._control.close()
+            for each in self._children:
+                os.close(each)
+            os.setsid()
+            for each, stream in zip(descriptors, request.streams, strict=True):
+                os.dup2(each, stream)
+                os.close(each)
+            if request.silent:
+                discarding = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(discarding, 1)
+                os.close(discarding)
+            sys.argv = [request.module, *request.words]
+            setproctitle(" ".join((sys.executable, "-m", *sys.argv)))
+            importlib.import_module(request.module).main()
+            status = 0
+        except SystemExit as ending:
+            status = _status_of(ending)
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            with suppress(OSError, ValueError):
+                sys.stdout.flush()
+                sys.stderr.flush()
+            os._exit(status)
+
+
+def serve_forks(control: socket.socket) -> NoReturn:
+    """Serve requests until the daemon ends.
+
+    Args:
+        control: Socket of the daemon.
+    """
+    try:
+        os.close(os.pidfd_open(os.getpid()))
+    except OSError:  # refused by a container, for example: the daemon goes on without this server
+        os._exit(1)
+    os.setsid()  # a Ctrl-C at the terminal is the daemon's to handle
+    setproctitle(f"{sys.executable} -m {__name__}")
+    for name in PRELOADED:
+        with suppress(ModuleNotFoundError):  # of an extra that is not installed: the child says so itself
+            importlib.import_module(name)
+    gc.collect()
+    gc.freeze()  # the collector of a child would otherwise write to, and so copy, all shared memory
+    _Server(control).run()
+
+
+def _status_of(ending: SystemExit) -> int:
+    match ending.code:
+        case None:
+            return 0
+        case int(code):
+            return code
+        case text:
+            sys.stderr.write(f"{text}\n")
+            return 1
