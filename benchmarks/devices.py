@@ -304,7 +304,7 @@ async def tracker_ages(driver: str, seconds: float) -> tuple[Floats, Floats]:
     from pcmrs.bus.seal import Seal, new_key
     from pcmrs.devices.poses import PoseFeed
     from pcmrs.service.processes.nodes import NodeProcesses
-    from pcmrs.service.processes.starting import start_by_exec
+    from pcmrs.processes.starting import start_by_exec
     from pcmrs.service.supervisor import Supervisor
     from pcmrs.settings import read_settings
 

@@ -24,11 +24,14 @@ from pcmrs.files import read_secret
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the robot's kinematics.
+    from pcmrs.processes.starting import ProcessStarter
     from pcmrs.service import Ready
-    from pcmrs.service.processes.starting import ProcessStarter
     from pcmrs.settings import Settings
 
 log = structlog.get_logger(__name__)
+
+CHILD_MODULES = ("pcmrs.bus.heart", "pcmrs.node", "pcmrs.workflows.planning_process", "pcmrs.recording.writer")
+"""Modules of the daemon's child processes, which its fork server imports."""
 
 TCP_LINKS = ("tcp", "openigtlink")
 
@@ -45,14 +48,14 @@ def serve(file: Path | None, overrides: tuple[str, ...], as_json: bool, verbose:
     Ends on SIGINT and SIGTERM; a running motion is held first. Exit status: 0 ended as requested,
     2 failed, 3 the bus cannot be opened (another daemon listens there), 4 bad configuration.
     """
-    from pcmrs.service.processes.fork_server import ForkServer
+    from pcmrs.processes.fork_server import ForkServer
     from pcmrs.settings import read_settings
 
     reserve()
     os.umask(0o077)  # journal and recordings name the patient; the daemon's children inherit this
     log_to_stderr(verbose=verbose)
     settings = read_settings(file, overrides)
-    with closing(ForkServer.fork()) as start_process:
+    with closing(ForkServer.fork(CHILD_MODULES)) as start_process:
         run(_serve(settings, start_process, as_json=as_json, lifeline=lifeline))
 
 

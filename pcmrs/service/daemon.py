@@ -25,6 +25,7 @@ from pcmrs.gateway.links import TASK_FAILED, Gateway, open_gateway
 from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag
+from pcmrs.processes.starting import ProcessStarter, start_by_exec
 from pcmrs.service.command_metrics import Source, counted
 from pcmrs.service.health.inspection import Inspection
 from pcmrs.service.health.metrics import MetricsServer
@@ -36,7 +37,6 @@ from pcmrs.service.processes.heart import HeartProcess
 from pcmrs.service.processes.nodes import NodeProcesses
 from pcmrs.service.processes.planner import PlanningProcess
 from pcmrs.service.processes.recording import start_recording
-from pcmrs.service.processes.starting import ProcessStarter, start_by_exec
 from pcmrs.service.publishing import answer_queries, tell_health
 from pcmrs.service.restart.audit import audit
 from pcmrs.service.restart.recorder import JournalRecorder

@@ -12,7 +12,7 @@ from pcmrs.clock import Clock
 from pcmrs.errors import DeviceError
 from pcmrs.killing import kill_and_wait
 from pcmrs.messages import DeviceEvent
-from pcmrs.service.processes.starting import Process, ProcessStarter
+from pcmrs.processes.starting import Process, ProcessStarter
 from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 from pcmrs.settings import Inherited, Settings
 

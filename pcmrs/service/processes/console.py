@@ -8,8 +8,8 @@ from importlib.util import find_spec
 
 from pcmrs.console.settings import TOKEN
 from pcmrs.files import SECRET, write_durably
+from pcmrs.processes.starting import Process, ProcessStarter
 from pcmrs.service.processes.child import open_child
-from pcmrs.service.processes.starting import Process, ProcessStarter
 from pcmrs.settings import Settings
 
 

@@ -17,8 +17,8 @@ from pcmrs.bus.heart import SIGN, HeartSettings
 from pcmrs.clock import Clock
 from pcmrs.devices.node import DAEMON_BEAT
 from pcmrs.messages import Beat, DeviceEvent
+from pcmrs.processes.starting import Process, ProcessStarter
 from pcmrs.service.processes.child import end_child
-from pcmrs.service.processes.starting import Process, ProcessStarter
 from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 
 log = structlog.get_logger(__name__)

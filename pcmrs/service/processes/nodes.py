@@ -11,8 +11,8 @@ import structlog
 
 from pcmrs.clock import Clock
 from pcmrs.messages import DeviceEvent
+from pcmrs.processes.starting import Process, ProcessStarter
 from pcmrs.service.processes.child import end_child, open_child
-from pcmrs.service.processes.starting import Process, ProcessStarter
 from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 from pcmrs.settings import Settings
 

@@ -17,7 +17,7 @@ from pcmrs.formats.mesh import Mesh
 from pcmrs.fsm import Blueprint
 from pcmrs.killing import kill_and_wait
 from pcmrs.messages import DeviceEvent, Reason
-from pcmrs.service.processes.starting import Process, ProcessStarter
+from pcmrs.processes.starting import Process, ProcessStarter
 from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 from pcmrs.settings import Settings
 from pcmrs.workflows.cell import Cell

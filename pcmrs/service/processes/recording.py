@@ -6,9 +6,9 @@ import asyncio
 import datetime
 
 from pcmrs.clock import Clock
+from pcmrs.processes.starting import Process, ProcessStarter
 from pcmrs.recording.settings import FOLDER
 from pcmrs.service.processes.child import open_child
-from pcmrs.service.processes.starting import Process, ProcessStarter
 from pcmrs.settings import Settings
 
 

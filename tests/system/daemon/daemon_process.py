@@ -124,7 +124,7 @@ class ServeProcess:
 
     def fork_server(self) -> int:
         """Id of the process that starts the daemon's children."""
-        (found,) = _running(self.process.pid, "pcmrs.service.processes.forked")
+        (found,) = _running(self.process.pid, "pcmrs.processes.forked")
         return found
 
     def world_of(self, node: int) -> int:

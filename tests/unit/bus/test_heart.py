@@ -17,8 +17,8 @@ from pcmrs.bus.heart import SIGN, read_signs
 from pcmrs.bus.seal import Seal, new_key
 from pcmrs.clock import SystemClock
 from pcmrs.messages import Beat, DeviceEvent
+from pcmrs.processes.starting import start_by_exec
 from pcmrs.service.processes.heart import ANSWER_TIME, HeartProcess
-from pcmrs.service.processes.starting import start_by_exec
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus
 

@@ -23,9 +23,9 @@ from pcmrs.dispatcher import Run
 from pcmrs.dispatcher.command_checks import read_payload
 from pcmrs.dispatcher.execution import refusal
 from pcmrs.messages import Command, DeviceEvent, Reason
+from pcmrs.processes.starting import start_by_exec
 from pcmrs.service.processes import planner as planner_module
 from pcmrs.service.processes.planner import PlanningProcess
-from pcmrs.service.processes.starting import start_by_exec
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.settings import Settings
 from tests import ROOT

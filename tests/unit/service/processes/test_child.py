@@ -14,8 +14,8 @@ import pytest
 
 from pcmrs.clock import SystemClock
 from pcmrs.messages import DeviceEvent
+from pcmrs.processes.starting import Process, start_by_exec
 from pcmrs.service.processes.child import ChildProcess, end_child, open_child
-from pcmrs.service.processes.starting import Process, start_by_exec
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 from pcmrs.settings import CellSettings, Inherited, Settings
 from pcmrs.testing.clock import ManualClock, settle

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from pcmrs.console.settings import TOKEN, ConsoleSettings
+from pcmrs.processes.starting import ProcessStarter, start_by_exec
 from pcmrs.service.processes import console
 from pcmrs.service.processes.console import is_served, open_console
-from pcmrs.service.processes.starting import ProcessStarter, start_by_exec
 from pcmrs.settings import CellSettings, Settings
 
 

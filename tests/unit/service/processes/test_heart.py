@@ -13,8 +13,8 @@ from pcmrs.bus import BusSettings
 from pcmrs.bus.heart import SIGN
 from pcmrs.devices.node import DAEMON_BEAT
 from pcmrs.messages import Beat
+from pcmrs.processes.starting import start_by_exec
 from pcmrs.service.processes.heart import ANSWER_TIME, STARTING_TIME, HeartProcess, LoopHeart
-from pcmrs.service.processes.starting import start_by_exec
 from pcmrs.testing.clock import ManualClock
 
 

@@ -14,8 +14,8 @@ import pytest
 from pcmrs.bus.seal import new_key
 from pcmrs.clock import SystemClock
 from pcmrs.messages import DeviceEvent
+from pcmrs.processes.starting import start_by_exec
 from pcmrs.service.processes.nodes import NodeProcesses
-from pcmrs.service.processes.starting import start_by_exec
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 from pcmrs.settings import Settings
 

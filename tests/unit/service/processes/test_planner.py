@@ -11,8 +11,8 @@ import pytest
 
 from pcmrs.errors import RefusalError
 from pcmrs.messages import DeviceEvent, Reason
+from pcmrs.processes.starting import start_by_exec
 from pcmrs.service.processes.planner import PAUSE, PLANNING_TIME, PlanningProcess
-from pcmrs.service.processes.starting import start_by_exec
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 from pcmrs.settings import Settings
 from pcmrs.testing.clock import ManualClock, settle

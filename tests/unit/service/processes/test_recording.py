@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
+from pcmrs.processes.starting import ProcessStarter, start_by_exec
 from pcmrs.recording.settings import FOLDER
 from pcmrs.service.processes import recording
 from pcmrs.service.processes.recording import start_recording
-from pcmrs.service.processes.starting import ProcessStarter, start_by_exec
 from pcmrs.settings import CellSettings, Settings
 from pcmrs.testing.clock import EPOCH, ManualClock
 

@@ -14,14 +14,14 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.service.processes import fork_server
-from pcmrs.service.processes.fork_server import UNKNOWN_STATUS, ForkServer
+from pcmrs.processes import fork_server
+from pcmrs.processes.fork_server import UNKNOWN_STATUS, ForkServer
 from pcmrs.testing.daemon import command_line
 from tests import ROOT
 
 WITHIN = 60.0
-SERVER = "import socket, sys; from pcmrs.service.processes import forked; forked.PRELOADED = (); "
-SERVER += "forked.serve_forks(socket.socket(fileno=int(sys.argv[1])))"
+SERVER = "import socket, sys; from pcmrs.processes import forked; "
+SERVER += "forked.serve_forks(socket.socket(fileno=int(sys.argv[1])), ['child', 'no_such_module'])"
 CHILD = """
 import os, signal, sys
 
@@ -164,7 +164,8 @@ async def test_server_that_hangs_is_given_up(bench: Bench, monkeypatch: pytest.M
         monkeypatch.setattr(fork_server, "ANSWER_TIME", 0.05)
         later = await bench.start("pcmrs.cli", "--version", stdout=PIPE)
         assert await later.wait() == 0
-    assert not Path(f"/proc/{bench.process.pid}").exists()
+    with pytest.raises(ProcessLookupError):
+        os.kill(bench.process.pid, 0)
 
 
 async def test_start_that_is_given_up_leaves_no_child(bench: Bench) -> None:

@@ -13,22 +13,12 @@ import selectors
 import socket
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import NoReturn
 
 import msgspec
 from setproctitle import setproctitle
-
-PRELOADED = (
-    "pcmrs.bus.heart",
-    "pcmrs.cli.serve",
-    "pcmrs.node",
-    "pcmrs.workflows.planning_process",
-    "pcmrs.cli.recording",
-    "pcmrs.recording.recorder",
-)
-"""Modules of the children, imported once."""
 
 LARGEST = 65536
 """Limit of a message, bytes: a request holds a command line."""
@@ -174,11 +164,12 @@ class _Server:
             os._exit(status)
 
 
-def serve_forks(control: socket.socket) -> NoReturn:
+def serve_forks(control: socket.socket, modules: Iterable[str]) -> NoReturn:
     """Serve requests until the daemon ends.
 
     Args:
         control: Socket of the daemon.
+        modules: Modules of the children, which are imported once.
     """
     try:
         os.close(os.pidfd_open(os.getpid()))
@@ -186,7 +177,7 @@ def serve_forks(control: socket.socket) -> NoReturn:
         os._exit(1)
     os.setsid()  # a Ctrl-C at the terminal is the daemon's to handle
     setproctitle(f"{sys.executable} -m {__name__}")
-    for name in PRELOADED:
+    for name in modules:
         with suppress(ModuleNotFoundError):  # of an extra that is not installed: the child says so itself
             importlib.import_module(name)
     gc.collect()

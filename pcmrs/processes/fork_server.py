@@ -1,4 +1,4 @@
-"""The daemon's side of the fork server, which starts its child processes; see `pcmrs.service.processes.forked`."""
+"""The daemon's side of the fork server, which starts its child processes; see `pcmrs.processes.forked`."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ import itertools
 import os
 import signal
 import socket
+from collections.abc import Iterable
 from contextlib import suppress
 from typing import Self
 
 import msgspec
 import structlog
 
-from pcmrs.service.processes.forked import LARGEST, Answer, Ended, Refused, Request, Started, serve_forks
-from pcmrs.service.processes.starting import Process, start_by_exec
+from pcmrs.processes.forked import LARGEST, Answer, Ended, Refused, Request, Started, serve_forks
+from pcmrs.processes.starting import Process, start_by_exec
 
 log = structlog.get_logger(__name__)
 
@@ -27,7 +28,7 @@ UNKNOWN_STATUS = 255
 
 
 class ForkedProcess:
-    """A child; see `pcmrs.service.processes.starting.Process`.
+    """A child; see `pcmrs.processes.starting.Process`.
 
     Args:
         pid: Id of the process.
@@ -99,7 +100,7 @@ class _LostError(OSError):
 
 
 class ForkServer:
-    """Starts children by fork; implements `pcmrs.service.processes.starting.ProcessStarter`.
+    """Starts children by fork; implements `pcmrs.processes.starting.ProcessStarter`.
 
     If the server is lost, its children go on, and later ones are started without it.
 
@@ -116,14 +117,18 @@ class ForkServer:
         self._attached = self._lost = False
 
     @classmethod
-    def fork(cls) -> Self:
-        """Fork the server. Call it before there are threads of this program, an event loop, or open files."""
+    def fork(cls, modules: Iterable[str]) -> Self:
+        """Fork the server. Call it before there are threads of this program, an event loop, or open files.
+
+        Args:
+            modules: Names of the modules of the children, beyond what this process has imported.
+        """
         ours, theirs = socket.socketpair(type=socket.SOCK_SEQPACKET)
         gc.freeze()
         pid = os.fork()
         if pid == 0:
             ours.close()
-            serve_forks(theirs)
+            serve_forks(theirs, modules)
         theirs.close()
         return cls(ours, pid)
 
@@ -153,6 +158,8 @@ class ForkServer:
             raise
         here.setblocking(False)
         process.stdout, process.stdin = await asyncio.open_unix_connection(sock=here)
+        if process.returncode is not None:  # it has ended meanwhile
+            process.stdin.close()
         return process
 
     async def _request(
