@@ -14,6 +14,7 @@ from pcmrs.errors import GeometryError
 from pcmrs.spatial import Floats, Transform
 
 _Z = np.array((0.0, 0.0, 1.0))
+_NO_TURN = pinocchio.Quaternion.Identity()
 FLAT = 1e-7
 """Points whose least extent is this share of their greatest lie in a plane."""
 
@@ -97,8 +98,8 @@ def pose_between(start: Floats, end: Floats) -> Any:
     Returns:
         A `pinocchio.SE3` in the frame of both points.
     """
-    same = bool(np.all(start == end))
-    turn = pinocchio.Quaternion.Identity() if same else pinocchio.Quaternion.FromTwoVectors(_Z, end - start)
+    direction = end - start
+    turn = pinocchio.Quaternion.FromTwoVectors(_Z, direction) if any(direction.tolist()) else _NO_TURN
     return pinocchio.SE3(turn, (start + end) / 2.0)
 
 

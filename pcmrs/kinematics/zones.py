@@ -6,6 +6,7 @@ one call by Pinocchio.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -242,5 +243,5 @@ class ZoneModel:
     def _place_sight_line(self, sight: str, tracker: Floats, end: Floats) -> None:
         """Place a line of sight from the tracker to its other end, (3,) each, m, in the robot's base."""
         line, placed = self._sights[sight]
-        line.halfLength = float(np.linalg.norm(end - tracker)) / 2.0
+        line.halfLength = math.dist(tracker.tolist(), end.tolist()) / 2.0
         placed.placement = pose_between(tracker, end)

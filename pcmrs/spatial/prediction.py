@@ -10,7 +10,7 @@ import numpy as np
 
 from pcmrs.errors import RefusalError
 from pcmrs.spatial.constant_velocity import Noise, VelocityFilter
-from pcmrs.spatial.transform import Floats, Transform
+from pcmrs.spatial.transform import Floats, Transform, trusted_transform
 
 JUMP_THRESHOLD = 30.0
 """Innovation over its standard deviation above which a frame is an outlier: 2.3 mm or 1.4° between frames at 60 Hz. A
@@ -107,7 +107,7 @@ class PosePredictor:
     def _correct(self, time: float, pose: Transform, *, predicted: Transform, elapsed: float) -> bool:
         """Correct the prediction by a pose, or keep the prediction if the pose is an outlier."""
         shift = pose.translation - predicted.translation
-        turn = Transform(pose.rotation @ predicted.rotation.T, np.zeros(3)).rotvec
+        turn = trusted_transform(pose.rotation @ predicted.rotation.T, np.zeros(3)).rotvec
         self._time = time
         if self._translation.is_outlier(JUMP_THRESHOLD, elapsed, shift) or self._rotation.is_outlier(
             JUMP_THRESHOLD, elapsed, turn
@@ -136,4 +136,5 @@ def _moved(pose: Transform, shift: Floats, turn: Floats) -> Transform:
 
     The rotation is about the body's origin.
     """
-    return Transform.from_rotvec(pose.translation + shift, turn) @ Transform(pose.rotation, np.zeros(3))
+    moved = Transform.from_rotvec(pose.translation + shift, turn)
+    return trusted_transform(moved.rotation @ pose.rotation, moved.translation)

@@ -60,12 +60,13 @@ class CellZones:
         sights = self.model.pairs_of_zone(SIGHT_OF_TOOL) | self.model.pairs_of_zone(SIGHT_OF_BODY)
         self.retreat_limits = np.where(sights, -np.inf, self.limits)
         self._of_body = self.model.pairs_of_zone(BODY)
+        self._has_body = surface is not None
         self.limits_afar = np.where(self._of_body, zones.body_margin, self.limits)
         self.cone = _cone(zones, settings.placement.nudge_limit_mm / 1000.0)
 
     def place_body(self, base_from_image: Transform) -> None:
         """Place the body by the pose of its image in the robot's base. Without a surface this has no effect."""
-        if self._of_body.any():
+        if self._has_body:
             self.model.place(BODY, base_from_image)
 
     def sample_clearance(self, positions: npt.ArrayLike) -> SampledClearance:
@@ -91,7 +92,7 @@ class CellZones:
             postures: Joint positions, rad, (K, n).
             distance: Distance from the body within which they are near, m.
         """
-        if not self._of_body.any():
+        if not self._has_body:
             return np.zeros(len(postures), dtype=bool)
         nearest = np.array([self.model.distances(q)[self._of_body].min() for q in postures])
         # Between two samples, the arm may come nearer by the bound.

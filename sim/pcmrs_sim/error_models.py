@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import radians
+from math import hypot, radians
 
 import numpy as np
 
@@ -91,14 +91,15 @@ class TrackerErrors:
     def measure(self, tracker_from_body: Transform) -> Transform:
         """Return a measurement of a true pose: the bias at its position plus new jitter, in the tracker frame."""
         position = tracker_from_body.translation
-        translation = self._translation_bias.at(position) + self._rng.normal(0.0, self._translation_jitter, 3)
-        rotation = self._rotation_bias.at(position) + self._rng.normal(0.0, self._rotation_jitter, 3)
+        jitter = self._rng.standard_normal(6)
+        translation = self._translation_bias.at(position) + self._translation_jitter * jitter[:3]
+        rotation = self._rotation_bias.at(position) + self._rotation_jitter * jitter[3:]
         measured = Transform.from_rotvec((0.0, 0.0, 0.0), rotation).rotation @ tracker_from_body.rotation
         return trusted_transform(measured, position + translation)
 
     def fit_error(self) -> float:
         """Draw the tracker's own estimate of its error, m: the scatter of the markers, which does not show the bias."""
-        return float(np.linalg.norm(self._rng.normal(0.0, self._translation_jitter, 3)))
+        return self._translation_jitter * hypot(*self._rng.standard_normal(3).tolist())
 
 
 class TouchErrors:

@@ -58,7 +58,8 @@ class SimTracker:
     @property
     def due(self) -> float:
         """Time at which `update` is needed next, s of the clock."""
-        return min([self._next_exposure, *(self._publication(frame) for frame in self._pending)])
+        pending = self._pending  # in the order of their publication
+        return min(self._next_exposure, self._publication(pending[0])) if pending else self._next_exposure
 
     def update(self, time: float) -> None:
         """Expose and publish the frames that are due at a time, s of the clock."""

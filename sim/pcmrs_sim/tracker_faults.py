@@ -97,7 +97,7 @@ class TrackerFaults:
                 changes["position"] = _moved(pose, PHANTOM_OFFSET)
             if body in self.jumps:
                 changes["position"] = _moved(pose, self.jumps[body])
-        return msgspec.structs.replace(pose, **changes)
+        return msgspec.structs.replace(pose, **changes) if changes else pose
 
     def _numbered(self, pose: BodyPose, last: Sequence[BodyPose]) -> BodyPose:
         if self.frozen and last:

@@ -10,7 +10,7 @@ import numpy as np
 from pcmrs.devices.motion.force import ForceSettings
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.messages import HeadMotion, PoseMessage, SceneTruth
-from pcmrs.spatial import Floats, Transform
+from pcmrs.spatial import Floats, Transform, trusted_transform
 from pcmrs_sim.arm import Arm
 from pcmrs_sim.error_models import TouchErrors, TrackerErrors
 from pcmrs_sim.kinematic_arm import KinematicArm
@@ -196,7 +196,7 @@ def _pose(configured: ConfiguredPose | None, default: Transform) -> Transform:
 
 
 def _shifted(offset: Floats, pose: Transform) -> Transform:
-    return Transform.from_quat_wxyz(offset, (1.0, 0.0, 0.0, 0.0)) @ pose
+    return trusted_transform(pose.rotation, offset + pose.translation)
 
 
 def _message(transform: Transform) -> PoseMessage:

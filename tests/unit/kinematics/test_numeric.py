@@ -13,6 +13,7 @@ from pcmrs.kinematics.posture import cost
 from pcmrs.kinematics.track import damped_least_squares, track
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.spatial import Transform
+from tests.support.trials import run_counts
 from tests.unit.kinematics.reached_poses import assert_reaches
 
 
@@ -21,8 +22,9 @@ def arm(request: pytest.FixtureRequest) -> ArmModel:
     return ArmModel(find_arm(request.param))
 
 
-def test_every_reachable_pose_is_reached(arm: ArmModel) -> None:
-    for known, seed in np.random.default_rng(21).uniform(arm.lower, arm.upper, (250, 2, arm.joints)):
+@run_counts(60, nightly=250)
+def test_every_reachable_pose_is_reached(arm: ArmModel, runs: int) -> None:
+    for known, seed in np.random.default_rng(21).uniform(arm.lower, arm.upper, (runs, 2, arm.joints)):
         target = arm.forward(known)
         assert_reaches(arm, inverse(arm, target, seed), target)
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
 
 from pcmrs.kinematics.sampled_clearance import BOUND, sample_clearance
 from pcmrs.kinematics.zones import SIGHT_OF_TOOL
 from pcmrs.spatial import Floats, Transform
-from tests.support.trials import examples
-from tests.unit.kinematics.zone_cell import ARM, FACTS, FLANGE_FROM_TOOL, seeds, zone_model
+from tests.support.trials import run_counts
+from tests.unit.kinematics.zone_cell import ARM, FACTS, FLANGE_FROM_TOOL, zone_model
 
 TOOL_REACH = 0.2
 
@@ -22,40 +21,40 @@ def random_way(seed: int, samples: int = 40) -> Floats:
     return np.asarray(start + parts * turns[0] + parts**2 * turns[1])
 
 
-@examples(20)
-@given(seeds)
-def test_distance_between_samples_falls_at_most_by_the_bound(seed: int) -> None:
-    model, way = zone_model(), random_way(seed)
-    rng = np.random.default_rng(seed)
-    model.place("body", Transform(np.eye(3), rng.uniform((0.2, -0.4, 0.0), (0.7, 0.4, 0.6))))
-    model.place("table", Transform(np.eye(3), np.array((0.0, 0.0, -0.2))))
-    model.set_sight_lines((1.3, -0.5, 0.6), (0.5, 0.0, 0.1))
-    least = sample_clearance(model, FACTS, TOOL_REACH, way).distances.min(axis=0)
-    finer = np.linspace(0.0, len(way) - 1.0, 10 * len(way) * 10)
-    between = np.column_stack([np.interp(finer, np.arange(len(way)), joint) for joint in way.T])
-    finest = np.array([model.distances(q) for q in between[::7]]).min(axis=0)
-    # The line of sight to the tool moves as well, as far as the tool does at most.
-    bounds = np.where(model.pairs_of_zone(SIGHT_OF_TOOL), 2.0 * BOUND, BOUND)
-    assert np.all(finest >= least - bounds)
+@run_counts(6, nightly=60)
+def test_distance_between_samples_falls_at_most_by_the_bound(runs: int) -> None:
+    for seed in range(runs):
+        model, way = zone_model(), random_way(seed)
+        rng = np.random.default_rng(seed)
+        model.place("body", Transform(np.eye(3), rng.uniform((0.2, -0.4, 0.0), (0.7, 0.4, 0.6))))
+        model.place("table", Transform(np.eye(3), np.array((0.0, 0.0, -0.2))))
+        model.set_sight_lines((1.3, -0.5, 0.6), (0.5, 0.0, 0.1))
+        least = sample_clearance(model, FACTS, TOOL_REACH, way).distances.min(axis=0)
+        finer = np.linspace(0.0, len(way) - 1.0, 10 * len(way) * 10)
+        between = np.column_stack([np.interp(finer, np.arange(len(way)), joint) for joint in way.T])
+        finest = np.array([model.distances(q) for q in between[::7]]).min(axis=0)
+        # The line of sight to the tool moves as well, as far as the tool does at most.
+        bounds = np.where(model.pairs_of_zone(SIGHT_OF_TOOL), 2.0 * BOUND, BOUND)
+        assert np.all(finest >= least - bounds)
 
 
-@examples(20)
-@given(seeds)
-def test_accepted_path_holds_at_ten_times_finer_samples(seed: int) -> None:
-    model, way = zone_model(), random_way(seed)
-    rng = np.random.default_rng(seed)
-    model.place("body", Transform(np.eye(3), rng.uniform((0.2, -0.4, 0.0), (0.7, 0.4, 0.6))))
-    passage = sample_clearance(model, FACTS, TOOL_REACH, way)
-    violation = passage.first_violation(model, model.limits)
-    parts = np.linspace(0.0, len(way) - 1.0, 10 * len(passage.postures))
-    finer = np.column_stack([np.interp(parts, np.arange(len(way)), joint) for joint in way.T])
-    spare = np.array([model.distances(q) for q in finer]).min(axis=0) - model.limits
-    if violation is None:
-        assert spare.min() >= -BOUND
-    else:
-        assert spare.min() < 1e-4
-        assert violation.clearance.distance < violation.clearance.limit
-        assert model.distances(violation.posture).min() <= violation.clearance.distance + 1e-9
+@run_counts(6, nightly=60)
+def test_accepted_path_holds_at_ten_times_finer_samples(runs: int) -> None:
+    for seed in range(runs):
+        model, way = zone_model(), random_way(seed)
+        rng = np.random.default_rng(seed)
+        model.place("body", Transform(np.eye(3), rng.uniform((0.2, -0.4, 0.0), (0.7, 0.4, 0.6))))
+        passage = sample_clearance(model, FACTS, TOOL_REACH, way)
+        violation = passage.first_violation(model, model.limits)
+        parts = np.linspace(0.0, len(way) - 1.0, 10 * len(passage.postures))
+        finer = np.column_stack([np.interp(parts, np.arange(len(way)), joint) for joint in way.T])
+        spare = np.array([model.distances(q) for q in finer]).min(axis=0) - model.limits
+        if violation is None:
+            assert spare.min() >= -BOUND
+        else:
+            assert spare.min() < 1e-4
+            assert violation.clearance.distance < violation.clearance.limit
+            assert model.distances(violation.posture).min() <= violation.clearance.distance + 1e-9
 
 
 def test_limits_may_differ_from_look_to_look() -> None:

@@ -10,6 +10,7 @@ from pcmrs.kinematics.inverse import inverse
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.posture import cost
 from pcmrs.spatial import Transform
+from tests.support.trials import run_counts
 from tests.unit.kinematics.reached_poses import READY, assert_reaches
 
 
@@ -18,10 +19,13 @@ def arm(request: pytest.FixtureRequest) -> ArmModel:
     return ArmModel(ARMS[request.param])
 
 
-def test_hundred_times_finer_arm_angle_scan_is_hardly_better(arm: ArmModel, monkeypatch: pytest.MonkeyPatch) -> None:
+@run_counts(20, nightly=60)
+def test_hundred_times_finer_arm_angle_scan_is_hardly_better(
+    arm: ArmModel, monkeypatch: pytest.MonkeyPatch, runs: int
+) -> None:
     rng = np.random.default_rng(16)
     spheres = np.array(((0.5, 0.1, 0.3, 0.15), (-0.4, 0.2, 0.8, 0.1)))
-    problems = [(arm.forward(known), seed) for known, seed in rng.uniform(arm.lower, arm.upper, (30, 2, 7))]
+    problems = [(arm.forward(known), seed) for known, seed in rng.uniform(arm.lower, arm.upper, (runs, 2, 7))]
     costs = [cost(arm, inverse(arm, target, seed, keep_away=spheres), seed, spheres) for target, seed in problems]
     monkeypatch.setattr(srs, "_SCANS", (9000, 30))
     best = [cost(arm, inverse(arm, target, seed, keep_away=spheres), seed, spheres) for target, seed in problems]

@@ -17,7 +17,7 @@ from pcmrs.kinematics.time_parameterization import CubicSpline, ProgressLimits, 
 from pcmrs.kinematics.trajectory import joint_motion, straight_motion
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform, distance
-from tests.support.trials import examples
+from tests.support.trials import run_counts
 
 ARM = ArmModel(IIWA14_R820)
 
@@ -75,34 +75,34 @@ def assert_keeps_everything(trajectory: JointTrajectory) -> None:
     assert fastest(trajectory, near) <= SLOW * 1.001
 
 
-@examples(15)
-@given(seeds)
-def test_joint_motion_is_slow_near_the_body_and_keeps_limits(seed: int) -> None:
-    start, goal = np.random.default_rng(seed).uniform(0.5 * ARM.lower, 0.5 * ARM.upper, (2, 7))
-    trajectory = joint_motion(ARM, start, goal, LIMITS, flange_from_tool=TOOL, speed_limit_at=slower_near_the_ball)
-    assert_keeps_everything(trajectory)
-    positions = np.array(trajectory.positions)
-    np.testing.assert_array_equal(positions[[0, -1]], (start, goal))
-    along = (positions - start) @ (goal - start) / np.sum((goal - start) ** 2)
-    np.testing.assert_allclose(positions, start + along[:, None] * (goal - start), atol=1e-9)
-    assert np.all(np.diff(along) >= -1e-9), "it never goes back"
+@run_counts(5, nightly=50)
+def test_joint_motion_is_slow_near_the_body_and_keeps_limits(runs: int) -> None:
+    for seed in range(runs):
+        start, goal = np.random.default_rng(seed).uniform(0.5 * ARM.lower, 0.5 * ARM.upper, (2, 7))
+        trajectory = joint_motion(ARM, start, goal, LIMITS, flange_from_tool=TOOL, speed_limit_at=slower_near_the_ball)
+        assert_keeps_everything(trajectory)
+        positions = np.array(trajectory.positions)
+        np.testing.assert_array_equal(positions[[0, -1]], (start, goal))
+        along = (positions - start) @ (goal - start) / np.sum((goal - start) ** 2)
+        np.testing.assert_allclose(positions, start + along[:, None] * (goal - start), atol=1e-9)
+        assert np.all(np.diff(along) >= -1e-9), "it never goes back"
 
 
-@examples(10)
-@given(seeds)
-def test_straight_line_is_slow_near_the_body_and_keeps_limits(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    begin = ARM.forward(READY) @ TOOL
-    goal = Transform.from_rotvec(rng.uniform(-0.1, 0.1, 3), np.zeros(3)) @ begin
-    goal = Transform(begin.rotation, begin.translation + goal.translation - begin.translation)
-    trajectory = straight_motion(
-        ARM, READY, goal @ TOOL.inverse(), LIMITS, flange_from_tool=TOOL, speed_limit_at=slower_near_the_ball
-    )
-    assert_keeps_everything(trajectory)
-    tools = [ARM.forward(q) @ TOOL for q in trajectory.positions]
-    assert distance(tools[-1], goal) < 1e-9
-    for pose in tools:
-        assert distance(begin, pose) + distance(pose, goal) == pytest.approx(distance(begin, goal), abs=1e-9)
+@run_counts(5, nightly=50)
+def test_straight_line_is_slow_near_the_body_and_keeps_limits(runs: int) -> None:
+    for seed in range(runs):
+        rng = np.random.default_rng(seed)
+        begin = ARM.forward(READY) @ TOOL
+        goal = Transform.from_rotvec(rng.uniform(-0.1, 0.1, 3), np.zeros(3)) @ begin
+        goal = Transform(begin.rotation, begin.translation + goal.translation - begin.translation)
+        trajectory = straight_motion(
+            ARM, READY, goal @ TOOL.inverse(), LIMITS, flange_from_tool=TOOL, speed_limit_at=slower_near_the_ball
+        )
+        assert_keeps_everything(trajectory)
+        tools = [ARM.forward(q) @ TOOL for q in trajectory.positions]
+        assert distance(tools[-1], goal) < 1e-9
+        for pose in tools:
+            assert distance(begin, pose) + distance(pose, goal) == pytest.approx(distance(begin, goal), abs=1e-9)
 
 
 def test_only_what_is_near_takes_longer() -> None:
@@ -120,27 +120,27 @@ def test_only_what_is_near_takes_longer() -> None:
     assert fastest(half, lambda q: q[0] > 0.5) == pytest.approx(0.05, rel=0.02)
 
 
-@examples(100)
-@given(seeds)
-def test_progress_keeps_its_bounds_through_any_sections(seed: int) -> None:
+@run_counts(30, nightly=300)
+def test_progress_keeps_its_bounds_through_any_sections(runs: int) -> None:
     """Also through sections so short that nothing can be reached within them."""
-    rng = np.random.default_rng(seed)
-    places = np.unique(np.concatenate(((0.0, 1.0), rng.uniform(0.0, 1.0, rng.integers(1, 30)))))
-    allowed = rng.choice((0.02, 0.1, 0.5), len(places))
-    ways = np.diff(places) * rng.uniform(0.2, 1.0)
-    bounds = ProgressLimits(*rng.uniform((0.2, 0.3, 1.0), (3.0, 5.0, 60.0)).tolist())
-    progress = time_parameterize(places, ways, allowed, bounds)
-    period = progress.duration / 4000
-    parts = progress.at(np.linspace(0.0, progress.duration, 4001))
-    assert parts[0] == 0.0
-    assert parts[-1] == pytest.approx(1.0, abs=1e-9)
-    speeds = np.diff(parts) / period
-    assert speeds.min() >= -1e-7
-    limit = np.minimum(bounds.velocity, np.minimum(allowed[1:], allowed[:-1]) / (ways / np.diff(places)))
-    middle = np.clip(np.searchsorted(places, 0.5 * (parts[1:] + parts[:-1])) - 1, 0, len(limit) - 1)
-    inside = np.searchsorted(places, parts[1:]) == np.searchsorted(places, parts[:-1])
-    assert np.all(speeds[inside] <= limit[middle][inside] * (1 + 1e-4) + 1e-7)
-    assert np.abs(np.diff(parts, 2)).max() / period**2 <= bounds.acceleration * (1 + 1e-3)
+    for seed in range(runs):
+        rng = np.random.default_rng(seed)
+        places = np.unique(np.concatenate(((0.0, 1.0), rng.uniform(0.0, 1.0, rng.integers(1, 30)))))
+        allowed = rng.choice((0.02, 0.1, 0.5), len(places))
+        ways = np.diff(places) * rng.uniform(0.2, 1.0)
+        bounds = ProgressLimits(*rng.uniform((0.2, 0.3, 1.0), (3.0, 5.0, 60.0)).tolist())
+        progress = time_parameterize(places, ways, allowed, bounds)
+        period = progress.duration / 4000
+        parts = progress.at(np.linspace(0.0, progress.duration, 4001))
+        assert parts[0] == 0.0
+        assert parts[-1] == pytest.approx(1.0, abs=1e-9)
+        speeds = np.diff(parts) / period
+        assert speeds.min() >= -1e-7
+        limit = np.minimum(bounds.velocity, np.minimum(allowed[1:], allowed[:-1]) / (ways / np.diff(places)))
+        middle = np.clip(np.searchsorted(places, 0.5 * (parts[1:] + parts[:-1])) - 1, 0, len(limit) - 1)
+        inside = np.searchsorted(places, parts[1:]) == np.searchsorted(places, parts[:-1])
+        assert np.all(speeds[inside] <= limit[middle][inside] * (1 + 1e-4) + 1e-7)
+        assert np.abs(np.diff(parts, 2)).max() / period**2 <= bounds.acceleration * (1 + 1e-3)
 
 
 @st.composite

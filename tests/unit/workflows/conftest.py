@@ -10,7 +10,7 @@ import pytest
 
 from pcmrs.simulated_time.loop import SimulatedLoop
 from pcmrs.workflows import find_workflow
-from pcmrs.workflows.opening import open_workflow
+from tests.support.shipped import unverified_workflow
 from tests.unit.workflows.stimulation_bench import StimulationBench, stimulation
 from tests.unit.workflows.workflow_bench import WorkflowBench, open_bench
 
@@ -37,7 +37,7 @@ async def unrevoked(tmp_path: Path) -> AsyncIterator[WorkflowBench]:
     assert found
     file = tmp_path / "careless.toml"
     file.write_text(head + tail.partition('to = "held"\n')[2])
-    async with open_bench(workflow=open_workflow(str(file))) as opened:
+    async with open_bench(workflow=unverified_workflow(file)) as opened:
         yield opened
 
 

@@ -14,20 +14,22 @@ from pcmrs.settings import Settings
 from pcmrs.spatial import Floats
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.collision_checks import SAMPLES_PER_PART, ClearanceLimits
-from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.planning import PlanningCell
 from pcmrs.workflows.surface import read_surface
+from tests.support.shipped import shipped_workflow
 from tests.unit.workflows.workflow_bench import POSES, WorkflowBench, open_bench
 from tests.unit.workflows.zone_bench import coil, lamp, reason, recorded, register, settings_with
 
 SAMPLES = 10 * SAMPLES_PER_PART + 7
+STATE_RATE_HZ = 100.0
+FREQUENT_STATES = {"arm": {"state_rate_hz": STATE_RATE_HZ}}
 
 
 @pytest.fixture(scope="module")
 def cell() -> Cell:
     settings = Settings()
     planning = PlanningCell(
-        open_workflow(settings.workflow),
+        shipped_workflow(settings.workflow),
         settings.procedure,
         ArmModel(find_arm(settings.robot.model)),
         read_surface(settings.procedure),
@@ -138,22 +140,23 @@ async def test_a_tool_too_near_may_back_off_but_not_approach() -> None:
 @pytest.mark.parametrize("surface", ["head_phantom.ply", ""])
 async def test_the_last_way_to_the_body_is_slow(surface: str) -> None:
     """Also where nobody knows the body's surface."""
-    async with open_bench({"body": {"surface": surface}, "motion": {"near_velocity": 0.04}}) as bench:
+    slow = {"body": {"surface": surface}, "motion": {"near_velocity": 0.04}}
+    async with open_bench(slow, FREQUENT_STATES) as bench:
         await bench.to_standoff()
         points = np.array([coil(bench, q) for q in await recorded(bench, "placement.confirm")])
-        speeds = np.linalg.norm(np.diff(points, axis=0), axis=1) * 100.0  # states come at 100 Hz
+        speeds = np.linalg.norm(np.diff(points, axis=0), axis=1) * STATE_RATE_HZ
         assert 0.035 < speeds.max() < 0.042
 
 
 @pytest.mark.parametrize("operation", ["placement.approach", "placement.home"])
 async def test_near_the_body_every_way_is_slow_and_elsewhere_it_is_not(operation: str) -> None:
     """SR8: also of the ways that lead from and to places far from the body."""
-    async with open_bench({"motion": {"near_velocity": 0.04, "near_distance": 0.1}}) as bench:
+    async with open_bench({"motion": {"near_velocity": 0.04, "near_distance": 0.1}}, FREQUENT_STATES) as bench:
         await (bench.to_standoff() if operation == "placement.home" else bench.register())
         postures = np.array(await recorded(bench, operation))
         flanges = [bench.cell.arm.forward(q) for q in postures]
         points = np.array([(each.translation, each @ bench.cell.flange_from_coil.translation) for each in flanges])
-        speeds = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1) * 100.0  # states come at 100 Hz
+        speeds = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1) * STATE_RATE_HZ
         near = bench.cell.zones.near_body(postures, 0.1)
         slow = near[1:] & near[:-1]
         assert 0.035 < speeds[slow].max() < 0.042

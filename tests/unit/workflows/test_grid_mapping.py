@@ -22,9 +22,9 @@ from pcmrs.workflows import find_workflow
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_message
 from pcmrs.workflows.grid_mapping import Data, plan_is_of_point, point_reachable, point_within_tolerance, settle
-from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.toolplan import ToolPose, pose_of
 from tests import ROOT
+from tests.support.shipped import shipped_workflow, unverified_workflow
 from tests.unit.workflows.workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
 GRID = POSES[:3]
@@ -41,7 +41,7 @@ def three_points(tmp_path_factory: pytest.TempPathFactory) -> Workflow[Cell, Pla
     own.write_text(text.replace("count = 9", "count = 3"))
     (folder / "ratms.toml").write_text(find_workflow("ratms").blueprint.read_text())
     own.with_suffix(".py").write_text(shipped.code.read_text())
-    return open_workflow(str(own))
+    return unverified_workflow(own)
 
 
 @asynccontextmanager
@@ -281,7 +281,7 @@ async def test_after_a_restart_a_grid_must_be_planned_again(
 
 @pytest.mark.nightly
 def test_the_shipped_grid_knows_its_points_from_the_blueprint() -> None:
-    initial = open_workflow("grid_mapping").initial
+    initial = shipped_workflow("grid_mapping").initial
     assert isinstance(initial, Data)
     assert initial.points == tuple(f"point_{number}" for number in range(1, 10))
 

@@ -11,6 +11,7 @@ from pcmrs.cli import main
 from pcmrs.errors import BlueprintError
 from pcmrs.workflows import find_workflow
 from pcmrs.workflows.opening import open_workflow
+from tests.support.shipped import NAMES, shipped_blueprint
 
 RATMS = find_workflow("ratms").blueprint
 PRESS = 'requires = { registration = ["111"], toolplan = ["1"], robot = ["1"] }\npayload = "press"'
@@ -22,6 +23,11 @@ UNDECLARED: dict[str, tuple[str, str, str]] = {
     ),
     "an activity": ('ended = "following_lost", moves = true', 'ended = "following_lost"', "follow_head"),
 }
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_workflows_of_pcmrs_are_sound(name: str) -> None:
+    assert open_workflow(name).blueprint == shipped_blueprint(name)
 
 
 @pytest.mark.parametrize("what", UNDECLARED)

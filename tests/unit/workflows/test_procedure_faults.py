@@ -32,7 +32,9 @@ Faults = dict[str, Any]
 async def guarded(
     procedure: Faults | None = None, *, workflow: str | Workflow[Cell, PlacementData] = "ratms"
 ) -> AsyncIterator[WorkflowBench]:
-    async with open_bench(procedure, workflow=workflow) as bench:
+    # As often as usual: limits of speed tell a jump from a motion only between frames that are near enough.
+    rates = {"tracker": {"rate_hz": 60.0}, "arm": {"state_rate_hz": 100.0}}
+    async with open_bench(procedure, rates, workflow=workflow) as bench:
         settings = bench.cell.settings
         limits = settings.tracking
         believed = PoseLimits(limits.error_mm / 1000.0, limits.speed, limits.turn, limits.steady)

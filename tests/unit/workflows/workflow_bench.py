@@ -37,18 +37,23 @@ DEVICES = ("robot", "tracker", "pointer", "scene", "stimulator", "emg")
 AT_REST = 1e-3
 """Joint velocity below which the simulated arm counts as standing, rad/s."""
 
-QUICK_SIM: dict[str, Any] = {"arm": {"physics": "kinematic"}, "digitization": {"reach_time": 0.05, "rest_time": 0.05}}
+QUICK_SIM: dict[str, Any] = {
+    "arm": {"physics": "kinematic", "state_rate_hz": 50.0},
+    "tracker": {"rate_hz": 30.0},
+    "digitization": {"reach_time": 0.05, "rest_time": 0.05},
+}
 DYNAMICS: dict[str, Any] = {"arm": {"physics": "mujoco"}}
 """For what friction, masses, controller or the noise of the force sensor decide."""
 QUICK_PROCEDURE: dict[str, Any] = {
-    "registration": {"samples": 4},
+    "registration": {"samples": 2},
     "motion": {
         "joint_speed_fraction": 1.0,
         "joint_acceleration": 5.0,
         "linear_velocity": 0.5,
         "near_velocity": 0.25,
     },
-    "placement": {"frames": 4, "settle_time": 0.1, "tolerance_mm": 0.5, "tolerance_deg": 0.2},
+    "placement": {"frames": 2, "settle_time": 0.1, "tolerance_mm": 0.5, "tolerance_deg": 0.2},
+    "following": {"period": 0.016},
 }
 
 
