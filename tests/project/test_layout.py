@@ -5,11 +5,13 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
+import pytest
+
 from tests import ROOT, TESTS
 
-PACKAGES = {"pcmrs": ROOT / "pcmrs", "sim": ROOT / "sim" / "pcmrs_sim"}
+PACKAGES = {"pcmrs": ROOT / "pcmrs", "sim": ROOT / "sim" / "pcmrs_sim", "lab": ROOT / "lab" / "pcmrs_lab"}
 SHARE = 0.95
-"""Least share of the modules with behaviour that have a unit test file."""
+"""Least share of the modules with behaviour of each package that have a unit test file."""
 
 
 def behaves(module: Path) -> bool:
@@ -22,19 +24,22 @@ def behaves(module: Path) -> bool:
     return False
 
 
-def unit_test(module: Path) -> Path:
+def unit_test(package: str, module: Path) -> Path:
     """Return the file that holds the unit tests of a module."""
-    name, folder = next((name, folder) for name, folder in PACKAGES.items() if module.is_relative_to(folder))
-    below = module.relative_to(folder).parent
-    return TESTS / "unit" / (below if name == "pcmrs" else Path(name) / below) / f"test_{module.stem.lstrip('_')}.py"
+    below = module.relative_to(PACKAGES[package]).parent
+    return (
+        TESTS / "unit" / (below if package == "pcmrs" else Path(package) / below) / f"test_{module.stem.lstrip('_')}.py"
+    )
 
 
-def modules() -> list[Path]:
-    found = (path for folder in PACKAGES.values() for path in folder.rglob("*.py"))
+def modules(package: str) -> list[Path]:
+    found = PACKAGES[package].rglob("*.py")
     return sorted(path for path in found if path.stem not in ("__init__", "__main__") and behaves(path))
 
 
-def test_modules_have_unit_tests_of_their_name() -> None:
-    missing = [path for path in modules() if not unit_test(path).is_file()]
-    names = "\n".join(f"{path.relative_to(ROOT)}: {unit_test(path).relative_to(ROOT)}" for path in missing)
-    assert 1 - len(missing) / len(modules()) >= SHARE, f"modules without unit tests:\n{names}"
+@pytest.mark.parametrize("package", PACKAGES)
+def test_modules_have_unit_tests_of_their_name(package: str) -> None:
+    tests = {path: unit_test(package, path) for path in modules(package)}
+    missing = {path: test for path, test in tests.items() if not test.is_file()}
+    names = "\n".join(f"{path.relative_to(ROOT)}: {test.relative_to(ROOT)}" for path, test in missing.items())
+    assert 1 - len(missing) / len(tests) >= SHARE, f"modules without unit tests:\n{names}"

@@ -91,13 +91,16 @@ _Names = dict[str, _Inode]
 
 
 class _Disk:
-    """Folder whose files are written, synchronised, renamed and removed."""
+    """Folder whose files are written, synchronised, renamed and removed.
+
+    Its names in every state that they had are kept, and the index of the last state that is durable.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = str(folder)
         self._names: _Names = {}
-        self._durable: _Names = {}
-        self._changes: list[_Names] = []
+        self._states: list[_Names] = [{}]
+        self._durable = 0
         self._syncing: dict[str, tuple[str, int]] = {}
         self.acknowledged: list[int] = []
 
@@ -112,7 +115,7 @@ class _Disk:
 
     def after_a_cut(self, chance: random.Random) -> dict[str, bytes]:
         """Return the content of all files by name."""
-        names = chance.choice([self._durable, *self._changes])
+        names = chance.choice(self._states[self._durable :])
         return {Path(path).name: inode.after_a_cut(chance) for path, inode in names.items()}
 
     def _begin(self, thread: str, call: str, arguments: str) -> None:
@@ -127,19 +130,20 @@ class _Disk:
         elif call in ("write", "pwrite64", "ftruncate") and (inode := self._names.get(path)) is not None:
             self._write(inode, call, arguments, texts)
         elif call in ("fsync", "fdatasync"):
-            self._syncing[thread] = (path, len(inode.writes) if (inode := self._names.get(path)) else 0)
+            inode = self._names.get(path)
+            self._syncing[thread] = (path, len(inode.writes) if inode is not None else len(self._states) - 1)
         elif call in ("openat", "rename", "unlink"):
             self._rename(call, arguments, [text.decode() for text in texts])
 
     def _end(self, thread: str, call: str, result: int) -> None:
-        """End a call: a sync makes durable what had been written when it began."""
+        """End a call: a sync makes durable what had been written, or named, when it began."""
         if call not in ("fsync", "fdatasync") or result != 0:
             return
-        path, writes = self._syncing.pop(thread)
+        path, before = self._syncing.pop(thread)
         if path == self._folder:
-            self._durable, self._changes = dict(self._names), []
+            self._durable = max(self._durable, before)
         elif (inode := self._names.get(path)) is not None:
-            inode.synced = max(inode.synced, writes)
+            inode.synced = max(inode.synced, before)
 
     def _write(self, inode: _Inode, call: str, arguments: str, texts: list[bytes]) -> None:
         numbers = [int(number) for number in _NUMBER.findall(arguments)]
@@ -158,7 +162,7 @@ class _Disk:
             self._names[paths[1]] = self._names.pop(paths[0])
         elif call == "unlink":
             self._names.pop(paths[0], None)
-        self._changes.append(dict(self._names))
+        self._states.append(dict(self._names))
 
 
 def _hex(text: str) -> str:

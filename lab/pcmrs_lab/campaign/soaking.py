@@ -82,7 +82,7 @@ class SoakReport(msgspec.Struct, frozen=True):
     @property
     def violated(self) -> bool:
         """True if it ended early, a measure grows, or too few commands were accepted to show anything."""
-        idle = self.decisions.get("accepted", 0) < LEAST_ACCEPTED * self.steps
+        idle = self.decisions.get("accepted", 0) < max(1.0, LEAST_ACCEPTED * self.steps)
         return bool(self.ended) or idle or not all(trend.flat for trend in self.courses)
 
 
@@ -106,9 +106,12 @@ async def soak(
         operator, decisions = RandomOperator(cell.client, random.Random(seed)), Counter[str]()
         started = clock.monotonic()
         operating = asyncio.create_task(_operate(operator, decisions))
+        seen: Seen = []
         try:
-            seen = await _look(cell, orders, operating, hours * 3600.0, clock, progress)
+            await _look(cell, orders, operating, hours * 3600.0, clock, progress, seen)
             ended = _why_ended(operating)
+        except OSError as error:
+            ended = f"A process of the cell is gone or does not answer: {error}"
         finally:
             operating.cancel()
             await asyncio.gather(operating, return_exceptions=True)
@@ -137,10 +140,16 @@ Seen = list[tuple[float, str, str, float]]
 
 
 async def _look(
-    cell: RunningCell, orders: Path, operating: asyncio.Task[None], length: float, clock: Clock, progress: ShowProgress
-) -> Seen:
+    cell: RunningCell,
+    orders: Path,
+    operating: asyncio.Task[None],
+    length: float,
+    clock: Clock,
+    progress: ShowProgress,
+    seen: Seen,
+) -> None:
+    """Sample all processes until the time is over or the operator has ended; raise `OSError` if one is gone."""
     started, period = clock.monotonic(), max(1.0, length / SAMPLES)
-    seen: Seen = []
     processes = processes_of(cell.process.pid)
     while (now := clock.monotonic() - started) < length and not operating.done():
         for process, pid in processes:
@@ -149,7 +158,6 @@ async def _look(
         seen.append((now, "daemon", "tasks", float(await order(orders, "tasks"))))
         progress("seconds", int(now), int(length))
         await asyncio.wait([operating], timeout=min(period, max(0.0, length - now)))
-    return seen
 
 
 def _why_ended(operating: asyncio.Task[None]) -> str:

@@ -5,20 +5,15 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from pathlib import Path
 
-import msgspec
 import pytest
 
-from pcmrs.errors import ConfigurationError
 from pcmrs_lab.campaign.explore.exploring import explore, run_seeds
-from pcmrs_lab.campaign.explore.faults import FAULTS, SCENE
 from pcmrs_lab.campaign.explore.generate import draw_script
 from pcmrs_lab.campaign.explore.next_step_policy import WITH_STIMULATOR
-from pcmrs_lab.campaign.explore.script import Act, SessionScript, read_script, shrink, write_script
+from pcmrs_lab.campaign.explore.script import Act, SessionScript, shrink
 from pcmrs_lab.campaign.explore.session import run_session
 from pcmrs_lab.campaign.explore.settings import workflow_of
-from pcmrs_sim.faults import FAULTS as SIMULATED
 from tests.system.exploring.exploring_mutants import MUTANTS
 
 TO_THE_HEAD = [Act(1.0, "go_on", "anna", {"turn": turn}) for turn in (1, 0, 1, 0, 1, 0, 1, 0, 0, 0)]
@@ -108,14 +103,6 @@ def test_a_pulse_is_given_when_nothing_is_wrong() -> None:
     assert found.seen["accepted stimulation.fire"] == 2
 
 
-def test_every_fault_of_the_simulated_cell_can_be_drawn() -> None:
-    """A fault that is added to the simulation is explored, or this fails."""
-    assert SCENE.keys() == SIMULATED.keys()
-    blueprint = workflow_of("ratms").blueprint
-    drawn = {act.what for seed in range(400) for act in draw_script(blueprint, "ratms", seed).acts}
-    assert {f"fault:{name}" for name in FAULTS} <= drawn
-
-
 @pytest.mark.parametrize("name", MUTANTS)
 def test_a_guard_that_was_taken_out_is_missed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     script = SessionScript(seed=5, acts=FINDING[name])
@@ -163,27 +150,3 @@ def test_500_sessions_hold_and_reach_every_fault() -> None:
     report = explore("ratms", 1, 500, jobs=2)
     assert report.broken == []
     assert report.not_reached == []
-
-
-def test_shrinking_leaves_what_is_needed_only() -> None:
-    script = SessionScript(seed=1, acts=[Act(1.0, f"act{number}") for number in range(40)])
-    needed = {"act3", "act17", "act38"}
-    shorter = shrink(script, lambda each: needed <= {act.what for act in each.acts})
-    assert {act.what for act in shorter.acts} == needed
-
-
-def test_a_script_is_only_what_a_file_can_hold() -> None:
-    """JSON has no infinite numbers: a saved script that had one would be another script."""
-    blueprint = workflow_of("ratms").blueprint
-    for seed in range(50):
-        script = draw_script(blueprint, "ratms", seed)
-        assert msgspec.json.decode(msgspec.json.encode(script), type=SessionScript) == script
-
-
-def test_scripts_survive_a_file_and_others_are_refused(tmp_path: Path) -> None:
-    script = draw_script(workflow_of("ratms").blueprint, "ratms", 9)
-    write_script(script, tmp_path / "script.json")
-    assert msgspec.to_builtins(read_script(tmp_path / "script.json")) == msgspec.to_builtins(script)
-    (tmp_path / "other.json").write_text('{"seed": 1, "nonsense": 2}')
-    with pytest.raises(ConfigurationError, match="not a script"):
-        read_script(tmp_path / "other.json")

@@ -1,17 +1,16 @@
-"""Workflows for tests of the laboratory: RATMS, read once, and a small one of three branches."""
+"""Workflows for tests of the laboratory: RATMS, and a small one of three branches."""
 
 from __future__ import annotations
 
 from functools import cache
 
-from pcmrs.fsm import Blueprint, load_blueprint, parse_blueprint
-from pcmrs.workflows import find_workflow
+from pcmrs.fsm import Blueprint, parse_blueprint
+from tests.support.shipped import shipped_blueprint
 from tests.unit.fsm.rules.small_workflow import SMALL
 
 
-@cache
 def ratms() -> Blueprint:
-    return load_blueprint(find_workflow("ratms").blueprint)
+    return shipped_blueprint("ratms")
 
 
 @cache

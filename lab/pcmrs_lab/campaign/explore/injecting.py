@@ -176,9 +176,9 @@ class Faults:
                 await self._crash_daemon({})
                 error_text = error.text
                 await asyncio.sleep(RETRY_AFTER)
-        else:
+        if self._cell.daemon is None:
             self._witness.break_("the_daemon_starts_again", error_text)
-        if self._cell.daemon is not None:
+        else:
             reader = self._cell.daemon.journal.reader
             self._witness.watcher.check_rows(lambda source, command: _decision(reader.verdict_of(source, command)))
 

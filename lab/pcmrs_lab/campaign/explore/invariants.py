@@ -82,7 +82,7 @@ def promises_are_kept(view: View, event: Event) -> str | None:
     if not isinstance(event, Snapshot):
         return None
     for promise in view.blueprint.properties:
-        if not _holds(promise.when, event):
+        if promise.when.accepted or not _holds(promise.when, event):
             continue
         if promise.always is not None and not promise.always.accepted and not _holds(promise.always, event):
             return f"{promise.id} is broken: {promise.text}"

@@ -53,6 +53,7 @@ class Operators:
         self._link = self.cell.network.endpoint("operator")
         self._link.subscribe("state/fsm", Snapshot, self._take_snapshot)
         self._number = 0
+        self._ids: dict[str, str] = {}
         self._last: dict[str, Callable[[], Any]] = {}
         self._answers: dict[str, asyncio.Future[PlannerVerdict]] = {}
 
@@ -64,10 +65,13 @@ class Operators:
             name: Operation, ``branch.operation``.
             arguments: Arguments of the operation.
         """
-        branch, operation = name.split(".")
         self._number += 1
+        await self._operate(who, name, arguments, f"{who}-{self._number}")
+
+    async def _operate(self, who: str, name: str, arguments: dict[str, Any], command_id: str) -> None:
+        branch, operation = name.split(".")
         command = Command(
-            id=f"{who}-{self._number}",
+            id=command_id,
             branch=branch,
             operation=operation,
             source=f"bus:{who}",
@@ -75,19 +79,22 @@ class Operators:
             sent=self.clock.wall(),
             ttl=TTL,
         )
+        self._ids[who] = command_id
         self._last[who] = lambda: self._request(who, command)
         await self._request(who, command)
 
     async def reuse(self, who: str, name: str, arguments: dict[str, Any]) -> None:
-        """Request another operation under the id of the last command of this operator on the bus.
+        """Request another operation under the id of the last command of this operator on the bus, if there is one.
 
         Args:
             who: Name of the operator.
             name: Operation, ``branch.operation``.
             arguments: Arguments of the operation.
         """
-        self._number -= bool(self._number)
-        await self.operate(who, name, arguments)
+        if who in self._ids:
+            await self._operate(who, name, arguments, self._ids[who])
+        else:
+            await self.operate(who, name, arguments)
 
     def old_client(self, name: str, tokens: Sequence[Value]) -> None:
         """Send a string command without an id, like clients that only know acknowledgements.

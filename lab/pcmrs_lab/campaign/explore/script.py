@@ -101,7 +101,7 @@ def shrink(script: SessionScript, fails: Callable[[SessionScript], bool], most: 
         most: Largest number of runs.
     """
     acts, parts, runs = list(script.acts), 2, 0
-    while len(acts) >= 2 and runs < most:
+    while acts and runs < most:
         for start, end in _parts(len(acts), parts):
             runs += 1
             fewer = acts[:start] + acts[end:]

@@ -39,8 +39,9 @@ class TamperedTracker:
     async def frames(self) -> AsyncIterator[Sequence[BodyPose]]:
         """Yield frames of the tracker; see `pcmrs.devices.protocols.TrackerDriver`."""
         async for frame in self._tracker.frames():
-            yield [self._changed(pose) for pose in self._restarted_at(frame)]
-            self._stamps_ahead = False
+            changed = [self._changed(pose) for pose in self._restarted_at(frame)]
+            self._stamps_ahead = self._stamps_ahead and not changed
+            yield changed
 
     def _restarted_at(self, frame: Sequence[BodyPose]) -> Sequence[BodyPose]:
         if self._restarts and frame:

@@ -7,7 +7,6 @@ import os
 import signal
 from collections.abc import Awaitable, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from pcmrs.bus.commands import Envelope
@@ -22,6 +21,7 @@ from pcmrs_lab.campaign import walltime
 from pcmrs_lab.campaign.checks import confirmed, expect, held, shape
 from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
 from pcmrs_lab.campaign.lab import Lab
+from pcmrs_lab.campaign.samples import process_state
 from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
 from pcmrs_lab.campaign.walltime import WallClock
 
@@ -200,10 +200,9 @@ async def _command(cell: RunningCell, branch: str = "toolplan", operation: str =
 def is_stopped(pid: int) -> bool:
     """Return whether the kernel reports a process as stopped; one that has ended is not."""
     try:
-        text = Path(f"/proc/{pid}/stat").read_text()
+        return process_state(pid) == "T"
     except FileNotFoundError:
         return False
-    return text.rpartition(")")[2].split()[0] == "T"
 
 
 def _signal(pids: Sequence[int], number: int) -> None:

@@ -33,7 +33,7 @@ from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.kills import JOURNAL_FAILPOINTS, KillReport, kill_writers
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.saboteur import order, sabotaged
-from pcmrs_lab.campaign.samples import descriptors, process_state
+from pcmrs_lab.campaign.samples import descriptors, process_state, sample
 from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
 from pcmrs_lab.campaign.waiting import PERIOD, until_ended, until_logged, until_true
 
@@ -205,7 +205,7 @@ async def memory_is_limited(lab: Lab) -> Evidence:
         eaten = await order(orders, f"eat {8 * TIGHT}")
         control = {f"order to take {8 * TIGHT} bytes": eaten, **await _move_without_fault(cell)}
         answered = await cell.client.call("toolplan.plan", tool_pose(), id="before")
-        with memory_limit([cell.process.pid], _resident(cell.process.pid) + TIGHT) as killed:
+        with memory_limit([cell.process.pid], sample(cell.process.pid).memory + TIGHT) as killed:
             with suppress(UnknownOutcomeError):
                 async with moving(cell.client) as verdict:
                     with suppress(TimeoutError, OSError):
@@ -455,11 +455,6 @@ def _is_running(pid: int) -> bool:
     with suppress(OSError):
         return b"pcmrs" in Path(f"/proc/{pid}/cmdline").read_bytes()
     return False
-
-
-def _resident(pid: int) -> int:
-    """Return the memory of a process, bytes."""
-    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * resource.getpagesize()
 
 
 async def _connect_new_client(cell: RunningCell) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import random
 import signal
-from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -39,12 +39,17 @@ CLOCKED = (
 """Modules of the campaign that read the machine's clock."""
 
 
-def run(monkeypatch: pytest.MonkeyPatch, work: Coroutine[Any, Any, T]) -> T:
-    """Runs work of a campaign in simulated time, so that its waits cost nothing."""
+def run(monkeypatch: pytest.MonkeyPatch, work: Awaitable[T]) -> T:
+    """Runs work of a campaign in simulated time, so that its waits cost nothing; its threads run at once."""
+    monkeypatch.setattr("asyncio.to_thread", _at_once)
     for module in CLOCKED:
         clock = f"pcmrs_lab.campaign.{module}.SystemClock"
         monkeypatch.setattr(clock, lambda: SimulatedClock(asyncio.get_running_loop()))
     return simulated(work)
+
+
+async def _at_once(call: Callable[..., Any], *given: Any) -> Any:
+    return call(*given)
 
 
 class ScriptedProcess:
@@ -77,17 +82,27 @@ class ScriptedScene:
 
     Attributes:
         asked: What was injected, in order.
+        reference: Where the reference on the body is.
+        patient: Where the patient is in the frame of the reference.
+        tip: Where the tip of the pointer is; None while the hand is away.
     """
 
     def __init__(self, *places: tuple[float, float, float]) -> None:
         self.places = list(places or [(0.0, 0.0, 0.0)])
+        self.reference = self.patient = AT_ORIGIN
+        self.tip: tuple[float, float, float] | None = None
         self.asked: list[Any] = []
         self.errors: dict[str, Exception] = {}
 
     async def truth(self) -> SceneTruth:
         place = self.places.pop(0) if self.places[1:] else self.places[0]
         coil = PoseMessage(position=place, quat_wxyz=IDENTITY)
-        return SceneTruth(tracker_from_coil=coil, tracker_from_body_ref=AT_ORIGIN, body_ref_from_image=AT_ORIGIN)
+        return SceneTruth(
+            tracker_from_coil=coil,
+            tracker_from_body_ref=self.reference,
+            body_ref_from_image=self.patient,
+            tip_in_tracker=self.tip,
+        )
 
     async def inject(self, fault: str, arguments: dict[str, Any]) -> None:
         self.asked.append((fault, arguments))

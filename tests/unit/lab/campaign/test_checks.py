@@ -13,7 +13,20 @@ from pcmrs.journal import JournalRow
 from pcmrs.messages import BlueprintTag, Reason, Running, Snapshot, Verdict
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.errors import Unmet
-from pcmrs_lab.campaign.checks import STANDS_WITHIN, refused, unmoved
+from pcmrs_lab.campaign.checks import (
+    STANDS_WITHIN,
+    confirmed,
+    expect,
+    held,
+    refused,
+    refused_at_edge,
+    reported,
+    standing,
+    stands,
+    unmoved,
+)
+from tests.unit.lab.campaign.faults.operated import OperatedCell, run
+from tests.unit.lab.campaign.faults.scripted_raw import ScriptedRaw
 
 SNAPSHOT = Snapshot(
     sequence=7,
@@ -124,3 +137,96 @@ async def test_an_arm_that_went_anywhere_is_not() -> None:
     with pytest.raises(Unmet, match=r"moved by 1\.00 mm"):
         async with unmoved(cast(RunningCell, ScriptedScene([(0.1, 0.2, 0.3), (0.1, 0.201, 0.3)]))):
             pass
+
+
+def test_a_condition_that_does_not_hold_is_unmet() -> None:
+    expect(True, "never told")
+    with pytest.raises(Unmet, match="It moved"):
+        expect(False, "It moved.")
+
+
+def test_an_arm_is_watched_once_its_brakes_have_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    cell = OperatedCell()
+    cell.scene.places = [(0.0, 0.0, 0.1), (0.0, 0.0, 0.1 + STANDS_WITHIN / 2)]
+    assert run(monkeypatch, stands(cell.as_cell)) == pytest.approx(STANDS_WITHIN / 2)
+    cell.scene.places = [(0.0, 0.0, 0.1), (0.0, 0.0, 0.2)]
+    with pytest.raises(Unmet, match=r"moved by 100\.00 mm"):
+        run(monkeypatch, stands(cell.as_cell))
+
+
+def test_a_held_tool_stays_until_it_is_confirmed(monkeypatch: pytest.MonkeyPatch) -> None:
+    cell = OperatedCell(placement="placed")
+    cell.client.hold()
+    run(monkeypatch, held(cell.as_cell))
+    assert cell.client.asked == ["placement.back_off"], "it was tried, and refused"
+    run(monkeypatch, confirmed(cell.as_cell))
+    assert (cell.client.latched, cell.client.branches["placement"]) == (False, "standoff")
+    with pytest.raises(Unmet, match="released although nobody confirmed"):
+        run(monkeypatch, confirmed(cell.as_cell))
+
+
+@pytest.mark.parametrize(
+    ("latched", "placement", "text"),
+    [(False, "held", "expected state did not come"), (True, "placed", "expected state did not come")],
+)
+def test_a_tool_that_is_not_held_is_unmet(
+    monkeypatch: pytest.MonkeyPatch, latched: bool, placement: str, text: str
+) -> None:
+    cell = OperatedCell(placement=placement)
+    cell.client.latched = latched
+    with pytest.raises(Unmet, match=text):
+        run(monkeypatch, held(cell.as_cell))
+
+
+def test_a_tool_that_may_move_while_latched_is_unmet(monkeypatch: pytest.MonkeyPatch) -> None:
+    cell = OperatedCell(placement="placed")
+    cell.client.hold()
+    monkeypatch.setattr(cell.client, "call", lambda name, arguments: _accepted(name))
+    with pytest.raises(Unmet, match="must be rejected: latched"):
+        run(monkeypatch, held(cell.as_cell))
+
+
+async def _accepted(name: str) -> Verdict:
+    branch, _, operation = name.partition(".")
+    return altered(branch=branch, operation=operation, decision="accepted", reason=None)
+
+
+@pytest.mark.parametrize(
+    ("restless", "silent", "text"),
+    [(False, False, ""), (True, False, "A joint moved by"), (False, True, "not published")],
+)
+def test_no_joint_moves_while_an_arm_stands(
+    monkeypatch: pytest.MonkeyPatch, restless: bool, silent: bool, text: str
+) -> None:
+    cell = OperatedCell()
+    cell.client.restless, cell.client.silent_joints = restless, silent
+
+    async def look() -> list[float]:
+        async with standing(cell.as_cell) as moved:
+            pass
+        return moved
+
+    if text:
+        with pytest.raises(Unmet, match=text):
+            run(monkeypatch, look())
+    else:
+        assert run(monkeypatch, look()) == [0.0]
+
+
+def test_refusals_of_an_edge_are_counted_by_their_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    cell = OperatedCell()
+    raw = ScriptedRaw(cell)
+    for reason in ("malformed", "malformed", "too_old"):
+        raw.refuse(reason)
+    assert run(monkeypatch, reported(cell.as_cell, 0, edge="gateway", code="malformed", count=2)) == 2
+    with pytest.raises(Unmet, match="has 2 commands that gateway refused as malformed; expected 3"):
+        run(monkeypatch, reported(cell.as_cell, 0, edge="gateway", code="malformed", count=3))
+    with pytest.raises(Unmet, match="has 0 commands that bus refused"):
+        run(monkeypatch, reported(cell.as_cell, 0, edge="bus", code="malformed", count=2))
+
+
+async def test_a_refusal_at_the_edge_needs_no_row() -> None:
+    cell = cast(RunningCell, ScriptedCell(recorded=[]))
+    await refused_at_edge(cell, "placement.confirm", {}, code="pose_stale")
+    with pytest.raises(Unmet, match="must be rejected: malformed"):
+        await refused_at_edge(cell, "placement.confirm", {}, code="malformed")

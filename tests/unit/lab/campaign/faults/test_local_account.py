@@ -1,0 +1,91 @@
+"""Rows of an account on the cell's machine: nobody else may read the daemon's files, nor be named like people there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pcmrs.testing.errors import Unmet
+from pcmrs_lab.campaign.fault import Evidence
+from pcmrs_lab.campaign.faults import local_account
+from pcmrs_lab.campaign.sham import sham
+from tests.unit.lab.campaign.faults.operated import OperatedCell, proves, run
+from tests.unit.lab.campaign.scripted_cell import ScriptedLab
+
+FILES = ("ratms.sqlite", "ratms.sqlite-wal", "ratms.sqlite.head", "journal.key", "journal.pub")
+
+
+class Shell(ScriptedLab):
+    """A lab whose daemon writes its files with these modes, and whose shell writes its own with the given umask."""
+
+    def __init__(self, folder: Path, mode: int = 0o600, *, files: tuple[str, ...] = FILES) -> None:
+        cell = OperatedCell(folder / "open")
+        super().__init__(folder, cell)
+        self._mode, self._files = mode, files
+
+    def daemon(self, *overrides: str, **given: Any) -> Any:
+        place, words = given["folder"], given["prefix"][2]
+        if self._mode != 0o644:
+            place.chmod(0o700)
+        for name in self._files:
+            (place / name).write_bytes(b"x")
+            (place / name).chmod(self._mode)
+        probe = self.folder / "probe"
+        probe.write_bytes(b"")
+        probe.chmod(0o600 if "umask 077" in words else 0o644)
+        return super().daemon(*overrides, **given)
+
+
+def opened(monkeypatch: pytest.MonkeyPatch, lab: ScriptedLab) -> Evidence:
+    return run(monkeypatch, local_account.open_folder(lab.as_lab))
+
+
+def test_only_the_owner_may_read_the_files(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    found = opened(monkeypatch, Shell(tmp_path))
+    assert proves(found)
+    assert found.took_place == {"mode_of_the_folder_before": "0755"}
+    assert found.control == {"mode_of_a_file_of_the_shell": "0644"}
+    assert set(found.details["files"]) == {"open", *FILES}
+
+
+def test_a_file_that_others_may_read_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with pytest.raises(Unmet, match=r"Others may use \{.*'ratms.sqlite': '0640'"):
+        opened(monkeypatch, Shell(tmp_path, 0o640))
+
+
+def test_too_few_files_prove_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with pytest.raises(Unmet, match=r"Only open, ratms\.sqlite were checked"):
+        opened(monkeypatch, Shell(tmp_path, files=FILES[:1]))
+
+
+def test_a_shell_that_lets_nobody_read_is_found_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with sham(), pytest.raises(Unmet, match="did not let others read"):
+        opened(monkeypatch, Shell(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("status", "errors", "met"),
+    [
+        (4, "Error: local is the name of the operators on site.\n", True),
+        (0, "Error: local is the name of the operators on site.\n", False),
+        (4, "Error: the key cannot be read.\n", False),
+        (4, "Traceback\nError: local\n", False),
+        (4, "", False),
+    ],
+)
+def test_a_peer_with_the_name_of_people_is_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, status: int, errors: str, met: bool
+) -> None:
+    lab = ScriptedLab(tmp_path, OperatedCell())
+    lab.refusals = [(status, errors)]
+    work = local_account.peer_named_local(lab.as_lab)
+    if not met:
+        with pytest.raises(Unmet, match=f"It ended with {status}"):
+            run(monkeypatch, work)
+        return
+    found = run(monkeypatch, work)
+    assert proves(found)
+    assert found.took_place == {"said_of_the_name": errors.strip()}
+    assert [settings[0].split(".")[2] for settings in lab.started] == ["local", "locals"]
