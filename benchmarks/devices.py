@@ -303,8 +303,8 @@ async def tracker_ages(driver: str, seconds: float) -> tuple[Floats, Floats]:
     from pcmrs.bus import Bus
     from pcmrs.bus.seal import Seal, new_key
     from pcmrs.devices.poses import PoseFeed
-    from pcmrs.service.processes.nodes import NodeProcesses
     from pcmrs.processes.starting import start_by_exec
+    from pcmrs.service.processes.nodes import NodeProcesses
     from pcmrs.service.supervisor import Supervisor
     from pcmrs.settings import read_settings
 
