@@ -17,7 +17,7 @@ from pcmrs.spatial import Transform, distance
 from pcmrs.workflows.data import as_transform
 from pcmrs_lab.experiment.error_series import ErrorSeries, PlacementErrorMonitor
 from pcmrs_lab.experiment.head_motions import Scenario, scenarios
-from pcmrs_lab.experiment.placements import NOT_SEEN, PATIENCE, PAUSE, once_seen, registered
+from pcmrs_lab.experiment.placements import ASK_AGAIN, PATIENCE, PAUSE, once_seen, registered
 from pcmrs_lab.experiment.private import ExperimentBench, private_bench
 from pcmrs_lab.experiment.session.operator import TO_PLACED
 from pcmrs_lab.experiment.setup import ExperimentSetup
@@ -190,7 +190,7 @@ async def _request(bench: ExperimentBench, name: str) -> None:
     """Request an operation, again if the tracker has not shown all bodies yet."""
     for _ in range(PATIENCE):
         verdict = await bench.client.call(name)
-        if verdict.reason is None or verdict.decision != "rejected" or verdict.reason.code not in NOT_SEEN:
+        if verdict.reason is None or verdict.decision != "rejected" or verdict.reason.code not in ASK_AGAIN:
             break
         await asyncio.sleep(PAUSE)
     if verdict.decision != "accepted":

@@ -23,11 +23,11 @@ from pcmrs_lab.experiment.treatment import Treated, prepare, treat
 T = TypeVar("T")
 
 PATIENCE = 50
-"""Number of times that a planner repeats a request on a machine that is too busy to publish poses in time."""
+"""Number of times that a planner repeats a request on a machine that is too busy to publish or plan in time."""
 PAUSE = 0.2
 """Pause between two requests, s of the machine."""
-NOT_SEEN = ("pose_missing", "pose_stale")
-"""Reasons for which a request is repeated."""
+ASK_AGAIN = ("pose_missing", "pose_stale", "planner_late", "planner_lost")
+"""Reasons for which a request is repeated: their texts say that it may be."""
 
 
 class Trial(msgspec.Struct, frozen=True):
@@ -171,7 +171,7 @@ async def _place(bench: ExperimentBench, number: int, pose: ToolPose, body_ref_f
 
 
 async def once_seen(ask: Callable[[], Awaitable[T]]) -> T:
-    """Send a request, and repeat it while it is rejected because the tracker has not shown all bodies at rest yet.
+    """Send a request, and repeat it while it is rejected because the tracker or the planning process is late.
 
     Args:
         ask: Sends the request.
@@ -188,7 +188,7 @@ async def once_seen(ask: Callable[[], Awaitable[T]]) -> T:
             return await ask()
         except CommandRefusedError as error:
             verdict = error.fields["verdict"]
-            if verdict.decision != "rejected" or verdict.reason not in NOT_SEEN:
+            if verdict.decision != "rejected" or verdict.reason not in ASK_AGAIN:
                 raise
         await asyncio.sleep(PAUSE)
     return await ask()

@@ -86,15 +86,18 @@ async def test_too_few_trials_or_poses_refused_before_daemon_starts(
         await run_placements(ExperimentSetup(plan, "ratms", 1, 1.0, "builtin", (), lambda *_: None), trials)
 
 
-async def test_a_tracker_that_stays_late_is_reported_at_last(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("reason", ["pose_missing", "pose_stale", "planner_late", "planner_lost"])
+async def test_what_stays_late_is_asked_again_and_reported_at_last(
+    monkeypatch: pytest.MonkeyPatch, reason: str
+) -> None:
     monkeypatch.setattr(placements, "PAUSE", 0.0)
     asked: list[int] = []
 
     async def ask() -> None:
         asked.append(1)
-        raise _refused("rejected", "pose_stale")
+        raise _refused("rejected", reason)
 
-    with pytest.raises(CommandRefusedError, match="pose_stale"):
+    with pytest.raises(CommandRefusedError, match=reason):
         await once_seen(ask)
     assert len(asked) == placements.PATIENCE + 1
 
