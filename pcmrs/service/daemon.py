@@ -51,6 +51,11 @@ from pcmrs.workflows.opening import open_workflow
 
 log = structlog.get_logger(__name__)
 
+RECORDER_ENDING_TIME = 15.0
+"""Limit for the recorder to finish its file, s: it has a low priority, so that takes long on a busy machine."""
+CONSOLE_ENDING_TIME = 5.0
+"""Limit for the console to end, s."""
+
 
 class Ready(msgspec.Struct, frozen=True):
     """Addresses of a running daemon.
@@ -217,9 +222,13 @@ async def _child_processes(
     report = procedure.dispatcher.report_later
     nodes = NodeProcesses(settings, device_key, procedure.lose, report, machine, start)
     recording = ChildProcess(
-        "recording", partial(start_recording, start, settings, session, machine, device_key), report, machine
+        "recording",
+        partial(start_recording, start, settings, session, machine, device_key),
+        report,
+        machine,
+        RECORDER_ENDING_TIME,
     )
-    console = ChildProcess("console", partial(open_console, start, settings), report, machine)
+    console = ChildProcess("console", partial(open_console, start, settings), report, machine, CONSOLE_ENDING_TIME)
     async with AsyncExitStack() as stack:
         stack.push_async_callback(console.stop)
         stack.push_async_callback(recording.stop)  # after the nodes, so that it writes their last messages

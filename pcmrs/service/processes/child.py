@@ -59,9 +59,6 @@ async def end_child(process: Process, patience: float) -> bool:
 
 log = structlog.get_logger(__name__)
 
-ENDING_TIME = 5.0
-"""Limit for a child to end before it is killed, s."""
-
 _SAID_WHY = 2
 """Lowest exit status for a reason that would end a new child, too."""
 
@@ -74,6 +71,7 @@ class ChildProcess:
         begin: Starts it. Raises `OSError`.
         report: Called if it has ended by itself.
         clock: The machine's clock.
+        ending_time: Limit for it to end before it is killed, s of the machine.
 
     Attributes:
         ended: Why it has ended and is not restarted; empty while it runs, or is not meant to.
@@ -85,7 +83,9 @@ class ChildProcess:
         begin: Callable[[], Awaitable[Process]],
         report: Callable[[DeviceEvent], None],
         clock: Clock,
+        ending_time: float,
     ) -> None:
+        self._ending_time = ending_time
         self._name = name
         self._begin = begin
         self._report = report
@@ -104,7 +104,7 @@ class ChildProcess:
             return
         if process.stdin is not None:
             process.stdin.close()
-        if not await end_child(process, ENDING_TIME):
+        if not await end_child(process, self._ending_time):
             log.warning("companion_killed", name=self._name)
 
     async def _keep(self) -> None:

@@ -48,7 +48,7 @@ class Bench:
         clock = ManualClock()
         self.supervisor = Supervisor(clock)
         begin = cast(Callable[[], Awaitable[Process]], self._begin)
-        self.child = ChildProcess("recording", begin, self.events.append, clock)
+        self.child = ChildProcess("recording", begin, self.events.append, clock, WITHIN)
 
     async def _begin(self) -> FakeChild:
         if self.error is not None:
