@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import socket
 import sys
@@ -12,7 +13,11 @@ import sys
 from pcmrs.cli.log import log_to_stderr
 from pcmrs.cli.running import run
 from pcmrs_sim.process.priority import go_ahead_of_others
-from pcmrs_sim.process.server import Server
+
+# MuJoCo looks for a window system, in two more processes, unless it is told before it is imported.
+os.environ.setdefault("MUJOCO_GL", "disable")
+
+from pcmrs_sim.process.server import Server  # noqa: E402
 
 
 async def _serve() -> None:
