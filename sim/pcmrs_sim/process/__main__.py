@@ -17,7 +17,7 @@ from pcmrs_sim.process.priority import go_ahead_of_others
 # MuJoCo looks for a window system, in two more processes, unless it is told before it is imported.
 os.environ.setdefault("MUJOCO_GL", "disable")
 
-from pcmrs_sim.process.server import Server  # noqa: E402
+from pcmrs_sim.process.server import Server
 
 
 async def _serve() -> None:
