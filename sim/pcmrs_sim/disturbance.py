@@ -41,10 +41,11 @@ class Disturbance:
         Args:
             sample: Commanded position rad, velocity rad/s and acceleration rad/s^2, (3, n).
         """
-        missing = self.offset - self._present_offset[0]
-        if missing.any():
-            self._present_offset[0] += np.clip(missing, -OFFSET_SPEED * STEP, OFFSET_SPEED * STEP)
-        return sample + self._present_offset if self._present_offset[0].any() else sample
+        present = self._present_offset[0]
+        if not (any(self.offset.tolist()) or any(present.tolist())):  # almost always, and once per step
+            return sample
+        present += np.clip(self.offset - present, -OFFSET_SPEED * STEP, OFFSET_SPEED * STEP)
+        return sample + self._present_offset
 
 
 class PlantDisturbance(Disturbance):

@@ -58,10 +58,11 @@ class ForceGuard:
 
     def __init__(self, limit: float) -> None:
         self.limit = self._threshold = limit
+        self._normal = max(limit - HYSTERESIS, limit / 2.0)
 
     def exceeded(self, force: float) -> bool:
         """Return True if `force`, N, exceeds the limit and was not reported before."""
-        if force < max(self.limit - HYSTERESIS, self.limit / 2.0):
+        if force < self._normal:
             self._threshold = self.limit
         if force <= self._threshold:
             return False

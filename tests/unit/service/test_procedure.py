@@ -31,8 +31,8 @@ from pcmrs.service.supervisor import RESTARTS, Supervisor
 from pcmrs.settings import read_settings
 from pcmrs.testing.clock import ManualClock, settle
 from pcmrs.testing.driving import landmarks
-from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.tms.data import Data
+from tests.support.shipped import shipped_workflow
 
 DISARMED = StimulatorState(armed=False, ready=True, intensity=50.0, coil_temperature=None, pulse=0)
 
@@ -110,7 +110,7 @@ class Bench:
         self.asked = 0
         settings = read_settings()
         clocks = Clocks(self.clock, self.clock)
-        workflow = open_workflow(settings.workflow)
+        workflow = shipped_workflow(settings.workflow)
         self.procedure = RunningProcedure(self.link, settings, workflow, self.recorder, clocks, self.supervisor)
 
     def hear_all(self) -> None:

@@ -16,9 +16,9 @@ from pcmrs.service.processes.planner import PAUSE, PLANNING_TIME, PlanningProces
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 from pcmrs.settings import Settings
 from pcmrs.testing.clock import ManualClock, settle
-from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.planning import PlanAnswer
 from pcmrs.workflows.planning_process import HEADER, frame_message
+from tests.support.shipped import shipped_blueprint
 
 ANSWER = PlanAnswer(Reason(code="unreachable", text="0.9 m away."), None, {}, [])
 
@@ -81,7 +81,7 @@ class Bench:
 async def bench() -> AsyncIterator[Bench]:
     made = Bench()
     async with made.supervisor:
-        made.planner.start(made.supervisor, open_workflow("ratms").blueprint, None)
+        made.planner.start(made.supervisor, shipped_blueprint("ratms"), None)
         await settle()
         yield made
 
