@@ -15,8 +15,8 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.messages import Command, Snapshot, Verdict
 from pcmrs.settings import read_settings
 from pcmrs.simulated_time.clock import SimulatedClock
-from pcmrs.simulated_time.loop import SimulatedLoop
 from pcmrs.testing.errors import Unmet
+from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs.workflows.opening import open_workflow
 
 if TYPE_CHECKING:
@@ -167,8 +167,4 @@ def run_simulated(
             return await scenario(cell)
 
     with tempfile.TemporaryDirectory(prefix="pcmrs-") as name:
-        loop = SimulatedLoop()
-        try:
-            return loop.run_until_complete(run(Path(name)))
-        finally:
-            loop.close()
+        return run_on_simulated_loop(run(Path(name)))

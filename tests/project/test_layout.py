@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
 
 from tests import ROOT, TESTS
+from tests.support.documents import documents
 
 PACKAGES = {"pcmrs": ROOT / "pcmrs", "sim": ROOT / "sim" / "pcmrs_sim", "lab": ROOT / "lab" / "pcmrs_lab"}
 SHARE = 0.95
@@ -35,6 +37,21 @@ def unit_test(package: str, module: Path) -> Path:
 def modules(package: str) -> list[Path]:
     found = PACKAGES[package].rglob("*.py")
     return sorted(path for path in found if path.stem not in ("__init__", "__main__") and behaves(path))
+
+
+def missing_paths(text: str) -> list[str]:
+    """Return the paths below ``tests`` that a text names and that do not exist; ``*`` stands for any name."""
+    return [path for path in re.findall(r"\btests/[\w./*-]*\w", text) if not any(ROOT.glob(path))]
+
+
+def test_pages_name_only_files_and_folders_of_tests_that_exist() -> None:
+    pages = [*documents(), ROOT / "CONTRIBUTING.md"]
+    missing = {page.name: missing_paths(page.read_text()) for page in pages}
+    assert {name: paths for name, paths in missing.items() if paths} == {}
+    assert missing_paths("`pytest tests/unit tests/journal`, `tests/unit/b*s`, `tests/no_*.py`") == [
+        "tests/journal",
+        "tests/no_*.py",
+    ]
 
 
 @pytest.mark.parametrize("package", PACKAGES)

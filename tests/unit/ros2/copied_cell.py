@@ -18,6 +18,7 @@ from pcmrs.recording.frame_tree import Mounting
 from pcmrs.ros2 import cdr
 from pcmrs.ros2.copying import copy_for_ros2
 from pcmrs.spatial import Transform
+from pcmrs.testing.waiting import wait_until
 from pcmrs.workflows.settings import CalibrationSettings
 from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus, plain_session
 
@@ -61,12 +62,6 @@ def rigid(moved: cdr.RigidTransform) -> Transform:
     return Transform.from_quat_xyzw((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
 
 
-async def until(condition: Callable[[], object]) -> None:
-    async with asyncio.timeout(TIMEOUT):
-        while not condition():  # noqa: ASYNC110 - what is waited for comes in a thread of Zenoh's
-            await asyncio.sleep(0.01)
-
-
 @asynccontextmanager
 async def copied() -> AsyncIterator[tuple[Bus, Ear]]:
     """A cell's bus, and what is heard of it once the copying has begun."""
@@ -76,11 +71,13 @@ async def copied() -> AsyncIterator[tuple[Bus, Ear]]:
         with plain_session(settings) as session:
             ear, ended = Ear(session, settings), asyncio.Event()
             copying = asyncio.create_task(copy_for_ros2(client, ARM, MOUNTING, 1.0, ended))
-            await until(lambda: "tf_static" in ear.heard)
+            await wait_until(lambda: "tf_static" in ear.heard)
             yield cell, ear
             ended.set()
             counts = await copying
-            await until(lambda: {topic: len(heard) for topic, heard in ear.heard.items()}.items() <= counts.items())
+            await wait_until(
+                lambda: {topic: len(heard) for topic, heard in ear.heard.items()}.items() <= counts.items()
+            )
 
 
 def joints(**changed: Any) -> JointState:

@@ -9,8 +9,9 @@ import msgspec
 from pcmrs.clock import SystemClock
 from pcmrs.ros2 import cdr
 from pcmrs.ros2.topics import TF_STATIC, Topic
+from pcmrs.testing.waiting import wait_until
 from tests.unit.bus.bus_cells import open_bus, snapshot
-from tests.unit.ros2.copied_cell import COIL, copied, joints, pose, say_until, until
+from tests.unit.ros2.copied_cell import COIL, copied, joints, pose, say_until
 
 CLOCK = SystemClock()
 
@@ -22,14 +23,14 @@ def text_of(payload: bytes) -> str:
 async def test_state_is_the_snapshot_as_json_also_for_late_subscribers() -> None:
     async with copied() as (cell, ear):
         cell.publish("state/fsm", snapshot(7))
-        await until(lambda: "state" in ear.heard)
+        await wait_until(lambda: "state" in ear.heard)
         told = json.loads(text_of(ear.heard["state"][-1]))
         assert told == msgspec.to_builtins(snapshot(7))
         late = msgspec.structs.replace(cell.settings, mode="client")
         found: list[str] = []
         async with open_bus(late) as bus:
             bus.subscribe_encoded("ros2/state", text_of, lambda _, text: found.append(text))
-            await until(lambda: found)
+            await wait_until(lambda: found)
         assert json.loads(found[0])["sequence"] == 7
 
 

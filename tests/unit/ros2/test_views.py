@@ -6,6 +6,7 @@ from pcmrs.messages import PoseMessage, Target
 from pcmrs.recording.frame_tree import FrameTree
 from pcmrs.ros2 import cdr
 from pcmrs.spatial import Transform, distance
+from pcmrs.testing.waiting import wait_until
 from tests.unit.bus.bus_cells import TIMEOUT
 from tests.unit.ros2.copied_cell import (
     ARM,
@@ -19,7 +20,6 @@ from tests.unit.ros2.copied_cell import (
     pose,
     rigid,
     say_until,
-    until,
 )
 
 IMAGE = Transform.from_rotvec([0.0, 0.4, 0.0], [0.0, 0.1, 0.0])
@@ -53,7 +53,7 @@ async def test_tracked_body_is_pose_and_frame_and_unseen_is_neither() -> None:
         heard = Transform.from_quat_xyzw((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
         assert message.header.frame_id == "tracker"
         assert distance(heard, COIL) < 1e-9
-        await until(lambda: "coil" in ear.links())
+        await wait_until(lambda: "coil" in ear.links())
         assert set(ear.links()) == {"coil"}
         assert "pose/pointer" not in ear.heard
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from pcmrs.simulated_time.clock import EPOCH, SimulatedClock
 from pcmrs.simulated_time.loop import SimulatedLoop, SimulationError
-from tests.unit.simulated_time.running import simulated
+from pcmrs.testing.loop import run_on_simulated_loop
 
 
 def test_a_day_takes_no_time_and_a_deadline_is_met() -> None:
@@ -21,7 +21,7 @@ def test_a_day_takes_no_time_and_a_deadline_is_met() -> None:
                 await asyncio.get_running_loop().create_future()
         return clock.monotonic()
 
-    assert simulated(wait_for_ever()) == 86400.0
+    assert run_on_simulated_loop(wait_for_ever()) == 86400.0
 
 
 def test_set_or_stopped_wall_clock_does_not_affect_deadlines() -> None:
@@ -36,7 +36,7 @@ def test_set_or_stopped_wall_clock_does_not_affect_deadlines() -> None:
         clock.freeze(False)
         return [*seen, clock.wall() - EPOCH, clock.monotonic()]
 
-    assert simulated(look()) == [-3590.0, -3590.0, -3585.0, 15.0]
+    assert run_on_simulated_loop(look()) == [-3590.0, -3590.0, -3585.0, 15.0]
 
 
 @given(st.lists(st.floats(-10.0, 1e5), min_size=1, max_size=8))
@@ -57,7 +57,7 @@ def test_clocks_of_one_loop_share_their_monotonic_time(waits: list[float]) -> No
     for seconds in waits:
         now += max(0.0, seconds)
         expected.append(now)
-    assert simulated(wait()) == expected
+    assert run_on_simulated_loop(wait()) == expected
 
 
 def test_a_cancelled_wait_leaves_no_timer_behind() -> None:
@@ -91,4 +91,4 @@ def test_a_deadline_that_is_kept_does_not_interrupt_later() -> None:
         await clock.sleep(10.0)
         return clock.monotonic()
 
-    assert simulated(wait()) == 14.0
+    assert run_on_simulated_loop(wait()) == 14.0

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.simulated_time.loop import OWNER, SimulatedLoop, SimulationError
-from tests.unit.simulated_time.running import simulated
+from pcmrs.testing.loop import run_on_simulated_loop
 
 
 @given(st.lists(st.floats(0.0, 1e6), min_size=1, max_size=20))
@@ -26,7 +26,7 @@ def test_all_sleepers_wake_at_the_exact_time_and_in_order(waits: list[float]) ->
     async def all_of_them() -> None:
         await asyncio.gather(*map(sleep, waits))
 
-    simulated(all_of_them())
+    run_on_simulated_loop(all_of_them())
     assert woken == [(seconds, seconds) for seconds in sorted(waits)]
 
 
@@ -67,7 +67,7 @@ def test_a_process_that_is_held_up_runs_later_and_others_do_not() -> None:
         await asyncio.gather(*slow, free)
         assert owned == {}
 
-    simulated(course())
+    run_on_simulated_loop(course())
     assert [each for each in ran if each[0] == "free"] == [("free", 1.0), ("free", 2.0), ("free", 3.0)]
     assert [each for each in ran if each[0] != "free"] == [
         ("a", 2.5),
@@ -87,8 +87,8 @@ def test_a_set_of_tasks_has_the_same_order_in_every_run(count: int) -> None:
         tasks = [asyncio.create_task(asyncio.sleep(0, number)) for number in range(count)]
         return [await task for task in set(tasks)]
 
-    first, padding = simulated(order()), [object() for _ in range(count)]
-    assert simulated(order()) == first
+    first, padding = run_on_simulated_loop(order()), [object() for _ in range(count)]
+    assert run_on_simulated_loop(order()) == first
     assert sorted(first) == list(range(len(padding)))
 
 
@@ -102,7 +102,7 @@ def test_a_cancelled_timer_neither_runs_nor_lets_time_pass() -> None:
         assert ran == [-5.0, 2.0]
         return loop.time()
 
-    assert simulated(wait()) == 3.0
+    assert run_on_simulated_loop(wait()) == 3.0
 
 
 def test_a_socket_is_refused() -> None:
@@ -112,4 +112,4 @@ def test_a_socket_is_refused() -> None:
         await asyncio.open_connection("127.0.0.1", 9)
 
     with pytest.raises((NotImplementedError, SimulationError)):
-        simulated(connect())
+        run_on_simulated_loop(connect())

@@ -18,9 +18,9 @@ from pcmrs.messages import PoseMessage, SceneTruth
 from pcmrs.planner import PlannerVerdict
 from pcmrs.simulated_time.clock import SimulatedClock
 from pcmrs.testing.cell import RunningCell
+from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_lab.campaign.lab import Lab
 from tests.unit.lab.scripted_client import ScriptedClient
-from tests.unit.simulated_time.running import simulated
 
 T = TypeVar("T")
 
@@ -45,7 +45,7 @@ def run(monkeypatch: pytest.MonkeyPatch, work: Awaitable[T]) -> T:
     for module in CLOCKED:
         clock = f"pcmrs_lab.campaign.{module}.SystemClock"
         monkeypatch.setattr(clock, lambda: SimulatedClock(asyncio.get_running_loop()))
-    return simulated(work)
+    return run_on_simulated_loop(work)
 
 
 async def _at_once(call: Callable[..., Any], *given: Any) -> Any:

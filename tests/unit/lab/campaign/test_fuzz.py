@@ -19,13 +19,13 @@ from pcmrs.gateway.commands import COMMANDS
 from pcmrs.gateway.grammar import parse, parse_tool_points
 from pcmrs.simulated_time.clock import SimulatedClock
 from pcmrs.testing.errors import Unmet
+from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_lab.campaign import fuzz as fuzzing
 from pcmrs_lab.campaign.fuzz import GROWTH_MB, HARMLESS, WINDOW, FuzzReport, datagram, dropped, fuzz
 from pcmrs_lab.campaign.samples import Sample
 from tests.unit.lab.campaign.faults.operated import OperatedCell
 from tests.unit.lab.campaign.faults.scripted_raw import ScriptedRaw
 from tests.unit.lab.scripted_client import row
-from tests.unit.simulated_time.running import simulated
 
 
 @given(seed=st.integers(0, 1 << 32))
@@ -144,7 +144,7 @@ def fuzzed_with(datagrams: int, seed: int = 1, **more: Any) -> FuzzReport:
         clock = SimulatedClock(asyncio.get_running_loop())
         return await fuzz(datagrams, seed, Path("folder"), clock, **more)
 
-    return simulated(run())
+    return run_on_simulated_loop(run())
 
 
 def test_a_daemon_that_refuses_everything_passes(fuzzed: Fuzzed) -> None:

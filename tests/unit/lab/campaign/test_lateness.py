@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.simulated_time.loop import SimulatedLoop
+from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_lab.campaign.lateness import PERIOD, percentile, timer_lateness
-from tests.unit.simulated_time.running import simulated
 
 
 @given(
@@ -37,6 +37,6 @@ def test_a_loop_that_is_held_up_makes_the_timer_late() -> None:
             await asyncio.sleep(10 * PERIOD)
         return timer.late
 
-    late = simulated(measure())
+    late = run_on_simulated_loop(measure())
     assert len(late) >= 9
     assert late == pytest.approx([0.0] * len(late), abs=1e-9)

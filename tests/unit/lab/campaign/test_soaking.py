@@ -18,13 +18,13 @@ from pcmrs.clock import Clock
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.messages import Verdict
 from pcmrs.simulated_time.clock import SimulatedClock
+from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_lab.campaign import soaking
 from pcmrs_lab.campaign.samples import Sample
 from pcmrs_lab.campaign.soaking import ALLOWED, SoakReport, soak, trend
 from tests.support.trials import examples
 from tests.unit.lab.campaign.scripted_cell import ScriptedCell
 from tests.unit.lab.scripted_client import verdict
-from tests.unit.simulated_time.running import simulated
 
 WELL = SoakReport(1.0, 1, 100, 0, {"accepted": 100}, 1, "", [])
 
@@ -132,7 +132,7 @@ def soaked(hours: float, progress: Any = lambda *_: None) -> SoakReport:
         clock: Clock = SimulatedClock(asyncio.get_running_loop())
         return await soak(hours, 3, Path("folder"), clock, progress=progress)
 
-    return simulated(run())
+    return run_on_simulated_loop(run())
 
 
 def test_every_process_is_sampled_while_the_cell_is_operated(monkeypatch: pytest.MonkeyPatch) -> None:

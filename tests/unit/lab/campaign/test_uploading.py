@@ -10,9 +10,9 @@ import pytest
 
 from pcmrs.testing.driving import PATIENCE
 from pcmrs.testing.errors import Unmet
+from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_lab.campaign.consoles import RunningConsole
 from pcmrs_lab.campaign.uploading import NAME, TAKEN, Uploader, uploader
-from tests.unit.simulated_time.running import simulated
 
 PAGE = b'<html><q-uploader url="/_nicegui/client/7f-e2/upload/12"></html>'
 
@@ -86,12 +86,12 @@ def test_the_upload_is_found_when_the_page_has_it() -> None:
         found = await uploader(console.as_console)
         return await found.send(b"")
 
-    assert simulated(find()) == TAKEN
+    assert run_on_simulated_loop(find()) == TAKEN
     assert [head for head, _, _ in console.requests][2:] == ["GET /", "POST /_nicegui/client/7f-e2/upload/12"]
 
 
 def test_a_page_without_an_upload_is_unmet() -> None:
     console = ScriptedConsole(b"<html></html>")
     with pytest.raises(Unmet, match="showed no upload"):
-        simulated(uploader(console.as_console))
+        run_on_simulated_loop(uploader(console.as_console))
     assert console.asked_at[-1] - console.asked_at[0] == pytest.approx(PATIENCE, abs=1.0)

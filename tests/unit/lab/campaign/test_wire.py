@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 
 from pcmrs.errors import DeviceError
+from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_lab.campaign import wire
 from pcmrs_lab.campaign.network_impairment import NetworkImpairment
 from pcmrs_lab.campaign.outside import WITHOUT_NODES
 from pcmrs_lab.campaign.wire import remote_cell
 from tests.unit.lab.campaign.scripted_cell import ScriptedCell, ScriptedLab
-from tests.unit.simulated_time.running import simulated
 
 
 class Remote:
@@ -80,7 +80,7 @@ def test_the_node_dials_the_link_once_the_daemon_listens(remote: Remote, tmp_pat
             await asyncio.sleep(5.0)
             impairment.towards = impairment.back = False
 
-    simulated(use())
+    run_on_simulated_loop(use())
     assert remote.happened == ["daemon listens", "node started", "node ended", "link ended"]
     assert "cell.endpoint=tcp/127.0.0.2:4000" in remote.settings
     (settings,) = lab.started
@@ -97,5 +97,5 @@ def test_a_cell_that_fails_leaves_no_node(remote: Remote, tmp_path: Path) -> Non
             raise DeviceError("The daemon is gone.")
 
     with pytest.raises(DeviceError):
-        simulated(fail())
+        run_on_simulated_loop(fail())
     assert remote.happened[-2:] == ["node ended", "link ended"]

@@ -10,9 +10,9 @@ import pytest
 from pcmrs.devices.remote import RemoteScene
 from pcmrs.messages import BodyPose, PoseMessage, SceneTruth
 from pcmrs.spatial import Transform
+from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_lab.experiment.error_series import HISTORY, PERIOD, ErrorSeries, PlacementErrorMonitor
 from tests.unit.lab.scripted_client import ScriptedClient, snapshot
-from tests.unit.simulated_time.running import simulated
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 ORIGIN = PoseMessage(position=(0.0, 0.0, 0.0), quat_wxyz=IDENTITY)
@@ -58,7 +58,7 @@ def test_true_errors_are_sampled_until_the_time_is_over() -> None:
         scene.off = 0.002
         return await watching.watch(1.0)
 
-    series = simulated(watch())
+    series = run_on_simulated_loop(watch())
     assert series.true_mm == pytest.approx([2.0] * len(series.times))
     assert series.times[-1] == pytest.approx(1.0, abs=PERIOD)
     assert all(series.allowed)
@@ -75,7 +75,7 @@ def test_tool_that_was_lost_ends_the_run_unless_that_is_watched(even_if_lost: bo
         asyncio.get_running_loop().call_later(0.5, client.handlers["state/fsm"], lost)
         return await watching.watch(2.0, even_if_lost=even_if_lost)
 
-    series = simulated(watch())
+    series = run_on_simulated_loop(watch())
     assert series.times[-1] == pytest.approx(2.0 if even_if_lost else 0.5, abs=2 * PERIOD)
     assert not series.allowed[-1]
 
@@ -131,5 +131,5 @@ def test_alignment_is_waited_for_no_longer_than_allowed() -> None:
         begun = loop.time()
         return await watching.aligned(5.0), loop.time() - begun
 
-    assert simulated(wait(2.0)) == (True, 2.0)
-    assert simulated(wait(7.0)) == (False, 5.0)
+    assert run_on_simulated_loop(wait(2.0)) == (True, 2.0)
+    assert run_on_simulated_loop(wait(7.0)) == (False, 5.0)

@@ -6,7 +6,6 @@ import asyncio
 import os
 import stat
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -18,8 +17,7 @@ from pcmrs.processes.starting import start_by_exec
 from pcmrs.service.processes.nodes import NodeProcesses
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 from pcmrs.settings import Settings
-
-PATIENCE = 20.0
+from pcmrs.testing.waiting import wait_until
 
 
 class Bench:
@@ -50,18 +48,12 @@ class Bench:
         return [int(pid) for pid in self.begun_file.read_text().split()] if self.begun_file.exists() else []
 
 
-async def until(condition: Callable[[], object]) -> None:
-    async with asyncio.timeout(PATIENCE):
-        while not condition():  # noqa: ASYNC110  only the operating system knows
-            await asyncio.sleep(0.01)
-
-
 async def test_node_that_keeps_ending_is_given_up_as_danger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The daemon continues."""
     bench = Bench(tmp_path, monkeypatch, "exit 7")
     async with bench.supervisor:
         bench.nodes.start(bench.supervisor)
-        await until(lambda: bench.events and bench.events[-1].code == "node_failed")
+        await wait_until(lambda: bench.events and bench.events[-1].code == "node_failed")
         await asyncio.sleep(0.1)
     assert [event.code for event in bench.events] == ["node_restarted"] * RESTARTS + ["node_failed"]
     assert [event.danger for event in bench.events] == [False] * RESTARTS + [True]
@@ -80,7 +72,7 @@ async def test_node_that_ends_during_the_start_is_not_restarted(
     bench.worth_a_restart = False
     async with bench.supervisor:
         bench.nodes.start(bench.supervisor)
-        await until(lambda: bench.ended)
+        await wait_until(lambda: bench.ended)
         await asyncio.sleep(0.1)
     assert len(bench.begun) == 1
     assert bench.events == []
@@ -90,7 +82,7 @@ async def test_stopped_nodes_are_not_restarted(tmp_path: Path, monkeypatch: pyte
     bench = Bench(tmp_path, monkeypatch, "exec sleep 60")
     async with bench.supervisor:
         bench.nodes.start(bench.supervisor)
-        await until(lambda: bench.begun)
+        await wait_until(lambda: bench.begun)
     await bench.nodes.stop()
     (pid,) = bench.begun
     with pytest.raises(ProcessLookupError):

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from pcmrs.settings import read_settings
+from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs.testing.simulated import CellInSimulatedTime
 from pcmrs.workflows.opening import open_workflow
 from pcmrs_sim.deterministic.cell import SimulatedCell, simulated_cell
-from tests.unit.simulated_time.running import simulated
 
 OVERRIDES = ("workflow=ratms", "sim.seed=1", "sim.arm.physics=kinematic")
 
@@ -25,7 +25,7 @@ def in_cell(play: Play, folder: Path, **options: Any) -> None:
         async with simulated_cell(settings, workflow, folder / "journal.sqlite", 1, **options) as cell:
             await play(cell, CellInSimulatedTime(cell))
 
-    simulated(run())
+    run_on_simulated_loop(run())
 
 
 async def connect(client: CellInSimulatedTime) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from pcmrs.journal import JournalRow
 from pcmrs.messages import BlueprintTag
-from pcmrs.simulated_time.loop import SimulatedLoop
+from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_sim.deterministic.disk import Disk, SimulatedJournal
 
 
@@ -47,11 +47,7 @@ def told_of(folder: Path, disk: Disk, pause: float) -> list[tuple[str, float]]:
         await asyncio.sleep(0)
         await journal.close()
 
-    loop = SimulatedLoop()
-    try:
-        loop.run_until_complete(play())
-    finally:
-        loop.close()
+    run_on_simulated_loop(play())
     return told
 
 

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from pcmrs.errors import DeviceError, UnknownOutcomeError
-from pcmrs.simulated_time.loop import SimulatedLoop
+from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_sim.deterministic.network import Endpoint, Network
 
 
@@ -21,11 +21,11 @@ class Note(msgspec.Struct, frozen=True):
 
 def on_network(play: Callable[[Network], Awaitable[None]], *, coded: bool = False) -> None:
     """Plays on a network of its own."""
-    loop = SimulatedLoop()
-    try:
-        loop.run_until_complete(play(Network(loop, 1, coded=coded)))
-    finally:
-        loop.close()
+
+    async def run() -> None:
+        await play(Network(asyncio.get_running_loop(), 1, coded=coded))
+
+    run_on_simulated_loop(run())
 
 
 def heard_by(endpoint: Endpoint, key: str) -> list[int]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 
+from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_sim.deterministic.windows import LONGEST, Windows
-from tests.unit.simulated_time.running import simulated
 
 
 def drawn(seed: int, names: list[str], share: float = 1.0) -> list[float]:
@@ -13,7 +13,7 @@ def drawn(seed: int, names: list[str], share: float = 1.0) -> list[float]:
         windows = Windows(asyncio.get_running_loop(), seed, share)
         return [windows.open(name) for name in names]
 
-    return simulated(play())
+    return run_on_simulated_loop(play())
 
 
 def test_without_a_share_no_window_takes_time() -> None:
@@ -45,7 +45,7 @@ def test_a_script_lengthens_the_next_window_of_its_pattern_only() -> None:
         assert await reached
         assert (windows.opened["write:row"], windows.slow) == (2, 1)
 
-    simulated(play())
+    run_on_simulated_loop(play())
 
 
 def test_a_script_stops_waiting_after_its_timeout() -> None:
@@ -55,4 +55,4 @@ def test_a_script_stops_waiting_after_its_timeout() -> None:
         assert asyncio.get_running_loop().time() >= 2.0
         assert windows.open("write:row") == 0.0
 
-    simulated(play())
+    run_on_simulated_loop(play())

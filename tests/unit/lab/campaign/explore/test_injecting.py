@@ -9,13 +9,13 @@ from typing import Any, cast
 import pytest
 
 from pcmrs.errors import DeviceError, JournalError
+from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_lab.campaign.explore import injecting
 from pcmrs_lab.campaign.explore.faults import FAULTS, HOST, NETWORK
 from pcmrs_lab.campaign.explore.injecting import BY_HAND, FIRST_POSES_WITHIN, RETRY_AFTER, Faults
 from pcmrs_lab.campaign.explore.operators import Operators
 from tests.unit.lab.campaign.explore.ratms_views import command, decided, shown
 from tests.unit.lab.campaign.explore.scripted_session import ScriptedCell, now, witness
-from tests.unit.simulated_time.running import simulated
 
 
 class Injected:
@@ -38,7 +38,7 @@ def during(act: Callable[[Injected], Awaitable[None]]) -> Injected:
         await act(injected)
         return injected
 
-    return simulated(run())
+    return run_on_simulated_loop(run())
 
 
 def test_a_fault_of_the_scene_ends_after_its_time() -> None:

@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
+from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_lab.campaign.explore.operators import OLD_PORT, PATIENCE, PORTS, REPEAT_AFTER, Operators
 from tests.unit.lab.campaign.explore.ratms_views import decided, shown
 from tests.unit.lab.campaign.explore.scripted_session import ScriptedCell, witness
-from tests.unit.simulated_time.running import simulated
 
 
 class People:
@@ -109,7 +109,7 @@ def test_a_datagram_is_sent_again_until_it_is_answered() -> None:
         await people.operators.wire("anna", "rob_conn_onxxxxx", ())
         return people.datagrams, times
 
-    sent, times = simulated(send())
+    sent, times = run_on_simulated_loop(send())
     assert len(set(sent)) == 1, "with the same id"
     assert sent[0][0] == PORTS["anna"]
     assert times == [0.0, REPEAT_AFTER, 3 * REPEAT_AFTER]
@@ -121,7 +121,7 @@ def test_nobody_waits_for_ever() -> None:
         await people.operators.wire("anna", "rob_conn_onxxxxx", ())
         return asyncio.get_running_loop().time()
 
-    assert PATIENCE <= simulated(send()) < 2.5 * PATIENCE
+    assert PATIENCE <= run_on_simulated_loop(send()) < 2.5 * PATIENCE
 
 
 async def test_what_the_library_of_a_client_refuses_is_not_sent(people: People) -> None:
@@ -158,8 +158,8 @@ def test_an_old_client_gets_its_second_datagram_soon(monkeypatch: pytest.MonkeyP
         assert b"#" not in people.datagrams[0][1], "it knows no ids"
         return people.witness.violation
 
-    assert simulated(send(0.1)) is None
-    assert simulated(send(2.0)).invariant == "no_second_is_late"
+    assert run_on_simulated_loop(send(0.1)) is None
+    assert run_on_simulated_loop(send(2.0)).invariant == "no_second_is_late"
 
 
 async def test_operators_see_the_last_snapshot(people: People) -> None:

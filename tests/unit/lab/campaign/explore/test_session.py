@@ -12,6 +12,7 @@ import structlog
 
 from pcmrs.journal import Journal
 from pcmrs.messages import Running
+from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_lab.campaign.explore import session as running
 from pcmrs_lab.campaign.explore.operators import PATIENCE
 from pcmrs_lab.campaign.explore.plans import GARBAGE, landmark_commands, pose_commands
@@ -20,7 +21,6 @@ from pcmrs_lab.campaign.explore.session import LONGEST_FOLLOWING, ExploredSessio
 from pcmrs_lab.campaign.writing import row
 from tests.unit.lab.campaign.explore.ratms_views import PLACED, READY, shown
 from tests.unit.lab.campaign.explore.scripted_session import ScriptedCell, now, witness
-from tests.unit.simulated_time.running import simulated
 
 
 class ScriptedOperators:
@@ -78,7 +78,7 @@ class Played:
         return self
 
     def play(self, prepare: Any = None) -> Played:
-        return simulated(self._play(prepare))
+        return run_on_simulated_loop(self._play(prepare))
 
     @property
     def did(self) -> list[tuple[str, str, Any]]:
@@ -219,7 +219,7 @@ def test_an_error_that_nobody_waits_for_is_a_violation() -> None:
         running._unhandled(made, {"message": "Task exception", "exception": ValueError("bad")})
         return made.violation
 
-    violation = simulated(lose())
+    violation = run_on_simulated_loop(lose())
     assert (violation.invariant, violation.text) == ("no_error_is_lost", "Task exception: ValueError bad")
 
 

@@ -8,10 +8,10 @@ import pytest
 
 from pcmrs.errors import CommandRefusedError
 from pcmrs.messages import Reason
+from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_lab.experiment.session import operator as operating
 from pcmrs_lab.experiment.session.operator import SessionOperator
 from tests.unit.lab.scripted_client import ScriptedClient, failed, rejected, snapshot, verdict
-from tests.unit.simulated_time.running import simulated
 
 
 @pytest.fixture
@@ -138,7 +138,7 @@ def test_the_least_time_between_two_pulses_is_kept(client: ScriptedClient) -> No
             fired.append(asyncio.get_running_loop().time())
         return fired
 
-    assert simulated(fire_thrice()) == pytest.approx([0.0, 0.02, 0.04])
+    assert run_on_simulated_loop(fire_thrice()) == pytest.approx([0.0, 0.02, 0.04])
 
 
 async def test_pulse_waits_until_the_coil_is_shown_aligned(client: ScriptedClient) -> None:

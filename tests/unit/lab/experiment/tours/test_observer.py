@@ -10,9 +10,9 @@ import msgspec
 
 from pcmrs.client import Client, Event
 from pcmrs.messages import Running, Snapshot
+from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_lab.experiment.tours.observer import HISTORY, Observer, observing
 from tests.unit.lab.scripted_client import snapshot, verdict
-from tests.unit.simulated_time.running import simulated
 
 
 class PublishingCell:
@@ -97,7 +97,7 @@ def test_cell_is_settled_when_nothing_runs_and_all_is_published() -> None:
         async with observing(client(cell)) as observer:
             return await observer.settled(7), loop.time()
 
-    state, time = simulated(settle())
+    state, time = run_on_simulated_loop(settle())
     assert (state.sequence, state.running) == (7, [])
     assert time == 0.8
 
@@ -108,7 +108,7 @@ def test_state_never_published_is_taken_as_it_was_answered() -> None:
         async with observing(client(cell)) as observer:
             return (await observer.settled()).sequence
 
-    assert simulated(settle()) == 1
+    assert run_on_simulated_loop(settle()) == 1
 
 
 async def test_only_the_newest_messages_are_kept() -> None:
