@@ -11,13 +11,15 @@ from pcmrs.devices.protocols import TrackerDriver
 from pcmrs_sim.cell import CellSimulation, running_cell
 from pcmrs_sim.ndi.server import serve_ndi, serve_ndi_pty
 
+WITHOUT_DYNAMICS = {"sim": {"arm": {"physics": "kinematic"}}}
+
 OpenTracker = Callable[[], AbstractAsyncContextManager[tuple[TrackerDriver, CellSimulation]]]
 
 
 @asynccontextmanager
 async def simulated() -> AsyncIterator[tuple[TrackerDriver, CellSimulation]]:
     """The tracker of the cell itself."""
-    async with running_cell({}, SystemClock()) as cell:
+    async with running_cell(WITHOUT_DYNAMICS, SystemClock()) as cell:
         yield cell.devices["tracker"], cell  # type: ignore[misc]
 
 
@@ -25,7 +27,7 @@ async def simulated() -> AsyncIterator[tuple[TrackerDriver, CellSimulation]]:
 async def ndi_on_network() -> AsyncIterator[tuple[TrackerDriver, CellSimulation]]:
     """The NDI driver, its reader process, and the virtual tracker on a TCP port."""
     async with (
-        running_cell({}, SystemClock()) as cell,
+        running_cell(WITHOUT_DYNAMICS, SystemClock()) as cell,
         serve_ndi(cell) as (host, port),
         _ndi(f"{host}:{port}") as found,
     ):
@@ -35,7 +37,7 @@ async def ndi_on_network() -> AsyncIterator[tuple[TrackerDriver, CellSimulation]
 @asynccontextmanager
 async def ndi_on_serial_line() -> AsyncIterator[tuple[TrackerDriver, CellSimulation]]:
     """The same on a pseudo-terminal."""
-    async with running_cell({}, SystemClock()) as cell, serve_ndi_pty(cell) as path, _ndi(path) as found:
+    async with running_cell(WITHOUT_DYNAMICS, SystemClock()) as cell, serve_ndi_pty(cell) as path, _ndi(path) as found:
         yield found, cell
 
 

@@ -16,18 +16,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pcmrs.clock import SystemClock
+from pcmrs.simulated_time.clock import SimulatedClock
+from pcmrs.simulated_time.loop import SimulatedLoop
 from pcmrs_sim.cell import CellSimulation, running_cell
 from pcmrs_sim.cli.lines import apply_line, follow_schedule, read_schedule
 from pcmrs_sim.faults import FAULTS, parse_fault
 from tests import ROOT
 
 DOCUMENT = ROOT / "docs" / "faults.md"
+LOOPS = {"simulated": SimulatedLoop}
 ROWS = [f"{kind}{number}" for kind in "SB" for number in range(1, 15)]
-RATE = 4.0
-"""Seconds of the cell per second."""
-DEADLINE = 30.0
-
 LINES: Mapping[str, tuple[str, str]] = {
     "occlude": ("coil on", "coil off"),
     "frame_frozen": ("on", "off"),
@@ -70,7 +68,8 @@ LINES: Mapping[str, tuple[str, str]] = {
 
 @pytest.fixture
 async def cell() -> AsyncIterator[CellSimulation]:
-    async with asyncio.timeout(DEADLINE), running_cell({}, SystemClock(RATE)) as cell:
+    clock = SimulatedClock(asyncio.get_running_loop())
+    async with running_cell({"sim": {"arm": {"physics": "kinematic"}}}, clock) as cell:
         yield cell
 
 

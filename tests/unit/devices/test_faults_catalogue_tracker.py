@@ -16,7 +16,7 @@ from pcmrs.devices.poses import PoseFeed
 from pcmrs_sim.cell import running_cell
 from pcmrs_sim.faults import inject
 from pcmrs_sim.ndi.server import serve_ndi
-from tests.unit.devices.contract_trackers import TRACKERS
+from tests.unit.devices.contract_trackers import TRACKERS, WITHOUT_DYNAMICS
 
 pytest.importorskip("ndicapy")
 
@@ -78,7 +78,7 @@ async def test_no_pose_is_accepted_until_the_fault_ends(driver: str) -> None:
 async def test_nothing_is_tracked_while_a_tool_is_not_as_defined() -> None:
     async with (
         asyncio.timeout(DEADLINE),
-        running_cell({}, SystemClock()) as cell,
+        running_cell(WITHOUT_DYNAMICS, SystemClock()) as cell,
         serve_ndi(cell) as (host, port),
         ndi.open_devices(("tracker",), {"ndi": {"device": f"{host}:{port}"}}, SystemClock()) as devices,
         aclosing(devices["tracker"].frames()) as frames,

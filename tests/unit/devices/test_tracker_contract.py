@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import pytest_asyncio
 
 from pcmrs.devices.protocols import TrackerDriver
 from pcmrs.messages import BodyPose
@@ -18,17 +19,26 @@ from pcmrs_sim.faults import inject
 from pcmrs_sim.tracker_faults import BODIES
 from tests.unit.devices.contract_trackers import TRACKERS
 
-DEADLINE = 30.0
-"""Of a whole test, s: nothing may hang."""
+pytestmark = pytest.mark.asyncio(loop_scope="module")
+
 QUIET = 0.5
 """A tracker that sends nothing for so long has stopped, s."""
 
 
-@pytest.fixture(params=list(TRACKERS))
-async def seen(request: pytest.FixtureRequest) -> AsyncIterator[tuple[Frames, CellSimulation]]:
-    async with asyncio.timeout(DEADLINE), TRACKERS[request.param]() as (tracker, cell), Frames(tracker) as frames:
-        await frames.until(lambda _: True)
+@pytest_asyncio.fixture(scope="module", loop_scope="module", params=list(TRACKERS))
+async def opened(request: pytest.FixtureRequest) -> AsyncIterator[tuple[Frames, CellSimulation]]:
+    """One tracker for all tests: each ends the faults that it begins."""
+    async with TRACKERS[request.param]() as (tracker, cell), Frames(tracker) as frames:
         yield frames, cell
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def seen(opened: tuple[Frames, CellSimulation]) -> tuple[Frames, CellSimulation]:
+    """A tracker that sees the tool in new frames."""
+    frames, _ = opened
+    frames.skip()
+    await frames.until(lambda frame: frame["coil"].valid)
+    return opened
 
 
 class Frames:
@@ -59,6 +69,11 @@ class Frames:
         async with asyncio.timeout(10.0):
             while not self.trouble:  # noqa: ASYNC110 - what is waited for is no business of this loop
                 await asyncio.sleep(0.02)
+
+    def skip(self) -> None:
+        """Forgets what has not been taken."""
+        while not self._queue.empty():
+            self._queue.get_nowait()
 
     async def next(self) -> dict[str, BodyPose]:
         return {pose.body: pose for pose in await self._queue.get()}
@@ -123,6 +138,8 @@ async def test_tracker_status_of_a_body_is_the_reason(seen: tuple[Frames, CellSi
     frames, cell = seen
     inject(cell, "not_measured", {"body": "coil", "reason": reason})
     assert (await frames.until(lambda frame: not frame["coil"].valid))["coil"].reason == reason
+    inject(cell, "not_measured", {"body": "coil", "reason": reason, "on": False})
+    await frames.until(lambda frame: frame["coil"].valid)
 
 
 async def test_another_tool_than_the_defined_one_is_no_pose(seen: tuple[Frames, CellSimulation]) -> None:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from pcmrs.errors import DegenerateMotionError, GeometryError, RefusalError
 from pcmrs.registration.hand_eye import MIN_POSES, HandEyeCalibration, calibrate_hand_eye, closed_form
 from pcmrs.spatial import Floats, Transform, distance, rotation_angle
+from tests.support.trials import run_counts
 
 X = Transform.from_rotvec((0.01, 0.02, 0.15), (2.0, 1.0, 0.5))
 Y = Transform.from_rotvec((1.5, 0.3, 0.9), (0.4, -2.0, 1.0))
@@ -93,10 +94,11 @@ def test_the_covariance_is_the_scatter_of_many_calibrations() -> None:
     assert sum(bool(each.bad) for each in found) <= 7, "no pose is bad"
 
 
-def test_weights_beat_the_closed_form_if_rotations_are_noisy() -> None:
+@run_counts(20, nightly=60)
+def test_weights_beat_the_closed_form_if_rotations_are_noisy(runs: int) -> None:
     rng = np.random.default_rng(3)
     refined, closed = [], []
-    for _ in range(60):
+    for _ in range(runs):
         flange = postures(rng, 20)
         tool = [noisy(rng, pose, (3.5e-4, 3e-5)) for pose in seen(flange)]
         found, (shah, _) = calibrate_hand_eye(flange, tool), closed_form(flange, tool)

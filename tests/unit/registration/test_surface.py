@@ -13,6 +13,7 @@ from pcmrs.errors import DegeneratePointsError, GeometryError, RefusalError
 from pcmrs.registration import predict_tre, register_points
 from pcmrs.registration.surface import SurfaceRefinement, refine_with_surface
 from pcmrs.spatial import Floats, Transform, rotation_angle
+from tests.support.trials import run_counts
 
 SIGMA, SIGMA_SURFACE = 1.86e-3, 0.5e-3
 TARGET = np.array([0.03, 0.0, 0.10])
@@ -87,14 +88,15 @@ def rms(values: list[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
+@run_counts(20, nightly=60)
 @pytest.mark.parametrize("given", [{}, {"trim": 1.0}, {"outliers": 8}, {"count": 40}])
-def test_the_true_error_falls_and_is_what_was_predicted(given: dict[str, Any]) -> None:
-    runs = [refine(seed, **given) for seed in range(60)]
-    before = rms([error(registration) for registration, _ in runs])
-    after = rms([error(refined.body_ref_from_image) for _, refined in runs])
+def test_the_true_error_falls_and_is_what_was_predicted(given: dict[str, Any], runs: int) -> None:
+    sessions = [refine(seed, **given) for seed in range(runs)]
+    before = rms([error(registration) for registration, _ in sessions])
+    after = rms([error(refined.body_ref_from_image) for _, refined in sessions])
     assert after < 0.5 * before
-    assert rms([refined.tre_before for _, refined in runs]) == pytest.approx(before, rel=0.25)
-    assert rms([refined.tre_after for _, refined in runs]) == pytest.approx(after, rel=0.25)
+    assert rms([refined.tre_before for _, refined in sessions]) == pytest.approx(before, rel=0.25)
+    assert rms([refined.tre_after for _, refined in sessions]) == pytest.approx(after, rel=0.25)
 
 
 def test_the_prediction_before_is_that_of_the_landmarks() -> None:
@@ -103,14 +105,15 @@ def test_the_prediction_before_is_that_of_the_landmarks() -> None:
     assert refined.tre_before == pytest.approx(expected, rel=1e-9)
 
 
-def test_the_covariance_is_that_of_the_motion_left() -> None:
+@run_counts(20, nightly=60)
+def test_the_covariance_is_that_of_the_motion_left(runs: int) -> None:
     """Mahalanobis distances of the true errors: their mean is the number of freedoms.
 
     The mesh of 3,000 corners lies within the head that is touched by about a tenth of the probe's deviation, which adds
     to it: with 20,000 corners the mean is 6 within what 200 sessions can tell.
     """
     squares = []
-    for seed in range(60):
+    for seed in range(runs):
         _, refined = refine(seed, trim=1.0)
         left = TRUTH @ refined.body_ref_from_image.inverse()
         motion = np.concatenate((left.rotvec, left.translation))
@@ -137,11 +140,12 @@ def test_outliers_are_trimmed() -> None:
     assert refined.rms < 2 * SIGMA_SURFACE
 
 
-def test_a_sphere_slides_on_itself_and_landmarks_hold_it() -> None:
+@run_counts(15, nightly=40)
+def test_a_sphere_slides_on_itself_and_landmarks_hold_it(runs: int) -> None:
     """Points of a sphere say nothing of rotations about its centre: there the landmarks' solution stays."""
     sphere = hull(0.09 * evenly(3000))
     turned, held = [], []
-    for seed in range(40):
+    for seed in range(runs):
         rng = np.random.default_rng(seed)
         cap = above(rng, 100)
         cap *= 0.09 / np.linalg.norm(cap, axis=1, keepdims=True)
