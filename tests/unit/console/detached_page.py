@@ -16,6 +16,7 @@ from nicegui.page import page as declare_page
 
 from pcmrs.console.cell_view_model import CellViewModel
 from pcmrs.console.texts import Texts
+from pcmrs.testing.clock import settle
 
 ENGLISH = Texts("en")
 
@@ -84,12 +85,6 @@ class DetachedPage:
         for timer in [each for each in self.client.elements.values() if isinstance(each, ui.timer)]:
             if timer.callback is not None and inspect.isawaitable(result := timer.callback()):
                 await result
-
-
-async def settle() -> None:
-    """Lets everything run that does not wait for anything."""
-    for _ in range(20):
-        await asyncio.sleep(0)
 
 
 def _texts(element: Element) -> Iterator[str]:

@@ -14,9 +14,10 @@ from pcmrs.console.surfaces import Surfaces
 from pcmrs.messages import BlueprintTag, Snapshot
 from pcmrs.messages.setup import ProcedureDataView
 from pcmrs.messages.snapshot import LeaseState
+from pcmrs.testing.clock import settle
 from pcmrs.workflows.data import as_message
 from tests.support.shipped import shipped_blueprint
-from tests.unit.console.detached_page import ENGLISH, DetachedPage, ShownCell, settle
+from tests.unit.console.detached_page import ENGLISH, DetachedPage, ShownCell
 from tests.unit.console.shown_cell import body, setup, some_pose
 
 BLUEPRINT = shipped_blueprint("ratms")

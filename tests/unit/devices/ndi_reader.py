@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Sequence
 from contextlib import aclosing, asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -28,11 +28,6 @@ async def ndi_tracker(**table: Any) -> AsyncIterator[NdiTracker]:
 async def frames_of(tracker: NdiTracker, count: int) -> list[Sequence[BodyPose]]:
     async with aclosing(tracker.frames()) as frames:
         return [await anext(frames) for _ in range(count)]
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    while not condition():  # noqa: ASYNC110 (what is waited for has no event)
-        await asyncio.sleep(0.01)
 
 
 def readers() -> list[int]:

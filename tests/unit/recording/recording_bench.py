@@ -30,6 +30,7 @@ from pcmrs.recording.topics import TOPICS
 from pcmrs.recording.views import RecordingViews
 from pcmrs.recording.writer import PERIOD, RecordingPlan, RecordingReport, RecordingWriter
 from pcmrs.testing.daemon import free_port
+from pcmrs.testing.waiting import wait_until
 from pcmrs.workflows.settings import CalibrationSettings
 
 TIMEOUT = 20.0
@@ -64,7 +65,7 @@ class Recording:
 
     async def written(self, count: int) -> None:
         """Waits until so many messages have been recorded."""
-        await until(lambda: self._recorder.messages >= count)
+        await wait_until(lambda: self._recorder.messages >= count)
 
     async def hears(self) -> int:
         """Says something until the recorder has heard it, and returns how many messages there are then."""
@@ -96,15 +97,6 @@ async def recording(
             await subscriber.close()
     finally:
         await bus.close()
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    """Waits until a condition holds that nobody tells of."""
-    async with asyncio.timeout(TIMEOUT):
-        while True:
-            if condition():
-                return
-            await asyncio.sleep(0.01)
 
 
 def joints(positions: Sequence[float] = ARM.home, **fields: Any) -> JointState:

@@ -17,7 +17,8 @@ from pcmrs.recording import subscriber as subscriber_module
 from pcmrs.recording.subscriber import RawSample, Subscriber
 from pcmrs.testing.clock import ManualClock
 from pcmrs.testing.daemon import free_port
-from tests.unit.recording.recording_bench import pose, until
+from pcmrs.testing.waiting import wait_until
+from tests.unit.recording.recording_bench import pose
 
 PREFIX = "pcmrs/lab/cell1"
 
@@ -81,7 +82,7 @@ async def test_only_subscribed_keys_are_received(router: tuple[Bus, BusSettings]
         return len(received) >= 3
 
     try:
-        await until(arrived)
+        await wait_until(arrived)
     finally:
         await subscriber.close()
     assert {each.key for each in received} == {"state/pose/coil"}

@@ -29,8 +29,9 @@ from pcmrs.messages.setup import LandmarkShown, ProcedureDataView, StimulationSh
 from pcmrs.recording.file import CountingFile
 from pcmrs.recording.series import Limits, files_of, path_of
 from pcmrs.service.health.report import report
+from pcmrs.testing.waiting import wait_until
 from tests.support.health_facts import WELL
-from tests.unit.recording.recording_bench import ARM, decoded, joints, pose, recording, until
+from tests.unit.recording.recording_bench import ARM, decoded, joints, pose, recording
 
 SNAPSHOT = Snapshot(
     sequence=3,
@@ -206,7 +207,7 @@ async def test_failed_write_ends_the_recording_without_a_writer_error(
         before = await work.hears()
         work.bus.publish("state/fsm", SNAPSHOT)
         await work.written(before + 1)
-        await until(lambda: first.stat().st_size > 1000)  # written, and flushed
+        await wait_until(lambda: first.stat().st_size > 1000)  # written, and flushed
         whole = first.stat().st_size
 
         def full(self: CountingFile, act: object) -> None:

@@ -9,39 +9,26 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.clock import SystemClock
 from pcmrs.errors import RefusalError
 from pcmrs.ros2 import cdr
 from pcmrs.ros2.poses import Stamps, tracker_from_body
-
-
-class FrozenClock(SystemClock):
-    """A clock that the test sets."""
-
-    now, unix = 100.0, 1e9
-
-    def monotonic(self) -> float:
-        return self.now
-
-    def wall(self) -> float:
-        return self.unix
+from pcmrs.testing.clock import ManualClock
 
 
 def test_delayed_messages_keep_their_times_of_measurement() -> None:
     """Another machine's clock, 7 s behind ours; the second message comes 0.2 s late, together with the third."""
-    clock = FrozenClock()
-    stamps = Stamps(clock, 1.0)
-    found = []
-    for captured, arrives in ((0.0, 0.05), (0.1, 0.35), (0.2, 0.35)):
-        clock.now, clock.unix = 100.0 + arrives, 1e9 + arrives
-        found.append(stamps.of(93.0 + captured, 93.0 + captured + 0.03) - 1e9)
+    clock = ManualClock()
+    begun, stamps, found = clock.wall(), Stamps(clock, 1.0), []
+    for captured, later in ((0.0, 0.05), (0.1, 0.3), (0.2, 0.0)):
+        clock.stall(later)
+        found.append(stamps.of(93.0 + captured, 93.0 + captured + 0.03) - begun)
     assert found == pytest.approx([0.02, 0.12, 0.22], abs=1e-6)
 
 
 @pytest.mark.parametrize("captured", [math.nan, math.inf, -math.inf, 94.0])
 def test_implausible_sender_time_is_replaced_by_the_arrival(captured: float) -> None:
-    clock = FrozenClock()
-    assert Stamps(clock, 1.0).of(captured, 93.0) == pytest.approx(1e9, abs=1e-6)
+    clock = ManualClock()
+    assert Stamps(clock, 1.0).of(captured, 93.0) == pytest.approx(clock.wall(), abs=1e-6)
 
 
 finite = st.floats(-1e3, 1e3)

@@ -14,10 +14,11 @@ from pcmrs.clock import SystemClock
 from pcmrs.devices.drivers.ndi import open_devices
 from pcmrs.devices.ndi.tools import placeholder
 from pcmrs.errors import ConfigurationError
+from pcmrs.testing.waiting import wait_until
 from pcmrs_sim.cell import running_cell
 from pcmrs_sim.ndi.server import serve_ndi
 from pcmrs_sim.ndi.system import NdiSystem
-from tests.unit.devices.ndi_reader import frames_of, ndi_tracker, readers, served_ndi, until
+from tests.unit.devices.ndi_reader import frames_of, ndi_tracker, readers, served_ndi
 
 
 async def test_corrupted_answer_is_no_pose_and_tracking_continues(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -52,7 +53,7 @@ async def test_absent_tracker_is_logged_and_retried_at_growing_pauses() -> None:
     with structlog.testing.capture_logs() as logs:
         async with ndi_tracker(device=device) as tracker:
             reading = asyncio.create_task(frames_of(tracker, 1))
-            await until(lambda: len(logs) >= 2)
+            await wait_until(lambda: len(logs) >= 2)
             assert "nothing listens there" in tracker.trouble
             assert not reading.done()
             reading.cancel()
@@ -65,7 +66,7 @@ async def test_absent_tracker_is_logged_and_retried_at_growing_pauses() -> None:
 async def test_missing_serial_port_is_reported() -> None:
     async with ndi_tracker(device="/dev/pts/none") as tracker:
         reading = asyncio.create_task(frames_of(tracker, 1))
-        await until(lambda: "not been reached yet" not in tracker.trouble)
+        await wait_until(lambda: "not been reached yet" not in tracker.trouble)
         assert "The tracker at /dev/pts/none: this cannot be opened as a serial port." in tracker.trouble
         reading.cancel()
         await asyncio.gather(reading, return_exceptions=True)
@@ -78,7 +79,7 @@ async def test_a_tracker_that_comes_later_is_found() -> None:
     host, port = device.rsplit(":", 1)
     async with ndi_tracker(device=device) as tracker:
         reading = asyncio.create_task(frames_of(tracker, 3))
-        await until(lambda: "nothing listens" in tracker.trouble)
+        await wait_until(lambda: "nothing listens" in tracker.trouble)
         async with running_cell({}, SystemClock()) as cell, serve_ndi(cell, host, int(port)):
             assert len(await reading) == 3
             assert tracker.trouble == ""
