@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcmrs.fsm.behaviour import line_of
 from pcmrs.fsm.blueprint import Condition
 from pcmrs.fsm.verify.decision import Decision, Locks
-from pcmrs.fsm.verify.encoding import Batch, Encoding, Mask, Rows
+from pcmrs.fsm.verify.encoding import Batch, Encoding, Mask
 from pcmrs.fsm.verify.relation import Edges, Relation
 from pcmrs.fsm.verify.search import Reached, SearchBudget, Visited, search, states_leading_to
 from pcmrs.fsm.verify.space import Operation, Space, check_encodable, command, digits, guard
@@ -113,7 +113,8 @@ class Moments:
         """
         if name not in self._locks:
             return np.zeros(len(batch.codes), dtype=np.bool_)
-        return batch.digits[self._encoding.position[name]] > 0
+        running: Mask = batch.digits[self._encoding.position[name]] > 0
+        return running
 
     def stranded(self, batch: Batch) -> Mask:
         """Return a mask of the moments at which a watched operation runs that cannot be concluded; shape (n,)."""
@@ -133,7 +134,8 @@ class Moments:
     def _accepted(self, name: str, batch: Batch) -> Mask:
         if name not in self._numbers:  # called by children only
             return np.zeros(len(batch.codes), dtype=np.bool_)
-        return self._beginning(batch)[self._numbers[name]]
+        accepted: Mask = self._beginning(batch)[self._numbers[name]]
+        return accepted
 
     def _search(self) -> Reached:
         initial = np.array([self._encoding.code(self._space.blueprint.initial())], dtype=np.int64)
@@ -187,13 +189,14 @@ class Moments:
         """Return a mask of the moments at which a watched operation runs and may end, shape (n,)."""
         return self.running(name, batch) & self._free(self._may_end, self._kinds(name, batch), batch)
 
-    def _kinds(self, name: str, batch: Batch) -> Rows:
+    def _kinds(self, name: str, batch: Batch) -> NDArray[np.int64]:
         """Return the kinds of the decisions about an operation at moments, shape (n,)."""
-        return self._kind[self._space.decided(batch)[self._numbers[name]]]
+        kinds: NDArray[np.int64] = self._kind[self._space.decided(batch)[self._numbers[name]]]
+        return kinds
 
-    def _free(self, tables: Tables, kinds: Rows, batch: Batch) -> NDArray[np.bool_]:
+    def _free(self, tables: Tables, kinds: NDArray[np.int64], batch: Batch) -> NDArray[np.bool_]:
         """Return a mask of kinds of decisions, shape (…, n): nothing that runs at the moments excludes them."""
-        free = kinds != DENIED
+        free: NDArray[np.bool_] = kinds != DENIED
         for digit, table in tables.items():
             free &= table[kinds, batch.digits[digit]]
         return free

@@ -22,9 +22,10 @@ from tests.unit.fsm.verify.joint_state_oracle import answer_in, levels
 @given(blueprints())
 def test_an_answer_depends_on_nothing_but_what_was_seen(blueprint: Blueprint) -> None:
     everywhere = [branch_states(blueprint, joint) for joint in levels(blueprint)]
+    decider = Decider(blueprint)
     for branch, operation, _ in operations(blueprint):
         for states in everywhere[:5]:
-            decision = Decider(blueprint).decide(states, branch, operation)
+            decision = decider.decide(states, branch, operation)
             alike = [other for other in everywhere if decision.seen.items() <= other.items()]
             assert states in alike
             for other in alike:
@@ -52,10 +53,11 @@ def check_answer(decision: Decision, blueprint: Blueprint, states: dict[str, str
 @given(blueprints())
 def test_order_matters_if_both_orders_differ(blueprint: Blueprint) -> None:
     other = msgspec.structs.replace(blueprint, branches=dict(reversed(blueprint.branches.items())))
+    decider = Decider(blueprint, other)
     for states in [branch_states(blueprint, joint) for joint in levels(blueprint)][:8]:
         for branch, operation, _ in operations(blueprint):
             results = [answer_in(each, states, branch, operation) for each in (blueprint, other)]
-            assert Decider(blueprint, other).decide(states, branch, operation).ordered == (results[0] != results[1])
+            assert decider.decide(states, branch, operation).ordered == (results[0] != results[1])
 
 
 def test_operations_of_free_branches_see_only_their_own() -> None:

@@ -27,9 +27,10 @@ def test_each_joint_state_gets_the_decision_made_there(blueprint: Blueprint) -> 
             operation = space.operations[number]
             states = space.encoding.decoded(int(batch.codes[row]))
             expected = Decider(blueprint).decide(states, operation.branch, operation.operation)
-            assert space.numbered[found][0] == number
-            assert space.numbered[found][1].seen == expected.seen
-            assert space.numbered[found][1].endings == expected.endings
+            about, decision = space.numbered[found]
+            assert about == number
+            assert expected.seen.items() <= decision.seen.items() <= states.items()  # the order of branches adds some
+            assert (decision.denied, decision.endings) == (expected.denied, expected.endings)
 
 
 @examples(25)
