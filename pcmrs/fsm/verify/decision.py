@@ -5,12 +5,14 @@ The branches that a closure depends on are found by observing which states it re
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from pcmrs.fsm.behaviour import Ruling, endings
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.closure import Change, Closure, close
+from pcmrs.fsm.verify.cascades import Cascades
+from pcmrs.fsm.verify.observed import Observer
 
 Locks = tuple[frozenset[str], frozenset[str]]
 """Branches locked for writing, and for reading."""
@@ -44,61 +46,50 @@ class Decision:
         return self.denied is None
 
 
-def decide(orders: Sequence[Blueprint], states: Mapping[str, str], branch: str, operation: str) -> Decision:
-    """Work out the closure of an operation in a joint state, and what it depends on.
+class Decider:
+    """Makes the decisions about the operations of a workflow.
 
     Args:
         orders: The workflow, and copies with their branches in other orders, if order is to be checked.
-        states: The joint state.
-        branch: Branch of the operation.
-        operation: Any of its operations.
     """
-    seen = {branch: states[branch]}
-    watched = {name: state if name == branch else _ObservedState(state, name, seen) for name, state in states.items()}
-    answer = close(orders[0], watched, branch, operation)
-    others = [close(each, watched, branch, operation) for each in orders[1:]] if _has_sequel(answer) else []
-    touched = {effect.branch for each in (answer, *others) for change in _changes(each) for effect in change.effects}
-    seen |= {name: states[name] for name in states if name in touched and name not in seen}
-    ordered = any(_result(each) != _result(answer) for each in others)
-    # No observed state must leave this function: targets and names come from the blueprint.
-    if not isinstance(answer, Closure):
-        return Decision(seen, answer.code, {}, frozenset(), frozenset(), (frozenset(), frozenset()), ordered)
-    spec = orders[0].branches[branch].operations[operation]
-    ends = {name: {} if change is None else _targets(change) for name, change in endings(spec, answer).items()}
-    signals = (effect for change in _changes(answer) for effect in change.effects if effect.kind == "signal")
-    calls = frozenset((effect.branch, effect.operation) for effect in signals)
-    locks = (answer.writes, answer.reads)
-    return Decision(seen, None, ends, frozenset(answer.outcomes), calls, locks, ordered)
 
+    def __init__(self, *orders: Blueprint) -> None:
+        self._blueprint, *self._reordered = orders
+        self._observer = Observer(self._blueprint)
+        self._cascades = Cascades(self._observer, self._reordered)
 
-class _ObservedState(str):
-    """A state that notes when it is compared or hashed: nothing else can make a decision depend on it."""
+    def decide(self, states: Mapping[str, str], branch: str, operation: str) -> Decision:
+        """Work out the closure of an operation in a joint state, and what it depends on.
 
-    _branch: str
-    _seen: dict[str, str]
-
-    def __new__(cls, state: str, branch: str, seen: dict[str, str]) -> _ObservedState:
-        made = super().__new__(cls, state)
-        made._branch, made._seen = branch, seen
-        return made
-
-    def __eq__(self, other: object) -> bool:
-        self._seen.setdefault(self._branch, str(self))
-        return str.__eq__(self, other)
-
-    def __ne__(self, other: object) -> bool:
-        return not self == other
-
-    def __hash__(self) -> int:
-        self._seen.setdefault(self._branch, str(self))
-        return str.__hash__(self)
-
-
-def _has_sequel(answer: Ruling) -> bool:
-    """Return true unless nothing was re-initiated or revoked: only that is done in the order of the branches."""
-    if not isinstance(answer, Closure):
-        return True
-    return any(effect.kind in ("reinit", "revoke") for change in _changes(answer) for effect in change.effects)
+        Args:
+            states: The joint state.
+            branch: Branch of the operation.
+            operation: Any of its operations.
+        """
+        self._cascades.followed.clear()
+        watched, seen = self._observer.observe(states, branch)
+        answer = close(self._blueprint, watched, branch, operation, follow=self._cascades.follow)
+        ordered, touched = False, {name for change in _changes(answer) for name in change.targets}
+        if any(each.ordered for each in self._cascades.followed):
+            others = [close(order, watched, branch, operation) for order in self._reordered]
+            ordered = any(_result(other) != _result(answer) for other in others)
+            touched |= {name for other in others for change in _changes(other) for name in change.targets}
+        else:
+            for each in self._cascades.followed:
+                seen.update(each.also_seen)
+        seen.update({name: states[name] for name in states if name in touched})
+        # No observed state must leave this function: targets and names come from the blueprint.
+        if not isinstance(answer, Closure):
+            return Decision(seen, answer.code, {}, frozenset(), frozenset(), (frozenset(), frozenset()), ordered)
+        spec = self._blueprint.branches[branch].operations[operation]
+        ends = {name: {} if change is None else change.targets for name, change in endings(spec, answer).items()}
+        calls = frozenset(
+            (effect.branch, effect.operation)
+            for change in _changes(answer)
+            for effect in change.effects
+            if effect.kind == "signal"
+        )
+        return Decision(seen, None, ends, frozenset(answer.outcomes), calls, (answer.writes, answer.reads), ordered)
 
 
 def _changes(answer: Ruling) -> list[Change]:
@@ -108,11 +99,7 @@ def _changes(answer: Ruling) -> list[Change]:
     return [*answer.outcomes.values(), *(change for change in (answer.failure, answer.unknown) if change)]
 
 
-def _targets(change: Change) -> dict[str, str]:
-    return {effect.branch: change.states[effect.branch] for effect in change.effects}
-
-
 def _result(answer: Ruling) -> object:
     if not isinstance(answer, Closure):
         return answer.code
-    return [_targets(change) for change in _changes(answer)], sorted(answer.outcomes)
+    return [change.targets for change in _changes(answer)], sorted(answer.outcomes)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 Codes = NDArray[np.int64]
 """Joint states as integers, shape (n,)."""
 
-Rows = NDArray[np.int64]
+Rows = NDArray[np.intp]
 """Positions in an array of codes."""
 
 Mask = NDArray[np.bool_]
@@ -37,7 +37,7 @@ class Encoding:
         self.names = list(values)
         self.values = [list(taken) for taken in values.values()]
         self.sizes = [len(taken) for taken in self.values]
-        self.weights = [1, *accumulate(self.sizes, mul)][:-1]
+        self.weights: list[int] = [1, *accumulate(self.sizes, mul)][:-1]
         self.combinations = prod(self.sizes)
         self.position = {name: digit for digit, name in enumerate(self.names)}
         self._value = [{value: index for index, value in enumerate(taken)} for taken in self.values]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,10 +36,12 @@ class Forest:
 
     Attributes:
         learned: Each operation and decision that has occurred, by the number of the decision.
+        paths: Values of the digits that lead to each decision: they sort as in a walk through the tree.
     """
 
     def __init__(self, encoding: Encoding, own: list[int], decide: Decide) -> None:
         self.learned: list[tuple[int, Decision]] = []
+        self.paths: list[list[int]] = []
         self._encoding = encoding
         self._decide = decide
         # Node 0 is no node. A child is a node, or ~number of a decision, or UNKNOWN.
@@ -73,36 +75,27 @@ class Forest:
             open_, node, row = open_[~decided], node[~decided], row[~decided]
         return found.reshape(len(self._roots), number)
 
-    def path(self, number: int) -> list[int]:
-        """Return the digits that lead to a decision: decisions in their order are as in a walk through the tree.
-
-        Args:
-            number: Number of the decision.
-        """
-        return [digit for _, digit in self._questions(self.learned[number][1])]
-
     def _learn(self, operation: int, code: int) -> None:
         """Add the decision that is taken in a joint state, and the questions that lead to it."""
         decision = self._decide(operation, code)
         node = self._roots[operation]
         slot = 0
-        for position, value in self._questions(decision):
-            if slot:
+        path: list[int] = []
+        for name, state in decision.seen.items():
+            position = self._encoding.position[name]
+            if path and self._encoding.sizes[position] == 1:
+                continue
+            if path:
                 if self._child[slot] == UNKNOWN:
                     self._child[slot] = self._node(position)
                 node = self._child[slot]
             if node < 0 or self._digit[node] != position:
                 raise TypeError("a closure is not a function of the joint state")
-            slot = self._first[node] + value
+            path.append(self._encoding.value(name, state))
+            slot = self._first[node] + path[-1]
         self._child[slot] = ~len(self.learned)
         self.learned.append((operation, decision))
-
-    def _questions(self, decision: Decision) -> Iterator[tuple[int, int]]:
-        """Return the digits that a decision depends on, its own first, without other branches of a single state."""
-        for name, state in decision.seen.items():
-            position = self._encoding.position[name]
-            if self._encoding.sizes[position] > 1 or name == next(iter(decision.seen)):
-                yield position, self._encoding.value(name, state)
+        self.paths.append(path)
 
     def _node(self, position: int) -> int:
         """Return a new node that asks for a digit."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pcmrs.fsm.behaviour import line_of
 from pcmrs.fsm.blueprint import Condition
 from pcmrs.fsm.verify.decision import Decision, Locks
-from pcmrs.fsm.verify.encoding import Batch, Encoding, Mask, Rows
+from pcmrs.fsm.verify.encoding import Batch, Encoding, Mask
 from pcmrs.fsm.verify.relation import Edges, Relation
 from pcmrs.fsm.verify.search import Reached, SearchBudget, Visited, search, states_leading_to
 from pcmrs.fsm.verify.space import Operation, Space, check_encodable, command, digits, guard
@@ -26,11 +26,8 @@ STARTED = "started"
 STOP = "stop"
 """Name of Stop in conditions."""
 
-DENIED = 0
+DENIED = -1
 """Kind of the decisions that deny an operation."""
-
-Kind = tuple[str, Locks]
-"""What decides which operations may run beside one: its name if it is watched, else none; and its locks."""
 
 Tables = dict[int, NDArray[np.bool_]]
 """For the digit of each watched operation, which of its values each kind of decision allows, shape (kinds, values)."""
@@ -69,13 +66,12 @@ class Moments:
         self._encoding = Encoding({**joint, **running})
         check_encodable(self._encoding)
         self._work = work
-        self._work.spend(COST_OF_TRANSITION * sum(self._cost(*each) for each in space.decisions()))
+        self._work.spend(COST_OF_TRANSITION * self._number_of_transitions())
         self._numbers = {operation.name: number for number, operation in enumerate(space.operations)}
-        kinds: dict[Kind, int] = {}
-        self._kind = np.array([self._kind_of(number, decision, kinds) for number, decision in space.numbered])
-        self._held = np.array([self._held_by(number, decision) for number, decision in space.numbered])
-        self._may_begin = self._tables([self._beside(*kind) for kind in kinds])
-        self._may_end = self._tables([self._others(name, (locks[0], frozenset())) for name, locks in kinds])
+        kinds, self._kind = space.kinds
+        self._held = np.array([self._held_by(operation.name, locks) for operation, locks in kinds], dtype=np.int64)
+        self._may_begin = self._tables([self._beside(operation.name, locks) for operation, locks in kinds])
+        self._may_end = self._tables([self._others(operation.name, _writing(locks)) for operation, locks in kinds])
         self.reached = self._search() if self._locks else space.reached
 
     def path_to(self, code: int) -> tuple[str, ...]:
@@ -117,7 +113,8 @@ class Moments:
         """
         if name not in self._locks:
             return np.zeros(len(batch.codes), dtype=np.bool_)
-        return batch.digits[self._encoding.position[name]] > 0
+        running: Mask = batch.digits[self._encoding.position[name]] > 0
+        return running
 
     def stranded(self, batch: Batch) -> Mask:
         """Return a mask of the moments at which a watched operation runs that cannot be concluded; shape (n,)."""
@@ -137,7 +134,8 @@ class Moments:
     def _accepted(self, name: str, batch: Batch) -> Mask:
         if name not in self._numbers:  # called by children only
             return np.zeros(len(batch.codes), dtype=np.bool_)
-        return self._beginning(batch)[self._numbers[name]]
+        accepted: Mask = self._beginning(batch)[self._numbers[name]]
+        return accepted
 
     def _search(self) -> Reached:
         initial = np.array([self._encoding.code(self._space.blueprint.initial())], dtype=np.int64)
@@ -147,10 +145,14 @@ class Moments:
         self._work.spend(len(reached))
         return reached
 
-    def _cost(self, operation: Operation, decision: Decision) -> int:
-        """Return the number of transitions of an operation where a decision is taken."""
-        held = self._locks.get(operation.name)
-        return len(decision.endings) * (1 + len(held or ())) + (held is not None)
+    def _number_of_transitions(self) -> int:
+        """Return the number of transitions between moments, and of decisions that a watched operation is denied."""
+        number = int(self._space.all.counts.sum())
+        for operation in self._space.operations:
+            if operation.name in self._locks:
+                ends = sum(len(decision.endings) for decision in operation.known)
+                number += len(operation.known) + ends * len(self._locks[operation.name])
+        return number
 
     def _leaving(self, at_once: Relation, ends: Relation, *, events: bool) -> Callable[[Batch], Edges]:
         """Return a function that returns the transitions from the moments in a batch.
@@ -170,7 +172,7 @@ class Moments:
                 weight, held = self._encoding.weights[digit], batch.digits[digit]
                 if events or not self._space.operations[number].spec.event:
                     rows = np.flatnonzero(beginning[number])
-                    found.append((rows, batch.codes[rows] + weight * self._held[decisions[number, rows]]))
+                    found.append((rows, batch.codes[rows] + weight * self._held[self._kind[decisions[number, rows]]]))
                 rows, codes = ends.edges(batch.codes, decisions[[number]], self._ending(name, batch))
                 found.append((rows, codes - weight * held[rows]))
             return np.concatenate([rows for rows, _ in found]), np.concatenate([codes for _, codes in found])
@@ -187,35 +189,29 @@ class Moments:
         """Return a mask of the moments at which a watched operation runs and may end, shape (n,)."""
         return self.running(name, batch) & self._free(self._may_end, self._kinds(name, batch), batch)
 
-    def _kinds(self, name: str, batch: Batch) -> Rows:
+    def _kinds(self, name: str, batch: Batch) -> NDArray[np.int64]:
         """Return the kinds of the decisions about an operation at moments, shape (n,)."""
-        return self._kind[self._space.decided(batch)[self._numbers[name]]]
+        kinds: NDArray[np.int64] = self._kind[self._space.decided(batch)[self._numbers[name]]]
+        return kinds
 
-    def _free(self, tables: Tables, kinds: Rows, batch: Batch) -> NDArray[np.bool_]:
+    def _free(self, tables: Tables, kinds: NDArray[np.int64], batch: Batch) -> NDArray[np.bool_]:
         """Return a mask of kinds of decisions, shape (…, n): nothing that runs at the moments excludes them."""
-        free = kinds != DENIED
+        free: NDArray[np.bool_] = kinds != DENIED
         for digit, table in tables.items():
             free &= table[kinds, batch.digits[digit]]
         return free
 
-    def _kind_of(self, number: int, decision: Decision, kinds: dict[Kind, int]) -> int:
-        """Return the kind of a decision, a new one if there is none like it."""
-        name = self._space.operations[number].name
-        kind = (name if name in self._locks else "", decision.locks)
-        return kinds.setdefault(kind, len(kinds) + 1) if decision.accepted else DENIED
-
-    def _held_by(self, number: int, decision: Decision) -> int:
-        """Return the digit of a watched operation while it holds the locks of a decision; 0 for another."""
-        held = self._locks.get(self._space.operations[number].name)
-        return held.index(decision.locks) + 1 if held and decision.accepted else 0
+    def _held_by(self, name: str, locks: Locks) -> int:
+        """Return the digit of an operation while it runs with these locks; 0 if it is not watched."""
+        return self._locks[name].index(locks) + 1 if name in self._locks else 0
 
     def _tables(self, guards: list[Allowed]) -> Tables:
-        """Return the guards of all kinds but `DENIED`, in their order, as tables."""
+        """Return the guards of all kinds, in their order, as tables."""
         tables: Tables = {}
         for name in self._locks:
             digit = self._encoding.position[name]
-            tables[digit] = np.ones((len(guards) + 1, self._encoding.sizes[digit]), dtype=np.bool_)
-            for kind, allowed in enumerate(guards, DENIED + 1):
+            tables[digit] = np.ones((len(guards) + 1, self._encoding.sizes[digit]), dtype=np.bool_)  # the last: DENIED
+            for kind, allowed in enumerate(guards):
                 if digit in allowed:
                     tables[digit][kind] = False
                     tables[digit][kind, allowed[digit]] = True
@@ -251,9 +247,7 @@ class Moments:
             for ending, states in decision.endings.items():
                 yield Transition.of(self._encoding, command(operation, ending), where, digits(self._encoding, states))
             if held is not None:
-                yield from self._conclusions(
-                    operation, decision, seen | self._others(name, (decision.locks[0], frozenset()))
-                )
+                yield from self._conclusions(operation, decision, seen | self._others(name, _writing(decision.locks)))
 
     def _conclusions(self, operation: Operation, decision: Decision, where: Allowed) -> Iterator[Transition]:
         """Return the transitions of a watched operation that has run and ends where a decision is taken."""
@@ -262,6 +256,11 @@ class Moments:
             targets = digits(self._encoding, states) | {digit: 0}
             for held in range(1, self._encoding.sizes[digit]):
                 yield Transition.of(self._encoding, command(operation, ending), {**where, digit: (held,)}, targets)
+
+
+def _writing(locks: Locks) -> Locks:
+    """Return the locks that a commit needs."""
+    return locks[0], frozenset()
 
 
 def _sorted(locks: Locks) -> tuple[list[str], list[str]]:

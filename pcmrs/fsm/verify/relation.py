@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,14 +22,14 @@ class Relation:
         shifts: Number that each transition adds to the code, those of the first decision first.
     """
 
-    def __init__(self, counts: NDArray[np.int64], shifts: NDArray[np.int64]) -> None:
+    def __init__(self, counts: NDArray[np.integer[Any]], shifts: Codes) -> None:
         self.counts = counts
         self._shifts = shifts
         self._first = np.cumsum(counts) - counts
 
     def mark(self, decisions: Decisions) -> Mask:
         """Return a mask of the joint states in which any of the transitions can be taken."""
-        found: Mask = (self.counts > 0)[decisions].any(axis=0)
+        found: Mask = np.logical_or.reduce((self.counts > 0)[decisions], axis=0)
         return found
 
     def edges(self, codes: Codes, decisions: Decisions, where: NDArray[np.bool_] | None = None) -> Edges:

@@ -121,8 +121,8 @@ class _Runs:
         return found
 
 
-BATCH = 2**14
-"""Codes that are examined together: their digits and the decisions there take some MB."""
+BATCH = 2**12
+"""Codes that are examined together: their transitions take some MB."""
 
 Progress = Callable[[int, int], None]
 """Called with the numbers of joint states that have been examined and that are known."""

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, OperationSpec
-from pcmrs.fsm.verify.decision import Decision, decide
-from pcmrs.fsm.verify.encoding import MAX_COMBINATIONS, Batch, Codes, Encoding
+from pcmrs.fsm.verify.decision import Decider, Decision, Locks
+from pcmrs.fsm.verify.encoding import MAX_COMBINATIONS, Batch, Codes, Encoding, Mask
 from pcmrs.fsm.verify.forest import Decisions, Forest
 from pcmrs.fsm.verify.relation import Edges, Relation
 from pcmrs.fsm.verify.search import Progress, SearchLimitError, search
@@ -73,7 +73,7 @@ class Space:
         check_encodable(self.encoding)
         # A closure that depends on the order of the branches differs, as a rule, in the reverse order.
         other = msgspec.structs.replace(blueprint, branches=dict(reversed(blueprint.branches.items())))
-        self._orders = (blueprint, other)
+        self._decider = Decider(blueprint, other)
         self.operations = [
             Operation(name, operation, spec)
             for name, branch in blueprint.branches.items()
@@ -119,16 +119,28 @@ class Space:
             wanted: Says of which operations.
             declared: Only those that end as declared.
         """
-        chosen = [wanted(operation) for operation in self.operations]
-        counts, shifts = self._endings()
-        taken = [
-            chosen[operation] and (ending in decision.declared or not declared)
-            for operation, decision in self.numbered
-            for ending in decision.endings
+        chosen = np.array([wanted(operation) for operation in self.operations], dtype=np.bool_)
+        decision, is_declared = self._taken
+        operation = np.array([number for number, _ in self.numbered], dtype=np.int64)
+        mask = chosen[operation[decision]] & (is_declared | (not declared))
+        return Relation(np.bincount(decision[mask], minlength=len(self.numbered)), self._endings()[1][mask])
+
+    @cached_property
+    def _taken(self) -> tuple[NDArray[np.int64], Mask]:
+        """Number of the decision of each transition, and a mask of those that end as declared."""
+        declared = [name in decision.declared for _, decision in self.numbered for name in decision.endings]
+        counts = self._endings()[0]
+        return np.repeat(np.arange(len(counts)), counts), np.array(declared, dtype=np.bool_)
+
+    @cached_property
+    def kinds(self) -> tuple[list[tuple[Operation, Locks]], NDArray[np.int64]]:
+        """Operations with the locks that each may take, and which of them each decision means; -1 if it is denied."""
+        found: dict[tuple[int, Locks], int] = {}
+        of = [
+            found.setdefault((number, decision.locks), len(found)) if decision.accepted else -1
+            for number, decision in self.numbered
         ]
-        mask = np.array(taken, dtype=np.bool_)
-        decision = np.repeat(np.arange(len(counts)), counts)
-        return Relation(np.bincount(decision[mask], minlength=len(counts)), shifts[mask])
+        return [(self.operations[number], locks) for number, locks in found], np.array(of, dtype=np.int64)
 
     @cached_property
     def all(self) -> Relation:
@@ -181,7 +193,7 @@ class Space:
             text = "The operations depend on too many combinations of the states of several branches: "
             raise SearchLimitError(f"{text}reduce the states, or let commands touch fewer branches.")
         operation = self.operations[number]
-        decision = decide(self._orders, self.encoding.decoded(code), operation.branch, operation.operation)
+        decision = self._decider.decide(self.encoding.decoded(code), operation.branch, operation.operation)
         self._counts.append(len(decision.endings))
         self._shifts.extend(self._shift(decision.seen, targets) for targets in decision.endings.values())
         return decision
@@ -197,7 +209,7 @@ class Space:
         new = range(len(self._order), len(self.numbered))
         if new:
             # Findings name the first decision of a kind: the order must not depend on how the trees have grown.
-            self._order += sorted(new, key=lambda number: (self.numbered[number][0], self._forest.path(number)))
+            self._order += sorted(new, key=lambda number: (self.numbered[number][0], self._forest.paths[number]))
             for operation, decision in (self.numbered[number] for number in self._order[new.start :]):
                 self.operations[operation].known.append(decision)
             self._relation = Relation(*self._endings())

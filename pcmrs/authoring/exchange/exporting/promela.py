@@ -10,7 +10,7 @@ from pcmrs.authoring.exchange.cubes import Cube, merge
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.behaviour import operations
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, Condition, PropertySpec, Requirement
-from pcmrs.fsm.verify.decision import Decision, decide
+from pcmrs.fsm.verify.decision import Decider, Decision
 
 MAX_DECISIONS = 5_000
 """Limit of combinations that the operations depend on; a larger model could neither be read nor compiled."""
@@ -143,10 +143,11 @@ def _ways(blueprint: Blueprint) -> Iterator[_Way]:
 
 def _decisions(blueprint: Blueprint, branch: str, operation: str) -> Iterator[Decision]:
     """Return every decision of an operation in whatever states; no search has to have found them."""
+    decider = Decider(blueprint)
     waiting: list[dict[str, str]] = [{}]
     while waiting:
         fixed = waiting.pop()
-        decision = decide([blueprint], {**blueprint.initial(), **fixed}, branch, operation)
+        decision = decider.decide({**blueprint.initial(), **fixed}, branch, operation)
         yield decision
         before: dict[str, str] = {}
         for name, state in decision.seen.items():

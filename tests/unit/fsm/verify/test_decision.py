@@ -11,7 +11,7 @@ from pcmrs.fsm.behaviour import branch_states, endings, operations
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.closure import Closure, close
 from pcmrs.fsm.files.load import read_blueprint
-from pcmrs.fsm.verify.decision import Decision, decide
+from pcmrs.fsm.verify.decision import Decider, Decision
 from tests.support.trials import examples
 from tests.unit.fsm.large_blueprints import free
 from tests.unit.fsm.random_blueprints import blueprints
@@ -22,9 +22,10 @@ from tests.unit.fsm.verify.joint_state_oracle import answer_in, levels
 @given(blueprints())
 def test_an_answer_depends_on_nothing_but_what_was_seen(blueprint: Blueprint) -> None:
     everywhere = [branch_states(blueprint, joint) for joint in levels(blueprint)]
+    decider = Decider(blueprint)
     for branch, operation, _ in operations(blueprint):
         for states in everywhere[:5]:
-            decision = decide([blueprint], states, branch, operation)
+            decision = decider.decide(states, branch, operation)
             alike = [other for other in everywhere if decision.seen.items() <= other.items()]
             assert states in alike
             for other in alike:
@@ -52,16 +53,17 @@ def check_answer(decision: Decision, blueprint: Blueprint, states: dict[str, str
 @given(blueprints())
 def test_order_matters_if_both_orders_differ(blueprint: Blueprint) -> None:
     other = msgspec.structs.replace(blueprint, branches=dict(reversed(blueprint.branches.items())))
+    decider = Decider(blueprint, other)
     for states in [branch_states(blueprint, joint) for joint in levels(blueprint)][:8]:
         for branch, operation, _ in operations(blueprint):
             results = [answer_in(each, states, branch, operation) for each in (blueprint, other)]
-            assert decide([blueprint, other], states, branch, operation).ordered == (results[0] != results[1])
+            assert decider.decide(states, branch, operation).ordered == (results[0] != results[1])
 
 
 def test_operations_of_free_branches_see_only_their_own() -> None:
     blueprint = free(5, 3)
     for branch, operation, _ in operations(blueprint):
-        assert set(decide([blueprint], blueprint.initial(), branch, operation).seen) == {branch}
+        assert set(Decider(blueprint).decide(blueprint.initial(), branch, operation).seen) == {branch}
 
 
 def test_an_effect_that_depends_on_branch_order_is_marked() -> None:
@@ -71,6 +73,6 @@ def test_an_effect_that_depends_on_branch_order_is_marked() -> None:
     assert blueprint is not None
     orders = (blueprint, msgspec.structs.replace(blueprint, branches=dict(reversed(blueprint.branches.items()))))
     lit = {"door": "closed", "lamp": "lit", "bell": "quiet"}
-    assert decide(orders, lit, "door", "open").ordered
-    assert not decide(orders, lit | {"lamp": "dark"}, "door", "open").ordered
-    assert not decide(orders[:1], lit, "door", "open").ordered
+    assert Decider(*orders).decide(lit, "door", "open").ordered
+    assert not Decider(*orders).decide(lit | {"lamp": "dark"}, "door", "open").ordered
+    assert not Decider(*orders[:1]).decide(lit, "door", "open").ordered
