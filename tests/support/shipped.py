@@ -35,11 +35,14 @@ def shipped_blueprint(name: str) -> Blueprint:
 
 @cache
 def shipped_workflow(name: str) -> Workflow[Cell, PlacementData]:
-    """Return a workflow ready to run, verified. It takes seconds at first: call it in a test or a fixture."""
-    # Imported here, because it loads all that operations need, and most tests of a blueprint need nothing of that.
-    from pcmrs.workflows.opening import open_workflow
+    """Return a workflow ready to run; `test_shipped_workflows_are_sound` verifies its blueprint.
 
-    workflow = open_workflow(name)
+    It loads all that operations need: call it in a test or a fixture.
+    """
+    # Imported here, because it loads all that operations need, and most tests of a blueprint need nothing of that.
+    from pcmrs.workflows.opening import open_verified
+
+    workflow = open_verified(name, shipped_blueprint(name))
     registry = workflow.registry
     frozen: Any = {"checks": MappingProxyType(registry.checks), "steps": MappingProxyType(registry.steps)}
     return replace(workflow, registry=replace(registry, **frozen))

@@ -15,19 +15,19 @@ from pcmrs.kinematics.collision import cylinder, hull, se3
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.sampled_clearance import BOUND
 from pcmrs.spatial import Transform
-from pcmrs.workflows.opening import open_workflow
 from pcmrs.workflows.paths import along_axis
 from pcmrs.workflows.settings import ProcedureSettings
 from pcmrs.workflows.surface import read_surface
 from pcmrs.workflows.zones import CellZones
 from tests import ROOT
+from tests.support.shipped import shipped_blueprint
 
 EXAMPLES = ROOT / "examples"
 
 
 @pytest.mark.parametrize("name", ["ratms", "femoroplasty"])
 def test_example_tools_keep_off_the_body_until_in_the_cone(name: str) -> None:
-    defaults = merge_tables({"procedure": {}}, open_workflow(name).blueprint.defaults)
+    defaults = merge_tables({"procedure": {}}, shipped_blueprint(name).defaults)
     own = msgspec.convert(defaults["procedure"], ProcedureSettings)
     surface = read_surface(own)
     assert surface is not None
