@@ -49,6 +49,12 @@ def mesh() -> Mesh:
     return read_mesh(find_surface(BodySettings(surface="head_phantom.ply")), "m", "RAS")
 
 
+@cache
+def sparse_mesh() -> Mesh:
+    """A tenth of the triangles, which are drawn in a tenth of the time."""
+    return Mesh(mesh().vertices, mesh().faces[::10])
+
+
 class Maker:
     """Gives pulses and keeps them."""
 

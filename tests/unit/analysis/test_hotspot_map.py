@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -22,17 +23,23 @@ def mesh() -> Mesh:
     return read_mesh(ROOT / "examples" / "head_phantom.ply", "m", "RAS")
 
 
+@pytest.fixture(scope="module")
+def sparse(mesh: Mesh) -> Mesh:
+    """A tenth of the triangles: drawing all of them takes seconds, and `test_session_folder` does."""
+    return Mesh(mesh.vertices, mesh.faces[::10])
+
+
 @pytest.mark.parametrize("amplitudes", [(10e-6,), (10e-6, 80e-6, 1e-3)])
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_a_search_is_drawn_with_and_without_a_response(
-    mesh: Mesh, amplitudes: tuple[float, ...], side: str, tmp_path: Path
+    mesh: Mesh, sparse: Mesh, amplitudes: tuple[float, ...], side: Literal["right", "left"], tmp_path: Path
 ) -> None:
     closest = TriangleSurface(mesh.vertices, mesh.faces).closest
-    centre = hand_area(closest, mesh.vertices[np.argmax(mesh.vertices[:, 2])], "right" if side == "right" else "left")
+    centre = hand_area(closest, mesh.vertices[np.argmax(mesh.vertices[:, 2])], side)
     search = HotspotSearch.begin(HotspotSettings(rings=1), closest, centre)
     for amplitude in amplitudes:
         search = search.after(search.next(), amplitude)
-    figure = hotspot_figure(mesh, search, "a search")
+    figure = hotspot_figure(sparse, search, "a search")
     labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
     assert ("estimate" in labels) == search.responded
     assert "true hot-spot" not in labels

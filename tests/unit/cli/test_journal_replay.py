@@ -10,7 +10,7 @@ import pytest
 from tests import TESTS
 from tests.unit.cli.journals import journal_command
 
-GOLDEN = TESTS / "unit" / "replay" / "golden" / "femoroplasty.jsonl"
+GOLDEN = TESTS / "unit" / "replay" / "golden" / "ratms.jsonl"
 
 
 def test_the_summary_counts_what_was_repeated() -> None:

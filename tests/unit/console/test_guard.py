@@ -14,7 +14,8 @@ from urllib.request import HTTPCookieProcessor, build_opener
 import pytest
 
 from pcmrs.cli.running import EXIT_BAD_CONFIGURATION
-from pcmrs.console.guard import cookie_name
+from pcmrs.console.guard import Guard, cookie_name
+from pcmrs.errors import ConfigurationError
 from pcmrs.testing.daemon import free_port
 from tests.system.console.consoles import console
 
@@ -98,10 +99,21 @@ def test_a_browser_can_be_signed_in_to_two_consoles_of_one_host(address: tuple[s
                 assert page.status == 200
 
 
-@pytest.mark.parametrize("token", ["", "\n", "nineteen-characters"])
-def test_a_token_that_could_be_guessed_opens_no_console(tmp_path: Path, token: str) -> None:
+async def nothing(*_: object) -> None:
+    """An application."""
+
+
+@pytest.mark.parametrize("token", ["", "nineteen-characters"])
+def test_a_token_that_could_be_guessed_is_refused(token: str) -> None:
+    with pytest.raises(ConfigurationError, match="minimum is 20") as refused:
+        Guard(nothing, token, [])
+    assert refused.value.fields == {"characters": len(token), "limit": 20}
+    Guard(nothing, "the-twenty-character", [])
+
+
+def test_a_token_that_could_be_guessed_opens_no_console(tmp_path: Path) -> None:
     file = tmp_path / "token"
-    file.write_text(token)
+    file.write_text("nineteen-characters\n")  # the end of the line is none of its characters
     file.chmod(0o600)
     words = ["--endpoint", f"tcp/127.0.0.1:{free_port()}", "--port", "0", "--token-file", str(file)]
     ended = subprocess.run([sys.executable, "-m", "pcmrs.cli", "console", *words], capture_output=True, text=True)

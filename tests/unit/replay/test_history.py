@@ -15,7 +15,7 @@ from pcmrs.dispatcher import Workflow
 from pcmrs.errors import ReplayError
 from pcmrs.journal import JournalRow, StoredRow
 from pcmrs.replay.history import CarryOver, DaemonRun, closes_earlier_run, read_runs
-from pcmrs.workflows.opening import open_installed
+from tests.support.shipped import shipped_workflow
 from tests.unit.replay.golden import GOLDEN, WORKFLOWS
 from tests.unit.report.report_journals import golden_rows, write_journal
 
@@ -75,7 +75,7 @@ def carried(workflow: Workflow[Any, Any], runs: list[DaemonRun]) -> list[tuple[s
 
 
 def test_operations_of_a_killed_run_must_be_closed_by_the_next() -> None:
-    workflow, (first, second) = open_installed(KILLED), read_runs(GOLDEN / f"{KILLED}.jsonl")
+    workflow, (first, second) = shipped_workflow(KILLED), read_runs(GOLDEN / f"{KILLED}.jsonl")
     assert carried(workflow, [first, second]) == []
     closing = [stored for stored in second.rows if closes_earlier_run(stored)]
     assert closing
@@ -92,7 +92,7 @@ def _with_row(stored: StoredRow, row: JournalRow) -> StoredRow:
 
 
 def test_a_run_starts_with_the_registration_of_the_one_before() -> None:
-    workflow, carry_over = open_installed("ratms"), CarryOver()
+    workflow, carry_over = shipped_workflow("ratms"), CarryOver()
     assert carry_over.with_state(workflow).initial.previous is None
     first = read_runs(RATMS)[0]
     carry_over.end(first, workflow)
@@ -104,7 +104,7 @@ def test_a_run_starts_with_the_registration_of_the_one_before() -> None:
 
 
 def test_data_of_another_program_are_refused() -> None:
-    workflow, carry_over = open_installed("ratms"), CarryOver()
+    workflow, carry_over = shipped_workflow("ratms"), CarryOver()
     carry_over.state = msgspec.structs.replace(carry_over.state, taken_back={"previous": {"colour": 1}})
     with pytest.raises(ReplayError, match="cannot read"):
         carry_over.with_state(workflow)

@@ -13,15 +13,15 @@ from click.testing import CliRunner
 
 from pcmrs.cli import main
 from pcmrs.clock import SystemClock
+from pcmrs.dispatcher import Workflow
 from pcmrs.dispatcher.locks import LockManager
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.fsm.files.load import read_blueprint
-from pcmrs.replay import ReplayReport, replay
+from pcmrs.replay import ReplayReport
 from pcmrs.replay.history import read_runs
 from pcmrs.replay.replay import replay_runs
-from pcmrs.workflows.opening import open_workflow
 from tests.support.ratms_oracle import BLUEPRINT
-from tests.support.shipped import shipped_blueprint
+from tests.support.shipped import shipped_blueprint, shipped_workflow
 from tests.unit.replay.golden import GOLDEN, WORKFLOWS
 
 RATMS = GOLDEN / "ratms.jsonl"
@@ -45,18 +45,23 @@ BROKEN_RULES = {
 }
 
 
+def decided_again(journal: Path, workflow: Workflow[Any, Any]) -> ReplayReport:
+    return replay_runs(str(journal), read_runs(journal), lambda _: workflow, SystemClock())
+
+
 def broken(old: str, new: str) -> ReplayReport:
     """The golden journal of RATMS, decided by a blueprint with another text, sound or not."""
     assert old in TEXT, "the mutation has no place any more"
     mutant, _ = read_blueprint(TEXT.replace(old, new).encode(), "mutant")
     assert mutant is not None
-    workflow = replace(open_workflow("ratms"), blueprint=mutant)
-    return replay_runs("mutant", read_runs(RATMS), lambda _: workflow, SystemClock())
+    return decided_again(RATMS, replace(shipped_workflow("ratms"), blueprint=mutant))
 
 
 @pytest.mark.parametrize("workflow", WORKFLOWS)
 def test_a_golden_journal_is_decided_again_as_it_was(workflow: str) -> None:
-    replayed = replay(GOLDEN / f"{workflow}.jsonl", SystemClock())
+    journal = GOLDEN / f"{workflow}.jsonl"
+    replayed = decided_again(journal, shipped_workflow(workflow))
+    assert {run.tag.hash for run in read_runs(journal)} == {shipped_blueprint(workflow).hash}
     assert replayed.differences == []
     assert replayed.runs == 2
     assert replayed.compared > 100
@@ -84,7 +89,7 @@ def test_a_broken_rule_of_the_dispatcher_is_found(
     where: type, name: str, instead: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(where, name, instead)
-    assert replay(RATMS, SystemClock()).differences
+    assert decided_again(RATMS, shipped_workflow("ratms")).differences
 
 
 def test_another_limit_is_found(tmp_path: Path) -> None:
@@ -96,7 +101,7 @@ def test_another_limit_is_found(tmp_path: Path) -> None:
             settings["procedure"]["registration"]["residual_limit_mm"] = 0.001
     changed = tmp_path / "changed.jsonl"
     changed.write_text("".join(f"{json.dumps(line)}\n" for line in lines))
-    found = replay(changed, SystemClock()).differences
+    found = decided_again(changed, shipped_workflow("ratms")).differences
     assert any("registration.register" in each.row and each.recorded == "accepted" for each in found)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pytest
+
 from tests.unit.report.report_journals import Row, altered, golden_rows, write_journal
 from tests.unit.report.report_page import page_of
 
@@ -40,6 +42,7 @@ def test_page_runs_and_loads_nothing_and_journal_text_is_text(tmp_path: Path) ->
     assert (tmp_path / "page.pdf").stat().st_size > 20_000
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_first_page_shows_unfinished_commands_and_open_stops(tmp_path: Path) -> None:
     rows = golden_rows("ratms")
     begun = next(number for number, row in enumerate(rows) if (row["kind"], row["operation"]) == ("intent", "confirm"))

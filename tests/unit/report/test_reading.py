@@ -16,6 +16,7 @@ COURSE, REGISTRATIONS, PLACEMENTS, REFUSALS, EVENTS = 6, 8, 9, 7, 5
 """Columns of the tables."""
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_landmarks_have_their_distances_and_gates_their_values(tmp_path: Path) -> None:
     rows = golden_rows("ratms")
     page = page_of(write_journal(rows[:40], tmp_path / "j.sqlite"))
@@ -31,6 +32,7 @@ def test_landmarks_have_their_distances_and_gates_their_values(tmp_path: Path) -
     assert float(cells[2]) == pytest.approx(gates["landmark_outlier"]["value"], rel=1e-3)
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_the_numbers_are_there_for_programs(tmp_path: Path) -> None:
     rows = golden_rows("grid_mapping")
     status, out, _ = run(write_journal(rows, tmp_path / "j.sqlite"), "-o", tmp_path / "page.html", "--json")
@@ -43,6 +45,7 @@ def test_the_numbers_are_there_for_programs(tmp_path: Path) -> None:
     assert [run["in_order"] for run in found["runs"]] == [False, True]
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_one_session_is_reported_without_any_other_patient(tmp_path: Path) -> None:
     def other_patient(row: Row) -> None:
         if row["kind"] == "config" and row["session_id"] == second:
@@ -65,6 +68,7 @@ def test_one_session_is_reported_without_any_other_patient(tmp_path: Path) -> No
     assert second in err
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_device_that_is_not_simulated_is_named(tmp_path: Path) -> None:
     def real(row: Row) -> None:
         if row["kind"] == "config":

@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.unit.replay.golden import WORKFLOWS
 from tests.unit.report.report_journals import Row, golden_rows, write_journal
 from tests.unit.report.report_page import name, outcomes, page_of, run, shown
 
-WORKFLOWS = ("ratms", "femoroplasty", "grid_mapping", "ratms_threshold")
+pytestmark = pytest.mark.usefixtures("without_figures")
+
 COURSE, REGISTRATIONS, PLACEMENTS, REFUSALS, EVENTS = 6, 8, 9, 7, 5
 """Columns of the tables."""
 

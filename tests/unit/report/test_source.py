@@ -13,6 +13,8 @@ from tests.unit.report.damage import turn_bit
 from tests.unit.report.report_journals import golden_rows, write_journal
 from tests.unit.report.report_page import page_of, run
 
+pytestmark = pytest.mark.usefixtures("without_figures")
+
 
 def cut(journal: Path) -> None:
     with closing(sqlite3.connect(journal)) as database:

@@ -15,15 +15,13 @@ from tests.unit.tms.hunts import hunted, muscle, yes_or_no
 
 
 def brute_force(hunt: MotorThresholdEstimator) -> tuple[float, float, float]:
-    """Yes and no only: prior times cumulative Gaussians, value by value."""
+    """Yes and no only: prior times cumulative Gaussians."""
     prior = norm(hunt.settings.prior_mean, hunt.settings.prior_sd)
     grid = np.arange(4, 600) / 4.0
-    density = np.empty(len(grid))
-    for index, threshold in enumerate(grid):
-        density[index] = prior.pdf(threshold)
-        for pulse in hunt.pulses:
-            probability = norm.cdf(pulse.intensity, threshold, 0.07 * threshold)
-            density[index] *= probability if pulse.responded else 1.0 - probability
+    density = prior.pdf(grid)
+    for pulse in hunt.pulses:
+        probability = norm.cdf(pulse.intensity, grid, 0.07 * grid)
+        density *= probability if pulse.responded else 1.0 - probability
     shares = np.cumsum(density) / density.sum()
     return grid[np.argmax(density)], grid[np.argmax(shares >= 0.025)], grid[np.argmax(shares >= 0.975)]
 

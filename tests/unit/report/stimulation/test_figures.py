@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from pcmrs.report.stimulation.figures import draw_figures, placements_figure, responses_figure, waveforms_figure
-from tests.support.session_records import mesh, record
+from tests.support.session_records import record, sparse_mesh
 
 PICTURES = {"hotspot", "hunt", "responses", "waveforms", "placements"}
 
 
 def test_pictures_are_files(tmp_path: Path) -> None:
-    drawn = draw_figures(record(), mesh(), tmp_path)
+    drawn = draw_figures(record(), sparse_mesh(), tmp_path)
     assert set(drawn) == PICTURES
     for path in drawn.values():
         assert path.read_bytes().lstrip().startswith((b"\x89PNG", b"<?xml"))

@@ -13,7 +13,7 @@ from pcmrs.analysis.session import SessionRecord
 from pcmrs.report.pages import fixed
 from pcmrs.report.stimulation.figures import draw_figures
 from pcmrs.report.stimulation.page import minutes, plain, render_report
-from tests.support.session_records import mesh, nothing, record
+from tests.support.session_records import nothing, record, sparse_mesh
 
 PICTURES = {"hotspot", "hunt", "responses", "waveforms", "placements"}
 VOID = {"meta", "img", "br"}
@@ -116,7 +116,7 @@ def test_markup_in_a_record_is_shown_as_text() -> None:
 
 
 def test_it_needs_nothing_from_outside(tmp_path: Path) -> None:
-    shown = Page(render_report(record(), draw_figures(record(), mesh(), tmp_path)))
+    shown = Page(render_report(record(), draw_figures(record(), sparse_mesh(), tmp_path)))
     sources = [given[key] for _, given in shown.elements for key in ("src", "href") if key in given]
     assert len(sources) == len(PICTURES)
     assert all(source is not None and source.startswith("data:image/") for source in sources)
@@ -138,7 +138,7 @@ def test_it_says_that_a_session_is_incomplete() -> None:
 
 
 def test_nothing_is_a_report_too(tmp_path: Path) -> None:
-    assert draw_figures(nothing(), mesh(), tmp_path) == {}
+    assert draw_figures(nothing(), sparse_mesh(), tmp_path) == {}
     text = page(nothing()).text
     for expected in (
         "not registered",
