@@ -145,10 +145,11 @@ def _ways(blueprint: Blueprint) -> Iterator[_Way]:
 
 def _decisions(blueprint: Blueprint, branch: str, operation: str) -> Iterator[Decision]:
     """Return every decision of an operation in whatever states; no search has to have found them."""
+    initial = blueprint.initial()
     waiting: list[dict[str, str]] = [{}]
     while waiting:
         fixed = waiting.pop()
-        decision = decide([blueprint], {**blueprint.initial(), **fixed}, branch, operation)
+        decision = decide([blueprint], {**initial, **fixed}, branch, operation)
         yield decision
         before: dict[str, str] = {}
         for name, state in decision.seen.items():
