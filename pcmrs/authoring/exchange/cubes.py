@@ -56,23 +56,33 @@ def merge(cubes: Iterable[Cube], domains: Mapping[str, Iterable[str]]) -> list[C
         cubes: Cubes.
         domains: Branch to all its states.
     """
+    full = {branch: frozenset(domain) for branch, domain in domains.items()}
     merged: list[Cube] = []
     for cube in cubes:
         grown = cube
-        while (other := next((m for m in merged if _joined(m, grown, domains) is not None), None)) is not None:
-            grown = _joined(other, grown, domains) or {}
-            merged.remove(other)
+        while (found := _first_joined(merged, grown, full)) is not None:
+            index, grown = found
+            del merged[index]
         merged.append(grown)
     return merged
 
 
-def _joined(one: Cube, other: Cube, domains: Mapping[str, Iterable[str]]) -> Cube | None:
+def _first_joined(merged: Sequence[Cube], cube: Cube, full: Mapping[str, frozenset[str]]) -> tuple[int, Cube] | None:
+    """Return the first of some cubes that can be joined with another, by its index, and both as one cube."""
+    for index, other in enumerate(merged):
+        joined = _joined(other, cube, full)
+        if joined is not None:
+            return index, joined
+    return None
+
+
+def _joined(one: Cube, other: Cube, full: Mapping[str, frozenset[str]]) -> Cube | None:
     """Return both as one cube, or None if that would cover more than both."""
-    full = {branch: frozenset(domain) for branch, domain in domains.items()}
-    differing = [b for b in full if one.get(b, full[b]) != other.get(b, full[b])]
-    if len(differing) > 1:
-        return None
-    cube = dict(one)
-    for branch in differing:
-        cube[branch] = one.get(branch, full[branch]) | other.get(branch, full[branch])
+    cube = one
+    for branch, domain in full.items():
+        allowed, others = one.get(branch, domain), other.get(branch, domain)
+        if allowed != others:
+            if cube is not one:
+                return None
+            cube = {**one, branch: allowed | others}
     return {branch: allowed for branch, allowed in cube.items() if allowed != full[branch]}

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
+from functools import cache, partial
+from itertools import permutations
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import msgspec
@@ -28,19 +31,22 @@ def without(branch: str, operation: str, key: str) -> Blueprint:
     return changed(lambda branches: branches[branch]["operations"][operation].pop(key))
 
 
-def mutants() -> Iterator[tuple[str, Blueprint]]:
-    """The workflow without each requirement, set state, signal, event and revocation, one at a time."""
+@cache
+def mutants() -> Mapping[str, Callable[[], Blueprint]]:
+    """The workflow without each requirement, set state, signal, event and revocation, one at a time: name to maker."""
+    found: dict[str, Callable[[], Blueprint]] = {}
     for name, branch in shipped_blueprint("ratms").branches.items():
         for operation, spec in branch.operations.items():
             for key in ("requires", "sets", "signals", "event"):
                 if getattr(spec, key):
-                    yield f"{name}.{operation} without {key}", without(name, operation, key)
-    yield "no revocation", changed(lambda branches: branches["placement"].update(revocations=[]))
-    for by in ("registration", "toolplan"):
-        yield f"no revocation by {by}", revoked(by=[other for other in ("registration", "toolplan") if other != by])
+                    found[f"{name}.{operation} without {key}"] = partial(without, name, operation, key)
+    found["no revocation"] = partial(changed, lambda branches: branches["placement"].update(revocations=[]))
+    for by, other in permutations(("registration", "toolplan")):
+        found[f"no revocation by {by}"] = partial(revoked, by=[other])
     at_body = ("standoff", "placed", "following", "guided")
     for state in at_body:
-        yield f"{state} not revoked", revoked(**{"from": [each for each in at_body if each != state]})
+        found[f"{state} not revoked"] = partial(revoked, **{"from": [each for each in at_body if each != state]})
+    return MappingProxyType(found)
 
 
 def revoked(**keys: list[str]) -> Blueprint:

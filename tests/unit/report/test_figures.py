@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from xml.etree import ElementTree
 
 import msgspec
@@ -10,6 +11,7 @@ import pytest
 from pcmrs.report.contents import ReportedEvent, SessionReport
 from pcmrs.report.figures import draw_figures
 from pcmrs.report.reading import read_report
+from tests.unit.replay.golden import WORKFLOWS
 from tests.unit.report.report_journals import golden_rows, write_journal
 
 
@@ -32,6 +34,13 @@ def test_figures_are_drawn_twice_with_the_same_bytes(report: SessionReport) -> N
     assert set(first) == {"timeline", "landmarks", "errors", "placements"}
 
 
+@pytest.mark.nightly
+@pytest.mark.parametrize("workflow", WORKFLOWS)
+def test_figures_of_a_golden_journal_are_drawn(workflow: str, tmp_path: Path) -> None:
+    drawn = draw_figures(read_report(write_journal(golden_rows(workflow), tmp_path / "j.sqlite")))
+    assert set(drawn) == {"timeline", "landmarks", "errors", "placements"}
+
+
 def test_only_what_there_is_is_drawn(report: SessionReport) -> None:
     without = msgspec.structs.replace(report, registrations=(), placements=())
     assert set(draw_figures(without)) == {"timeline"}
@@ -44,26 +53,19 @@ def test_landmarks_are_named_as_in_the_plan_also_with_a_dollar(report: SessionRe
     last = report.registrations[-1]
     landmarks = (msgspec.structs.replace(last.landmarks[0], name="point $x_{"), *last.landmarks[1:])
     renamed = msgspec.structs.replace(last, landmarks=landmarks)
-    said = texts(draw_figures(msgspec.structs.replace(report, registrations=(renamed,)))["landmarks"])
+    said = texts(draw_figures(msgspec.structs.replace(report, registrations=(renamed,), placements=()))["landmarks"])
     assert "point $x {" in said
     assert f"mean {last.residual_mm:.2f} mm" in said
     for landmark in last.landmarks[1:]:
         assert landmark.name.replace("_", " ") in said
 
 
-@pytest.mark.parametrize(("kind", "label"), [("stop", "Stop"), ("fault", "fault")])
-def test_stops_and_faults_are_explained_where_there_are_any(report: SessionReport, kind: str, label: str) -> None:
-    event = ReportedEvent(
-        sequence=1,
-        wall=report.begun + 1.0,
-        kind=kind,  # type: ignore[arg-type]
-        source="robot",
-        code="x",
-        text="",
-        times=1,
-    )
-    runs = report.runs[:1]
-    with_one = msgspec.structs.replace(report, events=(event,), runs=runs)
-    without = msgspec.structs.replace(report, events=(), runs=runs)
-    assert label in texts(draw_figures(with_one)["timeline"]).split()
-    assert label not in texts(draw_figures(without)["timeline"]).split()
+def test_stops_and_faults_are_explained_where_there_are_any(report: SessionReport) -> None:
+    event = ReportedEvent(sequence=1, wall=report.begun + 1.0, kind="stop", source="robot", code="x", text="", times=1)
+    fault = msgspec.structs.replace(event, kind="fault")
+    cases: list[tuple[list[ReportedEvent], set[str]]] = [([], set()), ([event], {"Stop"}), ([fault], {"fault"})]
+    for events, labels in cases:
+        timeline = msgspec.structs.replace(
+            report, events=tuple(events), runs=report.runs[:1], registrations=(), placements=()
+        )
+        assert {"Stop", "fault"} & set(texts(draw_figures(timeline)["timeline"]).split()) == labels

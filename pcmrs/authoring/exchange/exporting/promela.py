@@ -143,11 +143,11 @@ def _ways(blueprint: Blueprint) -> Iterator[_Way]:
 
 def _decisions(blueprint: Blueprint, branch: str, operation: str) -> Iterator[Decision]:
     """Return every decision of an operation in whatever states; no search has to have found them."""
-    decider = Decider(blueprint)
+    decider, initial = Decider(blueprint), blueprint.initial()
     waiting: list[dict[str, str]] = [{}]
     while waiting:
         fixed = waiting.pop()
-        decision = decider.decide({**blueprint.initial(), **fixed}, branch, operation)
+        decision = decider.decide({**initial, **fixed}, branch, operation)
         yield decision
         before: dict[str, str] = {}
         for name, state in decision.seen.items():

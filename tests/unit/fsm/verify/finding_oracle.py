@@ -20,7 +20,7 @@ def found(blueprint: Blueprint, code: str) -> list[Finding]:
 
 
 def joint_states(blueprint: Blueprint) -> dict[int, list[States]]:
-    """The reachable joint states by the length of the shortest way there."""
+    """The reachable joint states by the length of the shortest way there, the nearest first."""
     by_length: dict[int, list[States]] = {}
     for joint, length in levels(blueprint).items():
         by_length.setdefault(length, []).append(branch_states(blueprint, joint))
@@ -47,8 +47,7 @@ def answers(blueprint: Blueprint, states: States, *, events: bool = True) -> lis
 
 
 def shortest(blueprint: Blueprint, wanted: Callable[[States], bool]) -> int | None:
-    lengths = (length for length, found in joint_states(blueprint).items() if any(map(wanted, found)))
-    return min(lengths, default=None)
+    return next((length for length, found in joint_states(blueprint).items() if any(map(wanted, found))), None)
 
 
 def check(blueprint: Blueprint, findings: list[Finding], wanted: Callable[[States], bool], extra: int = 0) -> None:
