@@ -21,7 +21,7 @@ def random_way(seed: int, samples: int = 40) -> Floats:
     return np.asarray(start + parts * turns[0] + parts**2 * turns[1])
 
 
-@run_counts(6, nightly=60)
+@run_counts(20, nightly=60)
 def test_distance_between_samples_falls_at_most_by_the_bound(runs: int) -> None:
     for seed in range(runs):
         model, way = zone_model(), random_way(seed)
@@ -38,7 +38,7 @@ def test_distance_between_samples_falls_at_most_by_the_bound(runs: int) -> None:
         assert np.all(finest >= least - bounds)
 
 
-@run_counts(6, nightly=60)
+@run_counts(20, nightly=60)
 def test_accepted_path_holds_at_ten_times_finer_samples(runs: int) -> None:
     for seed in range(runs):
         model, way = zone_model(), random_way(seed)
