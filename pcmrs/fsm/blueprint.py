@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
@@ -374,6 +375,37 @@ class Blueprint(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=
         return found
 
     @cached_property
+    def revocations_by(self) -> dict[str, list[tuple[str, RevocationSpec]]]:
+        """For each branch whose change revokes states, the branches and rules that it applies to, in their order."""
+        found: dict[str, list[tuple[str, RevocationSpec]]] = {}
+        for name, branch in self.branches.items():
+            for rule in branch.revocations:
+                for by in dict.fromkeys(rule.by):
+                    found.setdefault(by, []).append((name, rule))
+        return found
+
+    @cached_property
+    def examined(self) -> dict[tuple[str, str], frozenset[str]]:
+        """For each operation, the branches whose state decides on it: requirements and parents.
+
+        A retreat must not wait for other branches: which of its outcomes can be taken is checked when it ends.
+        """
+        found: dict[tuple[str, str], frozenset[str]] = {}
+        for name, branch in self.branches.items():
+            above = frozenset(self._ancestors(name))
+            for key, spec in branch.operations.items():
+                ends = () if spec.motion == "retreat" else spec.endings.values()
+                found[name, key] = above.union(spec.requires, *(ending.requires for ending in ends))
+        return found
+
+    def _ancestors(self, name: str) -> Iterator[str]:
+        """Return the branch that a branch refines, and so on."""
+        parent = self.branches[name].parent
+        while parent is not None:
+            yield parent.branch
+            parent = self.branches[parent.branch].parent
+
+    @cached_property
     def unlatching(self) -> list[str]:
         """The operations, ``branch.operation``, with which a user can release the latch that Stop has set."""
         return [
@@ -393,4 +425,4 @@ class Blueprint(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=
     @cached_property
     def revokers(self) -> frozenset[str]:
         """Branches whose change revokes a state of another: for example, a plan that changes while the robot moves."""
-        return frozenset(by for branch in self.branches.values() for rule in branch.revocations for by in rule.by)
+        return frozenset(self.revocations_by)

@@ -77,8 +77,8 @@ class Closure:
     reads: frozenset[str]
 
 
-class _DeniedError(Exception):
-    """Carries a denial out of a cascade; never leaves this module."""
+class DeniedError(Exception):
+    """Carries a denial out of a cascade; never leaves `pcmrs.fsm`."""
 
     def __init__(self, denial: Denial) -> None:
         super().__init__(denial.text)
@@ -90,6 +90,10 @@ Answer = OperationSpec | Denial
 
 Ask = Callable[[str, str, str], Answer]
 """Asks a state for an operation: (branch, state, operation) → its answer."""
+
+
+Follow = Callable[[Blueprint, Mapping[str, str], str, str, str, OperationSpec, Ask], Change]
+"""Follows a cascade, see `follow_cascade`."""
 
 
 def _as_declared(blueprint: Blueprint) -> Ask:
@@ -104,8 +108,41 @@ def _as_declared(blueprint: Blueprint) -> Ask:
     return ask
 
 
+def follow_cascade(
+    blueprint: Blueprint,
+    states: Mapping[str, str],
+    branch: str,
+    operation: str,
+    target: str,
+    spec: OperationSpec,
+    ask: Ask | None = None,
+) -> Change:
+    """Return everything that changes when an operation takes its branch to a state.
+
+    Args:
+        blueprint: The workflow.
+        states: The present joint state: branch to state.
+        branch: Branch of the operation.
+        operation: Name of the operation.
+        target: State that the branch is taken to.
+        spec: Declaration of the operation.
+        ask: See `close`.
+
+    Raises:
+        DeniedError: Some part of it is not allowed.
+    """
+    cascade = _Cascade(blueprint, dict(states), ask or _as_declared(blueprint))
+    cascade.perform("operation", branch, operation, target, spec)
+    return Change(cascade.states, tuple(cascade.effects))
+
+
 def close(
-    blueprint: Blueprint, states: Mapping[str, str], branch: str, operation: str, ask: Ask | None = None
+    blueprint: Blueprint,
+    states: Mapping[str, str],
+    branch: str,
+    operation: str,
+    ask: Ask | None = None,
+    follow: Follow = follow_cascade,
 ) -> Closure | Denial:
     """Work out the closure of a requested operation.
 
@@ -116,6 +153,7 @@ def close(
         operation: Any of its operations.
         ask: Function that says what is valid and how it is performed: a daemon's state objects; by default the
             blueprint.
+        follow: Function that follows a cascade; it may remember what follows.
 
     Returns:
         The closure, or why the branch's state or some other part of it does not allow it.
@@ -126,9 +164,7 @@ def close(
         return spec
 
     def change(target: Target) -> Change:
-        cascade = _Cascade(blueprint, dict(states), ask)
-        cascade.perform("operation", branch, operation, target_from(target, states[branch]), spec)
-        return Change(cascade.states, tuple(cascade.effects))
+        return follow(blueprint, states, branch, operation, target_from(target, states[branch]), spec, ask)
 
     # Requirements come first: of all denials, theirs alone can tell the user what to do.
     denial = unmet(states, spec.requires, spec.refusal, f"{branch}.{operation}")
@@ -142,13 +178,13 @@ def close(
                 outcomes[name] = change(ending.to)
         failure = change(spec.on_failure) if spec.on_failure else None
         unknown = change(spec.on_unknown) if spec.on_unknown else None
-    except _DeniedError as raised:
+    except DeniedError as raised:
         return raised.denial
     if not outcomes:
         return Denial("no_outcome", f"{branch}.{operation} cannot end in any declared way in this situation.")
     possible = [*outcomes.values(), *(each for each in (failure, unknown) if each is not None)]
     writes = frozenset({branch}).union(*(each.moved for each in possible))
-    return Closure(outcomes, failure, unknown, writes, _examined(blueprint, branch, spec) - writes)
+    return Closure(outcomes, failure, unknown, writes, blueprint.examined[branch, operation] - writes)
 
 
 def unmet(
@@ -185,21 +221,6 @@ def _with_remedies(blueprint: Blueprint, denial: Denial) -> Denial:
     return Denial(denial.code, denial.text + hint, denial.fields)
 
 
-def _examined(blueprint: Blueprint, branch: str, spec: OperationSpec) -> frozenset[str]:
-    """Branches whose state decides on the operation: requirements and parents.
-
-    A retreat must not wait for other branches: which of its outcomes can be taken is checked when it ends.
-    """
-    examined = set(spec.requires)
-    if spec.motion != "retreat":
-        examined.update(*(ending.requires for ending in spec.endings.values()))
-    parent = blueprint.branches[branch].parent
-    while parent is not None:
-        examined.add(parent.branch)
-        parent = blueprint.branches[parent.branch].parent
-    return frozenset(examined)
-
-
 class _Cascade:
     """Applies one outcome to a copy of the joint state and follows what it triggers."""
 
@@ -229,7 +250,7 @@ class _Cascade:
 
     def _move(self, kind: EffectKind, branch: str, operation: str, target: str) -> str:
         if len(self.effects) >= MAX_EFFECTS:
-            raise _DeniedError(Denial("cascade_too_long", f"{operation} triggers over {MAX_EFFECTS} effects."))
+            raise DeniedError(Denial("cascade_too_long", f"{operation} triggers over {MAX_EFFECTS} effects."))
         source = self.states[branch]
         self.states[branch] = target
         self.effects.append(Effect(kind, branch, operation, source, target))
@@ -246,7 +267,7 @@ class _Cascade:
         if isinstance(called, Denial):
             text = f"{branch} going to {target} would call {parent}.{operation}, which {parent} {state} does not allow."
             fields = {"branch": parent, "state": state, "operation": operation}
-            raise _DeniedError(Denial("parent_refuses", text, fields))
+            raise DeniedError(Denial("parent_refuses", text, fields))
         for ending in called.endings.values():
             self.perform("signal", parent, operation, target_from(ending.to, state), called)
 
@@ -263,14 +284,13 @@ class _Cascade:
         spec = self.blueprint.branches[child]
         if parent_state not in parent.compatible[spec.start]:
             text = f"{child} fits {parent.branch} {parent_state} neither as it is nor re-initiated."
-            raise _DeniedError(Denial("incompatible_child", text, {"branch": child, "parent_state": parent_state}))
+            raise DeniedError(Denial("incompatible_child", text, {"branch": child, "parent_state": parent_state}))
         self.perform("reinit", child, spec.rio or "", spec.start)
 
     def _set_by_this_command(self, child: str) -> bool:
         return any(effect.kind == "set" and effect.branch == child for effect in self.effects)
 
     def _revoke(self, changed: str) -> None:
-        for branch, spec in self.blueprint.branches.items():
-            for rule in spec.revocations:
-                if changed in rule.by and self.states[branch] in rule.from_:
-                    self.perform("revoke", branch, "", rule.to)
+        for branch, rule in self.blueprint.revocations_by.get(changed, ()):
+            if self.states[branch] in rule.from_:
+                self.perform("revoke", branch, "", rule.to)

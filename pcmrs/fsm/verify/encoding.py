@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from itertools import accumulate, pairwise
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from itertools import accumulate
 from math import prod
 from operator import mul
 from typing import Any
@@ -14,17 +15,14 @@ from numpy.typing import NDArray
 Codes = NDArray[np.int64]
 """Joint states as integers, shape (n,)."""
 
-Digits = NDArray[np.unsignedinteger[Any]]
-"""One digit of each of an array of codes, shape (n,)."""
-
 Rows = NDArray[np.intp]
 """Positions in an array of codes."""
 
+Mask = NDArray[np.bool_]
+"""True for some of an array of codes, shape (n,)."""
+
 MAX_COMBINATIONS = 2**62
 """More combinations than this cannot be distinguished by a 64-bit integer."""
-
-FEW = 8
-"""Number of a digit's values up to which comparing one by one is faster than sorting."""
 
 
 class Encoding:
@@ -39,7 +37,7 @@ class Encoding:
         self.names = list(values)
         self.values = [list(taken) for taken in values.values()]
         self.sizes = [len(taken) for taken in self.values]
-        self.weights = [1, *accumulate(self.sizes, mul)][:-1]
+        self.weights: list[int] = [1, *accumulate(self.sizes, mul)][:-1]
         self.combinations = prod(self.sizes)
         self.position = {name: digit for digit, name in enumerate(self.names)}
         self._value = [{value: index for index, value in enumerate(taken)} for taken in self.values]
@@ -53,6 +51,15 @@ class Encoding:
         """
         return self._value[self.position[name]][value]
 
+    def digit(self, code: int, position: int) -> int:
+        """Return one digit of a code.
+
+        Args:
+            code: The code.
+            position: Which digit.
+        """
+        return code // self.weights[position] % self.sizes[position]
+
     def code(self, values: Mapping[str, str]) -> int:
         """Return the number of a combination."""
         return sum(self.value(name, value) * self.weights[self.position[name]] for name, value in values.items())
@@ -64,7 +71,7 @@ class Encoding:
 
 
 class Batch:
-    """Some combinations, and those of their digits that have been needed.
+    """Some combinations, and what has been worked out for all of them.
 
     Args:
         encoding: Encoding of the codes.
@@ -74,72 +81,31 @@ class Batch:
     def __init__(self, encoding: Encoding, codes: Codes) -> None:
         self.codes = codes
         self._encoding = encoding
-        self._digits: dict[int, Digits] = {}
-        self._cache: dict[str, NDArray[np.bool_]] = {}
-        self._split: dict[int, list[tuple[int, Rows]]] = {}
+        self._cache: dict[str, NDArray[Any]] = {}
 
-    def digit(self, position: int) -> Digits:
-        """Return one digit of every code, shape (n,)."""
-        if position not in self._digits:
-            weight, size = self._encoding.weights[position], self._encoding.sizes[position]
-            # The fewest bits that hold the digit: mostly an eighth of the memory of the codes.
-            self._digits[position] = (self.codes // weight % size).astype(np.min_scalar_type(size - 1))
-        return self._digits[position]
+    @cached_property
+    def digits(self) -> NDArray[np.int64]:
+        """All digits of every code, shape (digits, n)."""
+        weights, sizes = (np.array(each)[:, None] for each in (self._encoding.weights, self._encoding.sizes))
+        found: NDArray[np.int64] = self.codes // weights % sizes
+        return found
 
-    def split(self, position: int, rows: Rows | None = None) -> Iterable[tuple[int, Rows]]:
-        """Return the values of one digit, and the rows that have each.
+    def cached(self, name: str, make: Callable[[Batch], NDArray[Any]]) -> NDArray[Any]:
+        """Return an array about this batch, made once for each name.
 
         Args:
-            position: Which digit.
-            rows: Rows to look at; all by default.
-        """
-        size = self._encoding.sizes[position]
-        if rows is not None:
-            return _parts(self.digit(position)[rows], rows, size)
-        if position not in self._split:
-            self._split[position] = list(_parts(self.digit(position), np.arange(len(self.codes)), size))
-        return self._split[position]
-
-    def rows_among(self, position: int, values: Sequence[int], rows: Rows | None = None) -> Rows:
-        """Return the rows in which one digit has one of some values.
-
-        Args:
-            position: Which digit.
-            values: Values of the digit.
-            rows: Rows to look at; all by default.
-        """
-        wanted = np.zeros(self._encoding.sizes[position], dtype=np.bool_)
-        wanted[list(values)] = True
-        if rows is None:
-            return np.flatnonzero(wanted[self.digit(position)])
-        return rows[wanted[self.digit(position)[rows]]]
-
-    def cached(self, name: str, ask: Callable[[Batch], NDArray[np.bool_]]) -> NDArray[np.bool_]:
-        """Return a mask of this batch, shape (n,), computed once for each name.
-
-        Args:
-            name: Key of the mask.
-            ask: Computes the mask.
+            name: Key of the array.
+            make: Makes the array.
         """
         if name not in self._cache:
-            self._cache[name] = ask(self)
+            self._cache[name] = make(self)
         return self._cache[name]
 
-    def matching(self, wanted: Mapping[str, Sequence[str]]) -> NDArray[np.bool_]:
+    def matching(self, wanted: Mapping[str, Sequence[str]]) -> Mask:
         """Return a mask of the combinations that have, for each digit named, one of the wanted values; shape (n,)."""
         found = np.ones(len(self.codes), dtype=np.bool_)
         for name, values in wanted.items():
             digit = self._encoding.position[name]
             allowed = np.array([value in values for value in self._encoding.values[digit]])
-            found &= allowed[self.digit(digit)]
+            found &= allowed[self.digits[digit]]
         return found
-
-
-def _parts(digits: Digits, rows: Rows, size: int) -> Iterator[tuple[int, Rows]]:
-    if size <= FEW:
-        yield from ((value, rows[digits == value]) for value in range(size))
-        return
-    # Stable, so that the rows of each value stay in order, nearest joint states first.
-    order = np.argsort(digits, kind="stable")
-    bounds = [0, *(np.flatnonzero(np.diff(digits[order])) + 1), len(digits)]
-    yield from ((int(digits[order[start]]), rows[order[start:end]]) for start, end in pairwise(bounds) if start < end)

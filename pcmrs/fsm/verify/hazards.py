@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcmrs.fsm.blueprint import BranchSpec, OperationSpec, Requirement, target_from
 from pcmrs.fsm.finding import Finding
-from pcmrs.fsm.verify.encoding import Batch, Codes
+from pcmrs.fsm.verify.encoding import Codes
 from pcmrs.fsm.verify.liveness import describe_state
+from pcmrs.fsm.verify.relation import Relation
 from pcmrs.fsm.verify.search import Reached, search, states_leading_to
-from pcmrs.fsm.verify.space import Space
+from pcmrs.fsm.verify.space import Operation, Space
 from pcmrs.fsm.verify.structure import path_of
-from pcmrs.fsm.verify.transition import Transition, TransitionTree
+from pcmrs.fsm.verify.transition import Paths
 
 
 def ways_back(space: Space) -> Iterator[Finding]:
@@ -39,7 +40,7 @@ def ways_back(space: Space) -> Iterator[Finding]:
             yield Finding(code="no_way_back", text=text, path=("branches", name))
             return
     wanted = space.reached.which(lambda batch: batch.matching(safe))
-    back = states_leading_to(space.reached, wanted, [each for each in space.transitions if each.intended])
+    back = states_leading_to(space.reached, wanted, space.leaving(space.intended))
     code = space.reached.first(lambda batch: ~back.has(batch.codes))
     if code is not None:
         where = " and ".join(f"{name} in {' or '.join(states)}" for name, states in safe.items())
@@ -58,26 +59,31 @@ def repetitions(space: Space) -> Iterator[Finding]:
 
 
 def _repetition(space: Space, branch: str, key: str, allowing: set[str]) -> Iterator[Finding]:
-    own = [each for each in space.transitions if (each.branch, each.operation) == (branch, key)]
-    others = [each for each in space.transitions if each.branch != branch or each.operation not in allowing]
-    accepted, onwards = TransitionTree(own), TransitionTree(others)
-    accepting = space.reached.which(accepted.mark)
-    again = _first_again(space, accepting, own, onwards, accepted)
+    def is_other(operation: Operation) -> bool:
+        return operation.branch != branch or operation.operation not in allowing
+
+    own = space.relation(lambda operation: (operation.branch, operation.operation) == (branch, key))
+    onwards = space.relation(is_other)
+    accepting = space.reached.which(lambda batch: own.mark(space.decided(batch)))
+    after = np.concatenate([space.following(own)(batch) for batch in space.reached.batches()])
+    again = _first_accepting(space, _search(space, after, onwards), own) if len(after) else None
     if again is None:
         return
     # A shortest counterexample begins at one of the nearest joint states from which the operation leads there.
-    back = states_leading_to(space.reached, np.array([again], dtype=np.int64), others)
-    for transition in own:
-        starts = _enabled(space, accepting, transition)
+    back = states_leading_to(space.reached, np.array([again], dtype=np.int64), space.leaving(onwards))
+    for transition in (each for operation, each in space.transitions() if operation.name == f"{branch}.{key}"):
+        starts = accepting[transition.holds(space.encoding, accepting)]
         showing = starts[back.has(starts + transition.shift)]
         if not len(showing):
             continue
         first = int(showing[0])
         found = _search(space, np.array([first + transition.shift], dtype=np.int64), onwards)
-        second = found.first(accepted.mark)
+        second = _first_accepting(space, found, own)
         if second is None:
             raise LookupError("a known joint state cannot be reached")
-        way = (*space.path_to(first), transition.command, *found.path_to(second, others))
+        others = [each for operation, each in space.transitions() if is_other(operation)]
+        paths = Paths(space.encoding, found.levels, others)
+        way = (*space.path_to(first), transition.command, *paths.path_to(second))
         text = f"{branch}.{key} is irreversible, and after it was done is accepted again in "
         text += (
             f"{describe_state(space, second)}: bar it there, or name it in `allows_again` of an operation in between."
@@ -86,38 +92,20 @@ def _repetition(space: Space, branch: str, key: str, allowing: set[str]) -> Iter
         return
 
 
-def _first_again(
-    space: Space,
-    accepting: Codes,
-    own: Sequence[Transition],
-    onwards: TransitionTree,
-    accepted: TransitionTree,
-) -> int | None:
-    """Return a joint state that accepts the operation again, reached without an operation that allows it."""
-    after = [_enabled(space, accepting, each) + each.shift for each in own]
-    if not after:
-        return None
-    return _search(space, np.unique(np.concatenate(after)), onwards).first(accepted.mark)
+def _first_accepting(space: Space, reached: Reached, own: Relation) -> int | None:
+    """Return one of the nearest joint states in which a transition can be taken."""
+    return reached.first(lambda batch: own.mark(space.decided(batch)))
 
 
-def _enabled(space: Space, codes: Codes, transition: Transition) -> Codes:
-    """Return those of the joint states in which the transition can be taken."""
-    return codes[TransitionTree([transition]).mark(Batch(space.encoding, codes))]
-
-
-def _search(space: Space, initial: Codes, onwards: TransitionTree) -> Reached:
-    limit = len(space.reached)
-    return search(space.encoding, initial, onwards.successors, limit=limit, within=space.reached.visited)
+def _search(space: Space, initial: Codes, onwards: Relation) -> Reached:
+    following, limit = space.following(onwards), len(space.reached)
+    return search(space.encoding, initial, following, limit=limit, within=space.reached.visited)
 
 
 def _before_any(space: Space) -> Reached:
     """Return the joint states that can be reached before anything has moved or affected the patient."""
-    harmless = TransitionTree(each for each in space.transitions if not _is_hazard(_spec(space, each)))
+    harmless = space.relation(lambda operation: not _is_hazard(operation.spec))
     return _search(space, space.reached.levels[0], harmless)
-
-
-def _spec(space: Space, transition: Transition) -> OperationSpec:
-    return space.blueprint.branches[transition.branch].operations[transition.operation]
 
 
 def _is_hazard(operation: OperationSpec) -> bool:
@@ -145,5 +133,5 @@ def _states_seen(space: Space, reached: Reached, branch: str) -> set[str]:
     states = space.encoding.values[digit]
     seen: NDArray[np.bool_] = np.zeros(len(states), dtype=np.bool_)
     for batch in reached.batches():
-        seen[batch.digit(digit)] = True
+        seen[batch.digits[digit]] = True
     return {state for state, found in zip(states, seen, strict=True) if found}

@@ -6,19 +6,16 @@ from collections.abc import Iterator
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcmrs.fsm.behaviour import line_of
 from pcmrs.fsm.blueprint import OperationSpec
-from pcmrs.fsm.closure import Closure
 from pcmrs.fsm.finding import Finding
-from pcmrs.fsm.verify.decision_tree import Decision, DecisionTree
-from pcmrs.fsm.verify.encoding import Batch
+from pcmrs.fsm.verify.decision import Decision
+from pcmrs.fsm.verify.encoding import Batch, Mask
 from pcmrs.fsm.verify.moments import Moments
 from pcmrs.fsm.verify.search import Progress, SearchBudget, states_leading_to
-from pcmrs.fsm.verify.space import Space
+from pcmrs.fsm.verify.space import Operation, Space
 from pcmrs.fsm.verify.structure import path_of
-from pcmrs.fsm.verify.transition import Transition, TransitionTree
 
 
 class TimedOperations:
@@ -68,24 +65,24 @@ def stranded(moments: Moments, name: str) -> Iterator[Finding]:
         yield Finding(code="cannot_conclude", text=text, path=path_of(name), commands=moments.path_to(code))
 
 
-def _may_be_denied_at_its_end(operation: DecisionTree) -> bool:
+def _may_be_denied_at_its_end(operation: Operation) -> bool:
     """Return true if two joint states with the same states of its locked branches may differ in their answer to it."""
-    accepted = [decision for decision in operation.known if isinstance(decision.answer, Closure)]
-    denied = [decision for decision in operation.known if not isinstance(decision.answer, Closure)]
+    accepted = [decision for decision in operation.known if decision.accepted]
+    denied = [decision for decision in operation.known if not decision.accepted]
     return any(_alike(one, other) for one in accepted for other in denied)
 
 
 def _alike(accepted: Decision, denied: Decision) -> bool:
     # Locked branches cannot change while the operation runs; only the others may differ between start and end.
-    locked = accepted.answer.writes | accepted.answer.reads if isinstance(accepted.answer, Closure) else frozenset()
-    both = locked & accepted.seen.keys() & denied.seen.keys()
+    writes, reads = accepted.locks
+    both = (writes | reads) & accepted.seen.keys() & denied.seen.keys()
     return all(accepted.seen[branch] == denied.seen[branch] for branch in both)
 
 
 def deadlocks(space: Space) -> Iterator[Finding]:
     """Find a joint state short of the goal in which a user may ask for nothing; device events do not count."""
-    user_transitions = TransitionTree(each for each in space.transitions if not _operation(space, each).event)
-    code = space.reached.first(lambda batch: ~_at_goal(space, batch) & ~user_transitions.mark(batch))
+    by_user = space.relation(lambda operation: not operation.spec.event)
+    code = space.reached.first(lambda batch: ~_at_goal(space, batch) & ~by_user.mark(space.decided(batch)))
     if code is not None:
         text = f"No operation is accepted in {describe_state(space, code)}: add one that leads out of it, or a goal."
         yield _after(space, "deadlock", text, code)
@@ -101,7 +98,7 @@ def goals(space: Space) -> Iterator[Finding]:
         return
     wanted = " and ".join(f"{branch} in {' or '.join(states)}" for branch, states in goal.items())
     seeds = space.reached.which(lambda batch: batch.matching(goal))
-    open_ = states_leading_to(space.reached, seeds, [each for each in space.transitions if each.intended])
+    open_ = states_leading_to(space.reached, seeds, space.leaving(space.intended))
     if not open_.has(space.reached.levels[0]).all():
         text = f"No sequence of commands that end as declared leads to the goal: {wanted}."
         yield Finding(code="goal_unreachable", text=text, path=("goal",))
@@ -119,9 +116,10 @@ def releases(space: Space) -> Iterator[Finding]:
     blueprint = space.blueprint
     if not any(operation.spec.blocked_when_latched for operation in space.operations):
         return
-    allowed = [each for each in space.transitions if each.intended and not _operation(space, each).blocked_when_latched]
-    releasing = TransitionTree(each for each in allowed if f"{each.branch}.{each.operation}" in blueprint.unlatching)
-    open_ = states_leading_to(space.reached, space.reached.which(releasing.mark), allowed)
+    allowed = space.relation(lambda operation: _is_allowed_by_latch(operation.spec), declared=True)
+    releasing = space.relation(lambda operation: operation.name in blueprint.unlatching, declared=True)
+    seeds = space.reached.which(lambda batch: releasing.mark(space.decided(batch)))
+    open_ = states_leading_to(space.reached, seeds, space.leaving(allowed))
     code = space.reached.first(lambda batch: ~open_.has(batch.codes))
     if code is not None:
         release = " or ".join(blueprint.unlatching)
@@ -129,8 +127,8 @@ def releases(space: Space) -> Iterator[Finding]:
         yield _after(space, "no_release", text, code)
 
 
-def _operation(space: Space, transition: Transition) -> OperationSpec:
-    return space.blueprint.branches[transition.branch].operations[transition.operation]
+def _is_allowed_by_latch(operation: OperationSpec) -> bool:
+    return not (operation.event or operation.blocked_when_latched)
 
 
 def describe_state(space: Space, code: int) -> str:
@@ -143,7 +141,7 @@ def describe_state(space: Space, code: int) -> str:
     return line_of(space.encoding.decoded(code))
 
 
-def _at_goal(space: Space, batch: Batch) -> NDArray[np.bool_]:
+def _at_goal(space: Space, batch: Batch) -> Mask:
     if not space.blueprint.goal:
         return np.zeros(len(batch.codes), dtype=np.bool_)
     return batch.matching(space.blueprint.goal)

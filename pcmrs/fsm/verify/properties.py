@@ -6,16 +6,15 @@ from collections.abc import Callable, Iterator
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from pcmrs.fsm.blueprint import Condition, PropertySpec
 from pcmrs.fsm.finding import Finding
-from pcmrs.fsm.verify.encoding import Batch
+from pcmrs.fsm.verify.encoding import Batch, Mask
 from pcmrs.fsm.verify.liveness import TimedOperations, stranded
 from pcmrs.fsm.verify.moments import STOP, Moments
 from pcmrs.fsm.verify.search import Visited
 
-Wanted = Callable[[Batch], NDArray[np.bool_]]
+Wanted = Callable[[Batch], Mask]
 """Mask of the moments of a batch that match; shape (n,)."""
 
 Specs = dict[int, PropertySpec]

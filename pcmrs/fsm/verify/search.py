@@ -1,15 +1,15 @@
-"""Breadth-first search in arrays, the shortest paths to what it has found, and the budget of all searches."""
+"""Breadth-first search in arrays, forwards and backwards, and the budget of all searches."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from functools import cached_property
 from typing import Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pcmrs.fsm.verify.encoding import Batch, Codes, Encoding
-from pcmrs.fsm.verify.transition import Transition, TransitionTree
+from pcmrs.fsm.verify.encoding import Batch, Codes, Encoding, Mask, Rows
+from pcmrs.fsm.verify.relation import Edges
 
 MOMENTS_PER_STATE = 32
 """Moments that all searches may examine together, for each joint state of the limit."""
@@ -71,10 +71,10 @@ class Visited(Protocol):
     """A set of codes that is fast to query and to extend."""
 
     def add(self, codes: Codes) -> Codes:
-        """Add codes, none of them twice in the array, and return those that are new."""
+        """Add codes and return those that are new, sorted, none of them twice."""
         ...
 
-    def has(self, codes: Codes) -> NDArray[np.bool_]:
+    def has(self, codes: Codes) -> Mask:
         """Return a mask of the codes that are in the set, shape (n,)."""
         ...
 
@@ -89,11 +89,11 @@ class _Bitmap:
         self._bytes = np.zeros(combinations, dtype=np.bool_)
 
     def add(self, codes: Codes) -> Codes:
-        new: Codes = codes[~self._bytes[codes]]
+        new: Codes = np.unique(codes[~self._bytes[codes]])
         self._bytes[new] = True
         return new
 
-    def has(self, codes: Codes) -> NDArray[np.bool_]:
+    def has(self, codes: Codes) -> Mask:
         return self._bytes[codes]
 
 
@@ -104,16 +104,16 @@ class _Runs:
         self._runs: list[Codes] = []
 
     def add(self, codes: Codes) -> Codes:
-        new: Codes = codes[~self.has(codes)]
+        new: Codes = np.unique(codes[~self.has(codes)])
         if len(new):
-            self._runs.append(np.sort(new))
+            self._runs.append(new)
         # Merging runs of similar length keeps their number logarithmic, and the cost of each code, too.
         while len(self._runs) > 1 and len(self._runs[-2]) < 2 * len(self._runs[-1]):
             last = self._runs.pop()
             self._runs[-1] = np.sort(np.concatenate([self._runs[-1], last]), kind="stable")
         return new
 
-    def has(self, codes: Codes) -> NDArray[np.bool_]:
+    def has(self, codes: Codes) -> Mask:
         found = np.zeros(len(codes), dtype=np.bool_)
         for run in self._runs:
             place = np.minimum(np.searchsorted(run, codes), len(run) - 1)
@@ -121,8 +121,8 @@ class _Runs:
         return found
 
 
-BATCH = 2**17
-"""Codes that are examined together: their digits take a few MB."""
+BATCH = 2**12
+"""Codes that are examined together: their transitions take some MB."""
 
 Progress = Callable[[int, int], None]
 """Called with the numbers of joint states that have been examined and that are known."""
@@ -159,13 +159,18 @@ class Reached:
 
     def batches(self) -> Iterator[Batch]:
         """Return all of them, nearest first."""
-        return _batches(self.encoding, np.concatenate(self.levels))
+        # Most workflows have a single batch: what is worked out about it then serves all checks.
+        return iter([self._single]) if len(self) <= BATCH else _batches(self.encoding, np.concatenate(self.levels))
 
-    def first(self, wanted: Callable[[Batch], NDArray[np.bool_]]) -> int | None:
+    @cached_property
+    def _single(self) -> Batch:
+        return Batch(self.encoding, np.concatenate(self.levels))
+
+    def first(self, wanted: Callable[[Batch], Mask]) -> int | None:
         """Return one of the nearest codes that are wanted, or None."""
         return self.firsts({None: wanted}).get(None)
 
-    def firsts(self, wanted: Mapping[Key, Callable[[Batch], NDArray[np.bool_]]]) -> dict[Key, int]:
+    def firsts(self, wanted: Mapping[Key, Callable[[Batch], Mask]]) -> dict[Key, int]:
         """Return one of the nearest codes of each kind, found in one pass; kinds without any are left out."""
         found: dict[Key, int] = {}
         for batch in self.batches():
@@ -177,30 +182,15 @@ class Reached:
                 break
         return found
 
-    def which(self, wanted: Callable[[Batch], NDArray[np.bool_]]) -> Codes:
+    def which(self, wanted: Callable[[Batch], Mask]) -> Codes:
         """Return all codes that are wanted."""
         return np.concatenate([batch.codes[wanted(batch)] for batch in self.batches()])
-
-    def path_to(self, code: int, transitions: Iterable[Transition]) -> tuple[str, ...]:
-        """Return the commands of a shortest path from the initial code.
-
-        Args:
-            code: Code to reach.
-            transitions: All transitions that the search has taken.
-        """
-        back = TransitionTree(transition.backward() for transition in transitions if transition.shift)
-        length = next(n for n, level in enumerate(self.levels) if _contains(level, code))
-        commands: list[str] = []
-        for level in reversed(self.levels[:length]):
-            command, code = next(_predecessors(self.encoding, code, back, level))
-            commands.append(command)
-        return tuple(reversed(commands))
 
 
 def search(
     encoding: Encoding,
     initial: Codes,
-    following: Callable[[Batch], Iterable[Codes]],
+    following: Callable[[Batch], Codes],
     *,
     limit: int,
     progress: Progress | None = None,
@@ -211,7 +201,7 @@ def search(
     Args:
         encoding: Encoding of the codes.
         initial: Codes to start from.
-        following: Returns the successors of the codes in a batch, in arrays that hold no code twice.
+        following: Returns the successors of the codes in a batch.
         limit: Largest number of codes.
         progress: Called regularly with the numbers of codes that have been examined and that are known.
         within: Set that the search may not leave; None for no limit.
@@ -220,15 +210,14 @@ def search(
         SearchLimitError: There are more than `limit`.
     """
     known = visited(encoding.combinations)
-    levels = [np.sort(known.add(initial))]
-    looked_at, found = 0, len(initial)
+    levels = [known.add(initial)]
+    looked_at, found = 0, len(levels[0])
     while len(levels[-1]):
         new: list[Codes] = []
         for batch in _batches(encoding, levels[-1]):
-            for codes in following(batch):
-                entered = known.add(codes if within is None else codes[within.has(codes)])
-                found += len(entered)
-                new.append(entered)
+            codes = following(batch)
+            new.append(known.add(codes if within is None else codes[within.has(codes)]))
+            found += len(new[-1])
             # After each batch, not each level: one level alone may exceed the memory.
             if found > limit:
                 text = f"There are more than {limit} joint states, which is the limit: "
@@ -236,41 +225,49 @@ def search(
             looked_at += len(batch.codes)
             if progress is not None:
                 progress(looked_at, found)
-        levels.append(np.sort(np.concatenate(new)) if new else np.empty(0, dtype=np.int64))
+        levels.append(np.sort(np.concatenate(new)))
     return Reached(encoding, levels[:-1], known)
 
 
 def states_leading_to(
-    reached: Reached, goal: Codes, transitions: Iterable[Transition], *, progress: Progress | None = None
+    reached: Reached, goal: Codes, leaving: Callable[[Batch], Edges], *, progress: Progress | None = None
 ) -> Visited:
     """Return all reached codes from which one of `goal` can be reached.
 
     Args:
         reached: Codes of an earlier search.
         goal: Codes to reach.
-        transitions: All transitions that may be taken.
+        leaving: Returns the transitions that may be taken from the codes in a batch.
         progress: Called regularly with the numbers of codes that have been examined and that are known.
     """
-    back = TransitionTree(transition.backward() for transition in transitions if transition.shift)
-    limit = len(reached)
-    return search(
-        reached.encoding, goal, back.successors, limit=limit, progress=progress, within=reached.visited
-    ).visited
+    open_ = visited(reached.encoding.combinations)
+    open_.add(goal)
+    looked_at, grown = 0, True
+    # Transitions are not stored, as they may exceed the memory: each pass works them out again. Mostly, one is enough.
+    while grown:
+        grown = False
+        waiting = [*reached.batches()]
+        while waiting:
+            batch = waiting.pop()  # farthest first: most transitions lead to a near code, or one level on
+            if not open_.has(batch.codes).all():
+                grown |= _open_up(batch, open_, *leaving(batch))
+            looked_at = min(looked_at + len(batch.codes), len(reached))
+            if progress is not None:
+                progress(looked_at, len(reached))
+    return open_
+
+
+def _open_up(batch: Batch, open_: Visited, rows: Rows, codes: Codes) -> bool:
+    """Add the codes of a batch from which transitions lead to open ones; return false if there are none."""
+    grown = False
+    while True:
+        closed = ~open_.has(batch.codes)[rows]
+        rows, codes = rows[closed], codes[closed]
+        if not len(open_.add(batch.codes[rows[open_.has(codes)]])):
+            return grown
+        grown = True
 
 
 def _batches(encoding: Encoding, codes: Codes) -> Iterator[Batch]:
     for start in range(0, len(codes), BATCH):
         yield Batch(encoding, codes[start : start + BATCH])
-
-
-def _contains(level: Codes, code: int) -> bool:
-    place = int(np.searchsorted(level, code))
-    return place < len(level) and int(level[place]) == code
-
-
-def _predecessors(encoding: Encoding, code: int, back: TransitionTree, level: Codes) -> Iterator[tuple[str, int]]:
-    batch = Batch(encoding, np.array([code], dtype=np.int64))
-    for transitions, _ in back.enabled(batch):
-        for transition in transitions:
-            if _contains(level, code + transition.shift):
-                yield transition.command, code + transition.shift

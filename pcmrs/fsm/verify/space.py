@@ -2,25 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from array import array
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from pcmrs.fsm.behaviour import endings
-from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint
-from pcmrs.fsm.closure import Closure
-from pcmrs.fsm.verify.decision_tree import Decision, DecisionTree
-from pcmrs.fsm.verify.encoding import MAX_COMBINATIONS, Batch, Codes, Encoding, Rows
+from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, OperationSpec
+from pcmrs.fsm.verify.decision import Decider, Decision, Locks
+from pcmrs.fsm.verify.encoding import MAX_COMBINATIONS, Batch, Codes, Encoding, Mask
+from pcmrs.fsm.verify.forest import Decisions, Forest
+from pcmrs.fsm.verify.relation import Edges, Relation
 from pcmrs.fsm.verify.search import Progress, SearchLimitError, search
-from pcmrs.fsm.verify.transition import Transition
+from pcmrs.fsm.verify.transition import Allowed, Paths, Transition
 
 MAX_DECISIONS = 10_000
 """Limit of evaluated closures; a common workflow needs hundreds, even with a million joint states."""
 
 MAX_WORK = 1_000_000
 """Limit of branches and revocations in all evaluations together: in a large workflow, each evaluation is slow."""
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """An operation that may be asked for from outside.
+
+    Attributes:
+        branch: Its branch.
+        operation: Its name in the branch.
+        spec: Its declaration.
+        known: The decisions about it that occur.
+    """
+
+    branch: str
+    operation: str
+    spec: OperationSpec
+    known: list[Decision] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        """Branch and operation, as users write it."""
+        return f"{self.branch}.{self.operation}"
 
 
 class Space:
@@ -33,7 +58,7 @@ class Space:
 
     Attributes:
         encoding: Encoding of the joint states.
-        operations: Decision tree of every operation that may be asked for from outside.
+        operations: Every operation that may be asked for from outside.
         reached: The joint states that can be reached.
         taken: Number of transitions between them: accepted commands, with each of their endings.
 
@@ -48,36 +73,107 @@ class Space:
         check_encodable(self.encoding)
         # A closure that depends on the order of the branches differs, as a rule, in the reverse order.
         other = msgspec.structs.replace(blueprint, branches=dict(reversed(blueprint.branches.items())))
+        self._decider = Decider(blueprint, other)
         self.operations = [
-            DecisionTree(blueprint, other, self.encoding, name, operation, self._count)
+            Operation(name, operation, spec)
             for name, branch in blueprint.branches.items()
             for operation, spec in branch.operations.items()
             if not spec.iio
         ]
+        own = [self.encoding.position[operation.branch] for operation in self.operations]
+        self._forest = Forest(self.encoding, own, self._decide)
         self.taken = 0
         self._left = min(MAX_DECISIONS, MAX_WORK // _size(blueprint))
-        self._transitions: dict[Decision, list[Transition]] = {}
+        self._order: list[int] = []
+        self._counts, self._shifts = array("q"), array("q")
+        self._relation = Relation(*self._endings())
         initial = np.array([self.encoding.code(blueprint.initial())], dtype=np.int64)
         self.reached = search(self.encoding, initial, self._following, limit=limit, progress=progress)
 
-    @property
-    def transitions(self) -> list[Transition]:
-        """Every transition that can be taken."""
-        return [transition for found in self._transitions.values() for transition in found]
-
-    def transitions_after(self, decision: Decision) -> list[Transition]:
-        """Return the transitions that can be taken where a decision is taken."""
-        return self._transitions[decision]
-
-    def decisions(self) -> Iterator[tuple[DecisionTree, Decision]]:
+    def decisions(self) -> Iterator[tuple[Operation, Decision]]:
         """Return every operation with each decision about it that occurs."""
         for operation in self.operations:
             for decision in operation.known:
                 yield operation, decision
 
+    def decided(self, batch: Batch) -> Decisions:
+        """Return the decision about each operation in each joint state of a batch.
+
+        Args:
+            batch: Joint states, which may have further digits.
+
+        Returns:
+            Numbers of the decisions, shape (operations, n).
+        """
+        return batch.cached("decided", self._forest.evaluate)
+
+    @property
+    def numbered(self) -> list[tuple[int, Decision]]:
+        """Decisions by their number, each with the number of its operation."""
+        return self._forest.learned
+
+    def relation(self, wanted: Callable[[Operation], bool], *, declared: bool = False) -> Relation:
+        """Return some of the transitions.
+
+        Args:
+            wanted: Says of which operations.
+            declared: Only those that end as declared.
+        """
+        chosen = np.array([wanted(operation) for operation in self.operations], dtype=np.bool_)
+        decision, is_declared = self._taken
+        operation = np.array([number for number, _ in self.numbered], dtype=np.int64)
+        mask = chosen[operation[decision]] & (is_declared | (not declared))
+        return Relation(np.bincount(decision[mask], minlength=len(self.numbered)), self._endings()[1][mask])
+
+    @cached_property
+    def _taken(self) -> tuple[NDArray[np.int64], Mask]:
+        """Number of the decision of each transition, and a mask of those that end as declared."""
+        declared = [name in decision.declared for _, decision in self.numbered for name in decision.endings]
+        counts = self._endings()[0]
+        return np.repeat(np.arange(len(counts)), counts), np.array(declared, dtype=np.bool_)
+
+    @cached_property
+    def kinds(self) -> tuple[list[tuple[Operation, Locks]], NDArray[np.int64]]:
+        """Operations with the locks that each may take, and which of them each decision means; -1 if it is denied."""
+        found: dict[tuple[int, Locks], int] = {}
+        of = [
+            found.setdefault((number, decision.locks), len(found)) if decision.accepted else -1
+            for number, decision in self.numbered
+        ]
+        return [(self.operations[number], locks) for number, locks in found], np.array(of, dtype=np.int64)
+
+    @cached_property
+    def all(self) -> Relation:
+        """All transitions."""
+        return Relation(*self._endings())
+
+    @cached_property
+    def declared(self) -> Relation:
+        """Transitions that end as declared: no fault or doubt is involved."""
+        return self.relation(lambda _: True, declared=True)
+
+    @cached_property
+    def intended(self) -> Relation:
+        """Transitions that a user may ask for and that end as declared."""
+        return self.relation(lambda operation: not operation.spec.event, declared=True)
+
+    def leaving(self, relation: Relation) -> Callable[[Batch], Edges]:
+        """Return a function that returns the transitions of a relation from the joint states in a batch."""
+        return lambda batch: relation.edges(batch.codes, self.decided(batch))
+
+    def following(self, relation: Relation) -> Callable[[Batch], Codes]:
+        """Return a function that returns the codes to which a relation leads from the joint states in a batch."""
+        return lambda batch: relation.edges(batch.codes, self.decided(batch))[1]
+
+    def transitions(self) -> Iterator[tuple[Operation, Transition]]:
+        """Return every transition that can be taken, with its operation."""
+        for operation, decision in (self.numbered[number] for number in self._order):
+            for ending in decision.endings:
+                yield self.operations[operation], self._transition(self.operations[operation], decision, ending)
+
     def path_to(self, code: int) -> tuple[str, ...]:
         """Return the commands of a shortest path to a joint state."""
-        return self.reached.path_to(code, self.transitions)
+        return self._paths.path_to(code)
 
     def nearest(self, decision: Decision) -> int:
         """Return one of the nearest joint states where the decision is taken."""
@@ -87,63 +183,60 @@ class Space:
             raise LookupError("a known decision is taken in no joint state")
         return found
 
-    def _count(self) -> None:
+    @cached_property
+    def _paths(self) -> Paths:
+        return Paths(self.encoding, self.reached.levels, [transition for _, transition in self.transitions()])
+
+    def _decide(self, number: int, code: int) -> Decision:
         self._left -= 1
         if self._left < 0:
             text = "The operations depend on too many combinations of the states of several branches: "
             raise SearchLimitError(f"{text}reduce the states, or let commands touch fewer branches.")
+        operation = self.operations[number]
+        decision = self._decider.decide(self.encoding.decoded(code), operation.branch, operation.operation)
+        self._counts.append(len(decision.endings))
+        self._shifts.extend(self._shift(decision.seen, targets) for targets in decision.endings.values())
+        return decision
 
-    def _following(self, batch: Batch) -> Iterator[Codes]:
-        for operation in self.operations:
-            for decision, rows in operation.split(batch):
-                yield from self._after(operation, decision, batch, rows)
+    def _shift(self, before: dict[str, str], after: dict[str, str]) -> int:
+        """Return the number that the change of some branches adds to a code."""
+        value, weights, position = self.encoding.value, self.encoding.weights, self.encoding.position
+        moved = (name for name, state in after.items() if state != before[name])
+        return sum((value(name, after[name]) - value(name, before[name])) * weights[position[name]] for name in moved)
 
-    def _after(self, operation: DecisionTree, decision: Decision, batch: Batch, rows: Rows) -> Iterator[Codes]:
-        if decision not in self._transitions:
-            self._transitions[decision] = list(self._transitions_of(operation, decision))
-        self.taken += len(rows) * len(self._transitions[decision])
-        for transition in self._transitions[decision]:
-            if transition.shift:
-                yield batch.codes[rows] + transition.shift
+    def _following(self, batch: Batch) -> Codes:
+        decisions = self.decided(batch)
+        new = range(len(self._order), len(self.numbered))
+        if new:
+            # Findings name the first decision of a kind: the order must not depend on how the trees have grown.
+            self._order += sorted(new, key=lambda number: (self.numbered[number][0], self._forest.paths[number]))
+            for operation, decision in (self.numbered[number] for number in self._order[new.start :]):
+                self.operations[operation].known.append(decision)
+            self._relation = Relation(*self._endings())
+        self.taken += int(self._relation.counts[decisions].sum())
+        return self._relation.edges(batch.codes, decisions)[1]
 
-    def _transitions_of(self, operation: DecisionTree, decision: Decision) -> Iterator[Transition]:
-        where, requested = guard(self.encoding, decision), (operation.branch, operation.operation)
-        for ending in endings_of(operation, decision):
-            intended = ending.declared and not operation.spec.event
-            targets = digits(self.encoding, ending.targets)
-            yield Transition.of(self.encoding, ending.command, requested, intended, where, targets)
+    def _endings(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the number of endings of each decision, and the shift of each ending."""
+        return np.array(self._counts, dtype=np.int64), np.array(self._shifts, dtype=np.int64)
+
+    def _transition(self, operation: Operation, decision: Decision, ending: str) -> Transition:
+        targets = digits(self.encoding, decision.endings[ending])
+        return Transition.of(self.encoding, command(operation, ending), guard(self.encoding, decision), targets)
 
 
 def _size(blueprint: Blueprint) -> int:
     return sum(1 + len(branch.revocations) for branch in blueprint.branches.values())
 
 
-@dataclass(frozen=True, slots=True)
-class Ending:
-    """One way in which an operation may end.
-
-    Attributes:
-        command: ``branch.operation`` or ``branch.operation:outcome``.
-        declared: It ends as the blueprint declares, not in a failure or in doubt.
-        targets: The branches that it changes, and their new states.
-    """
-
-    command: str
-    declared: bool
-    targets: dict[str, str]
-
-
-def endings_of(operation: DecisionTree, decision: Decision) -> Iterator[Ending]:
-    """Return every way the operation may end where the decision is taken; none where it is denied.
+def command(operation: Operation, ending: str) -> str:
+    """Return an operation and its ending, as users write it.
 
     Args:
         operation: The operation.
-        decision: One of its decisions.
+        ending: Name of its ending.
     """
-    if isinstance(decision.answer, Closure):
-        for name, change in endings(operation.spec, decision.answer).items():
-            command = operation.name + (f":{name}" if name != START_OUTCOME else "")
-            yield Ending(command, name in decision.answer.outcomes, {} if change is None else change.targets)
+    return operation.name + (f":{ending}" if ending != START_OUTCOME else "")
 
 
 def check_encodable(encoding: Encoding) -> None:
@@ -157,7 +250,7 @@ def check_encodable(encoding: Encoding) -> None:
         raise SearchLimitError(f"{text}reduce the branches, the states, or the operations that properties watch.")
 
 
-def guard(encoding: Encoding, decision: Decision) -> dict[int, tuple[int, ...]]:
+def guard(encoding: Encoding, decision: Decision) -> Allowed:
     """Return the digits that a decision depends on, with their values.
 
     Args:

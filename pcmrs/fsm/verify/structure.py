@@ -7,10 +7,9 @@ from itertools import combinations
 
 import numpy as np
 
-from pcmrs.fsm.closure import Closure, Denial
 from pcmrs.fsm.finding import Finding
-from pcmrs.fsm.verify.decision_tree import Decision, DecisionTree, changes
-from pcmrs.fsm.verify.space import Space
+from pcmrs.fsm.verify.decision import Decision
+from pcmrs.fsm.verify.space import Operation, Space
 
 UNSOUND = {
     "cascade_too_long": (
@@ -27,11 +26,9 @@ INCOMPLETE = {code for code, _ in UNSOUND.values()}
 
 def denials(space: Space) -> Iterator[Finding]:
     """Find operations that trigger an endless cascade, or that can begin but not end."""
-    for operation, decision in _first_of_each(space, _is_unsound):
-        denial = decision.answer
-        if isinstance(denial, Denial):
-            code, text = UNSOUND[denial.code]
-            yield _shown(space, operation, decision, code, f"{operation.name} {text}")
+    for operation, decision in _first_of_each(space, lambda found: found.denied in UNSOUND):
+        code, text = UNSOUND[decision.denied or ""]
+        yield _shown(space, operation, decision, code, f"{operation.name} {text}")
 
 
 def order(space: Space) -> Iterator[Finding]:
@@ -52,7 +49,7 @@ def activities(space: Space) -> Iterator[Finding]:
         denied = {
             decision.seen[operation.branch]: decision
             for decision in operation.known
-            if isinstance(decision.answer, Denial) and decision.seen[operation.branch] in ending
+            if not decision.accepted and decision.seen[operation.branch] in ending
         }
         for state, decision in denied.items():
             text = f"The activity {declared[state].run} of {operation.branch} {state} may end by itself where "
@@ -78,7 +75,7 @@ def unused(space: Space) -> Iterator[Finding]:
     for digit, (name, states) in enumerate(zip(space.encoding.names, space.encoding.values, strict=True)):
         seen = np.zeros(len(states), dtype=np.bool_)
         for batch in space.reached.batches():
-            seen[batch.digit(digit)] = True
+            seen[batch.digits[digit]] = True
         for state in (state for state, found in zip(states, seen, strict=True) if not found):
             text = f"No command takes {name} to {state}: let an operation lead there, or leave the state out."
             yield Finding(code="unreachable_state", text=text, path=("branches", name, "states", state))
@@ -94,15 +91,13 @@ def path_of(command: str) -> tuple[str, ...]:
 
 def _unaccepted(space: Space) -> Iterator[Finding]:
     for operation in space.operations:
-        if not any(isinstance(decision.answer, Closure) for decision in operation.known):
+        if not any(decision.accepted for decision in operation.known):
             text = f"{operation.name} is accepted in none of the {len(space.reached)} joint states: see its `requires`."
             yield Finding(code="never_accepted", text=text, path=path_of(operation.name))
 
 
 def _uncalled(space: Space) -> Iterator[Finding]:
-    answers = (decision.answer for _, decision in space.decisions())
-    reached = (change for answer in answers if isinstance(answer, Closure) for change in changes(answer))
-    called = {(e.branch, e.operation) for change in reached for e in change.effects if e.kind == "signal"}
+    called = frozenset[tuple[str, str]]().union(*(decision.calls for _, decision in space.decisions()))
     for name, branch in space.blueprint.branches.items():
         for operation, spec in branch.operations.items():
             if spec.iio and (name, operation) not in called:
@@ -110,16 +105,12 @@ def _uncalled(space: Space) -> Iterator[Finding]:
                 yield Finding(code="never_called", text=text, path=("branches", name, "operations", operation))
 
 
-def _is_unsound(decision: Decision) -> bool:
-    return isinstance(decision.answer, Denial) and decision.answer.code in UNSOUND
-
-
-def _first_of_each(space: Space, wanted: Callable[[Decision], bool]) -> Iterator[tuple[DecisionTree, Decision]]:
+def _first_of_each(space: Space, wanted: Callable[[Decision], bool]) -> Iterator[tuple[Operation, Decision]]:
     """Return one wanted decision of each operation that has one."""
     for operation in space.operations:
         yield from ((operation, decision) for decision in [*filter(wanted, operation.known)][:1])
 
 
-def _shown(space: Space, operation: DecisionTree, decision: Decision, code: str, text: str) -> Finding:
+def _shown(space: Space, operation: Operation, decision: Decision, code: str, text: str) -> Finding:
     commands = (*space.path_to(space.nearest(decision)), operation.name)
     return Finding(code=code, text=text, path=path_of(operation.name), commands=commands)

@@ -8,10 +8,9 @@ from itertools import islice
 
 from pcmrs.authoring.exchange.cubes import Cube, merge
 from pcmrs.errors import BlueprintError
-from pcmrs.fsm.behaviour import endings, operations
+from pcmrs.fsm.behaviour import operations
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, Condition, PropertySpec, Requirement
-from pcmrs.fsm.closure import Closure
-from pcmrs.fsm.verify.decision_tree import Decision, decide
+from pcmrs.fsm.verify.decision import Decider, Decision
 
 MAX_DECISIONS = 5_000
 """Limit of combinations that the operations depend on; a larger model could neither be read nor compiled."""
@@ -133,10 +132,9 @@ def _ways(blueprint: Blueprint) -> Iterator[_Way]:
             raise BlueprintError(text, limit=MAX_DECISIONS)
         for decision in decisions:
             cube = {name: frozenset({state}) for name, state in decision.seen.items()}
-            for name, change in endings(spec, decision.answer).items() if isinstance(decision.answer, Closure) else ():
+            for name, states_after in decision.endings.items():
                 command = f"{branch}.{operation}" + (f":{name}" if name != START_OUTCOME else "")
-                targets = frozenset(change.targets.items() if change else ())
-                found.setdefault((command, targets), []).append(cube)
+                found.setdefault((command, frozenset(states_after.items())), []).append(cube)
         for (command, targets), cubes in found.items():
             for cube in merge(cubes, states):
                 guard = _states({name: sorted(allowed) for name, allowed in cube.items()})
@@ -145,10 +143,11 @@ def _ways(blueprint: Blueprint) -> Iterator[_Way]:
 
 def _decisions(blueprint: Blueprint, branch: str, operation: str) -> Iterator[Decision]:
     """Return every decision of an operation in whatever states; no search has to have found them."""
+    decider = Decider(blueprint)
     waiting: list[dict[str, str]] = [{}]
     while waiting:
         fixed = waiting.pop()
-        decision = decide([blueprint], {**blueprint.initial(), **fixed}, branch, operation)
+        decision = decider.decide({**blueprint.initial(), **fixed}, branch, operation)
         yield decision
         before: dict[str, str] = {}
         for name, state in decision.seen.items():

@@ -1,13 +1,15 @@
-"""Transitions between codes, forwards and backwards, against the digits of every code one at a time."""
+"""Transitions between codes, and paths of them, against the digits of every code one at a time."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.fsm.verify.encoding import Batch, Encoding
-from pcmrs.fsm.verify.transition import Transition, TransitionTree
+from pcmrs.fsm.verify.encoding import Encoding
+from pcmrs.fsm.verify.transition import Paths, Transition
 
 SIZES = (3, 2, 4, 9)
 ENCODING = Encoding({f"b{n}": [str(value) for value in range(size)] for n, size in enumerate(SIZES)})
@@ -24,7 +26,7 @@ def transitions(draw: st.DrawFn) -> Transition:
     }
     fixed = [digit for digit, allowed in guard.items() if len(allowed) == 1]
     changed = {digit: draw(st.integers(0, SIZES[digit] - 1)) for digit in fixed if draw(st.booleans())}
-    return Transition.of(ENCODING, "b.go", ("b", "go"), True, guard, changed)
+    return Transition.of(ENCODING, "b.go", guard, changed)
 
 
 def digits(code: int) -> list[int]:
@@ -44,29 +46,26 @@ def after(transition: Transition, code: int) -> int:
     return sum(ends[digit] * int(np.prod(SIZES[:digit])) for digit in ends)
 
 
-def batch() -> Batch:
-    return Batch(ENCODING, np.array(CODES, dtype=np.int64))
-
-
-@given(st.lists(transitions(), max_size=6))
-def test_a_tree_marks_what_any_of_its_guards_allows(each: list[Transition]) -> None:
-    marked = TransitionTree(each).mark(batch())
-    assert marked.tolist() == [any(possible(transition, code) for transition in each) for code in CODES]
-
-
-@given(st.lists(transitions(), max_size=6))
-def test_successors_are_all_other_codes_that_follow(each: list[Transition]) -> None:
-    found = [codes.tolist() for codes in TransitionTree(each).successors(batch())]
-    assert all(len(codes) == len(set(codes)) for codes in found)
-    expected = {after(t, code) for t in each for code in CODES if t.shift and possible(t, code)}
-    assert {code for codes in found for code in codes} == expected
-
-
 @given(transitions())
-def test_backwards_leads_from_each_end_to_where_it_began(transition: Transition) -> None:
-    back = transition.backward()
-    begins = [code for code in CODES if possible(transition, code)]
-    ends = {after(transition, code): code for code in begins}
-    assert {code for code in CODES if possible(back, code)} == set(ends)
-    assert all(after(back, end) == code for end, code in ends.items())
-    assert all(end - code == transition.shift == -back.shift for end, code in ends.items())
+def test_a_guard_holds_where_all_its_digits_are_allowed(transition: Transition) -> None:
+    marked = transition.holds(ENCODING, np.array(CODES, dtype=np.int64))
+    assert marked.tolist() == [possible(transition, code) for code in CODES]
+    assert all(after(transition, code) == code + transition.shift for code in CODES if possible(transition, code))
+
+
+@given(st.lists(transitions(), max_size=8), st.sampled_from(CODES))
+def test_paths_are_shortest_and_lead_there(unnamed: list[Transition], start: int) -> None:
+    each = [replace(transition, command=str(number)) for number, transition in enumerate(unnamed)]
+    levels, known = [{start}], {start}
+    while levels[-1]:
+        levels.append({after(t, code) for t in each for code in levels[-1] if possible(t, code)} - known)
+        known |= levels[-1]
+    paths = Paths(ENCODING, [np.array(sorted(level)) for level in levels[:-1]], each)
+    for length, level in enumerate(levels):
+        for end in level:
+            way, code = paths.path_to(end), start
+            assert len(way) == length
+            for command in way:
+                assert possible(each[int(command)], code)
+                code = after(each[int(command)], code)
+            assert code == end
