@@ -5,20 +5,19 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
-from pcmrs.fsm import load_blueprint
 from pcmrs.fsm.classes import source_of
-from pcmrs.workflows import find_workflow
+from tests.support.shipped import shipped_blueprint
 from tests.unit.cli.command_line import run
 
 
 def test_what_is_printed_is_what_a_daemon_executes(tmp_path: Path) -> None:
+    expected = source_of(shipped_blueprint("ratms"))
     printed = run("fsm", "generate", "ratms")
     assert printed.exit_code == 0, printed.stderr
-    assert printed.stdout == source_of(load_blueprint(find_workflow("ratms").blueprint))
+    assert printed.stdout == expected
     assert any(isinstance(node, ast.ClassDef) for node in ast.parse(printed.stdout).body)
-    written = run("fsm", "generate", "femoroplasty", "-o", str(tmp_path / "states.py"))
+    written = run("fsm", "generate", "ratms", "-o", str(tmp_path / "states.py"))
     assert (written.exit_code, written.stdout) == (0, "")
-    expected = source_of(load_blueprint(find_workflow("femoroplasty").blueprint))
     assert (tmp_path / "states.py").read_text() == expected
 
 
