@@ -46,12 +46,13 @@ OWNER: ContextVar[dict[asyncio.Task[Any], None] | None] = ContextVar("owner", de
 class SimulatedLoop(asyncio.BaseEventLoop):
     """An event loop in simulated time, which starts at 0 s."""
 
+    _ready: deque[asyncio.Handle]  # of the base class
+
     def __init__(self) -> None:
         super().__init__()
         self._now = 0.0
         self._numbers = itertools.count(1)
         self._timers: list[tuple[float, int, asyncio.TimerHandle]] = []
-        self._due: deque[asyncio.Handle] = deque()
         self._held_up: dict[int, float] = {}
         self.set_task_factory(self._numbered_task)
 
@@ -66,7 +67,7 @@ class SimulatedLoop(asyncio.BaseEventLoop):
         context: Context | None = None,
     ) -> asyncio.Handle:
         handle = asyncio.Handle(callback, args, self, context)
-        self._due.append(handle)
+        self._ready.append(handle)
         return handle
 
     def call_later(
@@ -91,7 +92,7 @@ class SimulatedLoop(asyncio.BaseEventLoop):
 
     def _run_once(self) -> None:
         """Advance to the next timer if no callback is due, then run what is due."""
-        timers, due = self._timers, self._due
+        timers, due = self._timers, self._ready
         while timers and (timers[0][0] <= self._now or not due or timers[0][2].cancelled()):
             when, _, timer = heapq.heappop(timers)
             if not timer.cancelled():

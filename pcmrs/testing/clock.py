@@ -13,13 +13,21 @@ from pcmrs.clock import SystemClock
 EPOCH = 1_700_000_000.0
 """Offset of the wall time of a `ManualClock`, Unix seconds."""
 SPINS = 50
-"""Number of turns after which the event loop is settled."""
+"""Number of turns after which the event loop is settled in any case."""
+IDLE_SPINS = 5
+"""Number of turns in a row in which no other callback was ready, after which the event loop is settled."""
 
 
 async def settle() -> None:
     """Let the event loop run until all tasks wait."""
+    # A loop that does not say what is ready has all its turns.
+    ready = getattr(asyncio.get_running_loop(), "_ready", True)
+    idle = 0
     for _ in range(SPINS):
         await asyncio.sleep(0)
+        idle = 0 if ready else idle + 1
+        if idle == IDLE_SPINS:
+            return
 
 
 class ManualClock:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.clock import SystemClock
+from pcmrs.simulated_time.loop import SimulatedLoop
 from pcmrs.testing.clock import EPOCH, ManualClock, SetClock, settle
 
 
@@ -36,6 +38,27 @@ def test_sleepers_wake_in_order_each_at_its_time(waits: list[float], steps: list
         await asyncio.gather(*sleepers, return_exceptions=True)
 
     asyncio.run(course())
+
+
+@pytest.mark.parametrize("loop", [asyncio.new_event_loop, SimulatedLoop])
+def test_settling_runs_a_chain_of_callbacks_to_its_end(loop: Callable[[], asyncio.AbstractEventLoop]) -> None:
+    links = 30
+
+    async def chain() -> int:
+        reached = 0
+
+        def link() -> None:
+            nonlocal reached
+            reached += 1
+            if reached < links:
+                asyncio.get_running_loop().call_soon(link)
+
+        link()
+        await settle()
+        return reached
+
+    with asyncio.Runner(loop_factory=loop) as runner:
+        assert runner.run(chain()) == links
 
 
 async def test_what_a_waiter_starts_runs_within_the_same_advance() -> None:
