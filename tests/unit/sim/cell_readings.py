@@ -1,6 +1,7 @@
 """Frames of the simulated tracker, as these tests read them."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import aclosing
 from typing import Any
 
 import numpy as np
@@ -19,8 +20,9 @@ def transform(pose: PoseMessage | BodyPose) -> Transform:
 
 async def next_frames(devices: Mapping[str, Any], count: int) -> list[Sequence[BodyPose]]:
     frames = []
-    async for frame in devices["tracker"].frames():
-        frames.append(frame)
-        if len(frames) == count:
-            break
+    async with aclosing(devices["tracker"].frames()) as coming:
+        async for frame in coming:
+            frames.append(frame)
+            if len(frames) == count:
+                break
     return frames

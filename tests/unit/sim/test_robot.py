@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncIterator
+from contextlib import aclosing
 from typing import Any
 
 import msgspec
@@ -418,11 +419,8 @@ async def test_disconnected_robot_refuses(cell: Devices) -> None:
 
 
 async def test_joint_states_come_at_their_rate(cell: Devices) -> None:
-    captured = []
-    async for state in cell["robot"].states():
-        captured.append(state.captured)
-        if len(captured) == 50:
-            break
+    async with aclosing(cell["robot"].states()) as states:
+        captured = [(await anext(states)).captured for _ in range(50)]
     assert np.mean(np.diff(captured)) == pytest.approx(0.010, rel=0.05)
 
 

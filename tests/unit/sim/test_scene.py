@@ -1,35 +1,23 @@
 """Orders to the scene: a head that moves, a reference that is bumped, and a pointer that pivots."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 import pytest
 
 from pcmrs.clock import Clock
 from pcmrs.errors import DeviceError
-from pcmrs.messages import BodyPose, HeadBurst, HeadMotion, PoseMessage
+from pcmrs.messages import BodyPose, HeadBurst, HeadMotion
 from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs_sim.motion import head_offset
 from pcmrs_sim.opening import open_devices
 from pcmrs_sim.settings import SimSettings
+from tests.unit.sim.cell_readings import Devices, next_frames, transform
 
-Devices = Mapping[str, Any]
 X, Z = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 ERRORLESS = {"jitter_mm": 0.0, "jitter_deg": 0.0, "bias_mm": 0.0, "bias_deg": 0.0}
 
 
-def transform(pose: PoseMessage | BodyPose) -> Transform:
-    return Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
-
-
 async def frames(cell: Devices, count: int) -> list[dict[str, BodyPose]]:
-    seen = []
-    async for frame in cell["tracker"].frames():
-        seen.append({pose.body: pose for pose in frame})
-        if len(seen) == count:
-            break
-    return seen
+    return [{pose.body: pose for pose in frame} for frame in await next_frames(cell, count)]
 
 
 async def test_the_body_moves_with_its_reference_in_cell_time(clock: Clock) -> None:

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncIterator
+from contextlib import aclosing
 
 import pytest
 
@@ -38,7 +39,8 @@ async def armed(cell: CellSimulation, clock: ManualClock) -> SimStimulator:
 
 
 async def next_event(stimulator: SimStimulator) -> DeviceEvent:
-    return await anext(stimulator.events())
+    async with aclosing(stimulator.events()) as events:  # type: ignore[type-var]
+        return await anext(events)
 
 
 async def test_it_charges_before_it_is_armed(cell: CellSimulation, clock: ManualClock) -> None:
