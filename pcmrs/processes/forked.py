@@ -1,7 +1,7 @@
 """The fork server: a process that has imported what the daemon's children need, and forks them on request.
 
 It is itself a fork of the daemon, made before the daemon has an event loop, threads or open files. So a child needs no
-imports of its own, and shares its memory with the others. The server does nothing else, and ends with the daemon.
+further imports, and shares its memory with the others. The server does nothing else, and ends with the daemon.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ class Process(KillableProcess, Protocol):
 
 
 class ProcessStarter(Protocol):
-    """Starts a child process in a session of its own: a Ctrl-C at the terminal is the daemon's to handle."""
+    """Starts a child process in its own session: a Ctrl-C at the terminal is the daemon's to handle."""
 
     async def __call__(
         self, module: str, *words: str, stdin: int = asyncio.subprocess.PIPE, stdout: int | None = None

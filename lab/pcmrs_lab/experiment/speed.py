@@ -29,7 +29,7 @@ class Speed(NamedTuple):
 
 def processor_share() -> float:
     """Return the share of a processor that a simulated world gets now, measured for `TRIAL`."""
-    with ThreadPoolExecutor(1) as pool:  # a thread of its own, because no priority can be given back without permission
+    with ThreadPoolExecutor(1) as pool:  # in a new thread: without permission no priority can be given back
         return pool.submit(_share_of_world).result()
 
 

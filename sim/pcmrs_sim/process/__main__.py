@@ -14,7 +14,7 @@ from pcmrs.cli.log import log_to_stderr
 from pcmrs.cli.running import run
 from pcmrs_sim.process.priority import go_ahead_of_others
 
-# MuJoCo looks for a window system, in two more processes, unless it is told before it is imported.
+# MuJoCo looks for a window system, in two more processes, unless this is set before it is imported.
 os.environ.setdefault("MUJOCO_GL", "disable")
 
 from pcmrs_sim.process.server import Server
