@@ -24,9 +24,7 @@ from pcmrs.files import read_secret
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the robot's kinematics.
-    from pcmrs.processes.starting import ProcessStarter
-    from pcmrs.service import Ready
-    from pcmrs.settings import Settings
+    from pcmrs.service import Daemon, Ready
 
 log = structlog.get_logger(__name__)
 
@@ -48,15 +46,18 @@ def serve(file: Path | None, overrides: tuple[str, ...], as_json: bool, verbose:
     Ends on SIGINT and SIGTERM; a running motion is held first. Exit status: 0 ended as requested,
     2 failed, 3 the bus cannot be opened (another daemon listens there), 4 bad configuration.
     """
-    from pcmrs.processes.fork_server import ForkServer
     from pcmrs.settings import read_settings
 
     reserve()
     os.umask(0o077)  # journal and recordings name the patient; the daemon's children inherit this
     log_to_stderr(verbose=verbose)
     settings = read_settings(file, overrides)
+    # After the settings, which name the extra of a missing driver; before the fork, so that its children have them, too.
+    from pcmrs.processes.fork_server import ForkServer
+    from pcmrs.service import Daemon
+
     with closing(ForkServer.fork(CHILD_MODULES)) as start_process:
-        run(_serve(settings, start_process, as_json=as_json, lifeline=lifeline))
+        run(_serve(Daemon(settings, start_process), as_json=as_json, lifeline=lifeline))
 
 
 @click.command(hidden=True)
@@ -97,16 +98,15 @@ def node(driver: str, devices: tuple[str, ...], file: Path | None, overrides: tu
     run(serve_devices(settings, driver, devices, opening, key, lifeline=lifeline))
 
 
-async def _serve(settings: Settings, start_process: ProcessStarter, *, as_json: bool, lifeline: bool) -> None:
+async def _serve(daemon: Daemon, *, as_json: bool, lifeline: bool) -> None:
     from pcmrs.node import when_input_ends
-    from pcmrs.service import Daemon
 
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)
     if lifeline:
         when_input_ends(ended.set)
-    async with Daemon(settings, start_process).running() as ready:
+    async with daemon.running() as ready:
         if as_json:
             say_json(ready)
         else:

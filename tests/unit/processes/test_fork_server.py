@@ -137,9 +137,7 @@ async def test_killed_child_is_killed_and_a_late_signal_goes_nowhere(bench: Benc
         assert await process.communicate() == (b"", None)
 
 
-async def test_children_outlive_a_killed_server_and_later_ones_start_without_it(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_children_outlive_a_killed_server(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(bench.errors.parent))
     async with asyncio.timeout(WITHIN):
         process = await bench.start("child", "echo", stdout=PIPE)

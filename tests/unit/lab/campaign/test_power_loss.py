@@ -160,7 +160,7 @@ def test_the_power_is_cut_at_every_instant_in_order_of_time() -> None:
     assert known[len(CALLS)] == [1, 2, 3]
 
 
-def test_nothing_acknowledged_is_lost_when_it_was_synchronised_first() -> None:
+def test_nothing_acknowledged_is_lost_if_it_was_synced_first() -> None:
     for cut in cuts(2):
         needed = {0: b"", 2: b"1", 3: b"12"}[len(cut.acknowledged)]
         assert cut.files.get("a", b"").startswith(needed)

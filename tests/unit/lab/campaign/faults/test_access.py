@@ -150,7 +150,7 @@ def test_forged_datagrams_are_refused_and_not_answered(
     assert len(raw.sent) == 2 * AT_ONCE + 3
 
 
-def test_a_datagram_that_is_answered_or_changes_anything_is_unmet(
+def test_a_datagram_that_is_answered_or_has_an_effect_is_unmet(
     monkeypatch: pytest.MonkeyPatch, reachable: Reachable, raw: ScriptedRaw
 ) -> None:
     refuse = raw.takes
