@@ -52,7 +52,7 @@ def serve(file: Path | None, overrides: tuple[str, ...], as_json: bool, verbose:
     os.umask(0o077)  # journal and recordings name the patient; the daemon's children inherit this
     log_to_stderr(verbose=verbose)
     settings = read_settings(file, overrides)
-    # After the settings, which name the extra of a missing driver; before the fork, so that its children have them, too.
+    # After the settings, which name the extra of a missing driver; before the fork, so that children share them.
     from pcmrs.processes.fork_server import ForkServer
     from pcmrs.service import Daemon
 
