@@ -182,7 +182,7 @@ def test_a_retreat_needs_no_reference(session: Session) -> None:
     assert session.broken == []
 
 
-def test_moved_reference_means_nothing_before_landmarks_are_touched() -> None:
+def test_moved_reference_means_nothing_before_any_landmark() -> None:
     session = Session()
     session.show(0.0, states={"registration": "100"})
     session.watcher.take_event(event("reference_moved"), 1.0)
