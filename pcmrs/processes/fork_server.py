@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import errno
 import gc
 import itertools
 import os
@@ -92,11 +91,8 @@ class ForkedProcess:
             signal.pidfd_send_signal(self._descriptor, number)
 
 
-class _LostError(OSError):
-    """The fork server has ended, or does not answer."""
-
-    def __init__(self) -> None:
-        super().__init__(errno.ECHILD, "The fork server has ended")
+class _LostError(Exception):
+    """The fork server has ended, or does not answer; never leaves this module."""
 
 
 class ForkServer:
@@ -137,10 +133,9 @@ class ForkServer:
     ) -> Process:
         """See `ProcessStarter`."""
         with suppress(_LostError):
-            if not self._lost and stdin == asyncio.subprocess.PIPE:
+            if stdin == asyncio.subprocess.PIPE:
                 return await self._with_pipes(module, words, stdout)
-            if not self._lost:
-                return await self._request(module, words, [stdin], stdout)
+            return await self._request(module, words, [stdin], stdout)
         return await start_by_exec(module, *words, stdin=stdin, stdout=stdout)
 
     def close(self) -> None:
@@ -165,6 +160,8 @@ class ForkServer:
     async def _request(
         self, module: str, words: tuple[str, ...], descriptors: list[int], stdout: int | None
     ) -> ForkedProcess:
+        if self._lost:
+            raise _LostError
         if not self._attached:
             self._attached = True
             asyncio.get_running_loop().add_reader(self._control, self._receive)
@@ -179,7 +176,7 @@ class ForkServer:
             socket.send_fds(self._control, [msgspec.json.encode(request)], descriptors)
             async with asyncio.timeout(ANSWER_TIME):
                 return await started
-        except TimeoutError:
+        except (TimeoutError, ConnectionError):
             self._lose()
             raise _LostError from None
         finally:
@@ -215,8 +212,10 @@ class ForkServer:
 
     def _lose(self) -> None:
         """Go on without the server, which has ended by itself or hangs."""
-        asyncio.get_running_loop().remove_reader(self._control)
+        if self._lost:
+            return
         self._lost = True
+        asyncio.get_running_loop().remove_reader(self._control)
         log.error("fork_server_lost", text="Children go on; new ones are started without it, which takes longer.")
         self._end()
         for started in self._pending.values():

@@ -155,6 +155,16 @@ async def test_children_outlive_a_killed_server(bench: Bench, monkeypatch: pytes
         assert await process.wait() == UNKNOWN_STATUS
 
 
+async def test_starts_at_the_death_of_the_server_all_succeed(bench: Bench) -> None:
+    """Its death is not noticed yet, and then noticed by several at once."""
+    async with asyncio.timeout(WITHIN):
+        assert await status_of(bench, "exit", "0") == 0
+        bench.process.kill()
+        bench.process.wait(WITHIN)
+        started = await asyncio.gather(*(bench.start("pcmrs.cli", "--version", stdout=DEVNULL) for _ in range(2)))
+        assert [await each.wait() for each in started] == [0, 0]
+
+
 async def test_server_that_hangs_is_given_up(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     async with asyncio.timeout(WITHIN):
         assert await status_of(bench, "exit", "0") == 0
