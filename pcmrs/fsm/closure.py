@@ -115,7 +115,7 @@ def follow_cascade(
     operation: str,
     target: str,
     spec: OperationSpec,
-    ask: Ask | None = None,
+    ask: Ask,
 ) -> Change:
     """Return everything that changes when an operation takes its branch to a state.
 
@@ -131,7 +131,7 @@ def follow_cascade(
     Raises:
         DeniedError: Some part of it is not allowed.
     """
-    cascade = _Cascade(blueprint, dict(states), ask or _as_declared(blueprint))
+    cascade = _Cascade(blueprint, dict(states), ask)
     cascade.perform("operation", branch, operation, target, spec)
     return Change(cascade.states, tuple(cascade.effects))
 

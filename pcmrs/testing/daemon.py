@@ -19,6 +19,7 @@ from pcmrs.bus.seal import read_key, write_key
 from pcmrs.errors import DeviceError
 from pcmrs.service import Ready
 from pcmrs.service.processes.child import end_child
+from pcmrs.threads import descendants
 
 START_TIME = 300.0
 """Time within which the daemon must be ready, s: on a busy machine its imports alone take a minute."""
@@ -106,15 +107,6 @@ async def running_daemon(
         yield DaemonProcess(process, ready)
     finally:
         await _end(process, children or descendants(process.pid))
-
-
-def descendants(pid: int) -> list[int]:
-    """Return the ids of all processes below a process: device nodes, and the processes that they have started."""
-    found: list[int] = []
-    for children in Path(f"/proc/{pid}/task").glob("*/children"):
-        with suppress(OSError):
-            found += map(int, children.read_text().split())
-    return found + [below for child in found for below in descendants(child)]
 
 
 def command_line(pid: int) -> list[str]:

@@ -24,8 +24,9 @@ from pcmrs.client import Client
 from pcmrs.planner import Planner
 from pcmrs.service import Ready
 from pcmrs.testing.cell import QUICK
-from pcmrs.testing.daemon import DEVICE_KEY, command_line, descendants, device_key, free_port
+from pcmrs.testing.daemon import DEVICE_KEY, command_line, device_key, free_port
 from pcmrs.testing.driving import connect, reset_cell
+from pcmrs.threads import descendants
 from tests import ROOT
 
 PLAN: dict[str, Any] = json.loads((ROOT / "examples" / "ratms_plan.json").read_text())

@@ -17,7 +17,8 @@ from pcmrs.errors import DeviceError
 from pcmrs.service import Ready
 from pcmrs.settings import read_settings
 from pcmrs.testing import daemon
-from pcmrs.testing.daemon import descendants, device_key, free_port, log_tail, own_settings, running_daemon
+from pcmrs.testing.daemon import device_key, free_port, log_tail, own_settings, running_daemon
+from pcmrs.threads import descendants
 
 READY = Ready("pcmrs/lab/c1", "tcp/127.0.0.1:1", {}, "/f", "/f/journal.sqlite", "ratms", 1.0)
 

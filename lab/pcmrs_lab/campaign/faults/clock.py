@@ -15,8 +15,8 @@ from pcmrs.clock import SystemClock
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.messages import Verdict
 from pcmrs.testing.cell import REAL_TIME, RunningCell
-from pcmrs.testing.daemon import descendants
 from pcmrs.testing.driving import PATIENCE, moving, plan, register, state, until
+from pcmrs.threads import descendants
 from pcmrs_lab.campaign import walltime
 from pcmrs_lab.campaign.checks import confirmed, expect, held, shape
 from pcmrs_lab.campaign.fault import Evidence, NotRun, fault

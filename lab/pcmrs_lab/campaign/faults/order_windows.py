@@ -16,7 +16,7 @@ import msgspec
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.messages import ActToken, DeviceReply, DeviceRequest, NodeBeat, Snapshot
 from pcmrs.testing.cell import REAL_TIME, RunningCell
-from pcmrs.testing.daemon import descendants, free_port
+from pcmrs.testing.daemon import free_port
 from pcmrs.testing.driving import (
     PATIENCE,
     accept,
@@ -33,6 +33,7 @@ from pcmrs.testing.driving import (
     until,
 )
 from pcmrs.testing.errors import Unmet
+from pcmrs.threads import descendants
 from pcmrs_lab.campaign.checks import BRAKING, confirmed, expect, held, refused, standing, stands, tool_position
 from pcmrs_lab.campaign.datagrams import Raw, raw_socket
 from pcmrs_lab.campaign.delays import Rule, delays_of

@@ -21,9 +21,8 @@ from pcmrs.journal.verification import verify
 from pcmrs.replay.replay import replay
 from pcmrs.service.watches import stall
 from pcmrs.testing.cell import RunningCell
-from pcmrs.testing.daemon import descendants
 from pcmrs.testing.driving import PATIENCE, accept, moving, register, reset_cell, tool_pose, until
-from pcmrs.threads import Threads
+from pcmrs.threads import Threads, descendants
 from pcmrs_lab.campaign import cgroups
 from pcmrs_lab.campaign.cgroups import memory_limit, processor_quota
 from pcmrs_lab.campaign.checks import confirmed, expect, held, stands
