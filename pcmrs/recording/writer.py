@@ -157,6 +157,7 @@ class RecordingWriter:
         if error := self._file_error():
             return error
         self._file = self._next_file()
+        self._remove_oldest()
         return None
 
     def _maintain(self) -> RecordingError | None:
@@ -166,9 +167,8 @@ class RecordingWriter:
             return None
         self._maintained_at = now
         self._file.flush()
+        self._remove_oldest()
         limits = self._plan.limits
-        if limits.total_bytes is not None:
-            remove_oldest(self._plan.pool(), limits.total_bytes, self._log_removed)
         free = shutil.disk_usage(self._file.path.parent).free
         if free < limits.keep_free_bytes:
             text = f"Only {free / 1e6:.0f} MB are free, {limits.keep_free_bytes / 1e6:.0f} MB are kept for the journal"
@@ -197,6 +197,11 @@ class RecordingWriter:
             "log_time_ns": str(self._ns(now)),
             "file": str(self._number),
         }
+
+    def _remove_oldest(self) -> None:
+        limits = self._plan.limits
+        if limits.total_bytes is not None:
+            remove_oldest(self._plan.pool(), limits.total_bytes, self._log_removed)
 
     def _log_removed(self, path: Path, size: int) -> None:
         self._removed += 1

@@ -61,6 +61,10 @@ def holding(cell: RemoteCell) -> Iterator[None]:
 def perform(cell: RemoteCell, upto: str = "placement.home") -> None:
     for name, arguments in RATMS:
         cell.accept(name, arguments)
+        if name == "robot.connect":  # the daemon locates the arm, and no motion waits for that
+            shown = cell.until(lambda shown: not shown["running"])
+            if shown["branches"]["placement"] == "unknown":  # the tracker was late
+                cell.accept("placement.locate")
         if name == upto:
             return
 

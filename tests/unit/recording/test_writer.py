@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import math
 import random
 import shutil
 from collections import namedtuple
@@ -151,8 +152,9 @@ async def test_times_are_of_the_measurement_and_map_to_monotonic_time(tmp_path: 
             assert (log_time - int(origin["log_time_ns"])) / 1e9 == pytest.approx(since, abs=1e-6)
 
 
-async def test_files_rotate_and_each_can_be_understood_alone(tmp_path: Path) -> None:
-    """The oldest ones are removed."""
+async def test_files_rotate_and_each_can_be_understood_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The oldest ones are removed as soon as a file is complete, also between two maintenances."""
+    monkeypatch.setattr("pcmrs.recording.writer.MAINTENANCE_PERIOD", math.inf)
     first = tmp_path / "run.mcap"
     limits = Limits(file_bytes=20_000, total_bytes=300_000)
     noise = random.Random(0)
