@@ -149,18 +149,8 @@ class _Server:
                 discarding = os.open(os.devnull, os.O_WRONLY)
                 os.dup2(discarding, 1)
                 os.close(discarding)
-            sys.argv = [request.module, *request.words]
-            setproctitle(" ".join((sys.executable, "-m", *sys.argv)))
-            importlib.import_module(request.module).main()
-            status = 0
-        except SystemExit as ending:
-            status = _status_of(ending)
-        except BaseException:
-            traceback.print_exc()
+            status = run_main(request.module, request.words)
         finally:
-            with suppress(OSError, ValueError):
-                sys.stdout.flush()
-                sys.stderr.flush()
             os._exit(status)
 
 
@@ -183,6 +173,32 @@ def serve_forks(control: socket.socket, modules: Iterable[str]) -> NoReturn:
     gc.collect()
     gc.freeze()  # the collector of a child would otherwise write to, and so copy, all shared memory
     _Server(control).run()
+
+
+def run_main(module: str, words: Sequence[str]) -> int:
+    """Run the function ``main`` of a module as ``python -m MODULE WORDS`` would, in a process that was just forked.
+
+    Args:
+        module: Name of the module.
+        words: Its command line.
+
+    Returns:
+        Exit status. An exception is printed, and not raised.
+    """
+    status = 1
+    try:
+        sys.argv = [module, *words]
+        setproctitle(" ".join((sys.executable, "-m", *sys.argv)))
+        importlib.import_module(module).main()
+        status = 0
+    except SystemExit as ending:
+        status = _status_of(ending)
+    except BaseException:
+        traceback.print_exc()
+    with suppress(OSError, ValueError):
+        sys.stdout.flush()
+        sys.stderr.flush()
+    return status
 
 
 def _status_of(ending: SystemExit) -> int:

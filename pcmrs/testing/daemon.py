@@ -114,7 +114,7 @@ def command_line(pid: int) -> list[str]:
     return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode().split()
 
 
-CHILDREN = {"node": "node", "world": "pcmrs_sim.process", "heart": "pcmrs.bus.heart"}
+CHILDREN = {"node": "node", "world": "pcmrs_sim.process.world", "heart": "pcmrs.bus.heart"}
 """Permanent child processes of a daemon, each with a word of its command line."""
 
 

@@ -12,7 +12,7 @@ STARTED = {
     "node": "import pcmrs.cli.serve, pcmrs.node",
     "planner": "import pcmrs.workflows.planning_process",
     "recorder": "import pcmrs.cli.recording",
-    "world": "import pcmrs_sim.process.__main__",
+    "world": "import pcmrs_sim.process.world",
     "stop": "import pcmrs.cli.cell",
 }
 

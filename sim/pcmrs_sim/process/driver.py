@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import socket
 import subprocess
-import sys
 from collections.abc import AsyncIterator, Collection, Mapping
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any
@@ -17,8 +16,8 @@ from pcmrs.clock import Clock, SystemClock
 from pcmrs.devices.deadman import DEADMAN
 from pcmrs.errors import DeviceError
 from pcmrs_sim.process.client import WorldClient, devices_of
+from pcmrs_sim.process.starting import WorldProcess, start_world
 
-MODULE = "pcmrs_sim.process"
 END_TIME = 2.0
 """Time after the end of its link until the world is killed, s: the process may be stopped and cannot end by itself."""
 
@@ -45,14 +44,13 @@ def open_devices(
     """
     here, there = socket.socketpair()
     with there:
-        # In a new session: Ctrl-C at the terminal then reaches the node only, which holds the arm first.
-        process = subprocess.Popen([sys.executable, "-m", MODULE], stdin=there.fileno(), start_new_session=True)
+        process = start_world(there, here)
     return _opened(process, here, devices, settings, clock)
 
 
 @asynccontextmanager
 async def _opened(
-    process: subprocess.Popen[bytes],
+    process: WorldProcess,
     link: socket.socket,
     devices: Collection[str],
     settings: Mapping[str, Any],
@@ -82,7 +80,7 @@ async def _opened(
         await asyncio.to_thread(_end, process)
 
 
-def _end(process: subprocess.Popen[bytes]) -> int:
+def _end(process: WorldProcess) -> int:
     """Wait for the end of a process, kill it if it does not end, and return its exit status."""
     try:
         return process.wait(END_TIME)

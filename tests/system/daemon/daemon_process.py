@@ -130,7 +130,7 @@ class ServeProcess:
 
     def world_of(self, node: int) -> int:
         """Id of the process in which the devices of a node are simulated."""
-        (found,) = _running(node, "pcmrs_sim.process")
+        (found,) = _running(node, "pcmrs_sim.process.world")
         return found
 
     def end(self, number: int = signal.SIGTERM) -> int:

@@ -25,7 +25,7 @@ for surface in ("head_phantom.ply", "femur_phantom.ply"):
         f"import pcmrs.workflows.planning_process\n{SHIPPED}",
         "import pcmrs.node",
         "import pcmrs.recording.writer",
-        "import pcmrs_sim.process.server",
+        "import pcmrs_sim.process.world",
     ],
     ids=["daemon", "planner", "node", "recorder", "world"],
 )

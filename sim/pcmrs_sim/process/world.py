@@ -1,6 +1,6 @@
 """The process of a simulated world. Standard input is the link to its node; the process ends with the link.
 
-`pcmrs_sim.process.driver` starts it as ``python -m pcmrs_sim.process``.
+`pcmrs_sim.process.starting` starts it as ``python -m pcmrs_sim.process.world``, or by a fork.
 """
 
 from __future__ import annotations
@@ -24,10 +24,15 @@ async def _serve() -> None:
     await Server(socket.socket(fileno=sys.stdin.fileno())).run()
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Serve the node until it ends."""
     for number in (signal.SIGINT, signal.SIGTERM):
         # Its node holds the arm before it ends, and then closes the link, which ends this process.
         signal.signal(number, signal.SIG_IGN)
     go_ahead_of_others()
     log_to_stderr()
     run(_serve())
+
+
+if __name__ == "__main__":
+    main()
