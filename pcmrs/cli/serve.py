@@ -74,28 +74,32 @@ def node(driver: str, devices: tuple[str, ...], file: Path | None, overrides: tu
     from pcmrs.config import as_table
     from pcmrs.devices.opening import open_driver
 
-    log_to_stderr()
     lifeline = file is None and not overrides
-    opening = None
     if lifeline:
         line = sys.stdin.buffer.readline()
-        # Before anything else: the process of a simulated cell starts while this one still loads its own modules.
+        # Before anything else: the process of a simulated cell is a fork of this one, as long as it has one thread.
         opening = open_driver(driver, devices, inherited_table(line))
-        settings, key = (given := inherited(line)).settings, given.device_key
+        log_to_stderr()
+        given = inherited(line)
+        settings, key = given.settings, _checked(given.device_key)
     else:
         from pcmrs.settings import read_settings
 
+        log_to_stderr()
         settings = read_settings(file, overrides)
-        key = settings.access.read_device_key() or b""
-    if not key:
-        text = "A device node needs the key that it shares with its daemon: set access.device_key on both sides to a "
-        text += "copy of the file that `pcmrs pki device-key FILE` makes."
-        raise ConfigurationError(text)
-    if opening is None:
+        key = _checked(settings.access.read_device_key())
         opening = open_driver(driver, devices, as_table(settings))
     from pcmrs.node import serve_devices
 
     run(serve_devices(settings, driver, devices, opening, key, lifeline=lifeline))
+
+
+def _checked(device_key: bytes | None) -> bytes:
+    if not device_key:
+        text = "A device node needs the key that it shares with its daemon: set access.device_key on both sides to a "
+        text += "copy of the file that `pcmrs pki device-key FILE` makes."
+        raise ConfigurationError(text)
+    return device_key
 
 
 async def _serve(daemon: Daemon, *, as_json: bool, lifeline: bool) -> None:

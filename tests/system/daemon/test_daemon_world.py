@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
+import sys
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
@@ -44,6 +45,12 @@ async def daemon(shared_daemon: ServeProcess) -> AsyncIterator[ServeProcess]:
 def policies(pid: int) -> list[int]:
     """Scheduling policy of each thread of a process, the main one first."""
     return [os.sched_getscheduler(int(task.name)) for task in sorted(Path(f"/proc/{pid}/task").iterdir())]
+
+
+def test_world_is_a_fork_of_its_node(shared_daemon: ServeProcess) -> None:
+    """So it has its imports already. Linux shows the title of a fork as its name, too."""
+    (node,) = shared_daemon.children()
+    assert Path(f"/proc/{shared_daemon.world_of(node)}/comm").read_text().strip() == sys.executable[:15]
 
 
 async def test_frozen_world_does_not_delay_the_deadman_of_its_node(daemon: ServeProcess) -> None:
