@@ -108,7 +108,7 @@ class SimulatedLoop(asyncio.BaseEventLoop):
             if until > self._now:
                 heapq.heappush(timers, (until, next(self._numbers), cast(asyncio.TimerHandle, handle)))
             else:
-                handle._run()
+                handle._run()  # noqa: SLF001  # as asyncio's own loop does
 
     def hold_up(self, owned: dict[asyncio.Task[Any], None], seconds: float) -> None:
         """Hold up the process that owns these tasks; its threads continue.
@@ -120,7 +120,7 @@ class SimulatedLoop(asyncio.BaseEventLoop):
         self._held_up[id(owned)] = self._now + seconds
 
     def _held_up_until(self, handle: asyncio.Handle) -> float:
-        owned = handle._context.get(OWNER)  # type: ignore[attr-defined]
+        owned = handle._context.get(OWNER)  # type: ignore[attr-defined]  # noqa: SLF001  # asyncio shows it nowhere
         until = 0.0 if owned is None else self._held_up.get(id(owned), 0.0)
         if self._held_up and max(self._held_up.values()) <= self._now:
             self._held_up.clear()

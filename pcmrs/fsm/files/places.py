@@ -48,12 +48,14 @@ class Places:
             base: Locations of the other file.
             moved: Path of each list element of this file to its path in the merged lists.
         """
-        both = copy(self)
         taken = set(moved.values())
-        both._places = {path: spot for path, spot in base._places.items() if not taken.intersection(_up(path))}
+        others = base._places.items()  # of this class
+        kept = {path: spot for path, spot in others if not taken.intersection(_up(path))}
         for path, spot in self._places.items():
             element = next((above for above in _up(path) if above in moved), ())
-            both._places[moved.get(element, ()) + path[len(element) :]] = spot
+            kept[moved.get(element, ()) + path[len(element) :]] = spot
+        both = copy(self)
+        both._places = kept  # noqa: SLF001  # of this class
         return both
 
 

@@ -284,7 +284,7 @@ class Endpoint:
             raise UnknownOutcomeError(f"Nobody answers on {key}.", key=key)
         replied: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
         self._pending_requests[replied] = server
-        kind, _ = server._services[_pattern(server._services, key)]
+        kind = server.kind_of_requests(key)
         delay = self._senders.delay(name_of(key, message), asyncio.get_running_loop().time(), sender)
         # The thread sends what it has taken, even if the requester is cancelled meanwhile.
         copied = self._network.copy(message, kind)
@@ -362,6 +362,11 @@ class Endpoint:
     def serves(self, key: str) -> bool:
         """Return true if this process answers requests on `key`."""
         return any(_matches(each, key) for each in self._services)
+
+    def kind_of_requests(self, key: str) -> type[Any]:
+        """Return the type of requests that this process answers on `key`."""
+        kind, _ = self._services[_pattern(self._services, key)]
+        return kind
 
     def _serve(self, key: str, message: msgspec.Struct, requester: Endpoint, replied: asyncio.Future[Any]) -> None:
         _, handler = self._services[_pattern(self._services, key)]

@@ -78,7 +78,7 @@ class Recruitment:
             intensity: Effective intensity, percent of the maximum stimulator output.
             rng: Source of the variability.
         """
-        x = intensity - self._onset + rng.normal(0.0, self.input_spread)
+        x = intensity - self.onset + rng.normal(0.0, self.input_spread)
         noise = float(self._noise_at(rng.uniform()))
         return max(noise, 0.0) + self._response(x, rng.normal(0.0, self.output_spread))
 
@@ -88,7 +88,15 @@ class Recruitment:
         Args:
             intensity: Effective intensity, percent of the maximum stimulator output.
         """
-        return self._response_fraction(intensity - self._onset)
+        return self._response_fraction(intensity - self.onset)
+
+    def amplitude(self, intensity: float) -> float:
+        """Return the peak-to-peak amplitude without variability, V.
+
+        Args:
+            intensity: Effective intensity, percent of the maximum stimulator output.
+        """
+        return self.noise + self._response(intensity - self.onset, 0.0)
 
     def _response(self, x: float, output: float) -> float:
         """Return the amplitude without the noise of the measurement, V.
@@ -106,7 +114,7 @@ class Recruitment:
         return self.noise + self.noise_scale * scaled
 
     @cached_property
-    def _onset(self) -> float:
+    def onset(self) -> float:
         """Intensity at which the sigmoid starts, percent of the maximum stimulator output."""
         return self.threshold - self._threshold_above_onset
 
@@ -152,7 +160,7 @@ def draw(rng: np.random.Generator) -> Recruitment:
             noise_scale=1.55e-6 * 1.5 ** rng.normal(),
             noise_shape=0.14 * 2.0 ** rng.normal(),
         )
-        subject = replace(subject, threshold=float(onset - subject._onset))
+        subject = replace(subject, threshold=float(onset - subject.onset))
         if _measurable(subject):
             return subject
 
@@ -162,7 +170,6 @@ def _measurable(subject: Recruitment) -> bool:
 
     The first two are the conditions of Goetz et al. 2019.
     """
-    silent = subject.noise + subject._response(20.0 - subject._onset, 0.0)
-    full = subject.noise + subject._response(120.0 - subject._onset, 0.0)
     low, high = THRESHOLDS
-    return silent < 30e-6 and 1e-3 < full < 30e-3 and low < subject.threshold < high
+    expected = subject.amplitude(20.0) < 30e-6 and 1e-3 < subject.amplitude(120.0) < 30e-3
+    return expected and low < subject.threshold < high
