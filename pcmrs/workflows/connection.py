@@ -66,11 +66,12 @@ async def locate_arm(run: Run) -> None:
 
 
 def clear_state(run: Run) -> str:
-    """Return ``retracted`` if the tool is seen clear of the body, otherwise ``held``."""
+    """Return ``retracted`` if the tool is seen clear of the body, otherwise ``held``; the result says why."""
     clearance = run.cell.settings.placement.clearance
     try:
         distance = distance_from_body(run.cell, run.data)
-    except RefusalError:
+    except RefusalError as error:
+        run.result["not_seen"] = error.text
         return "held"
     run.result |= {"distance": distance, "clearance": clearance}
     return "retracted" if distance > clearance else "held"

@@ -24,6 +24,8 @@ T = TypeVar("T")
 
 PATIENCE = 50
 """Number of times that a planner repeats a request on a machine that is too busy to publish or plan in time."""
+ATTEMPTS = 4
+"""Number of times that the tool backs off at most."""
 PAUSE = 0.2
 """Pause between two requests, s of the machine."""
 ASK_AGAIN = ("pose_missing", "pose_stale", "planner_late", "planner_lost")
@@ -129,7 +131,7 @@ async def run_placements(setup: ExperimentSetup, trials: int) -> PlacementReport
             done.append(await _place(bench, number, pose, registration))
             if number == trials:
                 treatment = await treat(bench.client, setup.workflow)
-            await once_seen(bench.planner.back_off)
+            await _back_off(bench)
             await once_seen(bench.planner.home)
     progress("done", steps, steps)
     return PlacementReport(
@@ -168,6 +170,14 @@ async def _place(bench: ExperimentBench, number: int, pose: ToolPose, body_ref_f
         planned=as_message(planned),
         measured=as_message(measured),
     )
+
+
+async def _back_off(bench: ExperimentBench) -> None:
+    """Back off, and again if the tracker was too late to show that the tool is clear of the body, which is then held."""
+    for _ in range(ATTEMPTS):
+        await once_seen(bench.planner.back_off)
+        if (await bench.client.state()).branches["placement"] != "held":
+            return
 
 
 async def once_seen(ask: Callable[[], Awaitable[T]]) -> T:

@@ -11,7 +11,7 @@ from pcmrs_sim.process.priority import go_ahead_of_others
 
 TRIAL = 0.5
 """Time for which a loop computes to measure its share of a processor, s."""
-ENOUGH = 0.5
+ENOUGH = 0.75
 """Share of a processor with which a cell reaches the rate that it reaches on an idle machine."""
 
 

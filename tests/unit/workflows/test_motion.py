@@ -25,6 +25,19 @@ async def test_confirm_keeps_the_nudge_at_the_standoff(bench: WorkflowBench) -> 
     assert distance(bench.cell.image_from_coil(bench.data), before) == pytest.approx(0.001, abs=0.0005)
 
 
+async def test_a_retreat_that_the_tracker_does_not_see_is_held(bench: WorkflowBench) -> None:
+    """The result says why, and backing off again is the way out."""
+    await bench.to_placed()
+    async with bench.moving("placement.back_off") as retreat:
+        await bench.scene.occlude("coil", True)
+        ended = await retreat
+    assert (ended.decision, ended.state) == ("accepted", "held")
+    assert "coil" in (ended.result or {})["not_seen"]
+    await bench.scene.occlude("coil", False)
+    await bench.clock.sleep(0.2)
+    assert (await bench.accept("placement.back_off")).state == "standoff"
+
+
 async def test_a_motion_stopped_at_the_robot_itself_is_held(bench: WorkflowBench) -> None:
     await bench.to_standoff()
     async with bench.moving("placement.confirm") as confirm:
