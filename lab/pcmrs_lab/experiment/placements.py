@@ -173,7 +173,7 @@ async def _place(bench: ExperimentBench, number: int, pose: ToolPose, body_ref_f
 
 
 async def _back_off(bench: ExperimentBench) -> None:
-    """Back off, and again if the tracker was too late to show that the tool is clear of the body, which is then held."""
+    """Back off, and again if the tool is held there: the tracker was too late to show that it is clear of the body."""
     for _ in range(ATTEMPTS):
         await once_seen(bench.planner.back_off)
         if (await bench.client.state()).branches["placement"] != "held":
