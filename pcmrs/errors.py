@@ -123,6 +123,30 @@ class JournalError(PcmrsError):
     code = "journal_unavailable"
 
 
+class ArchiveError(PcmrsError):
+    """An archive of journals cannot be opened, read or written."""
+
+    code = "archive_unavailable"
+
+
+class MissingSegmentError(ArchiveError):
+    """Rows that an archive must hold are not there."""
+
+    code = "segment_missing"
+
+
+class AlteredSegmentError(ArchiveError):
+    """Rows of an archive are not those that were archived, or a journal no longer holds what was archived of it."""
+
+    code = "segment_altered"
+
+
+class DoubledSegmentError(ArchiveError):
+    """The same rows would be, or are, in an archive twice."""
+
+    code = "segment_doubled"
+
+
 class SupervisionError(PcmrsError):
     """A task of the daemon has died too often for the daemon to go on; motion was held before it ended."""
 

@@ -27,6 +27,7 @@ EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
     "imaging": ("fast_simplification", "nibabel", "pydicom", "skimage", "trimesh"),
     "teleop": ("evdev",),
     "ros2": ("pycdr2",),
+    "archive": ("duckdb", "psycopg", "pyarrow"),
 }
 """Imported modules of each extra."""
 

@@ -22,6 +22,7 @@ COMMANDS = {
     "doctor": "pcmrs.cli.doctor:doctor",
     "stop": "pcmrs.cli.cell:stop",
     "journal": "pcmrs.cli.journal:journal",
+    "archive": "pcmrs.cli.archive:archive",
     "fsm": "pcmrs.cli.fsm:fsm",
     "faults": LABORATORY,
     "placements": "pcmrs.cli.placements:placements",

@@ -80,6 +80,16 @@ def read_head(path: Path, key: Ed25519PublicKey) -> HeadState | None:
         return None
     except OSError as error:
         raise JournalError(f"{path} cannot be read: {error.strerror}.", path=str(path)) from error
+    return parse_head(content, key)
+
+
+def parse_head(content: bytes, key: Ed25519PublicKey) -> HeadState:
+    """Return what the bytes of a head file say.
+
+    Args:
+        content: Bytes of both slots.
+        key: Public key that verifies them.
+    """
     slots = [_unpack(content[start : start + _SIGNED.size + _SIGNATURE], key) for start in (0, _SLOT)]
     whole = [slot for slot in slots if slot is not None]
     return HeadState(max(whole, key=lambda head: head.counter, default=None), SLOTS - len(whole))

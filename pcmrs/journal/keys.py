@@ -48,11 +48,28 @@ def public_key(path: Path) -> Ed25519PublicKey:
         JournalError: The file is missing or is not an Ed25519 key.
     """
     try:
-        key = serialization.load_pem_public_key(path.read_bytes())
-    except (OSError, *_NO_KEY) as error:
+        pem = path.read_bytes()
+    except OSError as error:
         raise JournalError(f"{path} is not the public key of a journal: {error}.", path=str(path)) from error
+    return parse_public_key(pem, str(path))
+
+
+def parse_public_key(pem: bytes, name: str) -> Ed25519PublicKey:
+    """Return the public key of a journal.
+
+    Args:
+        pem: Key in PEM.
+        name: Name of the key for the message, such as its path.
+
+    Raises:
+        JournalError: The bytes are not an Ed25519 key.
+    """
+    try:
+        key = serialization.load_pem_public_key(pem)
+    except _NO_KEY as error:
+        raise JournalError(f"{name} is not the public key of a journal: {error}.", path=name) from error
     if not isinstance(key, Ed25519PublicKey):
-        raise JournalError(f"{path} is not an Ed25519 key.", path=str(path))
+        raise JournalError(f"{name} is not an Ed25519 key.", path=name)
     return key
 
 

@@ -1,0 +1,19 @@
+"""Archive: the journals of many cells in one place, for questions about all of them."""
+
+from pcmrs.archive.adding import AddedRows, add_journal, find_journals
+from pcmrs.archive.questions import QUESTIONS, Question
+from pcmrs.archive.store import ArchivedJournal, ArchiveStore, open_store
+from pcmrs.archive.verification import ArchiveVerification, verify_archive
+
+__all__ = [
+    "QUESTIONS",
+    "AddedRows",
+    "ArchiveStore",
+    "ArchiveVerification",
+    "ArchivedJournal",
+    "Question",
+    "add_journal",
+    "find_journals",
+    "open_store",
+    "verify_archive",
+]
