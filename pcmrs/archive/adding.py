@@ -133,7 +133,10 @@ def _end_of(
     if known.key != source.key:
         what = f"journal.pub beside {source.path} is another key than the one in the archive"
         raise altered(name, 1, source.end.sequence, what)
-    if source.end.sequence < end.sequence or (source.end.sequence == end.sequence and source.end != end):
-        what = f"the head of {source.path} names row {source.end.sequence}: the journal was set back or replaced"
-        raise altered(name, source.end.sequence, end.sequence, what)
+    if not source.has(end):
+        what = (
+            f"{source.path}, whose head names row {source.end.sequence}, does not have row {end.sequence} as it was "
+            "archived: the journal was set back or replaced"
+        )
+        raise altered(name, 1, end.sequence, what)
     return end

@@ -111,7 +111,7 @@ class FolderStore:
                 _require_one_select(connection, sql)
                 self._fence(connection, paths)
                 yield connection.sql(sql).to_arrow_reader(_BATCH)
-            except duckdb.Error as error:
+            except (duckdb.Error, pa.ArrowException) as error:  # the latter from reading the answer
                 raise ArchiveError(f"The question cannot be answered: {error}") from error
 
     def unlisted(self) -> list[str]:

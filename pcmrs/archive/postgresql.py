@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import psycopg
 import pyarrow as pa
+from psycopg.types.string import TextLoader
 
 from pcmrs.archive.columns import JSON_COLUMNS, SCHEMA
 from pcmrs.archive.segment import JournalName, Segment, doubled, missing
@@ -41,7 +42,6 @@ _TABLES: Final = (
 _JOURNAL: Final = "site || '/' || cell || '/' || workflow || '-' || first"
 """Name of a journal of the table journals, as in the table rows."""
 _NAMES: Final = ", ".join(SCHEMA.names)
-_AS_TEXT: Final = ", ".join(f"{name}::text" if name in JSON_COLUMNS else name for name in SCHEMA.names)
 _ARROW: Final = {
     "bool": pa.bool_(),
     **dict.fromkeys(("int2", "int4", "int8"), pa.int64()),
@@ -68,6 +68,7 @@ class PostgresStore:
     def __init__(self, address: str, *, make: bool) -> None:
         with _readable_errors():
             self._connection = psycopg.connect(address, autocommit=True)
+        self._connection.adapters.register_loader("json", TextLoader)  # not as the object that the text describes
         try:
             with _readable_errors():
                 self._open(make=make)
@@ -121,7 +122,7 @@ class PostgresStore:
 
     def read(self, segment: Segment) -> pa.Table:
         """See `ArchiveStore.read`."""
-        query = f"SELECT {_AS_TEXT} FROM rows WHERE journal = %s AND sequence BETWEEN %s AND %s ORDER BY sequence"  # noqa: S608  # constants
+        query = f"SELECT {_NAMES} FROM rows WHERE journal = %s AND sequence BETWEEN %s AND %s ORDER BY sequence"  # noqa: S608  # constants
         with _readable_errors():
             rows = self._connection.execute(
                 query.encode(), (str(segment.journal), segment.first, segment.last)

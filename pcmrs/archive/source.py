@@ -5,7 +5,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from pcmrs.archive.segment import JournalName
 from pcmrs.errors import ArchiveError, JournalError
@@ -97,6 +97,13 @@ class JournalSource:
         site, name = cell or self._configured_cell()
         return JournalName.of(site, name, decode_row(body).blueprint.id, chain_hash(START.hash, sequence, body))
 
+    def has(self, place: RowPosition) -> bool:
+        """Return whether the journal has a row at this position, up to the one that the head names."""
+        if place == START:
+            return True
+        query = "SELECT hash FROM journal WHERE sequence = ? AND sequence <= ?"
+        return next(self._select(query, (place.sequence, self.end.sequence)), None) == (place.hash,)
+
     def prove(self, after: RowPosition) -> None:
         """Prove the rows after a position: the chain through them must end in the hash that the head has signed.
 
@@ -131,12 +138,15 @@ class JournalSource:
 
     def _bodies(self, after: int, last: int, kind: Kind | None = None) -> Iterator[tuple[int, bytes]]:
         query = "SELECT sequence, body FROM journal WHERE sequence > ? AND sequence <= ?"
-        values: tuple[object, ...] = (after, last)
-        if kind is not None:
-            query, values = f"{query} AND kind = ?", (*values, kind)
+        if kind is None:
+            return self._select(f"{query} ORDER BY sequence", (after, last))
+        return self._select(f"{query} AND kind = ? ORDER BY sequence", (after, last, kind))
+
+    def _select(self, query: str, values: tuple[object, ...]) -> Iterator[Any]:
+        """Yield the rows that a query finds in each file."""
         for path, connection in self._files:
             try:
-                yield from connection.execute(f"{query} ORDER BY sequence", values)
+                yield from connection.execute(query, values)
             except DATABASE_ERRORS as error:
                 raise JournalError(f"{path} cannot be read: {error}. {REMEDY}", path=str(path)) from error
 

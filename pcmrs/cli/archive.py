@@ -144,7 +144,6 @@ def verify(place: str, keys: tuple[tuple[tuple[str, str], Path], ...], as_json: 
 def list_(place: str, as_json: bool) -> None:
     """List the journals of the archive, as its catalogue has them, and the questions that it answers by name."""
     from pcmrs.archive import QUESTIONS, open_store
-    from pcmrs.cli.tables import Terminal
 
     store = open_store(place)
     try:
@@ -158,7 +157,7 @@ def list_(place: str, as_json: bool) -> None:
     table = _table("journal", "segments", "rows")
     for name, segments in found.items():
         table.add_row(name, str(len(segments)), str(rows[name]))
-    Terminal().print(table)
+    _print(table)
     for name, question in QUESTIONS.items():
         say(f"pcmrs archive ask {name}: {question.title}.")
 
@@ -206,18 +205,16 @@ def _say_added(added: AddedRows, *, as_json: bool) -> None:
 
 
 def _say_answer(answer: pa.RecordBatchReader, *, as_json: bool) -> None:
-    from pcmrs.cli.tables import Terminal
+    from pcmrs.archive.answer import rows_of
 
     if as_json:
-        for batch in answer:
-            for row in batch.to_pylist():
-                say_json(row)
+        for row in rows_of(answer):
+            say_json(row)
         return
     table = _table(*answer.schema.names)
-    for batch in answer:
-        for row in batch.to_pylist():
-            table.add_row(*("" if value is None else _text(value) for value in row.values()))
-    Terminal().print(table)
+    for row in rows_of(answer):
+        table.add_row(*("" if value is None else _text(value) for value in row.values()))
+    _print(table)
 
 
 def _text(value: object) -> str:
@@ -235,6 +232,12 @@ def _verified(found: ArchiveVerification) -> Table:
     for name in found.unlisted:
         table.add_row(f"{name} is not in the catalogue: a run was killed, and the next one replaces it.")
     return table
+
+
+def _print(table: Table) -> None:
+    from pcmrs.cli.tables import NARROWEST, Terminal
+
+    Terminal(width=max(Terminal().width, NARROWEST)).print(table)
 
 
 def _table(*columns: str) -> Table:

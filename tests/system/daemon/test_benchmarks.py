@@ -79,3 +79,22 @@ def test_the_code_is_counted_and_one_command_is_followed() -> None:
     found = json.loads(measured.stdout)
     assert found["files on the route of a command"] < found["files"]
     assert found["calls on the route of a command"] >= found["functions on the route of a command"] > 50
+
+
+def test_archiving_and_questions_are_measured() -> None:
+    words = ["--sessions", "4", "--rows", "300", "--cells", "2", "--verify", "--json"]
+    command = [sys.executable, str(BENCHMARKS / "archive.py"), *words]
+
+    measured = subprocess.run(command, capture_output=True, text=True, check=False)
+
+    assert measured.returncode == 0, measured.stderr
+    found = json.loads(measured.stdout)
+    assert found["add"]["rows"] == 1200
+    answers = {name: answer["rows"] for name, answer in found["ask"].items()}
+    assert answers == {
+        "stops": 4,
+        "errors-by-tool": 2,
+        "errors-by-site": 2,
+        "decisions": answers["decisions"],
+        "sessions": 4,
+    }

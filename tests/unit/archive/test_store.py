@@ -9,7 +9,7 @@ import pytest
 from pcmrs.archive import QUESTIONS, ArchiveStore, open_store
 from pcmrs.archive.columns import SCHEMA, check_table
 from pcmrs.errors import ArchiveError, DoubledSegmentError
-from tests.unit.archive.archives import answer, commands, config, entry_of, segment_of, write
+from tests.unit.archive.archives import answer, config, entry_of, segment_of, write
 
 
 def test_a_new_archive_is_empty(store: ArchiveStore) -> None:
