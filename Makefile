@@ -15,7 +15,7 @@ SEED := 0
 PART :=
 OPTIONS :=
 WORKERS := $(shell echo $$((3 * $$(nproc) / 2)))
-EXTRAS := daemon recording report authoring hardware console imaging ros2 docs fuzz dev
+EXTRAS := daemon recording report authoring hardware console imaging ros2 archive docs fuzz dev
 
 # Some containers set it; each process would then compile every module that it imports.
 unexport PYTHONDONTWRITEBYTECODE
@@ -55,7 +55,7 @@ fuzz: install ## Fuzz every parser of bytes from outside, SECONDS=30 each; TARGE
 
 tools: spin browser mono ## Install all that tests are skipped and faults are not injected without (Debian packages, as root)
 	DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends \
-	    e2fsprogs fonts-dejavu-core graphviz iproute2 mount nftables strace systemd >/dev/null
+	    e2fsprogs fonts-dejavu-core graphviz iproute2 mount nftables postgresql strace systemd >/dev/null
 
 spin: ## Install the model checker SPIN and two C compilers (Debian packages, as root); without them its tests are skipped
 	apt-get update -qq

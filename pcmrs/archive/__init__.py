@@ -1,8 +1,9 @@
 """Archive: the journals of many cells in one place, for questions about all of them."""
 
 from pcmrs.archive.adding import AddedRows, add_journal, find_journals
+from pcmrs.archive.opening import open_store
 from pcmrs.archive.questions import QUESTIONS, Question
-from pcmrs.archive.store import ArchivedJournal, ArchiveStore, open_store
+from pcmrs.archive.store import ArchivedJournal, ArchiveStore
 from pcmrs.archive.verification import ArchiveVerification, verify_archive
 
 __all__ = [

@@ -38,6 +38,7 @@ _TABLES: Final = (
     "start bigint NOT NULL, start_hash bytea NOT NULL, last bigint NOT NULL, last_hash bytea NOT NULL, "
     "PRIMARY KEY (journal, start))",
     f"CREATE TABLE pcmrs_archive.rows ({_COLUMNS}, PRIMARY KEY (journal, sequence))",
+    "CREATE INDEX ON pcmrs_archive.rows (kind, branch, operation)",
 )
 _JOURNAL: Final = "site || '/' || cell || '/' || workflow || '-' || first"
 """Name of a journal of the table journals, as in the table rows."""

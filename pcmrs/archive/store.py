@@ -1,11 +1,10 @@
-"""Interface of the places that hold an archive, and how one is opened: a folder, or a PostgreSQL database."""
+"""Interface of the places that hold an archive."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Protocol
 
 import pyarrow as pa
@@ -86,26 +85,3 @@ class ArchiveStore(Protocol):
 
     def close(self) -> None:
         """Close the archive."""
-
-
-POSTGRESQL = ("postgresql://", "postgres://")
-"""Beginnings of the address of a database."""
-
-
-def open_store(place: str, *, make: bool = False) -> ArchiveStore:
-    """Open an archive.
-
-    Args:
-        place: Folder, or address of a database (``postgresql://…``).
-        make: True to make a new archive if there is none.
-
-    Raises:
-        ArchiveError: There is none, or it cannot be used.
-    """
-    if place.startswith(POSTGRESQL):
-        from pcmrs.archive.postgresql import PostgresStore
-
-        return PostgresStore(place, make=make)
-    from pcmrs.archive.folder import FolderStore
-
-    return FolderStore(Path(place), make=make)

@@ -37,13 +37,14 @@ OURS = ("pcmrs_sim", "pcmrs_lab")
 BASE = HIDE.format(hidden={*OURS, *(module for modules in EXTRAS.values() for module in modules)})
 WINDOWS = HIDE.format(hidden={*OURS, *POSIX, *(module for modules in EXTRAS.values() for module in modules)})
 PACKAGES = {
-    "coal": "coal", "evdev": "evdev", "fast-simplification": "fast_simplification", "foxglove-sdk": "foxglove",
-    "jinja2": "jinja2", "matplotlib": "matplotlib", "mcap": "mcap", "ndicapi": "ndicapy", "nibabel": "nibabel",
-    "nicegui": "nicegui", "pin": "pinocchio", "plutoprint": "plutoprint", "prometheus-client": "prometheus_client",
-    "pycdr2": "pycdr2", "pydicom": "pydicom", "pyigtl": "pyigtl", "pylsl": "pylsl", "pyserial": "serial",
-    "resvg-py": "resvg_py", "ruckig": "ruckig", "scikit-image": "skimage", "scipy": "scipy",
-    "setproctitle": "setproctitle",
-    "threadpoolctl": "threadpoolctl", "trimesh": "trimesh", "uvloop": "uvloop", "zstandard": "zstandard",
+    "coal": "coal", "duckdb": "duckdb", "evdev": "evdev", "fast-simplification": "fast_simplification",
+    "foxglove-sdk": "foxglove", "jinja2": "jinja2", "matplotlib": "matplotlib", "mcap": "mcap",
+    "ndicapi": "ndicapy", "nibabel": "nibabel", "nicegui": "nicegui", "pin": "pinocchio",
+    "plutoprint": "plutoprint", "prometheus-client": "prometheus_client", "psycopg": "psycopg",
+    "pyarrow": "pyarrow", "pycdr2": "pycdr2", "pydicom": "pydicom", "pyigtl": "pyigtl", "pylsl": "pylsl",
+    "pyserial": "serial", "resvg-py": "resvg_py", "ruckig": "ruckig", "scikit-image": "skimage",
+    "scipy": "scipy", "setproctitle": "setproctitle", "threadpoolctl": "threadpoolctl", "trimesh": "trimesh",
+    "uvloop": "uvloop", "zstandard": "zstandard",
 }  # fmt: skip
 """Names of packages to the modules that are imported."""
 BROUGHT_ALONG = {"fastapi", "uvicorn"}  # by NiceGUI
@@ -91,6 +92,7 @@ def test_a_workflow_is_verified_without_any_extra() -> None:
         (("record", "run.mcap"), "extra recording"),
         (("repair", "run.mcap", "-o", "saved.mcap"), "extra recording"),
         (("report", "."), "extra daemon or report"),
+        (("archive", "list", "--archive", "."), "extra archive"),
     ],
 )
 def test_a_command_says_what_to_install(words: tuple[str, ...], extra: str) -> None:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import tempfile
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
+import psycopg
 import pytest
 
 DEBIAN = Path("/usr/lib/postgresql")
@@ -29,24 +33,33 @@ def programs() -> Path:
 def running_server() -> Iterator[str]:
     """Start a server and yield the address of its database."""
     folder, bin_ = Path(tempfile.mkdtemp(prefix="pcmrs-postgresql-")), programs()
-    user = USER if os.geteuid() == 0 else None
-
-    def run(program: str, *words: str) -> None:
-        command = [str(bin_ / program), "--pgdata", str(folder / "data"), *words]
-        done = subprocess.run(
-            command, user=user, cwd="/", env={"LC_ALL": "C"}, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, done.stdout + done.stderr
-
+    address = f"postgresql://pcmrs@/postgres?host={folder}"
+    options: dict[str, Any] = {"user": USER if os.geteuid() == 0 else None, "cwd": "/", "env": {"LC_ALL": "C"}}
     try:
-        if user is not None:
-            shutil.chown(folder, user)
-        run("initdb", "--username=pcmrs", "--auth=trust", "--encoding=UTF8", "--no-sync")
-        log = str(folder / "log")
-        run("pg_ctl", "--wait", f"--log={log}", f"--options=-k {folder} -c listen_addresses= -c fsync=off", "start")
+        if options["user"] is not None:
+            shutil.chown(folder, USER)
+        make = [bin_ / "initdb", f"--pgdata={folder}/data", "--username=pcmrs", "--auth=trust", "--encoding=UTF8"]
+        subprocess.run([*make, "--no-sync"], check=True, capture_output=True, **options)
+        settings = (f"unix_socket_directories={folder}", "listen_addresses=", "fsync=off")
+        start = [bin_ / "postgres", "-D", folder / "data", *(word for each in settings for word in ("-c", each))]
+        with (folder / "log").open("wb") as log:
+            process = subprocess.Popen(start, stdout=log, stderr=log, **options)
         try:
-            yield f"postgresql://pcmrs@/postgres?host={folder}"
+            _wait(process, address, folder / "log")
+            yield address
         finally:
-            run("pg_ctl", "--wait", "--mode=immediate", "stop")
+            process.send_signal(signal.SIGINT)  # it ends the connections that are left
+            process.wait(timeout=60)
     finally:
         shutil.rmtree(folder)
+
+
+def _wait(process: subprocess.Popen[bytes], address: str, log: Path) -> None:
+    """Wait until the server answers."""
+    end = time.monotonic() + 60
+    while process.poll() is None and time.monotonic() < end:
+        with suppress(psycopg.OperationalError):
+            psycopg.connect(address).close()
+            return
+        time.sleep(0.1)
+    pytest.fail(f"PostgreSQL does not answer:\n{log.read_text()}")

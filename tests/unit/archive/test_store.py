@@ -79,12 +79,3 @@ def test_both_kinds_give_the_same_answers(database: str, folder: Path, journal_p
         store.close()
     assert answers[0] == answers[1]
     assert any(answers[0])
-
-
-def test_an_archive_is_made_only_on_request(database: str, folder: Path) -> None:
-    for place in (str(folder), database):
-        with pytest.raises(ArchiveError, match="pcmrs archive add"):
-            open_store(place)
-        open_store(place, make=True).close()
-        open_store(place, make=True).close()
-        open_store(place).close()
