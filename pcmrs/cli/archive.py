@@ -177,22 +177,31 @@ def ask(name: str | None, sql: str | None, place: str, output: Path | None, as_j
 
     Example: pcmrs archive ask --sql "SELECT site, count(*) FROM rows GROUP BY site"
     """
-    from pcmrs.archive import QUESTIONS, open_store
+    from pcmrs.archive import open_store
     from pcmrs.archive.answer import write_answer
 
-    if (name is None) == (sql is None):
-        raise click.UsageError("Give one of QUESTION and --sql.")
-    if name is not None and name not in QUESTIONS:
-        raise click.UsageError(f"There is no question {name}: ask {', '.join(QUESTIONS)}, or use --sql.")
+    asked = _sql_of(name, sql)
     store = open_store(place)
     try:
-        with store.ask(sql if name is None else QUESTIONS[name].sql) as answer:
+        with store.ask(asked) as answer:
             if output is not None:
                 say(f"{write_answer(answer, output)} rows in {output}.")
             else:
                 _say_answer(answer, as_json=as_json)
     finally:
         store.close()
+
+
+def _sql_of(name: str | None, sql: str | None) -> str:
+    from pcmrs.archive import QUESTIONS
+
+    if name is None and sql is not None:
+        return sql
+    if name is None or sql is not None:
+        raise click.UsageError("Give one of QUESTION and --sql.")
+    if name not in QUESTIONS:
+        raise click.UsageError(f"There is no question {name}: ask {', '.join(QUESTIONS)}, or use --sql.")
+    return QUESTIONS[name].sql
 
 
 def _say_added(added: AddedRows, *, as_json: bool) -> None:

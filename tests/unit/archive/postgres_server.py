@@ -11,7 +11,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 import psycopg
 import pytest
@@ -34,16 +33,16 @@ def running_server() -> Iterator[str]:
     """Start a server and yield the address of its database."""
     folder, bin_ = Path(tempfile.mkdtemp(prefix="pcmrs-postgresql-")), programs()
     address = f"postgresql://pcmrs@/postgres?host={folder}"
-    options: dict[str, Any] = {"user": USER if os.geteuid() == 0 else None, "cwd": "/", "env": {"LC_ALL": "C"}}
+    user, environment = USER if os.geteuid() == 0 else None, {"LC_ALL": "C"}
     try:
-        if options["user"] is not None:
-            shutil.chown(folder, USER)
-        make = [bin_ / "initdb", f"--pgdata={folder}/data", "--username=pcmrs", "--auth=trust", "--encoding=UTF8"]
-        subprocess.run([*make, "--no-sync"], check=True, capture_output=True, **options)
+        if user is not None:
+            shutil.chown(folder, user)
+        make = [f"{bin_}/initdb", f"--pgdata={folder}/data", "--username=pcmrs", "--auth=trust", "--encoding=UTF8"]
+        subprocess.run([*make, "--no-sync"], check=True, capture_output=True, user=user, cwd="/", env=environment)
         settings = (f"unix_socket_directories={folder}", "listen_addresses=", "fsync=off")
-        start = [bin_ / "postgres", "-D", folder / "data", *(word for each in settings for word in ("-c", each))]
+        start = [f"{bin_}/postgres", "-D", f"{folder}/data", *(word for each in settings for word in ("-c", each))]
         with (folder / "log").open("wb") as log:
-            process = subprocess.Popen(start, stdout=log, stderr=log, **options)
+            process = subprocess.Popen(start, stdout=log, stderr=log, user=user, cwd="/", env=environment)
         try:
             _wait(process, address, folder / "log")
             yield address

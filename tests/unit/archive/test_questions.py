@@ -23,7 +23,7 @@ def asked(store: ArchiveStore, name: str) -> list[dict[str, Any]]:
 
 def accepted(command_id: str, name: str, result: dict[str, Any]) -> JournalRow:
     branch, operation = name.split(".")
-    names = {"branch": branch, "operation": operation}
+    names: dict[str, Any] = {"branch": branch, "operation": operation}
     verdict = Verdict(id=command_id, decision="accepted", state="1", sequence=1, result=result, **names)
     return row("outcome", command_id=command_id, source="bus:local", verdict=verdict, **names)
 
