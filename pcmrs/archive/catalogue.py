@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from pcmrs.archive.segment import JournalName, Segment, doubled
+from pcmrs.archive.segment import JournalName, Segment, added_meanwhile
 from pcmrs.archive.store import ArchivedJournal
 from pcmrs.errors import ArchiveError
 from pcmrs.files import publish
@@ -98,11 +98,17 @@ class Catalogue:
             ]
 
     def begin(self, journal: ArchivedJournal) -> None:
-        """Enter a journal."""
+        """Enter a journal.
+
+        Raises:
+            DoubledSegmentError: It is there: another run was faster.
+        """
+        values = (*journal.name, journal.key, journal.head)
         with self._readable_errors():
-            self._connection.execute(
-                "INSERT INTO journals VALUES (?, ?, ?, ?, ?, ?)", (*journal.name, journal.key, journal.head)
-            )
+            try:
+                self._connection.execute("INSERT INTO journals VALUES (?, ?, ?, ?, ?, ?)", values)
+            except sqlite3.IntegrityError as error:
+                raise added_meanwhile(journal.name) from error
 
     @contextmanager
     def entering(self, listed: ListedSegment) -> Iterator[None]:
@@ -146,8 +152,7 @@ class Catalogue:
         with self._readable_errors():
             (last,) = self._connection.execute(query, (segment.journal.first,)).fetchone()
         if last != segment.start.sequence:
-            what = f"the archive has rows up to {last}, from another run at the same time. Run the command again."
-            raise doubled(segment.journal, segment.first, segment.last, what)
+            raise added_meanwhile(segment.journal, last, segment)
 
     @contextmanager
     def _readable_errors(self) -> Iterator[None]:

@@ -121,6 +121,10 @@ def _rows(segment: Segment, bodies: Sequence[Any], hashes: Sequence[Any]) -> Ite
         yield ProvenRow(sequence, row, body, own)
 
 
+def _json(value: object) -> bytes | None:
+    return None if value is None else _encode(value)
+
+
 def _values(proven: ProvenRow) -> tuple[Any, ...]:
     """Return the values of `_FROM_ROWS`, in their order."""
     row, verdict = proven.row, proven.row.verdict
@@ -133,7 +137,7 @@ def _values(proven: ProvenRow) -> tuple[Any, ...]:
         *(proven.sequence, row.wall, row.monotonic),
         *(row.kind, row.source, row.command_id, row.user, row.role, row.branch, row.operation),
         *(decision, reason, text, state),
-        *(None if value is None else _encode(value) for value in (row.arguments, row.states, row.result, reported)),
+        *(_json(row.arguments), _json(row.states), _json(row.result), _json(reported)),
         *(row.parent, row.session_id, row.boot_id),
         *(row.blueprint.id, row.blueprint.version, row.blueprint.hash),
         *(proven.body, proven.hash),

@@ -47,6 +47,7 @@ class FolderStore:
         self._folder = folder
         try:
             if make:
+                _require_own(folder)
                 make_private(folder)
         except OSError as error:
             raise ArchiveError(f"{folder} cannot be made: {error.strerror}.", path=str(folder)) from error
@@ -151,6 +152,17 @@ class FolderStore:
         connection.execute("SET allowed_directories = [$folder]", {"folder": str(self._folder / ROWS)})
         connection.execute("SET enable_external_access = false")
         connection.execute("SET lock_configuration = true")
+
+
+def _require_own(folder: Path) -> None:
+    """Require that a folder is new, empty or an archive: its mode is changed, and verification reports other files."""
+    catalogue = folder / CATALOGUE
+    if not folder.exists() or catalogue.exists():
+        return
+    others = [path.name for path in folder.iterdir() if not path.name.startswith(f"{CATALOGUE}.part")]
+    if others:
+        text = f"{folder} has other files, such as {min(others)}: give a new or empty folder for the archive."
+        raise ArchiveError(text, path=str(folder))
 
 
 def _require_one_select(connection: duckdb.DuckDBPyConnection, sql: str) -> None:

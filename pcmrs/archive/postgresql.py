@@ -11,7 +11,7 @@ import pyarrow as pa
 from psycopg.types.string import TextLoader
 
 from pcmrs.archive.columns import JSON_COLUMNS, SCHEMA
-from pcmrs.archive.segment import JournalName, Segment, doubled, missing
+from pcmrs.archive.segment import JournalName, Segment, added_meanwhile, missing
 from pcmrs.archive.store import ArchivedJournal
 from pcmrs.errors import ArchiveError
 from pcmrs.journal.rows import RowPosition
@@ -95,10 +95,12 @@ class PostgresStore:
 
     def begin(self, journal: ArchivedJournal) -> None:
         """See `ArchiveStore.begin`."""
+        values = (*journal.name, journal.key, journal.head)
         with _readable_errors():
-            self._connection.execute(
-                "INSERT INTO journals VALUES (%s, %s, %s, %s, %s, %s)", (*journal.name, journal.key, journal.head)
-            )
+            try:
+                self._connection.execute("INSERT INTO journals VALUES (%s, %s, %s, %s, %s, %s)", values)
+            except psycopg.errors.UniqueViolation as error:
+                raise added_meanwhile(journal.name) from error
 
     def add(self, segment: Segment, table: pa.Table) -> None:
         """See `ArchiveStore.add`."""
@@ -178,8 +180,7 @@ class PostgresStore:
         query = "SELECT coalesce(max(last), 0) FROM segments WHERE journal = %s"
         found = self._connection.execute(query, (segment.journal.first,)).fetchone()
         if found is not None and found[0] != segment.start.sequence:
-            what = f"the archive has rows up to {found[0]}, from another run at the same time. Run the command again."
-            raise doubled(segment.journal, segment.first, segment.last, what)
+            raise added_meanwhile(segment.journal, found[0], segment)
 
     def _require_segments(self) -> None:
         """Require that the first and the last row of each segment are there; only a verification reads all of them."""

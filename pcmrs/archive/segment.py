@@ -137,6 +137,19 @@ def doubled(journal: JournalName, first: int, last: int, what: str) -> DoubledSe
     return DoubledSegmentError(f"Rows {first}–{last} of {journal}: {what}", **_fields(journal, first, last))
 
 
+def added_meanwhile(journal: JournalName, last: int = 0, segment: Segment | None = None) -> DoubledSegmentError:
+    """Return the error for rows that another run adds at the same time.
+
+    Args:
+        journal: Name of the journal.
+        last: Sequence of the last row that the archive has.
+        segment: Segment that was to be added; None for the journal itself.
+    """
+    first, end = (1, 1) if segment is None else (segment.first, segment.last)
+    what = f"the archive has rows up to {last}, from another run at the same time. Run the command again."
+    return doubled(journal, first, end, what)
+
+
 def follow_segments(journal: JournalName, segments: Iterable[Segment]) -> RowPosition:
     """Return the end of a journal's segments, each of which must start where the one before it ends.
 

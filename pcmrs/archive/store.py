@@ -40,7 +40,11 @@ class ArchiveStore(Protocol):
         """Return the segments of a journal that the catalogue names, in order of their first rows."""
 
     def begin(self, journal: ArchivedJournal) -> None:
-        """Enter a journal into the catalogue, without segments."""
+        """Enter a journal into the catalogue, without segments.
+
+        Raises:
+            DoubledSegmentError: Another run has entered it.
+        """
 
     def add(self, segment: Segment, table: pa.Table) -> None:
         """Store a segment and enter it into the catalogue: when this returns, it is durable; before, it is not there.

@@ -53,7 +53,7 @@ def test_of_two_runs_one_is_refused(path: Path, journal_path: Path) -> None:
             pass
         with pytest.raises(DoubledSegmentError), other.entering(segment):
             pass
-        with pytest.raises(ArchiveError, match="UNIQUE"):
+        with pytest.raises(DoubledSegmentError, match="another run at the same time"):
             other.begin(entry_of(journal_path))
 
 

@@ -108,6 +108,24 @@ def test_other_software_reads_the_files(store: FolderStore, segment: Segment, fo
     assert found == [(10, "lab")]
 
 
+def test_a_folder_with_other_files_is_left_alone(tmp_path: Path) -> None:
+    home = tmp_path / "home"
+    home.mkdir(mode=0o755)
+    (home / "letter.txt").touch()
+    with pytest.raises(ArchiveError, match=r"such as letter\.txt: give a new or empty folder"):
+        FolderStore(home, make=True)
+    assert home.stat().st_mode & 0o777 == 0o755
+    assert [path.name for path in home.iterdir()] == ["letter.txt"]
+
+
+def test_a_folder_whose_making_was_killed_is_used(folder: Path) -> None:
+    folder.mkdir()
+    (folder / "catalogue.sqlite.part").write_bytes(b"half")
+    made = FolderStore(folder, make=True)
+    assert made.journals() == []
+    made.close()
+
+
 def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ArchiveError, match="cannot be made"):

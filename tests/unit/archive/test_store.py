@@ -45,6 +45,8 @@ def test_a_segment_that_does_not_follow_is_refused(store: ArchiveStore, journal_
     segment, table = segment_of(journal_path, most=4)
     later, rest = segment_of(journal_path, after=segment.end)
     store.begin(entry_of(journal_path))
+    with pytest.raises(DoubledSegmentError, match="another run at the same time"):
+        store.begin(entry_of(journal_path))
     with pytest.raises(DoubledSegmentError, match=r"Rows 5–10 .* rows up to 0"):
         store.add(later, rest)
     store.add(segment, table)
