@@ -165,7 +165,7 @@ class PostgresStore:
     def _open(self, *, make: bool) -> None:
         with self._connection.transaction():
             self._connection.execute("SELECT pg_advisory_xact_lock(hashtext('pcmrs_archive'))")  # two may make it
-            query = "SELECT FROM information_schema.schemata WHERE schema_name = 'pcmrs_archive'"
+            query = "SELECT FROM pg_namespace WHERE nspname = 'pcmrs_archive'"
             if self._connection.execute(query).fetchone() is None:
                 if not make:
                     text = "The database has no archive: `pcmrs archive add` makes one."

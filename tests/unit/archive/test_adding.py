@@ -7,16 +7,20 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import msgspec
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pcmrs.archive import ArchiveStore, add_journal, find_journals, verify_archive
 from pcmrs.archive.columns import check_table
 from pcmrs.archive.segment import Segment
 from pcmrs.errors import AlteredSegmentError, ArchiveError, DoubledSegmentError, JournalError, MissingSegmentError
-from pcmrs.journal import Journal
+from pcmrs.journal import Journal, JournalReader
 from tests import ROOT
+from tests.support.trials import examples
 from tests.unit.archive.archives import answer, commands, config, opened, write
 from tests.unit.journal.edited_journal import edit
 
@@ -183,6 +187,23 @@ def test_a_killed_run_leaves_a_usable_archive(folder: Path, journal_path: Path, 
         assert (verified.problems, verified.unlisted, verified.journals[0].unproven) == ((), (), 0)
         for segment in store.segments(store.journals()[0].name):
             check_table(segment, store.read(segment))
+
+
+@given(st.lists(st.tuples(st.integers(0, 4), st.integers(1, 5)), min_size=1, max_size=4))
+@examples(5)
+def test_runs_of_any_size_archive_the_journal(runs: list[tuple[int, int]]) -> None:
+    """Each run follows a number of commands, and makes segments of a number of rows."""
+    with TemporaryDirectory() as name, opened(Path(name) / "archive") as store:
+        path, written = write(Path(name) / "cell" / "ratms.sqlite", [config()]), 0
+        for count, segment_rows in runs:
+            write(path, commands(count, start=written))
+            written += count
+            add_journal(store, path, segment_rows=segment_rows)
+        with JournalReader(path) as reader:
+            stored = [(each.sequence, each.hash) for each in reader.read()]
+        found = answer(store, "SELECT sequence, hash FROM rows ORDER BY sequence")
+        assert [(each["sequence"], each["hash"]) for each in found] == stored
+        assert verify_archive(store).sound
 
 
 def test_the_journals_of_a_folder_are_found(journal_path: Path, tmp_path: Path) -> None:
