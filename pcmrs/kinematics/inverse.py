@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pcmrs.errors import UnreachableError
-from pcmrs.kinematics import numeric, srs
+from pcmrs.kinematics import numeric, panda, srs, ur
+from pcmrs.kinematics.geometry import PandaGeometry, SrsGeometry, UrGeometry
 from pcmrs.kinematics.limits import joint_array
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.posture import sphere_array
@@ -25,10 +26,11 @@ def inverse(
 ) -> Floats:
     """Return joint positions within the limits that reach a pose at the least cost, rad, (n,).
 
-    The cost is that of `pcmrs.kinematics.posture`. S-R-S arms such as the iiwa are solved in closed form: the best of
-    all branches over a scan of the arm angle in steps of 2 deg, refined around the best one. All other arms are solved
-    by damped least squares from the seed and from random postures: the first comfortable posture, or else the best of
-    those found. The same arguments always give the same answer.
+    The cost is that of `pcmrs.kinematics.posture`. Arms with one of the geometries of `pcmrs.kinematics.geometry` are
+    solved in closed form: the best of all branches, for an arm of seven joints over a scan of its free joint or arm
+    angle that is refined around the best one. All other arms are solved by damped least squares from the seed and from
+    random postures: the first comfortable posture, or else the best of those found. The same arguments always give the
+    same answer.
 
     Args:
         arm: Model of the arm.
@@ -45,8 +47,17 @@ def inverse(
     """
     near = joint_array(seed, arm.joints)
     _check_margin(arm, joint_margin)
-    solve = srs.solve if arm.spherical else numeric.solve
-    return solve(arm, base_from_flange, near, joint_margin, None if keep_away is None else sphere_array(keep_away))
+    spheres = None if keep_away is None else sphere_array(keep_away)
+    match arm.geometry:
+        case SrsGeometry() as geometry:
+            q = srs.solve(arm, geometry, base_from_flange, near, joint_margin, spheres)
+        case UrGeometry() as geometry:
+            q = ur.solve(arm, geometry, base_from_flange, near, joint_margin, spheres)
+        case PandaGeometry() as geometry:
+            q = panda.solve(arm, geometry, base_from_flange, near, joint_margin, spheres)
+        case None:
+            q = numeric.solve(arm, base_from_flange, near, joint_margin, spheres)
+    return np.clip(q, arm.lower + joint_margin, arm.upper - joint_margin)
 
 
 def _check_margin(arm: ArmModel, joint_margin: float) -> None:

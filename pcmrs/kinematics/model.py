@@ -10,12 +10,10 @@ import pinocchio
 
 from pcmrs.errors import UnreachableError
 from pcmrs.kinematics.arms import ArmFacts
+from pcmrs.kinematics.geometry import recognize
 from pcmrs.kinematics.limits import joint_array
 from pcmrs.kinematics.urdf import urdf
 from pcmrs.spatial import Floats, Transform, trusted_transform
-
-_SRS_AXES = np.array(((0, 0, 1), (0, 1, 0), (0, 0, 1), (0, -1, 0), (0, 0, 1), (0, 1, 0), (0, 0, 1)))
-_SAME = 1e-12  # rounding of positions in m and of the components of unit vectors
 
 
 class ArmModel:
@@ -30,9 +28,7 @@ class ArmModel:
         lower: Lowest joint positions, rad, (n,).
         upper: Highest joint positions, rad, (n,).
         velocity: Greatest joint speeds, rad/s, (n,).
-        heights: Heights of the joints and of the flange above the base in the zero posture, m, (n + 1,).
-        spherical: True for an S-R-S arm (spherical shoulder and wrist) that stands upright in the zero posture, with
-            its joint axes along z, y, z, -y, z, y, z of the base.
+        geometry: Geometry with which inverse kinematics has a closed form, or None if no known one fits.
     """
 
     def __init__(self, facts: ArmFacts) -> None:
@@ -45,8 +41,9 @@ class ArmModel:
         self._data = self._model.createData()
         self._flange = self._model.getFrameId("flange")
         flange = self.forward(np.zeros(self.joints))
-        self.heights = np.array([joint.translation[2] for joint in self._data.oMi[1:]] + [flange.translation[2]])
-        self.spherical = self._is_spherical(flange)
+        poses = list(self._data.oMi[1:])
+        axes = np.array([pose.rotation[:, 2] for pose in poses])
+        self.geometry = recognize(axes, np.array([pose.translation for pose in poses]), flange)
 
     def forward(self, q: npt.ArrayLike) -> Transform:
         """Return ``base_from_flange`` at joint positions `q`, rad, (n,).
@@ -119,16 +116,3 @@ class ArmModel:
                     lower=joint.lower,
                     upper=joint.upper,
                 )
-
-    def _is_spherical(self, base_from_flange: Transform) -> bool:
-        """Return True if joint axes and flange are placed as `spherical` says; `_data` must hold the zero posture."""
-        poses = list(self._data.oMi[1:])
-        if len(poses) != len(_SRS_AXES):
-            return False
-        axes = np.array([pose.rotation[:, 2] for pose in poses])
-        places = np.array([pose.translation for pose in poses] + [base_from_flange.translation])
-        return bool(
-            np.allclose(axes, _SRS_AXES, atol=_SAME)
-            and np.allclose(places[:, :2], 0.0, atol=_SAME)
-            and np.allclose(base_from_flange.rotation, np.eye(3), atol=_SAME)
-        )

@@ -1,4 +1,7 @@
-"""Inverse kinematics of any serial arm by damped least squares from the seed, near it and from random postures."""
+"""Inverse kinematics of any serial arm by damped least squares from the seed, near it and from random postures.
+
+Only arms without a closed form need this search, such as those of users and arms with calibrated dimensions.
+"""
 
 from __future__ import annotations
 
@@ -7,9 +10,9 @@ from math import tau
 import numpy as np
 
 from pcmrs.errors import UnreachableError
+from pcmrs.kinematics.least_squares import TOLERANCE, damped_least_squares
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.posture import LIMIT_COMFORT, cost
-from pcmrs.kinematics.track import TOLERANCE, damped_least_squares
 from pcmrs.spatial import Floats, Transform
 
 _RESTARTS = 50

@@ -19,7 +19,9 @@ from pcmrs.spatial import Floats
 DETOUR = 1.0  # rad
 LIMIT_COMFORT = 0.17  # rad from a joint limit: 10 deg
 SINGULAR_COMFORT = 0.17  # rad from a straight shoulder, elbow or wrist
-SINGULAR_VALUE_COMFORT = 0.05  # smallest singular value of the Jacobian, m and rad mixed, for arms that are not S-R-S
+SINGULAR_VALUE_COMFORT = (
+    0.05  # smallest singular value of the Jacobian, m and rad mixed, for arms without a closed form
+)
 KEEP_AWAY_COMFORT = 0.10  # m from the surface of a sphere
 
 
@@ -35,12 +37,21 @@ def cost(arm: ArmModel, q: Floats, seed: Floats, keep_away: Floats | None = None
     short = float(comfort_penalty(np.minimum(q - arm.lower, arm.upper - q), LIMIT_COMFORT).sum())
     short += float(_near_singular(arm, q).sum())
     if keep_away is not None:
-        # The joint frames from the elbow to the wrist.
-        forearm = arm.joint_origins(q)[-4:-1]
-        short += float(
-            comfort_penalty(sphere_distances(forearm[:-1], forearm[1:], keep_away).min(axis=0), KEEP_AWAY_COMFORT).sum()
-        )
+        short += forearm_penalty(arm, q, keep_away)
     return float(np.linalg.norm(q - seed)) + DETOUR * short
+
+
+def forearm_penalty(arm: ArmModel, q: Floats, keep_away: Floats) -> float:
+    """Return the penalty of a forearm, from elbow to wrist, that is near spheres.
+
+    Args:
+        arm: Model of the arm.
+        q: Joint positions, rad, (n,).
+        keep_away: Spheres as returned by `sphere_array`, m, (M, 4).
+    """
+    forearm = arm.joint_origins(q)[-4:-1]
+    distances = sphere_distances(forearm[:-1], forearm[1:], keep_away).min(axis=0)
+    return float(comfort_penalty(distances, KEEP_AWAY_COMFORT).sum())
 
 
 def comfort_penalty(distance: Floats, comfort: float) -> Floats:
@@ -75,7 +86,7 @@ def sphere_array(keep_away: npt.ArrayLike) -> Floats:
 
 
 def _near_singular(arm: ArmModel, q: Floats) -> Floats:
-    if arm.spherical:
-        return comfort_penalty(np.abs(q[[1, 3, 5]]), SINGULAR_COMFORT)
+    if arm.geometry is not None:
+        return comfort_penalty(arm.geometry.singular_angles(q), SINGULAR_COMFORT)
     values = np.asarray(np.linalg.svd(arm.jacobian(q), compute_uv=False), dtype=float)
     return comfort_penalty(values[-1:], SINGULAR_VALUE_COMFORT)

@@ -15,11 +15,12 @@ from math import atan2, cos, degrees, pi, sin
 import numpy as np
 
 from pcmrs.errors import UnreachableError
+from pcmrs.kinematics.branches import FORBIDDEN, ROUNDING, Branches, flipped, settled
+from pcmrs.kinematics.geometry import SrsGeometry
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.posture import (
     DETOUR,
     KEEP_AWAY_COMFORT,
-    LIMIT_COMFORT,
     SINGULAR_COMFORT,
     comfort_penalty,
     sphere_distances,
@@ -28,13 +29,12 @@ from pcmrs.spatial import Floats, Transform
 
 STRETCH_TOLERANCE = 1e-9  # m beyond the stretched arm that rounding may produce
 _SINGULAR = 1e-12  # sine of a tilt angle below which the direction of the tilt is undefined
-_FORBIDDEN = 1e3  # cost of a posture beyond a limit, so that it ranks behind all others
 _SCANS = (90, 30, 30, 30)  # half the number of steps of each scan around the best arm angle of the previous scan
 
 # If joint 2, 4 or 6 turns the other way, the joints beside it turn by half a turn. `_FLIPPED` marks the joints that
-# this changes in each of the eight branches, (8, 7). `_SUM` sums over the joints of each branch as a matrix, (8, 14).
+# this changes in each of the eight branches, (8, 7).
 _FLIPPED = np.array([(a, a, a ^ b, b, b ^ c, c, c) for a, b, c in product((False, True), repeat=3)])
-_SUM = np.hstack((~_FLIPPED, _FLIPPED)).astype(float)
+_BRANCHES = Branches(np.arange(7) + 7 * _FLIPPED)
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +57,18 @@ class _ElbowCircle:
 
 
 def solve(
-    arm: ArmModel, base_from_flange: Transform, seed: Floats, joint_margin: float, keep_away: Floats | None
+    arm: ArmModel,
+    geometry: SrsGeometry,
+    base_from_flange: Transform,
+    seed: Floats,
+    joint_margin: float,
+    keep_away: Floats | None,
 ) -> Floats:
     """Return the posture of least cost, rad, (7,).
 
     Args:
-        arm: Model of an arm that is `spherical`.
+        arm: Model of the arm.
+        geometry: Geometry of the arm.
         base_from_flange: Pose of the flange to reach, in the robot's base.
         seed: Joint positions to stay close to, rad, (7,).
         joint_margin: Distance to keep from every joint limit, rad.
@@ -71,60 +77,50 @@ def solve(
     Raises:
         UnreachableError: The pose is too far or too near, or no posture keeps the joint limits.
     """
-    circle = _elbow_circle(arm, base_from_flange, float(max(arm.upper[3], -arm.lower[3])))
+    circle = _elbow_circle(arm, geometry, base_from_flange)
     center, step = _arm_angle(seed, circle), pi
     for scan, count in enumerate(_SCANS):
         angles = center + np.linspace(-step, step, 2 * count + 1)
         elbow = circle.center + circle.radius * (np.array((np.cos(angles), np.sin(angles))).T @ circle.axes)
         postures = _postures(circle, elbow.T, base_from_flange.rotation, seed)
-        candidates = np.concatenate((postures, _flipped(postures)))
-        shared = DETOUR * _shared(arm, postures, elbow, circle.wrist, keep_away)
-        score = _scores(arm, candidates, seed, joint_margin, shared)
+        values = np.concatenate((postures, flipped(postures)))
+        shared = DETOUR * _shared(postures, elbow + geometry.shoulder, circle.wrist + geometry.shoulder, keep_away)
+        score = _BRANCHES.scores(arm, values, seed, joint_margin, shared)
         branch, column = divmod(int(np.argmin(score)), len(angles))
         center, step = float(angles[column]), step / count
-        allowed = score[branch, column] < _FORBIDDEN
+        allowed = score[branch, column] < FORBIDDEN
         if scan and allowed:  # the last, finer scans only search for a narrow interval between the limits
             break
-    best: Floats = np.where(_FLIPPED[branch], candidates[7:, column], candidates[:7, column])
-    if not allowed:
-        raise _limit_error(arm, best, joint_margin)
-    return best
+    best = _BRANCHES.posture(values, branch, column)
+    return best if allowed else settled(arm, base_from_flange, best, joint_margin)
 
 
-def _scores(arm: ArmModel, candidates: Floats, seed: Floats, joint_margin: float, shared: Floats) -> Floats:
-    """Return the cost of every branch at every arm angle, (8, N).
+def _shared(postures: Floats, elbow: Floats, wrist: Floats, keep_away: Floats | None) -> Floats:
+    """Return the penalties that all branches share, (N,): at singularities, and of the forearm near the spheres.
 
-    Beyond the limits it is `_FORBIDDEN` plus the sum of the excess, rad.
+    Args:
+        postures: Joint positions in one branch, rad, (7, N).
+        elbow: Positions of the elbow in the base, m, (N, 3).
+        wrist: Position of the wrist in the base, m, (3,).
+        keep_away: Spheres in the base, m, (M, 4), or None.
     """
-    lower, upper, near = np.tile((arm.lower, arm.upper, seed), 2)[..., None]
-    slack = np.minimum(candidates - lower, upper - candidates)
-    scores: Floats = (
-        np.sqrt(_SUM @ np.square(candidates - near)) + DETOUR * (_SUM @ comfort_penalty(slack, LIMIT_COMFORT)) + shared
-    )
-    beyond = _SUM @ np.maximum(0.0, joint_margin - slack)
-    scores[beyond > 0.0] = _FORBIDDEN + beyond[beyond > 0.0]
-    return scores
-
-
-def _shared(arm: ArmModel, postures: Floats, elbow: Floats, wrist: Floats, keep_away: Floats | None) -> Floats:
-    """Return the penalties that all branches share, (N,): at singularities, and of the forearm near the spheres."""
     short: Floats = comfort_penalty(np.abs(postures[1::2]), SINGULAR_COMFORT).sum(axis=0)
     if keep_away is not None:
-        shoulder = np.array((0.0, 0.0, arm.heights[1]))
-        ends = np.broadcast_to(wrist + shoulder, elbow.shape)
-        short += comfort_penalty(sphere_distances(elbow + shoulder, ends, keep_away), KEEP_AWAY_COMFORT).sum(axis=1)
+        ends = np.broadcast_to(wrist, elbow.shape)
+        short += comfort_penalty(sphere_distances(elbow, ends, keep_away), KEEP_AWAY_COMFORT).sum(axis=1)
     return short
 
 
-def _elbow_circle(arm: ArmModel, base_from_flange: Transform, bend_limit: float) -> _ElbowCircle:
+def _elbow_circle(arm: ArmModel, geometry: SrsGeometry, base_from_flange: Transform) -> _ElbowCircle:
     """Return the circle of the elbow for a flange pose.
 
     Raises:
         UnreachableError: The wrist is too far from the shoulder, or so near that the elbow would bend beyond its limit.
     """
-    _, shoulder, _, elbow, _, hand, _, flange = arm.heights.tolist()
+    _, shoulder, _, elbow, _, hand, _, flange = geometry.heights.tolist()
     upper_arm, forearm = elbow - shoulder, hand - elbow
-    wrist = base_from_flange @ np.array((0.0, 0.0, hand - flange)) - np.array((0.0, 0.0, shoulder))
+    bend_limit = float(max(arm.upper[3], -arm.lower[3]))
+    wrist = base_from_flange @ np.array((0.0, 0.0, hand - flange)) - geometry.shoulder
     reach = float(np.linalg.norm(wrist))
     if reach > upper_arm + forearm + STRETCH_TOLERANCE:
         raise UnreachableError(
@@ -138,7 +134,7 @@ def _elbow_circle(arm: ArmModel, base_from_flange: Transform, bend_limit: float)
     stretched = max(0.0, (upper_arm + forearm - reach) * (upper_arm + forearm + reach))
     folded = max(0.0, (reach - upper_arm + forearm) * (reach + upper_arm - forearm))
     bend = 2.0 * atan2(stretched**0.5, folded**0.5)
-    if bend > bend_limit:
+    if bend > bend_limit + ROUNDING:
         raise UnreachableError(
             f"The pose is too near: with the wrist {reach:.4f} m from the shoulder {arm.facts.joints[3].name} would "
             f"bend {degrees(bend):.1f} deg, limit {degrees(bend_limit):.1f} deg; move it away from the shoulder.",
@@ -196,24 +192,3 @@ def _azimuth(x: Floats, y: Floats, if_upright: float) -> tuple[Floats, Floats]:
     """Return the direction, rad, and the length of plane vectors, (N,) each; without a direction, `if_upright`."""
     length = np.sqrt(x * x + y * y)
     return np.where(length > _SINGULAR, np.arctan2(y, x), if_upright), length
-
-
-def _flipped(postures: Floats) -> Floats:
-    """Return each joint position as it is if the joint or its neighbour turns the other way, (7, N)."""
-    turned = -postures
-    turned[::2] = np.where(postures[::2] > 0.0, postures[::2] - pi, postures[::2] + pi)
-    return turned
-
-
-def _limit_error(arm: ArmModel, posture: Floats, joint_margin: float) -> UnreachableError:
-    worst = int(np.argmax(np.maximum(posture - arm.upper, arm.lower - posture)))
-    joint, position = arm.facts.joints[worst], float(posture[worst])
-    return UnreachableError(
-        f"Every posture that reaches the pose breaks a joint limit; the best one would put {joint.name} at "
-        f"{degrees(position):.2f} deg, limits {degrees(joint.lower):.0f} to {degrees(joint.upper):.0f} deg with a "
-        f"margin of {degrees(joint_margin):.1f} deg; move or turn the pose.",
-        joint=joint.name,
-        position=position,
-        lower=joint.lower + joint_margin,
-        upper=joint.upper - joint_margin,
-    )

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any, Literal
+
 import numpy as np
 import numpy.typing as npt
 
 from pcmrs.errors import UnreachableError
+from pcmrs.kinematics.inverse import inverse
+from pcmrs.kinematics.least_squares import TOLERANCE, damped_least_squares
 from pcmrs.kinematics.limits import joint_array
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
 
-TOLERANCE = 1e-10  # m and rad between the reached and the desired pose
-_ITERATIONS = 100
-_PATIENCE = 6  # steps without a reduction of the squared error by a tenth, after which the search ends
-_DAMPING = 0.1  # share of the squared error; a fifth of Sugihara's value halves the number of steps to random targets
-_IDENTITY = np.eye(6)
-
-_Bools = npt.NDArray[np.bool_]
+Reason = Literal["workspace", "joint_limit", "other_posture", "unknown"]
+"""Why the arm cannot follow: no posture reaches the pose, every posture that does breaks a joint limit, only a posture
+far from the present one does, or the arm has no closed form that could answer."""
 
 
 def track(arm: ArmModel, base_from_flange: Transform, seed: npt.ArrayLike) -> Floats:
@@ -29,64 +29,37 @@ def track(arm: ArmModel, base_from_flange: Transform, seed: npt.ArrayLike) -> Fl
 
     Raises:
         GeometryError: `seed` does not hold one finite number per joint.
-        UnreachableError: The steps end before the pose: at a joint limit or at the edge of the workspace.
+        UnreachableError: The steps end before the pose. The field `reason` is a `Reason`, and the text explains it.
     """
-    q, error = damped_least_squares(arm, base_from_flange, joint_array(seed, arm.joints), arm.lower, arm.upper)
+    start = joint_array(seed, arm.joints)
+    q, error = damped_least_squares(arm, base_from_flange, start, arm.lower, arm.upper)
     if error @ error <= TOLERANCE**2:
         return q
     gap, turn = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+    reason, text, fields = _reason(arm, base_from_flange, start)
     raise UnreachableError(
-        f"The arm cannot follow to the pose: it stops {gap * 1e3:.3f} mm and {np.degrees(turn):.3f} deg before it, at "
-        "a joint limit or at the edge of its workspace; choose another posture to start from or another pose.",
+        f"The arm cannot follow to the pose: it stops {gap * 1e3:.3f} mm and {np.degrees(turn):.3f} deg before it. "
+        f"{text}",
+        **fields,
+        reason=reason,
         gap=gap,
         turn=turn,
         positions=q.tolist(),
     )
 
 
-def damped_least_squares(
-    arm: ArmModel, base_from_flange: Transform, start: Floats, lower: Floats, upper: Floats
-) -> tuple[Floats, Floats]:
-    """Go from a posture towards a pose, within limits, until the error is below `TOLERANCE` or no longer falls.
-
-    Every step is the shortest joint motion for the remaining error, so that the posture stays near `start`. The damping
-    vanishes with the error (T. Sugihara, Solvability-Unconcerned Inverse Kinematics by the Levenberg-Marquardt Method,
-    IEEE Transactions on Robotics 27, 2011).
-
-    Args:
-        arm: Model of the arm.
-        base_from_flange: Pose of the flange to reach, in the robot's base.
-        start: Joint positions to start from, rad, (n,).
-        lower: Lowest joint positions, rad, (n,).
-        upper: Highest joint positions, rad, (n,).
-
-    Returns:
-        The last joint positions, rad, (n,), and the remaining error, m and rad, (6,).
-    """
-    q: Floats = np.clip(start, lower, upper)
-    best, best_at = np.inf, 0
-    for iteration in range(_ITERATIONS):
-        error, jacobian = arm.pose_error_and_jacobian(base_from_flange, q)
-        square = float(error @ error)
-        if square < 0.9 * best:
-            best, best_at = square, iteration
-        if square <= TOLERANCE**2 or iteration - best_at >= _PATIENCE:
-            break
-        q = np.clip(q + _step(jacobian, error, square, q <= lower, q >= upper), lower, upper)
-    return q, error
-
-
-def _step(jacobian: Floats, error: Floats, square: float, at_lower: _Bools, at_upper: _Bools) -> Floats:
-    """Return the damped step, rad, (n,). Joints that would leave their limits stay, and the others take over."""
-    step = _solve(jacobian, error, square)
-    blocked = (at_lower & (step < 0.0)) | (at_upper & (step > 0.0))
-    if blocked.any():
-        jacobian[:, blocked] = 0.0
-        step = _solve(jacobian, error, square)
-    return step
-
-
-def _solve(jacobian: Floats, error: Floats, square: float) -> Floats:
-    # The constant keeps the matrix invertible when the error, and with it the damping, vanishes.
-    step: Floats = jacobian.T @ np.linalg.solve(jacobian @ jacobian.T + (_DAMPING * square + 1e-12) * _IDENTITY, error)
-    return step
+def _reason(arm: ArmModel, base_from_flange: Transform, seed: Floats) -> tuple[Reason, str, dict[str, Any]]:
+    """Return why small steps from `seed`, rad, (n,), do not reach a pose: the reason, its text, and its values."""
+    if arm.geometry is None:  # the search takes too long for a control loop, and does not prove that there is none
+        text = (
+            "A joint limit, the edge of the workspace or a singular posture is in the way; start from another posture."
+        )
+        return "unknown", text, {}
+    try:
+        posture = inverse(arm, base_from_flange, seed)
+    except UnreachableError as error:
+        return "joint_limit" if "joint" in error.fields else "workspace", error.text, dict(error.fields)
+    moves = np.abs(posture - seed)
+    joint, move = arm.facts.joints[int(np.argmax(moves))].name, float(moves.max())
+    text = f"Only another posture reaches it, with {joint} turned by {np.degrees(move):.0f} deg; plan a motion to it."
+    return "other_posture", text, {"joint": joint, "move": move}

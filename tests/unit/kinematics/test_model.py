@@ -66,11 +66,6 @@ def test_origins_are_those_of_the_chain(name: str) -> None:
         np.testing.assert_allclose(arm.joint_origins(q), origins, atol=1e-14)
 
 
-@every_arm
-def test_only_the_iiwa_is_spherical(name: str) -> None:
-    assert ArmModel(find_arm(name)).spherical == (name in ARMS)
-
-
 @own_arm
 def test_a_joint_out_of_its_limits_is_named(name: str) -> None:
     arm = ArmModel(ARMS[name])

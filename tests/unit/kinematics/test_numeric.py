@@ -1,4 +1,4 @@
-""""""
+"""Inverse kinematics of arms without a closed form, such as a Panda and a UR with measured dimensions."""
 
 from typing import Any
 
@@ -8,18 +8,19 @@ import pytest
 from pcmrs.errors import GeometryError, UnreachableError
 from pcmrs.kinematics import numeric
 from pcmrs.kinematics.inverse import inverse
+from pcmrs.kinematics.least_squares import damped_least_squares
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.posture import cost
-from pcmrs.kinematics.track import damped_least_squares, track
-from pcmrs.kinematics.urdf_arms import find_arm
+from pcmrs.kinematics.track import track
 from pcmrs.spatial import Transform
 from tests.support.trials import run_counts
+from tests.unit.kinematics.arm_models import calibrated
 from tests.unit.kinematics.reached_poses import assert_reaches
 
 
 @pytest.fixture(params=["panda", "ur5"])
 def arm(request: pytest.FixtureRequest) -> ArmModel:
-    return ArmModel(find_arm(request.param))
+    return calibrated(request.param)
 
 
 @run_counts(60, nightly=250)
@@ -49,7 +50,7 @@ def test_search_ends_at_a_comfortable_posture_or_a_few_solutions(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Each descent takes time, and a plan waits for all of them."""
-    arm, descents = ArmModel(find_arm("panda")), 0
+    arm, descents = calibrated("panda"), 0
 
     def count(*given: Any) -> Any:
         nonlocal descents
@@ -67,7 +68,7 @@ def test_search_ends_at_a_comfortable_posture_or_a_few_solutions(
 
 
 def test_among_uncomfortable_postures_the_best_found_is_taken() -> None:
-    arm = ArmModel(find_arm("panda"))
+    arm = calibrated("panda")
     better = 0
     for known in np.random.default_rng(24).uniform(arm.lower, arm.upper, (30, arm.joints)):
         seed = np.clip(known, arm.lower + 0.05, arm.upper - 0.05)
@@ -88,7 +89,7 @@ def test_the_margin_is_kept(arm: ArmModel) -> None:
 
 
 def test_a_joint_that_turns_twice_is_not_turned_for_nothing() -> None:
-    arm = ArmModel(find_arm("ur5"))
+    arm = calibrated("ur5")
     for known, seed in np.random.default_rng(26).uniform(arm.lower, arm.upper, (20, 2, 6)):
         found = inverse(arm, arm.forward(known), seed)
         for turned in (found - 2 * np.pi, found + 2 * np.pi):

@@ -51,10 +51,12 @@ def test_singular_postures_are_solved(arm: ArmModel, q: tuple[float, ...]) -> No
 
 
 def test_unreachable_pose_is_refused_with_its_distance(arm: ArmModel) -> None:
-    far = Transform(np.eye(3), np.array((0.0, 0.0, arm.heights[7] + 0.05)))
+    far = Transform(np.eye(3), np.array((0.0, 0.0, arm.geometry.heights[7] + 0.05)))
     with pytest.raises(UnreachableError, match=r"too far.*50\.0 mm closer"):
         inverse(arm, far, READY)
-    near = Transform(np.eye(3), np.array((0.1, 0.0, arm.heights[1] + arm.heights[7] - arm.heights[5])))
+    near = Transform(
+        np.eye(3), np.array((0.1, 0.0, arm.geometry.heights[1] + arm.geometry.heights[7] - arm.geometry.heights[5]))
+    )
     with pytest.raises(UnreachableError, match=r"too near.*joint_4"):
         inverse(arm, near, READY)
 

@@ -37,7 +37,7 @@ def test_a_joint_at_its_limit_leaves_the_work_to_the_others(arm: ArmModel) -> No
 
 
 def test_tracking_out_of_the_workspace_is_refused(arm: ArmModel) -> None:
-    target = Transform(np.eye(3), np.array((0.0, 0.0, arm.heights[7] + 0.05)))
+    target = Transform(np.eye(3), np.array((0.0, 0.0, arm.geometry.heights[7] + 0.05)))
     with pytest.raises(UnreachableError, match="cannot follow") as caught:
         track(arm, target, READY)
     assert caught.value.fields["gap"] > 0.04

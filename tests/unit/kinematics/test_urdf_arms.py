@@ -9,6 +9,7 @@ import pytest
 from pcmrs.errors import ConfigurationError
 from pcmrs.kinematics import urdf_arms
 from pcmrs.kinematics.arms import ARMS
+from pcmrs.kinematics.geometry import SrsGeometry
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf import urdf
 from pcmrs.kinematics.urdf_arms import find_arm
@@ -36,7 +37,7 @@ def test_a_file_is_read_by_its_path(tmp_path: Path) -> None:
     facts = find_arm(str(file))
     assert facts.name == "mine"
     assert facts.home == (0.0,) * 7
-    assert ArmModel(facts).spherical, "its inverse kinematics is in closed form, too"
+    assert isinstance(ArmModel(facts).geometry, SrsGeometry), "its inverse kinematics is in closed form, too"
 
 
 def test_unknown_arms_and_files_are_refused(tmp_path: Path) -> None:
