@@ -2,11 +2,11 @@
 
 Random targets are reachable, made by forward kinematics from postures within the limits, each with a random start
 posture. Small steps are at most 3 mm and 0.3 deg from the start posture; a few of them lead out of the joint limits or
-of the workspace, so that no solver reaches them. A target counts as reached within 0.01 mm and 0.01 mrad and within the
-joint limits. PCMRS answers the random targets by `inverse` (closed
-form for the iiwa, damped least squares with restarts for others), the small steps by `track`. The peers get one start
-each, as their users give them: pink and mink iterate to 1e-10 or 200 steps, ikpy and pytracik stop by themselves. None
-of the peers chooses between postures, and only pytracik retries from another start.
+of the workspace, so that no solver reaches them: the failures of PCMRS are counted by their reasons. A target counts as
+reached within 0.01 mm and 0.01 mrad and within the joint limits. PCMRS answers the random targets by `inverse` (in
+closed form, or damped least squares with restarts for an arm without one), the small steps by `track`. The peers get
+one start each, as their users give them: pink and mink iterate to 1e-10 or 200 steps, ikpy and pytracik stop by
+themselves. None of the peers chooses between postures, and only pytracik retries from another start.
 
 All take turns on the same targets, so that changes of the machine's load affect all alike; PCMRS answers `--targets`
 more of them alone, for its rate of success. Peers that are not installed are named and left out (`pip install
@@ -26,6 +26,7 @@ import platform
 import tempfile
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -48,18 +49,20 @@ STEPS = 200
 TOLERANCE = 1e-10
 
 
-def own(arm: ArmModel, solve: Callable[[ArmModel, Transform, Floats], Floats]) -> Solve:
+def own(arm: ArmModel, solve: Callable[[ArmModel, Transform, Floats], Floats], reasons: Counter[str]) -> Solve:
     """Return a solver of PCMRS.
 
     Args:
         arm: Model of the arm.
         solve: Function of PCMRS.
+        reasons: Receives the reason of each failure, or its code.
     """
 
     def answer(target: Transform, seed: Floats) -> Floats | None:
         try:
             return solve(arm, target, seed)
-        except UnreachableError:
+        except UnreachableError as error:
+            reasons[error.fields.get("reason", error.code)] += 1
             return None
 
     return answer
@@ -264,17 +267,21 @@ def compare(name: str, targets: int, shared: int) -> dict[str, Any]:
         shared: Number of targets that all solve in turn.
     """
     arm = ArmModel(find_arm(name))
-    by_inverse, by_track = {"PCMRS inverse": own(arm, inverse)}, {"PCMRS track": own(arm, track)}
+    reasons: Counter[str] = Counter()
+    by_inverse = {"PCMRS inverse": own(arm, inverse, reasons)}
+    by_track = {"PCMRS track": own(arm, track, reasons)}
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"{name}.urdf"
         file.write_text(urdf(arm.facts))
         others = peers(arm, file)
-        return {
+        results = {
             "random targets": measure(arm, by_inverse | others, random_targets(arm, shared, 1)),
             "small steps": measure(arm, by_track | others, small_steps(arm, shared, 2)),
             "random targets, alone": measure(arm, by_inverse, random_targets(arm, targets, 3)),
-            "small steps, alone": measure(arm, by_track, small_steps(arm, targets, 4)),
         }
+        reasons.clear()
+        results["small steps, alone"] = measure(arm, by_track, small_steps(arm, targets, 4))
+    return {"problems": results, "failed small steps, alone": dict(reasons)}
 
 
 def version_of(name: str) -> str:
@@ -301,10 +308,12 @@ def main() -> None:
         print(json.dumps({"machine": machine, "versions": versions, "arms": results}))
         return
     print(machine, *(f"{name}: {version}" for name, version in versions.items()), sep="\n")
-    for name, problems in results.items():
+    for name, result in results.items():
         print(f"{name}; ratio of the medians to that of PCMRS")
-        for title, rows in problems.items():
+        for title, rows in result["problems"].items():
             show(title, rows)
+        failed = ", ".join(f"{count} {reason}" for reason, count in result["failed small steps, alone"].items())
+        print(f"  failed small steps, alone: {failed or 'none'}")
 
 
 if __name__ == "__main__":

@@ -63,8 +63,7 @@ class Branches:
             + shared
         )
         beyond = self._sum @ np.maximum(0.0, joint_margin - ROUNDING - slack)
-        scores[beyond > 0.0] = FORBIDDEN + beyond[beyond > 0.0]
-        return scores
+        return np.where(beyond > 0.0, FORBIDDEN + beyond, scores)
 
     def posture(self, values: Floats, branch: int, column: int) -> Floats:
         """Return the joint positions of a branch in a column, rad, (n,).

@@ -7,6 +7,7 @@ measured dimensions of one arm, has none of these geometries: a closed form woul
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import atan2
 
 import numpy as np
 import numpy.typing as npt
@@ -116,7 +117,7 @@ class PandaGeometry:
     def stretched(self) -> float:
         """Position of joint 4 at which the wrist is farthest from the shoulder, rad."""
         sine, cosine = -self.elbow * (self.upper_arm + self.forearm), self.upper_arm * self.forearm - self.elbow**2
-        return float(np.arctan2(sine, cosine))
+        return atan2(sine, cosine)
 
     def singular_angles(self, q: Floats) -> Floats:
         """Return the distances of shoulder, elbow and wrist from a straight one, rad, (3, ...).

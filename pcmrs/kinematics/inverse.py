@@ -57,7 +57,7 @@ def inverse(
             q = panda.solve(arm, geometry, base_from_flange, near, joint_margin, spheres)
         case None:
             q = numeric.solve(arm, base_from_flange, near, joint_margin, spheres)
-    return np.clip(q, arm.lower + joint_margin, arm.upper - joint_margin)
+    return np.minimum(np.maximum(q, arm.lower + joint_margin), arm.upper - joint_margin)  # np.clip takes long
 
 
 def _check_margin(arm: ArmModel, joint_margin: float) -> None:

@@ -13,6 +13,7 @@ from math import atan2, hypot, inf, pi, tau
 from operator import itemgetter
 
 import numpy as np
+import numpy.typing as npt
 
 from pcmrs.errors import UnreachableError
 from pcmrs.kinematics.branches import FORBIDDEN, ROUNDING, Branches, flipped, settled
@@ -30,7 +31,7 @@ from pcmrs.spatial import Floats, Transform
 _SINGULAR = 1e-12  # sine of joint 2 below which axes 1 and 3 count as parallel, and lateral distance, m
 REACH_TOLERANCE = 1e-9  # m beyond the workspace that rounding may produce
 _ROUNDING = 1e-9  # cosine beyond 1 that rounding may produce
-_STEPS = 60  # steps of the first scan from the seed's joint 7 to each of its limits
+_STEPS = 40  # steps of the first scan from the seed's joint 7 to each of its limits
 _FINE_STEPS = 600  # of the scan for intervals between the limits that the first scan has missed
 _SCANS = (30, 30, 30)  # half the number of steps of each further scan around the best position of joint 7
 _BRANCHES = Branches(((0, 1, 2, 6, 7, 8, 9), (3, 4, 5, 6, 7, 8, 9)))  # the two of the shoulder
@@ -67,7 +68,8 @@ def solve(
         score, best = target.best(target.positions(steps), within=False)
     step = max(target.center - target.lower[6], target.upper[6] - target.center) / steps
     for count in _SCANS:
-        around = np.clip(best[6] + np.linspace(-step, step, 2 * count + 1), target.lower[6], target.upper[6])
+        around = best[6] + step / count * np.arange(-count, count + 1)
+        around = np.minimum(np.maximum(around, target.lower[6]), target.upper[6])
         score, best = min((score, best), target.best(around, within=score < FORBIDDEN), key=itemgetter(0))
         step /= count
         if score < FORBIDDEN:  # the last, finer scans only search for a narrow interval between the limits
@@ -106,9 +108,8 @@ class _Target:
         """
         lower, center, upper = self.lower[6], self.center, self.upper[6]
         edges = [q7 for q7 in self._edges if lower <= q7 <= upper]
-        return np.concatenate(
-            (np.linspace(lower, center, steps, endpoint=False), np.linspace(center, upper, steps + 1), edges)
-        )
+        share = np.arange(1, steps + 1) / steps
+        return np.concatenate((center - share * (center - lower), [center], center + share * (upper - center), edges))
 
     def best(self, q7: Floats, within: bool) -> tuple[float, Floats]:
         """Return the posture of least cost among all branches, rad, (7,), and its cost, rad.
@@ -123,12 +124,14 @@ class _Target:
         values, missing = self._values(q7, within)
         if not values.size:
             return inf, self._seed
-        short: Floats = comfort_penalty(self._geometry.singular_angles(values[_PLAIN]), SINGULAR_COMFORT).sum(axis=0)
+        short: Floats = comfort_penalty(
+            self._geometry.singular_angles(values.take(_PLAIN, axis=0)), SINGULAR_COMFORT
+        ).sum(axis=0)
         if self._keep_away is not None:
             distances = sphere_distances(*self._forearms(values), self._keep_away)
             short += comfort_penalty(distances, KEEP_AWAY_COMFORT).sum(axis=1)
         scores = _BRANCHES.scores(self._arm, values, self._seed, self._margin, DETOUR * short)
-        scores += np.where(missing > 0.0, FORBIDDEN + missing, 0.0)
+        scores += FORBIDDEN * (missing > 0.0) + missing
         branch, column = divmod(int(np.argmin(scores)), scores.shape[1])
         return float(scores[branch, column]), _BRANCHES.posture(values, branch, column)
 
@@ -151,18 +154,18 @@ class _Target:
         # Joint 4 by the law of cosines in the triangle of shoulder, axis 4 and wrist.
         sides = upper_arm**2 + elbow**2, forearm**2 + elbow**2
         cosine = (ahead * ahead + side * side + (z * z - sum(sides))) / (2.0 * (sides[0] * sides[1]) ** 0.5)
-        q4, columns = self._solutions(3, geometry.stretched, cosine, within, np.array((q7, c7, s7, ahead, side)))
+        q4, missing, source = self._solutions(3, geometry.stretched, cosine, within)
+        q7, c7, s7, ahead, side = np.array((q7, c7, s7, ahead, side)).take(source, axis=1)
         c4, s4 = np.cos(q4), np.sin(q4)
         # Parts of the vector from shoulder to wrist along axis 5, and across it in the plane of the arm.
         along = forearm - elbow * s4 + upper_arm * c4
         across = elbow * (c4 - 1.0) + upper_arm * s4
-        across = np.where(np.abs(across) > _SINGULAR, across, _SINGULAR)  # 0 if joint 4 is at 0, where links collide
+        across += _SINGULAR * (across == 0.0)  # if joint 4 is at 0, where links collide
         # Joint 6 brings axis 5 to where it has that part of the vector.
-        ahead = columns[3]
         cosine = along / np.sqrt(ahead * ahead + z * z)
-        middle = np.arctan2(ahead, z)
-        q6, columns = self._solutions(5, middle, cosine, within, np.vstack((columns, q4, c4, s4, along, across)))
-        q7, c7, s7, ahead, side, missing, q4, c4, s4, along, across, more = columns
+        q6, more, source = self._solutions(5, np.arctan2(ahead, z), cosine, within)
+        columns = np.array((q7, c7, s7, ahead, side, missing, q4, c4, s4, along, across))
+        q7, c7, s7, ahead, side, missing, q4, c4, s4, along, across = columns.take(source, axis=1)
         c6, s6 = np.cos(q6), np.sin(q6)
         sign = np.sign(across)
         q5 = np.arctan2(sign * side, sign * (c6 * ahead - s6 * z))
@@ -178,11 +181,11 @@ class _Target:
         c1, s1 = np.cos(q1), np.sin(q1)
         q3 = np.arctan2(tilt * left[2] - up[2] * (c1 * left[0] + s1 * left[1]), c1 * left[1] - s1 * left[0])
         shoulder = np.array((q1, np.arctan2(tilt, up[2]), q3))
-        return np.vstack((shoulder, flipped(shoulder), q4, q5, q6, q7)), missing + more
+        return np.concatenate((shoulder, flipped(shoulder), np.array((q4, q5, q6, q7)))), missing + more
 
     def _solutions(
-        self, joint: int, middle: float | Floats, cosine: Floats, within: bool, columns: Floats
-    ) -> tuple[Floats, Floats]:
+        self, joint: int, middle: float | Floats, cosine: Floats, within: bool
+    ) -> tuple[Floats, Floats, npt.NDArray[np.intp]]:
         """Return both positions of a joint, `middle` plus and minus an angle, as far as they can be of use.
 
         Args:
@@ -190,23 +193,23 @@ class _Target:
             middle: Middle of the two positions, rad, a number or (N,).
             cosine: Cosine of the angle; beyond 1 the pose is missed, (N,).
             within: As in `best`.
-            columns: Quantities from which the positions follow, (K, N).
 
         Returns:
-            Positions, rad, (M,), and `columns` for each of them with one more row: how far the cosine was beyond 1,
-            (K + 1, M).
+            Positions, rad, (M,); how far the cosine was beyond 1, (M,); and the column from which each follows, (M,).
         """
-        angle = np.arccos(np.clip(cosine, -1.0, 1.0))
         excess = np.abs(cosine) - 1.0
-        columns = np.vstack((columns, np.where(excess > _ROUNDING, excess, 0.0)))
+        missing = excess * (excess > _ROUNDING)
+        angle = np.arccos(np.minimum(np.maximum(cosine, -1.0), 1.0))
         lower, upper = self.lower[joint], self.upper[joint]
         positions = np.concatenate((middle + angle, middle - angle))
-        positions -= tau * np.round((positions - (lower + upper) / 2.0) / tau)
-        columns = np.concatenate((columns, columns), axis=1)
+        positions -= tau * np.rint((positions - (lower + upper) / 2.0) / tau)
+        source = np.arange(len(positions))
         if within:
-            keep = (positions >= lower - ROUNDING) & (positions <= upper + ROUNDING) & (columns[-1] == 0.0)
-            return positions[keep], columns[:, keep]
-        return positions, columns
+            useful = (positions >= lower - ROUNDING) & (positions <= upper + ROUNDING)
+            useful &= np.concatenate((missing, missing)) == 0.0
+            source = np.flatnonzero(useful)
+        positions, source = positions.take(source), source % len(cosine)
+        return positions, missing.take(source), source
 
     def _forearms(self, values: Floats) -> tuple[Floats, Floats]:
         """Return the positions of elbow and wrist in the base, m, (M, 3) each.
