@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pcmrs.kinematics.arms import ARMS
+from pcmrs.kinematics.geometry import SrsGeometry
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import KNOWN, find_arm
 
@@ -27,3 +28,9 @@ def calibrated(name: str) -> ArmModel:
         off = 1e-4 * (-1) ** number
         joints.append(replace(joint, xyz=(x + off, y, z - off), rpy=(roll + off, pitch - off, yaw)))
     return ArmModel(replace(facts, joints=tuple(joints)))
+
+
+def heights(arm: ArmModel) -> np.ndarray:
+    """Heights of the joints and of the flange of an S-R-S arm that stands upright, m, (8,)."""
+    assert isinstance(arm.geometry, SrsGeometry)
+    return arm.geometry.heights

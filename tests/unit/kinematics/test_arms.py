@@ -5,7 +5,7 @@ import numpy as np
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
-from tests.unit.kinematics.arm_models import every_arm, own_arm
+from tests.unit.kinematics.arm_models import every_arm, heights, own_arm
 
 
 @own_arm
@@ -15,7 +15,7 @@ def test_lengths_and_limits_are_those_of_the_data_sheet(name: str) -> None:
     upright = arm.forward(np.zeros(7))
     np.testing.assert_allclose(upright.matrix[:3, 3], (0, 0, d_bs + d_se + d_ew + d_wf), atol=1e-15)
     np.testing.assert_allclose(upright.rotation, np.eye(3), atol=1e-15)
-    np.testing.assert_allclose(np.diff(arm.geometry.heights[[1, 3, 5, 7]]), (d_se, d_ew, d_wf))
+    np.testing.assert_allclose(np.diff(heights(arm)[[1, 3, 5, 7]]), (d_se, d_ew, d_wf))
     np.testing.assert_allclose(np.degrees(arm.upper), (170, 120, 170, 120, 170, 120, 175))
     np.testing.assert_array_equal(arm.lower, -arm.upper)
     speeds = {"iiwa14": (85, 85, 100, 75, 130, 135, 135), "iiwa7": (98, 98, 100, 130, 140, 180, 180)}[name]

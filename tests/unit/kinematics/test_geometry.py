@@ -14,10 +14,16 @@ from tests.unit.kinematics.arm_models import calibrated, every_arm, random_postu
 KINDS = {"iiwa14": SrsGeometry, "iiwa7": SrsGeometry, "panda": PandaGeometry, "ur5": UrGeometry}
 
 
-def changed(facts: ArmFacts, number: int, **values: Triple) -> ArmFacts:
+def changed(facts: ArmFacts, number: int, *, xyz: Triple | None = None, rpy: Triple | None = None) -> ArmFacts:
     joints = list(facts.joints)
-    joints[number] = replace(joints[number], **values)
+    joint = joints[number]
+    joints[number] = replace(joint, xyz=xyz or joint.xyz, rpy=rpy or joint.rpy)
     return replace(facts, joints=tuple(joints))
+
+
+def larger(xyz: Triple) -> Triple:
+    x, y, z = xyz
+    return 1.3 * x, 1.3 * y, 1.3 * z
 
 
 @every_arm
@@ -56,7 +62,7 @@ def test_an_arm_on_a_tilted_stand_keeps_its_geometry(name: str) -> None:
 
 @every_arm
 def test_a_model_that_does_not_fit_has_no_geometry(name: str) -> None:
-    """A micrometre, or a microradian, at a joint is enough."""
+    """A microradian at one joint is enough."""
     assert calibrated(name).geometry is None
     facts = find_arm(name)
     shorter = replace(facts, joints=facts.joints[1:], home=facts.home[1:], stiffness=facts.stiffness[1:])
@@ -79,9 +85,9 @@ def test_axes_that_no_longer_meet_have_no_geometry(name: str) -> None:
 def test_lengths_along_the_axes_are_free(name: str) -> None:
     """Another size of the same arm is solved with its own dimensions."""
     facts = find_arm(name)
-    larger = [replace(joint, xyz=tuple(1.3 * value for value in joint.xyz)) for joint in facts.joints]
-    flange = tuple(1.3 * value for value in facts.flange_xyz)
-    assert isinstance(ArmModel(replace(facts, joints=tuple(larger), flange_xyz=flange)).geometry, KINDS[name])
+    joints = tuple(replace(joint, xyz=larger(joint.xyz)) for joint in facts.joints)
+    grown = replace(facts, joints=joints, flange_xyz=larger(facts.flange_xyz))
+    assert isinstance(ArmModel(grown).geometry, KINDS[name])
 
 
 def test_jacobian_of_the_ur_is_singular_with_its_angles() -> None:

@@ -11,6 +11,7 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.posture import cost
 from pcmrs.spatial import Transform
 from tests.support.trials import run_counts
+from tests.unit.kinematics.arm_models import heights
 from tests.unit.kinematics.reached_poses import READY, assert_reaches
 
 
@@ -51,12 +52,11 @@ def test_singular_postures_are_solved(arm: ArmModel, q: tuple[float, ...]) -> No
 
 
 def test_unreachable_pose_is_refused_with_its_distance(arm: ArmModel) -> None:
-    far = Transform(np.eye(3), np.array((0.0, 0.0, arm.geometry.heights[7] + 0.05)))
+    _, shoulder, _, _, _, wrist, _, flange = heights(arm).tolist()
+    far = Transform(np.eye(3), np.array((0.0, 0.0, flange + 0.05)))
     with pytest.raises(UnreachableError, match=r"too far.*50\.0 mm closer"):
         inverse(arm, far, READY)
-    near = Transform(
-        np.eye(3), np.array((0.1, 0.0, arm.geometry.heights[1] + arm.geometry.heights[7] - arm.geometry.heights[5]))
-    )
+    near = Transform(np.eye(3), np.array((0.1, 0.0, shoulder + flange - wrist)))
     with pytest.raises(UnreachableError, match=r"too near.*joint_4"):
         inverse(arm, near, READY)
 

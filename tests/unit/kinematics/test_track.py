@@ -20,7 +20,7 @@ def arm(request: pytest.FixtureRequest) -> ArmModel:
 
 def reason(arm: ArmModel, target: Transform, seed: np.ndarray) -> Reason:
     with pytest.raises(
-        UnreachableError, match="cannot follow to the pose: it stops .* mm and .* deg before it"
+        UnreachableError, match=r"cannot follow to the pose: it stops .* mm and .* deg before it"
     ) as caught:
         track(arm, target, seed)
     why: Reason = caught.value.fields["reason"]
