@@ -84,7 +84,7 @@ def flipped(values: Floats) -> Floats:
         values: Joint positions in [-pi, pi], rad, (R, N). Rows with an odd index are those of joints in the middle.
     """
     turned = -values
-    turned[::2] = np.where(values[::2] > 0.0, values[::2] - np.pi, values[::2] + np.pi)
+    turned[::2] = values[::2] - np.copysign(np.pi, values[::2])
     return turned
 
 

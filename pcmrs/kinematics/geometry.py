@@ -7,6 +7,7 @@ measured dimensions of one arm, has none of these geometries: a closed form woul
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import atan2
 
 import numpy as np
@@ -49,7 +50,30 @@ class SrsGeometry:
 
 
 @dataclass(frozen=True, eq=False)
-class UrGeometry:
+class _Mounted:
+    """An arm on any stand, with any flange.
+
+    Attributes:
+        base_from_shoulder: Pose of the shoulder frame in the robot's base.
+        last_from_flange: Pose of the flange in the frame of the last link, which in the zero posture has the axes of
+            the shoulder frame and its origin where axes 5 and 6 meet.
+    """
+
+    base_from_shoulder: Transform
+    last_from_flange: Transform
+
+    @cached_property
+    def _outer(self) -> tuple[Transform, Transform]:
+        return self.base_from_shoulder.inverse(), self.last_from_flange.inverse()
+
+    def shoulder_from_last(self, base_from_flange: Transform) -> Transform:
+        """Return the pose of the last link in the shoulder frame for a pose of the flange."""
+        shoulder_from_base, flange_from_last = self._outer
+        return shoulder_from_base @ base_from_flange @ flange_from_last
+
+
+@dataclass(frozen=True, eq=False)
+class UrGeometry(_Mounted):
     """Shoulder, three parallel axes and a wrist whose last two axes meet, as in the arms of Universal Robots.
 
     The shoulder frame has its origin where axes 1 and 2 meet, z along axis 1 and y along axis 2. In the zero posture
@@ -58,17 +82,12 @@ class UrGeometry:
     Denavit-Hartenberg parameters, whose d1 is the height of the shoulder and whose d6 lies in `last_from_flange`.
 
     Attributes:
-        base_from_shoulder: Pose of the shoulder frame in the robot's base.
-        last_from_flange: Pose of the flange in the frame of the last link, which in the zero posture has the axes of
-            the shoulder frame and its origin where axes 5 and 6 meet.
         upper_arm: Vector from axis 2 to axis 3 in the zero posture, m [a2].
         forearm: Vector from axis 3 to axis 4 in the zero posture, m [a3].
         hand: Vector from axis 4 to the point where axes 5 and 6 meet in the zero posture, m [d5].
         offset: Distance of that point from the plane of x and z, along y, m [d4].
     """
 
-    base_from_shoulder: Transform
-    last_from_flange: Transform
     upper_arm: complex
     forearm: complex
     hand: complex
@@ -89,7 +108,7 @@ class UrGeometry:
 
 
 @dataclass(frozen=True, eq=False)
-class PandaGeometry:
+class PandaGeometry(_Mounted):
     """Spherical shoulder, elbow beside the line from shoulder to wrist, and a last axis beside the wrist: a Panda.
 
     The shoulder frame has its origin where axes 1, 2 and 3 meet, z along axis 1 and y along axis 2. In the zero posture
@@ -97,17 +116,12 @@ class PandaGeometry:
     brackets: the name of the length in the manufacturer's table of Denavit-Hartenberg parameters.
 
     Attributes:
-        base_from_shoulder: Pose of the shoulder frame in the robot's base.
-        last_from_flange: Pose of the flange in the frame of the last link, which in the zero posture has the axes of
-            the shoulder frame and its origin at the wrist.
         upper_arm: Height of axis 4 above the shoulder in the zero posture, m [d3].
         forearm: Height of the wrist above axis 4 in the zero posture, m [d5].
         elbow: Distance of axis 4 from the line from shoulder to wrist in the zero posture, along x, m [a4].
         hand: Distance of axis 7 from the wrist, along x, m [a7].
     """
 
-    base_from_shoulder: Transform
-    last_from_flange: Transform
     upper_arm: float
     forearm: float
     elbow: float

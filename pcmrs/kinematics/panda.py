@@ -93,7 +93,7 @@ class _Target:
         self._seed, self._margin, self._keep_away = seed, joint_margin, keep_away
         self.lower, self.upper = (arm.lower + joint_margin).tolist(), (arm.upper - joint_margin).tolist()
         self.center = min(max(float(seed[6]), self.lower[6]), self.upper[6])
-        last = geometry.base_from_shoulder.inverse() @ base_from_flange @ geometry.last_from_flange.inverse()
+        last = geometry.shoulder_from_last(base_from_flange)
         self._turn = last.rotation
         # A point on axis 7 in the shoulder frame, seen along the axes of the last link: the wrist turns about it.
         self._pivot = (last.translation @ last.rotation + (geometry.hand, 0.0, 0.0)).tolist()

@@ -74,7 +74,7 @@ def _postures(arm: ArmModel, geometry: UrGeometry, base_from_flange: Transform, 
     Raises:
         UnreachableError: The pose is too far or too near in all branches.
     """
-    last = geometry.base_from_shoulder.inverse() @ base_from_flange @ geometry.last_from_flange.inverse()
+    last = geometry.shoulder_from_last(base_from_flange)
     (forward, side, up), (x, y, z) = last.rotation.tolist(), last.translation.tolist()
     found: list[list[float]] = []
     reaches: list[float] = []
