@@ -16,7 +16,7 @@ from math import acos, atan2, copysign, cos, hypot, pi, sin, tau
 import numpy as np
 
 from pcmrs.errors import UnreachableError
-from pcmrs.kinematics.branches import FORBIDDEN, Branches, limit_error
+from pcmrs.kinematics.branches import FORBIDDEN, Branches, settled
 from pcmrs.kinematics.geometry import UrGeometry
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.posture import DETOUR, SINGULAR_COMFORT, comfort_penalty, forearm_penalty
@@ -61,7 +61,7 @@ def solve(
     turns, column = divmod(int(np.argmin(scores)), scores.shape[1])
     best = _TURNS.posture(values, turns, column)
     if scores[turns, column] >= FORBIDDEN:
-        raise limit_error(arm, best, joint_margin)
+        return settled(arm, base_from_flange, best, joint_margin)  # rounding counts for more in a singular posture
     return best
 
 
