@@ -36,8 +36,9 @@ class StallWatch:
 
     Args:
         report: Takes the event, in the loop, once the stall has ended.
-        moving: Returns whether anything moves; called in the loop. If so, the event is a danger.
+        moving: Returns whether anything moves; called in the loop. If so, the event of a long stall is a danger.
         clock: The machine's clock.
+        deadman: Silence of the daemon that the nodes of this cell permit, s of the machine. A shorter stall is no danger.
 
     Attributes:
         stalls: Number of stalls since the start.
@@ -45,10 +46,13 @@ class StallWatch:
         lag: Delay of the last answer, s.
     """
 
-    def __init__(self, report: Callable[[DeviceEvent], None], moving: Callable[[], bool], clock: Clock) -> None:
+    def __init__(
+        self, report: Callable[[DeviceEvent], None], moving: Callable[[], bool], clock: Clock, deadman: float
+    ) -> None:
         self.stalls = 0
         self.longest = self.lag = 0.0
         self._report, self._moving, self._clock = report, moving, clock
+        self._deadman = deadman
         self._moved = False
         self._loop = asyncio.get_running_loop()
         self._loop_thread = threading.get_ident()
@@ -95,7 +99,7 @@ class StallWatch:
             return
         self.stalls += 1
         self.longest = max(self.longest, self.lag)
-        danger = moved or self._moved  # before the stall, or still
+        danger = (moved or self._moved) and self.lag > self._deadman  # it moved before the stall, or still does
         text = f"The daemon did not answer for {self.lag:.2f} s, limit {STALL:g} s: the machine is overloaded, "
         text += "or the daemon was stopped, or something in it takes too long."
         fields = {"stall": self.lag, "limit": STALL}
