@@ -30,7 +30,7 @@ from pcmrs.service.restart.recorder import SNAPSHOT_EVERY, JournalRecorder
 from pcmrs.testing.daemon import free_port
 from pcmrs.workflows.opening import open_workflow
 
-IMPORTS = "import time; begin = time.perf_counter(); import pcmrs.service.daemon, pcmrs.cli.serve; "
+IMPORTS = "import time; begin = time.perf_counter(); import pcmrs.service._daemon, pcmrs.cli.serve; "
 IMPORTS += "print(time.perf_counter() - begin)"
 LAST = "the last command"
 

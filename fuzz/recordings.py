@@ -15,7 +15,7 @@ from mcap.writer import CompressionType, Writer
 
 from fuzz.running import instrumented, run
 
-with instrumented("mcap", "pcmrs.recording", "pcmrs.console.playback", "pcmrs.console.cell_view_model"):
+with instrumented("mcap", "pcmrs.recording", "pcmrs.console.playback", "pcmrs.console._cell_view_model"):
     from pcmrs.console.playback import Playback, load_recording
     from pcmrs.errors import PcmrsError
     from pcmrs.fsm import parse_blueprint

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from pcmrs.analysis.bids import Column, write_json, write_table
+from pcmrs.analysis._bids import Column, write_json, write_table
 from pcmrs.analysis.nibs_tables import EVENTS, PERCENT, TASK, description, position_id, subject_label
 from pcmrs.analysis.session import PulseRecord, SessionRecord
 from pcmrs.tms.mep import Mep

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pcmrs.analysis.bids import VERSION, Column, label, write_json, write_table
+from pcmrs.analysis._bids import VERSION, Column, label, write_json, write_table
 from pcmrs.analysis.session import PulseRecord, SessionRecord
 from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Floats

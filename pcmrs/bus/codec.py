@@ -15,7 +15,7 @@ from typing import Any, Final, TypeVar, cast
 import msgpack
 import msgspec
 
-from pcmrs.bus.closed_decoder import INTEGER_LIMIT, closed_decoder
+from pcmrs.bus._closed_decoder import INTEGER_LIMIT, closed_decoder
 from pcmrs.errors import DeviceError, PayloadError, PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, Message, Reason, Verdict
 

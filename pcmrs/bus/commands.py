@@ -13,11 +13,11 @@ from msgspec import Meta, field
 
 from pcmrs.background import BackgroundTasks
 from pcmrs.bucket import TokenBucket
+from pcmrs.bus._session import Bus
 from pcmrs.bus.bridge import ARRIVED
 from pcmrs.bus.codec import busy, reason_from
 from pcmrs.bus.keys import named_in, split_command_key
 from pcmrs.bus.serving import ANSWERS
-from pcmrs.bus.session import Bus
 from pcmrs.bus.stop import Stop, StopLane
 from pcmrs.clock import SystemClock
 from pcmrs.errors import AccessError, PayloadError, PcmrsError

@@ -14,10 +14,10 @@ import msgspec
 import zenoh
 
 from pcmrs.background import BackgroundTasks
+from pcmrs.bus._round_robin import WAITING, RoundRobin
 from pcmrs.bus.bridge import CAPACITY, Call
 from pcmrs.bus.codec import busy, is_text, pack, pack_text, reason_from, unpack
 from pcmrs.bus.keys import named_in
-from pcmrs.bus.round_robin import WAITING, RoundRobin
 from pcmrs.bus.seal import Kind, ReplayWindow, Seal
 from pcmrs.errors import AccessError, PayloadError, PcmrsError, SealError
 

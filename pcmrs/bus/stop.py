@@ -16,8 +16,8 @@ from typing import Any, Literal
 import msgspec
 import zenoh
 
+from pcmrs.bus._fair_queue import FairQueue
 from pcmrs.bus.codec import is_text, pack, pack_text, unpack
-from pcmrs.bus.fair_queue import FairQueue
 from pcmrs.bus.keys import cell_prefix
 from pcmrs.bus.serving import payload_of
 from pcmrs.bus.settings import BusSettings, open_session

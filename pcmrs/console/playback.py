@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from pcmrs.bus.codec import convert_event, unpack
-from pcmrs.console.cell_view_model import EPOCHS, EVENTS, NOTHING, CellViewModel
+from pcmrs.console._cell_view_model import EPOCHS, EVENTS, NOTHING, CellViewModel
 from pcmrs.errors import FileFormatError, PcmrsError
 from pcmrs.fsm import Blueprint
 from pcmrs.messages import BodyPose, DeviceEvent, Epoch, JointState, Snapshot, Target, Verdict

@@ -13,16 +13,16 @@ import uvicorn
 from fastapi import FastAPI
 from nicegui import ui
 
+from pcmrs.console._live_feed import Dial, LiveFeed
+from pcmrs.console._page import Page
+from pcmrs.console._playback_bar import refuse_recording, wait_for_recording
+from pcmrs.console._recordings import Recordings
+from pcmrs.console._surfaces import Surfaces
+from pcmrs.console._uploads import UploadLimit, use_temporary_folder
 from pcmrs.console.guard import Guard
-from pcmrs.console.live_feed import Dial, LiveFeed
-from pcmrs.console.page import Page
 from pcmrs.console.planning.files import LARGEST as LARGEST_UPLOAD
 from pcmrs.console.playback import Playback
-from pcmrs.console.playback_bar import refuse_recording, wait_for_recording
-from pcmrs.console.recordings import Recordings
-from pcmrs.console.surfaces import Surfaces
 from pcmrs.console.texts import Texts
-from pcmrs.console.uploads import UploadLimit, use_temporary_folder
 from pcmrs.errors import BusError, PcmrsError
 from pcmrs.fsm import Blueprint, parse_blueprint
 

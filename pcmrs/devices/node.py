@@ -16,6 +16,7 @@ import structlog
 
 from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
+from pcmrs.devices._frame_sessions import FrameSessions
 from pcmrs.devices.calls import call_method, methods_of
 from pcmrs.devices.deadman import (
     ALWAYS_SERVED,
@@ -27,7 +28,6 @@ from pcmrs.devices.deadman import (
     daemon_silent,
     node_held_up,
 )
-from pcmrs.devices.frame_sessions import FrameSessions
 from pcmrs.devices.gate import ACTS, HOLDS, RELEASE, Gate
 from pcmrs.devices.link import Link
 from pcmrs.devices.protocols import RobotDriver, StimulatorDriver, TrackerDriver

@@ -16,22 +16,22 @@ import structlog
 
 from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
-from pcmrs.dispatcher.activities import Activities
-from pcmrs.dispatcher.admission import CommandAdmission
-from pcmrs.dispatcher.coordinator import CompletedCommand, Submission
+from pcmrs.dispatcher._activities import Activities
+from pcmrs.dispatcher._admission import CommandAdmission
+from pcmrs.dispatcher._coordinator import CompletedCommand, Submission
+from pcmrs.dispatcher._follow_up import FollowUp
+from pcmrs.dispatcher._listeners import DispatcherListener, Listeners
+from pcmrs.dispatcher._performer import Performer
+from pcmrs.dispatcher._run import C, D
+from pcmrs.dispatcher._stop_control import StopControl
 from pcmrs.dispatcher.decisions import TOO_MANY, Decisions, Rejections, reason_for
 from pcmrs.dispatcher.events import SHUTDOWN
 from pcmrs.dispatcher.execution import Checks, ExecutionContext, MotionChecker, performing
-from pcmrs.dispatcher.follow_up import FollowUp
 from pcmrs.dispatcher.lease import Lease
-from pcmrs.dispatcher.listeners import DispatcherListener, Listeners
 from pcmrs.dispatcher.locks import LockManager, PendingCommand
-from pcmrs.dispatcher.performer import Performer
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.recorder import QueuedRow, Recorder
 from pcmrs.dispatcher.recovery import FailureRecovery, PendingOutcomes, Reconciliation
-from pcmrs.dispatcher.run import C, D
-from pcmrs.dispatcher.stop_control import StopControl
 from pcmrs.dispatcher.stops import Hold, Stops, StopUnderWay
 from pcmrs.dispatcher.verdict_cache import VerdictCache, wait_for_verdicts
 from pcmrs.dispatcher.workflow import Workflow

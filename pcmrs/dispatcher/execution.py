@@ -13,11 +13,11 @@ import structlog
 
 from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
-from pcmrs.dispatcher.coordinator import Coordinator
-from pcmrs.dispatcher.listeners import Listeners
+from pcmrs.dispatcher._coordinator import Coordinator
+from pcmrs.dispatcher._listeners import Listeners
+from pcmrs.dispatcher._run import C, D, Run
 from pcmrs.dispatcher.locks import LockManager, PendingCommand
 from pcmrs.dispatcher.procedure import Procedure
-from pcmrs.dispatcher.run import C, D, Run
 from pcmrs.dispatcher.stops import Hold
 from pcmrs.dispatcher.workflow import Registry, Workflow
 from pcmrs.errors import DeviceError, PcmrsError, RefusalError, UnknownOutcomeError

@@ -7,7 +7,7 @@ from typing import Any, Generic
 
 import msgspec
 
-from pcmrs.dispatcher.run import C, D
+from pcmrs.dispatcher._run import C, D
 from pcmrs.dispatcher.stops import NO_STOP
 from pcmrs.dispatcher.workflow import Workflow
 from pcmrs.errors import BlueprintError

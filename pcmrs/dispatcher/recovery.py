@@ -10,16 +10,16 @@ from typing import Generic
 import msgspec
 import structlog
 
-from pcmrs.dispatcher.activities import Activities
-from pcmrs.dispatcher.admission import CommandAdmission
-from pcmrs.dispatcher.coordinator import CompletedCommand
+from pcmrs.dispatcher._activities import Activities
+from pcmrs.dispatcher._admission import CommandAdmission
+from pcmrs.dispatcher._coordinator import CompletedCommand
+from pcmrs.dispatcher._run import C, D
+from pcmrs.dispatcher._stop_control import StopControl
 from pcmrs.dispatcher.decisions import JOURNAL, Decisions
 from pcmrs.dispatcher.events import REOPENED, failed
 from pcmrs.dispatcher.execution import ExecutionContext
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.recorder import Recorder
-from pcmrs.dispatcher.run import C, D
-from pcmrs.dispatcher.stop_control import StopControl
 from pcmrs.dispatcher.verdict_cache import VerdictCache, wait_for_verdicts
 from pcmrs.errors import JournalError, PcmrsError
 from pcmrs.fsm import Blueprint, Closure

@@ -15,7 +15,7 @@ import structlog
 
 from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
-from pcmrs.dispatcher.coordinator import Coordinator
+from pcmrs.dispatcher._coordinator import Coordinator
 from pcmrs.dispatcher.events import pressed_again
 from pcmrs.messages import Command, Reason, StopState
 

@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 
 import msgspec
 
-from pcmrs.dispatcher.run import Activity, C, D, Run
+from pcmrs.dispatcher._run import Activity, C, D, Run
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Blueprint, Effect
 from pcmrs.fsm.finding import summary

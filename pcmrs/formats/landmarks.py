@@ -11,11 +11,11 @@ import msgspec
 import numpy as np
 
 from pcmrs.errors import GeometryError
+from pcmrs.formats._points_csv import read_points_csv
+from pcmrs.formats._slicer_markups import read_fcsv, read_markups
 from pcmrs.formats.grid import Named, Role, Unit
 from pcmrs.formats.lab_yaml import read_lab_landmarks
-from pcmrs.formats.points_csv import read_points_csv
 from pcmrs.formats.reading import read_text, refuse
-from pcmrs.formats.slicer_markups import read_fcsv, read_markups
 from pcmrs.spatial import Floats
 
 

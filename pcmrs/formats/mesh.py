@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pcmrs.formats._ply import read_triangles
 from pcmrs.formats.grid import Space, Unit, as_ras
-from pcmrs.formats.ply import read_triangles
 from pcmrs.formats.reading import read_bytes, refuse
 from pcmrs.spatial import Floats
 

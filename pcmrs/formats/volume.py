@@ -20,11 +20,11 @@ def read_volume(path: Path) -> Volume:
     """
     try:
         if path.is_dir():
-            from pcmrs.formats.dicom import read_dicom
+            from pcmrs.formats._dicom import read_dicom
 
             return read_dicom(path)
         if path.name.lower().endswith(NIFTI):
-            from pcmrs.formats.nifti import read_nifti
+            from pcmrs.formats._nifti import read_nifti
 
             return read_nifti(path)
     except ModuleNotFoundError as error:

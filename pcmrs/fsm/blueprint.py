@@ -78,7 +78,7 @@ class OperationSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fie
         irreversible: Its effect cannot be undone: it is not accepted again before an operation that allows that.
         allows_again: Irreversible operations of the branch that may be done again after this one.
         confirm: A user must confirm it each time before it is accepted, in a branch that
-            `pcmrs.fsm.files.confirming` makes from this. False once that is made.
+            `pcmrs.fsm.files._confirming` makes from this. False once that is made.
         rio: It is the branch's re-initiation operation (RIO).
         iio: It is called by a child branch only (IIO).
         event: It is called by a device, detector or timer only.

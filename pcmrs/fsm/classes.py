@@ -14,8 +14,8 @@ from typing import Any
 
 import msgspec
 
+from pcmrs.fsm._state import State
 from pcmrs.fsm.blueprint import ActivitySpec, Blueprint, BranchSpec, OperationSpec
-from pcmrs.fsm.state import State
 
 RESERVED = frozenset(name for name in dir(State) if not name.startswith("_")) | {"active", "self"}
 """Names that an operation or branch cannot have: the state classes use them."""
@@ -58,7 +58,7 @@ def _header(blueprint: Blueprint) -> Iterator[str]:
     yield ""
     outcomes = any(o.outcomes for branch in blueprint.branches.values() for o in branch.operations.values())
     yield f"from pcmrs.fsm.blueprint import OperationSpec{', OutcomeSpec' if outcomes else ''}"
-    yield "from pcmrs.fsm.state import Answer, State"
+    yield "from pcmrs.fsm._state import Answer, State"
 
 
 def _classes(blueprint: Blueprint) -> Iterator[str]:

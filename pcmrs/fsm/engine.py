@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from pcmrs.fsm._branch import StateSet
 from pcmrs.fsm.behaviour import endings
 from pcmrs.fsm.blueprint import Blueprint, OperationSpec
-from pcmrs.fsm.branch import StateSet
 from pcmrs.fsm.closure import Change, Closure, Denial, close
 
 

@@ -21,7 +21,7 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One thing that is wrong.
 
     Attributes:
-        code: Kind of finding, a key of `pcmrs.fsm.codes.CODES`.
+        code: Kind of finding, a key of `pcmrs.fsm._codes.CODES`.
         text: What is wrong, the value, the limit, and what to do.
         path: Keys from the root of the file to the fault.
         file: Name of the file, as the caller gave it.
@@ -87,7 +87,7 @@ def refuse(origin: str, code: str, text: str, place: Place = (1, 1), path: Path 
 
     Args:
         origin: Name of the file in findings.
-        code: Key of `pcmrs.fsm.codes.CODES`.
+        code: Key of `pcmrs.fsm._codes.CODES`.
         text: What is wrong, and what to do.
         place: Line and column in the file.
         path: Keys from the root of the file to the fault.

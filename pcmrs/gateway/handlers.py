@@ -9,8 +9,8 @@ from uuid import uuid4
 
 from pcmrs.clock import Clock
 from pcmrs.errors import RefusalError
-from pcmrs.gateway.adapter import Core
-from pcmrs.gateway.command_outcome import CommandOutcome, of_verdict
+from pcmrs.gateway._adapter import Core
+from pcmrs.gateway._command_outcome import CommandOutcome, of_verdict
 from pcmrs.gateway.commands import Action, CommandStep, PlanKind
 from pcmrs.gateway.grammar import StringCommand
 from pcmrs.gateway.pose_files import PoseFileWriter

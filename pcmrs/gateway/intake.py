@@ -11,6 +11,7 @@ from pcmrs.clock import Clock
 from pcmrs.dispatcher import DispatcherListener
 from pcmrs.dispatcher.verdict_cache import CommandCache
 from pcmrs.errors import PayloadError, PcmrsError, RefusalError
+from pcmrs.gateway._command_outcome import CommandOutcome
 from pcmrs.gateway.auth.admission import NOT_KEPT, Admission
 from pcmrs.gateway.auth.peers import (
     BAD_TAG,
@@ -22,7 +23,6 @@ from pcmrs.gateway.auth.peers import (
     UNKNOWN_PEER,
     SignedPeer,
 )
-from pcmrs.gateway.command_outcome import CommandOutcome
 from pcmrs.gateway.commands import COMMANDS, Action
 from pcmrs.gateway.grammar import StringCommand, parse, parse_tool_points
 from pcmrs.gateway.handlers import CommandHandlers, PlanLock, Services

@@ -15,7 +15,8 @@ import structlog
 from pcmrs.background import BackgroundTasks, logged_as
 from pcmrs.clock import Clock
 from pcmrs.errors import ConfigurationError
-from pcmrs.gateway.adapter import Core
+from pcmrs.gateway._adapter import Core
+from pcmrs.gateway._udp import UdpLink
 from pcmrs.gateway.auth.admission import NOT_KEPT, Admission
 from pcmrs.gateway.auth.counters import CounterFile, CounterWriter, check_room
 from pcmrs.gateway.auth.peers import SignedPeer
@@ -27,7 +28,6 @@ from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.gateway.settings import UNIX_NS, GatewayConfig, LinkConfig, PeerConfig
 from pcmrs.gateway.streams import Markers, Send, Streams
 from pcmrs.gateway.tcp import LINK, TcpLink
-from pcmrs.gateway.udp import UdpLink
 from pcmrs.messages import DeviceEvent
 
 FINISH_WITHIN = 1.0

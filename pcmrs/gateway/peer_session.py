@@ -14,7 +14,7 @@ from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.verdict_cache import CommandCache
 from pcmrs.errors import PcmrsError, RefusalError
-from pcmrs.gateway.command_outcome import NO_DATA, CommandOutcome
+from pcmrs.gateway._command_outcome import NO_DATA, CommandOutcome
 from pcmrs.gateway.commands import Action, Second
 from pcmrs.gateway.grammar import StringCommand
 from pcmrs.gateway.handlers import CommandHandlers, Job

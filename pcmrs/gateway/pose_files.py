@@ -13,7 +13,7 @@ from pathlib import Path
 from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.errors import RefusalError
-from pcmrs.gateway.adapter import Core
+from pcmrs.gateway._adapter import Core
 from pcmrs.spatial import Transform
 
 LOG_SECONDS = 5.0

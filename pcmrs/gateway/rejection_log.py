@@ -8,7 +8,7 @@ import structlog
 
 from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
-from pcmrs.gateway.adapter import Core
+from pcmrs.gateway._adapter import Core
 from pcmrs.messages import DeviceEvent
 
 PERIOD = 10.0

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pcmrs.background import BackgroundTasks
 from pcmrs.devices.lsl.markers import MarkerOutlet
 from pcmrs.dispatcher import DispatcherListener
-from pcmrs.gateway.adapter import Core
+from pcmrs.gateway._adapter import Core
 from pcmrs.gateway.grammar import TOOL_POINTS_PREFIX
 from pcmrs.gateway.periodic_timer import Beats, PeriodicTask
 from pcmrs.gateway.settings import GatewayConfig

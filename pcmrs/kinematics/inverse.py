@@ -8,11 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from pcmrs.errors import UnreachableError
-from pcmrs.kinematics import numeric, panda, srs, ur
-from pcmrs.kinematics.geometry import PandaGeometry, SrsGeometry, UrGeometry
+from pcmrs.kinematics import _numeric as numeric
+from pcmrs.kinematics import _panda as panda
+from pcmrs.kinematics import _srs as srs
+from pcmrs.kinematics import _ur as ur
+from pcmrs.kinematics._geometry import PandaGeometry, SrsGeometry, UrGeometry
+from pcmrs.kinematics._posture import sphere_array
 from pcmrs.kinematics.limits import joint_array
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.posture import sphere_array
 from pcmrs.spatial import Floats, Transform
 
 
@@ -26,7 +29,7 @@ def inverse(
 ) -> Floats:
     """Return joint positions within the limits that reach a pose at the least cost, rad, (n,).
 
-    The cost is that of `pcmrs.kinematics.posture`. Arms with one of the geometries of `pcmrs.kinematics.geometry` are
+    The cost is that of `pcmrs.kinematics._posture`. Arms with one of the geometries of `pcmrs.kinematics._geometry` are
     solved in closed form: the best of all branches, for an arm of seven joints over a scan of its free joint or arm
     angle that is refined around the best one. All other arms are solved by damped least squares from the seed and from
     random postures: the first comfortable posture, or else the best of those found. The same arguments always give the

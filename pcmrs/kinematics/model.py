@@ -9,8 +9,8 @@ import numpy.typing as npt
 import pinocchio
 
 from pcmrs.errors import UnreachableError
+from pcmrs.kinematics._geometry import recognize
 from pcmrs.kinematics.arms import ArmFacts
-from pcmrs.kinematics.geometry import recognize
 from pcmrs.kinematics.limits import joint_array
 from pcmrs.kinematics.urdf import urdf
 from pcmrs.spatial import Floats, Transform, trusted_transform

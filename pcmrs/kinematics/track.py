@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pcmrs.errors import UnreachableError
+from pcmrs.kinematics._least_squares import TOLERANCE, damped_least_squares
 from pcmrs.kinematics.inverse import inverse
-from pcmrs.kinematics.least_squares import TOLERANCE, damped_least_squares
 from pcmrs.kinematics.limits import joint_array
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform

@@ -8,8 +8,8 @@ from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
 
 from pcmrs.errors import ConfigurationError
+from pcmrs.kinematics._urdf_reader import read_urdf
 from pcmrs.kinematics.arms import ARMS, ArmFacts
-from pcmrs.kinematics.urdf_reader import read_urdf
 
 _PACKAGE = "example-robot-data"
 

@@ -4,8 +4,8 @@ SI units; quaternions are ``quat_wxyz``. Time stamps are seconds of the sender's
 (sent - captured) at the sender plus (now - received) at the receiver.
 """
 
-from pcmrs.messages.base import Message
-from pcmrs.messages.decisions import (
+from pcmrs.messages._base import Message
+from pcmrs.messages._decisions import (
     Command,
     Decision,
     DryRunResult,
@@ -15,6 +15,28 @@ from pcmrs.messages.decisions import (
     Reason,
     Verdict,
 )
+from pcmrs.messages._poses import BodyPose, LandmarkPrompt, PoseMessage, Target
+from pcmrs.messages._robot import (
+    JointSetpoint,
+    JointState,
+    JointTrajectory,
+    MotionOutcome,
+    MotionResult,
+    PressRequest,
+    ServoSession,
+)
+from pcmrs.messages._scene import HeadBurst, HeadMotion, HeadStep, SceneTruth
+from pcmrs.messages._snapshot import (
+    ActiveActivity,
+    BlueprintTag,
+    Flags,
+    LeaseState,
+    Running,
+    Snapshot,
+    StopState,
+    UnknownOutcome,
+)
+from pcmrs.messages._stimulation import Epoch, FiredPulse, StimulatorState
 from pcmrs.messages.device import (
     ActToken,
     Beat,
@@ -25,28 +47,6 @@ from pcmrs.messages.device import (
     GateState,
     NodeBeat,
 )
-from pcmrs.messages.poses import BodyPose, LandmarkPrompt, PoseMessage, Target
-from pcmrs.messages.robot import (
-    JointSetpoint,
-    JointState,
-    JointTrajectory,
-    MotionOutcome,
-    MotionResult,
-    PressRequest,
-    ServoSession,
-)
-from pcmrs.messages.scene import HeadBurst, HeadMotion, HeadStep, SceneTruth
-from pcmrs.messages.snapshot import (
-    ActiveActivity,
-    BlueprintTag,
-    Flags,
-    LeaseState,
-    Running,
-    Snapshot,
-    StopState,
-    UnknownOutcome,
-)
-from pcmrs.messages.stimulation import Epoch, FiredPulse, StimulatorState
 from pcmrs.messages.teleop import TeleopSetpoint, TeleopStatus
 
 __all__ = [

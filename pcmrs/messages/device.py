@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from pcmrs.messages.base import Message
-from pcmrs.messages.decisions import Reason
+from pcmrs.messages._base import Message
+from pcmrs.messages._decisions import Reason
 
 
 class ActToken(Message, frozen=True, kw_only=True):

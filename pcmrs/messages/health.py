@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pcmrs.messages.base import Message
-from pcmrs.messages.snapshot import BlueprintTag
+from pcmrs.messages._base import Message
+from pcmrs.messages._snapshot import BlueprintTag
 
 HealthStatus = Literal["ok", "degraded", "failed"]
 Severity = Literal["degraded", "failed"]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from pcmrs.messages.base import Message
+from pcmrs.messages._base import Message
+from pcmrs.messages._poses import PoseMessage
 from pcmrs.messages.identity import Role
-from pcmrs.messages.poses import PoseMessage
 
 Point = tuple[float, float, float]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final, Literal
 
-from pcmrs.messages.base import Message
+from pcmrs.messages._base import Message
 
 Twist = tuple[float, float, float, float, float, float]
 """Velocity of the tool along the axes of its frame, m/s, and about them, rad/s; +z points away from the body."""

@@ -1,7 +1,7 @@
 """Local certificate authority for the identities of the cells of one lab."""
 
-from pcmrs.pki.authority import Authority, Issued
-from pcmrs.pki.credentials import check_registered, read_credentials
-from pcmrs.pki.register import read_register
+from pcmrs.pki._authority import Authority, Issued
+from pcmrs.pki._credentials import check_registered, read_credentials
+from pcmrs.pki._register import read_register
 
 __all__ = ["Authority", "Issued", "check_registered", "read_credentials", "read_register"]

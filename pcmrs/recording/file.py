@@ -16,7 +16,7 @@ from foxglove.messages import FrameTransforms, JointStates, Log, PoseInFrame
 
 from pcmrs.messages import Message
 from pcmrs.recording import raw
-from pcmrs.recording.foxglove_messages import View, json_bytes, json_schema
+from pcmrs.recording._foxglove_messages import View, json_bytes, json_schema
 
 
 class CountingFile:

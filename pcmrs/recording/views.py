@@ -13,8 +13,8 @@ from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.messages import BodyPose, DeviceHealth, Epoch, JointState, Message, PoseMessage, Snapshot, Target, Verdict
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import ProcedureDataView
-from pcmrs.recording import foxglove_messages
-from pcmrs.recording.foxglove_messages import View
+from pcmrs.recording import _foxglove_messages as foxglove_messages
+from pcmrs.recording._foxglove_messages import View
 from pcmrs.recording.frame_tree import FrameTree, Link, Mounting
 from pcmrs.recording.subscriber import RawSample
 from pcmrs.spatial import Frame, Transform

@@ -15,8 +15,8 @@ from foxglove.messages import LogLevel
 from pcmrs.clock import Clock
 from pcmrs.errors import PcmrsError
 from pcmrs.messages import DeviceEvent, Message
+from pcmrs.recording._foxglove_messages import line
 from pcmrs.recording.file import RecordingFile, Topics
-from pcmrs.recording.foxglove_messages import line
 from pcmrs.recording.series import Limits, path_of, remove_oldest
 from pcmrs.recording.subscriber import RawSample, Subscriber
 from pcmrs.recording.views import LOG, RecordingViews

@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from pcmrs.registration.anisotropic import fit_anisotropic, inverse_covariances
+from pcmrs.registration._anisotropic import fit_anisotropic, inverse_covariances
 from pcmrs.registration.rigid import fit_rigid, sums_of_squares
 from pcmrs.spatial import Floats
 

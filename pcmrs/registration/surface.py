@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pcmrs.errors import GeometryError, RefusalError
-from pcmrs.registration import surface_checks as checks
-from pcmrs.registration.points import checked_point, register_points
+from pcmrs.registration import _surface_checks as checks
+from pcmrs.registration._points import checked_point, register_points
 from pcmrs.registration.rigid import motion_jacobians
 from pcmrs.registration.triangles import TriangleSurface
 from pcmrs.spatial import Floats, Transform

@@ -15,10 +15,10 @@ from pcmrs.dispatcher import Workflow
 from pcmrs.errors import ConfigurationError, PcmrsError, ReplayError
 from pcmrs.fsm import Blueprint, load_blueprint
 from pcmrs.messages import BlueprintTag
-from pcmrs.replay.differences import ReplayDifference, added, compared, missing, reported_already
-from pcmrs.replay.history import CarryOver, DaemonRun, read_runs
-from pcmrs.replay.player import JournalPlayer
-from pcmrs.replay.world import ReplayCell
+from pcmrs.replay._differences import ReplayDifference, added, compared, missing, reported_already
+from pcmrs.replay._history import CarryOver, DaemonRun, read_runs
+from pcmrs.replay._player import JournalPlayer
+from pcmrs.replay._world import ReplayCell
 from pcmrs.settings import read_settings
 from pcmrs.simulated_time.loop import SimulatedLoop
 from pcmrs.workflows.cell import Cell

@@ -12,7 +12,7 @@ import numpy as np
 from pcmrs.analysis.placements import PlacementTrial
 from pcmrs.analysis.plots import BLUE, GREEN, ORANGE, new_figure, placement_figure
 from pcmrs.formats.pose_file import Placement as Poses
-from pcmrs.report.contents import ReportedBranch, ReportedPlacement, ReportedRegistration, SessionReport
+from pcmrs.report._contents import ReportedBranch, ReportedPlacement, ReportedRegistration, SessionReport
 from pcmrs.workflows.data import as_transform
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Final
 import msgspec
 
 from pcmrs.analysis.placements import Summary, summarize
-from pcmrs.report.contents import ReportedPlacement, ReportedRefusal, ReportedRegistration, SessionReport
+from pcmrs.report._contents import ReportedPlacement, ReportedRefusal, ReportedRegistration, SessionReport
 from pcmrs.report.pages import SVG, embedded, fixed, render, utc
 
 TEMPLATE: Final = "report.html.j2"

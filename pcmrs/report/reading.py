@@ -22,8 +22,8 @@ from pcmrs.fsm import Blueprint
 from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.journal import JournalRow, StoredRow
 from pcmrs.messages import PoseMessage
-from pcmrs.report.advice import WRONG_TIME, advise
-from pcmrs.report.contents import (
+from pcmrs.report._advice import WRONG_TIME, advise
+from pcmrs.report._contents import (
     AcceptedOperation,
     EventKind,
     ReportedBranch,

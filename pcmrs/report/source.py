@@ -17,7 +17,7 @@ from pcmrs.journal.head import head_path
 from pcmrs.journal.keys import PUBLIC
 from pcmrs.recording.series import SUFFIX, session_files
 from pcmrs.recording.settings import FOLDER
-from pcmrs.report.contents import ReportedFile, ReportedJournal
+from pcmrs.report._contents import ReportedFile, ReportedJournal
 from pcmrs.report.session_export import README
 from pcmrs.report.session_folder import JOURNAL, SUMS
 

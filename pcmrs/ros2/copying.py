@@ -14,8 +14,8 @@ from pcmrs.errors import GeometryError
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.messages import BodyPose, JointState, Snapshot, Target
 from pcmrs.recording.frame_tree import FrameTree, Mounting
+from pcmrs.ros2._views import RosMessage, Views
 from pcmrs.ros2.topics import TOPICS, Topic
-from pcmrs.ros2.views import RosMessage, Views
 
 log = structlog.get_logger(__name__)
 

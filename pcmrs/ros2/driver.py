@@ -64,7 +64,7 @@ async def open_devices(
     check_devices("ros2", devices, "tracker")
     own = read_table(settings, "ros2", Ros2Settings)
     try:
-        from pcmrs.ros2.tracker import Accepted, Ros2Tracker
+        from pcmrs.ros2._tracker import Accepted, Ros2Tracker
     except ModuleNotFoundError as error:
         text = f"The driver ros2 needs {error.name}, which is not installed; install the extra: pcmrs[ros2]."
         raise ConfigurationError(text, module=error.name) from None
@@ -89,7 +89,7 @@ def _bus(settings: Mapping[str, Any], clock: Clock) -> BusSettings:
     joined = BusSettings(endpoint=cell["endpoint"], site=cell["site"], cell=cell["name"])
     if not joined.endpoint.startswith(SECURED):
         return joined
-    from pcmrs.pki import read_credentials  # loads a library for certificates
+    from pcmrs.pki import read_credentials  # loads a library for _certificates as certificates
 
     credentials = read_credentials(Path(settings["access"]["identity"]), clock.wall())
     return msgspec.structs.replace(joined, credentials=credentials)

@@ -1,5 +1,5 @@
 """The daemon: connects all parts and runs them until it is stopped."""
 
-from pcmrs.service.daemon import Daemon, Ready
+from pcmrs.service._daemon import Daemon, Ready
 
 __all__ = ["Daemon", "Ready"]

@@ -7,14 +7,14 @@ import asyncio
 from pcmrs.dispatcher import Dispatcher, DispatcherListener
 from pcmrs.errors import RefusalError
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
-from pcmrs.service.command_metrics import Submit
+from pcmrs.service._command_metrics import Submit
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_transform
 
 
 class GatewayAdapter:
-    """Implements `pcmrs.gateway.adapter.Core` on the dispatcher and the cell.
+    """Implements `pcmrs.gateway._adapter.Core` on the dispatcher and the cell.
 
     Args:
         dispatcher: The dispatcher of the cell.

@@ -26,13 +26,13 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import Beat, BodyPose, DeviceEvent, DeviceHealth, JointState, NodeBeat, Snapshot, Verdict
 from pcmrs.messages.setup import ProcedureDataView
-from pcmrs.service.command_metrics import CommandMetrics
+from pcmrs.service._command_metrics import CommandMetrics
+from pcmrs.service._setup_view import gathered
+from pcmrs.service._teleoperation import connect_teleoperators
 from pcmrs.service.gateway_adapter import GatewayAdapter
 from pcmrs.service.processes.heart import BeatSender, LoopHeart
 from pcmrs.service.publishing import Publishing
-from pcmrs.service.setup_view import gathered
 from pcmrs.service.supervisor import Supervisor
-from pcmrs.service.teleoperation import connect_teleoperators
 from pcmrs.service.watches.abandoned import AbandonedWatch
 from pcmrs.service.watches.devices import HealthWatch
 from pcmrs.service.watches.gates import GateWatch

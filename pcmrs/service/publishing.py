@@ -32,7 +32,7 @@ from pcmrs.messages import (
 )
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import ProcedureDataView, Setup
-from pcmrs.service import setup_view
+from pcmrs.service import _setup_view as setup_view
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 

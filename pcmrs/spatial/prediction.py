@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from pcmrs.errors import RefusalError
-from pcmrs.spatial.constant_velocity import Noise, VelocityFilter
-from pcmrs.spatial.transform import Floats, Transform, trusted_transform
+from pcmrs.spatial._constant_velocity import Noise, VelocityFilter
+from pcmrs.spatial._transform import Floats, Transform, trusted_transform
 
 JUMP_THRESHOLD = 30.0
 """Innovation over its standard deviation above which a frame is an outlier: 2.3 mm or 1.4° between frames at 60 Hz. A

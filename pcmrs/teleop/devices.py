@@ -22,14 +22,14 @@ def open_device(name: str, mapping: Mapping, script: Path | None = None) -> Abst
         ConfigurationError: It cannot be read; raised on entering at the latest.
     """
     if script is not None:
-        from pcmrs.teleop.twist_script import read_script
+        from pcmrs.teleop._twist_script import read_script
 
         return nullcontext(read_script(script))
     if name == "keyboard":
         from pcmrs.teleop.keyboard import open_keyboard  # for terminals only
 
         return open_keyboard(mapping)
-    from pcmrs.teleop.controllers import GAMEPAD, SPACEMOUSE
-    from pcmrs.teleop.kernel_input import open_controller
+    from pcmrs.teleop._controllers import GAMEPAD, SPACEMOUSE
+    from pcmrs.teleop._kernel_input import open_controller
 
     return open_controller(SPACEMOUSE if name == "spacemouse" else GAMEPAD, mapping)

@@ -1,8 +1,8 @@
 """Scheduling of threads: their run and wait times, and the real-time policy of the few that an arm depends on."""
 
+from pcmrs.threads._runaways import Runaway, Runaways
+from pcmrs.threads._scheduling import Load, Threads, ThreadTimes, descendants
 from pcmrs.threads.realtime import NOT_PERMITTED, Priority, RealTime, keep_pauses_short
-from pcmrs.threads.runaways import Runaway, Runaways
-from pcmrs.threads.scheduling import Load, Threads, ThreadTimes, descendants
 
 __all__ = [
     "NOT_PERMITTED",

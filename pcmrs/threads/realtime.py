@@ -18,7 +18,7 @@ from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from enum import IntEnum
 
-from pcmrs.threads.scheduling import Threads
+from pcmrs.threads._scheduling import Threads
 
 SWITCH = 0.0005
 """Time after which a thread releases the interpreter's lock to one that waits, s; Python's default is 0.005."""

@@ -10,7 +10,8 @@ import msgspec
 from pcmrs.errors import RefusalError
 from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Floats, Transform
-from pcmrs.tms import adaptive, mapping
+from pcmrs.tms import _adaptive as adaptive
+from pcmrs.tms import _mapping as mapping
 from pcmrs.tms.grid import grid_on_scalp
 from pcmrs.tms.scalp import NearestPoints, ScalpPatch, as_message, as_transform, scalp_patch
 from pcmrs.tms.settings import Hotspot, HotspotSettings, MapPulse

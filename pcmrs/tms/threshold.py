@@ -9,7 +9,8 @@ from typing import Self
 import msgspec
 
 from pcmrs.errors import RefusalError
-from pcmrs.tms import likelihood, rossini_rothwell
+from pcmrs.tms import _likelihood as likelihood
+from pcmrs.tms import _rossini_rothwell as rossini_rothwell
 from pcmrs.tms.settings import Estimate, EstimatorState, Pulse, ThresholdSettings
 
 METHODS: dict[str, Callable[[ThresholdSettings, tuple[Pulse, ...]], EstimatorState]] = {

@@ -14,12 +14,12 @@ from pcmrs.errors import RefusalError
 from pcmrs.fsm import Effect
 from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Floats, Transform
-from pcmrs.workflows.arguments import PersonName, check_metres
+from pcmrs.workflows._arguments import PersonName, check_metres
+from pcmrs.workflows._motion import measure_coil, placement_errors, pose_result
+from pcmrs.workflows._placement import planned_pose
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Point, as_message, as_transform
 from pcmrs.workflows.data import settle as settle_placement
-from pcmrs.workflows.motion import measure_coil, placement_errors, pose_result
-from pcmrs.workflows.placement import planned_pose
 from pcmrs.workflows.toolplan import accept_pose
 
 MIN_LENGTH = 0.005

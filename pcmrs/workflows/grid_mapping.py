@@ -13,9 +13,9 @@ from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
 from pcmrs.fsm import Blueprint, Effect
 from pcmrs.workflows import data as placement_data
+from pcmrs.workflows._motion import measure_coil, placement_errors, pose_result
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_message
-from pcmrs.workflows.motion import measure_coil, placement_errors, pose_result
 from pcmrs.workflows.toolplan import ToolPose, accept_pose, pose_of
 
 

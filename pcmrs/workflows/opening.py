@@ -8,22 +8,22 @@ from typing import Any
 from pcmrs.dispatcher import Registry, Workflow
 from pcmrs.errors import BlueprintError, ConfigurationError
 from pcmrs.fsm import Blueprint, load_blueprint
-from pcmrs.workflows.alignment import register_alignment
+from pcmrs.workflows._alignment import register_alignment
+from pcmrs.workflows._code import WorkflowCode, add_source_location, load_code
+from pcmrs.workflows._connection import register_connection_operations
+from pcmrs.workflows._contact import register_contact_operations
+from pcmrs.workflows._correction import register_correction_steps
+from pcmrs.workflows._following import register_following
+from pcmrs.workflows._landmarks import register_landmark_operations
+from pcmrs.workflows._motion import register_motion_steps
+from pcmrs.workflows._placement import register_placement_checks
+from pcmrs.workflows._refinement import register_refinement_operations
+from pcmrs.workflows._registering import register_registration_operations
+from pcmrs.workflows._teleoperation import register_teleoperation
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.code import WorkflowCode, add_source_location, load_code
-from pcmrs.workflows.connection import register_connection_operations
-from pcmrs.workflows.contact import register_contact_operations
-from pcmrs.workflows.correction import register_correction_steps
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.find import WorkflowFiles, find_installed, find_workflow
-from pcmrs.workflows.following import register_following
-from pcmrs.workflows.landmarks import register_landmark_operations
-from pcmrs.workflows.motion import register_motion_steps
-from pcmrs.workflows.placement import register_placement_checks
 from pcmrs.workflows.reference import register_reference_operations
-from pcmrs.workflows.refinement import register_refinement_operations
-from pcmrs.workflows.registering import register_registration_operations
-from pcmrs.workflows.teleoperation import register_teleoperation
 from pcmrs.workflows.toolplan import register_plan_operations
 
 _log = logging.getLogger(__name__)

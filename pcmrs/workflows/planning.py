@@ -18,8 +18,8 @@ from pcmrs.formats.mesh import Mesh
 from pcmrs.fsm import Blueprint
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import Command, Reason
+from pcmrs.workflows._collision_checks import update_collision_scene
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.collision_checks import update_collision_scene
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.settings import ProcedureSettings
 

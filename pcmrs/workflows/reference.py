@@ -17,10 +17,10 @@ from pcmrs.errors import RefusalError
 from pcmrs.messages import LandmarkPrompt, PoseMessage
 from pcmrs.registration.outliers import chi_squared_limit
 from pcmrs.spatial import Transform, distance, rotation_angle
+from pcmrs.workflows._touching import touch
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_message, as_transform
 from pcmrs.workflows.settings import RegistrationSettings
-from pcmrs.workflows.touching import touch
 
 Run = AnyRun[Cell, PlacementData]
 

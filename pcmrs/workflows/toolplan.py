@@ -13,13 +13,13 @@ from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import PcmrsError, RefusalError, UnreachableError
 from pcmrs.kinematics.inverse import inverse
 from pcmrs.spatial import Floats, Frame, Transform
+from pcmrs.workflows._arguments import check_metres
+from pcmrs.workflows._collision_checks import check_postures, update_collision_scene
+from pcmrs.workflows._landmarks import check_same_head
+from pcmrs.workflows._paths import along_axis
 from pcmrs.workflows.accuracy import check_tre
-from pcmrs.workflows.arguments import check_metres
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.collision_checks import check_postures, update_collision_scene
 from pcmrs.workflows.data import PlacementData, Planned, Point, as_message, as_transform
-from pcmrs.workflows.landmarks import check_same_head
-from pcmrs.workflows.paths import along_axis
 from pcmrs.workflows.reference import RECENT, check_reference
 from pcmrs.workflows.zones import BODY
 

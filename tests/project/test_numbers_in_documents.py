@@ -16,14 +16,14 @@ from pcmrs.bus.bridge import CAPACITY
 from pcmrs.bus.serving import ANSWERS
 from pcmrs.bus.settings import STOPS
 from pcmrs.cli.fsm.verify import verify
-from pcmrs.console.geometry import FACES
+from pcmrs.console._geometry import FACES
 from pcmrs.dispatcher.locks import MAX_WAITING
-from pcmrs.fsm.verify.space import Space
+from pcmrs.fsm.verify._space import Space
 from pcmrs.gateway.intake import MAX_SESSIONS
 from pcmrs.journal.group import MOST_WAITING
 from pcmrs.service.supervisor import RESTARTS, WITHIN
 from pcmrs.settings import Settings
-from pcmrs.workflows.collision_checks import SAMPLES_PER_PART
+from pcmrs.workflows._collision_checks import SAMPLES_PER_PART
 from pcmrs_lab.campaign.catalogue import catalogue
 from tests import ROOT
 from tests.support.shipped import shipped_blueprint

@@ -3,9 +3,9 @@
 Branches stand side by side, a level N+1 branch inside the frame of the level N branch that it refines.
 """
 
-from pcmrs.authoring.chart.dot import dot
-from pcmrs.authoring.chart.mermaid import mermaid
-from pcmrs.authoring.chart.png import png
+from pcmrs.authoring.chart._dot import dot
+from pcmrs.authoring.chart._mermaid import mermaid
+from pcmrs.authoring.chart._png import png
 from pcmrs.authoring.chart.svg import svg
 
 __all__ = ["dot", "mermaid", "png", "svg"]

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
-from pcmrs.authoring.chart.canvas import box, sans
-from pcmrs.authoring.chart.current import check_current
-from pcmrs.authoring.chart.figure import draw_link, draw_panel
-from pcmrs.authoring.chart.layout import MARGIN, layout
-from pcmrs.authoring.chart.legend import draw_legend, least_width
-from pcmrs.authoring.chart.text import BOLD, clean, cut, sans_width
+from pcmrs.authoring.chart._canvas import box, sans
+from pcmrs.authoring.chart._current import check_current
+from pcmrs.authoring.chart._figure import draw_link, draw_panel
+from pcmrs.authoring.chart._layout import MARGIN, layout
+from pcmrs.authoring.chart._legend import draw_legend, least_width
+from pcmrs.authoring.chart._text import BOLD, clean, cut, sans_width
 from pcmrs.fsm.blueprint import Blueprint
 
 _TITLE = 17

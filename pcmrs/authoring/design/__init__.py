@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from pcmrs.authoring.design.branches import DesignedBranch, root_branches
-from pcmrs.authoring.design.check import Ask, check_table, fill_in, paths_of
-from pcmrs.authoring.design.count import Combinations, Impossible, count_combinations, excess_of
-from pcmrs.authoring.design.grouping import StepGroup, UndesignableError, root_groups
-from pcmrs.authoring.design.hazards import GuardedOrder, hazards_in
-from pcmrs.authoring.design.safety import ROBOT, SAFETY, robot_branch, safety_branch
-from pcmrs.authoring.design.table import StepTable
+from pcmrs.authoring.design._branches import DesignedBranch, root_branches
+from pcmrs.authoring.design._check import Ask, check_table, fill_in, paths_of
+from pcmrs.authoring.design._count import Combinations, Impossible, count_combinations, excess_of
+from pcmrs.authoring.design._grouping import StepGroup, UndesignableError, root_groups
+from pcmrs.authoring.design._hazards import GuardedOrder, hazards_in
+from pcmrs.authoring.design._safety import ROBOT, SAFETY, robot_branch, safety_branch
+from pcmrs.authoring.design._table import StepTable
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.blueprint import Blueprint, Requirement
 from pcmrs.fsm.files.dump import blueprint_toml

@@ -7,15 +7,15 @@ from typing import Protocol, get_args
 
 from nicegui import ui
 
-from pcmrs.console.choices import Choice
-from pcmrs.console.command_sender import CommandSender
-from pcmrs.console.geometry import vertices_of
-from pcmrs.console.live_feed import LiveFeed
-from pcmrs.console.planning.canvas import Canvas
-from pcmrs.console.planning.checking import PlanCheck, Requests
-from pcmrs.console.planning.draft import Draft, Kind, as_arguments
-from pcmrs.console.planning.forms import DraftEditor, GridForm, LandmarkForm, ToolForm, TrajectoryForm
-from pcmrs.console.planning.upload_form import UploadForm
+from pcmrs.console._choices import Choice
+from pcmrs.console._command_sender import CommandSender
+from pcmrs.console._geometry import vertices_of
+from pcmrs.console._live_feed import LiveFeed
+from pcmrs.console.planning._canvas import Canvas
+from pcmrs.console.planning._checking import PlanCheck, Requests
+from pcmrs.console.planning._draft import Draft, Kind, as_arguments
+from pcmrs.console.planning._forms import DraftEditor, GridForm, LandmarkForm, ToolForm, TrajectoryForm
+from pcmrs.console.planning._upload_form import UploadForm
 from pcmrs.console.texts import Texts
 from pcmrs.fsm import Blueprint
 from pcmrs.messages.setup import Setup

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 from nicegui import ui
 
-from pcmrs.console.cell_view_model import CellViewModel
-from pcmrs.console.signals.health_panel import HealthPanel
-from pcmrs.console.signals.motion import MotionPanel
-from pcmrs.console.signals.muscle import MusclePanel
+from pcmrs.console._cell_view_model import CellViewModel
+from pcmrs.console.signals._health_panel import HealthPanel
+from pcmrs.console.signals._motion import MotionPanel
+from pcmrs.console.signals._muscle import MusclePanel
 from pcmrs.console.texts import Texts
 from pcmrs.messages.setup import Setup
 

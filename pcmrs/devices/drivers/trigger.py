@@ -16,12 +16,12 @@ import structlog
 
 from pcmrs.background import background_task
 from pcmrs.clock import Clock
+from pcmrs.devices._ttl import Signal, TriggerLine
 from pcmrs.devices.arming import Arming, check_intensity
 from pcmrs.devices.lsl.library import StreamName
 from pcmrs.devices.lsl.markers import PULSES, MarkerOutlet, PulseMarker
 from pcmrs.devices.stream import Stream
 from pcmrs.devices.tables import check_devices, read_table
-from pcmrs.devices.ttl import Signal, TriggerLine
 from pcmrs.errors import DeviceError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, FiredPulse, StimulatorState
 

@@ -9,7 +9,7 @@ from itertools import cycle
 import numpy as np
 
 from pcmrs.clock import Clock
-from pcmrs.devices.kst.arm import MeasuredArm
+from pcmrs.devices.kst._arm import MeasuredArm
 from pcmrs.devices.kst.connection import KstConnection
 from pcmrs.devices.kst.settings import KstSettings
 from pcmrs.devices.motion.follower import Follower, brake_limits

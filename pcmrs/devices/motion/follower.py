@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections import deque
 
+from pcmrs.devices.motion._limits import check_press, check_trajectory
+from pcmrs.devices.motion._servo import Servo
 from pcmrs.devices.motion.force import FlangeForce, ForceGuard, ForceSettings
-from pcmrs.devices.motion.limits import check_press, check_trajectory
 from pcmrs.devices.motion.press import PressMotion, Relief
 from pcmrs.devices.motion.reference import Reference, SetPoint
-from pcmrs.devices.motion.servo import Servo
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pcmrs.devices.motion.axis import AxisMotion
+from pcmrs.devices.motion._axis import AxisMotion
 from pcmrs.devices.motion.force import FlangeForce
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import DeviceEvent, PressRequest

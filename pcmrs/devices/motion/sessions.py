@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from pcmrs.devices.motion._servo import Servo
 from pcmrs.devices.motion.follower import Follower
-from pcmrs.devices.motion.servo import Servo
 from pcmrs.errors import DeviceError
 from pcmrs.messages import JointSetpoint, ServoSession
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path as FilePath
 from typing import Any
 
-from pcmrs.fsm.files.keys import rename_keys
+from pcmrs.fsm.files._keys import rename_keys
 from pcmrs.fsm.files.places import Places, with_locations
 from pcmrs.fsm.files.toml import read_bounded, read_toml
 from pcmrs.fsm.finding import Finding, Path, refuse

@@ -12,7 +12,7 @@ import msgspec
 
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
-from pcmrs.fsm.files.confirming import expand_confirmations
+from pcmrs.fsm.files._confirming import expand_confirmations
 from pcmrs.fsm.files.extend import read_layers
 from pcmrs.fsm.files.places import Places, with_locations
 from pcmrs.fsm.files.sequence import SequenceError, expand

@@ -9,7 +9,7 @@ from copy import copy
 
 import msgspec
 
-from pcmrs.fsm.files.keys import TomlKey
+from pcmrs.fsm.files._keys import TomlKey
 from pcmrs.fsm.finding import Finding, Path
 
 Spot = tuple[str, int, int]

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from pcmrs.fsm.files.keys import MAX_DEPTH, DepthError, keys_in
+from pcmrs.fsm.files._keys import MAX_DEPTH, DepthError, keys_in
 from pcmrs.fsm.files.places import Places
 from pcmrs.fsm.finding import Path, Place, refuse
 

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.finding import Finding
-from pcmrs.fsm.rules.activities import check_activities
-from pcmrs.fsm.rules.levels import check_levels
+from pcmrs.fsm.rules._activities import check_activities
+from pcmrs.fsm.rules._levels import check_levels
+from pcmrs.fsm.rules._references import check_references
+from pcmrs.fsm.rules._shapes import check_shapes
 from pcmrs.fsm.rules.names import check_names
-from pcmrs.fsm.rules.references import check_references
-from pcmrs.fsm.rules.shapes import check_shapes
 
 
 def check_rules(blueprint: Blueprint) -> Iterator[Finding]:

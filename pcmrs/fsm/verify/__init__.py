@@ -6,11 +6,13 @@ from dataclasses import dataclass, field
 
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.finding import Finding
-from pcmrs.fsm.verify import hazards, liveness, structure
-from pcmrs.fsm.verify.liveness import TimedOperations
-from pcmrs.fsm.verify.properties import check_properties
-from pcmrs.fsm.verify.search import Progress, SearchLimitError
-from pcmrs.fsm.verify.space import Space
+from pcmrs.fsm.verify import _hazards as hazards
+from pcmrs.fsm.verify import _liveness as liveness
+from pcmrs.fsm.verify import _structure as structure
+from pcmrs.fsm.verify._liveness import TimedOperations
+from pcmrs.fsm.verify._properties import check_properties
+from pcmrs.fsm.verify._search import Progress, SearchLimitError
+from pcmrs.fsm.verify._space import Space
 
 __all__ = ["MAX_JOINT_STATES", "Verification", "verify"]
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pcmrs.fsm.behaviour import Ruling, endings
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.closure import Change, Closure, close
-from pcmrs.fsm.verify.cascades import Cascades
-from pcmrs.fsm.verify.observed import Observer
+from pcmrs.fsm.verify._cascades import Cascades
+from pcmrs.fsm.verify._observed import Observer
 
 Locks = tuple[frozenset[str], frozenset[str]]
 """Branches locked for writing, and for reading."""

@@ -14,11 +14,11 @@ from pcmrs.clock import Clock
 from pcmrs.devices.plus.frames import MessageReader
 from pcmrs.dispatcher import DispatcherListener
 from pcmrs.errors import PayloadError
-from pcmrs.gateway.adapter import Core
+from pcmrs.gateway._adapter import Core
 from pcmrs.gateway.intake import Intake, source_of
-from pcmrs.gateway.openigtlink.broadcaster import Broadcaster
-from pcmrs.gateway.openigtlink.peer import KINDS, Peer
-from pcmrs.gateway.openigtlink.plan_submitter import Answer, PlanSubmitter
+from pcmrs.gateway.openigtlink._broadcaster import Broadcaster
+from pcmrs.gateway.openigtlink._peer import KINDS, Peer
+from pcmrs.gateway.openigtlink._plan_submitter import Answer, PlanSubmitter
 from pcmrs.gateway.periodic_timer import PeriodicTask, kernel_beats
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.hosts import is_loopback

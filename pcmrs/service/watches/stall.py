@@ -38,7 +38,7 @@ class StallWatch:
         report: Takes the event, in the loop, once the stall has ended.
         moving: Returns whether anything moves; called in the loop. If so, the event of a long stall is a danger.
         clock: The machine's clock.
-        deadman: Silence of the daemon that the nodes of this cell permit, s of the machine. A shorter stall is no danger.
+        deadman: Silence of the daemon that the nodes permit, s of the machine. A shorter stall is no danger.
 
     Attributes:
         stalls: Number of stalls since the start.

@@ -5,13 +5,13 @@ from __future__ import annotations
 import msgspec
 
 from pcmrs.calibration import ToolType
-from pcmrs.workflows.settings.measuring import (
+from pcmrs.workflows.settings._measuring import (
     LONGEST_UNSEEN,
     CalibrationSettings,
     RegistrationSettings,
     TrackingSettings,
 )
-from pcmrs.workflows.settings.moving import (
+from pcmrs.workflows.settings._moving import (
     AlignmentSettings,
     ContactSettings,
     FollowingSettings,
@@ -19,10 +19,10 @@ from pcmrs.workflows.settings.moving import (
     PlacementSettings,
     PressForce,
 )
-from pcmrs.workflows.settings.stimulation import StimulationSettings
-from pcmrs.workflows.settings.teleoperation import TeleoperationSettings
-from pcmrs.workflows.settings.values import PoseSetting, Positive
-from pcmrs.workflows.settings.zones import TABLE, BodySettings, BoxSettings, ToolSettings, ZoneSettings
+from pcmrs.workflows.settings._stimulation import StimulationSettings
+from pcmrs.workflows.settings._teleoperation import TeleoperationSettings
+from pcmrs.workflows.settings._values import PoseSetting, Positive
+from pcmrs.workflows.settings._zones import TABLE, BodySettings, BoxSettings, ToolSettings, ZoneSettings
 
 __all__ = [
     "TABLE",

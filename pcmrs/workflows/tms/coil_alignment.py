@@ -9,9 +9,9 @@ import numpy as np
 from pcmrs.dispatcher import Registry
 from pcmrs.errors import RefusalError
 from pcmrs.spatial import Transform
-from pcmrs.workflows.alignment import BODIES, TrackerFrame, desired_in_body_ref, measured_from_desired
+from pcmrs.workflows._alignment import BODIES, TrackerFrame, desired_in_body_ref, measured_from_desired
+from pcmrs.workflows._correction import size_mm_deg
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.correction import size_mm_deg
 from pcmrs.workflows.data import PlacementData, as_transform
 from pcmrs.workflows.settings import StimulationSettings
 from pcmrs.workflows.tms.data import Data, Run

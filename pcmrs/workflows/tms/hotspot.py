@@ -10,10 +10,10 @@ from pcmrs.registration.triangles import TriangleSurface
 from pcmrs.spatial import Transform
 from pcmrs.tms.hotspot import HotspotSearch
 from pcmrs.tms.settings import Count, HotspotMethod, HotspotSettings
+from pcmrs.workflows._correction import size_mm_deg
+from pcmrs.workflows._placement import planned_pose
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.correction import size_mm_deg
 from pcmrs.workflows.data import PlacementData, as_transform
-from pcmrs.workflows.placement import planned_pose
 from pcmrs.workflows.tms.data import Response, Run
 from pcmrs.workflows.tms.intensity import known_intensity
 from pcmrs.workflows.toolplan import ToolPose, accept_pose, pose_of

@@ -8,7 +8,7 @@ import msgspec
 
 from pcmrs.dispatcher import Registry
 from pcmrs.errors import RefusalError
-from pcmrs.workflows.arguments import PersonName
+from pcmrs.workflows._arguments import PersonName
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.tms.data import Ceiling, Data, Run, stimulator_of

@@ -78,7 +78,7 @@ class SimulatedDaemon:
         """Start; return when it takes commands.
 
         Raises:
-            PcmrsError: It cannot start, for a reason for which `pcmrs.service.daemon.Daemon` cannot start, either.
+            PcmrsError: It cannot start, for a reason for which `pcmrs.service._daemon.Daemon` cannot start, either.
         """
         self._main = self.link.spawn(self._run())
         await asyncio.wait([self._main, self._started], return_when=asyncio.FIRST_COMPLETED)

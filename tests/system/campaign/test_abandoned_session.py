@@ -14,7 +14,7 @@ from pcmrs.devices.link import Link
 from pcmrs.dispatcher import Dispatcher, DispatcherListener
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Running, Snapshot, TeleopStatus
 from pcmrs.messages.identity import HOLDING, ROLES, Role
-from pcmrs.service.teleoperation import connect_teleoperators
+from pcmrs.service._teleoperation import connect_teleoperators
 from pcmrs.service.watches.abandoned import AbandonedWatch
 from pcmrs.testing.clock import ManualClock, settle
 from pcmrs.workflows.teleop_port import TeleopPort

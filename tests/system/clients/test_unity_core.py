@@ -18,11 +18,11 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from pcmrs.gateway.command_outcome import CommandOutcome
-from pcmrs.gateway.openigtlink.state import state_json
+from pcmrs.gateway._command_outcome import CommandOutcome
+from pcmrs.gateway.openigtlink._state import state_json
 from pcmrs.gateway.streams import point_message, pose_message, unity_message
 from pcmrs.messages import Snapshot
-from pcmrs.messages.snapshot import BlueprintTag
+from pcmrs.messages._snapshot import BlueprintTag
 from pcmrs.spatial import Transform
 from tests.system.clients.unity_programs import (
     NEEDS_MONO,

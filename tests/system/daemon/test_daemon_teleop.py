@@ -13,8 +13,8 @@ from pcmrs.clock import SystemClock
 from pcmrs.messages import TeleopSetpoint
 from pcmrs.messages.teleop import Twist
 from pcmrs.spatial import Transform
+from pcmrs.teleop._twist_script import TwistScript
 from pcmrs.teleop.session import TeleopSession
-from pcmrs.teleop.twist_script import TwistScript
 from pcmrs.testing.cell import LIGHT, RunningCell
 from pcmrs.testing.driving import accept, showing, to_standoff, until
 from pcmrs.workflows.data import as_transform

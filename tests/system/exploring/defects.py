@@ -203,7 +203,7 @@ DEFECTS: dict[str, Defect] = {
             found_by=("promises_are_kept", "the_tool_is_at_its_plan"),
             put_back={
                 "pcmrs.dispatcher.procedure:Procedure.ask": _asks_the_committed_states,
-                "pcmrs.dispatcher.performer:Performer._still_so": _takes_the_ending_as_it_was,
+                "pcmrs.dispatcher._performer:Performer._still_so": _takes_the_ending_as_it_was,
             },
         ),
         Defect(
@@ -252,7 +252,7 @@ DEFECTS: dict[str, Defect] = {
             put_back={
                 "pcmrs.devices.lateness:Lateness.is_ahead": _never,
                 "pcmrs.devices.poses:PoseFeed._is_behind": _whatever_the_newest_one_is,
-                "pcmrs.devices.frame_sessions:FrameSessions._follow": _does_nothing,
+                "pcmrs.devices._frame_sessions:FrameSessions._follow": _does_nothing,
             },
         ),
     )

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from pcmrs.dispatcher.admission import CommandAdmission
+from pcmrs.dispatcher._admission import CommandAdmission
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.verdict_cache import VerdictCache
 from pcmrs_sim.deterministic.disk import SimulatedJournal

@@ -40,8 +40,8 @@ from pcmrs.service.supervisor import Supervisor
 from pcmrs.service.watches.gates import GateWatch
 from pcmrs.settings import Settings
 from pcmrs.testing.clock import ManualClock, settle
+from pcmrs.workflows._connection import connect_robot
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.connection import connect_robot
 from pcmrs.workflows.data import PlacementData
 from tests.support.memory_link import MemoryLink
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.analysis.bids import Column, cell, label, write_table
+from pcmrs.analysis._bids import Column, cell, label, write_table
 from tests.unit.analysis.tables import rows, sidecar
 
 

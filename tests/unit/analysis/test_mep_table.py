@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pcmrs.analysis.bids import MISSING
+from pcmrs.analysis._bids import MISSING
 from tests.support.session_records import record
 from tests.unit.analysis.tables import STEM, rows
 

@@ -11,10 +11,10 @@ from typing import Any
 import pyarrow as pa
 
 from pcmrs.archive import ArchiveStore, open_store
-from pcmrs.archive.columns import end_of, table_of
-from pcmrs.archive.segment import Segment
-from pcmrs.archive.source import JournalSource
-from pcmrs.archive.store import ArchivedJournal
+from pcmrs.archive._columns import end_of, table_of
+from pcmrs.archive._segment import Segment
+from pcmrs.archive._source import JournalSource
+from pcmrs.archive._store import ArchivedJournal
 from pcmrs.journal import Journal, JournalRow
 from pcmrs.journal.rows import START, RowPosition
 from pcmrs.messages import Reason, Verdict

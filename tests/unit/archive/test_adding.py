@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.archive import ArchiveStore, add_journal, find_journals, verify_archive
-from pcmrs.archive.columns import check_table
-from pcmrs.archive.segment import Segment
+from pcmrs.archive._columns import check_table
+from pcmrs.archive._segment import Segment
 from pcmrs.errors import AlteredSegmentError, ArchiveError, DoubledSegmentError, JournalError, MissingSegmentError
 from pcmrs.journal import Journal, JournalReader
 from tests import ROOT
@@ -149,7 +149,7 @@ def test_an_error_while_storing_ends_the_run(folder: Path, journal_path: Path, m
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from pcmrs.archive import add_journal, folder, open_store
+from pcmrs.archive import add_journal, _folder as folder, open_store
 
 calls = 0
 def killing(real):

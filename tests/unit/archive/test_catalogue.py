@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.archive.catalogue import Catalogue, ListedSegment
+from pcmrs.archive._catalogue import Catalogue, ListedSegment
 from pcmrs.errors import ArchiveError, DoubledSegmentError
 from tests.unit.archive.archives import entry_of, segment_of
 

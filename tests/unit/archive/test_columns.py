@@ -9,8 +9,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 
-from pcmrs.archive.columns import SCHEMA, check_table, table_of
-from pcmrs.archive.source import JournalSource
+from pcmrs.archive._columns import SCHEMA, check_table, table_of
+from pcmrs.archive._source import JournalSource
 from pcmrs.errors import AlteredSegmentError
 from pcmrs.journal import JournalReader
 from pcmrs.journal.rows import START, decode_row
@@ -40,7 +40,7 @@ def test_columns_hold_what_the_rows_hold(path: Path) -> None:
 
 def test_a_table_is_the_same_in_parts_of_any_size(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     segment, table = segment_of(path)
-    monkeypatch.setattr("pcmrs.archive.columns._AT_ONCE", 3)
+    monkeypatch.setattr("pcmrs.archive._columns._AT_ONCE", 3)
     with JournalSource(path) as source:
         assert table_of(segment.journal, source.read(START, 100)).equals(table)
 

@@ -9,8 +9,8 @@ import duckdb
 import pyarrow.dataset as ds
 import pytest
 
-from pcmrs.archive.folder import FolderStore
-from pcmrs.archive.segment import Segment
+from pcmrs.archive._folder import FolderStore
+from pcmrs.archive._segment import Segment
 from pcmrs.errors import AlteredSegmentError, ArchiveError, MissingSegmentError
 from tests.unit.archive.archives import answer, entry_of, segment_of
 

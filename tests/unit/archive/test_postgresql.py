@@ -10,9 +10,9 @@ import pyarrow as pa
 import pytest
 
 from pcmrs.archive import ArchiveStore
-from pcmrs.archive.columns import check_table
-from pcmrs.archive.postgresql import PostgresStore
-from pcmrs.archive.segment import Segment
+from pcmrs.archive._columns import check_table
+from pcmrs.archive._postgresql import PostgresStore
+from pcmrs.archive._segment import Segment
 from pcmrs.errors import AlteredSegmentError, ArchiveError, MissingSegmentError
 from tests.unit.archive.archives import answer, entry_of, opened, segment_of
 

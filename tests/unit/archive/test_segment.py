@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.archive.segment import JournalName, Segment, follow_segments
+from pcmrs.archive._segment import JournalName, Segment, follow_segments
 from pcmrs.errors import AlteredSegmentError, ArchiveError, DoubledSegmentError, MissingSegmentError
 from pcmrs.journal.rows import START, RowPosition
 

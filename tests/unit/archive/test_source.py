@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.archive.source import JournalSource
+from pcmrs.archive._source import JournalSource
 from pcmrs.errors import ArchiveError, JournalError
 from pcmrs.journal import JournalReader
 from pcmrs.journal.rows import START, RowPosition, encode_row

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from pcmrs.archive import QUESTIONS, ArchiveStore, open_store
-from pcmrs.archive.columns import SCHEMA, check_table
+from pcmrs.archive._columns import SCHEMA, check_table
 from pcmrs.errors import ArchiveError, DoubledSegmentError
 from tests.unit.archive.archives import answer, config, entry_of, segment_of, write
 

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pcmrs.archive import ArchiveStore, ArchiveVerification, add_journal, verify_archive
-from pcmrs.archive.folder import CATALOGUE
+from pcmrs.archive._folder import CATALOGUE
 from tests.unit.archive.archives import commands, config, opened, write
 
 

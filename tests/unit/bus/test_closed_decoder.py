@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.bus.closed_decoder import closed_decoder
+from pcmrs.bus._closed_decoder import closed_decoder
 from pcmrs.messages import Beat, BodyPose, JointSetpoint, JointState, Reason, SceneTruth, TeleopSetpoint, Verdict
 
 STREAMED = (BodyPose, JointState, JointSetpoint, Beat, TeleopSetpoint, SceneTruth)

@@ -7,7 +7,7 @@ from collections import Counter
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.bus.fair_queue import FairQueue
+from pcmrs.bus._fair_queue import FairQueue
 
 EACH, KEYS = 3, 4
 

@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
 from pcmrs.bus import Bus, Empty
-from pcmrs.bus.round_robin import AT_ONCE, WAITING
+from pcmrs.bus._round_robin import AT_ONCE, WAITING
 from pcmrs.errors import DeviceError
 from pcmrs.messages import Message
 from tests.unit.bus.bus_cells import open_pair

@@ -20,9 +20,9 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from msgspec.structs import replace
 
 from pcmrs.bus import Bus, BusSettings, CommandEdge, Empty
+from pcmrs.bus._session import _signing
 from pcmrs.bus.codec import pack
 from pcmrs.bus.commands import Envelope
-from pcmrs.bus.session import _signing
 from pcmrs.bus.settings import open_session
 from pcmrs.bus.signature import FRESH_FOR, CertificateSigner, Kind, SignatureVerifier
 from pcmrs.client import Client
@@ -417,7 +417,7 @@ async def test_busy_loop_gets_newest_signed_set_point_among_forged(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     receivers: list[Callable[[Received], None]] = []
-    monkeypatch.setattr("pcmrs.bus.session.declare_subscriber", lambda *given: receivers.append(given[-1]))
+    monkeypatch.setattr("pcmrs.bus._session.declare_subscriber", lambda *given: receivers.append(given[-1]))
     bus = Bus(cast(zenoh.Session, None), bench.lab.daemon(), verifier=bench.signatures)
     taken: list[int] = []
     refused: list[str] = []
@@ -451,7 +451,7 @@ async def test_stop_needs_no_signature(lab: Lab) -> None:
 
 
 async def test_late_renewal_does_not_end_the_lease(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcmrs.client.aio._RENEWAL_PERIOD", 0.02)
+    monkeypatch.setattr("pcmrs.client._aio._RENEWAL_PERIOD", 0.02)
     async with opened(lab) as cell, cell.client("tom") as tom, asyncio.timeout(TIMEOUT), tom.holding():
         cell.hold_back(monkeypatch)
         while not cell.refused:  # noqa: ASYNC110  refused as they come
@@ -464,7 +464,7 @@ async def test_late_renewal_does_not_end_the_lease(lab: Lab, monkeypatch: pytest
 
 
 async def test_a_command_that_was_long_on_its_way_is_asked_again(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pcmrs.client.aio._RETRY_PERIOD", 0.02)
+    monkeypatch.setattr("pcmrs.client._aio._RETRY_PERIOD", 0.02)
     async with opened(lab) as cell, cell.client("tom") as tom, asyncio.timeout(TIMEOUT), asyncio.TaskGroup() as group:
         cell.hold_back(monkeypatch)
         calling = group.create_task(tom.call("robot.connect"))
@@ -479,8 +479,8 @@ async def test_refusal_after_a_broken_link_leaves_the_outcome_unknown(
     lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The refusal does not say that nothing has happened."""
-    monkeypatch.setattr("pcmrs.client.aio._RETRY_PERIOD", 0.02)
-    monkeypatch.setattr("pcmrs.client.aio._TTL", 0.2)
+    monkeypatch.setattr("pcmrs.client._aio._RETRY_PERIOD", 0.02)
+    monkeypatch.setattr("pcmrs.client._aio._TTL", 0.2)
     async with opened(lab) as cell, cell.client("tom") as tom, asyncio.timeout(TIMEOUT), asyncio.TaskGroup() as group:
         cell.answering.clear()
         calling = group.create_task(expect_unknown(tom))

@@ -9,7 +9,7 @@ import msgspec
 
 from pcmrs.bus import Bus, Empty
 from pcmrs.messages import Snapshot
-from pcmrs.messages.snapshot import LeaseState
+from pcmrs.messages._snapshot import LeaseState
 from tests.unit.bus.bus_cells import new_cell, open_bus, snapshot
 from tests.unit.cli.command_line import run
 

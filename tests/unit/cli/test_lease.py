@@ -14,7 +14,7 @@ from click.testing import Result
 
 from pcmrs.bus import CommandEdge
 from pcmrs.messages import Command, Reason, Snapshot, Verdict
-from pcmrs.messages.snapshot import LeaseState
+from pcmrs.messages._snapshot import LeaseState
 from tests.unit.bus.bus_cells import accepted, new_cell, open_bus, snapshot
 from tests.unit.cli.command_line import run
 from tests.unit.client.small_daemon import Daemon

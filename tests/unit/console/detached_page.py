@@ -14,7 +14,7 @@ from nicegui.elements.scene.scene_object3d import Object3D
 from nicegui.events import GenericEventArguments, handle_event
 from nicegui.page import page as declare_page
 
-from pcmrs.console.cell_view_model import CellViewModel
+from pcmrs.console._cell_view_model import CellViewModel
 from pcmrs.console.texts import Texts
 from pcmrs.testing.clock import settle
 

@@ -8,9 +8,9 @@ import numpy as np
 from msgspec.structs import replace
 from nicegui import ui
 
-from pcmrs.console.body import BodyView
-from pcmrs.console.scene import GOOD, OPEN, POOR
-from pcmrs.console.surfaces import Surfaces
+from pcmrs.console._body import BodyView
+from pcmrs.console._scene import GOOD, OPEN, POOR
+from pcmrs.console._surfaces import Surfaces
 from pcmrs.messages.setup import LandmarkShown, ProcedureDataView, SurfaceShown
 from pcmrs.spatial import Transform, distance
 from pcmrs.workflows.data import as_message

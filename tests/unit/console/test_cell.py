@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from msgspec.structs import replace
 
-from pcmrs.console.cell import CellPanel
-from pcmrs.console.geometry import ArmFrames
+from pcmrs.console._cell import CellPanel
+from pcmrs.console._geometry import ArmFrames
 from pcmrs.messages import JointState
 from pcmrs.messages.setup import BoxShown, ProcedureDataView
 from pcmrs.workflows.data import as_message

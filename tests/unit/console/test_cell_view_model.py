@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pcmrs.console.cell_view_model import EPOCHS, EVENTS
+from pcmrs.console._cell_view_model import EPOCHS, EVENTS
 from pcmrs.messages import DeviceEvent, Epoch
 from tests.unit.console.detached_page import ShownCell
 

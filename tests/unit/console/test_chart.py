@@ -8,8 +8,8 @@ import msgspec
 import pytest
 
 from pcmrs.authoring.chart import svg
-from pcmrs.console import chart
-from pcmrs.console.chart import ChartPanel
+from pcmrs.console import _chart as chart
+from pcmrs.console._chart import ChartPanel
 from pcmrs.fsm import Blueprint
 from pcmrs.messages import BlueprintTag, Snapshot
 from tests.support.shipped import shipped_blueprint

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from pcmrs.console.choices import Choice, Choices, latch_of
+from pcmrs.console._choices import Choice, Choices, latch_of
 from pcmrs.messages import LeaseState, Snapshot
 from pcmrs.messages.identity import COMMANDING, ROLES, Role
 from pcmrs.messages.setup import Setup

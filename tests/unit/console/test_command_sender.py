@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from nicegui import core
 
-from pcmrs.console.command_sender import CommandSender
+from pcmrs.console._command_sender import CommandSender
 from pcmrs.errors import CommandRefusedError, PcmrsError, UnknownOutcomeError
 from pcmrs.messages import Reason, Verdict
 from tests.unit.console.detached_page import ENGLISH, DetachedPage

@@ -10,7 +10,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.console.geometry import ArmFrames, TrackerLocator, as_stl, as_zone, placement_deviation, residuals
+from pcmrs.console._geometry import ArmFrames, TrackerLocator, as_stl, as_zone, placement_deviation, residuals
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import PoseMessage

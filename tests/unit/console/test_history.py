@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from pcmrs.console import history
-from pcmrs.console.history import History, entries_from_events, matching
+from pcmrs.console import _history as history
+from pcmrs.console._history import History, entries_from_events, matching
 from pcmrs.journal import Journal, JournalRow
 from pcmrs.messages import BlueprintTag, DeviceEvent, JournalPage, JournalQuery, Reason, Verdict
 from pcmrs.service.publishing import journal_page

@@ -11,12 +11,12 @@ import pytest
 from msgspec.structs import replace
 
 from pcmrs.background import background_task
-from pcmrs.console.live_feed import CHECK_PERIOD, RECONNECT_PERIOD, RENEW_PERIOD, LiveFeed
+from pcmrs.console._live_feed import CHECK_PERIOD, RECONNECT_PERIOD, RENEW_PERIOD, LiveFeed
 from pcmrs.errors import BusError, UnknownOutcomeError
 from pcmrs.messages import BodyPose, JournalPage, JournalQuery, Snapshot
+from pcmrs.messages._snapshot import LeaseState
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import ProcedureDataView, Setup
-from pcmrs.messages.snapshot import LeaseState
 from pcmrs.service.health.report import report
 from pcmrs.spatial import Transform
 from tests.support.health_facts import WELL

@@ -9,11 +9,11 @@ import pytest
 from msgspec.structs import replace
 from nicegui import ui
 
-from pcmrs.console.page import Page
-from pcmrs.console.surfaces import Surfaces
+from pcmrs.console._page import Page
+from pcmrs.console._surfaces import Surfaces
 from pcmrs.messages import BlueprintTag, Snapshot
+from pcmrs.messages._snapshot import LeaseState
 from pcmrs.messages.setup import ProcedureDataView
-from pcmrs.messages.snapshot import LeaseState
 from pcmrs.testing.clock import settle
 from pcmrs.workflows.data import as_message
 from tests.support.shipped import shipped_blueprint

@@ -13,7 +13,7 @@ from hypothesis import settings as checking
 from hypothesis import strategies as st
 
 from pcmrs.bus.codec import pack
-from pcmrs.console.cell_view_model import EPOCHS, NOTHING
+from pcmrs.console._cell_view_model import EPOCHS, NOTHING
 from pcmrs.console.playback import RATE_HZ, LoadedRecording, Playback, load_recording
 from pcmrs.errors import FileFormatError
 from pcmrs.fsm import Blueprint

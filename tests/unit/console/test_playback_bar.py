@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from nicegui import ui
 
-from pcmrs.console.playback_bar import PERIOD, PlaybackBar, choose_recording, refuse_recording, wait_for_recording
+from pcmrs.console._playback_bar import PERIOD, PlaybackBar, choose_recording, refuse_recording, wait_for_recording
 from tests.unit.console.detached_page import ENGLISH, DetachedPage
 
 

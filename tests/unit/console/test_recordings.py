@@ -10,9 +10,9 @@ import pytest
 from nicegui import core
 
 from pcmrs.bus.codec import pack
-from pcmrs.console import recordings as module
+from pcmrs.console import _recordings as module
+from pcmrs.console._recordings import Recordings
 from pcmrs.console.playback import LoadedRecording, load_recording
-from pcmrs.console.recordings import Recordings
 from pcmrs.recording.file import RecordingFile, Topics
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from pcmrs.console.residuals import coloured, colours, each_in_words, gradient, mean_in_words, predicted
+from pcmrs.console._residuals import coloured, colours, each_in_words, gradient, mean_in_words, predicted
 from pcmrs.console.texts import Texts
 from pcmrs.messages.setup import LandmarkShown, ProcedureDataView, SurfaceShown
 from pcmrs.registration import predict_tre

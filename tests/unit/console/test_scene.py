@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from nicegui import ui
 
-from pcmrs.console.scene import STILL, fit, ignore_drags, put, show, tool
+from pcmrs.console._scene import STILL, fit, ignore_drags, put, show, tool
 from pcmrs.spatial import Transform
 from tests.unit.console.detached_page import DetachedPage
 from tests.unit.console.shown_cell import setup, some_pose

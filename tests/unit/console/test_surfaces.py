@@ -13,8 +13,8 @@ import trimesh
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
 
-from pcmrs.console.scene import SURFACE
-from pcmrs.console.surfaces import LIGHTER, MAX_COLOURED, ZONE, Surfaces
+from pcmrs.console._scene import SURFACE
+from pcmrs.console._surfaces import LIGHTER, MAX_COLOURED, ZONE, Surfaces
 from pcmrs.messages.setup import LandmarkShown, ProcedureDataView, Setup, SurfaceShown
 from pcmrs.workflows.data import as_message
 from tests.unit.console.shown_cell import setup, some_pose

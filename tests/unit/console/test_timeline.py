@@ -6,9 +6,9 @@ from typing import Any
 
 import msgspec
 
-from pcmrs.console.history import HistoryEntry
-from pcmrs.console.live_feed import LiveFeed
-from pcmrs.console.timeline import ROWS, TimelinePanel
+from pcmrs.console._history import HistoryEntry
+from pcmrs.console._live_feed import LiveFeed
+from pcmrs.console._timeline import ROWS, TimelinePanel
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, JournalPage, JournalQuery
 from pcmrs.messages.identity import Role

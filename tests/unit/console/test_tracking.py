@@ -7,8 +7,8 @@ import pytest
 from msgspec.structs import replace
 from nicegui import ui
 
-from pcmrs.console.geometry import TrackerLocator
-from pcmrs.console.tracking import MAX_AGE, TrackingView, VisibilityRow, edges
+from pcmrs.console._geometry import TrackerLocator
+from pcmrs.console._tracking import MAX_AGE, TrackingView, VisibilityRow, edges
 from pcmrs.messages.setup import SliceShown
 from pcmrs.spatial import Transform
 from tests.unit.console.detached_page import ENGLISH, DetachedPage, ShownCell

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import uvicorn
 
-from pcmrs.console.uploads import UploadLimit, use_temporary_folder
+from pcmrs.console._uploads import UploadLimit, use_temporary_folder
 from pcmrs.errors import ConfigurationError
 
 LIMIT = 1000
@@ -76,7 +76,7 @@ async def test_upload_is_cut_at_its_declared_length() -> None:
 
 HOLDER = """
 import pathlib, sys, tempfile
-from pcmrs.console.uploads import use_temporary_folder
+from pcmrs.console._uploads import use_temporary_folder
 use_temporary_folder(pathlib.Path(sys.argv[1]))
 file = tempfile.NamedTemporaryFile(prefix="patient")
 folder = tempfile.mkdtemp()

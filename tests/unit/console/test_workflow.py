@@ -8,8 +8,8 @@ from typing import Any
 
 import msgspec
 
-from pcmrs.console.choices import Choice, Choices
-from pcmrs.console.workflow import REFUSED, WorkflowPanel
+from pcmrs.console._choices import Choice, Choices
+from pcmrs.console._workflow import REFUSED, WorkflowPanel
 from pcmrs.messages import BlueprintTag, DeviceEvent, Reason, Running, Snapshot, Verdict
 from tests.support.shipped import shipped_blueprint
 from tests.unit.console.detached_page import ENGLISH, DetachedPage, ShownCell

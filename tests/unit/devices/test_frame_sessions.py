@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.devices.frame_sessions import FRAMES_TO_RESTART, FrameSessions
+from pcmrs.devices._frame_sessions import FRAMES_TO_RESTART, FrameSessions
 from pcmrs.messages import BodyPose
 
 

@@ -17,7 +17,7 @@ from pcmrs.devices.lateness import AGREED
 from pcmrs.devices.poses import HISTORY, PoseFeed
 from pcmrs.errors import RefusalError
 from pcmrs.messages import BodyPose
-from pcmrs.spatial.transform import UNIT_QUATERNION_TOLERANCE
+from pcmrs.spatial._transform import UNIT_QUATERNION_TOLERANCE
 from pcmrs.testing.clock import ManualClock, settle
 
 MAX_AGE = 0.25

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from pcmrs.devices.ttl import TriggerLine
+from pcmrs.devices._ttl import TriggerLine
 from pcmrs.testing.clock import ManualClock, settle
 from tests.unit.devices.serial_port import Port
 

@@ -8,9 +8,9 @@ from typing import Any, get_args
 import pytest
 
 from pcmrs.clock import SystemClock
-from pcmrs.dispatcher.coordinator import CompletedCommand
+from pcmrs.dispatcher._coordinator import CompletedCommand
+from pcmrs.dispatcher._run import ProcedureData, Run
 from pcmrs.dispatcher.locks import Locks, PendingCommand
-from pcmrs.dispatcher.run import ProcedureData, Run
 from pcmrs.messages import Command, Decision, Reason
 from tests.unit.dispatcher.dispatcher_fakes import RATMS
 

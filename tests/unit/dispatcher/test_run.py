@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from pcmrs.dispatcher.run import Activity, ProcedureData, Run
+from pcmrs.dispatcher._run import Activity, ProcedureData, Run
 from pcmrs.errors import RefusalError
 from pcmrs.messages import Command, Reason, Verdict
 from pcmrs.testing.clock import ManualClock

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from pcmrs.doctor.check_result import CheckResult, Verdict, bad, good, warning
+from pcmrs.doctor._check_result import CheckResult, Verdict, bad, good, warning
 
 
 @pytest.mark.parametrize("verdict", ["good", "warning", "bad"])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.doctor.disk import assess_times, disk, free_space
+from pcmrs.doctor._disk import assess_times, disk, free_space
 from tests.unit.doctor.machines import only
 
 

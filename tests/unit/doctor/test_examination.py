@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.doctor import examination
-from pcmrs.doctor.check_result import CheckResult, Verdict, bad, good, warning
-from pcmrs.doctor.examination import examine
+from pcmrs.doctor import _examination as examination
+from pcmrs.doctor._check_result import CheckResult, Verdict, bad, good, warning
+from pcmrs.doctor._examination import examine
 from pcmrs.settings import Settings, read_settings
 
 ORDER: tuple[Verdict, ...] = ("good", "warning", "bad")

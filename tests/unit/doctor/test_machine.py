@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.doctor.machine import clock_source, kernel, limits, scheduling
+from pcmrs.doctor._machine import clock_source, kernel, limits, scheduling
 from tests.unit.doctor.machines import only
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.doctor import surroundings
-from pcmrs.doctor.surroundings import certificates, devices, extras, is_running, peers, ports, streams
+from pcmrs.doctor import _surroundings as surroundings
+from pcmrs.doctor._surroundings import certificates, devices, extras, is_running, peers, ports, streams
 from pcmrs.settings import Settings, read_settings
 from tests.unit.doctor.machines import only
 

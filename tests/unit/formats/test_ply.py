@@ -10,7 +10,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.formats.ply import TYPES, read_triangles
+from pcmrs.formats._ply import TYPES, read_triangles
 from tests.support.trials import examples
 
 NAMES = ("x", "y", "z", "nx", "red")

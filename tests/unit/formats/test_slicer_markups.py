@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.formats.slicer_markups import read_fcsv, read_markups
+from pcmrs.formats._slicer_markups import read_fcsv, read_markups
 from tests.unit.formats.landmark_files import check_refused, fcsv, markups, without
 
 LENGTHS = st.floats(-500.0, 500.0)

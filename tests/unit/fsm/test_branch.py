@@ -87,7 +87,7 @@ def test_flags_mirror_the_digits() -> None:
 
 def test_classes_that_contradict_the_blueprint_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     later = msgspec.structs.replace(RATMS, branches={"robot": RATMS.branches["robot"]})
-    monkeypatch.setattr("pcmrs.fsm.branch.states_of", lambda _: states_of(RATMS))
+    monkeypatch.setattr("pcmrs.fsm._branch.states_of", lambda _: states_of(RATMS))
     operations = later.branches["robot"].operations | {"connect": OperationSpec(from_=["0"], to="0")}
     changed = msgspec.structs.replace(later.branches["robot"], operations=operations)
     with pytest.raises(BlueprintError, match="robot 0 and the blueprint disagree on connect"):

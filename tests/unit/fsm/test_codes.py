@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from pcmrs.fsm.codes import CODES
+from pcmrs.fsm._codes import CODES
 from tests import ROOT
 
 

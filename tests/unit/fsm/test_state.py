@@ -8,8 +8,8 @@ from pcmrs.fsm import (
     Denial,
     StateSet,
 )
+from pcmrs.fsm._state import Answer, State
 from pcmrs.fsm.blueprint import OperationSpec
-from pcmrs.fsm.state import Answer, State
 from tests.support.shipped import shipped_blueprint
 
 RATMS = shipped_blueprint("ratms")

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.gateway.command_outcome import NO_DATA, CommandOutcome, of_verdict
+from pcmrs.gateway._command_outcome import NO_DATA, CommandOutcome, of_verdict
 from pcmrs.gateway.commands import Second
 from pcmrs.messages import Verdict
 from pcmrs.planner import parse_reply

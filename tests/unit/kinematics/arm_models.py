@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pcmrs.kinematics._geometry import SrsGeometry
 from pcmrs.kinematics.arms import ARMS
-from pcmrs.kinematics.geometry import SrsGeometry
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import KNOWN, find_arm
 

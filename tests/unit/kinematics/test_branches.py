@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from pcmrs.errors import UnreachableError
-from pcmrs.kinematics.branches import FORBIDDEN, ROUNDING, Branches, flipped, limit_error, settled
+from pcmrs.kinematics._branches import FORBIDDEN, ROUNDING, Branches, flipped, limit_error, settled
+from pcmrs.kinematics._posture import DETOUR, LIMIT_COMFORT, comfort_penalty
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.posture import DETOUR, LIMIT_COMFORT, comfort_penalty
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.spatial import Transform
 from tests.unit.kinematics.reached_poses import READY, assert_reaches

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pcmrs.kinematics._geometry import PandaGeometry, SrsGeometry, UrGeometry
 from pcmrs.kinematics.arms import ArmFacts, Triple
-from pcmrs.kinematics.geometry import PandaGeometry, SrsGeometry, UrGeometry
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from tests.unit.kinematics.arm_models import calibrated, every_arm, random_postures

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from pcmrs.errors import GeometryError
+from pcmrs.kinematics._posture import cost, sphere_distances
 from pcmrs.kinematics.inverse import inverse
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.posture import cost, sphere_distances
 from pcmrs.kinematics.track import track
 from pcmrs.kinematics.urdf_arms import KNOWN, find_arm
 from pcmrs.spatial import Transform

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pcmrs.kinematics.least_squares import TOLERANCE, damped_least_squares
+from pcmrs.kinematics._least_squares import TOLERANCE, damped_least_squares
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.spatial import Transform

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from pcmrs.errors import GeometryError, UnreachableError
-from pcmrs.kinematics import numeric
+from pcmrs.kinematics import _numeric as numeric
+from pcmrs.kinematics._least_squares import damped_least_squares
+from pcmrs.kinematics._posture import cost
 from pcmrs.kinematics.inverse import inverse
-from pcmrs.kinematics.least_squares import damped_least_squares
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.posture import cost
 from pcmrs.kinematics.track import track
 from pcmrs.spatial import Transform
 from tests.support.trials import run_counts

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.posture import (
+from pcmrs.kinematics._posture import (
     DETOUR,
     LIMIT_COMFORT,
     SINGULAR_COMFORT,
@@ -15,6 +14,7 @@ from pcmrs.kinematics.posture import (
     sphere_array,
     sphere_distances,
 )
+from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from tests.unit.kinematics.reached_poses import READY
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from pcmrs.errors import UnreachableError
-from pcmrs.kinematics import srs
+from pcmrs.kinematics import _srs as srs
+from pcmrs.kinematics._posture import cost
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.inverse import inverse
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.posture import cost
 from pcmrs.spatial import Transform
 from tests.support.trials import run_counts
 from tests.unit.kinematics.arm_models import heights

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from pcmrs.errors import UnreachableError
-from pcmrs.kinematics import ur
-from pcmrs.kinematics.geometry import UrGeometry
+from pcmrs.kinematics import _ur as ur
+from pcmrs.kinematics._geometry import UrGeometry
+from pcmrs.kinematics._posture import cost
 from pcmrs.kinematics.inverse import inverse
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.posture import cost
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.spatial import Transform
 from tests.support.trials import run_counts

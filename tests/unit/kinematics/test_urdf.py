@@ -4,10 +4,10 @@ from xml.etree.ElementTree import fromstring
 
 import numpy as np
 
+from pcmrs.kinematics._urdf_reader import read_urdf
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.urdf import urdf
 from pcmrs.kinematics.urdf_arms import find_arm
-from pcmrs.kinematics.urdf_reader import read_urdf
 from tests.unit.kinematics.arm_models import every_arm, own_arm
 
 

@@ -8,8 +8,8 @@ import pytest
 
 from pcmrs.errors import ConfigurationError
 from pcmrs.kinematics import urdf_arms
+from pcmrs.kinematics._geometry import SrsGeometry
 from pcmrs.kinematics.arms import ARMS
-from pcmrs.kinematics.geometry import SrsGeometry
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf import urdf
 from pcmrs.kinematics.urdf_arms import find_arm

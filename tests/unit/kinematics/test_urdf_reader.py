@@ -3,8 +3,8 @@
 import pytest
 
 from pcmrs.errors import ConfigurationError
+from pcmrs.kinematics._urdf_reader import STIFFNESS, read_urdf
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.urdf_reader import STIFFNESS, read_urdf
 from tests.unit.kinematics.urdf_documents import ARM, assert_same_arm, without
 
 

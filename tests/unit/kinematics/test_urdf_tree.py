@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.errors import ConfigurationError
-from pcmrs.kinematics.urdf_reader import read_urdf
-from pcmrs.kinematics.urdf_tree import MassProperties, UrdfTree, merge_bodies
+from pcmrs.kinematics._urdf_reader import read_urdf
+from pcmrs.kinematics._urdf_tree import MassProperties, UrdfTree, merge_bodies
 from pcmrs.spatial import Floats, Transform
 from tests.unit.kinematics.urdf_documents import ARM
 

@@ -14,7 +14,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from pcmrs.errors import ConfigurationError
 from pcmrs.messages.identity import Identity
 from pcmrs.pki import Authority
-from pcmrs.pki.certificates import authority_certificate, certificate, key_bytes, new_key, read_key
+from pcmrs.pki._certificates import authority_certificate, certificate, key_bytes, new_key, read_key
 
 
 def test_keys_are_their_owners_alone(authority: Authority, tmp_path: Path, now: float) -> None:

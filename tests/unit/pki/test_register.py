@@ -11,7 +11,7 @@ import pytest
 from pcmrs.errors import ConfigurationError
 from pcmrs.messages.identity import Identity
 from pcmrs.pki import Authority
-from pcmrs.pki.register import read_register
+from pcmrs.pki._register import read_register
 
 
 def test_old_register_marks_nobody_and_the_name_local_is_refused(authority: Authority) -> None:

@@ -21,8 +21,8 @@ from pcmrs.bus.seal import Seal, new_key
 from pcmrs.clock import SystemClock
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose, JointState
+from pcmrs.recording._foxglove_messages import View
 from pcmrs.recording.file import RecordingFile, Topics
-from pcmrs.recording.foxglove_messages import View
 from pcmrs.recording.frame_tree import Mounting
 from pcmrs.recording.series import Limits, files_of
 from pcmrs.recording.subscriber import RawSample, Subscriber

@@ -10,7 +10,7 @@ from foxglove.messages import LogLevel
 from pcmrs.messages import DeviceHealth, Epoch, Message, Snapshot
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import ProcedureDataView
-from pcmrs.recording.foxglove_messages import View, joints, json_schema, line, link, pose_in
+from pcmrs.recording._foxglove_messages import View, joints, json_schema, line, link, pose_in
 from pcmrs.spatial import Transform
 from tests.unit.recording.recording_bench import read_back
 

@@ -9,7 +9,7 @@ import pytest
 
 from pcmrs.bus.codec import pack
 from pcmrs.messages import DeviceEvent, Message, PoseMessage, Target
-from pcmrs.recording.foxglove_messages import View
+from pcmrs.recording._foxglove_messages import View
 from pcmrs.recording.subscriber import RawSample
 from pcmrs.recording.views import RecordingViews
 from tests.unit.recording.recording_bench import ARM, MOUNTING, joints, pose, read_back

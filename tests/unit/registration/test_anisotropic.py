@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pcmrs.errors import GeometryError
 from pcmrs.registration import register_points
-from pcmrs.registration.anisotropic import MAX_STEPS, fit_anisotropic
+from pcmrs.registration._anisotropic import MAX_STEPS, fit_anisotropic
 from pcmrs.registration.rigid import fit_rigid
 from pcmrs.spatial import Transform
 from tests.unit.registration.random_sets import random_motion, random_points, seeds

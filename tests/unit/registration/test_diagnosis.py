@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.registration.diagnosis import cycles, detect_order, unit_ratio
+from pcmrs.registration._diagnosis import cycles, detect_order, unit_ratio
 from tests.unit.registration.landmark_layouts import FEMUR, HEAD, HEAD_SIGMA, any_motion, touched
 from tests.unit.registration.random_sets import seeds
 

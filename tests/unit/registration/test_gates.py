@@ -7,7 +7,7 @@ import pytest
 
 from pcmrs.errors import ConfigurationError, MirroredPointsError
 from pcmrs.registration import register_points
-from pcmrs.registration.gates import (
+from pcmrs.registration._gates import (
     UNIT_RATIO,
     RegistrationLimits,
     failed_mirror_gate,

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from pcmrs.errors import RefusalError
-from pcmrs.registration import surface_checks as checks
+from pcmrs.registration import _surface_checks as checks
 from pcmrs.spatial import Floats, Transform
 
 CAP = np.radians(30.0)

@@ -17,8 +17,8 @@ from pcmrs.journal import JournalRow, StoredRow
 from pcmrs.journal.rows import GENESIS
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Verdict
 from pcmrs.messages.identity import Role
-from pcmrs.replay.history import DaemonRun
-from pcmrs.replay.world import RowsClock
+from pcmrs.replay._history import DaemonRun
+from pcmrs.replay._world import RowsClock
 from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs.workflows.data import PlacementData
 from tests.support.ratms_oracle import EVENT_OPERATIONS, all_operations

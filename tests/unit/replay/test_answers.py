@@ -13,8 +13,8 @@ from pcmrs.dispatcher.execution import reason_of
 from pcmrs.errors import DeviceError, PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.journal import JournalRow
 from pcmrs.messages import Reason
-from pcmrs.replay.answers import Holds, end_activities, end_unrequested
-from pcmrs.replay.workflow import PendingActivity
+from pcmrs.replay._answers import Holds, end_activities, end_unrequested
+from pcmrs.replay._workflow import PendingActivity
 from tests.unit.replay.rows import event, outcome
 
 SILENT = Reason(code="outcome_unknown", text="The robot does not answer.", fields={"step": "release_stop", "link": 1})

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from pcmrs.dispatcher.events import NOT_CONFIRMED
 from pcmrs.messages import Command, Reason, Verdict
-from pcmrs.replay.differences import added, compared, missing, reported_already, same
-from pcmrs.replay.keys import command_key, event_key
-from pcmrs.replay.recorder import Decided
+from pcmrs.replay._differences import added, compared, missing, reported_already, same
+from pcmrs.replay._keys import command_key, event_key
+from pcmrs.replay._recorder import Decided
 from tests.unit.replay.rows import event, outcome, stored
 
 plain = st.recursive(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pcmrs.journal import JournalRow
 from pcmrs.messages import Reason
-from pcmrs.replay.durability import WINDOW, held_until, name_of, rejected_by_stop, running_operations
+from pcmrs.replay._durability import WINDOW, held_until, name_of, rejected_by_stop, running_operations
 from tests.unit.replay.rows import event, intent, outcome
 
 STOPPED = Reason(code="stopped", text="Somebody pressed Stop.")

@@ -14,7 +14,7 @@ import pytest
 from pcmrs.dispatcher import Workflow
 from pcmrs.errors import ReplayError
 from pcmrs.journal import JournalRow, StoredRow
-from pcmrs.replay.history import CarryOver, DaemonRun, closes_earlier_run, read_runs
+from pcmrs.replay._history import CarryOver, DaemonRun, closes_earlier_run, read_runs
 from tests.support.shipped import shipped_workflow
 from tests.unit.replay.golden import GOLDEN, WORKFLOWS
 from tests.unit.report.report_journals import golden_rows, write_journal

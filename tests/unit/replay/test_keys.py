@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from pcmrs.messages import Command, Reason
-from pcmrs.replay.history import read_runs
-from pcmrs.replay.keys import (
+from pcmrs.replay._history import read_runs
+from pcmrs.replay._keys import (
     command_key,
     command_of,
     event_key,

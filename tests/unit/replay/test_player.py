@@ -8,9 +8,9 @@ from collections.abc import Awaitable, Callable
 import msgspec
 
 from pcmrs.journal import StoredRow
-from pcmrs.replay.history import CarryOver, read_runs
-from pcmrs.replay.player import JournalPlayer
-from pcmrs.replay.world import ReplayCell
+from pcmrs.replay._history import CarryOver, read_runs
+from pcmrs.replay._player import JournalPlayer
+from pcmrs.replay._world import ReplayCell
 from pcmrs.simulated_time.loop import SimulatedLoop
 from pcmrs.workflows.opening import open_installed
 from pcmrs.workflows.settings import ProcedureSettings

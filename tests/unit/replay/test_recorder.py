@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pcmrs.messages import Command, DeviceEvent, Verdict
-from pcmrs.replay.recorder import ReplayRecorder
+from pcmrs.replay._recorder import ReplayRecorder
 from tests.unit.replay.rows import event, intent, outcome, stored
 
 

@@ -18,7 +18,7 @@ from pcmrs.dispatcher.locks import LockManager
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.replay import ReplayReport
-from pcmrs.replay.history import read_runs
+from pcmrs.replay._history import read_runs
 from pcmrs.replay.replay import replay_runs
 from tests.support.ratms_oracle import BLUEPRINT
 from tests.support.shipped import shipped_blueprint, shipped_workflow

@@ -13,9 +13,9 @@ from pcmrs.errors import DeviceError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm import Engine
 from pcmrs.journal import JournalRow
 from pcmrs.messages import Command, Reason
-from pcmrs.replay.recorder import ReplayRecorder
-from pcmrs.replay.workflow import ReplayWorkflow
-from pcmrs.replay.world import ReplayCell, RowsClock
+from pcmrs.replay._recorder import ReplayRecorder
+from pcmrs.replay._workflow import ReplayWorkflow
+from pcmrs.replay._world import ReplayCell, RowsClock
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.settings import ProcedureSettings
 from tests.support.shipped import shipped_blueprint

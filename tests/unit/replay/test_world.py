@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pcmrs.errors import PcmrsError
-from pcmrs.replay.world import NotJournalledError, ReplayCell, ReplayClock, RowsClock
+from pcmrs.replay._world import NotJournalledError, ReplayCell, ReplayClock, RowsClock
 from pcmrs.workflows.settings import CalibrationSettings, ProcedureSettings
 from tests.unit.replay.rows import event
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from pcmrs.messages import Reason, Verdict
-from pcmrs.report.advice import DOUBT, MOST_NAMED, advise
+from pcmrs.report._advice import DOUBT, MOST_NAMED, advise
 from pcmrs.workflows import read_workflow
 
 RATMS = read_workflow("ratms")

@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from pcmrs.report.contents import ReportedFile, SessionReport
+from pcmrs.report._contents import ReportedFile, SessionReport
 from pcmrs.report.reading import read_report
 from tests.unit.report.report_journals import golden_rows, write_journal
 

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import msgspec
 import pytest
 
-from pcmrs.report.contents import ReportedEvent, SessionReport
+from pcmrs.report._contents import ReportedEvent, SessionReport
 from pcmrs.report.figures import draw_figures
 from pcmrs.report.reading import read_report
 from tests.unit.replay.golden import WORKFLOWS

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pcmrs.errors import RefusalError
 from pcmrs.ros2 import cdr
-from pcmrs.ros2.poses import Stamps, tracker_from_body
+from pcmrs.ros2._poses import Stamps, tracker_from_body
 from pcmrs.testing.clock import ManualClock
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from pcmrs.messages import Command, DeviceEvent, Reason, Verdict
-from pcmrs.messages.decisions import Decision
-from pcmrs.service.command_metrics import BOUNDS, RECENT, CommandMetrics
+from pcmrs.messages._decisions import Decision
+from pcmrs.service._command_metrics import BOUNDS, RECENT, CommandMetrics
 from pcmrs.testing.clock import ManualClock
 
 

@@ -13,8 +13,8 @@ import pytest
 from structlog.testing import capture_logs
 
 from pcmrs.errors import BlueprintError, BusError, ConfigurationError
-from pcmrs.service import daemon as daemon_module
-from pcmrs.service.daemon import Daemon, go_ahead
+from pcmrs.service import _daemon as daemon_module
+from pcmrs.service._daemon import Daemon, go_ahead
 from pcmrs.settings import CellSettings, Settings
 from pcmrs.testing.clock import ManualClock, settle
 

@@ -21,7 +21,7 @@ for surface in ("head_phantom.ply", "femur_phantom.ply"):
 @pytest.mark.parametrize(
     "loaded",
     [
-        f"import pcmrs.service.daemon\n{SHIPPED}",
+        f"import pcmrs.service._daemon\n{SHIPPED}",
         f"import pcmrs.workflows.planning_process\n{SHIPPED}",
         "import pcmrs.node",
         "import pcmrs.recording.writer",

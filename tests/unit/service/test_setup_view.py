@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 import numpy as np
 
 from pcmrs.fsm import parse_blueprint
-from pcmrs.service.setup_view import gathered, setup_of
+from pcmrs.service._setup_view import gathered, setup_of
 from pcmrs.settings import Settings
 from pcmrs.simulated_time.loop import SimulatedLoop
 from pcmrs.workflows.data import as_transform

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from pcmrs.messages import TeleopSetpoint, TeleopStatus
-from pcmrs.service.teleoperation import SETPOINTS, STATUS, connect_teleoperators
+from pcmrs.service._teleoperation import SETPOINTS, STATUS, connect_teleoperators
 from pcmrs.workflows.teleop_port import TeleopPort
 from tests.support.memory_link import MemoryLink
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pcmrs.clock import Clock
-from pcmrs.devices.motion.servo import DEADMAN
+from pcmrs.devices.motion._servo import DEADMAN
 from pcmrs.errors import DeviceError, UnknownOutcomeError
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel

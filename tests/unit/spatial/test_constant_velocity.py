@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-from pcmrs.spatial.constant_velocity import VelocityFilter
+from pcmrs.spatial._constant_velocity import VelocityFilter
 from pcmrs.spatial.prediction import TRANSLATION
 
 RATE = 60.0

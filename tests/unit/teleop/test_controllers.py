@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pcmrs.messages.teleop import AT_REST
-from pcmrs.teleop.controllers import (
+from pcmrs.teleop._controllers import (
     BUTTON_0,
     BUTTON_1,
     EAST,

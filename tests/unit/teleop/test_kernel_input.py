@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from pcmrs.errors import ConfigurationError
-from pcmrs.teleop.controllers import (
+from pcmrs.teleop._controllers import (
     EAST,
     EV_ABS,
     EV_KEY,

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from pcmrs.errors import ConfigurationError
+from pcmrs.teleop._twist_script import read_script
 from pcmrs.teleop.demand import Demand
-from pcmrs.teleop.twist_script import read_script
 
 
 def test_a_script_says_when_and_ends(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import sys
 import time
 
 from pcmrs.threads import Runaways
-from pcmrs.threads.runaways import CALM
+from pcmrs.threads._runaways import CALM
 from tests.unit.threads.realtime_children import REALTIME, RUNS_AWAY, needs_permission
 
 RESTS = "input()"

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
-from pcmrs.tms.adaptive import NOISE_DECADES, SPREAD_DECADES, posterior
+from pcmrs.tms._adaptive import NOISE_DECADES, SPREAD_DECADES, posterior
 from pcmrs.tms.scalp import as_transform
 from tests.support.trials import examples
 from tests.unit.tms.searches import begun, run, subject_at

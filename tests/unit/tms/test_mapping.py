@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcmrs.tms.mapping import estimate, pulse_count
+from pcmrs.tms._mapping import estimate, pulse_count
 from pcmrs.tms.scalp import as_transform, heading, scalp_patch
 from pcmrs.tms.settings import MapPulse
 from tests.unit.tms.searches import MOST_PULSES, RNG, begun, subject_at

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.spatial import Transform
-from pcmrs.workflows.alignment import AlignmentGate, AlignmentWatch
+from pcmrs.workflows._alignment import AlignmentGate, AlignmentWatch
 from pcmrs.workflows.settings import AlignmentSettings, ProcedureSettings
 from tests.unit.workflows.workflow_bench import WorkflowBench
 

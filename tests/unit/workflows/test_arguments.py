@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pcmrs.errors import RefusalError
-from pcmrs.workflows.arguments import MAX_COORDINATE, PersonName, Retreat, check_metres
+from pcmrs.workflows._arguments import MAX_COORDINATE, PersonName, Retreat, check_metres
 
 
 @pytest.mark.parametrize("name", ["Dr Hand", "王小明", "O'Neill-Smith, A.", "x" * 100])

@@ -8,7 +8,7 @@ import pytest
 from pcmrs.devices.poses import Sighting
 from pcmrs.errors import RefusalError
 from pcmrs.spatial import Transform
-from pcmrs.workflows.body_track import BodyTrack
+from pcmrs.workflows._body_track import BodyTrack
 from pcmrs.workflows.settings import FollowingSettings
 
 SPEED = 0.010

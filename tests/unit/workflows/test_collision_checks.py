@@ -12,8 +12,8 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.settings import Settings
 from pcmrs.spatial import Floats
+from pcmrs.workflows._collision_checks import SAMPLES_PER_PART, ClearanceLimits
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.collision_checks import SAMPLES_PER_PART, ClearanceLimits
 from pcmrs.workflows.planning import PlanningCell
 from pcmrs.workflows.surface import read_surface
 from tests.support.shipped import shipped_workflow

@@ -12,8 +12,8 @@ import pytest
 from pcmrs.dispatcher import Workflow
 from pcmrs.kinematics.arms import IIWA14_R820
 from pcmrs.spatial import Floats
+from pcmrs.workflows._collision_checks import update_collision_scene
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.collision_checks import update_collision_scene
 from pcmrs.workflows.data import PlacementData, Registered
 from tests.support.shipped import shipped_workflow
 from tests.unit.workflows.workflow_bench import WorkflowBench, open_bench

@@ -12,9 +12,9 @@ import pytest
 from pcmrs.errors import RefusalError
 from pcmrs.messages import DeviceEvent, HeadBurst, HeadMotion, HeadStep
 from pcmrs.spatial import Floats, Transform, distance
-from pcmrs.workflows.alignment import BODIES
+from pcmrs.workflows._alignment import BODIES
+from pcmrs.workflows._following import BodyFollower
 from pcmrs.workflows.data import as_transform
-from pcmrs.workflows.following import BodyFollower
 from pcmrs_sim.settings import GeometrySettings
 from tests.unit.workflows.workflow_bench import DYNAMICS, WorkflowBench, open_bench
 

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.spatial import Floats, Transform
-from pcmrs.workflows.guided_tool import PlanLimits
-from pcmrs.workflows.setpoints import limit_twist
+from pcmrs.workflows._guided_tool import PlanLimits
+from pcmrs.workflows._setpoints import limit_twist
 from pcmrs.workflows.settings import TeleoperationSettings
 
 SETTINGS = TeleoperationSettings(range=0.03, turn_deg=10.0)

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.spatial import Transform, distance
-from pcmrs.workflows.motion import placement_errors, pose_result
+from pcmrs.workflows._motion import placement_errors, pose_result
 from tests.unit.workflows.workflow_bench import WorkflowBench, open_bench
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from pcmrs.errors import RefusalError
 from pcmrs.spatial import Transform
-from pcmrs.workflows.paths import body_centre, distance_from_body
+from pcmrs.workflows._paths import body_centre, distance_from_body
 from tests import ROOT
 from tests.unit.workflows.workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 

@@ -15,7 +15,7 @@ from pcmrs.errors import PayloadError
 from pcmrs.messages import TeleopSetpoint
 from pcmrs.messages.teleop import AT_REST, Twist
 from pcmrs.spatial import Floats
-from pcmrs.workflows.setpoints import Latency, SetpointAdmission, SpeedScale, limit_twist
+from pcmrs.workflows._setpoints import Latency, SetpointAdmission, SpeedScale, limit_twist
 from pcmrs.workflows.settings import TeleoperationSettings
 
 SETTINGS = TeleoperationSettings()

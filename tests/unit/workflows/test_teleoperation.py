@@ -15,10 +15,10 @@ from pcmrs.messages import Command
 from pcmrs.messages.teleop import AT_REST, Twist
 from pcmrs.spatial import Floats, Frame, distance, rotation_angle
 from pcmrs.workflows import read_workflow
+from pcmrs.workflows._guided_tool import GuidedTool
+from pcmrs.workflows._teleoperation import Activity, GuidanceSession, planned_in_body_ref
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.guided_tool import GuidedTool
 from pcmrs.workflows.settings import TeleoperationSettings
-from pcmrs.workflows.teleoperation import Activity, GuidanceSession, planned_in_body_ref
 from pcmrs.workflows.zones import BODY
 from tests.unit.teleop.guided_bench import PERIOD, Teleoperator, danger, guided, held, moved, still, tool
 from tests.unit.workflows.workflow_bench import WorkflowBench, open_bench

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pcmrs.workflows.placement import planned_pose
+from pcmrs.workflows._placement import planned_pose
 from pcmrs.workflows.toolplan import ToolPose, pose_of, standoff_postures
 from tests.unit.workflows.workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 from tests.unit.workflows.zone_bench import lamp

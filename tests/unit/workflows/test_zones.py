@@ -15,7 +15,7 @@ from pcmrs.kinematics.collision import cylinder, hull, se3
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.sampled_clearance import BOUND
 from pcmrs.spatial import Transform
-from pcmrs.workflows.paths import along_axis
+from pcmrs.workflows._paths import along_axis
 from pcmrs.workflows.settings import ProcedureSettings
 from pcmrs.workflows.surface import read_surface
 from pcmrs.workflows.zones import CellZones

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 
-from pcmrs.authoring.exchange.cubes import Cube, merge
+from pcmrs.authoring.exchange._cubes import Cube, merge
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.behaviour import operations
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, Condition, PropertySpec, Requirement

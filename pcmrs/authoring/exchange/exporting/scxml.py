@@ -13,9 +13,9 @@ from collections import defaultdict
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
 from pcmrs.authoring.exchange import SCXML_NAMESPACE
-from pcmrs.authoring.exchange.cubes import Cube
-from pcmrs.authoring.exchange.exporting.nesting import Nesting, nesting_of
-from pcmrs.authoring.exchange.exporting.reactions import Reaction, reactions
+from pcmrs.authoring.exchange._cubes import Cube
+from pcmrs.authoring.exchange.exporting._nesting import Nesting, nesting_of
+from pcmrs.authoring.exchange.exporting._reactions import Reaction, reactions
 from pcmrs.fsm.blueprint import Blueprint
 
 PARALLEL = "joint-state"

@@ -16,10 +16,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from urllib.parse import unquote
 
-from pcmrs.authoring.exchange.importing.chart import Edge, Node
+from pcmrs.authoring.exchange.importing._chart import Edge, Node
+from pcmrs.authoring.exchange.importing._markup import Element, read_xml
+from pcmrs.authoring.exchange.importing._reading import MAX_DEPTH, NO_EVENTS, Findings, events_of
 from pcmrs.authoring.exchange.importing.imported import import_chart
-from pcmrs.authoring.exchange.importing.markup import Element, read_xml
-from pcmrs.authoring.exchange.importing.reading import MAX_DEPTH, NO_EVENTS, Findings, events_of
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.files.toml import MAX_BYTES
 from pcmrs.fsm.finding import Finding, Place, refuse

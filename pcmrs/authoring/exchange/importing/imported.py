@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from pcmrs.authoring.exchange.importing.chart import Node
-from pcmrs.authoring.exchange.importing.convert import blueprint_of
-from pcmrs.authoring.exchange.importing.reading import Findings
+from pcmrs.authoring.exchange.importing._chart import Node
+from pcmrs.authoring.exchange.importing._convert import blueprint_of
+from pcmrs.authoring.exchange.importing._reading import Findings
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.files.dump import blueprint_toml

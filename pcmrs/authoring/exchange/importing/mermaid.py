@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from pcmrs.authoring.exchange.importing.chart import Edge, Node
+from pcmrs.authoring.exchange.importing._chart import Edge, Node
+from pcmrs.authoring.exchange.importing._reading import MAX_DEPTH, NO_EVENTS, Findings, events_of, read_text
 from pcmrs.authoring.exchange.importing.imported import import_chart
-from pcmrs.authoring.exchange.importing.reading import MAX_DEPTH, NO_EVENTS, Findings, events_of, read_text
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.finding import Finding, Place, refuse
 

@@ -7,11 +7,11 @@ blueprint holds no code.
 from __future__ import annotations
 
 from pcmrs.authoring.exchange import SCXML_NAMESPACE
-from pcmrs.authoring.exchange.importing.chart import Edge, Node
-from pcmrs.authoring.exchange.importing.conditions import read_condition
+from pcmrs.authoring.exchange.importing._chart import Edge, Node
+from pcmrs.authoring.exchange.importing._conditions import read_condition
+from pcmrs.authoring.exchange.importing._markup import Element, read_xml
+from pcmrs.authoring.exchange.importing._reading import Findings
 from pcmrs.authoring.exchange.importing.imported import import_chart
-from pcmrs.authoring.exchange.importing.markup import Element, read_xml
-from pcmrs.authoring.exchange.importing.reading import Findings
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.finding import Finding, Place, refuse
 

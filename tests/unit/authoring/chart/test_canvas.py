@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.authoring.chart.canvas import HEAD, STROKES, bus, group, head, point, text
+from pcmrs.authoring.chart._canvas import HEAD, STROKES, bus, group, head, point, text
 
 NUMBER = r"-?\d+(?:\.\d)?"
 PLACES = st.tuples(st.integers(-200, 200), st.integers(-200, 200))

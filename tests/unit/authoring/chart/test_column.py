@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from hypothesis import given
 
-from pcmrs.authoring.chart.arrows import arrows
-from pcmrs.authoring.chart.column import Lane, column
-from pcmrs.authoring.chart.links import links
+from pcmrs.authoring.chart._arrows import arrows
+from pcmrs.authoring.chart._column import Lane, column
+from pcmrs.authoring.chart._links import links
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
 from tests.support.trials import examples
 from tests.unit.fsm.random_blueprints import blueprints

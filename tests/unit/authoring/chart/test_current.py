@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.authoring.chart import dot, mermaid, svg
-from pcmrs.authoring.chart.current import MAX_LEVEL
+from pcmrs.authoring.chart._current import MAX_LEVEL
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec, ParentSpec
 from tests.support.shipped import shipped_blueprint

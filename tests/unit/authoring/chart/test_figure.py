@@ -7,10 +7,10 @@ from xml.etree.ElementTree import Element
 import pytest
 
 from pcmrs.authoring.chart import svg
-from pcmrs.authoring.chart.canvas import HEAD
-from pcmrs.authoring.chart.figure import caption, draw_panel
-from pcmrs.authoring.chart.layout import layout
-from pcmrs.authoring.chart.row import LINE, Port
+from pcmrs.authoring.chart._canvas import HEAD
+from pcmrs.authoring.chart._figure import caption, draw_panel
+from pcmrs.authoring.chart._layout import layout
+from pcmrs.authoring.chart._row import LINE, Port
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec
 from tests.unit.authoring.chart import chart_reading as reading
 from tests.unit.fsm.arm_workflow import arm_blueprint

@@ -6,9 +6,9 @@ from xml.etree.ElementTree import Element
 
 import pytest
 
-from pcmrs.authoring.chart.canvas import STROKES
-from pcmrs.authoring.chart.legend import LINE_HEIGHT, draw_legend, least_width
-from pcmrs.authoring.chart.text import sans_width
+from pcmrs.authoring.chart._canvas import STROKES
+from pcmrs.authoring.chart._legend import LINE_HEIGHT, draw_legend, least_width
+from pcmrs.authoring.chart._text import sans_width
 
 
 def legend(width: float) -> tuple[Element, float]:

@@ -6,9 +6,9 @@ import itertools
 
 from hypothesis import given
 
-from pcmrs.authoring.chart.layout import layout
-from pcmrs.authoring.chart.links import links
-from pcmrs.authoring.chart.panel import PITCH, panel
+from pcmrs.authoring.chart._layout import layout
+from pcmrs.authoring.chart._links import links
+from pcmrs.authoring.chart._panel import PITCH, panel
 from pcmrs.fsm.blueprint import Blueprint
 from tests.support.trials import examples
 from tests.unit.fsm.arm_workflow import arm_blueprint

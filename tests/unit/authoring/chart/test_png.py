@@ -10,7 +10,7 @@ import pytest
 import resvg_py
 
 from pcmrs.authoring.chart import png, svg
-from pcmrs.authoring.chart.png import ZOOM
+from pcmrs.authoring.chart._png import ZOOM
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec
 from tests.unit.authoring.chart import chart_reading as reading

@@ -5,8 +5,8 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.authoring.chart.row import LABEL, LINE, MEANING, NAME, Port, row
-from pcmrs.authoring.chart.text import mono_width, sans_width
+from pcmrs.authoring.chart._row import LABEL, LINE, MEANING, NAME, Port, row
+from pcmrs.authoring.chart._text import mono_width, sans_width
 
 LINES = st.lists(st.text("abc ", min_size=1, max_size=20), max_size=4)
 PORTS = st.lists(LINES, max_size=6)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pcmrs.authoring.chart.text import activity_line, clean, cut, flow, mono_width, sans_width, wrap
+from pcmrs.authoring.chart._text import activity_line, clean, cut, flow, mono_width, sans_width, wrap
 from tests.unit.fsm.arm_workflow import arm_blueprint
 
 WORDS = st.lists(st.text("abcxyz_", min_size=1, max_size=40), max_size=12)

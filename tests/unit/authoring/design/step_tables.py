@@ -9,9 +9,9 @@ import msgspec
 import tomli_w
 
 from pcmrs.authoring.design import design
-from pcmrs.authoring.design.check import paths_of
-from pcmrs.authoring.design.grouping import StepGroup, root_groups
-from pcmrs.authoring.design.table import StepTable
+from pcmrs.authoring.design._check import paths_of
+from pcmrs.authoring.design._grouping import StepGroup, root_groups
+from pcmrs.authoring.design._table import StepTable
 from pcmrs.fsm import Blueprint, parse_blueprint
 from pcmrs.fsm.finding import Path
 from tests import ROOT

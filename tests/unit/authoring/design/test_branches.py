@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from pcmrs.authoring.design.branches import root_branches
-from pcmrs.authoring.design.grouping import UndesignableError
+from pcmrs.authoring.design._branches import root_branches
+from pcmrs.authoring.design._grouping import UndesignableError
 from tests.unit.authoring.design.step_tables import converted, step
 
 INNERMOST = {"branch": "innermost", "steps": [step("q1"), step("q2", "q1")]}

@@ -6,7 +6,7 @@ import pytest
 import tomli_w
 
 from pcmrs.authoring.design import design
-from pcmrs.fsm.codes import DESIGN
+from pcmrs.fsm._codes import DESIGN
 from tests.unit.authoring.design.step_tables import RATMS_STEPS, step, table
 
 REFINED = {"branch": "in_b", "steps": [step("b1"), step("b2", "b1")]}

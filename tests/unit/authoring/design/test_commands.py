@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from pcmrs.authoring.design.commands import MAKE_SAFE, check_operations, operations_of
+from pcmrs.authoring.design._commands import MAKE_SAFE, check_operations, operations_of
 from tests.unit.authoring.design.step_tables import converted, step
 
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 
 from pcmrs.authoring.design import design
-from pcmrs.authoring.design.branches import DesignedBranch
-from pcmrs.authoring.design.count import excess_of
+from pcmrs.authoring.design._branches import DesignedBranch
+from pcmrs.authoring.design._count import excess_of
 from pcmrs.fsm import Blueprint, examine
 from pcmrs.fsm.blueprint import BranchSpec, SequenceSpec
 from pcmrs.fsm.files.load import BlueprintExamination

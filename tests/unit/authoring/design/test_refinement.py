@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from pcmrs.authoring.design.grouping import UndesignableError
-from pcmrs.authoring.design.refinement import emits_of, parent_of, refinements_of, resting_on
+from pcmrs.authoring.design._grouping import UndesignableError
+from pcmrs.authoring.design._refinement import emits_of, parent_of, refinements_of, resting_on
 from tests.unit.authoring.design.step_tables import converted, step
 
 INNER = {"branch": "inner", "steps": [step("p"), step("q", "p")]}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pcmrs.authoring.design.safety import lost
+from pcmrs.authoring.design._safety import lost
 from pcmrs.fsm import Denial, Engine
 from tests.unit.authoring.design.biopsy_cell import WAY_IN, biopsy_cell, is_accepted, perform
 

@@ -7,8 +7,8 @@ from random import Random
 
 from statemachine.io.scxml.processor import SCXMLProcessor
 
-from pcmrs.authoring.exchange.exporting.events import OperationEnding, commands
-from pcmrs.authoring.exchange.exporting.nesting import Nesting, nesting_of
+from pcmrs.authoring.exchange.exporting._events import OperationEnding, commands
+from pcmrs.authoring.exchange.exporting._nesting import Nesting, nesting_of
 from pcmrs.authoring.exchange.exporting.scxml import scxml
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.closure import Denial

@@ -7,7 +7,7 @@ import itertools
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.authoring.exchange.cubes import Cube, cover, holds, merge
+from pcmrs.authoring.exchange._cubes import Cube, cover, holds, merge
 
 DOMAINS = {"a": ("0", "1"), "b": ("0", "1", "2"), "c": ("x", "y", "z")}
 EVERYWHERE = [dict(zip(DOMAINS, states, strict=True)) for states in itertools.product(*DOMAINS.values())]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from pcmrs.console.planning.draft import Draft
+from pcmrs.console.planning._draft import Draft
 from pcmrs.registration.triangles import TriangleSurface
 from pcmrs.spatial import Floats
 

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec.structs import replace
 from nicegui import ui
 
-from pcmrs.console.planning.canvas import Canvas
+from pcmrs.console.planning._canvas import Canvas
 from pcmrs.messages.setup import SurfaceShown
 from pcmrs.spatial import Floats
 from tests.unit.console.detached_page import DetachedPage

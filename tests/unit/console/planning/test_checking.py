@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pcmrs.console.planning.checking import BAD, GOOD, OPEN, describe_results
+from pcmrs.console.planning._checking import BAD, GOOD, OPEN, describe_results
 from pcmrs.console.texts import Texts
 from pcmrs.messages import DryRunResult, Reason
 

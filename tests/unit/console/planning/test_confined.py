@@ -10,7 +10,7 @@ import pytest
 
 CONFINED = """
 import os, resource, socket, subprocess, sys, threading
-from pcmrs.console.planning.confined import confine
+from pcmrs.console.planning._confined import confine
 
 go, out = threading.Event(), []
 def beside():

@@ -8,7 +8,7 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.console.planning.draft import MOVES, TURN, TURNS, Draft, typed_point
+from pcmrs.console.planning._draft import MOVES, TURN, TURNS, Draft, typed_point
 from pcmrs.errors import GeometryError
 from pcmrs.formats.landmarks import read_landmarks
 from pcmrs.formats.mesh import read_mesh

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pcmrs.console.planning.draft import Draft
-from pcmrs.console.planning.forms import DraftEditor, GridForm, LandmarkForm, ToolForm, TrajectoryForm
+from pcmrs.console.planning._draft import Draft
+from pcmrs.console.planning._forms import DraftEditor, GridForm, LandmarkForm, ToolForm, TrajectoryForm
 from tests.unit.console.detached_page import ENGLISH, DetachedPage
 from tests.unit.console.planning.drafts import RADIUS, direction, draft
 

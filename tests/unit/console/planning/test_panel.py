@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from pcmrs.console.planning.draft import Draft, Kind
+from pcmrs.console.planning._draft import Draft, Kind
 from pcmrs.console.planning.panel import operations
 from pcmrs.workflows import femoroplasty, grid_mapping, read_workflow
 from pcmrs.workflows.opening import placement_registry

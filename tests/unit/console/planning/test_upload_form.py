@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from nicegui.elements.upload_files import SmallFileUpload
 
-from pcmrs.console.planning.upload_form import store_upload
+from pcmrs.console.planning._upload_form import store_upload
 
 
 @pytest.mark.parametrize("name", ["../evil.stl", "/tmp/evil.stl", "a/../../evil.nii.gz", "..", ".", ""])

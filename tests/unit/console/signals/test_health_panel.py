@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from pcmrs.console.signals.health_panel import HealthPanel
+from pcmrs.console.signals._health_panel import HealthPanel
 from pcmrs.service.health.report import report
 from tests.support.health_facts import WELL
 from tests.unit.console.detached_page import ENGLISH, DetachedPage

@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 from nicegui import ui
 
-from pcmrs.console.signals.motion import MotionPanel
+from pcmrs.console.signals._motion import MotionPanel
 from pcmrs.messages import JointState
 from pcmrs.spatial import Transform
 from tests.unit.console.detached_page import ENGLISH, DetachedPage, ShownCell

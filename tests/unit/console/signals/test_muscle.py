@@ -7,8 +7,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from pcmrs.console.colours import BLUE, GREY
-from pcmrs.console.signals.muscle import MusclePanel
+from pcmrs.console._colours import BLUE, GREY
+from pcmrs.console.signals._muscle import MusclePanel
 from pcmrs.messages import Epoch, Verdict
 from pcmrs.messages.setup import ProcedureDataView, StimulationShown
 from pcmrs.tms.settings import ThresholdSettings

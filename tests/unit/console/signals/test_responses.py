@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from pcmrs.console.signals.responses import estimator_history, responses, waves
+from pcmrs.console.signals._responses import estimator_history, responses, waves
 from pcmrs.messages import Epoch, Verdict
 from pcmrs.tms.settings import MepSettings, ThresholdSettings
 from pcmrs.tms.threshold import MotorThresholdEstimator

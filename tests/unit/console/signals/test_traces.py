@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from pcmrs.console.cell_view_model import CellViewModel
-from pcmrs.console.signals.traces import SHOWN, Traces
+from pcmrs.console._cell_view_model import CellViewModel
+from pcmrs.console.signals._traces import SHOWN, Traces
 from pcmrs.spatial import Transform
 from tests.unit.console.shown_cell import body
 

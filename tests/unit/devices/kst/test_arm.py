@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.devices.kst.arm import LAG, MeasuredArm, TorqueForce
+from pcmrs.devices.kst._arm import LAG, MeasuredArm, TorqueForce
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.devices.motion.axis import AxisMotion
+from pcmrs.devices.motion._axis import AxisMotion
 from pcmrs.spatial import Floats, rotation_angle
 from tests.support.trials import examples
 from tests.unit.devices.spring import HOME, MODEL

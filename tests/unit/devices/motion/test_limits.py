@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from pcmrs.devices.motion.limits import START_TOLERANCE, check_press, check_trajectory
+from pcmrs.devices.motion._limits import START_TOLERANCE, check_press, check_trajectory
 from pcmrs.errors import DeviceError
 from pcmrs.messages import JointTrajectory, PressRequest
 from pcmrs.spatial import Floats

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pcmrs.devices.motion._servo import LARGEST_JUMP, Servo
 from pcmrs.devices.motion.reference import Reference
-from pcmrs.devices.motion.servo import LARGEST_JUMP, Servo
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.trajectory import brake
 from pcmrs.messages import JointSetpoint

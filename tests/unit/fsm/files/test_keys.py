@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pcmrs.cli import main
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import parse_blueprint
-from pcmrs.fsm.files.keys import MAX_DEPTH, DepthError, TomlKey, keys_in
+from pcmrs.fsm.files._keys import MAX_DEPTH, DepthError, TomlKey, keys_in
 from pcmrs.fsm.files.load import examine
 from pcmrs.fsm.files.toml import read_toml
 from tests import ROOT

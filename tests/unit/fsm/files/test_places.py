@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pcmrs.fsm.files.keys import keys_in
+from pcmrs.fsm.files._keys import keys_in
 from pcmrs.fsm.files.places import Places, with_locations
 from pcmrs.fsm.finding import Finding
 

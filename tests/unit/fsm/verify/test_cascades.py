@@ -10,7 +10,7 @@ from hypothesis import given
 from pcmrs.fsm.behaviour import branch_states, operations
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.closure import Change, follow_cascade
-from pcmrs.fsm.verify import cascades
+from pcmrs.fsm.verify import _cascades as cascades
 from pcmrs.fsm.verify.decision import Decider
 from tests.support.trials import examples
 from tests.unit.fsm.random_blueprints import blueprints

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.fsm.verify.encoding import Batch, Encoding
+from pcmrs.fsm.verify._encoding import Batch, Encoding
 
 
 @given(st.lists(st.integers(1, 5), min_size=1, max_size=8), st.data())

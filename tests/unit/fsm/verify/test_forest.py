@@ -7,10 +7,10 @@ from hypothesis import given
 
 from pcmrs.fsm.behaviour import branch_states
 from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.verify._encoding import Batch
+from pcmrs.fsm.verify._forest import Forest
+from pcmrs.fsm.verify._space import Space
 from pcmrs.fsm.verify.decision import Decider, Decision
-from pcmrs.fsm.verify.encoding import Batch
-from pcmrs.fsm.verify.forest import Forest
-from pcmrs.fsm.verify.space import Space
 from tests.support.trials import examples
 from tests.unit.fsm.random_blueprints import blueprints
 from tests.unit.fsm.verify.joint_state_oracle import levels

@@ -11,8 +11,8 @@ from pcmrs.fsm.behaviour import branch_states, joint_of
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, Condition, OperationSpec, PropertySpec
 from pcmrs.fsm.closure import Closure
 from pcmrs.fsm.verify import verify
-from pcmrs.fsm.verify.liveness import TimedOperations
-from pcmrs.fsm.verify.space import Space
+from pcmrs.fsm.verify._liveness import TimedOperations
+from pcmrs.fsm.verify._space import Space
 from tests.support.trials import examples
 from tests.unit.fsm.random_blueprints import blueprints
 from tests.unit.fsm.verify.finding_oracle import States, answers, check, cut_short, found

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from pcmrs.fsm.behaviour import branch_states, joint_of
 from pcmrs.fsm.blueprint import Blueprint, Condition, PropertySpec
-from pcmrs.fsm.verify.liveness import TimedOperations
-from pcmrs.fsm.verify.space import Space
+from pcmrs.fsm.verify._liveness import TimedOperations
+from pcmrs.fsm.verify._space import Space
 from tests.support.shipped import shipped_blueprint
 from tests.support.trials import examples
 from tests.unit.fsm.random_blueprints import blueprints

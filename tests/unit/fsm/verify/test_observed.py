@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pcmrs.fsm.verify.observed import Observer
+from pcmrs.fsm.verify._observed import Observer
 from tests.unit.fsm.large_blueprints import free
 
 STATES = {"b0": "s0", "b1": "s1", "b2": "s0", "b3": "s1", "b4": "s1"}

@@ -13,9 +13,9 @@ from pcmrs.fsm.blueprint import Blueprint, BranchSpec, Condition, OperationSpec,
 from pcmrs.fsm.closure import Closure
 from pcmrs.fsm.rules import check_rules
 from pcmrs.fsm.verify import verify
-from pcmrs.fsm.verify.liveness import TimedOperations
-from pcmrs.fsm.verify.properties import check_properties
-from pcmrs.fsm.verify.space import Space
+from pcmrs.fsm.verify._liveness import TimedOperations
+from pcmrs.fsm.verify._properties import check_properties
+from pcmrs.fsm.verify._space import Space
 from tests.support.trials import examples
 from tests.unit.fsm.command_trace import CommandTrace, follow_commands
 from tests.unit.fsm.large_blueprints import free

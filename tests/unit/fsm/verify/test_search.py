@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 
 from pcmrs.fsm.behaviour import branch_states
 from pcmrs.fsm.blueprint import Blueprint, Condition, PropertySpec
-from pcmrs.fsm.verify import search, verify
-from pcmrs.fsm.verify.search import MAX_BITMAP, states_leading_to, visited
-from pcmrs.fsm.verify.space import Space
+from pcmrs.fsm.verify import _search as search
+from pcmrs.fsm.verify import verify
+from pcmrs.fsm.verify._search import MAX_BITMAP, states_leading_to, visited
+from pcmrs.fsm.verify._space import Space
 from tests.support.trials import examples
 from tests.unit.fsm.large_blueprints import free
 from tests.unit.fsm.random_blueprints import blueprints

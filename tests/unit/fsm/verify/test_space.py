@@ -8,8 +8,9 @@ from hypothesis import given
 
 from pcmrs.fsm.behaviour import joint_of
 from pcmrs.fsm.blueprint import Blueprint, RevocationSpec
-from pcmrs.fsm.verify import space, verify
-from pcmrs.fsm.verify.space import Space
+from pcmrs.fsm.verify import _space as space
+from pcmrs.fsm.verify import verify
+from pcmrs.fsm.verify._space import Space
 from tests.support.trials import examples
 from tests.unit.fsm.large_blueprints import free
 from tests.unit.fsm.random_blueprints import blueprints

@@ -8,8 +8,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.fsm.verify.encoding import Encoding
-from pcmrs.fsm.verify.transition import Paths, Transition
+from pcmrs.fsm.verify._encoding import Encoding
+from pcmrs.fsm.verify._transition import Paths, Transition
 
 SIZES = (3, 2, 4, 9)
 ENCODING = Encoding({f"b{n}": [str(value) for value in range(size)] for n, size in enumerate(SIZES)})

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.fsm.codes import READING, RULES, VERIFICATION
+from pcmrs.fsm._codes import READING, RULES, VERIFICATION
 from pcmrs.fsm.files.load import examine
 
 FOLDER = Path(__file__).parents[1] / "unsound"

@@ -6,9 +6,9 @@ import msgspec
 import pytest
 from hypothesis import given
 
+from pcmrs.fsm._codes import VERIFICATION
 from pcmrs.fsm.behaviour import branch_states
 from pcmrs.fsm.blueprint import Blueprint, Condition, PropertySpec
-from pcmrs.fsm.codes import VERIFICATION
 from pcmrs.fsm.rules import check_rules
 from pcmrs.fsm.verify import verify
 from tests.support.shipped import NAMES, shipped_blueprint

@@ -11,8 +11,9 @@ from structlog.testing import capture_logs
 
 from pcmrs.clock import SystemClock
 from pcmrs.gateway.links import open_gateway
-from pcmrs.gateway.openigtlink import link, outbox
-from pcmrs.gateway.openigtlink.outbox import MAX_WAITING, Outbox
+from pcmrs.gateway.openigtlink import _outbox as outbox
+from pcmrs.gateway.openigtlink import link
+from pcmrs.gateway.openigtlink._outbox import MAX_WAITING, Outbox
 from pcmrs.gateway.settings import OpenIgtLinkConfig
 from tests.support import openigtlink_bytes as wire
 from tests.unit.gateway.gateway_fakes import WITHIN

@@ -13,7 +13,7 @@ import msgspec
 import pytest
 import zenoh
 
-import pcmrs.dispatcher.performer
+import pcmrs.dispatcher._performer
 import pcmrs.journal.writer
 from pcmrs import failpoints
 from pcmrs_lab.campaign import delayed_process
@@ -110,7 +110,7 @@ def test_failpoints_of_all_modules_are_delayed(undone: pytest.MonkeyPatch, tmp_p
     write(tmp_path, Rule("pass", "journal.before_commit"))
     undone.setenv("PCMRS_DELAYS", str(tmp_path))
     delayed_process.install()
-    writer, performer = (vars(module)["failpoint"] for module in (pcmrs.journal.writer, pcmrs.dispatcher.performer))
+    writer, performer = (vars(module)["failpoint"] for module in (pcmrs.journal.writer, pcmrs.dispatcher._performer))
     writer("journal.before_commit")
     performer("dispatcher.before_outcome")
     assert writer is performer is failpoints.failpoint

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pcmrs.workflows.settings import CalibrationSettings
-from pcmrs.workflows.settings.values import NotNegative, PoseSetting, Positive
+from pcmrs.workflows.settings._values import NotNegative, PoseSetting, Positive
 
 
 def test_pose_turns_and_shifts_as_configured() -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from pcmrs.errors import RefusalError
 from pcmrs.messages import HeadBurst, HeadMotion
-from pcmrs.workflows.alignment import BODIES
+from pcmrs.workflows._alignment import BODIES
 from pcmrs.workflows.tms.coil_alignment import coil_on_target
 from tests.unit.workflows.stimulation_bench import StimulationBench, stimulation
 

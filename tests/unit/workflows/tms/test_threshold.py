@@ -10,7 +10,7 @@ import pytest
 
 from pcmrs.errors import RefusalError
 from pcmrs.tms.threshold import MotorThresholdEstimator
-from pcmrs.workflows.motion import pose_result
+from pcmrs.workflows._motion import pose_result
 from pcmrs.workflows.tms.threshold import hunted_intensity_allowed, set_hunted_intensity
 from pcmrs_sim.muscle.head_subject import draw_subject
 from pcmrs_sim.tms.recruitment import Recruitment

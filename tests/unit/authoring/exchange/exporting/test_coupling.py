@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.authoring.exchange.exporting.coupling import MAX_COMBINATIONS, ancestors, combinations, coupled
+from pcmrs.authoring.exchange.exporting._coupling import MAX_COMBINATIONS, ancestors, combinations, coupled
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.behaviour import branch_states, operations
 from pcmrs.fsm.blueprint import Blueprint

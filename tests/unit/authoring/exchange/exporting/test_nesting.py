@@ -6,7 +6,7 @@ from random import Random
 
 import pytest
 
-from pcmrs.authoring.exchange.exporting.nesting import nesting_of
+from pcmrs.authoring.exchange.exporting._nesting import nesting_of
 from pcmrs.authoring.exchange.exporting.scxml import scxml
 from pcmrs.fsm.files.load import read_blueprint
 from tests.support.shipped import shipped_blueprint

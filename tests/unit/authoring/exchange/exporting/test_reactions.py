@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from hypothesis import given
 
-from pcmrs.authoring.exchange.cubes import holds
-from pcmrs.authoring.exchange.exporting.coupling import combinations, coupled
-from pcmrs.authoring.exchange.exporting.events import changes_of, commands
-from pcmrs.authoring.exchange.exporting.nesting import Nesting, nesting_of
-from pcmrs.authoring.exchange.exporting.reactions import reactions
+from pcmrs.authoring.exchange._cubes import holds
+from pcmrs.authoring.exchange.exporting._coupling import combinations, coupled
+from pcmrs.authoring.exchange.exporting._events import changes_of, commands
+from pcmrs.authoring.exchange.exporting._nesting import Nesting, nesting_of
+from pcmrs.authoring.exchange.exporting._reactions import reactions
 from pcmrs.fsm.blueprint import Blueprint
 from tests.support.shipped import shipped_blueprint
 from tests.support.trials import examples

@@ -13,7 +13,7 @@ from pcmrs.authoring.exchange.importing.drawio import from_drawio
 from pcmrs.authoring.exchange.importing.mermaid import from_mermaid
 from pcmrs.authoring.exchange.importing.scxml import from_scxml
 from pcmrs.fsm import Blueprint
-from pcmrs.fsm.codes import CODES, EXCHANGE
+from pcmrs.fsm._codes import CODES, EXCHANGE
 from pcmrs.fsm.files.toml import MAX_BYTES
 from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.rules import check_rules

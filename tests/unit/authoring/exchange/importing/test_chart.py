@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.authoring.exchange.importing.chart import Edge, Node
+from pcmrs.authoring.exchange.importing._chart import Edge, Node
 from tests.unit.authoring.exchange.random_charts import Drawn, random_chart
 
 

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import pytest
 
-from pcmrs.authoring.exchange.importing.chart import Edge, Node
+from pcmrs.authoring.exchange.importing._chart import Edge, Node
+from pcmrs.authoring.exchange.importing._reading import Findings
 from pcmrs.authoring.exchange.importing.imported import blueprint_file, import_chart
-from pcmrs.authoring.exchange.importing.reading import Findings
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import parse_blueprint
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, OperationSpec

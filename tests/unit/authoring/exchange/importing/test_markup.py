@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.authoring.exchange.importing.markup import Element, read_xml
-from pcmrs.authoring.exchange.importing.reading import MAX_DEPTH
+from pcmrs.authoring.exchange.importing._markup import Element, read_xml
+from pcmrs.authoring.exchange.importing._reading import MAX_DEPTH
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.finding import Finding
 

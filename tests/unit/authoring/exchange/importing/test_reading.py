@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pcmrs.authoring.exchange.importing.reading import Findings, Names, events_of, read_text
+from pcmrs.authoring.exchange.importing._reading import Findings, Names, events_of, read_text
 
 
 def test_a_finding_is_reported_once() -> None:

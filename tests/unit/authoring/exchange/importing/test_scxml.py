@@ -7,7 +7,7 @@ from random import Random
 
 import pytest
 
-from pcmrs.authoring.exchange.exporting.events import commands
+from pcmrs.authoring.exchange.exporting._events import commands
 from pcmrs.authoring.exchange.exporting.scxml import scxml
 from pcmrs.authoring.exchange.importing.scxml import from_scxml
 from pcmrs.fsm import Blueprint

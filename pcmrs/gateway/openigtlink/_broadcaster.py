@@ -1,0 +1,70 @@
+"""Messages to all peers: poses at a steady rate, the state at each change, the status then and every second."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from pyigtl.messages import TransformMessage
+
+from pcmrs.clock import Clock
+from pcmrs.devices.plus.messages import TrackingDataMessage, matrix_mm, text_message
+from pcmrs.gateway._adapter import Core
+from pcmrs.gateway.openigtlink._peer import Peer
+from pcmrs.gateway.openigtlink._poses import poses
+from pcmrs.gateway.openigtlink._state import state_json, state_line
+from pcmrs.messages import Snapshot
+
+TOOLS = "PcmrsTools"
+STATUS_PERIOD = 1.0
+"""Limit between two status messages on a connection, s; they also detect a dead connection."""
+
+
+class Broadcaster:
+    """Sends new poses, states and statuses to all peers.
+
+    Args:
+        core: The daemon.
+        clock: The machine's clock.
+        together: Send the poses as one TDATA message instead of a TRANSFORM each.
+    """
+
+    def __init__(self, core: Core, clock: Clock, *, together: bool) -> None:
+        self._core = core
+        self._clock = clock
+        self._together = together
+        self._status_due = 0.0
+
+    def send(self, peers: Collection[Peer]) -> None:
+        """Send what is new; a peer that has connected since the last call gets everything."""
+        snapshot, now, found = self._core.snapshot(), self._clock.monotonic(), self._poses()
+        texts = _texts(snapshot)
+        state = self._packed(texts) if any(peer.shown != texts for peer in peers) else []
+        due = now >= self._status_due
+        if due:
+            self._status_due = now + STATUS_PERIOD
+        for peer in peers:
+            changed, peer.shown = peer.shown != texts, texts
+            for data in state if changed else []:
+                peer.outbox.put(data)
+            if changed or due:
+                peer.send_status(snapshot.latched)
+            for name, data in found.items():
+                peer.outbox.put_pose(name, data)
+
+    def _packed(self, texts: Mapping[str, str]) -> list[bytes]:
+        return [text_message(text, **self._header(name)).pack() for name, text in texts.items()]
+
+    def _poses(self) -> dict[str, bytes]:
+        """Packed messages of the known poses, by name."""
+        matrices = {name: matrix_mm(pose) for name, pose in poses(self._core).items()}
+        if not self._together:
+            return {name: TransformMessage(matrix, **self._header(name)).pack() for name, matrix in matrices.items()}
+        return {TOOLS: TrackingDataMessage(matrices, **self._header(TOOLS)).pack()} if matrices else {}
+
+    def _header(self, name: str) -> dict[str, Any]:
+        return {"device_name": name, "timestamp": self._clock.wall()}
+
+
+def _texts(snapshot: Snapshot) -> dict[str, str]:
+    return {"PcmrsState": state_json(snapshot), "PcmrsLine": state_line(snapshot)}

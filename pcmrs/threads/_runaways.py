@@ -1,0 +1,109 @@
+"""Detection of real-time threads that run away: they lose the policy, because nothing else could run beside them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from typing import NamedTuple
+
+from pcmrs.threads._scheduling import Threads, ThreadTimes
+
+LONGEST = 0.3
+"""Time without a pause after which a thread runs away, s: no turn of a loop should take longer than 0.2 s."""
+REST = 0.1
+"""Part of the time between two checks that a thread must pause; with less it did not pause."""
+CALM = 10.0
+"""Time with regular pauses after which a thread gets the policy back, s."""
+
+
+class Runaway(NamedTuple):
+    """A thread that has lost the real-time policy.
+
+    Attributes:
+        process: Id of its process.
+        thread: Id of the thread.
+        name: Name of the thread in the kernel.
+        ran: Time that it ran without a pause, s.
+    """
+
+    process: int
+    thread: int
+    name: str
+    ran: float
+
+
+class _Seen(NamedTuple):
+    """State of a thread at the last check.
+
+    Attributes:
+        at: Time of the check, s.
+        times: Its scheduling times.
+        since: Time since which it has not paused or, without the policy, has always paused, s.
+    """
+
+    at: float
+    times: ThreadTimes
+    since: float
+
+
+class Runaways:
+    """Watches the scheduling times of all threads with the policy.
+
+    Args:
+        processes: Returns the ids of the processes to watch; called at each check.
+    """
+
+    def __init__(self, processes: Callable[[], Iterable[int]]) -> None:
+        self._processes = processes
+        self._seen: dict[int, _Seen] = {}
+        self._demoted: dict[int, int] = {}
+
+    def check(self, now: float) -> list[Runaway]:
+        """Demote threads that have run away to SCHED_OTHER, and return them; calm ones get the policy back.
+
+        Call this several times within `LONGEST`.
+
+        Args:
+            now: Time of the machine's monotonic clock, s.
+        """
+        before, self._seen, found = self._seen, {}, []
+        for process in self._processes():
+            threads = Threads(process)
+            for thread, times in threads.times(self._is_watched).items():
+                last = before.get(thread, _Seen(now, times, now))
+                if thread in self._demoted:
+                    self._check_demoted(thread, last, times, now)
+                else:
+                    rested = times.ran - last.times.ran < (1.0 - REST) * (now - last.at)
+                    seen = self._seen[thread] = _Seen(now, times, now if rested else last.since)
+                    if now - seen.since > LONGEST:
+                        self._demote(thread)
+                        found.append(Runaway(process, thread, threads.names().get(thread, ""), now - seen.since))
+        self._demoted = {thread: many for thread, many in self._demoted.items() if thread in self._seen}
+        return found
+
+    def _is_watched(self, thread: int) -> bool:
+        return thread in self._demoted or _is_realtime(thread)
+
+    def _demote(self, thread: int) -> None:
+        with suppress(OSError):  # it has ended
+            self._demoted[thread] = os.sched_getparam(thread).sched_priority
+            os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0))
+
+    def _check_demoted(self, thread: int, last: _Seen, times: ThreadTimes, now: float) -> None:
+        # Without the policy it competes with other threads: its wait for a processor is not a pause.
+        worked = sum(times) - sum(last.times)
+        self._seen[thread] = seen = _Seen(now, times, now if worked > (1.0 - REST) * (now - last.at) else last.since)
+        if now - seen.since > CALM:
+            self._seen[thread] = seen._replace(since=now)
+            with suppress(OSError):
+                priority = os.sched_param(self._demoted.pop(thread))
+                os.sched_setscheduler(thread, os.SCHED_RR | os.SCHED_RESET_ON_FORK, priority)
+
+
+def _is_realtime(thread: int) -> bool:
+    try:
+        return os.sched_getscheduler(thread) & ~os.SCHED_RESET_ON_FORK == os.SCHED_RR
+    except OSError:
+        return False

@@ -1,0 +1,116 @@
+"""Settings of calibration and registration, and limits of valid tracked poses."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+
+from pcmrs.workflows.settings._values import PoseSetting, Positive
+
+
+class CalibrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Calibrations made before the procedure, as files of `pcmrs calibrate` or as poses.
+
+    Attributes:
+        tool_file: Calibration file of the tool. If empty, `flange_from_tool` and `tool_from_coil` are used.
+        pointer_file: Calibration file of the pointer. If empty, `pointer_from_tip` is used.
+        tool_serial: Serial number of the mounted tool. The file of another one is refused. Empty for any.
+        pointer_serial: Serial number of the pointer. The file of another one is refused. Empty for any.
+        reference_serial: Serial number of the marker body on the patient. Digitizations, registrations and plans made
+            with another one cannot be reused.
+        flange_from_tool: Pose of the tool's mount on the flange, m and quaternion.
+        tool_from_coil: Pose of the coil in its mount, m and quaternion. The coil's +z axis points away from the body.
+        pointer_from_tip: Pose of the tip in the pointer's marker body, m and quaternion.
+    """
+
+    tool_file: str = ""
+    pointer_file: str = ""
+    tool_serial: str = ""
+    pointer_serial: str = ""
+    reference_serial: str = ""
+    flange_from_tool: PoseSetting = PoseSetting((0.0, 0.0, 0.10))
+    tool_from_coil: PoseSetting = PoseSetting((0.0, 0.0, 0.05), (0.0, 1.0, 0.0, 0.0))
+    pointer_from_tip: PoseSetting = PoseSetting((0.0, 0.0, -0.15))
+
+
+class RegistrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Limits of digitization and registration. The defaults are those of a head with 6 landmarks.
+
+    Attributes:
+        residual_limit_mm: Largest accepted mean distance of the landmarks, mm. 4.0 separates the published controls
+            from the published failures with 6 head landmarks (with 4 landmarks of the femur: 2.7).
+        sigma_mm: Expected noise of a landmark before any registration, standard deviation per axis, mm. 1.86 reproduces
+            the published controls of the head (femur: 1.03).
+        sigma_degrees: Degrees of freedom that this expectation is worth: 24 is two registrations of 6 landmarks.
+        tre_limit_mm: Largest predicted rms error at the target, mm. The example plans have up to 3.1 on the head and
+            1.2 at the femur. 4.0 leaves room for targets between other landmarks, and refuses those beside all
+            landmarks. A hole is drilled only once, so the limit of the femur is 3.0.
+        false_alarm: Share of good sets in which a landmark may be suspected, and of good touches taken for a shift.
+        samples: Number of tracker frames averaged per touch.
+        spread_limit_mm: Largest rms deviation of the samples of one touch, mm.
+        touch_timeout_s: Longest wait for a touch, s.
+        surface_sigma_mm: Noise of a point touched on the skin along its normal, including the mesh's error, mm.
+        surface_trim: Share of these points that is used.
+        retouch_sigma_mm: Noise of a second touch of one landmark, standard deviation per axis, mm: the part of
+            `sigma_mm` that is not the fixed error of the plan (femur: 0.52).
+        reference_limit_mm: Largest shift of the reference against the witness, mm: far above the effect of the
+            tracker's jitter and bias, and below what matters at a target.
+        reference_limit_deg: Largest rotation of the reference against the witness, deg.
+        reference_frames: Number of successive frames that must show the shift.
+    """
+
+    residual_limit_mm: Positive = 4.0
+    sigma_mm: Positive = 1.86
+    sigma_degrees: Positive = 24.0
+    tre_limit_mm: Positive = 4.0
+    false_alarm: Annotated[float, msgspec.Meta(gt=0.0, lt=1.0)] = 0.01
+    samples: Annotated[int, msgspec.Meta(ge=2)] = 20
+    spread_limit_mm: Positive = 1.0
+    touch_timeout_s: Positive = 30.0
+    surface_sigma_mm: Positive = 0.7
+    surface_trim: Annotated[float, msgspec.Meta(ge=0.5, le=1.0)] = 0.9
+    retouch_sigma_mm: Positive = 0.95
+    reference_limit_mm: Positive = 1.5
+    reference_limit_deg: Positive = 1.0
+    reference_frames: Annotated[int, msgspec.Meta(ge=2)] = 6
+
+
+class VolumeSlice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A rectangle across the tracker's measuring volume.
+
+    Attributes:
+        distance: Distance from the tracker along its -z axis, m.
+        width: Size along the tracker's x axis, m.
+        height: Size along the tracker's y axis, m.
+    """
+
+    distance: Positive
+    width: Positive
+    height: Positive
+
+
+LONGEST_UNSEEN = 5.0
+"""Longest time that a motion may continue while the tracker does not show the body, s of the cell."""
+
+
+class TrackingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Limits of valid tracked poses, and the tracker's measuring volume.
+
+    Attributes:
+        error_mm: Largest misfit of a pose to the geometry of its marker body, mm.
+        speed: Largest speed of the body since the previous frame, m/s: faster than hand, head or arm.
+        turn: Largest angular speed of the body since the previous frame, rad/s.
+        steady: Number of frames without a jump after which poses are valid again.
+        unseen: Time without a view of the body after which a motion towards it is held, s of the machine; at most 5 s
+            of the cell, however fast the cell is.
+        volume: The tracker's measuring volume from near to far, as its maker states it, for display only. Empty if it
+            is not known.
+    """
+
+    error_mm: Positive = 1.0
+    speed: Positive = 2.0
+    turn: Positive = 20.0
+    steady: Annotated[int, msgspec.Meta(ge=1)] = 10
+    unseen: Annotated[float, msgspec.Meta(ge=0.1, le=LONGEST_UNSEEN)] = 0.5
+    volume: tuple[VolumeSlice, ...] = ()
