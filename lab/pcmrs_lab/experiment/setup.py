@@ -8,8 +8,8 @@ from typing import Literal
 
 from pcmrs.testing.plan import Plan
 
-PATIENT_DEADMAN = "robot.deadman=0.5"
-"""Long deadman, since an experiment does not test the deadman and shares the machine with other programs."""
+PATIENT_DEADMAN = "robot.deadman=1.0"
+"""Long deadman: an experiment does not test the deadman, and beside other programs a process may wait half a second."""
 
 ShowProgress = Callable[[str, int, int], None]
 """Called with the current step, and with how many of how many steps are done."""
