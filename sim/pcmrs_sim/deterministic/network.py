@@ -369,6 +369,9 @@ class Endpoint:
         return kind
 
     def _serve(self, key: str, message: msgspec.Struct, requester: Endpoint, replied: asyncio.Future[Any]) -> None:
+        if not self.serves(key):  # ended while the request was on its way
+            self._send_reply(requester, replied, UnknownOutcomeError(f"Nobody answers on {key}.", key=key))
+            return
         _, handler = self._services[_pattern(self._services, key)]
         self.spawn(self._answer(handler, key, message, requester, replied))
 

@@ -109,6 +109,26 @@ def test_requests_are_answered_refused_or_unknown() -> None:
     on_network(play)
 
 
+def test_a_request_that_comes_after_its_key_was_ended_gets_no_answer() -> None:
+    """A daemon that ends takes its services back while requests are on their way."""
+
+    async def play(network: Network) -> None:
+        one, other = network.endpoint("one"), network.endpoint("other")
+
+        async def answer(_key: str, note: Note) -> Note:
+            return note
+
+        other.serve("cmd", Note, answer)
+        request = asyncio.ensure_future(one.request("cmd", Note(), Note, timeout=60.0))
+        await asyncio.sleep(0.0)
+        other.end("cmd")
+        with pytest.raises(UnknownOutcomeError, match="Nobody answers on cmd"):
+            await request
+        assert asyncio.get_running_loop().time() < 1.0, "at once, and not when the time for an answer has passed"
+
+    on_network(play)
+
+
 def test_end_of_a_process_is_known_at_once_and_ends_its_tasks() -> None:
     """Who has asked it learns of its end."""
 
