@@ -110,7 +110,8 @@ def test_other_software_reads_the_files(store: FolderStore, segment: Segment, fo
 
 def test_a_folder_with_other_files_is_left_alone(tmp_path: Path) -> None:
     home = tmp_path / "home"
-    home.mkdir(mode=0o755)
+    home.mkdir()
+    home.chmod(0o755)
     (home / "letter.txt").touch()
     with pytest.raises(ArchiveError, match=r"such as letter\.txt: give a new or empty folder"):
         FolderStore(home, make=True)

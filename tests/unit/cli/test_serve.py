@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,14 @@ from click.testing import CliRunner
 
 from pcmrs.cli import main
 from pcmrs.cli.serve import serve
+
+
+@pytest.fixture(autouse=True)
+def umask_of_others() -> Iterator[None]:
+    """The command changes the umask of this process, in which other tests follow."""
+    before = os.umask(0o022)
+    yield
+    os.umask(before)
 
 
 @pytest.mark.parametrize(

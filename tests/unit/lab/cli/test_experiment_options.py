@@ -56,7 +56,7 @@ def test_shared_options_come_as_one_and_own_ones_beside() -> None:
 
 
 def test_a_busy_machine_runs_at_a_lower_rate_and_says_so(share: list[float]) -> None:
-    share[0] = 0.2
+    share[0] = 0.3
     ended, taken = given()
     assert taken[0]["options"].rate == 2.0
     assert "The machine is busy" in ended.stderr
