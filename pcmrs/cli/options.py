@@ -48,7 +48,7 @@ class Address:
         if self.identity is None:
             return None
         from pcmrs.clock import SystemClock
-        from pcmrs.pki import read_credentials  # loads a library for _certificates as certificates
+        from pcmrs.pki import read_credentials  # loads a library for certificates
 
         return read_credentials(self.identity, SystemClock().wall())
 

@@ -8,10 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcmrs.errors import UnreachableError
-from pcmrs.kinematics import _numeric as numeric
-from pcmrs.kinematics import _panda as panda
-from pcmrs.kinematics import _srs as srs
-from pcmrs.kinematics import _ur as ur
+from pcmrs.kinematics import _numeric, _panda, _srs, _ur
 from pcmrs.kinematics._geometry import PandaGeometry, SrsGeometry, UrGeometry
 from pcmrs.kinematics._posture import sphere_array
 from pcmrs.kinematics.limits import joint_array
@@ -53,13 +50,13 @@ def inverse(
     spheres = None if keep_away is None else sphere_array(keep_away)
     match arm.geometry:
         case SrsGeometry() as geometry:
-            q = srs.solve(arm, geometry, base_from_flange, near, joint_margin, spheres)
+            q = _srs.solve(arm, geometry, base_from_flange, near, joint_margin, spheres)
         case UrGeometry() as geometry:
-            q = ur.solve(arm, geometry, base_from_flange, near, joint_margin, spheres)
+            q = _ur.solve(arm, geometry, base_from_flange, near, joint_margin, spheres)
         case PandaGeometry() as geometry:
-            q = panda.solve(arm, geometry, base_from_flange, near, joint_margin, spheres)
+            q = _panda.solve(arm, geometry, base_from_flange, near, joint_margin, spheres)
         case None:
-            q = numeric.solve(arm, base_from_flange, near, joint_margin, spheres)
+            q = _numeric.solve(arm, base_from_flange, near, joint_margin, spheres)
     return np.minimum(np.maximum(q, arm.lower + joint_margin), arm.upper - joint_margin)  # np.clip takes long
 
 

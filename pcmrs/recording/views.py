@@ -13,7 +13,7 @@ from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.messages import BodyPose, DeviceHealth, Epoch, JointState, Message, PoseMessage, Snapshot, Target, Verdict
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import ProcedureDataView
-from pcmrs.recording import _foxglove_messages as foxglove_messages
+from pcmrs.recording import _foxglove_messages
 from pcmrs.recording._foxglove_messages import View
 from pcmrs.recording.frame_tree import FrameTree, Link, Mounting
 from pcmrs.recording.subscriber import RawSample
@@ -75,7 +75,7 @@ class RecordingViews:
         try:
             return list(translate(sample, at_ns))
         except PcmrsError as error:
-            return [(LOG, foxglove_messages.line(LogLevel.Warning, "recorder", f"{sample.key}: {error.text}", at_ns))]
+            return [(LOG, _foxglove_messages.line(LogLevel.Warning, "recorder", f"{sample.key}: {error.text}", at_ns))]
 
     def opening(self, at_ns: int) -> list[Shown]:
         """Return the views with which a file starts, so that it can be read without the files before it.
@@ -92,7 +92,7 @@ class RecordingViews:
             return
         captured_ns = at_ns - self._age_ns(pose.sent - pose.captured)
         tracker_from_body = _transform(pose)
-        yield TF_BODIES, foxglove_messages.link(Frame.TRACKER, pose.body, tracker_from_body, captured_ns)
+        yield TF_BODIES, _foxglove_messages.link(Frame.TRACKER, pose.body, tracker_from_body, captured_ns)
         base = self._frames.coil(tracker_from_body) if pose.body == Frame.COIL else None
         if base is not None:
             yield self._stored("base", TF_BASE, lambda at: self._linked(base, at), captured_ns)
@@ -102,7 +102,7 @@ class RecordingViews:
         captured_ns = at_ns - self._age_ns(state.sent - state.captured)
         flange = self._frames.joints(state)
         if len(state.velocities) == len(self._names):
-            yield JOINTS, foxglove_messages.joints(self._names, state.positions, state.velocities, captured_ns)
+            yield JOINTS, _foxglove_messages.joints(self._names, state.positions, state.velocities, captured_ns)
         yield TF_ARM, self._linked(flange, captured_ns)
 
     def _last(self, topic: str, kind: type[Message]) -> Callable[[RawSample, int], Iterator[Shown]]:
@@ -128,28 +128,28 @@ class RecordingViews:
         if target.body_ref_from_image is not None:
             body_ref_from_image = _transform(target.body_ref_from_image)
             link = Frame.BODY_REF, Frame.IMAGE, body_ref_from_image
-            yield self._stored("image", TF_IMAGE, lambda at: foxglove_messages.link(*link, at), at_ns)
+            yield self._stored("image", TF_IMAGE, lambda at: _foxglove_messages.link(*link, at), at_ns)
         if target.pose is not None:
             image_from_coil = _transform(target.pose)
             yield self._stored(
-                "target", TARGET, lambda at: foxglove_messages.pose_in(Frame.IMAGE, image_from_coil, at), at_ns
+                "target", TARGET, lambda at: _foxglove_messages.pose_in(Frame.IMAGE, image_from_coil, at), at_ns
             )
 
     def _event(self, sample: RawSample, at_ns: int) -> Iterator[Shown]:
         event = convert_event(unpack(sample.payload, dict))
         if isinstance(event, Verdict):
             level = _LEVELS.get(event.decision, LogLevel.Error)
-            yield LOG, foxglove_messages.line(level, f"{event.branch}.{event.operation}", _text(event), at_ns)
+            yield LOG, _foxglove_messages.line(level, f"{event.branch}.{event.operation}", _text(event), at_ns)
         else:
             level = LogLevel.Error if event.danger else LogLevel.Warning
-            yield LOG, foxglove_messages.line(level, event.device, f"{event.code}: {event.text}", at_ns)
+            yield LOG, _foxglove_messages.line(level, event.device, f"{event.code}: {event.text}", at_ns)
 
     def _stored(self, key: str, topic: str, view: Callable[[int], View], at_ns: int) -> Shown:
         self._latest[key] = topic, view
         return topic, view(at_ns)
 
     def _linked(self, link: Link, at_ns: int) -> View:
-        return foxglove_messages.link(*link, at_ns)
+        return _foxglove_messages.link(*link, at_ns)
 
     def _age_ns(self, age: float) -> int:
         """Return the age of a measurement, ns; 0 for an implausible one."""

@@ -89,7 +89,7 @@ def _bus(settings: Mapping[str, Any], clock: Clock) -> BusSettings:
     joined = BusSettings(endpoint=cell["endpoint"], site=cell["site"], cell=cell["name"])
     if not joined.endpoint.startswith(SECURED):
         return joined
-    from pcmrs.pki import read_credentials  # loads a library for _certificates as certificates
+    from pcmrs.pki import read_credentials  # loads a library for certificates
 
     credentials = read_credentials(Path(settings["access"]["identity"]), clock.wall())
     return msgspec.structs.replace(joined, credentials=credentials)

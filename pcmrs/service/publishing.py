@@ -32,7 +32,7 @@ from pcmrs.messages import (
 )
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import ProcedureDataView, Setup
-from pcmrs.service import _setup_view as setup_view
+from pcmrs.service import _setup_view
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 
@@ -72,7 +72,7 @@ class Publishing:
         self._data = data
         registration = data.registered.body_ref_from_image if data.registered is not None else None
         self._publish_new("state/target", Target(plan=data.plan_id, pose=data.plan, body_ref_from_image=registration))
-        self._publish_new("state/data", setup_view.gathered(cell, data))
+        self._publish_new("state/data", _setup_view.gathered(cell, data))
         epoch = data.newest_epoch()
         if epoch is not None:
             self._publish_new("state/epoch", epoch)

@@ -10,8 +10,7 @@ import msgspec
 from pcmrs.errors import RefusalError
 from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Floats, Transform
-from pcmrs.tms import _adaptive as adaptive
-from pcmrs.tms import _mapping as mapping
+from pcmrs.tms import _adaptive, _mapping
 from pcmrs.tms.grid import grid_on_scalp
 from pcmrs.tms.scalp import NearestPoints, ScalpPatch, as_message, as_transform, scalp_patch
 from pcmrs.tms.settings import Hotspot, HotspotSettings, MapPulse
@@ -64,8 +63,8 @@ class HotspotSearch(msgspec.Struct, frozen=True):
         # Only complete groups count, so that all pulses of one place have the same pose.
         completed = self.pulses[: len(self.pulses) - len(self.pulses) % self.settings.pulses_per_place]
         if self.settings.method == "grid":
-            return as_message(mapping.next_pose(self._patch, completed))
-        return as_message(adaptive.next_pose(self._patch, completed))
+            return as_message(_mapping.next_pose(self._patch, completed))
+        return as_message(_adaptive.next_pose(self._patch, completed))
 
     def after(self, image_from_coil: PoseMessage, amplitude: float) -> Self:
         """Return the search with one more pulse.
@@ -90,7 +89,7 @@ class HotspotSearch(msgspec.Struct, frozen=True):
         """True if no further pulse is needed."""
         count, settings = len(self.pulses), self.settings
         if settings.method == "grid":
-            return count >= mapping.pulse_count(self._patch)
+            return count >= _mapping.pulse_count(self._patch)
         if count >= settings.max_pulses:
             return True
         return count >= settings.min_pulses and self.responded and self._certain()
@@ -114,12 +113,12 @@ class HotspotSearch(msgspec.Struct, frozen=True):
             )
             raise RefusalError("no_response", text, pulses=len(self.pulses))
         if self.settings.method == "grid":
-            return mapping.estimate(self._patch, self.pulses)
-        return adaptive.estimate(self._patch, self.pulses)
+            return _mapping.estimate(self._patch, self.pulses)
+        return _adaptive.estimate(self._patch, self.pulses)
 
     def expected_amplitudes(self, image_from_coil: Sequence[Transform]) -> Floats:
         """Return the expected amplitudes at poses, V, (K,), after at least one pulse, with either method."""
-        return adaptive.expected_amplitudes(self._patch, self.pulses, image_from_coil)
+        return _adaptive.expected_amplitudes(self._patch, self.pulses, image_from_coil)
 
     def pose_at(self, position: Floats, angle: float = 0.0) -> Transform:
         """Return the pose on the scalp at a position in the region.

@@ -9,13 +9,12 @@ from typing import Self
 import msgspec
 
 from pcmrs.errors import RefusalError
-from pcmrs.tms import _likelihood as likelihood
-from pcmrs.tms import _rossini_rothwell as rossini_rothwell
+from pcmrs.tms import _likelihood, _rossini_rothwell
 from pcmrs.tms.settings import Estimate, EstimatorState, Pulse, ThresholdSettings
 
 METHODS: dict[str, Callable[[ThresholdSettings, tuple[Pulse, ...]], EstimatorState]] = {
-    "ml": likelihood.estimator_state,
-    "relative_frequency": rossini_rothwell.estimator_state,
+    "ml": _likelihood.estimator_state,
+    "relative_frequency": _rossini_rothwell.estimator_state,
 }
 
 

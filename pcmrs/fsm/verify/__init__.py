@@ -6,9 +6,7 @@ from dataclasses import dataclass, field
 
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.finding import Finding
-from pcmrs.fsm.verify import _hazards as hazards
-from pcmrs.fsm.verify import _liveness as liveness
-from pcmrs.fsm.verify import _structure as structure
+from pcmrs.fsm.verify import _hazards, _liveness, _structure
 from pcmrs.fsm.verify._liveness import TimedOperations
 from pcmrs.fsm.verify._properties import check_properties
 from pcmrs.fsm.verify._search import Progress, SearchLimitError
@@ -19,15 +17,15 @@ __all__ = ["MAX_JOINT_STATES", "Verification", "verify"]
 MAX_JOINT_STATES = 2_000_000
 """Default limit of joint states."""
 
-ALWAYS_CHECKED = (structure.denials, structure.revocations)
+ALWAYS_CHECKED = (_structure.denials, _structure.revocations)
 CHECKED_IF_COMPLETE = (
-    structure.unused,
-    structure.activities,
-    liveness.deadlocks,
-    liveness.goals,
-    liveness.releases,
-    hazards.ways_back,
-    hazards.repetitions,
+    _structure.unused,
+    _structure.activities,
+    _liveness.deadlocks,
+    _liveness.goals,
+    _liveness.releases,
+    _hazards.ways_back,
+    _hazards.repetitions,
 )
 
 
@@ -57,12 +55,12 @@ def verify(blueprint: Blueprint, *, limit: int = MAX_JOINT_STATES, progress: Pro
     try:
         space = Space(blueprint, limit, progress)
         findings = [finding for check in ALWAYS_CHECKED for finding in check(space)]
-        whole = not any(finding.code in structure.INCOMPLETE for finding in findings)
+        whole = not any(finding.code in _structure.INCOMPLETE for finding in findings)
         findings += [finding for check in CHECKED_IF_COMPLETE if whole for finding in check(space)]
         broken = {
             finding.path for finding in findings
         }  # the order of the effects of a broken operation does not matter
-        findings += [finding for finding in structure.order(space) if finding.path not in broken]
+        findings += [finding for finding in _structure.order(space) if finding.path not in broken]
         findings += check_properties(TimedOperations(space, progress)) if whole else ()
     except SearchLimitError as error:
         return Verification([Finding(code="too_many_states", text=str(error), path=("branches",))], limit)
