@@ -164,7 +164,7 @@ class Daemon:
             nodes.start(supervisor)
             await procedure.readiness.wait()
             await planner.wait()
-            stalls = StallWatch(dispatcher.report_later, procedure.moving, machine, settings.robot.deadman)
+            stalls = StallWatch(dispatcher.report_later, machine)
             stack.push_async_callback(stalls.close)
             stalls.start()
             gateway = await stack.enter_async_context(_edges(bus, procedure, settings, machine))

@@ -32,13 +32,11 @@ FRAMES = 6
 class StallWatch:
     """Checks periodically that the event loop answers; logs a stall at once, and reports its length when it has ended.
 
-    Safety does not rest on this: heartbeats come from the same loop, and the nodes hold by themselves without them.
+    The report is no danger event: if the stall is longer than the deadman, the nodes hold by themselves and say so.
 
     Args:
         report: Takes the event, in the loop, once the stall has ended.
-        moving: Returns whether anything moves; called in the loop. If so, the event of a long stall is a danger.
         clock: The machine's clock.
-        deadman: Silence of the daemon that the nodes permit, s of the machine. A shorter stall is no danger.
 
     Attributes:
         stalls: Number of stalls since the start.
@@ -46,14 +44,10 @@ class StallWatch:
         lag: Delay of the last answer, s.
     """
 
-    def __init__(
-        self, report: Callable[[DeviceEvent], None], moving: Callable[[], bool], clock: Clock, deadman: float
-    ) -> None:
+    def __init__(self, report: Callable[[DeviceEvent], None], clock: Clock) -> None:
         self.stalls = 0
         self.longest = self.lag = 0.0
-        self._report, self._moving, self._clock = report, moving, clock
-        self._deadman = deadman
-        self._moved = False
+        self._report, self._clock = report, clock
         self._loop = asyncio.get_running_loop()
         self._loop_thread = threading.get_ident()
         self._end = threading.Event()
@@ -94,13 +88,11 @@ class StallWatch:
         """Answers, in the loop."""
         self.lag = self._clock.monotonic() - asked
         self._answered.set()
-        moved, self._moved = self._moved, self._moving()
         if self.lag <= STALL:
             return
         self.stalls += 1
         self.longest = max(self.longest, self.lag)
-        danger = (moved or self._moved) and self.lag > self._deadman  # it moved before the stall, or still does
         text = f"The daemon did not answer for {self.lag:.2f} s, limit {STALL:g} s: the machine is overloaded, "
         text += "or the daemon was stopped, or something in it takes too long."
         fields = {"stall": self.lag, "limit": STALL}
-        self._report(DeviceEvent(device="daemon", code="loop_stalled", text=text, danger=danger, fields=fields))
+        self._report(DeviceEvent(device="daemon", code="loop_stalled", text=text, fields=fields))

@@ -109,7 +109,7 @@ def test_requests_are_answered_refused_or_unknown() -> None:
     on_network(play)
 
 
-def test_a_request_that_comes_after_its_key_was_ended_gets_no_answer() -> None:
+def test_request_after_its_key_was_ended_gets_no_answer() -> None:
     """A daemon that ends takes its services back while requests are on their way."""
 
     async def play(network: Network) -> None:
