@@ -1,7 +1,8 @@
-"""Durable files, which a power cut leaves either unchanged or whole, and secrets that only their owner can read."""
+"""Durable files, which a power cut leaves either unchanged or whole; secrets that only their owner can read; hashes."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -64,6 +65,16 @@ def publish(part: Path, path: Path) -> None:
     _sync(part)
     part.replace(path)
     _sync(path.parent)
+
+
+def sha256_of(path: Path) -> bytes:
+    """Return the SHA-256 of a file, 32 bytes.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").digest()
 
 
 def _sync(path: Path) -> None:

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 from pcmrs.archive._columns import end_of, table_of
 from pcmrs.archive._segment import SEGMENT_ROWS, JournalName, Segment, altered, doubled, follow_segments
 from pcmrs.archive._source import JournalSource
-from pcmrs.archive._store import ArchivedJournal, ArchiveStore
+from pcmrs.archive._store import ArchivedJournal, ArchiveStore, Progress
 from pcmrs.errors import JournalError
 from pcmrs.journal.rows import RowPosition
 from pcmrs.messages import Message
-
-Progress = Callable[[str, int, int], None]
-"""Callback for the present journal, the number of rows done, and the total."""
 
 
 class AddedRows(Message, frozen=True, kw_only=True, omit_defaults=False):

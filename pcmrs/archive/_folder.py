@@ -8,7 +8,6 @@ The files can be read by anything that reads Parquet. They are named by their fi
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,7 +23,7 @@ from pcmrs.archive._columns import SCHEMA
 from pcmrs.archive._segment import JournalName, Segment, altered, missing
 from pcmrs.archive._store import ArchivedJournal
 from pcmrs.errors import ArchiveError
-from pcmrs.files import make_private, publish
+from pcmrs.files import make_private, publish, sha256_of
 
 CATALOGUE: Final = "catalogue.sqlite"
 ROWS: Final = "rows"
@@ -72,7 +71,7 @@ class FolderStore:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             pq.write_table(table, part, compression="zstd", write_page_checksum=True)
-            listed = ListedSegment(segment, part.stat().st_size, _sha256(part))
+            listed = ListedSegment(segment, part.stat().st_size, sha256_of(part))
             with self._catalogue.entering(listed):
                 publish(part, path)
                 for left in path.parent.glob(f"{path.name}.*.part"):  # by runs that were killed
@@ -91,7 +90,7 @@ class FolderStore:
         (listed,) = (each for each in self._catalogue.segments(segment.journal) if each.segment == segment)
         path = self._present(listed)
         try:
-            if _sha256(path) != listed.sha256:
+            if sha256_of(path) != listed.sha256:
                 what = f"{path} has another SHA-256 than the catalogue"
                 raise altered(segment.journal, segment.first, segment.last, what)
             return pq.ParquetFile(path).read()
@@ -170,8 +169,3 @@ def _require_one_select(connection: duckdb.DuckDBPyConnection, sql: str) -> None
     if [each.type for each in statements] != [duckdb.StatementType.SELECT]:
         kinds = ", ".join(each.type.name for each in statements) or "nothing"
         raise ArchiveError(f"A question is one SELECT, this is {kinds}: give one SELECT about the table rows.")
-
-
-def _sha256(path: Path) -> bytes:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").digest()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol
@@ -10,6 +10,9 @@ from typing import Protocol
 import pyarrow as pa
 
 from pcmrs.archive._segment import JournalName, Segment
+
+Progress = Callable[[str, int, int], None]
+"""Callback for the present journal, how much is done, and the total."""
 
 
 @dataclass(frozen=True, slots=True)

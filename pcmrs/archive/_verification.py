@@ -8,15 +8,12 @@ from functools import partial
 
 from pcmrs.archive._columns import check_table
 from pcmrs.archive._segment import Segment, altered, follow_segments, missing
-from pcmrs.archive._store import ArchivedJournal, ArchiveStore
+from pcmrs.archive._store import ArchivedJournal, ArchiveStore, Progress
 from pcmrs.errors import ArchiveError, JournalError
 from pcmrs.journal.head import Head, parse_head
 from pcmrs.journal.keys import parse_public_key
 from pcmrs.journal.rows import START
 from pcmrs.messages import Message
-
-Progress = Callable[[str, int, int], None]
-"""Callback for the present journal, the number of segments read, and the total."""
 
 
 class ArchiveProblem(Message, frozen=True, kw_only=True, omit_defaults=False):

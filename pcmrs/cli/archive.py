@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -87,8 +88,8 @@ def add(
     from pcmrs.cli.journal import journal_of_cell
 
     journals = find_journals(paths or (journal_of_cell(file, overrides),))
-    store, failed = open_store(place, make=True), False
-    try:
+    failed = False
+    with closing(open_store(place, make=True)) as store:
         for path in journals:
             try:
                 with progress_bar(beyond=LONG, transient=True) as progress:
@@ -98,8 +99,6 @@ def add(
                 say(f"{path} was not added: {error.text}", err=True)
             else:
                 _say_added(added, as_json=as_json)
-    finally:
-        store.close()
     if failed:
         sys.exit(EXIT_FAILED)
 
@@ -125,13 +124,9 @@ def verify(place: str, keys: tuple[tuple[tuple[str, str], Path], ...], as_json: 
     from pcmrs.archive import open_store, verify_archive
     from pcmrs.cli.tables import print_report
 
-    store = open_store(place)
-    try:
-        with progress_bar(transient=True) as progress:
-            given = {"/".join(cell): path.read_bytes() for cell, path in keys}
-            found = verify_archive(store, keys=given, progress=progress)
-    finally:
-        store.close()
+    with closing(open_store(place)) as store, progress_bar(transient=True) as progress:
+        given = {"/".join(cell): path.read_bytes() for cell, path in keys}
+        found = verify_archive(store, keys=given, progress=progress)
     print_report(found, _verified(found), as_json=as_json)
     if not found.sound:
         sys.exit(EXIT_REJECTED)
@@ -144,12 +139,10 @@ def verify(place: str, keys: tuple[tuple[tuple[str, str], Path], ...], as_json: 
 def list_(place: str, as_json: bool) -> None:
     """List the journals of the archive, as its catalogue has them, and the questions that it answers by name."""
     from pcmrs.archive import QUESTIONS, open_store
+    from pcmrs.cli.tables import print_table
 
-    store = open_store(place)
-    try:
+    with closing(open_store(place)) as store:
         found = {str(journal.name): store.segments(journal.name) for journal in store.journals()}
-    finally:
-        store.close()
     rows = {name: segments[-1].last if segments else 0 for name, segments in found.items()}
     if as_json:
         say_json([{"journal": name, "segments": len(found[name]), "rows": rows[name]} for name in found])
@@ -157,7 +150,7 @@ def list_(place: str, as_json: bool) -> None:
     table = _table("journal", "segments", "rows")
     for name, segments in found.items():
         table.add_row(name, str(len(segments)), str(rows[name]))
-    _print(table)
+    print_table(table)
     for name, question in QUESTIONS.items():
         say(f"pcmrs archive ask {name}: {question.title}.")
 
@@ -181,15 +174,11 @@ def ask(name: str | None, sql: str | None, place: str, output: Path | None, as_j
     from pcmrs.archive.answer import write_answer
 
     asked = _sql_of(name, sql)
-    store = open_store(place)
-    try:
-        with store.ask(asked) as answer:
-            if output is not None:
-                say(f"{write_answer(answer, output)} rows in {output}.")
-            else:
-                _say_answer(answer, as_json=as_json)
-    finally:
-        store.close()
+    with closing(open_store(place)) as store, store.ask(asked) as answer:
+        if output is not None:
+            say(f"{write_answer(answer, output)} rows in {output}.")
+        else:
+            _say_answer(answer, as_json=as_json)
 
 
 def _sql_of(name: str | None, sql: str | None) -> str:
@@ -215,6 +204,7 @@ def _say_added(added: AddedRows, *, as_json: bool) -> None:
 
 def _say_answer(answer: pa.RecordBatchReader, *, as_json: bool) -> None:
     from pcmrs.archive.answer import rows_of
+    from pcmrs.cli.tables import print_table
 
     if as_json:
         for row in rows_of(answer):
@@ -223,7 +213,7 @@ def _say_answer(answer: pa.RecordBatchReader, *, as_json: bool) -> None:
     table = _table(*answer.schema.names)
     for row in rows_of(answer):
         table.add_row(*("" if value is None else _text(value) for value in row.values()))
-    _print(table)
+    print_table(table)
 
 
 def _text(value: object) -> str:
@@ -241,12 +231,6 @@ def _verified(found: ArchiveVerification) -> Table:
     for name in found.unlisted:
         table.add_row(f"{name} is not in the catalogue: a run was killed, and the next one replaces it.")
     return table
-
-
-def _print(table: Table) -> None:
-    from pcmrs.cli.tables import NARROWEST, Terminal
-
-    Terminal(width=max(Terminal().width, NARROWEST)).print(table)
 
 
 def _table(*columns: str) -> Table:

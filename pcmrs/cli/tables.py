@@ -37,7 +37,12 @@ def print_report(report: msgspec.Struct, table: RenderableType, *, as_json: bool
     if as_json:
         say_json(report)
     else:
-        Terminal(width=max(Terminal().width, NARROWEST)).print(table)
+        print_table(table)
+
+
+def print_table(table: RenderableType) -> None:
+    """Print a table, at least `NARROWEST` wide."""
+    Terminal(width=max(Terminal().width, NARROWEST)).print(table)
 
 
 def save_svg(table: RenderableType, path: Path) -> None:

@@ -110,6 +110,21 @@ def settled(arm: ArmModel, base_from_flange: Transform, posture: Floats, joint_m
     raise limit_error(arm, posture, joint_margin)
 
 
+def too_far(reach: float, limit: float) -> UnreachableError:
+    """Return the error for a pose that the stretched arm does not reach.
+
+    Args:
+        reach: Least distance of the wrist from the shoulder in the pose, m.
+        limit: Their distance when the arm is stretched, m.
+    """
+    return UnreachableError(
+        f"The pose is too far: the wrist would be {reach:.4f} m from the shoulder, the stretched arm reaches "
+        f"{limit:.4f} m; bring it {(reach - limit) * 1e3:.1f} mm closer.",
+        reach=reach,
+        limit=limit,
+    )
+
+
 def limit_error(arm: ArmModel, posture: Floats, joint_margin: float) -> UnreachableError:
     """Return the error that names the joint which a posture puts farthest beyond its limit.
 

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pcmrs.errors import UnreachableError
-from pcmrs.kinematics._branches import FORBIDDEN, ROUNDING, Branches, flipped, settled
+from pcmrs.kinematics._branches import FORBIDDEN, ROUNDING, Branches, flipped, settled, too_far
 from pcmrs.kinematics._geometry import PandaGeometry
 from pcmrs.kinematics._posture import (
     DETOUR,
@@ -248,12 +248,7 @@ class _Target:
         stretched, folded = upper_arm + forearm, abs(upper_arm - forearm)
         nearest, farthest = (hypot(hypot(x, y) + hand, z) for hand in (-geometry.hand, geometry.hand))
         if nearest > stretched + REACH_TOLERANCE:
-            raise UnreachableError(
-                f"The pose is too far: the wrist would be {nearest:.4f} m from the shoulder, the stretched arm reaches "
-                f"{stretched:.4f} m; bring it {(nearest - stretched) * 1e3:.1f} mm closer.",
-                reach=nearest,
-                limit=stretched,
-            )
+            raise too_far(nearest, stretched)
         if farthest < folded - REACH_TOLERANCE:
             raise UnreachableError(
                 f"The pose is too near: the wrist would be {farthest:.4f} m from the shoulder, the folded arm reaches "

@@ -15,7 +15,7 @@ from math import atan2, cos, degrees, pi, sin
 import numpy as np
 
 from pcmrs.errors import UnreachableError
-from pcmrs.kinematics._branches import FORBIDDEN, ROUNDING, Branches, flipped, settled
+from pcmrs.kinematics._branches import FORBIDDEN, ROUNDING, Branches, flipped, settled, too_far
 from pcmrs.kinematics._geometry import SrsGeometry
 from pcmrs.kinematics._posture import (
     DETOUR,
@@ -123,12 +123,7 @@ def _elbow_circle(arm: ArmModel, geometry: SrsGeometry, base_from_flange: Transf
     wrist = base_from_flange @ np.array((0.0, 0.0, hand - flange)) - geometry.shoulder
     reach = float(np.linalg.norm(wrist))
     if reach > upper_arm + forearm + STRETCH_TOLERANCE:
-        raise UnreachableError(
-            f"The pose is too far: the wrist would be {reach:.4f} m from the shoulder, the stretched arm reaches "
-            f"{upper_arm + forearm:.4f} m; bring it {(reach - upper_arm - forearm) * 1e3:.1f} mm closer.",
-            reach=reach,
-            limit=upper_arm + forearm,
-        )
+        raise too_far(reach, upper_arm + forearm)
     # The bend by the tangent of its half, and the radius by the area of the triangle (Heron): both are exact for the
     # stretched arm, too.
     stretched = max(0.0, (upper_arm + forearm - reach) * (upper_arm + forearm + reach))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from pcmrs.analysis.mep_table import write_meps
 from pcmrs.analysis.nibs_tables import write_nibs
 from pcmrs.analysis.session import SessionRecord
 from pcmrs.errors import ConfigurationError
+from pcmrs.files import sha256_of
 from pcmrs.formats.mesh import Mesh
 from pcmrs.journal import JournalReader, copy_journal
 from pcmrs.journal.export import json_lines
@@ -97,9 +97,7 @@ def write_results(record: SessionRecord, mesh: Mesh, folder: Path) -> None:
 def write_sums(folder: Path) -> None:
     """Write the hashes of all files, as ``sha256sum --check`` reads them."""
     files = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != SUMS)
-    lines = [
-        f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.relative_to(folder).as_posix()}" for path in files
-    ]
+    lines = [f"{sha256_of(path).hex()}  {path.relative_to(folder).as_posix()}" for path in files]
     (folder / SUMS).write_text("\n".join(lines) + "\n")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -12,6 +11,7 @@ from pathlib import Path
 import msgspec
 
 from pcmrs.errors import JournalError
+from pcmrs.files import sha256_of
 from pcmrs.journal import JournalReader, StoredRow, journal_files, verify
 from pcmrs.journal.head import head_path
 from pcmrs.journal.keys import PUBLIC
@@ -75,7 +75,7 @@ def open_source(path: Path) -> ReportSource:
         signature=signature,
         proven=proven,
         last_hash=rows[-1].hash.hex(),
-        key=_sha256(key) if key.is_file() else "",
+        key=sha256_of(key).hex() if key.is_file() else "",
     )
     return ReportSource(found, tuple(rows), journal, _exported(path) if path.is_dir() else None)
 
@@ -159,15 +159,10 @@ def _listed(folder: Path) -> Iterator[ReportedFile]:
 def _file(name: str, path: Path) -> ReportedFile:
     cut = path.suffix == SUFFIX and not _is_ended(path)
     note = "was not ended: its last second may be missing" if cut else ""
-    return ReportedFile(name=name, size=path.stat().st_size, sha256=_sha256(path), note=note)
+    return ReportedFile(name=name, size=path.stat().st_size, sha256=sha256_of(path).hex(), note=note)
 
 
 def _is_ended(path: Path) -> bool:
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - len(MAGIC)))
         return file.read() == MAGIC
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from pcmrs.errors import ConfigurationError
-from pcmrs.files import SECRET, make_private, read_secret, settle_on_disk, write_durably
+from pcmrs.files import SECRET, make_private, read_secret, settle_on_disk, sha256_of, write_durably
 
 
 def test_failed_write_leaves_the_old_file_and_nothing_beside_it(
@@ -95,3 +95,9 @@ def test_files_that_do_not_exist_need_not_be_settled(tmp_path: Path) -> None:
     (tmp_path / "there").write_bytes(b"x" * 10_000)
     settle_on_disk([tmp_path / "missing", tmp_path / "there"])
     assert (tmp_path / "there").read_bytes() == b"x" * 10_000
+
+
+def test_hash_of_a_file_is_that_of_its_bytes(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"abc")
+    # FIPS 180-2, example of SHA-256
+    assert sha256_of(tmp_path / "file").hex().startswith("ba7816bf8f01cfea414140de5dae2223")

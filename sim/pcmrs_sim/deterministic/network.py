@@ -284,7 +284,7 @@ class Endpoint:
             raise UnknownOutcomeError(f"Nobody answers on {key}.", key=key)
         replied: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
         self._pending_requests[replied] = server
-        kind = server.kind_of_requests(key)
+        kind, _ = server.service(key)
         delay = self._senders.delay(name_of(key, message), asyncio.get_running_loop().time(), sender)
         # The thread sends what it has taken, even if the requester is cancelled meanwhile.
         copied = self._network.copy(message, kind)
@@ -363,16 +363,22 @@ class Endpoint:
         """Return true if this process answers requests on `key`."""
         return any(_matches(each, key) for each in self._services)
 
-    def kind_of_requests(self, key: str) -> type[Any]:
-        """Return the type of requests that this process answers on `key`."""
-        kind, _ = self._services[_pattern(self._services, key)]
-        return kind
+    def service(self, key: str) -> tuple[type[Any], RequestHandler]:
+        """Return the type of the requests that this process answers on `key`, and the handler.
+
+        Raises:
+            UnknownOutcomeError: It answers none.
+        """
+        if not self.serves(key):
+            raise UnknownOutcomeError(f"Nobody answers on {key}.", key=key)
+        return self._services[_pattern(self._services, key)]
 
     def _serve(self, key: str, message: msgspec.Struct, requester: Endpoint, replied: asyncio.Future[Any]) -> None:
-        if not self.serves(key):  # ended while the request was on its way
-            self._send_reply(requester, replied, UnknownOutcomeError(f"Nobody answers on {key}.", key=key))
+        try:
+            _, handler = self.service(key)
+        except UnknownOutcomeError as error:  # it was ended while the request was on its way
+            self._send_reply(requester, replied, error)
             return
-        _, handler = self._services[_pattern(self._services, key)]
         self.spawn(self._answer(handler, key, message, requester, replied))
 
     async def _answer(

@@ -32,7 +32,7 @@ BLOCKER = """
 import signal, time
 signal.signal(signal.SIGUSR1, lambda *_: time.sleep(0.8))
 """
-"""A process with this blocks its event loop for longer than its deadman when it is told to."""
+"""A process with this blocks its event loop for longer than its deadman when it receives SIGUSR1."""
 
 
 @pytest.fixture(scope="module")
