@@ -6,6 +6,7 @@ further imports, and shares its memory with the others. The server does nothing 
 
 from __future__ import annotations
 
+import atexit
 import gc
 import importlib
 import os
@@ -178,6 +179,8 @@ def serve_forks(control: socket.socket, modules: Iterable[str]) -> NoReturn:
 def run_main(module: str, words: Sequence[str]) -> int:
     """Run the function ``main`` of a module as ``python -m MODULE WORDS`` would, in a process that was just forked.
 
+    What the module registers with `atexit` is called, such as the end of the log; what the parent registered is not.
+
     Args:
         module: Name of the module.
         words: Its command line.
@@ -185,6 +188,8 @@ def run_main(module: str, words: Sequence[str]) -> int:
     Returns:
         Exit status. An exception is printed, and not raised.
     """
+    # As multiprocessing does it: there is no public way to forget or to call what is registered.
+    atexit._clear()  # noqa: SLF001
     status = 1
     try:
         sys.argv = [module, *words]
@@ -195,6 +200,7 @@ def run_main(module: str, words: Sequence[str]) -> int:
         status = _status_of(ending)
     except BaseException:
         traceback.print_exc()
+    atexit._run_exitfuncs()  # noqa: SLF001
     with suppress(OSError, ValueError):
         sys.stdout.flush()
         sys.stderr.flush()

@@ -23,7 +23,9 @@ WITHIN = 60.0
 SERVER = "import socket, sys; from pcmrs.processes import forked; "
 SERVER += "forked.serve_forks(socket.socket(fileno=int(sys.argv[1])), ['child', 'no_such_module'])"
 CHILD = """
-import os, signal, sys
+import atexit, os, signal, sys
+
+atexit.register(sys.stderr.write, "the parent ends")
 
 def main():
     word = sys.argv[1]
@@ -35,6 +37,9 @@ def main():
         sys.exit("it cannot run")
     elif word == "fail":
         raise ValueError("it has failed")
+    elif word == "register":
+        atexit.register(os.write, 2, b"the child ends")
+        sys.exit(0)
     elif word == "kill":
         os.kill(os.getpid(), signal.SIGKILL)
     sys.stdin.read()
@@ -107,13 +112,16 @@ async def test_given_input_and_silent_output(bench: Bench, capfd: pytest.Capture
         (("exit", "7"), 7, ""),
         (("say",), 1, "it cannot run"),
         (("fail",), 1, "ValueError: it has failed"),
+        (("register",), 0, "the child ends"),
         (("kill",), -signal.SIGKILL, ""),
     ],
 )
 async def test_child_ends_as_a_new_python_would(bench: Bench, words: tuple[str, ...], status: int, said: str) -> None:
     assert await status_of(bench, *words) == status
-    assert said in bench.errors.read_text()
-    assert bool(said) == bool(bench.errors.read_text())
+    errors = bench.errors.read_text()
+    assert said in errors
+    assert bool(said) == bool(errors)
+    assert "the parent ends" not in errors
 
 
 async def test_many_children_at_once_get_their_own_ends(bench: Bench) -> None:
