@@ -11,6 +11,8 @@ from typing import Literal
 
 import msgspec
 
+from tests import ROOT
+
 TABLE = Path(__file__).with_name("parts.toml")
 
 Counted = Literal["pytest", "faults", "explore", "mutants", "exit"]
@@ -29,6 +31,7 @@ class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         counted: How results are counted: from pytest's report, from the JSON that the command prints, or from its
             exit code alone.
         pieces: The part is cut into so many; ``{piece}`` in the command becomes ``1/3``.
+        makes: File that the parts of the same first word need, in the project's folder.
     """
 
     name: str
@@ -39,6 +42,12 @@ class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     command: str = ""
     counted: Counted = "exit"
     pieces: int = 1
+    makes: str = ""
+
+    @property
+    def is_made(self) -> bool:
+        """Whether the file that it makes is there; true if it makes none."""
+        return (ROOT / self.makes).exists()
 
 
 def parts() -> list[Part]:
@@ -50,6 +59,13 @@ def parts() -> list[Part]:
 def chosen(name: str) -> list[Part]:
     """The part of that name, or those whose names begin with it and a hyphen; all for an empty name."""
     return [part for part in parts() if not name or part.name == name or part.name.startswith(f"{name}-")]
+
+
+def separate() -> list[str]:
+    """Names of parts, or first words of parts that share a file, each of which can be run on a separate machine."""
+    sharing = {part.name.partition("-")[0] for part in parts() if part.makes}
+    first_words = ((part.name.partition("-")[0], part.name) for part in parts())
+    return list(dict.fromkeys(first if first in sharing else name for first, name in first_words))
 
 
 def command_of(part: Part, results: Path, seed: int) -> list[str]:

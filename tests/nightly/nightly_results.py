@@ -14,6 +14,15 @@ from tests.nightly.nightly_parts import Part, parts
 
 FOLDER = ROOT / "build" / "nightly"
 PUBLISHED = Path(__file__).with_name("last.json")
+REPORTS = (
+    ":!docs/evidence.md",
+    ":!docs/explore.md",
+    ":!docs/progress.md",
+    ":!CHANGELOG.md",
+    ":!tests/nightly/last.json",
+    ":!tests/nightly/in_a_row.json",
+)
+"""Files that report what was run: a result stays valid when they change."""
 
 
 class Machine(msgspec.Struct, frozen=True, kw_only=True):
@@ -65,16 +74,22 @@ def this_machine() -> Machine:
 
 
 def this_commit() -> str:
-    """The commit that is checked out; what nightly runs themselves publish is no change of it."""
-    told = [":!tests/nightly/last.json", ":!tests/nightly/in_a_row.json", ":!docs/evidence.md"]
-    changed = _git("status", "--porcelain", "--untracked-files=no", "--", ".", *told)
+    """The commit that is checked out, followed by ``+`` if files other than reports were changed since."""
+    changed = _git("status", "--porcelain", "--untracked-files=no", "--", ".", *REPORTS)
     return _git("rev-parse", "HEAD") + ("+" if changed else "")
 
 
+def has_code_of(commit: str, before: str) -> bool:
+    """Whether two commits differ in nothing but reports; never if either had changed files, or is not known."""
+    if "+" in commit + before:
+        return False
+    command = ["git", "diff", "--quiet", before, commit, "--", ".", *REPORTS]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, check=False).returncode == 0
+
+
 def result_of(part: Part) -> Result | None:
-    """The part's last result in this checkout."""
-    path = FOLDER / f"{part.name}.json"
-    return msgspec.json.decode(path.read_bytes(), type=Result) if path.exists() else None
+    """The part's last result: the one of this checkout, or else the one that was published."""
+    return _kept(part) or next((result for result in published(PUBLISHED) if result.part == part.name), None)
 
 
 def keep(result: Result) -> None:
@@ -95,10 +110,15 @@ def publish(path: Path = PUBLISHED) -> None:
     """Replaces the published results of parts that have one in this checkout; those of parts that are gone go."""
     known = {result.part: result for result in published(path)}
     for part in parts():
-        found = result_of(part)
+        found = _kept(part)
         if found is not None:
             known[part.name] = found
     path.write_bytes(_lines([known[part.name] for part in parts() if part.name in known]))
+
+
+def _kept(part: Part) -> Result | None:
+    path = FOLDER / f"{part.name}.json"
+    return msgspec.json.decode(path.read_bytes(), type=Result) if path.exists() else None
 
 
 def _lines(value: object) -> bytes:

@@ -1,4 +1,4 @@
-"""Runs the parts of a nightly run that have no green result for this commit yet, one by one.
+"""Runs the parts of a nightly run that have no green result for this code yet, one by one.
 
     make nightly                        # all that is left
     make nightly PART=faults            # faults-operator, faults-sensor, ...
@@ -6,7 +6,9 @@
     .venv/bin/python -m tests.nightly.run --names
 
 Each part's result is in build/nightly/NAME.json, its output in NAME.log beside it. A run that is broken off goes on
-with the part that it was at.
+with the part that it was at, on another machine, too, if its results were published and committed: a result counts for
+every commit that differs from its own in `REPORTS` only. A part that makes a file for others is run where the file is
+missing.
 """
 
 from __future__ import annotations
@@ -24,8 +26,17 @@ from typing import IO
 
 from tests import ROOT
 from tests.nightly.nightly_counts import counted
-from tests.nightly.nightly_parts import Part, chosen, command_of
-from tests.nightly.nightly_results import FOLDER, Result, keep, publish, result_of, this_commit, this_machine
+from tests.nightly.nightly_parts import Part, chosen, command_of, separate
+from tests.nightly.nightly_results import (
+    FOLDER,
+    Result,
+    has_code_of,
+    keep,
+    publish,
+    result_of,
+    this_commit,
+    this_machine,
+)
 
 OVERTIME = 3.0
 """A part that takes so many times what the table says, and hangs, is ended."""
@@ -87,7 +98,9 @@ def main() -> int:
     """0 when all that was chosen is green for this commit."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("part", nargs="?", default="", metavar="PART", help="a part, or the first word of some")
-    parser.add_argument("--names", action="store_true", help="print the names of all parts as JSON, and run nothing")
+    parser.add_argument(
+        "--names", action="store_true", help="print what separate machines can run as JSON, and run nothing"
+    )
     parser.add_argument(
         "--publish", action="store_true", help="gather results in tests/nightly/last.json, and run nothing"
     )
@@ -96,7 +109,7 @@ def main() -> int:
     if not found:
         parser.error(f"There is no part {options.part}: {', '.join(part.name for part in chosen(''))}.")
     if options.names:
-        print(json.dumps([part.name for part in found]))  # noqa: T201
+        print(json.dumps(separate()))  # noqa: T201
         return 0
     if options.publish:
         publish()
@@ -104,8 +117,7 @@ def main() -> int:
     commit, green = this_commit(), True
     for part in found:
         before = result_of(part)
-        # What was seen with changed files is seen of no commit.
-        is_done = before is not None and before.green and before.commit == commit and not commit.endswith("+")
+        is_done = before is not None and before.green and part.is_made and has_code_of(commit, before.commit)
         result = before if before is not None and is_done else run_part(part, commit)
         sys.stdout.write(told(result) + ("  (before)" if is_done else "") + "\n")
         for each in result.failures:

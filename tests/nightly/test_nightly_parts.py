@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from tests import ROOT
 from tests.nightly import nightly_results, run
 from tests.nightly.nightly_counts import counted
 from tests.nightly.nightly_parts import Part, chosen, command_of, holders, parts
-from tests.nightly.nightly_results import Result, publish, published, this_machine
+from tests.nightly.nightly_results import Result, has_code_of, publish, published, this_machine
 
 MOST_HOURS = 6
 REPORT = """<testsuites><testsuite>
@@ -145,6 +146,43 @@ def test_publishing_replaces_only_parts_that_were_run(folder: Path) -> None:
     publish(path)
 
     assert [(each.part, each.commit[0]) for each in published(path)] == [(first.name, "1"), (second.name, "2")]
+
+
+def test_a_result_published_elsewhere_is_the_last_one(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    part = Part(name="short", minutes=1, command="true")
+    here = run.run_part(part, "1" * 40)
+    elsewhere = msgspec.structs.replace(here, commit="2" * 40)
+    monkeypatch.setattr(nightly_results, "PUBLISHED", folder / "last.json")
+    nightly_results.PUBLISHED.write_bytes(msgspec.json.encode([elsewhere]))
+    assert nightly_results.result_of(part) == here
+    (folder / "short.json").unlink()
+    assert nightly_results.result_of(part) == elsewhere
+    assert nightly_results.result_of(msgspec.structs.replace(part, name="other")) is None
+
+
+def test_a_result_counts_while_only_documents_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def git(*words: str) -> None:
+        author = ("-c", "user.name=a", "-c", "user.email=a@example.org")
+        subprocess.run(["git", *author, *words], cwd=tmp_path, capture_output=True, check=True)
+
+    def commit(file: str) -> str:
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        with (tmp_path / file).open("a") as changed:
+            changed.write("a line\n")
+        git("add", "-A")
+        git("commit", "-m", file)
+        return nightly_results.this_commit()
+
+    monkeypatch.setattr(nightly_results, "ROOT", tmp_path)
+    git("init")
+    code, documents, more_code = commit("pcmrs/a.py"), commit("docs/a.md"), commit("pcmrs/b.py")
+    assert has_code_of(documents, code)
+    assert not has_code_of(more_code, documents)
+    (tmp_path / "pcmrs/b.py").write_text("changed\n")
+    changed = nightly_results.this_commit()
+    assert changed == more_code + "+"
+    assert not has_code_of(changed, changed)
+    assert not has_code_of(more_code, "0" * 40), "a commit that is not known here"
 
 
 def test_published_results_are_readable() -> None:
