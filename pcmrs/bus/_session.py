@@ -27,6 +27,7 @@ from pcmrs.bus.serving import Refuse, Service, attached_to, payload_of
 from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.clock import SystemClock
 from pcmrs.errors import AccessError, PayloadError, PcmrsError, SealError
+from pcmrs.messages.clipping import LONGEST_TEXT, shortened
 from pcmrs.messages.identity import LOCAL
 
 if TYPE_CHECKING:
@@ -444,4 +445,5 @@ class _IgnoredMessages:
         if now >= self._next_log:
             unlogged, self._logged, self._next_log = self.count - self._logged - 1, self.count, now + LOG_PERIOD
             others = f" ({unlogged} more since the last line)" if unlogged else ""
-            _log.warning("Ignored a message on %s: %s%s", key, error.text, others)
+            shown = shortened(key, LONGEST_TEXT), shortened(error.text, LONGEST_TEXT)
+            _log.warning("Ignored a message on %s: %s%s", *shown, others)

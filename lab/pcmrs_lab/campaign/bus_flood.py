@@ -29,7 +29,9 @@ from pcmrs.errors import DeviceError, PcmrsError, UnknownOutcomeError
 from pcmrs.messages import Verdict
 from pcmrs_lab.campaign.sham import is_sham
 
-Kind = Literal["setup", "journal", "stop-puts", "stop-names", "stop-queries", "puts", "rejected"]
+Kind = Literal[
+    "setup", "journal", "stop-puts", "stop-names", "stop-queries", "puts", "rejected", "rejected-names", "rejected-keys"
+]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 PARALLEL_REQUESTS: Final = 100
 """Number of requests that wait for their reply at the same time."""
@@ -38,10 +40,11 @@ BURST_SIZE: Final = 1_000
 STOP_NAMES: Final = 10_000
 """Number of different names under which one process puts Stops."""
 ARGUMENT_SIZE: Final = 60_000
-"""Size of the arguments of a rejected command, bytes."""
+"""Size of what a rejected command repeats, bytes: the value or name of an argument, or an operation in its key."""
 REPLY_TIMEOUT: Final = 10.0
 """Time limit for a reply, s of the machine."""
 FLOODER: Final = "eve"
+_LONG: Final = "x" * ARGUMENT_SIZE
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,8 +132,12 @@ class _Flood:
             "puts": lambda: self._put_in_bursts([f"cmd/{user}/toolplan/plan"]),
             "stop-queries": lambda: self._query_in_parallel(f"stop/{user}", b""),
             "rejected": lambda: self._query_in_parallel(
-                f"cmd/{user}/toolplan/plan", pack(Envelope(arguments={"text": "x" * ARGUMENT_SIZE}))
+                f"cmd/{user}/toolplan/plan", pack(Envelope(arguments={"text": _LONG}))
             ),
+            "rejected-names": lambda: self._query_in_parallel(
+                f"cmd/{user}/toolplan/plan", pack(Envelope(arguments={_LONG: 1}))
+            ),
+            "rejected-keys": lambda: self._query_in_parallel(f"cmd/{user}/toolplan/{_LONG}", b""),
         }[kind]
 
     def end(self) -> None:

@@ -9,15 +9,15 @@ from typing import Any
 
 from pcmrs.dispatcher.decisions import BURST, DROPPED, TOO_MANY
 from pcmrs.dispatcher.events import FAIL_STOP, PRESSED_AGAIN
-from pcmrs.dispatcher.recorder import CLIPPED
-from pcmrs.errors import PcmrsError
+from pcmrs.errors import PayloadError, PcmrsError
 from pcmrs.journal.reader import journal_files
 from pcmrs.messages import JournalQuery
+from pcmrs.messages.clipping import CLIPPED
 from pcmrs.testing.cell import REAL_TIME, RunningCell
 from pcmrs.testing.driving import accept, approach_alone, moving, register, reset_cell, to_placed, tool_pose, until
 from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.bus_flood import ARGUMENT_SIZE, FLOODER, Kind, bus_flood
-from pcmrs_lab.campaign.checks import confirmed, expect, held
+from pcmrs_lab.campaign.checks import confirmed, expect, held, reported
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.faults.adversary import in_ms, stop_times
 from pcmrs_lab.campaign.lab import Lab
@@ -27,8 +27,11 @@ from pcmrs_lab.campaign.sham import is_sham
 STOP_BEGINS_WITHIN = 0.1
 """Time within which Stops of others begin during a flood, s of the machine, beyond the lateness of a bare timer."""
 STOPS = 50
+MALFORMED = PayloadError.code
 PRESSES = 20_000
 REJECTED = 4 * BURST
+FLOODERS: dict[Kind, str] = {"rejected": FLOODER, "rejected-names": "mallory", "rejected-keys": "trudy"}
+"""User who sends each flood of rejected commands: each has its own number of rejections that get a row."""
 OVER = 1.0
 """Time without messages after which a flood is over, s of the machine."""
 REPORTED_WITHIN = 30.0
@@ -66,29 +69,36 @@ async def stop_by_a_viewer(lab: Lab) -> Evidence:
     )
 
 
-@fault("A22", how="60 kB of arguments in commands that are rejected", deadline=180.0)
+@fault("A22", how="commands that are rejected, with 60 kB in an argument, in its name, and in the key", deadline=240.0)
 async def rejected_without_end(lab: Lab) -> Evidence:
     """A permitted user sends rejected commands without end; then the same user sends an accepted one."""
     async with lab.daemon("cell.rate=1") as cell:
         await register(cell.client)
-        row, before = cell.last_row(), _size(cell)
-        async with bus_flood("rejected", cell.ready.endpoint, cell.name, most=REJECTED) as flooding:
-            pass
-        codes = flooding.report.codes or {}
-        expect(codes.get(TOO_MANY, 0) > 0, f"No answer reports the limit: {codes}.")
-        grown = _size(cell) - before
-        expect(grown < REJECTED * ARGUMENT_SIZE / 10, f"The journal has grown by {grown} bytes.")
+        row, details, took_place = cell.last_row(), dict[str, Any](), dict[str, int]()
+        for kind, user in FLOODERS.items():
+            before = _size(cell)
+            async with bus_flood(kind, cell.ready.endpoint, cell.name, user=user, most=REJECTED) as flooding:
+                pass
+            codes = flooding.report.codes or {}
+            if kind == "rejected-keys":
+                took_place[kind] = await reported(cell, row, edge="bus", code=MALFORMED, count=REJECTED)
+            else:
+                expect(codes.get(TOO_MANY, 0) > 0, f"No answer to {kind} reports the limit: {codes}.")
+                rows, dropped = await _on_record(cell, row, user, sum(codes.values()))
+                took_place |= {f"{kind}: rows": rows, f"{kind}: counted without row": dropped}
+            grown = _size(cell) - before
+            expect(grown < REJECTED * ARGUMENT_SIZE / 10, f"By {kind} the journal has grown by {grown} bytes.")
+            details[kind] = {"codes": codes, "grown": grown}
         page = await cell.client.journal(JournalQuery(after=row, limit=200))
         expect(len(page.rows) > 0, "The journal cannot be read over the bus.")
-        rows, dropped = await _on_record(cell, row, sum(codes.values()))
         planned = await accept(cell.client, "toolplan.plan", **tool_pose())
         await accept(cell.client, "toolplan.reinit")
         await reset_cell(cell.client)
     return Evidence(
         "bounded, and counted",
-        took_place={"rows_in_the_journal": rows, "counted_without_row": dropped},
+        took_place=took_place,
         control={"the_same_operation_with_a_pose": planned.decision},
-        details={"codes": codes, "grown": grown},
+        details=details,
     )
 
 
@@ -200,14 +210,14 @@ async def _presses(cell: RunningCell, row: int) -> dict[str, int]:
     return {"presses": stops + sum(each["presses"] for each in joined), "rows": len(rows)}
 
 
-async def _on_record(cell: RunningCell, row: int, rejected: int) -> tuple[int, int]:
-    """Return how many rejections of the flooder have a row, one of them clipped, and how many are only counted."""
+async def _on_record(cell: RunningCell, row: int, user: str, rejected: int) -> tuple[int, int]:
+    """Return how many rejections of a user have a row, one of them clipped, and how many are only counted."""
     started = time.monotonic()
     while True:
         found = cell.rows(row)
-        rows = [each for each in found if each.kind == "outcome" and each.source == f"bus:{FLOODER}"]
-        reports = [each.result for each in found if each.operation == DROPPED and each.result is not None]
-        dropped = sum(each["fields"]["count"] for each in reports)
+        rows = [each for each in found if each.kind == "outcome" and each.source == f"bus:{user}"]
+        reports = [each.result["fields"] for each in found if each.operation == DROPPED and each.result is not None]
+        dropped = sum(each["count"] for each in reports if each["user"] == user)
         if len(rows) + dropped == rejected:
             expect(any(CLIPPED in (each.arguments or {}) for each in rows), "No argument was clipped.")
             return len(rows), dropped

@@ -13,8 +13,8 @@ import pytest
 
 from pcmrs.dispatcher.decisions import DROPPED
 from pcmrs.dispatcher.events import PRESSED_AGAIN
-from pcmrs.dispatcher.recorder import CLIPPED
 from pcmrs.errors import BusError
+from pcmrs.messages.clipping import CLIPPED
 from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.bus_flood import FLOODER, FloodReport
 from pcmrs_lab.campaign.faults import floods
@@ -57,13 +57,14 @@ def refused(count: int, dropped: int, *, clipped: bool = True) -> list[Any]:
     decided = verdict("toolplan.plan", "rejected", "malformed")
     arguments = {CLIPPED: 60_000} if clipped else {}
     rows = [row(verdict=decided, source=EVE, arguments=arguments) for _ in range(count)]
-    return [*rows, row("device", operation=DROPPED, result={"fields": {"count": dropped}})]
+    return [*rows, row("device", operation=DROPPED, result={"fields": {"user": FLOODER, "count": dropped}})]
 
 
 def test_every_rejection_has_a_row_or_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     cell = OperatedCell()
+    cell.client.rows += [row("device", operation=DROPPED, result={"fields": {"user": "anna", "count": 7}})]
     cell.client.rows += refused(20, 80)
-    assert run(monkeypatch, floods._on_record(cell.as_cell, 0, 100)) == (20, 80)
+    assert run(monkeypatch, floods._on_record(cell.as_cell, 0, FLOODER, 100)) == (20, 80)
 
 
 def test_rejections_without_a_trace_are_unmet(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -77,14 +78,14 @@ def test_rejections_without_a_trace_are_unmet(monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr("time.monotonic", monotonic)
     with pytest.raises(Unmet, match="100 were rejected: 20 rows, and 79 are counted"):
-        run(monkeypatch, floods._on_record(cell.as_cell, 0, 100))
+        run(monkeypatch, floods._on_record(cell.as_cell, 0, FLOODER, 100))
 
 
 def test_arguments_without_a_limit_are_unmet(monkeypatch: pytest.MonkeyPatch) -> None:
     cell = OperatedCell()
     cell.client.rows += refused(20, 80, clipped=False)
     with pytest.raises(Unmet, match="No argument was clipped"):
-        run(monkeypatch, floods._on_record(cell.as_cell, 0, 100))
+        run(monkeypatch, floods._on_record(cell.as_cell, 0, FLOODER, 100))
 
 
 class Flooded(OperatedCell):
