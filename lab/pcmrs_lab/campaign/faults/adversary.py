@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import shutil
 import sqlite3
 import sys
@@ -70,11 +71,20 @@ TAKEN_OVER = """
 import os, socket, subprocess, sys
 from pcmrs.console.planning import importer
 from pcmrs.errors import PcmrsError
-file = os.open(sys.argv[2], os.O_WRONLY | os.O_CREAT)
-acts = ((socket.socket,), (subprocess.run, ["true"]), (bytes, 2**31), (os.write, file, b"x"))
+how, folder, terminal, is_sham = sys.argv[1:]
+os.chdir(folder)
+file = os.open("written", os.O_WRONLY)
+def fork():
+    if os.fork() == 0:
+        os._exit(0)
+acts = (
+    (socket.socket,), (subprocess.run, ["true"]), (fork,), (bytes, 2**31), (os.write, file, b"x"),
+    (os.unlink, "removed"), (os.truncate, "emptied", 0), (os.open, terminal, os.O_WRONLY | os.O_NOCTTY),
+    (os.kill, os.getppid(), 0),
+)
 def taken_over(path):
     said = []
-    for act, *words in acts[: int(sys.argv[3])]:
+    for act, *words in acts[:0] if is_sham == "yes" else acts:
         try:
             act(*words)
             said.append("done")
@@ -82,11 +92,12 @@ def taken_over(path):
             said.append(type(error).__name__)
     raise PcmrsError(" ".join(said))
 importer.read_points = taken_over
-if sys.argv[1] == "free":
+if how == "free":
     importer.confine = lambda memory, seconds: None
 importer.main()
 """
 """Actions that a malicious file could make its reader perform."""
+ACTS = 9
 
 
 @fault("A4", how="a process that sends 40,000 datagrams per second, nearly all of them refused", deadline=180.0)
@@ -359,27 +370,36 @@ async def held_back(lab: Lab) -> Evidence:
 
 @fault("A26", how="the program that reads uploaded files, its parser taken over, with its limits and without")
 async def a_reader_is_taken_over(lab: Lab) -> Evidence:
-    """A file makes its reader try to open a connection, start a program, take memory and write."""
-    tries, pipe = {}, asyncio.subprocess.PIPE
+    """A file makes its reader try connections, programs, processes, signals, memory, files and a terminal."""
+    tries, left, pipe = {}, {}, asyncio.subprocess.PIPE
     request = msgspec.msgpack.encode(PointsRequest("patient.json", memory=2**30, seconds=60))
+    master, terminal = os.openpty()
     for how in ("confined", "free"):
-        words = (sys.executable, "-c", TAKEN_OVER, how, str(lab.folder / how), "0" if is_sham() else "4")
+        folder = lab.folder / how
+        folder.mkdir()
+        for name in ("written", "removed", "emptied"):
+            (folder / name).write_text(name)
+        words = (sys.executable, "-c", TAKEN_OVER, how, str(folder), os.ttyname(terminal), "yes" if is_sham() else "no")
         process = await asyncio.create_subprocess_exec(*words, stdin=pipe, stdout=pipe)
         answer, _ = await process.communicate(request)
         tries[how] = msgspec.msgpack.decode(answer, type=Refused).text.split()
+        left[how] = {file.name: file.read_text() for file in sorted(folder.iterdir())}
+    for descriptor in (master, terminal):
+        os.close(descriptor)
     expect(
-        tries["free"] == ["done"] * 4, f"Without limits the results were {tries['free']}: the attack did not happen."
+        tries["free"] == ["done"] * ACTS, f"Without limits the results were {tries['free']}: the attack did not happen."
     )
     expect(
-        len(tries["confined"]) == 4 and "done" not in tries["confined"],
+        len(tries["confined"]) == ACTS and "done" not in tries["confined"],
         f"With limits the results were {tries['confined']}.",
     )
-    written = {how: (lab.folder / how).stat().st_size for how in tries}
-    expect(written == {"confined": 0, "free": 1}, f"Bytes were written: {written}.")
+    unchanged = {name: name for name in ("emptied", "removed", "written")}
+    changed = {"emptied": "", "written": "xritten"}
+    expect(left == {"confined": unchanged, "free": changed}, f"The files are {left}.")
     return Evidence(
         "each is refused by the kernel",
         took_place={"refused_by_the_kernel": tries["confined"]},
-        control={"without_limits": tries["free"], "bytes_written": written["free"]},
+        control={"without_limits": tries["free"], "files": left["free"]},
     )
 
 
