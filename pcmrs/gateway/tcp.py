@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections import Counter
 from collections.abc import Iterator
 
 from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.errors import PayloadError, RefusalError
+from pcmrs.gateway._connections import ConnectionLimit
 from pcmrs.gateway.grammar import MAX_BYTES, may_become_command
 from pcmrs.gateway.intake import Intake
 from pcmrs.gateway.peer_session import ReplyChannel
@@ -100,12 +100,11 @@ def _shown(data: bytes) -> str:
 
 LINK = "tcp"
 MOST = 32
-"""Limit of open connections. Each needs a descriptor, and Stop must always find one."""
+"""Limit of open connections."""
 MOST_OF_A_HOST = 8
 """Limit of open connections from one address."""
 FIRST_WITHIN = 10.0
 """Limit after which a peer that must sign, but has sent no signed frame, is disconnected, s of the machine."""
-TOO_MANY = "too_many_connections"
 SILENT = "not_authenticated"
 
 
@@ -124,7 +123,7 @@ class TcpLink:
         self._clock = clock
         self._server: asyncio.Server
         self._exposed = True
-        self._open: Counter[str] = Counter()
+        self._limit = ConnectionLimit(LINK, intake, MOST, MOST_OF_A_HOST)
 
     async def listen(self, host: str, port: int) -> tuple[str, int]:
         """Start to accept connections; return the address that is bound.
@@ -143,23 +142,9 @@ class TcpLink:
         self._server.close()
 
     def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        name = writer.get_extra_info("peername")
-        if name is None:  # the peer has closed the connection already
-            writer.transport.abort()
-            return
-        peer = name[:2]
-        host = peer[0]
-        for count, limit, whose in (
-            (self._open[host], MOST_OF_A_HOST, f"from {host}"),
-            (self._open.total(), MOST, "in all"),
-        ):
-            if count >= limit:
-                text = f"{count} connections are open {whose}, limit {limit}; close one that you do not need."
-                self._intake.refuse(LINK, peer, RefusalError(TOO_MANY, text, count=count, limit=limit))
-                writer.transport.abort()
-                return
-        self._open[host] += 1
-        self._tasks.spawn(self._serve(reader, writer, peer))
+        peer = self._limit.take(writer)
+        if peer is not None:
+            self._tasks.spawn(self._serve(reader, writer, peer))
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, peer: tuple[str, int]) -> None:
         """Reads until the peer closes, breaks the grammar, or fails to authenticate in time."""
@@ -178,7 +163,7 @@ class TcpLink:
         except ConnectionError:
             pass
         finally:
-            self._open[peer[0]] -= 1
+            self._limit.free(peer)
             writer.close()
 
 
