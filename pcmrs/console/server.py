@@ -13,6 +13,7 @@ import uvicorn
 from fastapi import FastAPI
 from nicegui import ui
 
+from pcmrs.console._connections import limited_protocol
 from pcmrs.console._live_feed import Dial, LiveFeed
 from pcmrs.console._page import Page
 from pcmrs.console._playback_bar import refuse_recording, wait_for_recording
@@ -33,6 +34,8 @@ LARGEST = 2**20
 RECONNECT_TIMEOUT, MESSAGE_HISTORY = 60.0, 10_000
 """A page continues after a disconnection of at most so long, s, and so many missed messages. Later it is reloaded, and
 loses plans that were not sent."""
+MOST_AT_ONCE = 512
+"""Limit of open connections and of requests at once; another request is answered 503. A page needs about 6."""
 SHUTDOWN_TIMEOUT = 1
 """Longest delay of the server's end by open pages, s."""
 
@@ -95,6 +98,8 @@ async def serve_console(
         server = _Server(
             uvicorn.Config(
                 guarded,
+                http=limited_protocol(),
+                limit_concurrency=MOST_AT_ONCE,
                 log_level="warning",
                 access_log=False,
                 ws_max_size=LARGEST,
