@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
+from typing import Final
 
 import click
 
 import pcmrs.lean_structlog  # noqa: F401
 from pcmrs.cli.lazy import LABORATORY, LazyGroup
+from pcmrs.files import keep_private
 
 COMMANDS = {
     "call": "pcmrs.cli.cell:call",
@@ -46,10 +49,14 @@ COMMANDS = {
     "report": "pcmrs.cli.report:report",
 }
 
+SHARED: Final = ("fsm", "pki")
+"""Commands whose files others may read: workflows and certificates. All others may write data of a session."""
+
 
 @click.group(cls=LazyGroup, commands=COMMANDS, prefix="", context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="pcmrs")
-def main() -> None:
+@click.pass_context
+def main(context: click.Context) -> None:
     """PCMRS: medical robot procedures as hierarchical state machines.
 
     Start a cell with pcmrs-serve. These commands control it, and design and check its workflow. Research
@@ -58,3 +65,6 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without ° shows a ? instead of a traceback
+    if context.invoked_subcommand not in SHARED:
+        before = keep_private()
+        context.call_on_close(lambda: os.umask(before))

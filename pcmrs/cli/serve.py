@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import signal
 import sys
 from contextlib import closing
@@ -20,7 +19,7 @@ from pcmrs.cli.printing import say_json
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.descriptors import reserve
 from pcmrs.errors import ConfigurationError
-from pcmrs.files import read_secret
+from pcmrs.files import keep_private, read_secret
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the robot's kinematics.
@@ -49,7 +48,7 @@ def serve(file: Path | None, overrides: tuple[str, ...], as_json: bool, verbose:
     from pcmrs.settings import read_settings
 
     reserve()
-    os.umask(0o077)  # journal and recordings name the patient; the daemon's children inherit this
+    keep_private()  # the daemon's children inherit this
     log_to_stderr(verbose=verbose)
     settings = read_settings(file, overrides)
     # After the settings, which name the extra of a missing driver; before the fork, so that children share them.
