@@ -16,7 +16,7 @@ from pcmrs.bus.codec import pack, unpack
 from pcmrs.bus.commands import REPORTED_AT_ONCE, Envelope
 from pcmrs.errors import PayloadError
 from pcmrs.messages import Command, Verdict
-from pcmrs.messages.identity import Identity, Role
+from pcmrs.messages.identity import EVERY_CELL, Identity, Role
 from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus, plain_session
 from tests.unit.bus.edge_daemon import FLOOD, HELD_UP, PLAN, Daemon, get, running_daemon
 
@@ -55,6 +55,14 @@ async def test_messagepack_is_answered_in_messagepack() -> None:
         assert (verdict.id, verdict.decision, verdict.sequence) == ("b", "accepted", 7)
 
 
+def registered(ends: float) -> list[Identity]:
+    """Everyone of `REGISTER`, in every cell, until then."""
+    return [
+        Identity(name=name, role=role, serial="1", begins=0.0, ends=ends, cells=EVERY_CELL)
+        for name, role in REGISTER.items()
+    ]
+
+
 async def test_user_has_the_registered_role_or_operator_if_no_register() -> None:
     """Without a register everybody counts as on site and has the role operator."""
 
@@ -67,7 +75,7 @@ async def test_user_has_the_registered_role_or_operator_if_no_register() -> None
 
     names = ("anna", "eve", "nobody", "local")
     assert await roles(names) == [(name, "operator") for name in names]
-    known = [Identity(name=name, role=role, serial="1", begins=0.0, ends=math.inf) for name, role in REGISTER.items()]
+    known = registered(math.inf)
     assert await roles(("anna", "eve", "local"), *known) == [
         ("anna", "teleoperator"),
         ("eve", "viewer"),
@@ -77,7 +85,7 @@ async def test_user_has_the_registered_role_or_operator_if_no_register() -> None
 
 async def test_command_of_expired_or_unknown_user_is_refused_at_once() -> None:
     """It is refused before it reaches the dispatcher."""
-    expired = [Identity(name=name, role=role, serial="1", begins=0.0, ends=1.0) for name, role in REGISTER.items()]
+    expired = registered(1.0)
     async with running_daemon(*expired) as (daemon, session):
         for name in ("anna", "nobody"):
             verdict = json.loads(await get(daemon, session, f"cmd/{name}/registration/reinit"))
