@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+_DAEMON_BEAT: Final = "daemon/beat"
+"""Key of the daemon's heartbeats, whose seals name its run."""
 LOG_PERIOD: Final = 1.0
 """Shortest time between two log lines about ignored messages, s."""
 
@@ -76,6 +78,8 @@ class Bus:
         self._receivers: list[Any] = []
         self._tokens: list[zenoh.LivelinessToken] = []
         self._tasks = BackgroundTasks()
+        if seal is not None and seal.follows:
+            self._follow_daemon(seal)
 
     @classmethod
     async def open(cls, settings: BusSettings, seal: Seal | None = None) -> Bus:
@@ -334,6 +338,18 @@ class Bus:
             sender.shutdown(cancel_futures=True)
         self._reading_pool.shutdown()
         self._pool.shutdown()
+
+    def _follow_daemon(self, seal: Seal) -> None:
+        """Take the run of the daemon from its heartbeats, in Zenoh's thread."""
+        taken = ReplayWindow()
+
+        def take(sample: zenoh.Sample) -> None:
+            if self._is_authentic(sample, taken):
+                seal.follow(attached_to(sample))
+
+        self._receivers.append(
+            declare_subscriber(self._session, self._absolute(_DAEMON_BEAT), class_of(_DAEMON_BEAT), take)
+        )
 
     def _sender(self, name: str) -> ThreadPoolExecutor:
         if name not in self._senders:

@@ -15,7 +15,7 @@ import structlog
 
 from pcmrs.background import BackgroundTasks, logged_as
 from pcmrs.bus import Bus, CommandEdge
-from pcmrs.bus.seal import Seal, new_key
+from pcmrs.bus.seal import Seal, new_key, new_run
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.console.settings import HOST
 from pcmrs.errors import ConfigurationError
@@ -116,8 +116,8 @@ class Daemon:
         session = uuid.uuid4().hex
         async with AsyncExitStack() as stack:
             stack.enter_context(_only_daemon_of(settings.cell.path()))
-            device_key = settings.access.read_device_key() or new_key()
-            bus = await Bus.open(settings.bus("router"), Seal(device_key))
+            device_key = (settings.access.read_device_key() or new_key()) + new_run()
+            bus = await Bus.open(settings.bus("router"), Seal(device_key, current_only=True))
             stack.push_async_callback(bus.close)
             blueprint = workflow.blueprint
             journal = Journal.open(
