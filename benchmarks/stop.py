@@ -20,7 +20,7 @@ than the limit plus the timer's lateness (p99 or max, like the limit).
 half a second later; `beyond the braking distance` is the part of a joint's motion that its speed and its brakes do not
 explain.
 
-- `asked to begun, flood of ...`: daemons whose bus is flooded (`stop_floods.py`); from a press by UDP or the bus to the
+- `asked to begun, flood of ...`: daemons that are flooded (`stop_floods.py`); from a press by UDP or the bus to the
   event that reports it, received here. Limit 50 ms (p99), and 100 ms at most.
 
 In simulated time (`stop_simulated.py`) the same motions are stopped `--stops` times, on several processors.
@@ -48,7 +48,6 @@ import stop_simulated
 import uvloop
 from stop_found import Found, stats
 
-from pcmrs_lab.campaign.bus_flood import KINDS
 from pcmrs_lab.campaign.lateness import timer_lateness
 
 PARTS = ("real", "silence", "floods", "simulated")
@@ -63,7 +62,7 @@ async def measure(options: argparse.Namespace) -> tuple[Found, list[float]]:
         if "silence" in options.parts and options.silences:
             found.add(await stop_real.silenced(options.silences))
         if "floods" in options.parts and options.pressed:
-            found.add(await stop_floods.flooded(options.pressed, options.flood or KINDS))
+            found.add(await stop_floods.flooded(options.pressed, options.flood or stop_floods.FLOODS))
     return found, timer.late
 
 
@@ -86,7 +85,7 @@ def main() -> None:
     parser.add_argument("--stops", type=int, default=10_000)
     parser.add_argument("--silences", type=int, default=50)
     parser.add_argument("--pressed", type=int, default=100, help="Stops by each route during each flood")
-    parser.add_argument("--flood", action="append", choices=KINDS, help="only this flood; may be repeated")
+    parser.add_argument("--flood", action="append", choices=stop_floods.FLOODS, help="only this flood; may be repeated")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2, help="number of processes of the simulated part")
     parser.add_argument("--untimed", action="store_true", help="show the times without checking their limits")

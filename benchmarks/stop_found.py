@@ -15,6 +15,7 @@ from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import HeadMotion
 from pcmrs.spatial import Floats
 from pcmrs_lab.campaign.lateness import percentile
+from pcmrs_lab.campaign.stop_limits import DURING_FLOODS
 from pcmrs_sim.settings import SimSettings
 
 BREATHING = HeadMotion(breathing_amplitude=0.003, breathing_hz=0.3)
@@ -27,8 +28,6 @@ DURING, TIMER = "asked to begun, flood of ", "bare timer, flood of "
 """Prefixes of the names of measurements during a flood."""
 LIMITS = {LATCHED: {"p99": 0.020}, BRAKING: {"max": 0.020}, SILENCE: {"max": 0.125}}
 """Limits of the times beyond a bare timer's lateness, s. The limit of braking follows from its distance."""
-DURING_FLOODS = {"p99": 0.050, "max": 0.100}
-"""Limits during a flood by another user, s."""
 
 _FACTS, _ARM = find_arm("iiwa14"), SimSettings().arm
 _LIMITS = brake_limits(_FACTS, _ARM.brake_acceleration, _ARM.brake_jerk)

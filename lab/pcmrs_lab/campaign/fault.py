@@ -10,11 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from pcmrs.errors import ConfigurationError, PcmrsError
 from pcmrs_lab.campaign.catalogue import catalogue
 from pcmrs_lab.campaign.needs import Need
+from pcmrs_lab.campaign.tries import Try, declared
 
 if TYPE_CHECKING:
     from pcmrs_lab.campaign.lab import Lab
@@ -82,6 +84,7 @@ class Injection:
         needs: Requirements on the machine; it is not run if one is missing.
         deadline: Time after which it counts as failed, s of the machine.
         run: Function that injects the fault and checks the response; raises `Unmet` or `NotRun`.
+        tries: Attacks that it tries, which `pcmrs_lab.campaign.tries` records; empty if it is not compared.
     """
 
     fault: str
@@ -90,6 +93,7 @@ class Injection:
     needs: tuple[Need, ...]
     deadline: float
     run: Injector
+    tries: frozenset[Try] = frozenset()
 
 
 REGISTERED: dict[str, list[Injection]] = {}
@@ -97,7 +101,12 @@ REGISTERED: dict[str, list[Injection]] = {}
 
 
 def fault(
-    fault_id: str, *, how: str, needs: Iterable[Need] = (), deadline: float = DEADLINE
+    fault_id: str,
+    *,
+    how: str,
+    needs: Iterable[Need] = (),
+    deadline: float = DEADLINE,
+    tries: Mapping[str, Iterable[str]] = MappingProxyType({}),
 ) -> Callable[[Injector], Injector]:
     """Register a way to inject a fault; several may be registered under one id, and all must pass.
 
@@ -106,6 +115,7 @@ def fault(
         how: Means of injection, for the report.
         needs: Requirements on the machine.
         deadline: Time after which it counts as failed, s of the machine.
+        tries: Entry points that it attacks, by attacker; see `pcmrs_lab.campaign.tries`.
 
     Raises:
         ConfigurationError: The id is not in the catalogue.
@@ -115,7 +125,8 @@ def fault(
 
     def register(run: Injector) -> Injector:
         name = getattr(run, "__name__", fault_id)
-        REGISTERED.setdefault(fault_id, []).append(Injection(fault_id, name, how, tuple(needs), deadline, run))
+        injection = Injection(fault_id, name, how, tuple(needs), deadline, run, declared(tries))
+        REGISTERED.setdefault(fault_id, []).append(injection)
         return run
 
     return register

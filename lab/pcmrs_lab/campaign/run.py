@@ -20,8 +20,10 @@ from pcmrs_lab.campaign.fault import Injection, NotRun
 from pcmrs_lab.campaign.injections import injections
 from pcmrs_lab.campaign.lab import Lab, Pool
 from pcmrs_lab.campaign.report import CampaignReport, FaultResult, InjectionResult, Outcome, result_of, summarize
+from pcmrs_lab.campaign.sham import is_sham as in_sham
 from pcmrs_lab.campaign.sham import sham
 from pcmrs_lab.campaign.tools import require
+from pcmrs_lab.campaign.tries import difference, listed, recorded_tries
 
 NO_INJECTION = "this version has no injection for it"
 
@@ -120,8 +122,9 @@ async def run_injection(injection: Injection, seed: int, folder: Path, pool: Poo
         lab = Lab(seed, Path(own), pool)
         try:
             require(injection.needs)
-            async with clock.timeout(injection.deadline):
-                evidence = await injection.run(lab)
+            with recorded_tries() as tried:
+                async with clock.timeout(injection.deadline):
+                    evidence = await injection.run(lab)
         except NotRun as error:
             return InjectionResult(injection.name, injection.how, "not_run", error.text, clock.monotonic() - started)
         except Exception as error:  # any error of an injection fails only this fault
@@ -132,10 +135,12 @@ async def run_injection(injection: Injection, seed: int, folder: Path, pool: Poo
             text = f"not ended within {injection.deadline:g} s" if late else _text(error)
             return InjectionResult(injection.name, injection.how, "failed", text, seconds, details)
     seconds, missing = clock.monotonic() - started, evidence.missing
+    measured = evidence.measured
+    if injection.tries and not in_sham():
+        missing = missing or difference(injection.tries, tried)
+        measured["tried"] = listed(tried)
     outcome: Outcome = "not_proved" if missing else "passed"
-    return InjectionResult(
-        injection.name, injection.how, outcome, missing or evidence.response, seconds, evidence.measured
-    )
+    return InjectionResult(injection.name, injection.how, outcome, missing or evidence.response, seconds, measured)
 
 
 def _judge_sham(part: InjectionResult) -> InjectionResult:

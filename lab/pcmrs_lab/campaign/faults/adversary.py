@@ -7,7 +7,7 @@ import json
 import shutil
 import sqlite3
 import sys
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
@@ -40,15 +40,16 @@ from pcmrs_lab.campaign.flood import flood
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.lateness import percentile, timer_lateness
 from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
+from pcmrs_lab.campaign.stop_limits import exceeded
+from pcmrs_lab.campaign.tries import COMMANDS, DELAYED, FLOODING, LOCAL_ACCOUNT, UNKNOWN, record
 
 FLOOD = 40_000.0
 """Datagrams per second."""
 
-STOP_WITHIN = 0.02
-"""Time within which the daemon has begun to stop, s of the machine, beyond the lateness of a bare timer in the same
-run."""
-
-STOPS = 50
+STOPS = 100
+"""Number of Stops whose p99 is checked: of fewer it would be their maximum."""
+STOPS_AT_THE_SOCKET = 20
+"""Number of Stops at the flooded socket, which loses datagrams: the planner repeats a press until it is answered."""
 SPAM = 2_000
 BATCH = 50
 """Number of Stops that are sent before their answers are awaited: more would not fit into the socket's buffer."""
@@ -89,33 +90,40 @@ importer.main()
 """Actions that a malicious file could make its reader perform."""
 
 
-@fault("A4", how="a process that sends 40,000 datagrams per second, nearly all of them refused", deadline=180.0)
+@fault(
+    "A4",
+    how="a process that sends 40,000 datagrams per second, nearly all of them refused",
+    deadline=240.0,
+    tries={FLOODING: ["UDP"]},
+)
 async def stop_under_a_flood(lab: Lab) -> Evidence:
-    """Stop over the bus works while the planner's socket is flooded; once in the middle of a motion."""
+    """Stop works while the planner's socket is flooded, over the bus in time, and at that socket itself."""
     async with lab.daemon("cell.rate=1", "procedure.max_pose_age=0.5", "robot.deadman=0.5") as cell:
         await register(cell.client)
-        async with moving(cell.client), flood(cell.ready.links["planner"], FLOOD, lab.seed) as sent:
+        async with flood(cell.ready.links["planner"], FLOOD, lab.seed), moving(cell.client):
             await cell.client.stop()
             await until(cell.client, lambda shown: shown.latched)
         await held(cell)
         quiet, before = await stop_times(cell, STOPS), (await cell.client.health()).datagrams
         async with flood(cell.ready.links["planner"], FLOOD, lab.seed) as sent, timer_lateness() as timer:
             taken = await stop_times(cell, STOPS)
+            at_the_socket = await stop_times(cell, STOPS_AT_THE_SOCKET, cell.planner.stop)
         arrived = (await cell.client.health()).datagrams - before
         await confirmed(cell)
         await reset_cell(cell.client)
     details = {"rate_hz": round(sent.rate), **in_ms("stop", taken), **in_ms("timer", timer.late)}
-    late = percentile(taken, 0.5) - percentile(timer.late, 0.99)
-    expect(late < STOP_WITHIN, f"Stop took {late * 1e3:.1f} ms longer than a bare timer is late: {details}.")
+    details |= in_ms("confirmed_at_the_flooded_socket", at_the_socket)
+    late = " ".join(exceeded(taken, timer.late))
+    expect(not late, f"Stop over the bus was late: {late} {details}")
     return Evidence(
-        f"Stop begun after {percentile(taken, 0.5) * 1e3:.1f} ms in the median",
+        f"Stop over the bus begun after {max(taken) * 1e3:.1f} ms at most",
         took_place={"arrived_at_the_gateway": arrived},
         control=in_ms("stop_without_flood", quiet),
         details=details,
     )
 
 
-@fault("A5", how="raw datagrams")
+@fault("A5", how="raw datagrams", tries={UNKNOWN: ["UDP"]})
 async def magic_texts(lab: Lab) -> Evidence:
     """Texts that might close a receiver are refused, alone and as a part of a datagram."""
     async with lab.cell() as cell:
@@ -130,7 +138,7 @@ async def magic_texts(lab: Lab) -> Evidence:
     )
 
 
-@fault("A6", how="raw datagrams and requests on the bus")
+@fault("A6", how="raw datagrams and requests on the bus", tries={UNKNOWN: ["UDP"], LOCAL_ACCOUNT: [COMMANDS]})
 async def unknown_commands_and_bad_numbers(lab: Lab) -> Evidence:
     """Unknown commands, and invalid indices and numbers, are refused."""
     wrong = [b"no_such_commandx;", b"img_fid_numxxxxx_-1;", b"img_fid_numxxxxx_1000;", b"img_dig_digitize_x;"]
@@ -146,6 +154,7 @@ async def unknown_commands_and_bad_numbers(lab: Lab) -> Evidence:
                 ("toolplan.plan", {"position": ["1", "2", "x"], "quat_xyzw": [0, 0, 0, 1]}, "bad_arguments"),
             ):
                 await refused(cell, name, arguments, codes=(code,))
+                record(LOCAL_ACCOUNT, COMMANDS)
                 details[f"{name} {arguments}"] = code
         control = await right_numbers(cell, details)
         planned = await accept(cell.client, "toolplan.plan", **tool_pose())
@@ -175,7 +184,7 @@ async def right_numbers(cell: RunningCell, details: Mapping[str, Any]) -> str:
     )
 
 
-@fault("A7", how="raw datagrams and requests on the bus")
+@fault("A7", how="raw datagrams and requests on the bus", tries={UNKNOWN: ["UDP"], LOCAL_ACCOUNT: [COMMANDS]})
 async def numbers_that_only_some_parsers_read(lab: Lab) -> Evidence:
     """Numbers that Python's own conversion would accept, or read as infinite, are refused."""
     wrong = [f"target_tslxxxxxx_{RIGHT}_{RIGHT}_{number};".encode() for number in WRONG_NUMBERS]
@@ -187,6 +196,7 @@ async def numbers_that_only_some_parsers_read(lab: Lab) -> Evidence:
             details = await refused_all(cell, wrong)
             for number in (float("nan"), float("inf")):
                 await refused_at_edge(cell, "toolplan.plan", _pose(number), code="malformed")
+                record(LOCAL_ACCOUNT, COMMANDS)
             for text in ("1", None):
                 await refused(cell, "toolplan.plan", _pose(text), codes=("bad_arguments",))
             malformed = await reported(cell, row, edge="bus", code="malformed", count=2)
@@ -204,7 +214,7 @@ def _pose(number: object) -> dict[str, Any]:
     return {"position": [0.0, 0.0, number], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
 
 
-@fault("A8", how="raw datagrams")
+@fault("A8", how="raw datagrams", tries={UNKNOWN: ["UDP"]})
 async def paths_from_the_network(lab: Lab) -> Evidence:
     """Paths to other files: only the last part counts, and must name a configured surface."""
     secret = lab.folder / "secret.ply"
@@ -222,6 +232,7 @@ async def paths_from_the_network(lab: Lab) -> Evidence:
         before, files = await cell.client.state(), set(cell.folder.rglob("*"))
         row = cell.last_row()
         verdicts = {path: await cell.planner.command("icp_registerxxxx", path) for path in paths if not is_sham()}
+        record(UNKNOWN, "UDP")
         decided = [each.verdict for each in cell.rows(row) if each.operation == "refine" and each.verdict]
         after = await until(cell.client, lambda shown: not shown.running)
         new = set(cell.folder.rglob("*")) - files
@@ -241,7 +252,7 @@ async def paths_from_the_network(lab: Lab) -> Evidence:
     )
 
 
-@fault("A10", how="raw datagrams")
+@fault("A10", how="raw datagrams", tries={FLOODING: ["UDP"]})
 async def stop_spam(lab: Lab) -> Evidence:
     """Thousands of Stops: the first one stops, all are honoured, and the cell can be used again."""
     async with lab.cell() as cell:
@@ -252,6 +263,7 @@ async def stop_spam(lab: Lab) -> Evidence:
             for first in range(1, SPAM, BATCH):
                 for number in range(first, first + BATCH):
                     raw.attack(f"stop_now_xxxxxxx_#{number};".encode())
+                    record(FLOODING, "UDP")
                 answers += await _answers(raw, BATCH)
                 expect(len(answers) == first + BATCH - 1, f"Of {first + BATCH - 1} Stops {len(answers)} were answered.")
         await held(cell)
@@ -274,7 +286,7 @@ async def stop_spam(lab: Lab) -> Evidence:
     )
 
 
-@fault("A19", how="the bytes that a browser sends, and pieces of them")
+@fault("A19", how="the bytes that a browser sends, and pieces of them", tries={"web page": ["TCP"]})
 async def a_web_page(lab: Lab) -> Evidence:
     """The headers of a request are no commands; its body contains one."""
     command = b"rob_conn_onxxxxx_#1;"
@@ -284,6 +296,7 @@ async def a_web_page(lab: Lab) -> Evidence:
         row = cell.last_row()
         async with unmoved(cell):
             answers = [await _first_answer(cell, request) for request in requests if not is_sham()]
+            record("web page", "TCP")
             malformed = await reported(cell, row, edge="gateway", code="malformed", count=len(requests))
         expect(not any(answers), f"The answers were {answers}.")
         control = await _first_answer(cell, command)
@@ -295,13 +308,14 @@ async def a_web_page(lab: Lab) -> Evidence:
     )
 
 
-@fault("A20", how="TCP connections that send nothing")
+@fault("A20", how="TCP connections that send nothing", tries={FLOODING: ["TCP"]})
 async def silent_connections(lab: Lab) -> Evidence:
     """Silent connections would use up the daemon's descriptors; the tool moves, and Stop is pressed over the bus."""
     async with lab.daemon() as cell:
         await register(cell.client)
         row, (host, port) = cell.last_row(), cell.ready.links["tcp"]
         opened = [await asyncio.open_connection(host, port) for _ in range(0 if is_sham() else SILENT)]
+        record(FLOODING, "TCP")
         try:
             rejected = await reported(
                 cell, row, edge="gateway", code="too_many_connections", count=SILENT - MOST_OF_A_HOST
@@ -326,7 +340,11 @@ async def silent_connections(lab: Lab) -> Evidence:
     )
 
 
-@fault("A25", how="a signed command that is delayed; from a peer with the time in its counters, and from one without")
+@fault(
+    "A25",
+    how="a signed command that is delayed; from a peer with the time in its counters, and from one without",
+    tries={DELAYED: ["UDP"]},
+)
 async def held_back(lab: Lab) -> Evidence:
     """An attacker on the route delays a datagram, and delivers it long after it was sent."""
     command, peers, settings = b"rob_conn_onxxxxx_#1;", {}, []
@@ -343,6 +361,7 @@ async def held_back(lab: Lab) -> Evidence:
         row = cell.last_row()
         async with unmoved(cell):
             (answer,) = await _send_and_receive(raw, held["timed"])
+            record(DELAYED, "UDP")
             too_old = await reported(cell, row, edge="gateway", code="too_old", count=1)
         expect(b"_rejected_" in answer and b"too_old;" in answer, f"The peer with the time was answered {answer!r}.")
         (control,) = await _send_and_receive(raw, held["growing"])
@@ -357,7 +376,11 @@ async def held_back(lab: Lab) -> Evidence:
     )
 
 
-@fault("A26", how="the program that reads uploaded files, its parser taken over, with its limits and without")
+@fault(
+    "A26",
+    how="the program that reads uploaded files, its parser taken over, with its limits and without",
+    tries={LOCAL_ACCOUNT: ["uploads"]},
+)
 async def a_reader_is_taken_over(lab: Lab) -> Evidence:
     """A file makes its reader try to open a connection, start a program, take memory and write."""
     tries, pipe = {}, asyncio.subprocess.PIPE
@@ -366,6 +389,7 @@ async def a_reader_is_taken_over(lab: Lab) -> Evidence:
         words = (sys.executable, "-c", TAKEN_OVER, how, str(lab.folder / how), "0" if is_sham() else "4")
         process = await asyncio.create_subprocess_exec(*words, stdin=pipe, stdout=pipe)
         answer, _ = await process.communicate(request)
+        record(LOCAL_ACCOUNT, "uploads")
         tries[how] = msgspec.msgpack.decode(answer, type=Refused).text.split()
     expect(
         tries["free"] == ["done"] * 4, f"Without limits the results were {tries['free']}: the attack did not happen."
@@ -401,7 +425,7 @@ async def _first_answer(cell: RunningCell, sent: bytes) -> bytes:
         writer.close()
 
 
-@fault("A16", how="SQL on the file, its guards removed first", deadline=300.0)
+@fault("A16", how="SQL on the file, its guards removed first", deadline=300.0, tries={LOCAL_ACCOUNT: ["journal"]})
 async def the_journal_is_edited(lab: Lab) -> Evidence:
     """A row is changed without its hash; a start reads only from the last snapshot, verifying reads all."""
     async with lab.daemon() as cell:
@@ -413,6 +437,7 @@ async def the_journal_is_edited(lab: Lab) -> Evidence:
         (guard,) = connection.execute("SELECT sql FROM sqlite_master WHERE name = 'no_update'").fetchone()
         edit = f"DROP TRIGGER no_update; UPDATE journal SET body = zeroblob(20) WHERE sequence = 2; {guard};"  # noqa: S608  # of the file itself
         inject_unless_sham(lambda: connection.executescript(edit))
+        record(LOCAL_ACCOUNT, "journal")
         (body,) = connection.execute("SELECT body FROM journal WHERE sequence = 2").fetchone()
     verified = await asyncio.to_thread(verify, journal)
     expect(not verified.sound and verified.first_bad == 2, f"Verified as {verified}.")
@@ -425,7 +450,12 @@ async def the_journal_is_edited(lab: Lab) -> Evidence:
     )
 
 
-@fault("A16", how="an older copy of the database in place of the newer one", deadline=300.0)
+@fault(
+    "A16",
+    how="an older copy of the database in place of the newer one",
+    deadline=300.0,
+    tries={LOCAL_ACCOUNT: ["journal"]},
+)
 async def the_journal_is_rolled_back(lab: Lab) -> Evidence:
     """The database is replaced by an older copy; key and head are unchanged."""
     copy = lab.folder / "older.sqlite"
@@ -441,6 +471,7 @@ async def the_journal_is_rolled_back(lab: Lab) -> Evidence:
         connection.backup(kept)
     before = _last(journal)
     inject_unless_sham(lambda: _replace(copy, journal))
+    record(LOCAL_ACCOUNT, "journal")
     gone = before - _last(journal)
     text = await _detected(lab, cell, "rolled back")
     _replace(whole, journal)
@@ -465,7 +496,12 @@ def _last(journal: Path) -> int:
         return reader.last_sequence()
 
 
-@fault("A29", how="an accepted verdict added to the database after the daemon has ended", deadline=300.0)
+@fault(
+    "A29",
+    how="an accepted verdict added to the database after the daemon has ended",
+    deadline=300.0,
+    tries={LOCAL_ACCOUNT: ["journal"]},
+)
 async def rows_are_added_without_the_key(lab: Lab) -> Evidence:
     """A start refuses the row, and names it; the same row is recovered after a crash, with its MAC."""
     whole = lab.folder / "whole.sqlite"
@@ -477,6 +513,7 @@ async def rows_are_added_without_the_key(lab: Lab) -> Evidence:
     added = msgspec.structs.replace(verdict, command_id="added")
     shutil.copyfile(journal, whole)
     inject_unless_sham(lambda: append_without_key(journal, [added]))
+    record(LOCAL_ACCOUNT, "journal")
     with JournalReader(journal) as reader:
         chained = [stored.sequence for stored in reader.read_whole()]
         found = reader.outcome_of(added.source or "", "added")
@@ -523,18 +560,21 @@ async def _answers(raw: Raw, most: int) -> list[bytes]:
     return answers
 
 
-async def stop_times(cell: RunningCell, times: int) -> list[float]:
-    """Return the times from the request of each Stop until the daemon confirms that it has begun, s.
+async def stop_times(
+    cell: RunningCell, times: int, press: Callable[[], Awaitable[object]] | None = None
+) -> list[float]:
+    """Return the times from the request of each Stop until it is answered, s: over the bus, when it has begun.
 
     Args:
         cell: Cell to stop.
         times: Number of Stops.
+        press: Function that presses Stop and waits for the answer; over the bus by default.
     """
     clock = asyncio.get_running_loop().time
     taken = []
     for _ in range(times):
         started = clock()
-        await cell.client.stop()
+        await (press or cell.client.stop)()
         taken.append(clock() - started)
         await asyncio.sleep(0.02)
     return taken

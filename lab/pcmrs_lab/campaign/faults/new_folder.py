@@ -10,6 +10,7 @@ from pcmrs_lab.campaign.datagrams import raw_socket, refusals_after, send_accept
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.sham import is_sham
+from pcmrs_lab.campaign.tries import DELAYED, record
 from pcmrs_lab.campaign.waiting import until_true
 
 
@@ -17,6 +18,7 @@ from pcmrs_lab.campaign.waiting import until_true
     "A36",
     how="a signed command that was accepted, sent again to daemons in the same and in a new folder",
     deadline=240.0,
+    tries={DELAYED: ["UDP"]},
 )
 async def counters_are_gone(lab: Lab) -> Evidence:
     """In a new folder the daemon reports that before it accepts anything; in the same one it refuses."""
@@ -37,6 +39,7 @@ async def counters_are_gone(lab: Lab) -> Evidence:
     async with lab.daemon(peer, folder=old if is_sham() else new) as cell:
         reports = _reports(cell, 0)
         answer = await send_accepted(cell, command)
+        record(DELAYED, "UDP")
         expect(len(reports) == 1 and "slicer" in reports[0], f"At the start the journal reports {reports}.")
         expect(cell.log.count(RESET) == 1, "The log does not report it once.")
     return Evidence(

@@ -15,6 +15,7 @@ from pcmrs_lab.campaign.consoles import START_TIME, console_command
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.sham import is_sham
+from pcmrs_lab.campaign.tries import COMMANDS, LOCAL_ACCOUNT, UNKNOWN, record
 
 MARK = "lost-and-found"
 FORGED = f"{MARK}\x1b[2J\n2026-01-01 [info     ] robot released\u202e"
@@ -22,7 +23,11 @@ FORGED = f"{MARK}\x1b[2J\n2026-01-01 [info     ] robot released\u202e"
 LOGGED_WITHIN = 30.0
 
 
-@fault("A32", how="a field of a command on the bus whose name clears the screen and forges a line of the log")
+@fault(
+    "A32",
+    how="a field of a command on the bus whose name clears the screen and forges a line of the log",
+    tries={LOCAL_ACCOUNT: [COMMANDS]},
+)
 async def escape_sequences(lab: Lab) -> Evidence:
     """The daemon logs and journals the name without any effect; a plain name is logged unchanged."""
     async with lab.daemon() as cell:
@@ -34,6 +39,7 @@ async def escape_sequences(lab: Lab) -> Evidence:
             before = len(cell.log)
             sent = f"{MARK}-harmless" if is_sham() else name
             await asyncio.to_thread(_put, cell, user, sent)
+            record(LOCAL_ACCOUNT, COMMANDS)
             shown[name] = await _logged(cell, before)
         for text in shown.values():
             expect(all(line.isprintable() for line in text.splitlines()), f"The log has {text!r}.")
@@ -66,13 +72,14 @@ async def _logged(cell: RunningCell, before: int) -> str:
         raise Unmet(f"The daemon did not log the name: {cell.log[before:]!r}") from None
 
 
-@fault("A33", how="an empty token file, and one of 19 characters", deadline=240.0)
+@fault("A33", how="an empty token file, and one of 19 characters", deadline=240.0, tries={UNKNOWN: ["console"]})
 async def guessable_token(lab: Lab) -> Evidence:
     """A console with a guessable token does not start; one with its own token starts."""
     async with lab.daemon() as cell:
         refusals = []
         for token in ("", "nineteen-characters"):
             status, text = await _console(cell, _token(lab.folder, "x" * 20 if is_sham() else token))
+            record(UNKNOWN, "console")
             expect(status != 0 and "limit is 20" in text, f"With {token!r} it ended with {status}: {text}")
             refusals.append(text.strip()[-200:])
         status, text = await _console(cell, _token(lab.folder, "x" * 20))

@@ -18,6 +18,7 @@ from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.samples import process_state
 from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
+from pcmrs_lab.campaign.tries import LOCAL_ACCOUNT, record
 from pcmrs_lab.campaign.uploading import TAKEN, Uploader, uploader
 from pcmrs_lab.campaign.waiting import until_true
 
@@ -31,13 +32,19 @@ ALONE: Final = 1.0
 """Time for which no console starts after one was killed, s of the machine."""
 
 
-@fault("A37", how="a request with a length above the limit, from a program with the token", needs=[CONSOLE])
+@fault(
+    "A37",
+    how="a request with a length above the limit, from a program with the token",
+    needs=[CONSOLE],
+    tries={LOCAL_ACCOUNT: ["uploads"]},
+)
 async def announced_too_long(lab: Lab) -> Evidence:
     """It is refused before any of it is sent."""
     async with _upload(lab) as (_, own):
         taken = await own.send(FILE)
         expect(taken == TAKEN, f"A short upload was answered {taken}.")
         status, text = (await own.send(FILE), "") if is_sham() else await own.announce(LIMIT + 1)
+        record(LOCAL_ACCOUNT, "uploads")
         expect(status == TOO_LARGE and str(LIMIT) in text, f"It was answered {status}: {text}")
     return Evidence(
         "refused, with the limit",
@@ -46,13 +53,19 @@ async def announced_too_long(lab: Lab) -> Evidence:
     )
 
 
-@fault("A37", how="a request without a length, from a program with the token", needs=[CONSOLE])
+@fault(
+    "A37",
+    how="a request without a length, from a program with the token",
+    needs=[CONSOLE],
+    tries={LOCAL_ACCOUNT: ["uploads"]},
+)
 async def without_length(lab: Lab) -> Evidence:
     """It is refused unread, since its end is unknown."""
     async with _upload(lab) as (_, own):
         taken = await own.send(FILE)
         expect(taken == TAKEN, f"A short upload was answered {taken}.")
         status, text = (await own.send(FILE), "") if is_sham() else await own.send_without_length(FILE)
+        record(LOCAL_ACCOUNT, "uploads")
         expect(status == LENGTH_REQUIRED and "Content-Length" in text, f"It was answered {status}: {text}")
     return Evidence(
         "refused, with what is missing",
@@ -61,7 +74,12 @@ async def without_length(lab: Lab) -> Evidence:
     )
 
 
-@fault("A38", how="SIGKILL of a console while it reads an uploaded file", needs=[CONSOLE])
+@fault(
+    "A38",
+    how="SIGKILL of a console while it reads an uploaded file",
+    needs=[CONSOLE],
+    tries={LOCAL_ACCOUNT: ["uploads"]},
+)
 async def killed_with_a_file(lab: Lab) -> Evidence:
     """The next console that starts, at any port, removes the file; nothing removes it before."""
     async with lab.cell(fresh=False) as cell:
@@ -69,6 +87,7 @@ async def killed_with_a_file(lab: Lab) -> Evidence:
             own = await uploader(console)
             await _until_stopped_with_a_file(console, own)
             inject_unless_sham(console.process.kill)
+            record(LOCAL_ACCOUNT, "uploads")
             await until_true(lambda: console.process.returncode is not None, "The console has not ended")
         ended, left = console.process.returncode, _bytes(_left(console))
         expect(ended == -signal.SIGKILL, f"It has ended with {ended}.")

@@ -13,13 +13,14 @@ from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.needs import program
 from pcmrs_lab.campaign.sham import inject_unless_sham
+from pcmrs_lab.campaign.tries import record
 
 ONCE = {"seen": 1}
 NASTY = "<script>alert('B4')</script> & \"more\""
 
 
 def register(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Registers rows S1 to S13, and nothing else."""
+    """Registers rows S1 to S13, A1 and A2, and nothing else."""
     monkeypatch.setattr(registry, "REGISTERED", {})
     monkeypatch.setattr("pcmrs_lab.campaign.run.injections", lambda: registry.REGISTERED)
 
@@ -93,3 +94,13 @@ def register(monkeypatch: pytest.MonkeyPatch) -> None:
         arrived: list[int] = []
         inject_unless_sham(lambda: arrived.append(1))
         return Evidence("as required", took_place={"arrived": arrived[0]}, control=ONCE)
+
+    @fault("A1", how="tries what it declares", tries={"flood": ["UDP"]})
+    async def tries_it(lab: Lab) -> Evidence:
+        record("flood", "UDP")
+        return Evidence("seen", took_place=ONCE, control=ONCE)
+
+    @fault("A2", how="declares what it does not try", tries={"flood": ["UDP"], "viewer": ["TCP"]})
+    async def claims_it(lab: Lab) -> Evidence:
+        record("flood", "UDP")
+        return Evidence("seen", took_place=ONCE, control=ONCE)

@@ -106,3 +106,20 @@ def test_nothing_of_an_injection_is_left_behind(tmp_path: Path, monkeypatch: pyt
 async def test_a_campaign_of_no_rows_has_an_empty_report() -> None:
     report = await run_campaign([], [1])
     assert (report.faults, report.summary, report.failed) == ([], {}, [])
+
+
+async def test_attack_that_is_declared_but_not_tried_is_not_proved() -> None:
+    """Otherwise the table of attacks would show one that never took place."""
+    report = await campaign(["A1", "A2"], [1])
+    assert [(result.outcome, result.response) for result in report.faults] == [
+        ("passed", "seen"),
+        ("not_proved", "Declared, but not tried: TCP by viewer."),
+    ]
+    assert of(report, "A1").parts[0].details["tried"] == ["UDP by flood"]
+    assert [result.id for result in report.failed] == ["A2"]
+
+
+async def test_sham_campaign_compares_no_attacks() -> None:
+    """It would pass every row, whether the row detects that its fault is missing or not."""
+    report = await run_campaign(choose(ids=["A1"]), [1], is_sham=True)
+    assert of(report, "A1").response == "Without its fault it passed: seen"

@@ -89,3 +89,28 @@ def test_a_peer_with_the_name_of_people_is_refused(
     assert proves(found)
     assert found.took_place == {"said_of_the_name": errors.strip()}
     assert [settings[0].split(".")[2] for settings in lab.started] == ["local", "locals"]
+
+
+@pytest.mark.parametrize(
+    ("status", "errors", "met"),
+    [
+        (4, "Error: gateway.peers holds 'anna', and the register has 'anna'.\n", True),
+        (0, "Error: gateway.peers holds 'anna', and the register has 'anna'.\n", False),
+        (4, "Error: the key cannot be read.\n", False),
+        (4, "", False),
+    ],
+)
+def test_a_peer_with_the_name_of_a_member_is_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, status: int, errors: str, met: bool
+) -> None:
+    lab = ScriptedLab(tmp_path, OperatedCell())
+    lab.refusals = [(status, errors)]
+    work = local_account.peer_named_as_a_member(lab.as_lab)
+    if not met:
+        with pytest.raises(Unmet, match=f"It ended with {status}"):
+            run(monkeypatch, work)
+        return
+    found = run(monkeypatch, work)
+    assert proves(found)
+    assert found.took_place == {"said_of_the_name": errors.strip()}
+    assert [settings[-1].split(".")[2] for settings in lab.started] == ["anna", "another"]
