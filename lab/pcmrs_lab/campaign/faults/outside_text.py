@@ -80,7 +80,7 @@ async def guessable_token(lab: Lab) -> Evidence:
         for token in ("", "nineteen-characters"):
             status, text = await _console(cell, _token(lab.folder, "x" * 20 if is_sham() else token))
             record(UNKNOWN, "console")
-            expect(status != 0 and "limit is 20" in text, f"With {token!r} it ended with {status}: {text}")
+            expect(status != 0 and "minimum is 20" in text, f"With {token!r} it ended with {status}: {text}")
             refusals.append(text.strip()[-200:])
         status, text = await _console(cell, _token(lab.folder, "x" * 20))
         expect('"url"' in text, f"With a good token it printed {text!r}, status {status}.")

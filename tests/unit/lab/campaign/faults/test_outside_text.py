@@ -76,7 +76,7 @@ def test_a_token_is_a_secret_file(tmp_path: Path) -> None:
     assert file.stat().st_mode & 0o777 == 0o600
 
 
-REFUSED, SERVES = b"A log line\nError: the limit is 20 characters.\n", b'starting\n{"url": "http://127.0.0.1"}\n'
+REFUSED, SERVES = b"A log line\nError: the minimum is 20.\n", b'starting\n{"url": "http://127.0.0.1"}\n'
 
 
 def opened(monkeypatch: pytest.MonkeyPatch, folder: Path, *outputs: bytes) -> Evidence:
