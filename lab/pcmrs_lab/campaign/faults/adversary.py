@@ -107,8 +107,8 @@ async def stop_under_a_flood(lab: Lab) -> Evidence:
         quiet, before = await stop_times(cell, STOPS), (await cell.client.health()).datagrams
         async with flood(cell.ready.links["planner"], FLOOD, lab.seed) as sent, timer_lateness() as timer:
             taken = await stop_times(cell, STOPS)
+            arrived = (await cell.client.health()).datagrams - before  # without the presses at the socket
             at_the_socket = await stop_times(cell, STOPS_AT_THE_SOCKET, cell.planner.stop)
-        arrived = (await cell.client.health()).datagrams - before
         await confirmed(cell)
         await reset_cell(cell.client)
     details = {"rate_hz": round(sent.rate), **in_ms("stop", taken), **in_ms("timer", timer.late)}
