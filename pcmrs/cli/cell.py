@@ -184,16 +184,15 @@ def _print_snapshot(snapshot: Snapshot) -> None:
     )
     for branch, name in snapshot.branches.items():
         table.add_row(branch, name)
-    console = Terminal()
-    console.print(table)
+    Terminal().print(table)
     raised = [flag for flag, value in snapshot.flags.items() if value]
-    console.print(f"flags: {', '.join(raised) or 'none'}; sequence {snapshot.sequence}")
+    say(f"flags: {', '.join(raised) or 'none'}; sequence {snapshot.sequence}")
     for running in snapshot.running:
-        console.print(f"running: {running.branch}.{running.operation} {running.progress:.0%}")
+        say(f"running: {running.branch}.{running.operation} {running.progress:.0%}")
     for outcome in snapshot.unknown:
-        console.print(_unknown(outcome), highlight=False)
+        say(_unknown(outcome))
     if snapshot.latched:
-        console.print(_latched(snapshot.release), highlight=False)
+        say(_latched(snapshot.release))
 
 
 def _latched(release: list[str] | None) -> str:

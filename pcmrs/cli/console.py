@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import msgspec
 
 from pcmrs.cli.lifeline import NICENESS, inherited
 from pcmrs.cli.options import Address, address_options, json_option
+from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.console.settings import TOKEN, UPLOADS
 from pcmrs.errors import ConfigurationError
@@ -95,7 +95,10 @@ def console(
     token = secrets.token_urlsafe(24) if token_file is None else read_secret(token_file).decode().strip()
 
     def ready(url: str) -> None:
-        click.echo(msgspec.json.encode({"url": url}).decode() if as_json else f"open {url}")
+        if as_json:
+            say_json({"url": url})
+        else:
+            say(f"open {url}")
         sys.stdout.flush()
 
     run(

@@ -10,6 +10,7 @@ from typing import Any, Final
 import click
 
 from pcmrs.installed import entry_points_of
+from pcmrs.visible import visible
 
 LABORATORY: Final = "pcmrs-lab"
 """Distribution with the commands of the laboratory."""
@@ -54,6 +55,15 @@ class LazyGroup(click.Group):
             text = f"'{context.command_path} {name}' is a command of {place}, which is not installed (docs/supply.md)."
             raise click.UsageError(text, context)
         return None
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Invoke the command; what a usage error quotes, such as the name of a file, is escaped."""
+        try:
+            return super().invoke(ctx)
+        except click.ClickException as error:
+            # click has no other place between what raises an error and what prints it.
+            error.message = visible(error.message, keep="\n")  # type: ignore[misc]
+            raise
 
     def _entry_points(self) -> dict[str, EntryPoint]:
         if self._prefix is None:

@@ -10,7 +10,7 @@ import click
 
 from pcmrs.cli.lazy import LazyGroup
 from pcmrs.cli.options import json_option
-from pcmrs.cli.printing import say, say_json
+from pcmrs.cli.printing import say, say_json, write_document
 from pcmrs.cli.running import readable_errors
 from pcmrs.cli.tables import Terminal
 from pcmrs.messages.identity import ROLES, Role
@@ -196,7 +196,7 @@ def roles(as_json: bool) -> None:
     if as_json:
         say_json(KEYS)
     else:
-        click.echo(roles_as_markdown(), nl=False)
+        write_document(roles_as_markdown())
 
 
 def _state(identity: Identity, now: float) -> str:

@@ -10,7 +10,7 @@ from typing import Any, NoReturn, ParamSpec, TypeVar
 
 import click
 
-from pcmrs.cli.printing import say
+from pcmrs.cli.printing import say, say_lines
 from pcmrs.errors import BlueprintError, BusError, ConfigurationError, JournalError, PcmrsError
 from pcmrs.extras import missing_module
 
@@ -79,14 +79,22 @@ def fail_missing(error: ModuleNotFoundError) -> NoReturn:
 def fail(error: PcmrsError, status: int | None = None) -> NoReturn:
     """End the process with the error's text and status.
 
-    Further lines of the text are indented, so that a line break in a value from outside cannot forge a message.
-
     Args:
         error: The error.
         status: Exit status; None for that of the error's kind.
     """
-    first, *rest = error.text.splitlines() or [""]
-    say(f"{click.get_current_context().command_path}: {first}", err=True)
-    for line in rest:
-        say(f"  {line}" if line else "", err=True)
+    say_problem(error.text)
     sys.exit(next((its for kind, its in STATUS if isinstance(error, kind)), EXIT_FAILED) if status is None else status)
+
+
+def say_problem(text: str) -> None:
+    """Print what is wrong on standard error, after the command's name.
+
+    Further lines are indented, so that a line break in a value from outside cannot forge a message.
+
+    Args:
+        text: The problem, and what to do.
+    """
+    first, *rest = text.splitlines() or [""]
+    say(f"{click.get_current_context().command_path}: {first}", err=True)
+    say_lines((f"  {line}" if line else "" for line in rest), err=True)

@@ -16,7 +16,7 @@ import structlog
 from pcmrs.cli.lifeline import inherited, inherited_table
 from pcmrs.cli.log import log_to_stderr
 from pcmrs.cli.options import config_options
-from pcmrs.cli.printing import say_json
+from pcmrs.cli.printing import say_json, say_lines
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.descriptors import reserve
 from pcmrs.errors import ConfigurationError
@@ -114,7 +114,7 @@ async def _serve(daemon: Daemon, *, as_json: bool, lifeline: bool) -> None:
         if as_json:
             say_json(ready)
         else:
-            click.echo(_text(ready))
+            say_lines(_lines(ready))
         sys.stdout.flush()
         await ended.wait()
         log.info("ending: motion is held first")
@@ -130,7 +130,7 @@ def _opened(ready: Ready) -> str:
     return f"{ready.console}/?token=$(cat {token})"
 
 
-def _text(ready: Ready) -> str:
+def _lines(ready: Ready) -> list[str]:
     faster = f", {ready.rate:g} times as fast as real time" if ready.rate != 1.0 else ""
     lines = [
         f"pcmrs-serve: {ready.workflow}{faster}. Research software, not a medical device.",
@@ -145,4 +145,4 @@ def _text(ready: Ready) -> str:
         lines.append(f"  metrics        {ready.metrics}")
     if ready.console:
         lines.append(f"  console        {_opened(ready)}")
-    return "\n".join([*lines, "ready"])
+    return [*lines, "ready"]

@@ -43,3 +43,14 @@ def test_a_command_of_a_missing_distribution_names_it() -> None:
     listed = CliRunner().invoke(group, ["--help"]).stdout
     assert "call" in listed
     assert "demo" not in listed, "what cannot be run is not offered"
+
+
+WORDS = [["explode\x1b[2J"], ["report", "--\x1b[2J"], ["journal", "export", "-o", "out\x1b[2J"]]
+
+
+@pytest.mark.parametrize("words", WORDS, ids=["command", "option", "file"])
+def test_a_usage_error_controls_no_terminal(words: list[str]) -> None:
+    ended = run(*words)
+    assert ended.exit_code == 2
+    assert "1b[2J" in ended.stderr, "without a terminal, click would drop the sequence"
+    assert all(map(str.isprintable, ended.stderr.split("\n")))

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 
 from pcmrs.bus.codec import pack_text
@@ -15,16 +18,18 @@ from pcmrs_lab.campaign.consoles import START_TIME, console_command
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.sham import is_sham
+from pcmrs_lab.campaign.tools import ended
 
 MARK = "lost-and-found"
 FORGED = f"{MARK}\x1b[2J\n2026-01-01 [info     ] robot released\u202e"
 """Text that clears the screen, forges a line of the log, and reverses the writing direction."""
 LOGGED_WITHIN = 30.0
+PCMRS = (sys.executable, "-m", "pcmrs.cli")
 
 
-@fault("A32", how="a field of a command on the bus whose name clears the screen and forges a line of the log")
+@fault("A32", how="the name of a field of a command that clears the screen and forges a line")
 async def escape_sequences(lab: Lab) -> Evidence:
-    """The daemon logs and journals the name without any effect; a plain name is logged unchanged."""
+    """Log, `pcmrs watch` and `pcmrs journal` show the name without any effect; a plain name is shown unchanged."""
     async with lab.daemon() as cell:
         shown = {}
         for user, name in (
@@ -39,11 +44,20 @@ async def escape_sequences(lab: Lab) -> Evidence:
             expect(all(line.isprintable() for line in text.splitlines()), f"The log has {text!r}.")
             expect("\n2026-01-01" not in text, "A line of the log is forged.")
         expect("u001b" in shown[FORGED], f"The name did not arrive: {shown[FORGED]!r}.")
+        printed = await _printed(cell, f"{MARK}-harmless" if is_sham() else FORGED)
+        for command, text in printed.items():
+            expect(all(map(str.isprintable, text.split("\n"))), f"{command} has printed {text!r}.")
+            expect("\n2026-01-01" not in text, f"{command} has printed a forged line.")
+        for command in ("watch", "journal"):
+            expect("u001b" in printed[command], f"{command} did not show the name: {printed[command]!r}.")
         plain = f"{MARK}-plain"
         expect(plain in shown[plain], f"A plain name is not logged unchanged: {shown[plain]!r}.")
     return Evidence(
-        "escaped where it is logged",
-        took_place={"escapes in the log": shown[FORGED].count("u001b")},
+        "escaped where it is logged and printed",
+        took_place={
+            "escapes in the log": shown[FORGED].count("u001b"),
+            "escapes that are printed": sum(text.count("u001b") for text in printed.values()),
+        },
         control={"times a plain name is logged as it is": shown[plain].count(plain)},
     )
 
@@ -64,6 +78,47 @@ async def _logged(cell: RunningCell, before: int) -> str:
                 await asyncio.sleep(0.05)
     except TimeoutError:
         raise Unmet(f"The daemon did not log the name: {cell.log[before:]!r}") from None
+
+
+async def _printed(cell: RunningCell, name: str) -> dict[str, str]:
+    """Return the output of commands, by their names, after a command was rejected for an argument of this name."""
+    _, site, own_name = cell.ready.prefix.split("/")
+    address = ("--endpoint", cell.ready.endpoint, "--site", site, "--cell", own_name)
+    async with _watching(address) as output:
+        await _read_until(output, b"#")  # the last snapshot: from now on, it shows every event
+        await cell.client.call("registration.reinit", {name: 1})
+        printed = {"watch": await _read_until(output, MARK.encode())}
+    for command, words in {"journal": ("show", cell.ready.journal), "state": address}.items():
+        status, printed[command] = await ended([*PCMRS, command, *words])
+        expect(status == 0, f"pcmrs {command} ended with {status}: {printed[command]}")
+    return printed
+
+
+@asynccontextmanager
+async def _watching(address: tuple[str, ...]) -> AsyncIterator[asyncio.StreamReader]:
+    """Run `pcmrs watch`, and yield its output."""
+    process = await asyncio.create_subprocess_exec(*PCMRS, "watch", *address, stdout=asyncio.subprocess.PIPE)
+    assert process.stdout is not None
+    try:
+        yield process.stdout
+    finally:
+        if process.returncode is None:
+            process.kill()
+        await process.wait()
+
+
+async def _read_until(output: asyncio.StreamReader, mark: bytes) -> str:
+    """Return the lines up to the first one with the mark."""
+    text = b""
+    try:
+        async with asyncio.timeout(LOGGED_WITHIN):
+            while line := await output.readline():
+                text += line
+                if mark in line:
+                    return text.decode(errors="replace")
+    except TimeoutError:
+        pass  # reported below, as the end of the output is
+    raise Unmet(f"pcmrs watch did not show {mark.decode()}: {text!r}")
 
 
 @fault("A33", how="an empty token file, and one of 19 characters", deadline=240.0)
