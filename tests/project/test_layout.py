@@ -45,8 +45,7 @@ def missing_paths(text: str) -> list[str]:
 
 
 def test_pages_name_only_files_and_folders_of_tests_that_exist() -> None:
-    pages = [*documents(), ROOT / "CONTRIBUTING.md"]
-    missing = {page.name: missing_paths(page.read_text()) for page in pages}
+    missing = {page.name: missing_paths(page.read_text()) for page in documents()}
     assert {name: paths for name, paths in missing.items() if paths} == {}
     assert missing_paths("`pytest tests/unit tests/journal`, `tests/unit/b*s`, `tests/no_*.py`") == [
         "tests/journal",

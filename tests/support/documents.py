@@ -100,8 +100,7 @@ def promises(source: Source) -> list[Promise]:
 def documents() -> list[Path]:
     """All pages that cite tests."""
     return [
-        ROOT / "README.md",
-        ROOT / "SECURITY.md",
+        *(ROOT / name for name in ("CHANGELOG.md", "CONTRIBUTING.md", "README.md", "SECURITY.md")),
         *sorted(DOCS.glob("*.md")),
         *sorted((ROOT / "deploy").rglob("*.md")),
     ]
