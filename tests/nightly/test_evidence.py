@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from tests import ROOT
+from tests import ROOT, TESTS
 from tests.nightly import make_evidence
 from tests.nightly.make_evidence import PAGE, page, parts_of
 from tests.nightly.nightly_parts import parts
@@ -30,6 +30,7 @@ def test_a_document_says_of_a_test_that_it_is_nightly_only(document: Path, colle
     files = {each.file for each in collected}
 
     for each in cited(document.read_text()):
+        assert (TESTS / each.file).is_file(), each
         if each.file in files:
             assert instances[each.file, each.test], f"{each.file}::{each.test} does not exist."
             assert each.nightly is all(instances[each.file, each.test]), each
