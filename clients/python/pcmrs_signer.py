@@ -4,7 +4,7 @@
     sock.sendto(signer.sign(b"get_jnt_angsxxxx_#1;"), (host, 8057))
     answer = signer.check(sock.recv(1024))
 
-Sign a command anew each time that it is sent, also when it is sent again: the daemon takes every counter once.
+Sign a command each time that it is sent, also when it is repeated: the daemon accepts each counter once.
 """
 
 from __future__ import annotations

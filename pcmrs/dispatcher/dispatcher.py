@@ -1,8 +1,8 @@
 """The dispatcher (D-SFO): takes commands, asks the active states, performs operations, commits transitions.
 
-`Dispatcher` is the surface; each idea behind it has a module: `admission` (from command to pending command),
-`performer` (checks and steps), `decisions` (journal and commit), `follow_up` (what follows from a verdict),
-`stop_control` (Stop until the standstill), `recovery` (failure and resuming).
+`Dispatcher` is the surface; each idea behind it has a module: `_admission` (from command to pending command),
+`_performer` (checks and steps), `decisions` (journal and commit), `_follow_up` (what follows from a verdict),
+`_stop_control` (Stop until the standstill), `recovery` (failure and resuming).
 """
 
 from __future__ import annotations

@@ -54,6 +54,16 @@ def test_pages_name_only_files_and_folders_of_tests_that_exist() -> None:
     ]
 
 
+def test_architecture_names_each_module_of_dispatcher_and_service() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    for package in ("pcmrs/dispatcher", "pcmrs/service"):
+        table = re.search(rf"^\| [^|]*`{package}` \|[^\n]*\n(?:\|.*\n)+", page, re.MULTILINE)
+        assert table is not None
+        named = set(re.findall(r"`(\w+(?:\.py|/))`", table[0]))
+        there = {path.name if path.is_file() else f"{path.name}/" for path in (ROOT / package).iterdir()}
+        assert named == there - {"__init__.py", "__pycache__/"}
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_modules_have_unit_tests_of_their_name(package: str) -> None:
     tests = {path: unit_test(package, path) for path in modules(package)}

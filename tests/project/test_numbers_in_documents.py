@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -15,6 +16,7 @@ from pcmrs.authoring.trial.tour import plan_tour
 from pcmrs.bus.bridge import CAPACITY
 from pcmrs.bus.serving import ANSWERS
 from pcmrs.bus.settings import STOPS
+from pcmrs.cli.fsm.design import design
 from pcmrs.cli.fsm.verify import verify
 from pcmrs.console._geometry import FACES
 from pcmrs.dispatcher.locks import MAX_WAITING
@@ -199,3 +201,14 @@ def test_searches_add_up() -> None:
     )
     assert float(hours) == round(sum(float(row[4]) for row in rows), 1)
     assert number(violations) == sum(int(row[5]) for row in rows)
+
+
+def test_a_finding_on_a_step_table_is_shown_as_it_is_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = r"\$ sed 's/(.+?)/(.+?)/' examples/ratms_steps\.toml >steps\.toml; pcmrs fsm design steps\.toml"
+    ((taken, left, shown),) = stated("docs/fsm.md", command + " (.+?) …")
+    table = (ROOT / "examples" / "ratms_steps.toml").read_text()
+    (tmp_path / "steps.toml").write_text(re.sub(taken, left, table, count=1))
+    monkeypatch.chdir(tmp_path)
+    assert shown in CliRunner().invoke(design, ["steps.toml"]).output

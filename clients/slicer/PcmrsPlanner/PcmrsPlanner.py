@@ -39,7 +39,7 @@ from slicer.ScriptedLoadableModule import (
 TICK_MS = 15
 """Period of the timer that drains the sockets."""
 TICKS_PER_REFRESH = 10
-"""Texts are written anew so seldom; poses go into the scene at every tick."""
+"""Number of ticks between two updates of the texts; poses go into the scene at every tick."""
 
 ROWS = (
     ("Connect robot", "Disconnect robot"),
@@ -48,7 +48,7 @@ ROWS = (
     ("Back off", "Home"),
     ("Show tool", "Hide tool"),
     ("Show tip", "Hide tip"),
-    ("Start anew",),
+    ("Restart procedure",),
 )
 """Buttons of one command each."""
 
@@ -151,7 +151,7 @@ class PcmrsPlannerWidget(ScriptedLoadableModuleWidget):
         stop = qt.QPushButton("STOP")
         stop.setMinimumHeight(80)
         stop.setStyleSheet("background-color: #c00000; color: white; font-size: 32px; font-weight: bold;")
-        stop.setToolTip("Stops the robot at once, whatever is under way. It is no emergency stop.")
+        stop.setToolTip("Stops the robot at once, also in a motion. It is no emergency stop.")
         stop.connect("clicked(bool)", lambda _: self._stop())
         self._status = qt.QLabel("Not connected")
         self._status.setWordWrap(True)
@@ -228,7 +228,7 @@ class PcmrsPlannerWidget(ScriptedLoadableModuleWidget):
         return qt.QFormLayout(section)
 
     def _job(self, title: str, begin: Callable[[Planner], None]) -> Any:
-        """A button that begins a job; it can be pressed while none is under way."""
+        """A button that begins a job; it can be pressed while none is running."""
         button = qt.QPushButton(title)
         button.enabled = False
         button.connect("clicked(bool)", lambda _: self._begin(begin))

@@ -164,7 +164,7 @@ def test_refused_operation_gives_its_reason_and_the_next_one_too(cell: Cell) -> 
         (refusal,) = slicer.planner.refusals
         assert refusal.title == "Approach"
         assert verdict.reason in refusal.text
-        assert slicer.planner.told["placement"].state == verdict.state
+        assert slicer.planner.known["placement"].state == verdict.state
 
         assert slicer.program.verdict(slicer.planner.plan_landmarks, LANDMARKS_MM[:2]).reason == "too_few_landmarks"
         assert slicer.planner.refusals[-1].title == "Plan landmarks"

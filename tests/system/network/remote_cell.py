@@ -38,10 +38,10 @@ RATMS: list[tuple[str, Mapping[str, Any]]] = [
 LONG_WAY = """
 import asyncio, sys
 from pcmrs_lab.campaign.proxy import tcp_proxy
-from pcmrs_lab.campaign.network_impairment import Weather
+from pcmrs_lab.campaign.network_impairment import NetworkImpairment
 
 async def run(host, port, delay, jitter):
-    async with tcp_proxy((host, int(port)), Weather(delay=float(delay), jitter=float(jitter))) as (_, proxied):
+    async with tcp_proxy((host, int(port)), NetworkImpairment(delay=float(delay), jitter=float(jitter))) as (_, proxied):
         print(proxied, flush=True)
         await asyncio.Event().wait()
 

@@ -53,7 +53,7 @@ class Feed:
         clock: Seconds that only grow.
 
     Attributes:
-        state: As told last; None before, and while not connected.
+        state: Last received; None before, and while not connected.
         seen: Newest of each TRANSFORM by name, such as ``CoilToImage``.
         problem: Why it is not connected; None while it is.
     """
@@ -113,7 +113,7 @@ class Feed:
         return True
 
     def _lose(self, problem: str) -> None:
-        """What was told no longer holds: others may change it meanwhile."""
+        """Forgets the received state: other clients may change it meanwhile."""
         self.close()
         self._buffer.clear()
         self.state, self.problem = None, problem
@@ -162,10 +162,10 @@ class Feed:
 
 
 def parse_state(text: bytes) -> CellState:
-    """The state that ``PcmrsState`` tells.
+    """Read the state in ``PcmrsState``.
 
     Raises:
-        MessageError: It is none.
+        MessageError: It is not a state.
     """
     try:
         told = json.loads(text.decode("utf-8"))

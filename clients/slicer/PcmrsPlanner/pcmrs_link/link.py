@@ -25,7 +25,7 @@ STOP_REPEAT = 0.25
 STOP_WITHIN = 10.0
 """Seconds that Stop is repeated for."""
 SETTLE_WITHIN = 3.0
-"""Seconds after Stop in which what it interrupted is answered; then nobody here knows how that ended."""
+"""Time after Stop in which the interrupted command is answered, s; after that, its outcome is unknown."""
 MAX_DATAGRAMS = 10_000
 """Taken from one socket in one tick, so that a flood does not freeze the program."""
 BUFFER = 1 << 20
@@ -44,7 +44,7 @@ class LinkError(OSError):
 
 
 class BusyError(RuntimeError):
-    """A job is under way; of Stop alone there may be one beside it."""
+    """A job is running; only Stop can run beside it."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ class Link:
         self._peer: str = self._commands.getpeername()[0]
 
     def close(self) -> None:
-        """Closes the sockets; nothing that waits is told."""
+        """Closes the sockets without a report to waiting jobs."""
         self._job = self._stop = None
         for each in (self._commands, *self._streams):
             each.close()
@@ -150,7 +150,7 @@ class Link:
 
     @property
     def waited(self) -> float:
-        """Seconds since the job under way began; 0 without one."""
+        """Time since the running job began, s; 0 without one."""
         return 0.0 if self._job is None else self.clock() - self._job.began
 
     @property
@@ -167,18 +167,18 @@ class Link:
         """Begins a job; `then` is called, from a tick, with the verdict that ended it.
 
         Raises:
-            BusyError: Another is under way.
+            BusyError: Another is running.
             MessageError: A value cannot be sent; nothing was.
         """
         if self._job is not None:
-            raise BusyError(f"{title}: {self._job.title} is under way.")
+            raise BusyError(f"{title}: {self._job.title} is running.")
         for step in steps:
             command(step.name, *step.values, number=self._last_number)
         self._job = _Job(title, deque(steps), then, self.clock())
         self._advance(self._job)
 
     def stop(self, then: Then) -> None:
-        """Sends Stop at once. Of the job under way no further command is sent, and none again.
+        """Sends Stop at once. The running job sends no further command, and repeats none.
 
         It is repeated until it is answered; `then` is called with that, unless another Stop comes before.
         """
@@ -286,7 +286,7 @@ class Link:
 
     def _send(self, datagram: bytes) -> None:
         self.counts.sent += 1
-        # Signed anew each time: the daemon takes every counter once. What cannot be sent is repeated.
+        # Signed again each time: the daemon accepts each counter once. What cannot be sent is repeated.
         with suppress(OSError):
             self._commands.send(datagram if self.signer is None else self.signer.sign(datagram))
 

@@ -1,4 +1,4 @@
-"""What a panel shows of a cell: states, poses and what is under way, each with how old it is."""
+"""What a panel shows of a cell: states, poses and running jobs, each with its age."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ Row = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class Shown:
-    """A pose in the image, mm RAS, and when it was told, by the link's clock."""
+    """A pose in the image, mm RAS, and when it was received, by the link's clock."""
 
     pose: Pose
     at: float
 
 
 def poses(link: Link, feed: Feed | None) -> dict[str, Shown]:
-    """Newest pose of each of `LIVE` that was ever told."""
+    """Newest received pose of each of `LIVE`."""
     found = {}
     for name, (stream, transform) in LIVE.items():
         told = [link.seen.get(stream or ""), feed.seen.get(transform) if feed is not None else None]
@@ -60,7 +60,7 @@ def branch_rows(planner: Planner, feed: Feed | None) -> list[Row]:
     if feed is not None and feed.state is not None:
         return [(branch, state, "now") for branch, state in feed.state.branches.items()]
     now = planner.link.clock()
-    return [(branch, told.state, f"{now - told.at:.0f} s ago") for branch, told in planner.told.items()]
+    return [(branch, known.state, f"{now - known.at:.0f} s ago") for branch, known in planner.known.items()]
 
 
 def status(planner: Planner, feed: Feed | None) -> str:

@@ -21,7 +21,7 @@ ACTIONS = {
     "Confirm": Step("execute_confirmx", timeout=120.0),
     "Back off": Step("execute_bkoffset", timeout=120.0),
     "Home": Step("execute_homexxxx", timeout=240.0),
-    "Start anew": Step("session_reinitxx"),
+    "Restart procedure": Step("session_reinitxx"),
     "Show tool": Step("start_visualizex"),
     "Hide tool": Step("stop_visualizexx"),
     "Show tip": Step("tre_startcalcuxx"),
@@ -47,8 +47,8 @@ class Refusal:
 
 
 @dataclass(frozen=True)
-class Told:
-    """State of a branch as a verdict told it, and when, by the link's clock."""
+class BranchState:
+    """State of a branch in the last verdict about it, and when that came, by the link's clock."""
 
     state: str
     at: float
@@ -71,7 +71,7 @@ class Planner:
         wall: Unix seconds, to tell people when.
 
     Attributes:
-        told: State of each branch as the last verdict about it told; others may have changed it since.
+        known: State of each branch by the last verdict about it; other clients may have changed it since.
         refusals: The newest last.
         last: Title and sentence of the job that ended last.
         residual: Of the last registration accepted here, mm.
@@ -80,7 +80,7 @@ class Planner:
 
     def __init__(self, link: Link, wall: Callable[[], float] = time.time) -> None:
         self.link = link
-        self.told: dict[str, Told] = {}
+        self.known: dict[str, BranchState] = {}
         self.refusals: deque[Refusal] = deque(maxlen=KEPT)
         self.last: tuple[str, str] | None = None
         self.residual: float | None = None
@@ -88,7 +88,7 @@ class Planner:
         self._wall = wall
 
     def hello(self, then: Then = lambda _: None) -> None:
-        """Asks for the joints: whatever verdict comes, the daemon hears this client and takes its commands."""
+        """Asks for the joints: any verdict shows that the daemon accepts commands of this client."""
         self.link.begin("Connect", HELLO, then=self._answered("Connect", then, quiet=("no_data",)))
 
     def act(self, title: str, then: Then = lambda _: None) -> None:
@@ -126,7 +126,7 @@ class Planner:
         self._begin("Nudge", Step("adjust_tranxxxxx", tuple(metres(offset)), 60.0), then=then)
 
     def stop(self, then: Then = lambda _: None) -> None:
-        """Stops everything at once, whatever is under way."""
+        """Stops every motion and activity at once."""
         self.link.stop(self._answered("STOP", then))
 
     def _begin(self, title: str, *steps: Step, then: Then) -> None:
@@ -142,7 +142,7 @@ class Planner:
     def _note(self, title: str, verdict: Verdict, quiet: Sequence[str]) -> None:
         self.last = (title, explain(verdict))
         if verdict.branch:
-            self.told[verdict.branch] = Told(verdict.state, self.link.clock())
+            self.known[verdict.branch] = BranchState(verdict.state, self.link.clock())
         if not verdict.accepted and verdict.reason not in quiet:
             self.refusals.append(Refusal(self._wall(), title, explain(verdict)))
         if verdict.accepted and title in ("Register", "Previous registration") and verdict.results:

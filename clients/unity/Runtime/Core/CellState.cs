@@ -15,7 +15,7 @@ namespace Pcmrs
         /// <summary>Flags by name, such as "registered".</summary>
         public readonly IReadOnlyDictionary<string, bool> Flags;
 
-        /// <summary>Operations under way, as `branch.operation`.</summary>
+        /// <summary>Running operations, as `branch.operation`.</summary>
         public readonly IReadOnlyList<string> Running;
 
         /// <summary>Whether a Stop holds until an operator acknowledges it.</summary>

@@ -131,7 +131,7 @@ namespace Pcmrs
             }
         }
 
-        /// <summary>Signs anew each time: the daemon takes no datagram twice.</summary>
+        /// <summary>Signs each time again: the daemon accepts no datagram twice.</summary>
         private void Transmit(string text)
         {
             lock (sending) // so that counters leave in their order
@@ -173,7 +173,7 @@ namespace Pcmrs
                 }
                 catch (FormatException)
                 {
-                    // No verdict, or not the daemon's; whoever waits for one is sent it when the command is repeated.
+                    // No verdict, or not the daemon's; a client that waits for one gets it when it repeats the command.
                 }
             }
         }

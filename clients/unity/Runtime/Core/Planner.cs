@@ -106,7 +106,7 @@ namespace Pcmrs
 
         public Task HomeAsync() => Demand("execute_homexxxx", Moving);
 
-        /// <summary>Starts the procedure anew: no landmarks, no registration, no planned pose.</summary>
+        /// <summary>Restarts the procedure: no landmarks, no registration, no planned pose.</summary>
         public Task ReinitiateAsync() => Demand("session_reinitxx", Soon);
 
         /// <summary>The measured joints, rad.</summary>
@@ -134,7 +134,7 @@ namespace Pcmrs
         public void SendToolPoints(Vec3 first, Vec3 second) =>
             link.SendMessage("__msg_toolpose_" + InMillimetres(first) + "_" + InMillimetres(second));
 
-        /// <summary>Stops everything at once, whatever else is under way.</summary>
+        /// <summary>Stops every motion and activity at once.</summary>
         public async Task StopAsync() => Check("stop_now_xxxxxxx", await link.StopAsync().ConfigureAwait(false));
 
         private async Task<Verdict> Demand(string command, TimeSpan timeout, params object[] tokens) =>

@@ -9,7 +9,7 @@ namespace Pcmrs
     ///
     /// The daemon sends target and registration once per change, and never that they are gone. So the streams are asked
     /// for again every 2 s, upon which it sends both once more: what was lost comes again, what is no longer in force
-    /// is forgotten, and a daemon that was started anew is found.
+    /// is forgotten, and a restarted daemon is found.
     /// </summary>
     public sealed class PoseStreams : IDisposable
     {
@@ -41,7 +41,7 @@ namespace Pcmrs
             return message != null;
         }
 
-        /// <summary>Asks no more; the streams go on, for whoever else hears them.</summary>
+        /// <summary>Asks no more; other clients still receive the streams.</summary>
         public void Dispose() => ending.Cancel();
 
         private async Task Renew()

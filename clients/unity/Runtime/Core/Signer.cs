@@ -9,7 +9,7 @@ namespace Pcmrs
 {
     /// <summary>
     /// Signs PCMRS string commands, and checks the answers. It can be copied into other programs: it needs nothing else.
-    /// Sign a command anew each time that it is sent, also when it is sent again: the daemon takes every counter once.
+    /// Sign a command each time that it is sent, also when it is repeated: the daemon accepts each counter once.
     /// </summary>
     public sealed class Signer
     {

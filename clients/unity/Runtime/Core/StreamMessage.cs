@@ -25,15 +25,15 @@ namespace Pcmrs
         ToolPoints,
     }
 
-    /// <summary>One datagram of a stream, in Unity's frame and m whatever it was on the wire.</summary>
+    /// <summary>One datagram of a stream, in Unity's frame and in m, independent of the wire format.</summary>
     public sealed class StreamMessage
     {
         public readonly StreamKind Kind;
 
-        /// <summary>The pose; the identity where points are told.</summary>
+        /// <summary>The pose; the identity in a message of points.</summary>
         public readonly RigidPose Pose;
 
-        /// <summary>The points; none where a pose is told.</summary>
+        /// <summary>The points; none in a message of a pose.</summary>
         public readonly Vec3[] Points;
 
         private const double MetresPerMillimetre = 1e-3;
