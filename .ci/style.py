@@ -18,7 +18,6 @@ FOLDERS = (
     "deploy/**/*.py",
     ".github/**/*.md",
     "pcmrs/**/*.py",
-    "pcmrs/**/*.toml",
     "pcmrs/**/*.j2",
     "clients/**/*.py",
     "clients/**/*.cs",

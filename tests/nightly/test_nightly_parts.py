@@ -160,7 +160,7 @@ def test_a_result_published_elsewhere_is_the_last_one(folder: Path, monkeypatch:
     assert nightly_results.result_of(msgspec.structs.replace(part, name="other")) is None
 
 
-def test_a_result_counts_while_only_documents_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_result_counts_while_only_reports_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def git(*words: str) -> None:
         author = ("-c", "user.name=a", "-c", "user.email=a@example.org")
         subprocess.run(["git", *author, *words], cwd=tmp_path, capture_output=True, check=True)
@@ -175,7 +175,7 @@ def test_a_result_counts_while_only_documents_change(tmp_path: Path, monkeypatch
 
     monkeypatch.setattr(nightly_results, "ROOT", tmp_path)
     git("init")
-    code, documents, more_code = commit("pcmrs/a.py"), commit("docs/a.md"), commit("pcmrs/b.py")
+    code, documents, more_code = commit("pcmrs/a.py"), commit("docs/evidence.md"), commit("pcmrs/b.py")
     assert has_code_of(documents, code)
     assert not has_code_of(more_code, documents)
     (tmp_path / "pcmrs/b.py").write_text("changed\n")

@@ -155,7 +155,7 @@ def test_the_joint_states_of_a_workflow_are_so_many(name: str, joint_states: str
 
 
 def test_a_finding_is_shown_as_it_is_printed() -> None:
-    ((taken, left),) = stated("docs/fsm.md", r"\$ sed 's/(.+?)/(.+?)/' ratms\.toml \| pcmrs fsm verify -")
+    ((taken, left),) = stated("docs/fsm.md", r"\$ sed 's/([^/]+)/([^/]+)/' ratms\.toml \| pcmrs fsm verify -")
     file = ROOT / "pcmrs" / "workflows" / "ratms.toml"
     broken = re.sub(taken, left.replace("\\", ""), file.read_text())
     shown = CliRunner().invoke(verify, ["-"], input=broken).stdout
@@ -203,9 +203,7 @@ def test_searches_add_up() -> None:
     assert number(violations) == sum(int(row[5]) for row in rows)
 
 
-def test_a_finding_on_a_step_table_is_shown_as_it_is_printed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_finding_on_a_step_table_is_shown_as_it_is_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     command = r"\$ sed 's/(.+?)/(.+?)/' examples/ratms_steps\.toml >steps\.toml; pcmrs fsm design steps\.toml"
     ((taken, left, shown),) = stated("docs/fsm.md", command + " (.+?) …")
     table = (ROOT / "examples" / "ratms_steps.toml").read_text()

@@ -17,6 +17,8 @@ from pcmrs_sim.robot_faults import Framing
 
 LARGEST_OFFSET = 0.5
 """Largest offset of a joint, rad."""
+PLAY = 1e-3
+"""Distance from a joint's stop at which a hand ends, rad."""
 LARGEST_PUSH = 100.0
 """Largest push on the tool, N."""
 HAND_SPEED = 0.3
@@ -62,7 +64,11 @@ def _guide(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     if not arm.reference.ended:
         raise DeviceError("The arm moves; it can be guided by hand only while it rests.")
     goal = np.array(arm.reference.position)
-    goal[_joint(cell, arguments)] += number(arguments, "angle", -LARGEST_OFFSET, LARGEST_OFFSET)
+    guided = _joint(cell, arguments)
+    joint = cell.facts.joints[guided]
+    angle = number(arguments, "angle", -LARGEST_OFFSET, LARGEST_OFFSET)
+    # A hand turns no joint beyond its stop.
+    goal[guided] = np.clip(goal[guided] + angle, joint.lower + PLAY, joint.upper - PLAY)
     arm.follow(joint_motion(ArmModel(cell.facts), arm.reference.position, goal, _hand_limits(len(goal))))
 
 

@@ -41,7 +41,8 @@ from pcmrs_lab.campaign.proxy import tcp_proxy
 from pcmrs_lab.campaign.network_impairment import NetworkImpairment
 
 async def run(host, port, delay, jitter):
-    async with tcp_proxy((host, int(port)), NetworkImpairment(delay=float(delay), jitter=float(jitter))) as (_, proxied):
+    impairment = NetworkImpairment(delay=float(delay), jitter=float(jitter))
+    async with tcp_proxy((host, int(port)), impairment) as (_, proxied):
         print(proxied, flush=True)
         await asyncio.Event().wait()
 

@@ -134,7 +134,7 @@ class Feed:
         while len(self._buffer) >= HEADER.size:
             version, kind, name, _, size, crc = HEADER.unpack_from(self._buffer)
             if version != 1 or size > MAX_BODY:
-                raise MessageError("what came is no OpenIGTLink of header version 1")
+                raise MessageError("the message does not have an OpenIGTLink header of version 1")
             if len(self._buffer) < HEADER.size + size:
                 return
             body = bytes(self._buffer[HEADER.size : HEADER.size + size])

@@ -149,7 +149,7 @@ def parse_stream(data: bytes) -> Reading:
             numbers = _numbers(text[len(prefix) :])
             if len(numbers) == count:
                 return Reading(kind, Pose.near(numbers[:3], numbers[3:]) if kind == "tool" else numbers)
-    raise MessageError(f"{data[:60]!r} is no message of a stream.")
+    raise MessageError(f"{data[:60]!r} is not a message of a stream.")
 
 
 def _numbers(text: str) -> tuple[float, ...]:

@@ -8,8 +8,8 @@ namespace Pcmrs
     /// The streams of mixed reality: tool, target and registration, as they are now.
     ///
     /// The daemon sends target and registration once per change, and never that they are gone. So the streams are asked
-    /// for again every 2 s, upon which it sends both once more: what was lost comes again, what is no longer in force
-    /// is forgotten, and a restarted daemon is found.
+    /// for again every 2 s, upon which it sends both once more: lost messages come again, outdated targets
+    /// are forgotten, and a restarted daemon is found.
     /// </summary>
     public sealed class PoseStreams : IDisposable
     {

@@ -10,7 +10,7 @@ using System.Threading;
 namespace Pcmrs
 {
     /// <summary>
-    /// Hears the state of the cell and its poses over OpenIGTLink, on a thread of its own, and connects again when the
+    /// Receives the state of the cell and its poses over OpenIGTLink, on its own thread, and connects again when the
     /// link breaks. It only reads. The daemon has to have `gateway.openigtlink.enabled`, as server, with poses TRANSFORM.
     /// </summary>
     public sealed class StateLink : IDisposable

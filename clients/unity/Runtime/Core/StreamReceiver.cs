@@ -8,7 +8,7 @@ using System.Threading;
 namespace Pcmrs
 {
     /// <summary>
-    /// Hears the streams that come to one port, on a thread of its own, and keeps the newest of each kind.
+    /// Receives the streams of one port, on its own thread, and keeps the newest of each kind.
     /// Ask it from any thread.
     /// </summary>
     public sealed class StreamReceiver : IDisposable

@@ -4,7 +4,7 @@ namespace Pcmrs.Unity
 {
     /// <summary>
     /// Puts this object, in its parent, where a pose of the cell is. Tool and target belong below the image, and the
-    /// image, with the registration as its pose, below the patient's reference. What is not known is not shown.
+    /// image, with the registration as its pose, below the patient's reference. An unknown pose is not shown.
     /// </summary>
     [AddComponentMenu("PCMRS/Pose")]
     public sealed class PcmrsPose : MonoBehaviour

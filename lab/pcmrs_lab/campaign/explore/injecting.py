@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from collections import Counter
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterable
 from typing import Any
 
 from pcmrs.errors import DeviceError, PcmrsError
@@ -23,8 +22,6 @@ ATTEMPTS = 60
 """Number of attempts to start a daemon: they take longer than any fault lasts."""
 FROM_OUTSIDE = ("guide_by_hand", "offset_joint", "push_tool")
 """Faults that move the arm away from its commanded motion."""
-FIRST_POSES_WITHIN = 1.0
-"""Longest time from the restart of a feed to its first poses: a frame, and the longest window, s."""
 MOVES = ("shift_body", "bump_reference", "dash_head")
 """Faults that move a tracked body, perhaps to where another one was."""
 
@@ -40,7 +37,7 @@ class Faults:
     Attributes:
         reached: Number of times that each fault was injected.
         mistaken: True if a feed of poses has restarted, or a body has moved, while two tools were swapped, or if they
-            were swapped before a restarted feed had its first poses. No feed can then tell the bodies apart, and the
+            were swapped while the feed did not see both where they are. No feed can then tell the bodies apart, and the
             tracker has to be restarted.
     """
 
@@ -50,7 +47,6 @@ class Faults:
         self._operators = operators
         self._witness = witness
         self.mistaken = False
-        self._feed_restarted = -math.inf
         self._wrong: Counter[str] = Counter()
         self._ending: dict[asyncio.Task[None], None] = {}
         self._hosts: dict[str, Callable[[dict[str, Any]], Awaitable[None]]] = {
@@ -75,7 +71,7 @@ class Faults:
             given: Arguments from the script.
         """
         arguments = {key: value for key, value in given.items() if key != "lasts"}
-        self._begin(name)
+        self._begin(name, arguments)
         try:
             await self._apply(name, arguments)
         except DeviceError:  # such as an arm that moves and cannot be guided by hand
@@ -113,13 +109,19 @@ class Faults:
 
     def _restart_poses(self) -> None:
         self.mistaken = self._wrong["tool_swap"] > 0
-        self._feed_restarted = asyncio.get_running_loop().time()
 
-    def _begin(self, name: str) -> None:
+    def _unseen(self, bodies: Iterable[str]) -> bool:
+        """Return True if the daemon's feed has no fresh pose of one of the bodies."""
+        if self._cell.daemon is None or self._cell.daemon.procedure is None:
+            return False  # a feed that starts later is restarted during the swap
+        poses = self._cell.daemon.procedure.cell.poses
+        return not all(poses.seen(body) for body in bodies)
+
+    def _begin(self, name: str, arguments: dict[str, Any]) -> None:
         view = self._witness.view
         view.now = asyncio.get_running_loop().time()
         moved_in_swap = name in MOVES and self._wrong["tool_swap"] > 0
-        swapped_at_first = name == "tool_swap" and view.now - self._feed_restarted < FIRST_POSES_WITHIN
+        swapped_at_first = name == "tool_swap" and self._unseen((arguments["first"], arguments["second"]))
         self.mistaken = self.mistaken or moved_in_swap or swapped_at_first
         self._wrong[name] += 1
         view.calm.set(False, view.now)

@@ -29,7 +29,9 @@ from pcmrs_sim.deterministic.cell import SimulatedCell, simulated_cell
 from pcmrs_sim.deterministic.entropy import seeded_entropy
 
 QUIET_END = 10.0
-"""Time within which everything has ended after the last act without faults, in addition to `PATIENCE`, s."""
+"""Pause after the last act without faults, s: longer than a watcher's limits."""
+LONGEST_MOTION = 60
+"""Further time within which every operation has ended, s: a retreat of 0.6 m takes 10 s."""
 WINDOW_OPENS = 8.0
 """Time after which an act that waits for a window is done anyway, s: longer than any motion takes."""
 REFERENCE = "body_ref"
@@ -181,6 +183,10 @@ class ExploredSession:
         snapshot = self.witness.view.snapshot
         return snapshot is not None and snapshot.branches.get("placement") == "following"
 
+    def _is_running(self) -> bool:
+        snapshot = self.witness.view.snapshot
+        return snapshot is not None and bool(snapshot.running)
+
     async def _settle(self) -> None:
         """Wait until every operation ends, now that no fault is present."""
         if self._running_acts:
@@ -188,6 +194,10 @@ class ExploredSession:
         if self.faults.mistaken:
             await self.faults.inject("tracker_restart", {})
         await asyncio.sleep(QUIET_END)
+        for _ in range(LONGEST_MOTION):
+            if not self._is_running():
+                break
+            await asyncio.sleep(1.0)
         snapshot, daemon = self.witness.view.snapshot, self._cell.daemon
         if daemon is not None and daemon.procedure is not None:
             self.witness.watcher.poses_end(daemon.procedure.cell.poses.rate_hz(REFERENCE) > 0.0)

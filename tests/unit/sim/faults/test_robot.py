@@ -125,6 +125,16 @@ async def test_the_arm_is_moved_by_hand_while_nobody_is_connected(cell: CellSimu
         inject(cell, "guide_by_hand", {"joint": 4, "angle": 0.1})
 
 
+async def test_a_hand_turns_no_joint_beyond_its_stop(cell: CellSimulation) -> None:
+    joint = cell.facts.joints[3]
+    for _ in range(8):
+        await at_rest(cell)
+        inject(cell, "guide_by_hand", {"joint": 4, "angle": -0.5})
+        await cell.clock.sleep(0.1)
+    await at_rest(cell)
+    assert cell.world.arm.reference.position[3] == pytest.approx(joint.lower, abs=0.01)
+
+
 async def test_the_application_fails_and_the_next_client_is_served(cell: CellSimulation) -> None:
     async with serve_kst(cell, port=0) as (host, port):
         async with connected(host, port) as client:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -12,7 +13,7 @@ from pcmrs.errors import DeviceError, JournalError
 from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_lab.campaign.explore import injecting
 from pcmrs_lab.campaign.explore.faults import FAULTS, HOST, NETWORK
-from pcmrs_lab.campaign.explore.injecting import BY_HAND, FIRST_POSES_WITHIN, RETRY_AFTER, Faults
+from pcmrs_lab.campaign.explore.injecting import BY_HAND, RETRY_AFTER, Faults
 from pcmrs_lab.campaign.explore.operators import Operators
 from tests.unit.lab.campaign.explore.ratms_views import command, decided, shown
 from tests.unit.lab.campaign.explore.scripted_session import ScriptedCell, now, witness
@@ -249,17 +250,23 @@ SWAP = {"first": "witness", "second": "body_ref", "on": True, "lasts": 5.0}
 
 
 @pytest.mark.parametrize(
-    ("order", "mistaken"),
+    ("seen", "order", "mistaken"),
     [
-        (["tool_swap"], False),
-        (["tool_swap", "dash_head"], True),
-        (["tool_swap", "crash_node"], True),
-        (["dash_head", "tool_swap"], False),
-        (["crash_node", "tool_swap"], True),
+        (("witness", "body_ref"), ["tool_swap"], False),
+        (("witness", "body_ref"), ["tool_swap", "dash_head"], True),
+        (("witness", "body_ref"), ["tool_swap", "crash_node"], True),
+        (("witness", "body_ref"), ["dash_head", "tool_swap"], False),
+        (("witness", "coil"), ["tool_swap"], True),
+        ((), ["tool_swap"], True),
     ],
 )
-def test_bodies_that_no_feed_can_tell_apart_are_known(order: list[str], mistaken: bool) -> None:
+def test_bodies_that_no_feed_can_tell_apart_are_known(seen: tuple[str, ...], order: list[str], mistaken: bool) -> None:
+    """A feed cannot tell two bodies apart that were swapped while it did not see both."""
+
     async def act(it: Injected) -> None:
+        assert it.cell.daemon is not None
+        poses = SimpleNamespace(seen=lambda body: body in seen)
+        it.cell.daemon.procedure = SimpleNamespace(cell=SimpleNamespace(poses=poses))
         await asyncio.sleep(100.0)
         for name in order:
             await it.faults.inject(name, SWAP if name == "tool_swap" else {"lasts": 0.5})
@@ -268,14 +275,14 @@ def test_bodies_that_no_feed_can_tell_apart_are_known(order: list[str], mistaken
     assert during(act).faults.mistaken is mistaken
 
 
-def test_a_swap_long_after_a_restart_is_told() -> None:
+def test_a_swap_while_no_daemon_runs_is_known_at_its_start() -> None:
     async def act(it: Injected) -> None:
-        await asyncio.sleep(100.0)
-        await it.faults.inject("crash_node", {"lasts": 0.5})
-        await asyncio.sleep(0.6 + FIRST_POSES_WITHIN)
+        await it.faults.inject("crash_daemon", {"lasts": 1.0})
         await it.faults.inject("tool_swap", SWAP)
+        assert not it.faults.mistaken
+        await asyncio.sleep(2.0)
 
-    assert not during(act).faults.mistaken
+    assert during(act).faults.mistaken
 
 
 @pytest.mark.parametrize("name", [*HOST, *NETWORK])

@@ -191,6 +191,19 @@ def test_an_operation_that_never_ends_is_a_violation() -> None:
     assert "placement.approach is still running" in played.witness.violation.text
 
 
+def test_a_long_motion_at_the_end_is_no_violation() -> None:
+    retreat = Running(branch="placement", operation="back_off", id="1")
+
+    def end_late(played: Played) -> None:
+        played.witness.view.snapshot = shown(states=READY, running=[retreat])
+        ended = shown(states=READY)
+        asyncio.get_running_loop().call_later(25.0, setattr, played.witness.view, "snapshot", ended)
+
+    played = Played(Act(1.0, "stop", "ben"), snapshot=shown(states=READY, running=[retreat])).play(end_late)
+    assert played.witness.violation is None
+    assert played.ended == pytest.approx(25.0, abs=1.1)
+
+
 def test_poses_that_the_daemon_takes_no_more_are_a_violation() -> None:
     def stale(played: Played) -> None:
         poses = SimpleNamespace(rate_hz=lambda body: 0.0 if body == running.REFERENCE else 10.0)
