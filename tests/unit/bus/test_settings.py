@@ -8,6 +8,7 @@ import msgspec
 import pytest
 
 from pcmrs.bus import Bus, BusSettings
+from pcmrs.bus.codec import MAX_BYTES
 from pcmrs.errors import AccessError, BusError, ConfigurationError
 from pcmrs.messages.identity import Identity
 from pcmrs.pki import Authority, read_credentials
@@ -38,6 +39,17 @@ async def test_refused_certificate_holder_gets_the_possible_causes(tmp_path: Pat
     settings = BusSettings(endpoint=endpoint, credentials=read_credentials(tmp_path / "anna", now))
     with pytest.raises(BusError, match=f"No router at {endpoint} accepts anna: none runs there, its certificate"):
         await Bus.open(settings)
+
+
+def test_a_link_takes_no_more_than_the_decoder_and_an_envelope() -> None:
+    largest = BusSettings().zenoh_config()["transport/link/rx/max_message_size"]
+    assert MAX_BYTES < largest < 1.01 * MAX_BYTES
+
+
+def test_the_administration_of_a_router_is_read_only_and_off() -> None:
+    settings = BusSettings(mode="router").zenoh_config()
+    assert settings["adminspace/permissions"] == {"read": True, "write": False}
+    assert "adminspace/enabled" not in settings, "it is off by default"
 
 
 @pytest.mark.parametrize("endpoint", ["tcp/192.0.2.7:7447", "tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/robot.local:1"])
