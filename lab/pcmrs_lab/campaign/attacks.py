@@ -69,8 +69,14 @@ def attacks_as_markdown() -> str:
     for way in known.ways:
         cells = (" ".join(_short(known.proofs(way, attacker), tests)) or NOT_TRIED for attacker in known.attackers)
         lines.append(f"| {way} | " + " | ".join(cells) + " |")
-    lines += ["", *(f"- t{number}: `{test}`" for number, test in enumerate(tests, 1))]
+    lines += ["", *(f"- t{number}: {_named(test)}" for number, test in enumerate(tests, 1))]
     return "\n".join(lines) + "\n"
+
+
+def _named(test: str) -> str:
+    """Return the name of a test as code, followed by its mark, such as ``(browser)``, if it has one."""
+    name, separator, mark = test.partition(" ")
+    return f"`{name}`{separator}{mark}"
 
 
 def _short(proofs: list[str], tests: list[str]) -> Iterator[str]:
