@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import AsyncIterator
+import tempfile
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,15 +111,17 @@ class ReachableCell:
 
 
 @asynccontextmanager
-async def reachable_cell(lab: Lab, *overrides: str) -> AsyncIterator[ReachableCell]:
+async def reachable_cell(lab: Lab, *overrides: str, prefix: Sequence[str] = ()) -> AsyncIterator[ReachableCell]:
     """Start a cell that is reached over TLS, with everyone of `PEOPLE`, and a peer that signs.
 
     Args:
         lab: Surroundings of the fault.
         overrides: Further settings, ``key=value`` each.
+        prefix: Words before the command line of the daemon.
     """
-    people = People(lab.folder / "people", "lab/*")
-    endpoint, key = f"tls/127.0.0.1:{free_port()}", lab.folder / "slicer.key"
+    folder = Path(tempfile.mkdtemp(dir=lab.folder))
+    people = People(folder / "people", "lab/*")
+    endpoint, key = f"tls/127.0.0.1:{free_port()}", folder / "slicer.key"
     new_key(key)
     access = (
         f"access.identity={people.folder / 'daemon1'}",
@@ -126,5 +129,5 @@ async def reachable_cell(lab: Lab, *overrides: str) -> AsyncIterator[ReachableCe
         f'access.listen=["{endpoint}"]',
         f"gateway.peers.slicer.key_file={key}",
     )
-    async with lab.daemon(*access, *overrides) as cell:
+    async with lab.daemon(*access, *overrides, prefix=prefix) as cell:
         yield ReachableCell(cell, people, endpoint, key)

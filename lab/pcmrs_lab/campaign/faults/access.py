@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 
 import msgspec
+import zenoh
 
 from pcmrs.bus.codec import MAX_BYTES, unpack
 from pcmrs.bus.settings import BusSettings, open_session
@@ -21,7 +22,7 @@ from pcmrs.gateway.signing import Signer, read_key
 from pcmrs.messages import Verdict
 from pcmrs.pki import read_credentials
 from pcmrs.testing.cell import RunningCell
-from pcmrs.testing.driving import PATIENCE, accept, reason_text
+from pcmrs.testing.driving import PATIENCE, accept, reason_text, until
 from pcmrs_lab.campaign.checks import check_refused, expect, shape
 from pcmrs_lab.campaign.counted_session import CountedSession, counted_session, counting_endpoint
 from pcmrs_lab.campaign.datagrams import raw_socket, refusals_after, send_accepted
@@ -31,6 +32,7 @@ from pcmrs_lab.campaign.reachable import EXPIRED, FOREIGN, REVOKED, ReachableCel
 from pcmrs_lab.campaign.samples import sample
 from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
 from pcmrs_lab.campaign.waiting import until_true
+from pcmrs_lab.campaign.without_guard import without_guards
 
 TLS = "a running cell that listens for other machines, over real TLS on loopback"
 SIGNED = "raw datagrams at a running cell with a peer that signs"
@@ -38,6 +40,9 @@ FORGED = 200
 """Number of tampered signed commands of each kind."""
 LARGE = 24 * 1024 * 1024
 """Size of a message above the permitted size, bytes."""
+ENORMOUS = b"{}".ljust(LARGE)
+"""A command that would be accepted, if it were not so long."""
+REINIT_OF_BOB = "cmd/bob/registration/reinit"
 KEPT = 4.0
 """Time after which a connection that is still open counts as kept, s of the machine; the daemon waits longer for its
 first message."""
@@ -68,6 +73,7 @@ async def two_operators(lab: Lab) -> Evidence:
         took_place={
             "rejected_in_the_journal": sum(each.verdict.decision == "rejected" for each in rows if each.verdict)
         },
+        control_kind="permitted",
         control={"with_the_lease": control.decision},
         details={"nobody": nobody, "held": held},
     )
@@ -142,6 +148,7 @@ async def no_certificate(lab: Lab) -> Evidence:
     return Evidence(
         "refused",
         took_place=rejected,
+        control_kind="permitted",
         control={"let_in": "anna", "kept_with_a_certificate": not alone},
     )
 
@@ -158,6 +165,7 @@ async def revoked_certificate(lab: Lab) -> Evidence:
     return Evidence(
         "connected, and nothing that it sent had an effect",
         took_place={"bytes_of_the_revoked_one_at_the_daemon": arrived},
+        control_kind="permitted",
         control={"the_same_command_by_anna": control},
     )
 
@@ -179,6 +187,7 @@ async def wrong_role(lab: Lab) -> Evidence:
     return Evidence(
         "dropped; a planner's motion refused",
         took_place={f"bytes_of_{name}_at_the_daemon": count for name, count in arrived.items()},
+        control_kind="permitted",
         control={"the_same_command_by_anna": control},
         details={"planner": planner},
     )
@@ -191,18 +200,26 @@ async def enormous_message(lab: Lab) -> Evidence:
         before = sample(open_cell.cell.process.pid).memory
         async with unmoved(open_cell), counted_session(open_cell, "bob") as session:
             for _ in range(4):
-                await session.put(f"pcmrs/lab/{open_cell.cell.name}/cmd/bob/registration/reinit", bytes(LARGE))
+                await session.put(f"pcmrs/lab/{open_cell.cell.name}/{REINIT_OF_BOB}", ENORMOUS)
             arrived = await session.wait_until_arrived(most=MAX_BYTES)
         grown = sample(open_cell.cell.process.pid).memory - before
         expect(grown < 4 * LARGE, f"The daemon has grown by {grown / 2**20:.0f} MiB.")
         async with anna.holding():
             await accept(anna, "registration.reinit")
         async with open_cell.client("bob") as bob, bob.holding():
-            control = await _accepted_from(open_cell, "bob", "registration/reinit")
+            short = await _accepted_from(open_cell, "bob", "registration/reinit")
+    unlimited = without_guards("messages_of_any_size", "a_payload_of_any_length")
+    async with reachable_cell(lab, prefix=unlimited) as open_cell, open_cell.client("bob") as bob, bob.holding():
+        row = open_cell.cell.last_row()
+        with await asyncio.to_thread(open_session, open_cell.settings("bob")) as session:
+            key = f"pcmrs/lab/{open_cell.cell.name}/{REINIT_OF_BOB}"
+            await asyncio.to_thread(session.put, key, ENORMOUS, congestion_control=zenoh.CongestionControl.BLOCK)
+            control = await _decision_on(open_cell, row, "reinit")
     return Evidence(
         "not taken; others are served",
         took_place={"bytes_at_the_daemon": arrived},
-        control={"a_short_one_of_the_same_user": control},
+        control_kind="mutant",
+        control={"the_same_message_without_the_guards": control, "a_short_one_of_the_same_user": short},
         details={"grown_mib": round(grown / 2**20, 1)},
     )
 
@@ -222,10 +239,15 @@ async def wildcards(lab: Lab) -> Evidence:
                     arrived[name] = await session.wait_until_arrived()
         async with open_cell.client("anna") as anna, anna.holding():
             control = await _accepted_from(open_cell, "anna")
+    async with reachable_cell(lab, prefix=without_guards("everybody_may_use_every_key")) as open_cell:
+        with await asyncio.to_thread(open_session, open_cell.settings("eve")) as session:
+            await asyncio.to_thread(session.put, "pcmrs/lab/*/stop/*", b"{}")
+            stopped = (await until(open_cell.cell.client, lambda shown: shown.latched)).latched
     return Evidence(
         "denied",
         took_place={f"bytes_of_{name}_at_the_daemon": count for name, count in arrived.items()},
-        control={"a_key_without_wildcards": control},
+        control_kind="mutant",
+        control={"stopped_by_a_wildcard_without_the_guard": stopped, "a_key_without_wildcards": control},
         details={"keys": len(keys)},
     )
 
@@ -251,6 +273,7 @@ async def readable_key(lab: Lab) -> Evidence:
     return Evidence(
         "the daemon does not start, and names the file",
         took_place={"modes": modes},
+        control_kind="permitted",
         control={"with_0600": f"starts, robot {started.branches['robot']}"},
         details={"status": statuses},
     )
@@ -268,8 +291,7 @@ async def administration(lab: Lab) -> Evidence:
                         await session.put(f"@/{router}/router/config/{path}", b"false")
                         await session.delete(f"@/{router}/router/config/{path}")
                 arrived = await session.wait_until_arrived()
-                replies_of_all = await asyncio.to_thread(lambda: list(session.zenoh.get("@/**", timeout=QUIET)))
-            replies = [str(reply.ok.key_expr).split("/")[1] for reply in replies_of_all if reply.ok is not None]
+                replies = await asyncio.to_thread(_administration, session.zenoh)
             answers = [each for each in replies if each in routers]  # the others are the session itself
             expect(not answers, f"The daemon's admin space answered {len(answers)} times.")
             async with counted_session(open_cell, "eve") as session:
@@ -277,12 +299,26 @@ async def administration(lab: Lab) -> Evidence:
                 arrived_after = await session.wait_until_arrived()
         async with open_cell.client("anna") as anna, anna.holding():
             control = await _accepted_from(open_cell, "anna")
+    administrable = without_guards("everybody_may_use_every_key", "the_administration_may_be_changed")
+    async with reachable_cell(lab, prefix=administrable) as open_cell:
+        with await asyncio.to_thread(open_session, open_cell.settings("anna")) as session:
+            open_routers = {str(each) for each in session.info.routers_zid()}
+            open_to_all = await asyncio.to_thread(_administration, session)
+    answering = sum(each in open_routers for each in open_to_all)
+    expect(answering > 0, "Without the guard, too, the daemon's admin space did not answer.")
     return Evidence(
         "denied; access control holds",
         took_place={"bytes_for_the_administration": arrived, "bytes_of_eve_afterwards": arrived_after},
-        control={"its_own_administration_answers": len(replies), "the_command_of_eve_by_anna": control},
-        details={"routers": len(routers)},
+        control_kind="mutant",
+        control={"answers_of_the_daemon_without_the_guard": answering, "the_command_of_eve_by_anna": control},
+        details={"routers": len(routers), "its_own_administration_answers": len(replies)},
     )
+
+
+def _administration(session: zenoh.Session) -> list[str]:
+    """Return the id of the router or client of each answer about its administration."""
+    replies = session.get("@/**", timeout=QUIET)
+    return [str(reply.ok.key_expr).split("/")[1] for reply in replies if reply.ok is not None]
 
 
 @fault("C6", how=f"{TLS}: of a user, and of the daemon itself")
@@ -308,9 +344,21 @@ async def expired_certificate(lab: Lab) -> Evidence:
     return Evidence(
         "refused with the reason",
         took_place={"user": reason, "daemon": errors.strip().splitlines()[-1]},
+        control_kind="permitted",
         control={"let_in": "anna", "daemon_with_one_that_counts": f"starts, robot {started.branches['robot']}"},
         details={"status": status},
     )
+
+
+async def _decision_on(open_cell: ReachableCell, row: int, operation: str) -> str:
+    """Wait for the decision on an operation that a later row has, and return it."""
+
+    def decisions() -> list[str]:
+        rows = open_cell.cell.rows(row)
+        return [each.verdict.decision for each in rows if each.operation == operation and each.verdict is not None]
+
+    await until_true(lambda: decisions() != [], f"Without the guards, too, {operation} was not decided on")
+    return decisions()[0]
 
 
 async def _check_refused(open_cell: ReachableCell, client: Client, name: str, code: str) -> str:
@@ -341,6 +389,7 @@ async def _check_ignored(open_cell: ReachableCell, datagrams: list[bytes], *, co
     return Evidence(
         "refused, not answered, reported in the journal",
         took_place={"refused_in_the_journal": refused_ones},
+        control_kind="permitted",
         control={"signed_by_the_peer": answer},
         details={"sent": len(datagrams), "reasons": reasons},
     )

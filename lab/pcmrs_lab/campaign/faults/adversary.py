@@ -40,6 +40,9 @@ from pcmrs_lab.campaign.flood import flood
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.lateness import percentile, timer_lateness
 from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
+from pcmrs_lab.campaign.tools import ended
+from pcmrs_lab.campaign.waiting import until_true
+from pcmrs_lab.campaign.without_guard import without_guards
 
 FLOOD = 40_000.0
 """Datagrams per second."""
@@ -59,6 +62,10 @@ POINTS = 25
 SILENT = 1_100
 """Number of simultaneous connections: more than the usual limit of 1,024 descriptors of a process."""
 
+DEAF = 3.0
+"""Time without an answer after which a receiver counts as closed, s of the machine; it answers within milliseconds."""
+
+TOO_MANY_LANDMARKS = b"img_fid_numxxxxx_1000;"
 RIGHT = "0.1"
 WRONG_NUMBERS = ("nan", "1e999", "-1e999", "٣", "1_000", "inf", "0x10", "1,5", "")
 MAGIC = (
@@ -110,8 +117,9 @@ async def stop_under_a_flood(lab: Lab) -> Evidence:
     return Evidence(
         f"Stop begun after {percentile(taken, 0.5) * 1e3:.1f} ms in the median",
         took_place={"arrived_at_the_gateway": arrived},
-        control=in_ms("stop_without_flood", quiet),
-        details=details,
+        control_kind="permitted",
+        control={"answers_to_commands_of_the_flood": sent.answers},
+        details={**details, **in_ms("stop_without_flood", quiet)},
     )
 
 
@@ -122,10 +130,18 @@ async def magic_texts(lab: Lab) -> Evidence:
         await digitize_landmarks(cell.client)
         details = await refused_all(cell, [*MAGIC, *(b"x" * 16 + m for m in MAGIC)])
         control = await send_accepted(cell, b"stop_visualizexx_#1;")
+    async with lab.daemon(prefix=without_guards("a_text_ends_the_receiver")) as other:
+        await send_accepted(other, b"stop_visualizexx_#1;")
+        async with raw_socket(other.ready.links["planner"]) as raw:
+            raw.send(MAGIC[0])
+            raw.send(b"stop_visualizexx_#2;")
+            answers = await _answers(raw, 1, DEAF)
+    expect(not answers, f"A receiver that obeys {MAGIC[0]!r} has answered {answers}.")
     return Evidence(
         "refused, the receiver continues",
         took_place={"refused_in_the_journal": details.pop("refused")},
-        control={"a_command_instead": control},
+        control_kind="mutant",
+        control={"a_receiver_that_obeys_is_deaf": not answers, "a_command_instead": control},
         details=details,
     )
 
@@ -133,7 +149,7 @@ async def magic_texts(lab: Lab) -> Evidence:
 @fault("A6", how="raw datagrams and requests on the bus")
 async def unknown_commands_and_bad_numbers(lab: Lab) -> Evidence:
     """Unknown commands, and invalid indices and numbers, are refused."""
-    wrong = [b"no_such_commandx;", b"img_fid_numxxxxx_-1;", b"img_fid_numxxxxx_1000;", b"img_dig_digitize_x;"]
+    wrong = [b"no_such_commandx;", b"img_fid_numxxxxx_-1;", TOO_MANY_LANDMARKS, b"img_dig_digitize_x;"]
     wrong += [b"target_tslxxxxxx_1_2;", b"target_tslxxxxxx_1_2_3_4;", b"target_tslxxxxxx_1_2_x;"]
     async with lab.cell() as cell:
         await digitize_landmarks(cell.client)
@@ -147,13 +163,16 @@ async def unknown_commands_and_bad_numbers(lab: Lab) -> Evidence:
             ):
                 await refused(cell, name, arguments, codes=(code,))
                 details[f"{name} {arguments}"] = code
-        control = await right_numbers(cell, details)
+        right = await right_numbers(cell, details)
         planned = await accept(cell.client, "toolplan.plan", **tool_pose())
+    async with lab.daemon(prefix=without_guards("an_index_of_any_kind")) as other:
+        control = await send_accepted(other, TOO_MANY_LANDMARKS.replace(b";", b"_#1;"))
     return Evidence(
         "refused, nothing changed",
         took_place={"refused_in_the_journal": details.pop("refused")},
-        control={"right_number": control, "right_plan": planned.decision},
-        details=details,
+        control_kind="mutant",
+        control={"such_an_index_without_the_guard": control},
+        details={**details, "right_number": right, "right_plan": planned.decision},
     )
 
 
@@ -190,14 +209,32 @@ async def numbers_that_only_some_parsers_read(lab: Lab) -> Evidence:
             for text in ("1", None):
                 await refused(cell, "toolplan.plan", _pose(text), codes=("bad_arguments",))
             malformed = await reported(cell, row, edge="bus", code="malformed", count=2)
-        control = await right_numbers(cell, details)
+        right = await right_numbers(cell, details)
         planned = await accept(cell.client, "toolplan.plan", **tool_pose())
+    async with lab.daemon(prefix=without_guards("numbers_as_python_reads_them", "numbers_beyond_all_bounds")) as other:
+        reached = await _decided_targets(other, wrong[0])
     return Evidence(
         "refused, nothing changed",
         took_place={"refused_in_the_journal": details.pop("refused"), "malformed_on_the_bus": malformed},
-        control={"right_number": control, "right_plan": planned.decision},
-        details=details,
+        control_kind="mutant",
+        control={"decided_by_the_dispatcher_without_the_guards": reached},
+        details={**details, "right_number": right, "right_plan": planned.decision},
     )
+
+
+async def _decided_targets(cell: RunningCell, translation: bytes) -> int:
+    """Send a rotation and then a translation, and return how many targets the dispatcher has decided on."""
+    row = cell.last_row()
+    async with raw_socket(cell.ready.links["planner"]) as raw:
+        raw.send(b"target_rotxxxxxx_0_0_0_1;")
+        raw.send(translation)
+        await raw.fence()
+
+    def decided() -> int:
+        return sum((each.branch, each.operation) == ("toolplan", "plan") for each in cell.rows(row))
+
+    await until_true(lambda: decided() > 0, f"Without its guard, too, {translation!r} did not reach the dispatcher")
+    return decided()
 
 
 def _pose(number: object) -> dict[str, Any]:
@@ -227,6 +264,11 @@ async def paths_from_the_network(lab: Lab) -> Evidence:
         new = set(cell.folder.rglob("*")) - files
         control = await cell.planner.command("icp_registerxxxx", "/home/lab/skin_of_head/head_phantom.ply")
         expect(control.decision == "accepted", f"A path to the configured surface was {control}.")
+    async with lab.daemon(prefix=without_guards("any_path_is_the_surface")) as other:
+        await digitize_landmarks(other.client)
+        await accept(other.client, "digitization.digitize_surface", points=POINTS)
+        obeyed = await other.planner.command("icp_registerxxxx", paths[0])
+        expect(obeyed.decision == "accepted", f"Without the guard {paths[0]} was {obeyed}.")
     reasons = [verdict.reason.code for verdict in decided if verdict.reason]
     expect(reasons == ["unknown_surface"] * len(paths), f"They were refused for {reasons}.")
     accepted = [path for path, verdict in verdicts.items() if verdict.decision == "accepted"]
@@ -236,7 +278,8 @@ async def paths_from_the_network(lab: Lab) -> Evidence:
     return Evidence(
         "refused, no file was touched",
         took_place={"refused_in_the_journal": reasons},
-        control={"configured_surface": control.decision},
+        control_kind="mutant",
+        control={"such_a_path_without_the_guard": obeyed.decision, "configured_surface": control.decision},
         details={path: verdict.reason for path, verdict in verdicts.items()},
     )
 
@@ -269,8 +312,9 @@ async def stop_spam(lab: Lab) -> Evidence:
     return Evidence(
         "all honoured, held until confirmed",
         took_place={"counted_in_the_journal": stops},
-        control={"approach_without_stop": alone.decision},
-        details={"sent": SPAM, "honoured": honoured},
+        control_kind="permitted",
+        control={"stops_that_were_honoured": honoured, "approach_without_stop": alone.decision},
+        details={"sent": SPAM},
     )
 
 
@@ -288,10 +332,14 @@ async def a_web_page(lab: Lab) -> Evidence:
         expect(not any(answers), f"The answers were {answers}.")
         control = await _first_answer(cell, command)
         expect(control.startswith(b"1_accepted"), f"The command by itself was answered {control!r}.")
+    async with lab.daemon(prefix=without_guards("tcp_goes_on_behind_a_wrong_frame")) as other:
+        obeyed = await _first_answer(other, requests[0])
+        expect(obeyed.startswith(b"1_accepted"), f"Without the guard the request was answered {obeyed!r}.")
     return Evidence(
         "ended at the first wrong byte",
         took_place={"malformed_in_the_journal": malformed},
-        control={"the_command_by_itself": control.decode()},
+        control_kind="mutant",
+        control={"the_request_without_the_guard": obeyed.decode(), "the_command_by_itself": control.decode()},
     )
 
 
@@ -318,41 +366,64 @@ async def silent_connections(lab: Lab) -> Evidence:
             while not (control := await _first_answer(cell, b"get_jnt_angsxxxx_#2;")):
                 pass  # the daemon notices the closed connections one after the other
         await confirmed(cell)
+    async with lab.daemon(prefix=without_guards("any_number_of_tcp_connections")) as other:
+        kept = await _descriptors_of_silent(other)
     return Evidence(
         "bounded, and Stop works",
         took_place={"turned_away_in_the_journal": rejected},
-        control={"one_more_when_they_are_closed": control.decode()},
-        details={"connections": SILENT},
+        control_kind="mutant",
+        control={"descriptors_taken_without_the_guard": kept},
+        details={"connections": SILENT, "one_more_when_they_are_closed": control.decode()},
     )
 
 
-@fault("A25", how="a signed command that is delayed; from a peer with the time in its counters, and from one without")
+async def _descriptors_of_silent(cell: RunningCell) -> int:
+    """Return how many descriptors of the daemon silent connections take, more than its limit permits."""
+    before, many = _descriptors(cell), 4 * MOST_OF_A_HOST
+    opened = [await asyncio.open_connection(*cell.ready.links["tcp"]) for _ in range(many)]
+    try:
+        await until_true(lambda: _descriptors(cell) - before >= many, f"{many} connections take fewer descriptors")
+        return _descriptors(cell) - before
+    finally:
+        for _, writer in opened:
+            writer.close()
+
+
+def _descriptors(cell: RunningCell) -> int:
+    """Return the number of open descriptors of the daemon, as the kernel counts them."""
+    return len(list(Path(f"/proc/{cell.process.pid}/fd").iterdir()))
+
+
+@fault("A25", how="a signed command that is delivered seconds after it was sent")
 async def held_back(lab: Lab) -> Evidence:
     """An attacker on the route delays a datagram, and delivers it long after it was sent."""
-    command, peers, settings = b"rob_conn_onxxxxx_#1;", {}, []
-    for name, counter in (("timed", "unix_ns"), ("growing", "growing")):
-        key = lab.folder / f"{name}.key"
-        new_key(key)
-        peers[name] = Signer(name, read_key(key))
-        table = {"key_file": str(key), "counter": counter, "role": "operator", "allow": ["robot"]}
-        settings += [f"gateway.peers.{name}.{setting}={json.dumps(value)}" for setting, value in table.items()]
+    key = lab.folder / "timed.key"
+    new_key(key)
+    signer = Signer("timed", read_key(key))
+    table = {"key_file": str(key), "counter": "unix_ns", "role": "operator", "allow": ["robot"]}
+    settings = [f"gateway.peers.timed.{setting}={json.dumps(value)}" for setting, value in table.items()]
+    held = signer.sign(b"rob_conn_onxxxxx_#1;")
     async with lab.daemon(*settings) as cell, raw_socket(cell.ready.links["planner"]) as raw:
-        held = {name: signer.sign(command) for name, signer in peers.items()}
-        if not is_sham():
+        if is_sham():
+            held = signer.sign(b"rob_conn_onxxxxx_#1;")
+        else:
             await asyncio.sleep(FRESH_FOR + 0.5)
         row = cell.last_row()
         async with unmoved(cell):
-            (answer,) = await _send_and_receive(raw, held["timed"])
+            (answer,) = await _send_and_receive(raw, held)
             too_old = await reported(cell, row, edge="gateway", code="too_old", count=1)
-        expect(b"_rejected_" in answer and b"too_old;" in answer, f"The peer with the time was answered {answer!r}.")
-        (control,) = await _send_and_receive(raw, held["growing"])
-        expect(b"_accepted_" in control, f"The peer without the time was answered {control!r}.")
-        (fresh,) = await _send_and_receive(raw, peers["timed"].sign(b"rob_conn_offxxxx_#2;"))
-        expect(b"_accepted_" in peers["timed"].check(fresh), f"A fresh command was answered {fresh!r}.")
+        expect(b"_rejected_" in answer and b"too_old;" in answer, f"It was answered {answer!r}.")
+        (fresh,) = await _send_and_receive(raw, signer.sign(b"rob_conn_onxxxxx_#2;"))
+        expect(b"_accepted_" in signer.check(fresh), f"A fresh command was answered {fresh!r}.")
+    prefix = without_guards("commands_may_be_held_back")
+    async with lab.daemon(*settings, prefix=prefix) as other, raw_socket(other.ready.links["planner"]) as raw:
+        (control,) = await _send_and_receive(raw, held)
+        expect(b"_accepted_" in signer.check(control), f"Without the guard it was answered {control!r}.")
     return Evidence(
         "refused as too old",
         took_place={"too_old_in_the_journal": too_old},
-        control={"without_the_time": control.decode(), "fresh": fresh.decode()},
+        control_kind="mutant",
+        control={"the_same_datagram_without_the_guard": control.decode(), "fresh": fresh.decode()},
         details={"answer": answer.decode()},
     )
 
@@ -379,6 +450,7 @@ async def a_reader_is_taken_over(lab: Lab) -> Evidence:
     return Evidence(
         "each is refused by the kernel",
         took_place={"refused_by_the_kernel": tries["confined"]},
+        control_kind="mutant",
         control={"without_limits": tries["free"], "bytes_written": written["free"]},
     )
 
@@ -417,10 +489,14 @@ async def the_journal_is_edited(lab: Lab) -> Evidence:
     verified = await asyncio.to_thread(verify, journal)
     expect(not verified.sound and verified.first_bad == 2, f"Verified as {verified}.")
     expect(body == bytes(20), "The row was not changed.")
+    words = ("python", "-m", "pcmrs.cli", "journal", "verify", str(journal))
+    status, text = await ended([*without_guards("bad_rows_are_no_problem"), *words])
+    expect(status == 0, f"Without the guard, too, the journal was not verified: {text[-300:]}")
     return Evidence(
         "found by pcmrs journal verify",
         took_place={"body_of_the_row": body.hex()},
-        control={"sound_before": whole.sound},
+        control_kind="mutant",
+        control={"verified_without_the_guard": status == 0, "sound_before": whole.sound},
         details={"first_bad": verified.first_bad, "problems": list(verified.problems)},
     )
 
@@ -436,20 +512,18 @@ async def the_journal_is_rolled_back(lab: Lab) -> Evidence:
             connection.backup(older)
         for _ in range(5):
             await accept(cell.client, "registration.reinit")
-    whole = lab.folder / "whole.sqlite"
-    with closing(sqlite3.connect(journal)) as connection, closing(sqlite3.connect(whole)) as kept:
-        connection.backup(kept)
     before = _last(journal)
     inject_unless_sham(lambda: _replace(copy, journal))
     gone = before - _last(journal)
     text = await _detected(lab, cell, "rolled back")
-    _replace(whole, journal)
-    async with lab.daemon(folder=cell.folder) as successor:
+    prefix = without_guards("acknowledged_rows_are_lost_unseen")
+    async with lab.daemon(folder=cell.folder, prefix=prefix) as successor:
         control = await accept(successor.client, "registration.reinit")
     return Evidence(
         DETECTED,
         took_place={"rows_gone": gone},
-        control={"accepted_with_the_newer_one": control.decision},
+        control_kind="mutant",
+        control={"accepted_without_the_guard": control.decision},
         details={"text": text},
     )
 
@@ -496,6 +570,7 @@ async def rows_are_added_without_the_key(lab: Lab) -> Evidence:
     return Evidence(
         DETECTED,
         took_place={"chained_row": chained[-1]},
+        control_kind="permitted",
         control={"taken_up_after_a_crash": noted},
         details={"text": text},
     )
@@ -513,11 +588,11 @@ async def _detected(lab: Lab, cell: RunningCell, how: str) -> str:
     return text
 
 
-async def _answers(raw: Raw, most: int) -> list[bytes]:
-    """Return up to `most` answers that come within `PATIENCE`."""
+async def _answers(raw: Raw, most: int, within: float = PATIENCE) -> list[bytes]:
+    """Return up to `most` answers that come within the time, s of the machine."""
     answers: list[bytes] = []
     with suppress(TimeoutError):
-        async with asyncio.timeout(PATIENCE):
+        async with asyncio.timeout(within):
             while len(answers) < most:
                 answers.append(await raw.answers.get())
     return answers

@@ -23,12 +23,16 @@ from pcmrs_lab.campaign.faults.adversary import in_ms, stop_times
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.lateness import percentile, timer_lateness
 from pcmrs_lab.campaign.sham import is_sham
+from pcmrs_lab.campaign.without_guard import without_guards
 
 STOP_BEGINS_WITHIN = 0.1
 """Time within which Stops of others begin during a flood, s of the machine, beyond the lateness of a bare timer."""
 STOPS = 50
 PRESSES = 20_000
 REJECTED = 4 * BURST
+LIMIT = 3.0
+"""Time without attendance after which a session is made safe here, s of the machine."""
+ABANDONED_AFTER_LIMIT = (f"procedure.abandoned_after={LIMIT:g}", "workflow=ratms_threshold", *REAL_TIME)
 OVER = 1.0
 """Time without messages after which a flood is over, s of the machine."""
 REPORTED_WITHIN = 30.0
@@ -46,6 +50,7 @@ async def stop_by_a_viewer(lab: Lab) -> Evidence:
             bus_flood("stop-puts", cell.ready.endpoint, cell.name, most=PRESSES) as flooding,
         ):
             await held(cell)
+        stopped = (await cell.client.state()).latched
         await confirmed(cell)
         counted = await _presses(cell, row)
         details = {"sent": flooding.report.sent, "rate_hz": round(flooding.report.rate), **counted}
@@ -61,7 +66,8 @@ async def stop_by_a_viewer(lab: Lab) -> Evidence:
     return Evidence(
         "one Stop at a time, counted, and others are in time",
         took_place={"presses_in_the_journal": counted["presses"]},
-        control={"approach_without_stop": alone.decision},
+        control_kind="permitted",
+        control={"stopped_by_the_first_press": stopped, "approach_without_stop": alone.decision},
         details=details,
     )
 
@@ -84,11 +90,19 @@ async def rejected_without_end(lab: Lab) -> Evidence:
         planned = await accept(cell.client, "toolplan.plan", **tool_pose())
         await accept(cell.client, "toolplan.reinit")
         await reset_cell(cell.client)
+    unlimited = without_guards("every_rejection_has_a_row", "long_arguments_are_kept")
+    async with lab.daemon("cell.rate=1", prefix=unlimited) as other:
+        before = _size(other)
+        async with bus_flood("rejected", other.ready.endpoint, other.name, most=REJECTED):
+            pass
+        unbounded = _size(other) - before
+        expect(unbounded > REJECTED * ARGUMENT_SIZE / 2, f"Without the guards the journal grew by {unbounded} bytes.")
     return Evidence(
         "bounded, and counted",
         took_place={"rows_in_the_journal": rows, "counted_without_row": dropped},
-        control={"the_same_operation_with_a_pose": planned.decision},
-        details={"codes": codes, "grown": grown},
+        control_kind="mutant",
+        control={"bytes_of_the_journal_without_the_guards": unbounded},
+        details={"codes": codes, "grown": grown, "the_same_operation_with_a_pose": planned.decision},
     )
 
 
@@ -101,6 +115,7 @@ async def queries_without_end(lab: Lab) -> Evidence:
         alone = await cell.client.journal(JournalQuery(limit=1))
         details = await _stops_in_time(cell, "setup")
         details |= await _stops_in_time(cell, "journal")
+        answered = {kind: details[f"{kind}_answers"] for kind in ("setup", "journal")}
         refused = await _refused_requests(cell) - before
         expect(not any(entry.operation == FAIL_STOP for entry in cell.rows(row)), "The dispatcher has failed.")
         await confirmed(cell)
@@ -108,7 +123,8 @@ async def queries_without_end(lab: Lab) -> Evidence:
     return Evidence(
         "a few at a time, and Stop is in time",
         took_place={"requests_without_a_place": refused},
-        control={"rows_answered_to_one_request": len(alone.rows)},
+        control_kind="permitted",
+        control={"answered_in_their_turn": answered, "rows_answered_to_one_request": len(alone.rows)},
         details=details,
     )
 
@@ -116,11 +132,8 @@ async def queries_without_end(lab: Lab) -> Evidence:
 @fault("A24", how="an operation that is rejected twice a second; the limit is 3 s here")
 async def asked_in_vain(lab: Lab) -> Evidence:
     """The stimulator is armed, the tool on the head: a program whose commands are rejected does not attend."""
-    async with lab.daemon("procedure.abandoned_after=3", "workflow=ratms_threshold", *REAL_TIME) as cell:
-        await to_placed(cell.client)
-        await accept(cell.client, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
-        await accept(cell.client, "stimulation.set_intensity", percent=50.0)
-        await accept(cell.client, "stimulation.arm")
+    async with lab.daemon(*ABANDONED_AFTER_LIMIT) as cell:
+        await _arm_at_the_head(cell)
         attended = []
         for _ in range(10):
             await asyncio.sleep(0.5)
@@ -138,12 +151,31 @@ async def asked_in_vain(lab: Lab) -> Evidence:
             each.verdict.decision for each in cell.rows(row) if each.operation == "set_intensity" and each.verdict
         ]
         await confirmed(cell)
+    async with lab.daemon(*ABANDONED_AFTER_LIMIT, prefix=without_guards("rejected_commands_attend")) as other:
+        await _arm_at_the_head(other)
+        requesting = asyncio.create_task(_request_rejected(other))
+        await asyncio.sleep(2 * LIMIT)
+        shown = await other.client.state()
+        requesting.cancel()
+        attending = await requesting
+        expect(not shown.latched, "Without the guard, too, the cell was held.")
     return Evidence(
         "held, latched, disarmed",
         took_place={"rejected_in_the_journal": decided.count("rejected")},
-        control={"not_held_during_5_s_of_accepted_ones": sum(each.decision == "accepted" for each in attended)},
+        control_kind="mutant",
+        control={
+            "rejected_ones_that_attend_without_the_guard": attending,
+            "not_held_during_5_s_of_accepted_ones": sum(each.decision == "accepted" for each in attended),
+        },
         details={"rejected": rejections},
     )
+
+
+async def _arm_at_the_head(cell: RunningCell) -> None:
+    await to_placed(cell.client)
+    await accept(cell.client, "stimulation.set_ceiling", percent=80.0, operator="simulated operator")
+    await accept(cell.client, "stimulation.set_intensity", percent=50.0)
+    await accept(cell.client, "stimulation.arm")
 
 
 async def _request_rejected(cell: RunningCell) -> int:

@@ -94,6 +94,7 @@ def _flooded(folder: Path) -> Evidence:
     return Evidence(
         "admitted by the rules of nftables",
         took_place={"open_at_the_router_without_the_rules": open_without},
+        control_kind="mutant",
         control={"let_in_without_the_rules_after_s": round(unprotected, 1)},
         details={"let_in_after_s": round(protected, 2), "open_at_the_router_with_the_rules": open_with},
     )

@@ -71,6 +71,7 @@ async def requests_past_the_daemon(lab: Lab) -> Evidence:
     return Evidence(
         "not_sealed",
         took_place={"answered_by_the_nodes": answers},
+        control_kind="permitted",
         control={"joints_with_the_key": control.result},
         details={"moved_rad": moved[0]},
     )
@@ -107,6 +108,7 @@ async def messages_in_a_devices_name(lab: Lab) -> Evidence:
     return Evidence(
         "dropped and counted",
         took_place={"counted": counted},
+        control_kind="permitted",
         control={"motion": result.decision, "the_event_with_the_key_latches": latched},
         details={"forged": sent},
     )
@@ -154,7 +156,10 @@ async def event_of_another_device(lab: Lab) -> Evidence:
         expect(_reported(cell, row) == ["tracker"], f"Events were accepted of {_reported(cell, row)}.")
         journalled = _reported(cell, row)
     return Evidence(
-        "dropped and counted", took_place={"misnamed": misnamed}, control={"journalled_in_its_own_name": journalled}
+        "dropped and counted",
+        took_place={"misnamed": misnamed},
+        control_kind="permitted",
+        control={"journalled_in_its_own_name": journalled},
     )
 
 

@@ -104,6 +104,7 @@ def _offered(folder: Path) -> Evidence:
     return Evidence(
         "not found by default; an opened scope is logged",
         took_place={"tcp_segments_at_the_cells_machine": arrived},
+        control_kind="permitted",
         control={"samples_with_the_scope_opened": taken.samples, "logged_where_it_is_opened": WARNING},
         details={"by_default": by_default.problem},
     )

@@ -11,6 +11,7 @@ from pcmrs_lab.campaign.checks import expect
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.sham import is_sham
+from pcmrs_lab.campaign.without_guard import without_guards
 
 OTHERS = 0o077
 """Mode bits that permit something to others than the owner."""
@@ -31,12 +32,26 @@ async def open_folder(lab: Lab) -> Evidence:
     expect(len(modes) > 4, f"Only {', '.join(modes)} were checked.")
     shared = {name: f"{mode:04o}" for name, mode in modes.items() if mode & OTHERS}
     expect(not shared, f"Others may use {shared}.")
+    unguarded = (*shell, *without_guards("others_may_read_what_the_daemon_writes"))
+    async with lab.daemon(folder=_open_beside(folder), prefix=unguarded) as other:
+        await accept(other.client, "registration.reinit")
+        readable = await asyncio.to_thread(_modes, other.folder, Path(other.ready.journal), probe)
+    readable.pop(probe.name)
+    readable.pop(other.folder.name)
+    exposed = {name: f"{mode:04o}" for name, mode in readable.items() if mode & OTHERS}
     return Evidence(
         "readable by its owner only",
         took_place={"mode_of_the_folder_before": opened},
-        control={"mode_of_a_file_of_the_shell": f"{probed:04o}"},
+        control_kind="mutant",
+        control={"others_may_read_without_the_guard": exposed, "mode_of_a_file_of_the_shell": f"{probed:04o}"},
         details={"files": sorted(modes)},
     )
+
+
+def _open_beside(folder: Path) -> Path:
+    beside = folder.with_name("unguarded")
+    _make_open(beside)
+    return beside
 
 
 def _make_open(folder: Path) -> str:
@@ -65,6 +80,7 @@ async def peer_named_local(lab: Lab) -> Evidence:
     return Evidence(
         "refused to start, with the reason",
         took_place={"said_of_the_name": text},
+        control_kind="permitted",
         control={"accepted_with_another_name": control.decision},
         details={"status": status},
     )

@@ -26,7 +26,7 @@ async def counters_are_gone(lab: Lab) -> Evidence:
     old, new = lab.folder / "old", lab.folder / "new"
     command = Signer("slicer", read_key(key), lambda: 1).sign(b"img_fid_numxxxxx_4_#1;")
     async with lab.daemon(peer, folder=old) as cell:
-        await send_accepted(cell, command)
+        first = await send_accepted(cell, command)
         row, reports_before = cell.last_row(), cell.log.count(RESET)
     async with lab.daemon(peer, folder=old) as cell:
         refused = await _refused(cell, command)
@@ -42,7 +42,8 @@ async def counters_are_gone(lab: Lab) -> Evidence:
     return Evidence(
         "reported at the start, in log and journal",
         took_place={"taken_once_more": answer},
-        control={"refused_with_its_counters": refused},
+        control_kind="permitted",
+        control={"taken_when_it_was_sent": first, "refused_with_its_counters": refused},
         details={"text": reports[0]},
     )
 

@@ -15,6 +15,7 @@ from pcmrs_lab.campaign.consoles import START_TIME, console_command
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.sham import is_sham
+from pcmrs_lab.campaign.without_guard import without_guards
 
 MARK = "lost-and-found"
 FORGED = f"{MARK}\x1b[2J\n2026-01-01 [info     ] robot released\u202e"
@@ -41,10 +42,18 @@ async def escape_sequences(lab: Lab) -> Evidence:
         expect("u001b" in shown[FORGED], f"The name did not arrive: {shown[FORGED]!r}.")
         plain = f"{MARK}-plain"
         expect(plain in shown[plain], f"A plain name is not logged unchanged: {shown[plain]!r}.")
+    async with lab.daemon(prefix=without_guards("text_is_logged_as_it_came")) as other:
+        before = len(other.log)
+        await asyncio.to_thread(_put, other, "eve", FORGED)
+        raw = (await _logged(other, before)).count("\x1b")
     return Evidence(
         "escaped where it is logged",
         took_place={"escapes in the log": shown[FORGED].count("u001b")},
-        control={"times a plain name is logged as it is": shown[plain].count(plain)},
+        control_kind="mutant",
+        control={
+            "raw escapes in the log without the guard": raw,
+            "times a plain name is logged as it is": shown[plain].count(plain),
+        },
     )
 
 
@@ -80,6 +89,7 @@ async def guessable_token(lab: Lab) -> Evidence:
     return Evidence(
         "refused to start, with the reason",
         took_place={"said of the token": refusals},
+        control_kind="permitted",
         control={"20 characters open one": '"url"' in text},
     )
 

@@ -63,6 +63,7 @@ async def taken_over_router(lab: Lab) -> Evidence:
     return Evidence(
         "refused; Stop honoured",
         took_place={"answered_by_the_daemon": reasons},
+        control_kind="permitted",
         control={"signed_by_the_person": control.decision},
     )
 

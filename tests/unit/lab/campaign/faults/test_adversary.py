@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -93,7 +93,10 @@ class Journals(ScriptedLab):
         self.refusals = [refusal]
 
     @asynccontextmanager
-    async def daemon(self, *overrides: str, **_: Any) -> AsyncIterator[OperatedCell]:
+    async def daemon(self, *overrides: str, prefix: Sequence[str] = (), **_: Any) -> AsyncIterator[OperatedCell]:
+        if prefix:  # without the guard that keeps a real one from opening this journal
+            yield OperatedCell()
+            return
         self.own.journal = Journal.open(Path(self.own.ready.journal))
         await self.own.journal.append([row("config"), row("snapshot")])
         yield self.own
@@ -121,12 +124,12 @@ def test_an_older_copy_is_refused(tmp_path: Path) -> None:
     found = ran(adversary.the_journal_is_rolled_back, Journals(tmp_path))
     assert proves(found)
     assert found.took_place["rows_gone"] >= 5
-    assert found.control == {"accepted_with_the_newer_one": "accepted"}
+    assert found.control == {"accepted_without_the_guard": "accepted"}
 
 
 def test_a_journal_that_is_as_new_proves_nothing(tmp_path: Path) -> None:
     with sham():
-        assert "rows_gone" in ran(adversary.the_journal_is_rolled_back, Journals(tmp_path)).missing
+        assert "rows_gone" in ran(adversary.the_journal_is_rolled_back, Journals(tmp_path)).missing("order")
 
 
 @pytest.mark.parametrize(
