@@ -6,7 +6,8 @@ import asyncio
 import itertools
 import uuid
 from collections import Counter
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from math import inf
 from typing import Any
@@ -356,25 +357,27 @@ class DeviceNode:
         await asyncio.gather(self.make_safe("no heartbeat"), self._report_silence(silence))
 
     async def _report_silence(self, silence: Silence) -> None:
-        load = self._scheduling.load()
-        log.warning(
-            "held_by_node",
-            reason="no heartbeat of the daemon",
-            silence=round(silence.lasted, 4),
-            held_up=round(silence.held_up, 4),
-            running=load.running,
-            processors=load.processors,
-        )
-        self._report_held_up(silence)
-        device = self._device_at_risk()
-        self._link.publish(f"dev/{device}/event", daemon_silent(device, silence, self._deadman.limit, load))
+        with _errors_logged():
+            load = self._scheduling.load()
+            log.warning(
+                "held_by_node",
+                reason="no heartbeat of the daemon",
+                silence=round(silence.lasted, 4),
+                held_up=round(silence.held_up, 4),
+                running=load.running,
+                processors=load.processors,
+            )
+            self._report_held_up(silence)
+            device = self._device_at_risk()
+            self._link.publish(f"dev/{device}/event", daemon_silent(device, silence, self._deadman.limit, load))
 
     def _report_held_up(self, silence: Silence) -> None:
-        now = self._clock.monotonic()
-        if silence.held_up and now - self._reported_held_up_at > HELD_UP_PERIOD:
-            self._reported_held_up_at = now
-            device = self._device_at_risk()
-            self._link.publish(f"dev/{device}/event", node_held_up(device, silence, self._scheduling.load()))
+        with _errors_logged():
+            now = self._clock.monotonic()
+            if silence.held_up and now - self._reported_held_up_at > HELD_UP_PERIOD:
+                self._reported_held_up_at = now
+                device = self._device_at_risk()
+                self._link.publish(f"dev/{device}/event", node_held_up(device, silence, self._scheduling.load()))
 
     def _device_at_risk(self) -> str:
         return "robot" if self._moving or "stimulator" not in self._devices else "stimulator"
@@ -389,3 +392,12 @@ class DeviceNode:
         except Exception:  # its state is unknown, and the deadman must go on
             return True
         return state.armed
+
+
+@contextmanager
+def _errors_logged() -> Iterator[None]:
+    """Log an error of a report: whatever a report meets, the deadman must go on."""
+    try:
+        yield
+    except Exception:
+        log.exception("report_failed")
