@@ -92,7 +92,7 @@ def stop(address: Address) -> None:
     if not stands:
         say(f"Stop {number} has started, but it is not confirmed that the robot stands still: look at it.", err=True)
         raise SystemExit(1)
-    say(f"stopped, and {_latched(release)}")
+    say(f"stopped, and {_latched(release, number)}")
 
 
 async def _call(address: Address, operation: str, arguments: dict[str, Any]) -> Verdict:
@@ -193,17 +193,20 @@ def _print_snapshot(snapshot: Snapshot) -> None:
     for outcome in snapshot.unknown:
         console.print(_unknown(outcome), highlight=False)
     if snapshot.latched:
-        console.print(_latched(snapshot.release), highlight=False)
+        console.print(_latched(snapshot.release, snapshot.stop.number), highlight=False)
 
 
-def _latched(release: list[str] | None) -> str:
-    """Describe the latch, and the operations of the running workflow that release it.
+def _latched(release: list[str] | None, stop: int) -> str:
+    """Describe the latch, and the commands that release it by naming the Stop that the person sees here.
 
     Args:
-        release: Operations that release the latch; None if the daemon did not report them.
+        release: Operations of the running workflow that release the latch; None if the daemon did not report them.
+        stop: Number of the newest Stop.
     """
     if release is None:
         return "latched until it is acknowledged (pcmrs state shows how)"
     if not release:
         return "latched; no operation of this workflow is barred by that"
-    return f"latched until it is acknowledged: {' or '.join(f'pcmrs call {each}' for each in release)}"
+    named = json.dumps({"stop": stop})
+    commands = [f"pcmrs call {each} '{named}'" for each in release]
+    return f"latched until it is acknowledged: {' or '.join(commands)}"

@@ -7,7 +7,7 @@ from pathlib import Path
 from pcmrs.authoring.design import design
 from pcmrs.messages import DeviceEvent
 from pcmrs.testing.cell import LIGHT
-from pcmrs.testing.driving import accept
+from pcmrs.testing.driving import accept, acknowledge
 from tests import ROOT
 from tests.system.daemon.daemon_process import own_settings, running_daemon
 
@@ -44,7 +44,7 @@ async def test_steps_at_the_patient_wait_for_the_release_in_the_hint(tmp_path: P
                 assert refused is not None
                 assert refused.code == "latched"
                 assert "safety.acknowledge" in refused.text
-            assert (await client.acknowledge()).decision == "accepted"
+            assert (await acknowledge(client)).decision == "accepted"
             for operation in ("insert_confirmation.confirm_insert", "procedure.insert", "procedure.take_sample"):
                 await accept(client, operation)
             await accept(client, "procedure.make_safe")
@@ -69,7 +69,7 @@ async def test_workflow_without_a_robot_is_abandoned_and_released(tmp_path: Path
                     break
             stopped = (await client.state()).stop.number
             assert await client.standstill(stopped)
-            assert (await client.acknowledge()).decision == "accepted"
+            assert (await acknowledge(client)).decision == "accepted"
             await accept(client, "procedure.make_safe")
             assert not (await client.state()).latched
         assert daemon.end() == 0

@@ -23,6 +23,7 @@ from pcmrs.messages import JointTrajectory
 from pcmrs.testing.cell import LIGHT
 from pcmrs.testing.driving import (
     accept,
+    acknowledge,
     connect,
     landmarks,
     register,
@@ -88,7 +89,7 @@ async def test_silent_stimulator_stays_latched_and_allows_a_retreat(tmp_path: Pa
             node = node_of(daemon, b"trigger")
             os.kill(node, signal.SIGSTOP)
             await client.stop()
-            acknowledged = await client.acknowledge()
+            acknowledged = await acknowledge(client)
             assert acknowledged.decision == "accepted"
             assert acknowledged.result == {"still_latched": ["stimulator"]}
             await accept(client, "placement.back_off")
@@ -99,7 +100,7 @@ async def test_silent_stimulator_stays_latched_and_allows_a_retreat(tmp_path: Pa
             await until(client, lambda snapshot: snapshot.latched)
             assert (await client.state()).stop.number > before
             async with asyncio.timeout(PATIENCE):
-                while (await client.acknowledge()).result is not None:  # noqa: ASYNC110
+                while (await acknowledge(client)).result is not None:  # noqa: ASYNC110
                     await asyncio.sleep(0.2)
 
 

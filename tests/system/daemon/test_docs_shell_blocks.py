@@ -54,7 +54,8 @@ def test_shown_commands_are_found_and_compared() -> None:
     assert {"pcmrs-serve", "pcmrs watch", "pcmrs console"} <= {shown.program for shown in commands}
     assert set(ELSEWHERE) <= {shown.command for name in ("README.md", "docs/tutorial.md") for shown in _commands(name)}
     (stop,) = [shown for shown in commands if shown.command == "pcmrs stop"]
-    assert stop.matches("stopped, and latched until it is acknowledged: pcmrs call robot.acknowledge\n")
+    hint = "stopped, and latched until it is acknowledged: pcmrs call robot.acknowledge '{\"stop\": 1000001}'\n"
+    assert stop.matches(hint)
     assert not stop.matches("stopped")
 
 
