@@ -66,6 +66,7 @@ class Bus:
         self._bridge = Bridge(self._loop)
         self._turns = RoundRobin(self._loop)
         self._ignored = _IgnoredMessages()
+        self._lost = _LostEvents(self._loop)
         self._not_sealed = 0
         self._pool = ThreadPoolExecutor(4, thread_name_prefix="pcmrs-bus")
         # A long reply to a client that does not read it blocks its thread, so commands are answered by other threads.
@@ -184,6 +185,8 @@ class Bus:
             elif not self._bridge.post(call, urgent=data.urgent):
                 # In this thread: the loop is busy, and refusals must not load it further.
                 refuse(self._relative(sample), busy(CAPACITY))
+                if data.urgent:
+                    self._lost.add(self._relative(sample))
 
         subscriber = declare_subscriber(self._session, self._absolute(key), data, receive)
         self._receivers.append(subscriber)
@@ -197,6 +200,16 @@ class Bus:
             error: Reason why it cannot be used.
         """
         self._ignored.add(key, error)
+
+    def when_lost(self, handler: Callable[[str], None]) -> None:
+        """Call `handler(relative key)` in the event loop for events that found their queue full.
+
+        Several lost events of one key are one call, until it is made.
+
+        Args:
+            handler: Called with the relative key.
+        """
+        self._lost.handler = handler
 
     def listen(self, key: str, kind: type[T], handler: Callable[[str, T], None]) -> Any:
         """Call `handler(relative key, message)` in Zenoh's thread, where the message is received.
@@ -323,6 +336,7 @@ class Bus:
 
     async def close(self) -> None:
         """Cancel running answers, whose outcomes are unknown to the clients, undeclare everything and close."""
+        self._lost.handler = _ignore_lost  # what arrives from now on is refused, and no danger any more
         self._bridge.close()
         self._turns.close()
         receivers, self._receivers = self._receivers, []
@@ -422,6 +436,40 @@ def _signing(settings: BusSettings) -> tuple[CertificateSigner | None, Signature
 def _undeclare(entities: list[Any]) -> None:
     for entity in entities:
         entity.undeclare()
+
+
+def _ignore_lost(_key: str) -> None:
+    pass
+
+
+class _LostEvents:
+    """Events that were dropped because too many were waiting.
+
+    Args:
+        loop: Event loop in which the handler is called.
+
+    Attributes:
+        handler: Called with the key of lost events.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self.handler: Callable[[str], None] = _ignore_lost
+        self._loop = loop
+        self._lock = threading.Lock()
+        self._keys: set[str] = set()
+
+    def add(self, key: str) -> None:
+        """Report that an event is lost. From any thread."""
+        with self._lock:
+            if not self._keys:
+                self._loop.call_soon_threadsafe(self._report)
+            self._keys.add(key)
+
+    def _report(self) -> None:
+        with self._lock:
+            keys, self._keys = self._keys, set()
+        for key in sorted(keys):
+            self.handler(key)
 
 
 class _IgnoredMessages:

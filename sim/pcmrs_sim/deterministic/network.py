@@ -259,6 +259,9 @@ class Endpoint:
     def listen(self, key: str, kind: type[M], handler: Callable[[str, M], None]) -> None:
         self.subscribe(key, kind, handler)
 
+    def when_lost(self, handler: Callable[[str], None]) -> None:
+        """Do nothing: no queue of the simulated network is bounded."""
+
     def serve(self, key: str, kind: type[M], handler: Callable[[str, M], Awaitable[msgspec.Struct]]) -> None:
         self._services[key] = (kind, handler)
 

@@ -63,6 +63,9 @@ class FakeLink:
     def listen(self, key: str, kind: type[Any], handler: Callable[[str, Any], None]) -> None:
         raise AssertionError
 
+    def when_lost(self, handler: Callable[[str], None]) -> None:
+        self.lose = handler
+
     def serve(self, key: str, kind: type[Any], handler: Callable[[str, Any], Awaitable[msgspec.Struct]]) -> None:
         raise AssertionError
 
@@ -256,3 +259,15 @@ async def test_each_muscle_signal_is_published_once() -> None:
         publishing.publish_data(bench.procedure.cell, data)
     assert bench.link.published["state/epoch"] == signals
     assert [each.stimulation.intensity for each in bench.link.published["state/data"]] == [None, 50.0, None]
+
+
+@pytest.mark.parametrize(("key", "device"), [("dev/robot/event", "robot"), ("daemon/event", "daemon")])
+async def test_a_lost_event_may_have_been_a_danger_and_stops(key: str, device: str) -> None:
+    bench = Bench()
+    async with bench.supervisor:
+        bench.procedure.start()
+        await settle()
+        bench.link.lose(key)
+        await settle()
+        assert bench.procedure.dispatcher.snapshot().latched
+        assert (f"device:{device}", "events_lost") in [(event.device, event.code) for event in bench.recorder.events]
