@@ -18,6 +18,7 @@ from pcmrs.gateway._command_outcome import NO_DATA, CommandOutcome
 from pcmrs.gateway.commands import Action, Second
 from pcmrs.gateway.grammar import StringCommand
 from pcmrs.gateway.handlers import CommandHandlers, Job
+from pcmrs.messages import Command
 
 ACKNOWLEDGEMENT = "ack"
 SECOND_WITHIN = 0.35
@@ -135,6 +136,10 @@ class PeerSession:
         while self._queue:
             turn = self._queue.popleft()
             turn.ended.set_result(self._actions.rejected(turn.request, "stopped"))
+
+    def note_end(self, command: Command) -> None:
+        """Note that an operation of this peer has been accepted just now."""
+        self._actions.note_end(command)
 
     def _receive_identified(
         self, request: StringCommand, client_id: str, verdict: Send, arrived: float, refusal: RefusalError | None

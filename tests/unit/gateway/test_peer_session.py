@@ -165,7 +165,7 @@ async def test_next_part_of_a_command_starts_when_the_last_has_ended(cell: Any) 
     cell.core.open_gates()
     assert (await reply).startswith("1_accepted")
     assert cell.core.operations == ["back_off", "to_initial", "reinit", "reinit"]
-    assert cell.core.ages[1:] == [None, None, None]
+    assert cell.core.ages[1:] == [cell.clock.now] * 3
 
 
 async def test_commands_queued_before_a_stop_from_elsewhere_never_run(cell: Any) -> None:
