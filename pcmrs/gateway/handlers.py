@@ -34,6 +34,11 @@ class LandmarkSeries:
         self._count: int | None = None
         self._points: dict[int, list[float]] = {}
 
+    @property
+    def collected(self) -> object:
+        """Number and landmarks of the open series, comparable with another; None if none is open."""
+        return None if self._count is None else (self._count, self._points)
+
     def announce(self, count: int) -> None:
         """Begin a series of `count` landmarks; an earlier one is dropped."""
         self._count = count
@@ -82,6 +87,11 @@ class PosePair:
 
     def __init__(self) -> None:
         self._open: tuple[float, list[float]] | None = None
+
+    @property
+    def collected(self) -> object:
+        """Rotation that waits, comparable with another; None if none does."""
+        return None if self._open is None else self._open[1]
 
     def rotate(self, quat_xyzw: Sequence[float], now: float) -> None:
         """Begin a pair; a rotation that waits is replaced.
@@ -244,10 +254,25 @@ class CommandHandlers:
             request: The command.
             refusal: Why it is refused.
         """
-        if request.spec.action in PARTS:
-            self._lock.attempt(PARTS[request.spec.action])
-            self._landmarks, self._pair = LandmarkSeries(), PosePair()
+        self._drop_parts(request)
         return self.refused(request, refusal)
+
+    def deny_reused(self, request: StringCommand, before: StringCommand) -> CommandOutcome:
+        """Refuse a command whose id has been used for another one; see `deny`.
+
+        Args:
+            request: The command.
+            before: The other command.
+        """
+        if not request.repeats(before):  # a late copy of an earlier command must not break a plan that has begun since
+            self._drop_parts(request)
+        text = f"#{request.id} has been used for {before.spec.name}; give each command its own id."
+        return self.rejected(request, ID_REUSED, text)
+
+    def collected(self, request: StringCommand) -> object:
+        """Return the parts of the plan that a command would end; None for another command, or if there are none."""
+        parts = {Action.PLAN_LANDMARKS: self._landmarks.collected, Action.PLAN_POSE: self._pair.collected}
+        return parts.get(request.spec.action)
 
     def halt(self) -> None:
         """End commands of several steps after the present step, because of Stop."""
@@ -293,6 +318,11 @@ class CommandHandlers:
             reason: Code of the reason.
         """
         return CommandOutcome("failed", request.spec.branch, self._state(request), reason)
+
+    def _drop_parts(self, request: StringCommand) -> None:
+        if request.spec.action in PARTS:
+            self._lock.attempt(PARTS[request.spec.action])
+            self._landmarks, self._pair = LandmarkSeries(), PosePair()
 
     async def _submit(self, request: StringCommand, arrived: float) -> CommandOutcome:
         if request.spec.approaches and self._lock.held:

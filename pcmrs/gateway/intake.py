@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -11,7 +10,6 @@ from pcmrs.clock import Clock
 from pcmrs.dispatcher import DispatcherListener
 from pcmrs.dispatcher.verdict_cache import CommandCache
 from pcmrs.errors import PayloadError, PcmrsError, RefusalError
-from pcmrs.gateway._command_outcome import CommandOutcome
 from pcmrs.gateway.auth.admission import NOT_KEPT, Admission
 from pcmrs.gateway.auth.peers import (
     BAD_TAG,
@@ -26,7 +24,7 @@ from pcmrs.gateway.auth.peers import (
 from pcmrs.gateway.commands import COMMANDS, Action
 from pcmrs.gateway.grammar import StringCommand, parse, parse_tool_points
 from pcmrs.gateway.handlers import CommandHandlers, PlanLock, Services
-from pcmrs.gateway.peer_session import QUEUE_FULL, PeerSession, ReplyChannel
+from pcmrs.gateway.peer_session import QUEUE_FULL, IdentifiedCommand, PeerSession, ReplyChannel
 from pcmrs.gateway.signing import Signed, split
 from pcmrs.messages import Command
 from pcmrs.messages.identity import ON_SITE, Principal
@@ -91,7 +89,7 @@ class Intake(DispatcherListener):
         self._admission = admission
         self._sessions: dict[str, PeerSession] = {}
         self._locks: dict[str, PlanLock] = {}
-        self._outcomes: CommandCache[asyncio.Future[CommandOutcome]] = CommandCache()
+        self._outcomes: CommandCache[IdentifiedCommand] = CommandCache()
         self._clock: Clock = services.clock
 
     def receive(
