@@ -28,12 +28,11 @@ from pcmrs.devices.deadman import (
     daemon_silent,
     node_held_up,
 )
-from pcmrs.devices.gate import ACTS, HOLDS, RELEASE, Gate
+from pcmrs.devices.gate import ACTS, HOLD_TIME, HOLDS, RELEASE, Gate
 from pcmrs.devices.link import Link
 from pcmrs.devices.protocols import RobotDriver, StimulatorDriver, TrackerDriver
-from pcmrs.devices.remote import HOLD_TIME
 from pcmrs.devices.standstill import Standstill
-from pcmrs.errors import DeviceError, PcmrsError
+from pcmrs.errors import DeviceError, PcmrsError, UnknownOutcomeError
 from pcmrs.messages import (
     Beat,
     DeviceHealth,
@@ -225,14 +224,20 @@ class DeviceNode:
                 gate.forget_daemon()
 
     async def _check_stationary(self, name: str) -> None:
-        """Refuse to release an arm that moves.
+        """Refuse to release an arm that moves, or that is not measured now.
 
         Raises:
-            DeviceError: The arm moves, or does not report its state.
+            DeviceError: The arm moves, or refuses to report its joints.
+            UnknownOutcomeError: It does not report them in time.
         """
         if name != "robot":
             return
-        state: JointState = await self._devices["robot"].joints()
+        try:
+            async with self._clock.timeout(HOLD_TIME):
+                state: JointState = await self._devices["robot"].joints()
+        except TimeoutError:  # the daemon has given this release up, too
+            text = f"The robot reported no joints within {HOLD_TIME:g} s and stays latched. Look at the arm, ask again."
+            raise UnknownOutcomeError(text, limit=HOLD_TIME) from None
         if state.moving:
             raise DeviceError("The robot still moves: it can be released when it stands. Ask again.", code="moving")
 

@@ -7,8 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pcmrs.devices.node import DeviceNode
+from pcmrs.devices.remote import RemoteRobot
 from pcmrs.errors import DeviceError, DeviceRefusedError, MotionInterruptedError, UnknownOutcomeError
 from pcmrs.messages import MotionResult
+from tests.support.memory_link import MemoryLink
 from tests.unit.devices.contract_robots import HOME, Bench, bench, smooth
 
 pytestmark = pytest.mark.usefixtures("patient")
@@ -60,6 +63,32 @@ async def test_a_link_that_fails_in_motion(lab: Bench, fault: str, arguments: di
     state = await lab.robot.connect()
     assert np.allclose(state.positions, lab.cell.world.arm.positions, atol=1e-3)
     assert (await lab.robot.follow(smooth(np.array(state.positions), HOME))).outcome == "done"
+
+
+async def test_a_cabinet_that_has_gone_silent_confirms_no_hold(lab: Bench) -> None:
+    await inject(lab, "silence_robot", on=True)
+    with pytest.raises(UnknownOutcomeError):
+        await lab.robot.hold()
+
+
+async def test_a_cabinet_that_has_gone_silent_is_not_released(lab: Bench) -> None:
+    link = MemoryLink()
+    serving = asyncio.create_task(DeviceNode(link, {"robot": lab.robot}, lab.clock).run())
+    await asyncio.sleep(0)
+    robot = RemoteRobot(link, lab.clock)
+    await robot.stop()
+    await inject(lab, "silence_robot", on=True)
+    with pytest.raises(UnknownOutcomeError):
+        await robot.release_latch()
+    robot.take(link.published["dev/robot/beat"][-1].gate)
+    assert robot.latched
+    await inject(lab, "silence_robot", on=False)
+    await lab.told("link_lost")
+    await lab.robot.connect()
+    await robot.joints()  # the lost link has raised the epoch
+    await robot.release_latch()
+    assert not robot.latched
+    serving.cancel()
 
 
 async def test_an_interrupted_motion_has_failed(lab: Bench) -> None:
