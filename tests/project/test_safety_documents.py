@@ -51,7 +51,7 @@ def mutants() -> set[str]:
     [
         (SAFETY, "Requirements and their tests", 26),
         (SEMANTICS, "What holds", 15),
-        (SUPERVISION, "What is promised", 12),
+        (SUPERVISION, "What is promised", 13),
     ],
     ids=lambda value: getattr(value, "stem", None),
 )

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from pcmrs.devices.standstill import Standstill
 from pcmrs.dispatcher._admission import CommandAdmission
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.verdict_cache import VerdictCache
@@ -68,7 +69,14 @@ def repeats_are_performed(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(VerdictCache, "verdict_of", verdict_of)
 
 
+def unasked_motion_is_ignored(patch: pytest.MonkeyPatch) -> None:
+    """Neither node nor daemon sees that the arm moves while nothing runs."""
+    patch.setattr(Standstill, "take", lambda _self, _state: None)
+
+
 MUTANTS: dict[str, Mutation] = {
     each.__name__: each
     for each in (latch_not_checked, stop_does_not_latch, acknowledged_before_written, repeats_are_performed)
 }
+SCRIPTED: dict[str, Mutation] = {unasked_motion_is_ignored.__name__: unasked_motion_is_ignored}
+"""Mutants that need a fault which is rare in sessions that are drawn: a script shows each."""

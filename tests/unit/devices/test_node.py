@@ -11,6 +11,7 @@ import pytest
 from pcmrs.devices.deadman import DEADMAN
 from pcmrs.devices.gate import HOLD_TIME
 from pcmrs.devices.node import PASSIVE_PERIOD, REQUEST_DELAY
+from pcmrs.devices.standstill import MOVED, THRESHOLD
 from pcmrs.errors import DeviceError, UnknownOutcomeError
 from pcmrs.messages import (
     BodyPose,
@@ -131,3 +132,17 @@ async def test_release_without_measured_joints_is_given_up(bench: Bench, monkeyp
     assert reply.failure.code == UnknownOutcomeError.code
     assert reply.gate is not None
     assert reply.gate.latched, "what comes after the daemon has given up releases nothing"
+
+
+async def test_node_alone_holds_an_arm_that_moves_unasked(bench: Bench) -> None:
+    await bench.raw("robot", "connect")
+    displaced = [*STATE.positions[:-1], STATE.positions[-1] + 2 * THRESHOLD]
+    bench.robot_device.stream.put_nowait(STATE)
+    await settle()
+    assert bench.robot_device.holds == 0
+    bench.robot_device.stream.put_nowait(msgspec.structs.replace(STATE, positions=displaced))
+    await settle()
+    assert bench.robot_device.holds == 1
+    assert [(event.code, event.danger) for event in bench.link.published["dev/robot/event"]] == [(MOVED, True)]
+    await bench.robot.joints()
+    assert bench.robot.latched

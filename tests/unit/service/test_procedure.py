@@ -11,6 +11,7 @@ import msgspec
 import pytest
 
 from pcmrs.devices.node import DAEMON_BEAT
+from pcmrs.devices.standstill import MOVED, THRESHOLD
 from pcmrs.errors import DeviceError, SupervisionError
 from pcmrs.messages import (
     BodyPose,
@@ -210,6 +211,24 @@ async def test_the_loss_of_the_robots_node_is_the_loss_of_the_robot() -> None:
         snapshot = bench.procedure.dispatcher.snapshot()
         assert (snapshot.branches["robot"], snapshot.branches["placement"]) == ("0", "unknown")
         assert snapshot.latched
+        await bench.procedure.dispatcher.close()
+
+
+async def test_daemon_alone_stops_an_arm_that_moves_unasked() -> None:
+    bench = Bench()
+    async with bench.supervisor:
+        bench.procedure.start()
+        bench.hear_all()
+        await bench.connect()
+        await settle()
+        bench.link.hear("state/joints", "state/joints", RESTING)
+        bench.link.asked.clear()
+        displaced = [*RESTING.positions[:-1], RESTING.positions[-1] + 2 * THRESHOLD]
+        bench.link.hear("state/joints", "state/joints", msgspec.structs.replace(RESTING, positions=displaced))
+        await settle()
+        assert [event.danger for event in bench.recorder.events if event.code == MOVED] == [True]
+        assert bench.procedure.dispatcher.snapshot().latched
+        assert "robot.hold" in bench.link.asked
         await bench.procedure.dispatcher.close()
 
 

@@ -11,11 +11,15 @@ from collections.abc import Callable, Mapping, Sequence
 
 from pcmrs.fsm.blueprint import OperationSpec
 from pcmrs.messages import ActiveActivity, Command, DeviceEvent, Snapshot, Verdict
-from pcmrs_lab.campaign.explore.invariants import braked
+from pcmrs_lab.campaign.explore.invariants import BRAKED_ANYHOW, braked
 from pcmrs_lab.campaign.explore.view import REGISTERING, View, refuses_the_id
 
 MOVED = 0.002
 """Displacement at which a resting joint counts as moved, rad."""
+UNASKED = 0.03
+"""Displacement of an arm at rest that must become a Stop, rad: more than the limits of node and daemon."""
+RESTED = 2.0
+"""Time at rest after which node and daemon know the posture, too, s: two joint states, and a blocked loop."""
 DECIDED = 20.0
 """Time within which the operation of an event is decided, while any operation runs, s."""
 ID = re.compile("[0-9a-f]{32}")
@@ -47,6 +51,9 @@ class Watcher:
         self._deadman = deadman
         self._posture: Sequence[float] | None = None
         self._settling = False
+        self._stood: Sequence[float] | None = None
+        self._rests_since = 0.0
+        self._displaced_at: float | None = None
         self._allowed: dict[str, float] = {}
         self._newest: tuple[str, float] | None = None
         self._last_hold = float("-inf")
@@ -82,11 +89,43 @@ class Watcher:
                 self._break("the_arm_stays", text)
         elif at_rest and not self._settling:
             self._posture = tuple(positions)
+        if relieving or not self._nothing_runs():
+            self._forget_standing(now)
+        else:
+            self._check_unasked(now, positions, at_rest=at_rest)
         commanded = not (at_rest or braking) and now >= self._view.by_hand
         if self._lost_at is not None and commanded and now > self._held_by(self._lost_at):
             text = f"The daemon ended {now - self._lost_at:.3f} s ago, and the arm moves."
             self._break("silence_is_held", text)
         self._check_undecided(now)
+
+    def _check_unasked(self, now: float, positions: Sequence[float], *, at_rest: bool) -> None:
+        """Check that displacement of an arm that nothing moves becomes a Stop, also displacement by hand."""
+        if self._stood is None:
+            if not at_rest or self._settling:
+                self._rests_since = now
+            elif now - self._rests_since > RESTED:
+                self._stood = tuple(positions)
+            return
+        displacement = max(abs(one - other) for one, other in zip(positions, self._stood, strict=True))
+        if displacement < UNASKED:
+            self._displaced_at = None
+        elif self._displaced_at is None:
+            self._displaced_at = now
+        elif now - self._displaced_at > BRAKED_ANYHOW:
+            text = f"A joint was displaced by {displacement:.3f} rad {now - self._displaced_at:.1f} s ago while nothing "
+            self._break("unasked_motion_is_a_stop", text + "ran, and Stop is not latched.")
+
+    def _nothing_runs(self) -> bool:
+        """Return whether the arm is connected, may move, and nothing runs that explains a displacement."""
+        snapshot = self._view.snapshot
+        if snapshot is None or snapshot.latched or snapshot.running or self._view.motion.holds or self._view.excused:
+            return False
+        return snapshot.branches.get("robot") == "1"
+
+    def _forget_standing(self, now: float) -> None:
+        self._stood = self._displaced_at = None
+        self._rests_since = now
 
     def begins(self, method: str, now: float) -> None:
         """Check a motion that the driver has been commanded to begin.
@@ -168,6 +207,8 @@ class Watcher:
             snapshot: Snapshot.
             now: Time of the simulation, s.
         """
+        if not self._nothing_runs():
+            self._forget_standing(now)
         self._note_motions(snapshot, now)
         placement = snapshot.branches.get("placement")
         ids = (snapshot.plan, snapshot.registration)

@@ -9,7 +9,16 @@ from msgspec.structs import replace
 
 from pcmrs.messages import Running, Snapshot
 from pcmrs_lab.campaign.explore.invariants import BRAKED, BRAKED_ANYHOW
-from pcmrs_lab.campaign.explore.watcher import BEGINS_WITHIN, DECIDED, HELD, MOVED, SECOND, Watcher
+from pcmrs_lab.campaign.explore.watcher import (
+    BEGINS_WITHIN,
+    DECIDED,
+    HELD,
+    MOVED,
+    RESTED,
+    SECOND,
+    UNASKED,
+    Watcher,
+)
 from tests.unit.lab.campaign.explore.ratms_views import (
     APPROACH,
     FOLLOWS,
@@ -92,6 +101,48 @@ def test_a_motion_takes_the_arm_elsewhere(session: Session) -> None:
     session.step(4.3, 0.6)
     session.step(4.4, 0.7)
     assert session.broken == ["the_arm_stays"]
+
+
+@pytest.fixture
+def guided(session: Session) -> Session:
+    """An arm that a hand has displaced, after it had rested."""
+    session.view.by_hand = float("inf")
+    session.step(0.0)
+    session.step(0.1 + RESTED)
+    session.step(3.0, UNASKED * 1.1, rests=False)
+    return session
+
+
+def test_motion_by_hand_while_nothing_runs_must_be_a_stop(guided: Session) -> None:
+    guided.step(3.0 + BRAKED_ANYHOW - 0.1, UNASKED * 1.1)
+    assert guided.broken == []
+    guided.step(3.0 + BRAKED_ANYHOW + 0.1, UNASKED * 1.1)
+    assert guided.broken == ["unasked_motion_is_a_stop"]
+
+
+def test_motion_by_hand_that_has_become_a_stop_may_be_released(guided: Session) -> None:
+    guided.show(3.5, states=READY, latched=True)
+    guided.show(5.0, states=READY)
+    guided.step(4.0 + BRAKED_ANYHOW, UNASKED * 1.1)
+    guided.step(5.0 + 2 * BRAKED_ANYHOW, UNASKED * 1.1)
+    assert guided.broken == []
+
+
+@pytest.mark.parametrize(
+    "shown_then",
+    [{"running": [APPROACH], "states": READY}, {"states": {"robot": "0"}}, {"states": PLACED, "activities": [FOLLOWS]}],
+)
+def test_an_explained_displacement_is_no_stop(guided: Session, shown_then: dict[str, Any]) -> None:
+    guided.show(3.5, **shown_then)
+    guided.step(4.0 + BRAKED_ANYHOW, UNASKED * 1.1)
+    assert guided.broken == []
+
+
+def test_an_arm_that_comes_back_was_not_displaced(guided: Session) -> None:
+    guided.step(4.0)
+    guided.step(5.0, UNASKED * 1.1)
+    guided.step(4.0 + BRAKED_ANYHOW, UNASKED * 1.1)
+    assert guided.broken == []
 
 
 def test_silence_of_the_daemon_is_held(session: Session) -> None:
