@@ -61,6 +61,24 @@ def test_stop_benchmark_sees_motion_after_a_confirmed_stop() -> None:
     assert "rad after a confirmed Stop" in measured.stdout
 
 
+BUSY = """
+from stop_found import BRAKING, Found
+
+found = Found()
+found.times[BRAKING] = [0.025]
+print(*([len(texts) for texts in (found.late([late]), found.not_judged([late]))] for late in (0.0, 0.01, 0.03)))
+"""
+
+
+def test_stop_benchmark_judges_no_limit_on_a_busy_machine() -> None:
+    """The timer's lateness is added to a limit: beyond the limit itself, it would permit anything."""
+    command = [sys.executable, "-c", BUSY]
+
+    measured = subprocess.run(command, capture_output=True, text=True, check=False, cwd=BENCHMARKS)
+
+    assert measured.stdout.strip() == "[1, 0] [0, 0] [0, 1]", measured.stderr
+
+
 def test_the_cost_of_the_seal_is_measured() -> None:
     command = [sys.executable, str(BENCHMARKS / "seal.py"), "--count", "10", "--json"]
 
