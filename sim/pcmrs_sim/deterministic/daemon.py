@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import AsyncExitStack
 from pathlib import Path
 
+from pcmrs.bus.bridge import ARRIVED
 from pcmrs.bus.keys import named_in
 from pcmrs.dispatcher import Dispatcher, Workflow
 from pcmrs.journal import JournalReader
@@ -156,7 +157,7 @@ class SimulatedDaemon:
 
     def _open_edges(self, stack: AsyncExitStack, procedure: RunningProcedure) -> None:
         async def submit(_key: str, command: Command) -> Verdict:
-            return await procedure.dispatcher.submit(command)
+            return await procedure.command_metrics.submit(command, arrived=ARRIVED.get())
 
         def stop(user: str) -> None:
             procedure.stop(f"bus:{user}")

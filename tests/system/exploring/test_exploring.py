@@ -28,6 +28,15 @@ FINDING: dict[str, list[Act]] = {
         Act(1.0, "robot.connect", "anna"),
         Act(5.0, "fault:guide_by_hand", "", {"joint": 2, "angle": 0.2}),
     ],
+    "commands_have_no_time_of_arrival": [
+        *TO_THE_HEAD[:5],
+        Act(2.0, "fault:held_up", "", {"process": "daemon", "seconds": 0.5}, waits=False),
+        Act(0.1, "placement.approach", "anna"),
+    ],
+    "reports_of_devices_are_lost": [
+        Act(1.0, "robot.connect", "anna"),
+        Act(5.0, "fault:e_stop", "", {"on": True, "lasts": 2.0}),
+    ],
 }
 """Mutant to what shows it."""
 

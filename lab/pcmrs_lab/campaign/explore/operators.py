@@ -173,16 +173,27 @@ class Operators:
         answer = self._answers.setdefault(client_id, asyncio.get_running_loop().create_future())
         interval, waited = REPEAT_AFTER, 0.0
         while not answer.done() and waited < PATIENCE:
-            self._send(who, datagram)
+            self._send(who, datagram, client_id)
             await asyncio.wait([answer], timeout=interval)
             waited, interval = waited + interval, 2.0 * interval
 
-    def _send(self, who: str, data: bytes) -> None:
+    def _send(self, who: str, data: bytes, client_id: str = "") -> None:
         daemon = self.cell.daemon
         if daemon is None:
             return
-        receive, link, port = daemon.receive, daemon.link, PORTS[who]
-        self._link.send(link, receive, port, data, lambda text: link.send(self._link, self._answered, text), None)
+        link = daemon.link
+
+        def answer(text: str) -> None:
+            link.send(self._link, self._answered, text)
+
+        self._link.send(link, self._arrive, daemon, PORTS[who], data, client_id, answer)
+
+    def _arrive(
+        self, daemon: SimulatedDaemon, port: int, data: bytes, client_id: str, answer: Callable[[str], None]
+    ) -> None:
+        if client_id:
+            self.watcher.command_arrived(client_id, asyncio.get_running_loop().time())
+        daemon.receive(port, data, answer, None)
 
     def _answered(self, text: str) -> None:
         try:
