@@ -156,9 +156,10 @@ class StopLane:
 
     async def close(self) -> None:
         """Stop taking presses, answer those that were taken, and close the session."""
-        await asyncio.to_thread(self._close)
+        await asyncio.to_thread(self.end)
 
-    def _close(self) -> None:
+    def end(self) -> None:
+        """As `close`, but block until then."""
         for receiver in self._receivers:
             receiver.undeclare()
         self._replies.close()

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from pcmrs.bus.stop import Press
 from pcmrs.errors import PayloadError, PcmrsError
 from pcmrs.gateway.commands import COMMANDS, Value
 from pcmrs.gateway.grammar import format_command
-from pcmrs.messages import Beat, Command, Snapshot, Verdict
+from pcmrs.messages import Command, Snapshot, Verdict
 from pcmrs.planner import PlannerVerdict, parse_reply
 from pcmrs.simulated_time.clock import SimulatedClock
 from pcmrs_lab.campaign.explore.watcher import Watcher
@@ -159,7 +161,7 @@ class Operators:
 
     def stop(self, who: str) -> None:
         """Press Stop: daemon and node receive it."""
-        self._link.publish(f"stop/{who}", Beat(number=0, session="", alive=0.0, sent=0.0))
+        self._link.publish(f"stop/{who}", Press(id=uuid.uuid4().hex))
 
     async def _request(self, who: str, command: Command) -> None:
         key = f"cmd/{who}/{command.branch}/{command.operation}"
