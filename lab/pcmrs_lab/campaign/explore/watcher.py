@@ -68,6 +68,7 @@ class Watcher:
         self._last_hold = float("-inf")
         self._ending: set[str] = set()
         self._lost_at: float | None = None
+        self._seen: Sequence[float] | None = None
         self._node_excused = float("-inf")
         self._reference_moved: float | None = None
         self._undecided: dict[str, float] = {}
@@ -109,7 +110,10 @@ class Watcher:
             self._forget_standing(now)
         else:
             self._check_unasked(now, positions, at_rest=at_rest)
-        commanded = not (at_rest or braking) and now >= self._view.by_hand
+        # A hold of an arm at rest is a reference without length: it counts as motion only if a joint moves.
+        seen, self._seen = self._seen, None if self._lost_at is None else tuple(positions)
+        moves = seen is not None and max(abs(one - other) for one, other in zip(positions, seen, strict=True)) > 0.0
+        commanded = moves and not (at_rest or braking) and now >= self._view.by_hand
         if self._lost_at is not None and commanded and now > self._held_by(self._lost_at):
             text = f"The daemon ended {now - self._lost_at:.3f} s ago, and the arm moves."
             self._break("silence_is_held", text)
