@@ -5,18 +5,21 @@ from __future__ import annotations
 import json
 import sys
 from datetime import datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
 
-from pcmrs.bus.keys import KeyTable
 from pcmrs.cli.options import Address, address_options, json_option
 from pcmrs.cli.printing import say
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors, run
-from pcmrs.client import Event
 from pcmrs.errors import PayloadError, PcmrsError
 from pcmrs.messages import DeviceEvent, Snapshot, UnknownOutcome, Verdict
+
+if TYPE_CHECKING:
+    # For annotations only: asking for help must not load the bus.
+    from pcmrs.bus.keys import KeyTable
+    from pcmrs.client import Event
 
 STATUS = {"accepted": 0, "rejected": EXIT_REJECTED, "failed": EXIT_FAILED, "unknown": EXIT_FAILED}
 
@@ -102,7 +105,7 @@ async def _call(address: Address, operation: str, arguments: dict[str, Any]) -> 
 
 async def _state(address: Address) -> Snapshot:
     async with address.connect() as client:
-        return await client.state()
+        return client.greeting
 
 
 async def _watch(address: Address, *, as_json: bool) -> None:
@@ -175,25 +178,19 @@ def _unknown(outcome: UnknownOutcome) -> str:
 
 
 def _print_snapshot(snapshot: Snapshot) -> None:
-    from rich.table import Table
-
-    from pcmrs.cli.tables import Terminal
-
-    table = Table(
-        "branch", "state", title=f"{snapshot.blueprint.id} {snapshot.blueprint.version}", title_justify="left"
-    )
+    # In lines, because Rich would take most of the time of the command.
+    say(f"{snapshot.blueprint.id} {snapshot.blueprint.version}")
+    width = max(map(len, snapshot.branches), default=0)
     for branch, name in snapshot.branches.items():
-        table.add_row(branch, name)
-    console = Terminal()
-    console.print(table)
+        say(f"{branch:<{width}}  {name}")
     raised = [flag for flag, value in snapshot.flags.items() if value]
-    console.print(f"flags: {', '.join(raised) or 'none'}; sequence {snapshot.sequence}")
+    say(f"flags: {', '.join(raised) or 'none'}; sequence {snapshot.sequence}")
     for running in snapshot.running:
-        console.print(f"running: {running.branch}.{running.operation} {running.progress:.0%}")
+        say(f"running: {running.branch}.{running.operation} {running.progress:.0%}")
     for outcome in snapshot.unknown:
-        console.print(_unknown(outcome), highlight=False)
+        say(_unknown(outcome))
     if snapshot.latched:
-        console.print(_latched(snapshot.release), highlight=False)
+        say(_latched(snapshot.release))
 
 
 def _latched(release: list[str] | None) -> str:

@@ -10,12 +10,13 @@ import queue
 import sys
 import threading
 from collections.abc import MutableMapping
-from typing import Any, TextIO, cast
+from typing import TYPE_CHECKING, Any, TextIO, cast
 
-import structlog
-from structlog.typing import ExcInfo
-
+from pcmrs.lean_structlog import structlog
 from pcmrs.visible import visible
+
+if TYPE_CHECKING:
+    from structlog.typing import ExcInfo
 
 STANDARD_ERROR = 2
 MAX_WAITING = 1000

@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 import msgspec
 
+import pcmrs.lean_structlog  # noqa: F401
 from pcmrs.cli.options import config_options, json_option
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.errors import ConfigurationError

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import asyncio
 import functools
 import sys
 from collections.abc import Callable, Coroutine
-from typing import Any, NoReturn, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, TypeVar
 
 import click
 
 from pcmrs.cli.printing import say
 from pcmrs.errors import BlueprintError, BusError, ConfigurationError, JournalError, PcmrsError
 from pcmrs.extras import missing_module
+
+if TYPE_CHECKING:
+    import asyncio
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -32,6 +34,8 @@ STATUS: list[tuple[type[PcmrsError], int]] = [
 
 def run(work: Coroutine[Any, Any, T]) -> T:
     """Run `work` in its own event loop."""
+    import asyncio  # help does not need it
+
     with asyncio.Runner(loop_factory=_loop_factory()) as runner:
         return runner.run(work)
 

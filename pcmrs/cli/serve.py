@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import structlog
 
 from pcmrs.cli.lifeline import inherited, inherited_table
 from pcmrs.cli.log import log_to_stderr
@@ -21,6 +20,7 @@ from pcmrs.cli.running import readable_errors, run
 from pcmrs.descriptors import reserve
 from pcmrs.errors import ConfigurationError
 from pcmrs.files import read_secret
+from pcmrs.lean_structlog import structlog
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the robot's kinematics.

@@ -70,7 +70,10 @@ class Client:
 
     Attributes:
         missed: Number of events that `watch` has dropped, the oldest first, because its reader was too slow.
+        greeting: Snapshot with which the daemon answered the connection.
     """
+
+    greeting: Snapshot
 
     def __init__(self, bus: Bus, user: str) -> None:
         self.missed = 0
@@ -116,7 +119,7 @@ class Client:
         bus = await Bus.open(settings, Seal(device_key) if device_key else None)
         try:
             client = cls(bus, user if settings.user == LOCAL else settings.user)
-            await client._greet()
+            client.greeting = await client._greet()
             yield client
         finally:
             await bus.close()
@@ -428,9 +431,9 @@ class Client:
             raise DeviceError(reply.failure.text, reason=reply.failure.code, values=reply.failure.fields)
         return reply.result
 
-    async def _greet(self) -> None:
+    async def _greet(self) -> Snapshot:
         try:
-            await self.state()
+            return await self.state()
         except UnknownOutcomeError as error:
             settings = self._bus.settings
             raise BusError(

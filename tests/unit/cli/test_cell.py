@@ -79,3 +79,17 @@ async def test_the_exit_status_of_a_call_is_its_decision(decision: str, status: 
         await edge.close()
     assert ended.exit_code == status
     assert ("allowed now: robot.hold" in ended.stdout) == (decision != "accepted")
+
+
+async def test_state_is_asked_for_once_and_shown_in_columns() -> None:
+    async with open_bus(new_cell()) as bus:
+        daemon = Daemon(bus)
+        words = ("--endpoint", bus.settings.endpoint, "--site", bus.settings.site, "--cell", bus.settings.cell)
+        ended = await asyncio.to_thread(run, "state", *words)
+    assert ended.exit_code == 0
+    shown = snapshot(0)
+    title, *lines, flags = ended.stdout.splitlines()
+    assert title == f"{shown.blueprint.id} {shown.blueprint.version}"
+    assert [tuple(line.split()) for line in lines] == list(shown.branches.items())
+    assert flags == "flags: none; sequence 0"
+    assert daemon.snapshots == 1

@@ -14,6 +14,7 @@ class Daemon:
         self.bus = bus
         self.commands: list[Command] = []
         self.stops: list[str] = []
+        self.snapshots = 0
         bus.serve("svc/snapshot", Empty, self.snapshot)
 
     async def submit(self, command: Command, *, arrived: float) -> Verdict:
@@ -28,6 +29,7 @@ class Daemon:
         return len(self.stops)
 
     async def snapshot(self, _: str, __: Empty) -> Snapshot:
+        self.snapshots += 1
         return snapshot(len(self.commands))
 
 
