@@ -121,13 +121,13 @@ async def _serve(daemon: Daemon, *, as_json: bool, lifeline: bool) -> None:
 
 
 def _opened(ready: Ready) -> str:
-    """Return the address of the page; with its token on a terminal only, since other output is stored in logs."""
+    """Return the link to the page; with its token on a terminal only, since other output is stored in logs."""
     from pcmrs.console.settings import TOKEN
 
     token = Path(ready.folder) / TOKEN
     if sys.stdout.isatty():
         return f"{ready.console}/?token={read_secret(token).decode()}"
-    return f"{ready.console}/?token=$(cat {token})"
+    return f"{ready.console} (token: {token})"
 
 
 def _text(ready: Ready) -> str:

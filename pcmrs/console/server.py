@@ -11,7 +11,7 @@ from pathlib import Path
 
 import uvicorn
 from fastapi import FastAPI
-from nicegui import ui
+from nicegui import Client, ui
 
 from pcmrs.console._live_feed import Dial, LiveFeed
 from pcmrs.console._page import Page
@@ -44,11 +44,13 @@ class ListenAddress:
     Attributes:
         port: Port; 0 for any free one.
         names: Further ``host:port`` that reach it, as behind a proxy.
+        descriptor: File descriptor of a socket that already listens there; None to listen.
     """
 
     host: str = "127.0.0.1"
     port: int = 8080
     names: tuple[str, ...] = ()
+    descriptor: int | None = None
 
 
 async def serve_console(
@@ -131,6 +133,8 @@ class _Server(uvicorn.Server):
 
 
 def _listen(place: ListenAddress) -> socket.socket:
+    if place.descriptor is not None:
+        return socket.socket(fileno=place.descriptor)
     try:
         return socket.create_server((place.host, place.port))
     except OSError as error:
@@ -163,7 +167,19 @@ def _build(app: FastAPI, feed: LiveFeed, language: str, recordings: Recordings) 
             except PcmrsError as error:
                 refuse_recording(error.text, texts)
                 return
+        _follow(feed, ui.context.client)
         Page(feed, setup, blueprint, texts, surfaces, recordings, playback)
+
+
+def _follow(feed: LiveFeed, client: Client) -> None:
+    """Have the feed follow what a page shows while a browser is connected to it."""
+
+    def gone() -> None:
+        if not client.has_socket_connection:  # a browser may connect again before its old connection has ended
+            feed.page_closed(client.id)
+
+    client.on_connect(lambda: feed.page_opened(client.id))
+    client.on_disconnect(gone)
 
 
 def _wait(feed: LiveFeed, texts: Texts) -> None:
