@@ -15,6 +15,8 @@ REST = 0.1
 """Part of the time between two checks that a thread must pause; with less it did not pause."""
 CALM = 10.0
 """Time with regular pauses after which a thread gets the policy back, s."""
+LISTING = 1.0
+"""Time between two looks at all threads of a process whose main thread does not have the policy, s."""
 
 
 class Runaway(NamedTuple):
@@ -58,6 +60,8 @@ class Runaways:
         self._processes = processes
         self._seen: dict[int, _Seen] = {}
         self._demoted: dict[int, int] = {}
+        self._watched: set[int] = set()
+        self._listed = -LISTING
 
     def check(self, now: float) -> list[Runaway]:
         """Demote threads that have run away to SCHED_OTHER, and return them; calm ones get the policy back.
@@ -68,9 +72,12 @@ class Runaways:
             now: Time of the machine's monotonic clock, s.
         """
         before, self._seen, found = self._seen, {}, []
-        for process in self._processes():
+        for process in self._to_watch(now):
             threads = Threads(process)
-            for thread, times in threads.times(self._is_watched).items():
+            watched = threads.times(self._is_watched)
+            if watched:
+                self._watched.add(process)
+            for thread, times in watched.items():
                 last = before.get(thread, _Seen(now, times, now))
                 if thread in self._demoted:
                     self._check_demoted(thread, last, times, now)
@@ -82,6 +89,16 @@ class Runaways:
                         found.append(Runaway(process, thread, threads.names().get(thread, ""), now - seen.since))
         self._demoted = {thread: many for thread, many in self._demoted.items() if thread in self._seen}
         return found
+
+    def _to_watch(self, now: float) -> list[int]:
+        """Return the processes whose threads are to be read: listing those of all processes takes most of a check."""
+        processes = list(self._processes())
+        before, self._watched = self._watched, set()
+        if now - self._listed >= LISTING:
+            self._listed = now
+            return processes
+        # `RealTime` gives the policy to the main thread with the first of the others.
+        return [process for process in processes if process in before or _is_realtime(process)]
 
     def _is_watched(self, thread: int) -> bool:
         return thread in self._demoted or _is_realtime(thread)

@@ -7,7 +7,9 @@ import subprocess
 import sys
 import time
 
-from pcmrs.threads import Runaways
+import pytest
+
+from pcmrs.threads import Runaways, Threads, _runaways
 from pcmrs.threads._runaways import CALM
 from tests.unit.threads.realtime_children import REALTIME, RUNS_AWAY, needs_permission
 
@@ -60,4 +62,35 @@ def test_a_thread_that_rests_again_gets_the_policy_back() -> None:
             assert watch.check(now + passed) == []
         assert os.sched_getscheduler(child.pid) == REALTIME
         assert os.sched_getparam(child.pid).sched_priority == 10
+        child.kill()
+
+
+def test_threads_of_processes_without_the_policy_are_rarely_listed(monkeypatch: pytest.MonkeyPatch) -> None:
+    listed: list[int] = []
+
+    class Listed(Threads):
+        def ids(self) -> list[int]:
+            listed.append(0)
+            return super().ids()
+
+    monkeypatch.setattr(_runaways, "Threads", Listed)
+    watch = Runaways(lambda: [os.getpid()])
+    for tenth in range(21):
+        assert watch.check(0.1 * tenth) == []
+    assert len(listed) == 3
+
+
+@needs_permission
+def test_runaway_beside_a_main_thread_without_the_policy_is_found() -> None:
+    code = f"import os, threading\ndef away():\n  os.sched_setscheduler(0, {REALTIME}, os.sched_param(10))\n"
+    code += "  while True: pass\n"
+    code += "threading.Thread(target=away, daemon=True).start()\nprint('here', flush=True)\ninput()"
+    with subprocess.Popen([sys.executable, "-c", code], stdin=-1, stdout=-1) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == b"here\n"
+        watch = Runaways(lambda: [child.pid])
+        while not (found := watch.check(time.monotonic())):
+            time.sleep(0.02)
+        assert found[0].process == child.pid
+        assert found[0].thread != child.pid
         child.kill()
