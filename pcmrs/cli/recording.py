@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import pcmrs.lean_structlog  # noqa: F401
 from pcmrs.cli.lifeline import NICENESS, inherited
 from pcmrs.cli.options import OutputFile, config_options, json_option
 from pcmrs.cli.printing import say_json
@@ -178,7 +179,10 @@ async def _record(
 @contextmanager
 def _status(writer: RecordingWriter, name: str) -> Iterator[Callable[[], Coroutine[Any, Any, None]]]:
     """Show a line on a terminal with the number of recorded messages; the yielded function updates it."""
-    from pcmrs.cli.tables import Terminal  # not at the top: the daemon's recorder has no terminal
+    if not sys.stderr.isatty():
+        yield _nothing
+        return
+    from pcmrs.cli.tables import Terminal  # not at the top: the daemon's recorder shows nothing
 
     with Terminal(stderr=True).status(f"recording {name}") as status:
 
@@ -188,6 +192,10 @@ def _status(writer: RecordingWriter, name: str) -> Iterator[Callable[[], Corouti
                 status.update(f"recording {name}: {writer.messages} messages; Ctrl-C ends it")
 
         yield show
+
+
+async def _nothing() -> None:
+    pass
 
 
 def _summary(report: RecordingReport) -> str:
