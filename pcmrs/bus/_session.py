@@ -162,28 +162,28 @@ class Bus:
         data, taken = class_of(key), ReplayWindow()
         refuse = refuse or self.ignore
 
-        def deliver(sample: zenoh.Sample) -> None:
-            received = self._relative(sample)
+        def deliver(received: str, payload: bytes) -> None:
             try:
-                message = decode(payload_of(sample))
+                message = decode(payload)
             except PayloadError as error:
                 refuse(received, error)
             else:
                 handler(received, message)
 
         def receive(sample: zenoh.Sample) -> None:
-            if not self._is_authentic(sample, taken):
+            received, payload = self._relative(sample), payload_of(sample)
+            if not self._is_authentic(sample, received, payload, taken):
                 return
-            objection = self._objection(sample)
-            call: Callable[[], object] = partial(deliver, sample)
+            objection = self._objection(sample, received, payload)
+            call: Callable[[], object] = partial(deliver, received, payload)
             if objection is not None:
-                call = partial(refuse, self._relative(sample), objection)
+                call = partial(refuse, received, objection)
             if data.newest:
-                stream = (deliver, str(sample.key_expr), objection is None)  # a forged message replaces no other
+                stream = (deliver, received, objection is None)  # a forged message replaces no other
                 self._bridge.post_newest(stream, call, data.newest)
             elif not self._bridge.post(call, urgent=data.urgent):
                 # In this thread: the loop is busy, and refusals must not load it further.
-                refuse(self._relative(sample), busy(CAPACITY))
+                refuse(received, busy(CAPACITY))
 
         subscriber = declare_subscriber(self._session, self._absolute(key), data, receive)
         self._receivers.append(subscriber)
@@ -214,11 +214,11 @@ class Bus:
         taken = ReplayWindow()
 
         def take(sample: zenoh.Sample) -> None:
-            if not self._is_authentic(sample, taken):
+            received, payload = self._relative(sample), payload_of(sample)
+            if not self._is_authentic(sample, received, payload, taken):
                 return
-            received = self._relative(sample)
             try:
-                handler(received, unpack(payload_of(sample), kind))
+                handler(received, unpack(payload, kind))
             except PayloadError as error:
                 self.ignore(received, error)
 
@@ -364,29 +364,28 @@ class Bus:
             return self._signer.sign(kind, self._absolute(key), payload)
         return None
 
-    def _is_authentic(self, sample: zenoh.Sample, taken: ReplayWindow) -> bool:
+    def _is_authentic(self, sample: zenoh.Sample, key: str, payload: bytes, taken: ReplayWindow) -> bool:
         """Return False for a message without a valid seal, and count it.
 
         Runs in Zenoh's threads, so that forged messages do not load the event loop.
         """
-        if self._seal is None or not is_sealed(self._relative(sample)):
+        if self._seal is None or not is_sealed(key):
             return True
         try:
-            self._seal.check(attached_to(sample), ("put",), str(sample.key_expr), payload_of(sample), taken)
+            self._seal.check(attached_to(sample), ("put",), str(sample.key_expr), payload, taken)
         except SealError as error:
-            self._on_forged(self._relative(sample), error)
+            self._on_forged(key, error)
             return False
         return True
 
-    def _objection(self, sample: zenoh.Sample) -> AccessError | None:
+    def _objection(self, sample: zenoh.Sample, key: str, payload: bytes) -> AccessError | None:
         """Return why a message that must be signed is rejected; None for a valid one.
 
         Runs in Zenoh's threads, so that forged messages do not load the event loop.
         """
-        if self._verifier is None or not is_signed(key := self._relative(sample)):
+        if self._verifier is None or not is_signed(key):
             return None
-        absolute, payload = str(sample.key_expr), payload_of(sample)
-        return self._verifier.objection(attached_to(sample), "put", named_in(key), absolute, payload)
+        return self._verifier.objection(attached_to(sample), "put", named_in(key), str(sample.key_expr), payload)
 
     def _on_forged(self, key: str, error: SealError) -> None:
         self._not_sealed += 1
