@@ -240,10 +240,12 @@ async def test_procedure_data_is_published_whenever_it_changes() -> None:
         bench.procedure.start()
         bench.hear_all()
         await bench.accept("registration", "plan_landmarks", landmarks())
+        await settle()  # it is published after the answer
         names = [[each.name for each in data.landmarks] for data in told]
         assert names[-1] == [each["name"] for each in landmarks()["landmarks"]]
         assert told[-1] == bench.procedure.gathered()
         await bench.connect()
+        await settle()
         assert len(told) == len(names), "nothing new was gathered"
         await bench.procedure.dispatcher.close()
 
