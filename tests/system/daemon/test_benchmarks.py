@@ -98,3 +98,15 @@ def test_archiving_and_questions_are_measured() -> None:
         "decisions": answers["decisions"],
         "sessions": 4,
     }
+
+
+def test_processes_of_a_cell_at_rest_are_measured() -> None:
+    pytest.importorskip("mujoco")
+    command = [sys.executable, str(BENCHMARKS / "rest.py"), "--seconds", "1", "--settle", "0", "--json"]
+
+    measured = subprocess.run(command, capture_output=True, text=True, check=False)
+
+    assert measured.returncode == 0, measured.stderr
+    found = json.loads(measured.stdout)
+    assert {"daemon", "node"} <= {each["process"] for each in found["processes"]}
+    assert found["total"]["pss_mb"] > 0.0
