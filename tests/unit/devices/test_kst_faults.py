@@ -6,19 +6,26 @@ from typing import Any
 
 import numpy as np
 import pytest
+import pytest_asyncio
 
 from pcmrs.errors import DeviceError, DeviceRefusedError, MotionInterruptedError, UnknownOutcomeError
 from pcmrs.messages import MotionResult
 from tests.unit.devices.contract_robots import HOME, Bench, bench, smooth
 
-pytestmark = pytest.mark.usefixtures("patient")
+pytestmark = [pytest.mark.usefixtures("patient"), pytest.mark.asyncio(loop_scope="module")]
 
 
-@pytest.fixture
-async def lab() -> AsyncIterator[Bench]:
-    async with bench("kst") as lab:
-        await lab.robot.connect()
-        yield lab
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def opened() -> AsyncIterator[Bench]:
+    """One cell for all tests: each ends the faults that it begins."""
+    async with bench() as opened:
+        yield opened
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def lab(opened: Bench) -> Bench:
+    await opened.back_home()
+    return opened
 
 
 async def under_way(lab: Bench) -> "asyncio.Task[MotionResult]":
@@ -76,6 +83,7 @@ async def test_split_and_merged_replies_are_no_matter(lab: Bench, how: str) -> N
     await inject(lab, "frame_replies", how=how)
     assert (await lab.robot.follow(smooth(HOME, HOME + 0.1))).outcome == "done"
     assert lab.events == []
+    await inject(lab, "frame_replies", how="mixed")
 
 
 @pytest.mark.parametrize("fault", ["e_stop", "change_mode", "close_brakes"])
@@ -101,6 +109,8 @@ async def test_a_joint_beside_what_is_commanded_holds_the_arm(lab: Bench) -> Non
     assert (result.outcome, result.reason) == ("stopped", "pose_differs")
     assert (await lab.told("pose_differs")).danger
     await stands(lab)
+    await inject(lab, "offset_joint", joint=3, angle=0.0)
+    await lab.clock.sleep(0.5)
 
 
 async def test_an_arm_that_was_moved_by_hand_starts_from_there(lab: Bench) -> None:
