@@ -120,8 +120,8 @@ class Bench:
         await asyncio.sleep(0.3)  # reports of the node are still in transit
         if (await self.client.state()).branches["robot"] == "0":
             await self.call("robot.connect")
-        if (await self.client.state()).latched:
-            await self.client.acknowledge()
+        if (snapshot := await self.client.state()).latched:
+            await self.client.acknowledge(stop=snapshot.stop.number)
         if (await self.client.state()).branches["placement"] == "unknown":
             await self.call("placement.locate")
         if (await self.client.state()).branches["placement"] == "held":

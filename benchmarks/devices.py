@@ -3,6 +3,8 @@
 - `servo`: intervals between the set points of the KST driver at 200 Hz, by their arrival over TCP at a peer in a
   separate process, which answers like a cabinet; compared with a bare asyncio timer and a thread's `time.sleep` that
   send as many lines to the same peer. The three take turns.
+- `turn`: processor time for which the KST driver occupies the loop of its node, which has the deadman, too: for
+  each set point, each reading, and each hold.
 - `stop`: from the arrival of a Stop at the node (`DeviceNode.stop`) to the arrival of the first braking set point at
   that peer; compared with half of a bare round trip over TCP. The limit is 20 ms.
 - `tracker`: age of the coil's newest pose in the daemon's `PoseFeed`, when it arrives and at any moment, with device
@@ -16,7 +18,7 @@
 
 All processes share the machine's processors, and everything is simulated.
 
-    .venv/bin/python benchmarks/devices.py [servo stop tracker openigtlink emg] [--seconds 10] [--json]
+    .venv/bin/python benchmarks/devices.py [servo turn stop tracker openigtlink emg] [--seconds 10] [--json]
 """
 
 from __future__ import annotations
@@ -43,7 +45,9 @@ import uvloop
 
 from pcmrs.clock import SystemClock
 from pcmrs.devices.drivers import kst, lsl
+from pcmrs.devices.kst import drive
 from pcmrs.devices.kst.connection import KstConnection
+from pcmrs.devices.motion.follower import Follower
 from pcmrs.devices.node import DeviceNode
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose, JointTrajectory
@@ -204,6 +208,47 @@ def measure_servo(seconds: float) -> Report:
             found[name].append(np.diff(peer.arrivals()))
     peer.close()
     return {name: summary(np.concatenate(each)) for name, each in found.items()}
+
+
+def measure_turn(seconds: float) -> Report:
+    """Return the processor times for which the driver's computations occupy the loop of its node."""
+    times: dict[str, list[float]] = {}
+    for owner, method, name in (
+        (drive.Drive, "_send", "set point"),
+        (drive.Drive, "_take_joints", "joints that were read"),
+        (drive.MeasuredArm, "take_torques", "torques that were read, and force"),  # type: ignore[attr-defined]
+        (Follower, "hold", "hold: brake of all joints"),
+        (Follower, "follow", "start of a motion of 2 s, or longer"),
+    ):
+        times[name] = []
+        setattr(owner, method, timing(getattr(owner, method), times[name]))
+    peer = PeerProcess()
+    run(stream_by_driver(peer.port, seconds))
+    run(stop_often(peer.port, max(1, round(seconds))))
+    peer.close()
+    times["bare call"] = []
+    empty = timing(lambda: None, times["bare call"])
+    for _ in range(1000):
+        empty()
+    return {name: summary(np.array(each)) for name, each in times.items()}
+
+
+def timing(original: Any, times: list[float]) -> Any:
+    """Return a function that records the processor time of each call.
+
+    Args:
+        original: Function.
+        times: List of times, s.
+    """
+
+    def call(*arguments: Any, **options: Any) -> Any:
+        started = time.thread_time()
+        try:
+            return original(*arguments, **options)
+        finally:
+            times.append(time.thread_time() - started)
+
+    return call
 
 
 class Silence:
@@ -557,6 +602,7 @@ def summary(times: Floats) -> dict[str, float]:
 
 MEASUREMENTS: dict[str, tuple[str, Callable[[float], Report]]] = {
     "servo": ("intervals between set points at 200 Hz, by their arrival", measure_servo),
+    "turn": ("processor time of the driver on the loop of its node", measure_turn),
     "stop": ("Stop at the node", measure_stop),
     "tracker": ("age of the newest pose at the dispatcher", measure_tracker),
     "openigtlink": ("from the stamp to pyigtl's client", measure_openigtlink),
@@ -575,7 +621,7 @@ def show(title: str, rows: Report) -> None:
     bare = list(rows.values())[-1]["p99_ms"]
     for name, row in rows.items():
         print(
-            f"  {name:34} {row['count']:6.0f} {row['p50_ms']:8.2f} {row['p99_ms']:8.2f} {row['max_ms']:8.2f} "
+            f"  {name:34} {row['count']:6.0f} {row['p50_ms']:8.3f} {row['p99_ms']:8.3f} {row['max_ms']:8.3f} "
             f"{row['p99_ms'] / bare:11.2f}"
         )
 

@@ -4,7 +4,7 @@ Prints p50, p99 and max in µs and the ratio of the medians. The server runs in 
 dispatcher, RATMS workflow and journal, without devices, since the requested commands need none
 (`toolplan.plan`, accepted, changes a state; `registration.register`, rejected). Clients and servers share the machine.
 
-    .venv/bin/python benchmarks/dispatch.py [--count 3000] [--warm-up 300]
+    .venv/bin/python benchmarks/dispatch.py [--count 3000] [--warm-up 300] [--fsync with|without|both]
 """
 
 from __future__ import annotations
@@ -56,6 +56,7 @@ from pcmrs.workflows.surface import read_surface
 
 PAUSE = 0.0005  # s between commands; planners leave far more, so this measures latency and not throughput
 PLAN = {"position": [0.0, 0.05, 0.1], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
+FSYNC: dict[str, tuple[bool, ...]] = {"without": (False,), "with": (True,), "both": (False, True)}
 
 
 class Echo(asyncio.DatagramProtocol):
@@ -315,6 +316,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=3000)
     parser.add_argument("--warm-up", type=int, default=300, help="commands before those that count")
+    parser.add_argument(
+        "--fsync", choices=FSYNC, default="both", help="journal with fsync, without, or one after the other"
+    )
     parser.add_argument("--serve", nargs=2, metavar=("ENDPOINT", "FOLDER"), help=argparse.SUPPRESS)
     parser.add_argument("--durable", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -325,7 +329,7 @@ def main() -> None:
         return
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     print(f"{machine}, {arguments.count} commands each")
-    for durable in (False, True):
+    for durable in FSYNC[arguments.fsync]:
         compare(durable, arguments.count, arguments.warm_up)
 
 

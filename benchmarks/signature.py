@@ -69,8 +69,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         authority = Authority.init(folder / "pki", "lab", clock.wall())
-        authority.issue("daemon", "cell1", clock.wall(), into=folder)
-        authority.issue("operator", "tom", clock.wall(), via=("gate",), into=folder)
+        authority.issue("daemon", "cell1", clock.wall(), cells=("lab/*",), into=folder)
+        authority.issue("operator", "tom", clock.wall(), via=("gate",), cells=("lab/*",), into=folder)
         daemon = BusSettings(
             mode="router",
             credentials=read_credentials(folder / "cell1", clock.wall()),

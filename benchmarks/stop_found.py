@@ -15,6 +15,7 @@ from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import HeadMotion
 from pcmrs.spatial import Floats
 from pcmrs_lab.campaign.lateness import percentile
+from pcmrs_lab.campaign.stop_limits import DURING_FLOODS
 from pcmrs_sim.settings import SimSettings
 
 BREATHING = HeadMotion(breathing_amplitude=0.003, breathing_hz=0.3)
@@ -27,8 +28,6 @@ DURING, TIMER = "asked to begun, flood of ", "bare timer, flood of "
 """Prefixes of the names of measurements during a flood."""
 LIMITS = {LATCHED: {"p99": 0.020}, BRAKING: {"max": 0.020}, SILENCE: {"max": 0.125}}
 """Limits of the times beyond a bare timer's lateness, s. The limit of braking follows from its distance."""
-DURING_FLOODS = {"p99": 0.050, "max": 0.100}
-"""Limits during a flood by another user, s."""
 
 _FACTS, _ARM = find_arm("iiwa14"), SimSettings().arm
 _LIMITS = brake_limits(_FACTS, _ARM.brake_acceleration, _ARM.brake_jerk)
@@ -69,6 +68,28 @@ class Braking:
         return float(np.maximum(np.maximum(low - positions, positions - high), 0.0).max())
 
 
+@dataclass(frozen=True, slots=True)
+class _Compared:
+    """A measured time beside its limit.
+
+    Attributes:
+        what: Name of the time, and of the statistic.
+        measured: Measured value, s.
+        limit: Limit, s.
+        lateness: Same statistic of a bare timer meanwhile, s.
+    """
+
+    what: str
+    measured: float
+    limit: float
+    lateness: float
+
+    @property
+    def is_judged(self) -> bool:
+        """True if the machine itself kept the limit: beyond that, the limit and the lateness would permit anything."""
+        return self.lateness <= self.limit
+
+
 @dataclass
 class Found:
     """Measurements, s and rad.
@@ -104,16 +125,29 @@ class Found:
 
     def late(self, timer: Sequence[float]) -> list[str]:
         """Return descriptions of the times above their limits; `timer` is the lateness of a bare timer meanwhile, s."""
-        return [text for name in self.times for text in self._late(name, timer)]
+        return [
+            f"{each.what} {1e3 * each.measured:.1f} ms, limit {1e3 * each.limit:g} ms and the bare timer's "
+            f"{1e3 * each.lateness:.1f} ms."
+            for each in self._compared(timer)
+            if each.measured > each.limit + each.lateness
+        ]
 
-    def _late(self, name: str, timer: Sequence[float]) -> Iterator[str]:
-        flood = name.removeprefix(DURING)
-        limits = LIMITS.get(name, {}) if flood == name else DURING_FLOODS
-        measured, allowed = stats(self.times[name], 1.0), stats(self.times.get(f"{TIMER}{flood}", timer), 1.0)
-        for which, limit in limits.items():
-            if measured[which] > limit + allowed[which]:
-                text = f"{name}: {which} {1e3 * measured[which]:.1f} ms, limit {1e3 * limit:g} ms and the bare timer's "
-                yield text + f"{1e3 * allowed[which]:.1f} ms."
+    def not_judged(self, timer: Sequence[float]) -> list[str]:
+        """Return descriptions of the limits that mean nothing, because a bare timer was later than the limit itself."""
+        return [
+            f"{each.what} {1e3 * each.measured:.1f} ms: the machine was too busy, a bare timer was "
+            f"{1e3 * each.lateness:.1f} ms late, limit {1e3 * each.limit:g} ms."
+            for each in self._compared(timer)
+            if not each.is_judged
+        ]
+
+    def _compared(self, timer: Sequence[float]) -> Iterator[_Compared]:
+        for name, values in self.times.items():
+            flood = name.removeprefix(DURING)
+            limits = LIMITS.get(name, {}) if flood == name else DURING_FLOODS
+            measured, lateness = stats(values, 1.0), stats(self.times.get(f"{TIMER}{flood}", timer), 1.0)
+            for which, limit in limits.items():
+                yield _Compared(f"{name}: {which}", measured[which], limit, lateness[which])
 
     def report(self) -> dict[str, Any]:
         """Return the results for JSON: milliseconds and degrees."""

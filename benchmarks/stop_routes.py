@@ -47,7 +47,7 @@ async def stoppable_cell(
     endpoint, key, name, now = f"tls/127.0.0.1:{free_port()}", folder / "panel.key", folder.name, SystemClock().wall()
     new_key(key)
     authority = Authority.init(folder / "pki", SITE, now)
-    authority.issue("router", "gate", now, hosts=("127.0.0.1",), into=folder)
+    authority.issue("router", "gate", now, hosts=("127.0.0.1",), cells=("lab/*",), into=folder)
     authority.issue("daemon", "daemon1", now, cells=(f"{SITE}/*",), into=folder)
     authority.issue("operator", "far", now, cells=(f"{SITE}/*",), via=("gate",), into=folder)
     register = authority.folder / "register.json"

@@ -90,7 +90,7 @@ class Site:
             hosts: Host names in the certificate.
         """
         via = ("gate",) if role in PEOPLE else ()
-        self.authority.issue(role, name, time.time(), hosts=hosts, via=via, into=self.folder)
+        self.authority.issue(role, name, time.time(), hosts=hosts, via=via, cells=("lab/*",), into=self.folder)
 
     def credentials(self, name: str) -> Credentials:
         """Return the credentials of a member."""

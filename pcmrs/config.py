@@ -68,7 +68,7 @@ def read_file(file: Path) -> dict[str, Any]:
         return tomllib.loads(file.read_text())
     except OSError as error:
         raise ConfigurationError(f"{file} cannot be read: {error.strerror}.", file=str(file)) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # more than TOMLDecodeError: a number may have too many digits
         raise ConfigurationError(f"{file} is not TOML: {error}.", file=str(file)) from None
 
 
@@ -89,7 +89,7 @@ def _set(values: dict[str, Any], override: str) -> None:
 def _value(text: str) -> Any:
     try:
         return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         return text
 
 

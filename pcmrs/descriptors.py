@@ -1,4 +1,4 @@
-"""File descriptors of the process: enough of them that one is always left for Stop."""
+"""File descriptors of the process: more of them than all connections together may need."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Final
 NEEDED: Final = 4096
 """Number of descriptors.
 
-The links accept 40 connections, the bus 1,000 sessions and 100 more that have sent nothing yet; the rest is reserved.
+The links accept 40 connections, the metrics 8, the bus 1,000 sessions and 100 more that have sent nothing yet. The
+rest is for the daemon itself. None is reserved for Stop, whose datagrams and open connections need no new one.
 """
 
 

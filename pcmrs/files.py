@@ -14,6 +14,8 @@ SECRET: Final = 0o600
 """Mode of a file that holds a secret."""
 OWN: Final = 0o700
 """Mode of a folder that only its owner can enter."""
+_OTHERS: Final = 0o077
+"""Rights of all but the owner."""
 _LONGEST: Final = 64 * 1024
 """Longest secret, bytes."""
 
@@ -48,8 +50,19 @@ def make_private(folder: Path) -> None:
         OSError: The folder cannot be made, or its mode cannot be changed.
     """
     folder.mkdir(mode=OWN, parents=True, exist_ok=True)
-    if folder.stat().st_mode & 0o777 & ~OWN:
+    if folder.stat().st_mode & _OTHERS:
         folder.chmod(OWN)
+
+
+def keep_private() -> int:
+    """Make all files and folders that this process and its children create private to their owner.
+
+    Journal, recordings, exports and reports name the patient, whatever the mask of the shell is.
+
+    Returns:
+        The mask before, for `os.umask`.
+    """
+    return os.umask(_OTHERS)
 
 
 def publish(part: Path, path: Path) -> None:

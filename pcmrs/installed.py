@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import functools
 import sys
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    # For annotations only: it loads the packages for e-mail and archives, and most commands need no entry point.
+    from importlib.metadata import EntryPoint
 
 
 def entry_points_of(group: str) -> list[EntryPoint]:
@@ -19,4 +22,6 @@ def entry_points_of(group: str) -> list[EntryPoint]:
 
 @functools.cache
 def _read(_path: tuple[str, ...]) -> Any:
+    from importlib.metadata import entry_points
+
     return entry_points()

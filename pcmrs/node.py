@@ -3,24 +3,35 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, suppress
 from typing import Any
 
+import structlog
+
 from pcmrs.background import background_task
 from pcmrs.bus import Bus
+from pcmrs.bus.heart import runaway_event
 from pcmrs.bus.seal import Seal
 from pcmrs.bus.stop import StopLane
 from pcmrs.clock import SystemClock
+from pcmrs.devices import thread_watcher
 from pcmrs.devices.node import DeviceNode
 from pcmrs.devices.opening import check_conformity
+from pcmrs.killing import kill_and_wait
+from pcmrs.processes.starting import ProcessStarter, start_by_exec
 from pcmrs.settings import Settings
-from pcmrs.threads import Priority, RealTime, Threads, keep_pauses_short
+from pcmrs.threads import Priority, RealTime, Runaway, Threads, keep_pauses_short
 
 ACTING = frozenset({"robot", "stimulator"})
 """Devices that must be able to stop at any time."""
+RESTART_PAUSE = 1.0
+"""Pause before a watcher of the threads that has ended is restarted, s."""
+
+log = structlog.get_logger(__name__)
 
 
 async def serve_devices(
@@ -65,6 +76,13 @@ async def serve_devices(
             keep_pauses_short()
             realtime = RealTime(Priority.DEVICE)
             await stack.enter_async_context(background_task(realtime.keep(SystemClock().sleep), "real-time policy"))
+            if not lifeline:  # the heart of the daemon watches only those that the daemon has started
+                device = min(ACTING.intersection(devices))
+
+                def report(runaway: Runaway) -> None:
+                    bus.publish(f"dev/{device}/event", runaway_event(device, runaway))
+
+                await stack.enter_async_context(background_task(watch_threads(report), "thread watcher"))
         serving = asyncio.create_task(node.run())
         ending = asyncio.create_task(ended.wait())
         try:
@@ -75,6 +93,32 @@ async def serve_devices(
             serving.cancel()
             with suppress(asyncio.CancelledError):
                 await serving
+
+
+async def watch_threads(report: Callable[[Runaway], None], start: ProcessStarter = start_by_exec) -> None:
+    """Let another process watch the real-time threads of this one, until cancelled. It is restarted if it ends.
+
+    Args:
+        report: Called with each thread that runs away.
+        start: Starts the process.
+    """
+    while True:
+        try:
+            status: object = await _watch_once(report, start)
+        except OSError as error:
+            status = str(error)
+        log.error("thread_watcher_ended", status=status)
+        await SystemClock().sleep(RESTART_PAUSE)
+
+
+async def _watch_once(report: Callable[[Runaway], None], start: ProcessStarter) -> int:
+    process = await start(thread_watcher.__name__, stdout=asyncio.subprocess.PIPE)
+    try:
+        while process.stdout is not None and (line := await process.stdout.readline()):
+            report(Runaway(*json.loads(line)))
+        return await process.wait()
+    finally:
+        await kill_and_wait(process)
 
 
 def when_input_ends(act: Callable[[], None]) -> None:

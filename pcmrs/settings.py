@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -245,7 +245,8 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
         """Return the bus settings of a process: `mode` is ``router`` for the daemon, ``client`` for others.
 
         Raises:
-            ConfigurationError: The identity or the register cannot be used.
+            ConfigurationError: The identity or the register cannot be used, or a peer of the gateway has a name of the
+                register.
         """
         cell, access = self.cell, self.access
         on_site = mode == "client" and not cell.endpoint.startswith(SECURED)
@@ -256,6 +257,7 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
         members = access.members()
         if own is not None:
             check_registered(own, members, "daemon", f"{cell.site}/{cell.name}")
+        _check_peers(self.gateway.peers, members)
         return msgspec.structs.replace(
             as_client, mode="router", listen=access.listen, routers=access.routers, members=members
         )
@@ -381,6 +383,24 @@ def _check_access(access: AccessSettings) -> None:
             "access.register, which `pcmrs pki` makes."
         )
         raise ConfigurationError(text, listen=list(access.listen), routers=list(access.routers))
+
+
+def _check_peers(peers: Iterable[str], members: Iterable[Identity]) -> None:
+    """Refuse a peer with the name of a member: lease and journal know users by their names only.
+
+    The names of revoked members count, too: rows of the journal name them.
+
+    Raises:
+        ConfigurationError: A peer has the name of a member.
+    """
+    known = {member.name for member in members}
+    for peer in peers:
+        if peer.lower() in known:
+            text = (
+                f"gateway.peers holds {peer!r}, and the register has {peer.lower()!r}: both would count as one user. "
+                "Choose another name for the peer, here and in its client."
+            )
+            raise ConfigurationError(text, peer=peer)
 
 
 def _check_dwell(settings: Settings) -> None:

@@ -55,11 +55,12 @@ class Collected(NamedTuple):
 
     Attributes:
         file: Below ``tests``.
+        only: Marker that keeps it out of ``make test``: ``nightly`` or ``browser``; empty if it is in it.
     """
 
     file: str
     name: str
-    nightly: bool
+    only: str
 
 
 @pytest.hookimpl(wrapper=True)
@@ -83,7 +84,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         Collected(
             item.path.relative_to(TESTS).as_posix(),
             item.name.partition("[")[0],
-            item.get_closest_marker("nightly") is not None,
+            next((marker for marker in ("nightly", "browser") if item.get_closest_marker(marker)), ""),
         )
         for item in items
     ]

@@ -14,10 +14,10 @@ async def main() -> None:
             running.cancel()
             reason = moving.result().reason
             raise SystemExit(f"It does not move: {reason.text if reason else moving.result().decision}")
-        await cell.stop()
+        stop = await cell.stop()
         print(f"approach: {(await moving).decision}")
         print(f"meanwhile: {(await cell.call('placement.approach')).decision}, Stop is latched")
-        print(f"acknowledge: {(await cell.acknowledge()).decision}")
+        print(f"acknowledge: {(await cell.acknowledge(stop=stop.number)).decision}")
         print(f"back_off: {(await cell.call('placement.back_off')).decision}")
 
 

@@ -69,12 +69,23 @@ class Catalogue:
             self._connection = sqlite3.connect(
                 path, timeout=LOCK_TIMEOUT, isolation_level=None, check_same_thread=False
             )
-            (version,) = self._connection.execute("PRAGMA user_version").fetchone()
-            self._connection.execute("PRAGMA synchronous = FULL")
+            try:
+                self._require_own()
+            except BaseException:
+                self._connection.close()
+                raise
+
+    def _require_own(self) -> None:
+        """Require that version and tables are those of this program: a view in their place could have endless rows."""
+        (version,) = self._connection.execute("PRAGMA user_version").fetchone()
         if version != VERSION:
-            self._connection.close()
-            text = f"{path} has version {version}, this program supports {VERSION}: use the PCMRS that has written it."
-            raise ArchiveError(text, path=str(path), version=version)
+            text = f"{self._path} has version {version}, this program supports {VERSION}: use the PCMRS that wrote it."
+            raise ArchiveError(text, path=str(self._path), version=version)
+        found = self._connection.execute("SELECT sql FROM sqlite_schema WHERE sql IS NOT NULL")
+        if {sql for (sql,) in found} != set(_TABLES):
+            text = f"{self._path} has other tables than the catalogue of an archive: put it back from a copy."
+            raise ArchiveError(text, path=str(self._path))
+        self._connection.execute("PRAGMA synchronous = FULL")
 
     def close(self) -> None:
         """Close the file."""

@@ -92,7 +92,7 @@ def check_table(segment: Segment, table: pa.Table) -> None:
     Raises:
         AlteredSegmentError: A row was altered; the field ``first`` is its sequence, if one row can be named.
     """
-    if table.schema != SCHEMA or table.num_rows != segment.rows:
+    if table.schema != SCHEMA or not table.num_rows or table.num_rows != segment.rows:
         what = f"{segment} has {table.num_rows} rows and {table.num_columns} columns"
         raise altered(
             segment.journal, segment.first, segment.last, f"{what}, {segment.rows} and {len(SCHEMA)} belong there"
@@ -114,7 +114,7 @@ def _rows(segment: Segment, bodies: Sequence[Any], hashes: Sequence[Any]) -> Ite
         try:
             own = chain_hash(own, sequence, body)
             row = decode_row(body)
-        except (JournalError, TypeError) as error:
+        except (JournalError, TypeError, OverflowError) as error:  # the last one for a negative sequence
             raise altered(segment.journal, sequence, sequence, f"the row in {segment} cannot be read") from error
         if own != stored:
             raise altered(segment.journal, sequence, sequence, f"the row in {segment} does not match its hash")

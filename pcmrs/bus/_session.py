@@ -27,6 +27,7 @@ from pcmrs.bus.serving import Refuse, Service, attached_to, payload_of
 from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.clock import SystemClock
 from pcmrs.errors import AccessError, PayloadError, PcmrsError, SealError
+from pcmrs.messages.clipping import LONGEST_TEXT, shortened
 from pcmrs.messages.identity import LOCAL
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+_DAEMON_BEAT: Final = "daemon/beat"
+"""Key of the daemon's heartbeats, whose seals name its run."""
 LOG_PERIOD: Final = 1.0
 """Shortest time between two log lines about ignored messages, s."""
 
@@ -66,6 +69,7 @@ class Bus:
         self._bridge = Bridge(self._loop)
         self._turns = RoundRobin(self._loop)
         self._ignored = _IgnoredMessages()
+        self._lost = _LostEvents(self._loop)
         self._not_sealed = 0
         self._pool = ThreadPoolExecutor(4, thread_name_prefix="pcmrs-bus")
         # A long reply to a client that does not read it blocks its thread, so commands are answered by other threads.
@@ -76,6 +80,8 @@ class Bus:
         self._receivers: list[Any] = []
         self._tokens: list[zenoh.LivelinessToken] = []
         self._tasks = BackgroundTasks()
+        if seal is not None and seal.follows:
+            self._follow_daemon(seal)
 
     @classmethod
     async def open(cls, settings: BusSettings, seal: Seal | None = None) -> Bus:
@@ -162,28 +168,30 @@ class Bus:
         data, taken = class_of(key), ReplayWindow()
         refuse = refuse or self.ignore
 
-        def deliver(sample: zenoh.Sample) -> None:
-            received = self._relative(sample)
+        def deliver(received: str, payload: bytes) -> None:
             try:
-                message = decode(payload_of(sample))
+                message = decode(payload)
             except PayloadError as error:
                 refuse(received, error)
             else:
                 handler(received, message)
 
         def receive(sample: zenoh.Sample) -> None:
-            if not self._is_authentic(sample, taken):
+            received, payload = self._relative(sample), payload_of(sample)
+            if not self._is_authentic(sample, received, payload, taken):
                 return
-            objection = self._objection(sample)
-            call: Callable[[], object] = partial(deliver, sample)
+            objection = self._objection(sample, received, payload)
+            call: Callable[[], object] = partial(deliver, received, payload)
             if objection is not None:
-                call = partial(refuse, self._relative(sample), objection)
+                call = partial(refuse, received, objection)
             if data.newest:
-                stream = (deliver, str(sample.key_expr), objection is None)  # a forged message replaces no other
+                stream = (deliver, received, objection is None)  # a forged message replaces no other
                 self._bridge.post_newest(stream, call, data.newest)
             elif not self._bridge.post(call, urgent=data.urgent):
                 # In this thread: the loop is busy, and refusals must not load it further.
-                refuse(self._relative(sample), busy(CAPACITY))
+                refuse(received, busy(CAPACITY))
+                if data.urgent:
+                    self._lost.add(received)
 
         subscriber = declare_subscriber(self._session, self._absolute(key), data, receive)
         self._receivers.append(subscriber)
@@ -197,6 +205,16 @@ class Bus:
             error: Reason why it cannot be used.
         """
         self._ignored.add(key, error)
+
+    def when_lost(self, handler: Callable[[str], None]) -> None:
+        """Call `handler(relative key)` in the event loop for events that found their queue full.
+
+        Several lost events of one key are one call, until it is made.
+
+        Args:
+            handler: Called with the relative key.
+        """
+        self._lost.handler = handler
 
     def listen(self, key: str, kind: type[T], handler: Callable[[str, T], None]) -> Any:
         """Call `handler(relative key, message)` in Zenoh's thread, where the message is received.
@@ -214,11 +232,11 @@ class Bus:
         taken = ReplayWindow()
 
         def take(sample: zenoh.Sample) -> None:
-            if not self._is_authentic(sample, taken):
+            received, payload = self._relative(sample), payload_of(sample)
+            if not self._is_authentic(sample, received, payload, taken):
                 return
-            received = self._relative(sample)
             try:
-                handler(received, unpack(payload_of(sample), kind))
+                handler(received, unpack(payload, kind))
             except PayloadError as error:
                 self.ignore(received, error)
 
@@ -323,6 +341,7 @@ class Bus:
 
     async def close(self) -> None:
         """Cancel running answers, whose outcomes are unknown to the clients, undeclare everything and close."""
+        self._lost.handler = _ignore_lost  # what arrives from now on is refused, and no danger any more
         self._bridge.close()
         self._turns.close()
         receivers, self._receivers = self._receivers, []
@@ -334,6 +353,18 @@ class Bus:
             sender.shutdown(cancel_futures=True)
         self._reading_pool.shutdown()
         self._pool.shutdown()
+
+    def _follow_daemon(self, seal: Seal) -> None:
+        """Take the run of the daemon from its heartbeats, in Zenoh's thread."""
+        taken = ReplayWindow()
+
+        def take(sample: zenoh.Sample) -> None:
+            if self._is_authentic(sample, _DAEMON_BEAT, payload_of(sample), taken):
+                seal.follow(attached_to(sample))
+
+        self._receivers.append(
+            declare_subscriber(self._session, self._absolute(_DAEMON_BEAT), class_of(_DAEMON_BEAT), take)
+        )
 
     def _sender(self, name: str) -> ThreadPoolExecutor:
         if name not in self._senders:
@@ -364,29 +395,28 @@ class Bus:
             return self._signer.sign(kind, self._absolute(key), payload)
         return None
 
-    def _is_authentic(self, sample: zenoh.Sample, taken: ReplayWindow) -> bool:
+    def _is_authentic(self, sample: zenoh.Sample, key: str, payload: bytes, taken: ReplayWindow) -> bool:
         """Return False for a message without a valid seal, and count it.
 
         Runs in Zenoh's threads, so that forged messages do not load the event loop.
         """
-        if self._seal is None or not is_sealed(self._relative(sample)):
+        if self._seal is None or not is_sealed(key):
             return True
         try:
-            self._seal.check(attached_to(sample), ("put",), str(sample.key_expr), payload_of(sample), taken)
+            self._seal.check(attached_to(sample), ("put",), str(sample.key_expr), payload, taken)
         except SealError as error:
-            self._on_forged(self._relative(sample), error)
+            self._on_forged(key, error)
             return False
         return True
 
-    def _objection(self, sample: zenoh.Sample) -> AccessError | None:
+    def _objection(self, sample: zenoh.Sample, key: str, payload: bytes) -> AccessError | None:
         """Return why a message that must be signed is rejected; None for a valid one.
 
         Runs in Zenoh's threads, so that forged messages do not load the event loop.
         """
-        if self._verifier is None or not is_signed(key := self._relative(sample)):
+        if self._verifier is None or not is_signed(key):
             return None
-        absolute, payload = str(sample.key_expr), payload_of(sample)
-        return self._verifier.objection(attached_to(sample), "put", named_in(key), absolute, payload)
+        return self._verifier.objection(attached_to(sample), "put", named_in(key), str(sample.key_expr), payload)
 
     def _on_forged(self, key: str, error: SealError) -> None:
         self._not_sealed += 1
@@ -424,6 +454,40 @@ def _undeclare(entities: list[Any]) -> None:
         entity.undeclare()
 
 
+def _ignore_lost(_key: str) -> None:
+    pass
+
+
+class _LostEvents:
+    """Events that were dropped because too many were waiting.
+
+    Args:
+        loop: Event loop in which the handler is called.
+
+    Attributes:
+        handler: Called with the key of lost events.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self.handler: Callable[[str], None] = _ignore_lost
+        self._loop = loop
+        self._lock = threading.Lock()
+        self._keys: set[str] = set()
+
+    def add(self, key: str) -> None:
+        """Report that an event is lost. From any thread."""
+        with self._lock:
+            if not self._keys:
+                self._loop.call_soon_threadsafe(self._report)
+            self._keys.add(key)
+
+    def _report(self) -> None:
+        with self._lock:
+            keys, self._keys = self._keys, set()
+        for key in sorted(keys):
+            self.handler(key)
+
+
 class _IgnoredMessages:
     """Messages that could not be used: counted, but logged rarely, so that no sender can fill the log.
 
@@ -444,4 +508,5 @@ class _IgnoredMessages:
         if now >= self._next_log:
             unlogged, self._logged, self._next_log = self.count - self._logged - 1, self.count, now + LOG_PERIOD
             others = f" ({unlogged} more since the last line)" if unlogged else ""
-            _log.warning("Ignored a message on %s: %s%s", key, error.text, others)
+            shown = shortened(key, LONGEST_TEXT), shortened(error.text, LONGEST_TEXT)
+            _log.warning("Ignored a message on %s: %s%s", *shown, others)

@@ -16,6 +16,7 @@ import msgpack
 import msgspec
 
 from pcmrs.bus._closed_decoder import INTEGER_LIMIT, closed_decoder
+from pcmrs.bus._closed_encoder import encode_closed, is_closed
 from pcmrs.errors import DeviceError, PayloadError, PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, Message, Reason, Verdict
 
@@ -44,7 +45,7 @@ def pack(message: Any) -> bytes:
     Raises:
         PayloadError: The message holds a value that MessagePack or JSON has no type for.
     """
-    return _encode(message, msgpack.packb)
+    return _encode(message, _packed)
 
 
 def pack_text(message: Any) -> bytes:
@@ -53,16 +54,26 @@ def pack_text(message: Any) -> bytes:
     Raises:
         PayloadError: The message holds a value that MessagePack or JSON has no type for.
     """
-    return _encode(message, msgspec.json.encode)
+    return _encode(message, _as_text)
 
 
 def _encode(message: Any, encode: Callable[[Any], bytes]) -> bytes:
     try:
-        return encode(msgspec.to_builtins(message))
+        return encode(message)
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
         raise PayloadError(
             f"A {type(message).__name__} cannot be sent: {error}. Use numbers, text, lists and maps only."
         ) from error
+
+
+def _packed(message: Any) -> bytes:
+    if is_closed(cast(Hashable, type(message))):
+        return encode_closed(message)
+    return cast(bytes, msgpack.packb(msgspec.to_builtins(message)))
+
+
+def _as_text(message: Any) -> bytes:
+    return msgspec.json.encode(msgspec.to_builtins(message))
 
 
 def unpack(payload: bytes, kind: type[T]) -> T:

@@ -16,17 +16,20 @@ from pcmrs.bucket import TokenBucket
 from pcmrs.bus._session import Bus
 from pcmrs.bus.bridge import ARRIVED
 from pcmrs.bus.codec import busy, reason_from
-from pcmrs.bus.keys import named_in, split_command_key
+from pcmrs.bus.keys import MAX_CHUNK, named_in, split_command_key
 from pcmrs.bus.serving import ANSWERS
 from pcmrs.bus.stop import Stop, StopLane
 from pcmrs.clock import SystemClock
 from pcmrs.errors import AccessError, PayloadError, PcmrsError
 from pcmrs.messages import Command, Message, Verdict
+from pcmrs.messages.clipping import LONGEST_TEXT, clipped_reason, shortened
 from pcmrs.messages.identity import Role
 
 _COMMANDS = "cmd/*/*/*"
 REPORTED_HZ, REPORTED_AT_ONCE = 10.0, 256
 """Refused puts that are published on ``state/event``: long-term rate, 1/s, and largest burst."""
+LONGEST_KEY = 4 * (MAX_CHUNK + 1)
+"""Limit of a relative key in the text of a refusal, characters: that of a valid one."""
 
 
 class Envelope(Message, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -140,7 +143,8 @@ class CommandEdge:
     def _refusal(self, key: str, error: PcmrsError) -> Verdict:
         """May run in any thread: for one message too many, which the bus counts itself."""
         if isinstance(error, (PayloadError, AccessError)):
-            self._refused(f"bus:{named_in(key)}", error.code, f"{key} was refused: {error.text}")
+            text = shortened(f"{shortened(key, LONGEST_KEY)} was refused: {error.text}", LONGEST_TEXT)
+            self._refused(f"bus:{shortened(named_in(key), MAX_CHUNK)}", error.code, text)
         return _rejection(key, error)
 
 
@@ -166,8 +170,11 @@ def _command_from(key: str, envelope: Envelope, role_of: Callable[[str], Role]) 
 
 
 def _rejection(key: str, error: PcmrsError) -> Verdict:
-    """Return the verdict on a command that never reached the dispatcher: it has no id, state or sequence."""
-    _, _, branch, operation = key.split("/")
+    """Return the verdict on a command that never reached the dispatcher: it has no id, state or sequence.
+
+    The sender has chosen the length of the key and of the names in its payload, and the verdict may be published.
+    """
+    branch, operation = (shortened(part, MAX_CHUNK) for part in key.split("/")[2:])
     return Verdict(
         id="",
         branch=branch,
@@ -175,5 +182,5 @@ def _rejection(key: str, error: PcmrsError) -> Verdict:
         decision="rejected",
         state="",
         sequence=0,
-        reason=reason_from(error),
+        reason=clipped_reason(reason_from(error)),
     )

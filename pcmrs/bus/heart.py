@@ -29,7 +29,7 @@ from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.clock import SystemClock
 from pcmrs.errors import PcmrsError
 from pcmrs.messages import Beat, DeviceEvent
-from pcmrs.threads import Priority, RealTime, Runaway, Runaways, descendants
+from pcmrs.threads import Priority, RealTime, Runaway, Runaways, watched_processes
 
 SIGN = struct.Struct("<Qd")
 """A sign of life: its number, and the time at which the loop wrote it, s of the machine's monotonic clock."""
@@ -98,7 +98,7 @@ class Heart:
         with suppress(PermissionError):
             self._realtime.give()
         for each in self._runaways.check(now):
-            self._put(self._events, _demoted(each))
+            self._put(self._events, runaway_event("daemon", each))
 
     def _put(self, publisher: zenoh.Publisher | ext.AdvancedPublisher, message: Beat | DeviceEvent) -> None:
         payload = pack(message)
@@ -108,19 +108,29 @@ class Heart:
         return declare_publisher(self._session, f"{self._prefix}/{key}", class_of(key))
 
 
-def watched_processes(daemon: int) -> list[int]:
-    """Return the process ids of the daemon and all below it, without the heart, which would watch itself."""
-    found = [daemon, *descendants(daemon)]
-    return [process for process in found if process != os.getpid()]
+def runaway_event(device: str, runaway: Runaway) -> DeviceEvent:
+    """Return the event of a real-time thread that has run away.
 
-
-def _demoted(runaway: Runaway) -> DeviceEvent:
+    Args:
+        device: Name that the event is reported under: ``daemon``, or a device of the node that runs the thread.
+        runaway: The thread.
+    """
     text = (
         f"Thread {runaway.name} ({runaway.thread}) of process {runaway.process} ran for {runaway.ran:.1f} s without a "
-        "pause and has lost the real-time policy until it pauses again. The cell still works, but a busy machine may "
-        "now delay heartbeats. The log shows what the loop was doing."
+        "pause"
     )
-    return DeviceEvent(device="daemon", code="thread_demoted", text=text, fields=runaway._asdict())
+    if runaway.refused:
+        text += (
+            f", and its real-time policy could not be taken away: {runaway.refused}. Other programs may not get a "
+            "processor. Stop other programs, and restart PCMRS. The log shows what the loop was doing."
+        )
+    else:
+        text += (
+            " and has lost the real-time policy until it pauses again. The cell still works, but a busy machine may "
+            "now delay heartbeats. The log shows what the loop was doing."
+        )
+    code = "thread_not_demoted" if runaway.refused else "thread_demoted"
+    return DeviceEvent(device=device, code=code, text=text, fields=runaway._asdict())
 
 
 def read_signs(descriptor: int) -> Iterator[Sign | None]:

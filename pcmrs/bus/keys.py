@@ -11,9 +11,12 @@ from typing import Final, Literal
 
 from pcmrs.errors import PayloadError
 from pcmrs.messages import Message
+from pcmrs.messages.clipping import shortened
 from pcmrs.messages.identity import COMMANDING, HOLDING, Role
 
-_CHUNK = re.compile(r"[a-z0-9][a-z0-9._-]*")
+MAX_CHUNK: Final = 64
+"""Limit of one part of a key, characters; no branch, operation or user has a longer name."""
+_CHUNK = re.compile(rf"[a-z0-9][a-z0-9._-]{{0,{MAX_CHUNK - 1}}}")
 
 Use = Literal["query", "put", "put or query", "subscribe"]
 
@@ -163,12 +166,13 @@ def check_chunk(text: str) -> str:
     """Return `text` if it is a valid chunk of a key: the part between two slashes.
 
     Raises:
-        PayloadError: The text is empty, or has upper case or characters other than ``a-z 0-9 . _ -``.
+        PayloadError: The text is empty, too long, or has upper case or characters other than ``a-z 0-9 . _ -``.
     """
     if not _CHUNK.fullmatch(text):
+        shown = shortened(text, MAX_CHUNK)
         raise PayloadError(
-            f"'{text}' cannot be a part of a key: use lower-case letters, digits, '.', '_' and '-'.",
-            chunk=text,
+            f"'{shown}' cannot be a part of a key: use 1 to {MAX_CHUNK} lower-case letters, digits, '.', '_' and '-'.",
+            chunk=shown,
         )
     return text
 

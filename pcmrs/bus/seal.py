@@ -4,6 +4,10 @@ Every process on loopback may put and answer on any key. Daemon and nodes theref
 each of their messages carries a MAC over its sender's session, its number, its key and its payload. The MAC is in the
 attachment of the Zenoh message, so that observers can read the payload without the key.
 
+A key in a file is the same after a restart. Each message therefore names a run of the daemon, random for each start,
+and the daemon accepts none of an earlier run. Its children get the run with the key; nodes on other machines take it
+from the daemon's heartbeats and requests.
+
 The MAC is HMAC-SHA256 (RFC 2104), cut to 16 bytes as section 5 of that RFC permits. Each number is accepted once,
 within a window, as in section 3.4.3 of RFC 4303, because messages of different priorities overtake each other.
 """
@@ -24,18 +28,21 @@ from pcmrs.files import SECRET, read_secret, write_durably
 
 KEY_BYTES: Final = 32
 """Length of a key, bytes."""
+RUN_BYTES: Final = 8
+"""Length of the name of a run of the daemon, bytes."""
 
 WINDOW: Final = 4096
 """Width of the replay window, messages of one sender: some seconds of all streams. An older message is rejected."""
 
 SESSIONS: Final = 64
-"""Number of senders that are remembered; only processes that have the key become senders."""
+"""Number of senders that are remembered: those whose messages were accepted last. Only processes that have the key
+become senders."""
 
 _HEXADECIMAL: Final = re.compile(rf"[0-9a-f]{{{2 * KEY_BYTES}}}")
 
 Kind = Literal["put", "query", "reply", "error"]
 _KINDS: Final[dict[Kind, int]] = {"put": 1, "query": 2, "reply": 3, "error": 4}
-_HEAD: Final = struct.Struct("<B8sQ")
+_HEAD: Final = struct.Struct("<B8s8sQ")
 _MAC: Final = 16
 LENGTH: Final = _HEAD.size + _MAC
 """Length of a seal, bytes."""
@@ -44,6 +51,11 @@ LENGTH: Final = _HEAD.size + _MAC
 def new_key() -> bytes:
     """Return a random key."""
     return secrets.token_bytes(KEY_BYTES)
+
+
+def new_run() -> bytes:
+    """Return the random name of a run of the daemon."""
+    return secrets.token_bytes(RUN_BYTES)
 
 
 def read_key(path: Path) -> bytes:
@@ -79,7 +91,8 @@ def write_key(path: Path) -> None:
 def is_sealed(key: str) -> bool:
     """Return True for a relative key whose messages are sealed: those between daemon and device nodes.
 
-    The scene is not sealed: it exists in simulations only, and tests inject faults there from outside.
+    The scene is not sealed: it exists in simulations only, and tests inject faults there from outside. Poses of ROS 2
+    (``ros2/tracker/*``) are not sealed either: the bridge that puts them has no key. The driver ``ros2`` uses them.
     """
     first, _, rest = key.partition("/")
     if first == "dev":
@@ -91,13 +104,29 @@ class Seal:
     """Seals messages, and checks seals. From any thread.
 
     Args:
-        key: Key that daemon and nodes share; `KEY_BYTES` bytes.
+        key: Key that daemon and nodes share, `KEY_BYTES` bytes. The daemon and its children have the run of the daemon
+            behind it (`new_run`); all others take the run from the daemon's messages (`follow`).
+        current_only: True for the daemon, which accepts only messages of its present run.
     """
 
-    def __init__(self, key: bytes) -> None:
-        self._key = key
+    def __init__(self, key: bytes, *, current_only: bool = False) -> None:
+        self._key, run = key[:KEY_BYTES], key[KEY_BYTES:]
+        self._run = run or bytes(RUN_BYTES)
+        self._current_only = current_only
         self._session = secrets.token_bytes(8)
         self._numbers = itertools.count(1)
+        self.follows = not run
+
+    def follow(self, seal: bytes) -> None:
+        """Name the run of the daemon in all messages from now on.
+
+        Args:
+            seal: Seal of a checked heartbeat of the daemon, or of a checked request to a device: no heartbeats are sent
+                while the daemon does not know that its arm stands still.
+        """
+        _, run, _, _ = _HEAD.unpack(seal[: _HEAD.size])
+        if self.follows and run != bytes(RUN_BYTES):
+            self._run = run
 
     def put(self, kind: Kind, key: str, payload: bytes, query: bytes = b"") -> bytes:
         """Return the seal of a new message.
@@ -108,7 +137,7 @@ class Seal:
             payload: Payload as it is sent.
             query: Seal of the query that a reply answers; empty otherwise.
         """
-        head = _HEAD.pack(_KINDS[kind], self._session, next(self._numbers))
+        head = _HEAD.pack(_KINDS[kind], self._run, self._session, next(self._numbers))
         return head + self._mac(head, key, payload, query)
 
     def check(
@@ -128,16 +157,20 @@ class Seal:
             The kind of message.
 
         Raises:
-            SealError: The message has no seal (``unsealed``) or a wrong one (``forged``), or is a repetition
-                (``repeated``).
+            SealError: The message has no seal (``unsealed``) or a wrong one (``forged``), is a repetition
+                (``repeated``), or was sealed for another run of the daemon (``other_run``).
         """
         if len(seal) != LENGTH:
             raise SealError(f"{key}: the message is not sealed; daemon and nodes reject it.", why="unsealed")
         head = seal[: _HEAD.size]
-        number_of_kind, session, number = _HEAD.unpack(head)
+        number_of_kind, run, session, number = _HEAD.unpack(head)
         kind = next((each for each in kinds if _KINDS[each] == number_of_kind), None)
         if kind is None or not hmac.compare_digest(seal[_HEAD.size :], self._mac(head, key, payload, query)):
             raise SealError(f"{key}: the message was not sealed with the key of this cell's daemon.", why="forged")
+        # A reply is bound to its query, so its run does not matter.
+        if self._current_only and not query and run != self._run:
+            text = f"{key}: the message is of an earlier run of the daemon, or its sender has not received a heartbeat."
+            raise SealError(text, why="other_run")
         if not taken.take(session, number):
             text = f"{key}: message {number} arrived before, or more than {WINDOW} messages late."
             raise SealError(text, why="repeated")
@@ -170,10 +203,14 @@ class ReplayWindow:
             False if it was accepted before or is older than the window.
         """
         with self._lock:
-            numbers = self._senders.setdefault(session, _NumberWindow())
-            while len(self._senders) > SESSIONS:
+            numbers = self._senders.get(session) or _NumberWindow()
+            if not numbers.take(number):
+                return False
+            self._senders.pop(session, None)
+            self._senders[session] = numbers  # at the end: a sender that is still received is not forgotten
+            if len(self._senders) > SESSIONS:
                 del self._senders[next(iter(self._senders))]
-            return numbers.take(number)
+            return True
 
 
 class _NumberWindow:

@@ -83,10 +83,12 @@ class Service(Generic[T]):
         """Return why a query that must be sealed is not answered: device nodes serve only their daemon."""
         if self.seal is None:
             return None
+        seal = attached_to(query)
         try:
-            self.seal.check(attached_to(query), ("query",), str(query.key_expr), payload_of(query), self._taken)
+            self.seal.check(seal, ("query",), str(query.key_expr), payload_of(query), self._taken)
         except SealError as error:
             return error
+        self.seal.follow(seal)
         return None
 
     def _objection(self, query: zenoh.Query, key: str) -> AccessError | None:

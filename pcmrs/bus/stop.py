@@ -18,11 +18,12 @@ import zenoh
 
 from pcmrs.bus._fair_queue import FairQueue
 from pcmrs.bus.codec import is_text, pack, pack_text, unpack
-from pcmrs.bus.keys import cell_prefix
+from pcmrs.bus.keys import MAX_CHUNK, cell_prefix
 from pcmrs.bus.serving import payload_of
 from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.errors import BusError, PayloadError
 from pcmrs.messages import Message
+from pcmrs.messages.clipping import shortened
 
 PRESS = re.compile(r"[0-9a-f]{32}")
 """Pattern of the id of one press: random, so that no two presses share it."""
@@ -156,9 +157,10 @@ class StopLane:
 
     async def close(self) -> None:
         """Stop taking presses, answer those that were taken, and close the session."""
-        await asyncio.to_thread(self._close)
+        await asyncio.to_thread(self.end)
 
-    def _close(self) -> None:
+    def end(self) -> None:
+        """As `close`, but block until then."""
         for receiver in self._receivers:
             receiver.undeclare()
         self._replies.close()
@@ -178,7 +180,9 @@ class StopLane:
 
     def _count_press(self, key: str, press: str | None, query: zenoh.Query | None) -> None:
         """Count a press; runs in Zenoh's thread."""
-        source = f"bus:{key.removeprefix(f'{self._prefix}/stop/')}"
+        # Every name stops, also one that is longer than any user's, but it must not fill the journal.
+        name = key.removeprefix(f"{self._prefix}/stop/")
+        source = f"bus:{shortened(name, MAX_CHUNK)}"
         with self._lock:
             if not self._waiting:
                 self._loop.call_soon_threadsafe(self._handle_presses)

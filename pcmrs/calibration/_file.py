@@ -106,10 +106,10 @@ def read_calibration(path: Path) -> Calibration:
     """
     try:
         return msgspec.convert(tomllib.loads(read_text(path)), Calibration)
-    except tomllib.TOMLDecodeError as error:
-        refuse(path, f"is not TOML: {error}.")
     except (msgspec.ValidationError, RecursionError) as error:
         refuse(path, f"is not a calibration: {error}.")
+    except (ValueError, OverflowError) as error:  # more than TOMLDecodeError: a number may have too many digits
+        refuse(path, f"is not TOML: {error}.")
 
 
 def write_calibration(path: Path, calibration: Calibration) -> Calibration:

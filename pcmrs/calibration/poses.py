@@ -95,7 +95,7 @@ def _pose(path: Path, number: int, row: Mapping[str, Any], name: str) -> Transfo
     try:
         numbers = [float(row[column]) for column in _columns(name, unit)]
         pose = Transform.from_quat_xyzw([value * METRES[unit] for value in numbers[:3]], numbers[3:])
-    except (TypeError, ValueError, GeometryError) as error:
+    except (TypeError, ValueError, OverflowError, GeometryError) as error:
         refuse(path, f"holds no pose {name} in row {number}: {str(error).rstrip('.')}.", row=number)
     if abs(pose.translation).max() > MAX_DISTANCE:
         farthest = float(abs(pose.translation).max())

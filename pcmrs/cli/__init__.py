@@ -3,53 +3,125 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
+from typing import Final
 
 import click
 
-import pcmrs.lean_structlog  # noqa: F401
-from pcmrs.cli.lazy import LABORATORY, LazyGroup
+from pcmrs.cli.lazy import LABORATORY, LazyGroup, Listed
+from pcmrs.files import keep_private
 
 COMMANDS = {
-    "call": "pcmrs.cli.cell:call",
-    "state": "pcmrs.cli.cell:state",
-    "watch": "pcmrs.cli.cell:watch",
-    "keys": "pcmrs.cli.cell:keys",
-    "lease": "pcmrs.cli.lease:lease",
-    "cells": "pcmrs.cli.cells:cells",
-    "console": "pcmrs.cli.console:console",
-    "health": "pcmrs.cli.health:health",
-    "doctor": "pcmrs.cli.doctor:doctor",
-    "stop": "pcmrs.cli.cell:stop",
-    "journal": "pcmrs.cli.journal:journal",
-    "archive": "pcmrs.cli.archive:archive",
-    "fsm": "pcmrs.cli.fsm:fsm",
-    "faults": LABORATORY,
-    "placements": "pcmrs.cli.placements:placements",
-    "register": "pcmrs.cli.register:register",
-    "skin": "pcmrs.cli.skin:skin",
-    "calibrate": "pcmrs.cli.calibrate:calibrate",
-    "experiment": LABORATORY,
-    "demo": LABORATORY,
-    "teleop": "pcmrs.cli.teleop:teleop",
-    "session": LABORATORY,
-    "pki": "pcmrs.cli.pki:pki",
-    "peers": "pcmrs.cli.peers:peers",
-    "node": "pcmrs.cli.serve:node",
-    "serve": "pcmrs.cli.serve:serve",
-    "router": "pcmrs.cli.router:router",
-    "record": "pcmrs.cli.recording:record",
-    "ros2": "pcmrs.cli.ros2:ros2",
-    "repair": "pcmrs.cli.recording:repair",
-    "play": "pcmrs.cli.playback:play",
-    "export-session": "pcmrs.cli.export_session:export_session",
-    "report": "pcmrs.cli.report:report",
+    "call": Listed("pcmrs.cli.cell:call", "Ask for an operation and print the verdict."),
+    "state": Listed(
+        "pcmrs.cli.cell:state", "Print the state of all branches, the flags, running operations, and unknown outcomes."
+    ),
+    "watch": Listed(
+        "pcmrs.cli.cell:watch", "Print states, decisions and device events as they happen, until interrupted."
+    ),
+    "keys": Listed("pcmrs.cli.cell:keys", "List the keys to publish and subscribe to, with their payloads."),
+    "lease": Listed(
+        "pcmrs.cli.lease:lease",
+        "Hold a cell: one operator or teleoperator at a time gives commands, and planners may plan for them.",
+    ),
+    "cells": Listed(
+        "pcmrs.cli.cells:cells", "List the connected cells in which you have a role; on a router, those of all sites."
+    ),
+    "console": Listed(
+        "pcmrs.cli.console:console",
+        "Serve the page that shows a cell: workflow, scene, planning, signals and session.",
+    ),
+    "health": Listed(
+        "pcmrs.cli.health:health", "Print the health of the daemon, the reasons for problems, and what to do."
+    ),
+    "doctor": Listed(
+        "pcmrs.cli.doctor:doctor",
+        "Check that this machine has what the configured cell needs, without changing anything.",
+    ),
+    "stop": Listed(
+        "pcmrs.cli.cell:stop",
+        "Stop every motion and latch: nothing moves until the stop is acknowledged, in RATMS by robot.acknowledge.",
+    ),
+    "journal": Listed(
+        "pcmrs.cli.journal:journal",
+        "Print the recorded commands, decisions and reports, and prove that the journal is whole.",
+    ),
+    "archive": Listed(
+        "pcmrs.cli.archive:archive",
+        "Copy the journals of many cells to one place, verify it, and answer questions about all of them.",
+    ),
+    "fsm": Listed("pcmrs.cli.fsm:fsm", "Design, verify, draw, import, test and compare workflows."),
+    "faults": Listed(
+        LABORATORY, "Inject faults into simulated cells, and check that nothing is lost and nothing moves by itself."
+    ),
+    "placements": Listed(
+        "pcmrs.cli.placements:placements", "Print the errors of recorded placements: measured against planned pose."
+    ),
+    "register": Listed(
+        "pcmrs.cli.register:register",
+        "Register the landmarks in DIGITIZED (body_ref) to those in PLAN (image), and check the result.",
+    ),
+    "skin": Listed(
+        "pcmrs.cli.skin:skin",
+        "Extract the outer surface of the body in VOLUME: a NIfTI file, or a folder with one DICOM series.",
+    ),
+    "calibrate": Listed(
+        "pcmrs.cli.calibrate:calibrate",
+        "Calibrate the pointer or the tool from poses in a file, or with --live on a running cell.",
+    ),
+    "experiment": Listed(LABORATORY, "Repeat the paper's experiments on the simulated cell."),
+    "demo": Listed(
+        LABORATORY, "Run a whole procedure on the simulated cell: plan, digitize, register, and 12 placements."
+    ),
+    "teleop": Listed(
+        "pcmrs.cli.teleop:teleop", "Guide the tool near its planned pose, for as long as the clutch is held."
+    ),
+    "session": Listed(LABORATORY, "Run whole sessions on the simulated cell."),
+    "pki": Listed(
+        "pcmrs.cli.pki:pki",
+        "Manage the certificates of a lab: its own authority, and one identity for each person and process.",
+    ),
+    "peers": Listed(
+        "pcmrs.cli.peers:peers", "Give clients on other machines a key, so that the gateway accepts their commands."
+    ),
+    "node": Listed("pcmrs.cli.serve:node", hidden=True),
+    "serve": Listed(
+        "pcmrs.cli.serve:serve", "Run the daemon of one cell: by default robotic TMS on the simulated cell."
+    ),
+    "router": Listed(
+        "pcmrs.cli.router:router", "Forward the messages of cells and people, as far as the register allows them."
+    ),
+    "record": Listed("pcmrs.cli.recording:record", "Record all messages of a running cell on its bus, until Ctrl-C."),
+    "ros2": Listed(
+        "pcmrs.cli.ros2:ros2",
+        "Publish joints, frames, poses and the state of a running cell for ROS 2, until Ctrl-C.",
+    ),
+    "repair": Listed(
+        "pcmrs.cli.recording:repair",
+        "Save the readable part of a damaged recording, up to its last whole chunk, and report how much is lost.",
+    ),
+    "play": Listed(
+        "pcmrs.cli.playback:play", "Publish recordings on the bus again, byte for byte, under pcmrs/replay/NAME."
+    ),
+    "export-session": Listed(
+        "pcmrs.cli.export_session:export_session",
+        "Copy a session of the configured cell into one folder, and verify the copy of its journal.",
+    ),
+    "report": Listed(
+        "pcmrs.cli.report:report", "Write the report of a session: one page for a clinician, then all details."
+    ),
 }
+"""Commands with the first sentences of their help texts, which are also in their modules."""
+
+SHARED: Final = ("fsm", "pki")
+"""Commands whose files others may read: workflows and certificates. All others may write data of a session."""
 
 
 @click.group(cls=LazyGroup, commands=COMMANDS, prefix="", context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="pcmrs")
-def main() -> None:
+@click.pass_context
+def main(context: click.Context) -> None:
     """PCMRS: medical robot procedures as hierarchical state machines.
 
     Start a cell with pcmrs-serve. These commands control it, and design and check its workflow. Research
@@ -58,3 +130,6 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without ° shows a ? instead of a traceback
+    if context.invoked_subcommand not in SHARED:
+        before = keep_private()
+        context.call_on_close(lambda: os.umask(before))

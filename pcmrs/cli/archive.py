@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pcmrs.cli.lazy import LazyGroup
+from pcmrs.cli.lazy import LazyGroup, Listed
 from pcmrs.cli.options import OutputFile, config_options, json_option
 from pcmrs.cli.printing import say, say_json
-from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors
 from pcmrs.errors import PcmrsError
 
@@ -23,8 +22,8 @@ if TYPE_CHECKING:
 
     from pcmrs.archive import AddedRows, ArchiveVerification
 
-COMMANDS = {name: f"pcmrs.cli.archive:{name}" for name in ("add", "verify", "ask")}
-COMMANDS["list"] = "pcmrs.cli.archive:list_"
+COMMANDS = {name: Listed(f"pcmrs.cli.archive:{name}") for name in ("add", "verify", "ask")}
+COMMANDS["list"] = Listed("pcmrs.cli.archive:list_")
 
 LONG = 20_000
 """Number of rows from which it takes long enough for a bar."""
@@ -86,6 +85,7 @@ def add(
     """
     from pcmrs.archive import add_journal, find_journals, open_store
     from pcmrs.cli.journal import journal_of_cell
+    from pcmrs.cli.progress import progress_bar
 
     journals = find_journals(paths or (journal_of_cell(file, overrides),))
     failed = False
@@ -122,6 +122,7 @@ def verify(place: str, keys: tuple[tuple[tuple[str, str], Path], ...], as_json: 
     signed heads. Exit status: 0 whole, 1 damaged, 2 there is no archive.
     """
     from pcmrs.archive import open_store, verify_archive
+    from pcmrs.cli.progress import progress_bar
     from pcmrs.cli.tables import print_report
 
     with closing(open_store(place)) as store, progress_bar(transient=True) as progress:

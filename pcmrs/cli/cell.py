@@ -5,18 +5,21 @@ from __future__ import annotations
 import json
 import sys
 from datetime import datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
 
-from pcmrs.bus.keys import KeyTable
 from pcmrs.cli.options import Address, address_options, json_option
 from pcmrs.cli.printing import say
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors, run
-from pcmrs.client import Event
 from pcmrs.errors import PayloadError, PcmrsError
 from pcmrs.messages import DeviceEvent, Snapshot, UnknownOutcome, Verdict
+
+if TYPE_CHECKING:
+    # For annotations only: asking for help must not load the bus.
+    from pcmrs.bus.keys import KeyTable
+    from pcmrs.client import Event
 
 STATUS = {"accepted": 0, "rejected": EXIT_REJECTED, "failed": EXIT_FAILED, "unknown": EXIT_FAILED}
 
@@ -92,7 +95,7 @@ def stop(address: Address) -> None:
     if not stands:
         say(f"Stop {number} has started, but it is not confirmed that the robot stands still: look at it.", err=True)
         raise SystemExit(1)
-    say(f"stopped, and {_latched(release)}")
+    say(f"stopped, and {_latched(release, number)}")
 
 
 async def _call(address: Address, operation: str, arguments: dict[str, Any]) -> Verdict:
@@ -102,7 +105,7 @@ async def _call(address: Address, operation: str, arguments: dict[str, Any]) -> 
 
 async def _state(address: Address) -> Snapshot:
     async with address.connect() as client:
-        return await client.state()
+        return client.greeting
 
 
 async def _watch(address: Address, *, as_json: bool) -> None:
@@ -175,35 +178,32 @@ def _unknown(outcome: UnknownOutcome) -> str:
 
 
 def _print_snapshot(snapshot: Snapshot) -> None:
-    from rich.table import Table
-
-    from pcmrs.cli.tables import Terminal
-
-    table = Table(
-        "branch", "state", title=f"{snapshot.blueprint.id} {snapshot.blueprint.version}", title_justify="left"
-    )
+    # In lines, because Rich would take most of the time of the command.
+    say(f"{snapshot.blueprint.id} {snapshot.blueprint.version}")
+    width = max(map(len, snapshot.branches), default=0)
     for branch, name in snapshot.branches.items():
-        table.add_row(branch, name)
-    console = Terminal()
-    console.print(table)
+        say(f"{branch:<{width}}  {name}")
     raised = [flag for flag, value in snapshot.flags.items() if value]
-    console.print(f"flags: {', '.join(raised) or 'none'}; sequence {snapshot.sequence}")
+    say(f"flags: {', '.join(raised) or 'none'}; sequence {snapshot.sequence}")
     for running in snapshot.running:
-        console.print(f"running: {running.branch}.{running.operation} {running.progress:.0%}")
+        say(f"running: {running.branch}.{running.operation} {running.progress:.0%}")
     for outcome in snapshot.unknown:
-        console.print(_unknown(outcome), highlight=False)
+        say(_unknown(outcome))
     if snapshot.latched:
-        console.print(_latched(snapshot.release), highlight=False)
+        say(_latched(snapshot.release, snapshot.stop.number))
 
 
-def _latched(release: list[str] | None) -> str:
-    """Describe the latch, and the operations of the running workflow that release it.
+def _latched(release: list[str] | None, stop: int) -> str:
+    """Describe the latch, and the commands that release it by naming the Stop that the person sees here.
 
     Args:
-        release: Operations that release the latch; None if the daemon did not report them.
+        release: Operations of the running workflow that release the latch; None if the daemon did not report them.
+        stop: Number of the newest Stop.
     """
     if release is None:
         return "latched until it is acknowledged (pcmrs state shows how)"
     if not release:
         return "latched; no operation of this workflow is barred by that"
-    return f"latched until it is acknowledged: {' or '.join(f'pcmrs call {each}' for each in release)}"
+    named = json.dumps({"stop": stop})
+    commands = [f"pcmrs call {each} '{named}'" for each in release]
+    return f"latched until it is acknowledged: {' or '.join(commands)}"

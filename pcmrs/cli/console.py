@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import msgspec
 
+import pcmrs.lean_structlog  # noqa: F401
 from pcmrs.cli.lifeline import NICENESS, inherited
 from pcmrs.cli.options import Address, address_options, json_option
+from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.console.settings import TOKEN, UPLOADS
 from pcmrs.errors import ConfigurationError
@@ -54,6 +55,7 @@ if TYPE_CHECKING:
 )
 @click.option("--language", type=click.Choice(["en", "de"]), default="en", show_default=True)
 @click.option("--lifeline", is_flag=True, hidden=True, help="Read the configuration from standard input; end with it.")
+@click.option("--listening", type=int, hidden=True, help="File descriptor of a socket that listens at the port.")
 @json_option
 @address_options
 @readable_errors
@@ -65,6 +67,7 @@ def console(
     recordings: Path | None,
     language: str,
     lifeline: bool,
+    listening: int | None,
     as_json: bool,
     address: Address,
 ) -> None:
@@ -95,14 +98,14 @@ def console(
     token = secrets.token_urlsafe(24) if token_file is None else read_secret(token_file).decode().strip()
 
     def ready(url: str) -> None:
-        click.echo(msgspec.json.encode({"url": url}).decode() if as_json else f"open {url}")
+        if as_json:
+            say_json({"url": url})
+        else:
+            say(f"open {url}")
         sys.stdout.flush()
 
-    run(
-        _serve(
-            address, ListenAddress(host, port, names), token, language, ready, uploads, recordings, lifeline=lifeline
-        )
-    )
+    place = ListenAddress(host, port, names, listening)
+    run(_serve(address, place, token, language, ready, uploads, recordings, lifeline=lifeline))
 
 
 def _address(settings: Settings) -> Address:

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 import click
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
-from rich.text import Text
 
 from pcmrs.cli.options import config_options, json_option
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors
-from pcmrs.cli.tables import print_report
+from pcmrs.cli.tables import print_report, styled
 
 if TYPE_CHECKING:
     from pcmrs.doctor import Examination
@@ -49,8 +48,6 @@ def _table(found: Examination) -> Table:
         table.add_column(name, no_wrap=True)
     table.add_column("found", overflow="fold")
     for finding in found.findings:
-        text = Text(finding.found)
-        if finding.remedy:
-            text.append(f"\n→ {finding.remedy}")
-        table.add_row(Text(finding.check), Text(finding.verdict, style=COLOURS[finding.verdict]), text)
+        text = styled(finding.found, *([f"→ {finding.remedy}"] if finding.remedy else []))
+        table.add_row(finding.check, styled(finding.verdict, style=COLOURS[finding.verdict]), text)
     return table

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pcmrs.cli.options import config_options, json_option
-from pcmrs.cli.printing import say_json
+from pcmrs.cli.printing import say_json, say_lines
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors
 
@@ -50,16 +50,15 @@ def export_session(
     if as_json:
         say_json(exported)
     else:
-        click.echo(_text(exported))
+        say_lines(_lines(exported))
     if exported.problems:
         sys.exit(EXIT_REJECTED)
 
 
-def _text(exported: ExportReport) -> str:
-    lines = [
+def _lines(exported: ExportReport) -> list[str]:
+    return [
         f"session {exported.session} in {exported.folder}: {exported.rows} rows of the journal, "
         f"{len(exported.recordings)} recording files, {len(exported.calibrations)} calibration files",
         *(f"missing: {line}" for line in exported.missing),
         *(f"the journal is not sound: {line}" for line in exported.problems),
     ]
-    return "\n".join(lines)

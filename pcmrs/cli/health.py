@@ -10,12 +10,11 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.table import Table
-from rich.text import Text
 
 from pcmrs.cli.options import Address, address_options, json_option
 from pcmrs.cli.printing import say_json
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
-from pcmrs.cli.tables import NARROWEST, Terminal
+from pcmrs.cli.tables import NARROWEST, Terminal, styled
 from pcmrs.clock import SystemClock
 from pcmrs.messages.health import Health, LatencyStatus
 
@@ -24,9 +23,9 @@ COLOURS = {"ok": "green", "degraded": "yellow", "failed": "red"}
 
 def health_table(health: Health) -> Group:
     """Return the verdict and its reasons, then the details."""
-    shown: list[RenderableType] = [Text(_title(health), style=f"bold {COLOURS[health.status]}")]
+    shown: list[RenderableType] = [styled(_title(health), style=f"bold {COLOURS[health.status]}")]
     for reason in health.reasons:
-        shown += [Text(f"{reason.severity}: {reason.code}: {reason.text}"), Text(f"  → {reason.remedy}")]
+        shown += [f"{reason.severity}: {reason.code}: {reason.text}", f"  → {reason.remedy}"]
     return Group(*shown, _overview(health), _devices(health), _tasks(health))
 
 
@@ -44,19 +43,19 @@ def _overview(health: Health) -> Table:
     table.add_column(overflow="fold")
     journal, loop = health.journal, health.loop
     rejected = f"; rejected for {_listed(health.rejections)}" if health.rejections else ""
-    _add(table, "stop", "latched" if health.latched else "not latched")
-    _add(table, "decisions", _listed(health.decisions) + rejected)
+    table.add_row("stop", "latched" if health.latched else "not latched")
+    table.add_row("decisions", _listed(health.decisions) + rejected)
     for latency in health.latencies:
-        _add(table, f"until {latency.decision}", _latency(latency))
+        table.add_row(f"until {latency.decision}", _latency(latency))
     waiting = f"{journal.waiting} rows wait, the oldest for {journal.oldest_wait:.3f} s"
-    _add(table, "journal", journal.failure or waiting)
+    table.add_row("journal", journal.failure or waiting)
     if journal.free is not None:
-        _add(table, "disk", f"{journal.free / 1e9:.1f} GB free")
-    _add(table, "loop", f"{loop.lag:.3f} s late, {loop.stalls} stalls, the longest {loop.longest:.2f} s")
+        table.add_row("disk", f"{journal.free / 1e9:.1f} GB free")
+    table.add_row("loop", f"{loop.lag:.3f} s late, {loop.stalls} stalls, the longest {loop.longest:.2f} s")
     queues = ", ".join(f"{each.queue} {each.depth} of {each.limit}" for each in health.queues)
-    _add(table, "queues", queues)
+    table.add_row("queues", queues)
     refused = {each.queue: each.refused or 0 for each in health.queues}
-    _add(table, "dropped", _listed({name: many for name, many in (refused | health.dropped).items() if many}))
+    table.add_row("dropped", _listed({name: many for name, many in (refused | health.dropped).items() if many}))
     return table
 
 
@@ -67,8 +66,7 @@ def _devices(health: Health) -> Table:
     nodes = {device: node for node in health.nodes for device in node.devices}
     for each in health.devices:
         node = nodes.get(each.device)
-        _add(
-            table,
+        table.add_row(
             each.device,
             "yes" if each.connected else "NO",
             _age(each.heard),
@@ -85,13 +83,8 @@ def _tasks(health: Health) -> Table:
     for name in ("task", "answers", "restarts"):
         table.add_column(name, no_wrap=True)
     for task in health.tasks:
-        _add(table, task.name, "yes" if task.answers else "NO", str(task.restarts))
+        table.add_row(task.name, "yes" if task.answers else "NO", str(task.restarts))
     return table
-
-
-def _add(table: Table, *cells: str) -> None:
-    """Add a row of plain text: brackets in it are not markup."""
-    table.add_row(*map(Text, cells))
 
 
 def _latency(latency: LatencyStatus) -> str:

@@ -10,7 +10,7 @@ from typing import Any, get_args
 
 import click
 
-from pcmrs.cli.lazy import LazyGroup
+from pcmrs.cli.lazy import LazyGroup, Listed
 from pcmrs.cli.options import config_options, json_option
 from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import readable_errors, run
@@ -18,10 +18,19 @@ from pcmrs.clock import SystemClock
 from pcmrs.journal import JournalReader, Kind, StoredRow
 
 COMMANDS = {
-    "show": "pcmrs.cli.journal:show",
-    "verify": "pcmrs.cli.journal_verify:verify",
-    "export": "pcmrs.cli.journal_export:export",
-    "replay": "pcmrs.cli.journal_replay:replay",
+    "show": Listed("pcmrs.cli.journal:show"),
+    "verify": Listed(
+        "pcmrs.cli.journal_verify:verify",
+        "Read the whole journal at PATH, or of the configured cell, and report which part of it is sound.",
+    ),
+    "export": Listed(
+        "pcmrs.cli.journal_export:export",
+        "Write the rows of the journal at PATH, or of the configured cell, into a file.",
+    ),
+    "replay": Listed(
+        "pcmrs.cli.journal_replay:replay",
+        "Decide everything in the journal at PATH, or of the configured cell, again, and list the differences.",
+    ),
 }
 
 FOLLOWING = 0.2

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import click
 import structlog
 from rich.console import RenderableType
-from rich.markup import escape
 from rich.table import Table
 
 from pcmrs.cli.journal import journal_of_cell, path_argument
@@ -66,7 +65,7 @@ def replay(
 
 def _table(replayed: ReplayReport) -> RenderableType:
     result = "all as recorded" if replayed.is_same else f"{len(replayed.differences)} differences"
-    summary = escape(
+    summary = (
         f"{replayed.journal}: {replayed.rows} rows of {replayed.runs} runs, {replayed.compared} repeated, {result}; "
         f"{replayed.answered} commands needed recorded answers; {replayed.rows_per_second:.0f} rows/s"
     )
@@ -74,8 +73,7 @@ def _table(replayed: ReplayReport) -> RenderableType:
         return summary
     table = Table("row", "what", "differs in", "recorded", "decided now", title=summary, title_justify="left")
     for each in replayed.differences:
-        cells = (str(each.sequence), each.row, each.what, _shown(each.recorded), _shown(each.decided))
-        table.add_row(*map(escape, cells))
+        table.add_row(str(each.sequence), each.row, each.what, _shown(each.recorded), _shown(each.decided))
     return table
 
 

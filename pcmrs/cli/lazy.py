@@ -1,15 +1,19 @@
-"""Command groups that load the module of a command when it is used: help loads nothing else."""
+"""Command groups that import the module of a command when it is used: their help imports nothing else."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
-from importlib.metadata import EntryPoint
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import click
 
 from pcmrs.installed import entry_points_of
+from pcmrs.visible import visible
+
+if TYPE_CHECKING:
+    # For annotations only: it loads more than everything else here.
+    from importlib.metadata import EntryPoint
 
 LABORATORY: Final = "pcmrs-lab"
 """Distribution with the commands of the laboratory."""
@@ -17,27 +21,41 @@ ENTRY_POINTS: Final = "pcmrs.commands"
 """Group of the entry points with which other distributions add commands: ``name``, or ``group.name``."""
 
 
+class Listed(NamedTuple):
+    """One command of a group.
+
+    Attributes:
+        place: Its ``module:function``, or the distribution that adds it.
+        summary: First sentence of its help text, for the help of the group; empty if its module is imported for that.
+        hidden: True to leave it out of the help.
+    """
+
+    place: str
+    summary: str = ""
+    hidden: bool = False
+
+
 class LazyGroup(click.Group):
     """Finds commands by name and imports only the requested one.
 
     Args:
-        commands: Name of each command to ``module:function``, or to the distribution that adds it.
+        commands: Names of the commands, in the order of the help.
         prefix: Prefix of the entry points that add further commands; None if none are looked for.
         options: Further options, see `click.Group`.
     """
 
-    def __init__(self, *, commands: Mapping[str, str], prefix: str | None = None, **options: Any) -> None:
+    def __init__(self, *, commands: Mapping[str, Listed], prefix: str | None = None, **options: Any) -> None:
         super().__init__(**options)
-        self._places = commands
+        self._listed = commands
         self._prefix = prefix
 
     def list_commands(self, _context: click.Context) -> list[str]:
         others = self._entry_points()
-        known = [name for name, place in self._places.items() if ":" in place or name in others]
-        return known + sorted(others.keys() - self._places.keys())
+        known = [name for name, each in self._listed.items() if ":" in each.place or name in others]
+        return known + sorted(others.keys() - self._listed.keys())
 
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
-        place = self._places.get(name, "")
+        place = self._listed[name].place if name in self._listed else ""
         try:
             if ":" in place:
                 module, _, function = place.partition(":")
@@ -54,6 +72,32 @@ class LazyGroup(click.Group):
             text = f"'{context.command_path} {name}' is a command of {place}, which is not installed (docs/supply.md)."
             raise click.UsageError(text, context)
         return None
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Invoke the command; what a usage error quotes, such as the name of a file, is escaped."""
+        try:
+            return super().invoke(ctx)
+        except click.ClickException as error:
+            # click has no other place between what raises an error and what prints it.
+            error.message = visible(error.message, keep="\n")  # type: ignore[misc]
+            raise
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write a row for each command, as click does, from its summary if it has one."""
+        commands = {name: self._described(ctx, name) for name in self.list_commands(ctx)}
+        shown = {name: command for name, command in commands.items() if command is not None and not command.hidden}
+        if not shown:
+            return
+        room = formatter.width - 6 - max(map(len, shown))
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, command.get_short_help_str(room)) for name, command in shown.items()])
+
+    def _described(self, context: click.Context, name: str) -> click.Command | None:
+        """Return a command with the help text of the command `name`, or that command itself."""
+        listed = self._listed.get(name)
+        if listed is not None and (listed.summary or listed.hidden):
+            return click.Command(name, help=listed.summary, hidden=listed.hidden)
+        return self.get_command(context, name)
 
     def _entry_points(self) -> dict[str, EntryPoint]:
         if self._prefix is None:

@@ -9,14 +9,14 @@ import sys
 import click
 
 from pcmrs.cli.cell import STATUS, event_line
-from pcmrs.cli.lazy import LazyGroup
+from pcmrs.cli.lazy import LazyGroup, Listed
 from pcmrs.cli.options import Address, address_options, json_option
 from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, fail, readable_errors, run
 from pcmrs.errors import CommandRefusedError
 from pcmrs.messages import LeaseState, Verdict
 
-COMMANDS = {name: f"pcmrs.cli.lease:{name}" for name in ("show", "take", "hold", "confirm", "release")}
+COMMANDS = {name: Listed(f"pcmrs.cli.lease:{name}") for name in ("show", "take", "hold", "confirm", "release")}
 
 over_option = click.option(
     "--over", is_flag=True, help="Take it over from its holder: at once on site, otherwise when they confirm."

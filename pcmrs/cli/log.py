@@ -10,12 +10,13 @@ import queue
 import sys
 import threading
 from collections.abc import MutableMapping
-from typing import Any, TextIO, cast
+from typing import TYPE_CHECKING, Any, TextIO, cast
 
-import structlog
-from structlog.typing import ExcInfo
-
+from pcmrs.lean_structlog import structlog
 from pcmrs.visible import visible
+
+if TYPE_CHECKING:
+    from structlog.typing import ExcInfo
 
 STANDARD_ERROR = 2
 MAX_WAITING = 1000
@@ -105,10 +106,21 @@ def log_to_stderr(*, verbose: bool = False) -> LogStream:
         ],
         logger_factory=structlog.WriteLoggerFactory(cast(TextIO, stream)),
     )
-    handler = logging.StreamHandler(stream)
-    handler.setFormatter(_Escaping(logging.BASIC_FORMAT))
-    logging.basicConfig(level=level, handlers=[handler])
+    log_standard_library(cast(TextIO, stream), logging.BASIC_FORMAT, level)
     return stream
+
+
+def log_standard_library(stream: TextIO, line: str, level: int = logging.INFO) -> None:
+    """Write what the standard library's `logging` gets, which libraries use, too, to a stream, escaped.
+
+    Args:
+        stream: The stream.
+        line: Format of a line, as for `logging.Formatter`.
+        level: Lowest level that is written.
+    """
+    handler = logging.StreamHandler(stream)
+    handler.setFormatter(_Escaping(line))
+    logging.basicConfig(level=level, handlers=[handler])
 
 
 def _escape(_logger: object, _name: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
@@ -124,7 +136,7 @@ def _write_traceback(out: TextIO, info: ExcInfo) -> None:
 
 
 class _Escaping(logging.Formatter):
-    """Formatter for the standard library's log, which libraries use, too."""
+    """Formatter that escapes each line, and indents all but the first."""
 
     def format(self, record: logging.LogRecord) -> str:
         first, *more = super().format(record).split("\n")

@@ -8,13 +8,15 @@ from collections.abc import AsyncIterator, Callable, Collection
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 from click.core import ParameterSource
 
-from pcmrs.bus import Credentials
-from pcmrs.client import Client
+if TYPE_CHECKING:
+    # For annotations only: asking for help must not load the bus.
+    from pcmrs.bus import Credentials
+    from pcmrs.client import Client
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -36,6 +38,8 @@ class Address:
             BusError: There is none, or it refuses this client.
             ConfigurationError: The identity cannot be used.
         """
+        from pcmrs.client import Client
+
         async with Client.connect(self.endpoint, self.site, self.cell, credentials=self.credentials()) as client:
             yield client
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import click
 import msgspec
 
-from pcmrs.cli.lazy import LazyGroup
+from pcmrs.cli.lazy import LazyGroup, Listed
 from pcmrs.cli.options import json_option
-from pcmrs.cli.printing import say_json
+from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import readable_errors
 
-COMMANDS = {"new": "pcmrs.cli.peers:new"}
+COMMANDS = {"new": Listed("pcmrs.cli.peers:new")}
 
 
 @click.group(cls=LazyGroup, commands=COMMANDS)
@@ -54,8 +54,8 @@ def new(name: str, folder: Path, as_json: bool) -> None:
     if as_json:
         say_json({"peer": name, "key_file": str(file), "allow": DEFAULT, "counter": UNIX_NS})
         return
-    click.echo(f"# {file} is made. To your configuration add:")
-    click.echo(f"[gateway.peers.{name}]")
-    click.echo(f"key_file = {msgspec.json.encode(str(file)).decode()}")
-    click.echo(f"allow = {msgspec.json.encode(DEFAULT).decode()}")
-    click.echo(f'counter = "{UNIX_NS}"')
+    say(f"# {file} is made. To your configuration add:")
+    say(f"[gateway.peers.{name}]")
+    say(f"key_file = {msgspec.json.encode(str(file)).decode()}")
+    say(f"allow = {msgspec.json.encode(DEFAULT).decode()}")
+    say(f'counter = "{UNIX_NS}"')

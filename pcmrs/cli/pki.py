@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pcmrs.cli.lazy import LazyGroup
+from pcmrs.cli.lazy import LazyGroup, Listed
 from pcmrs.cli.options import json_option
-from pcmrs.cli.printing import say, say_json
+from pcmrs.cli.printing import say, say_json, write_document
 from pcmrs.cli.running import readable_errors
 from pcmrs.cli.tables import Terminal
 from pcmrs.messages.identity import ROLES, Role
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     # For annotations only: asking for help must not load a library for certificates.
     from pcmrs.messages.identity import Identity
 
-COMMANDS = {name: f"pcmrs.cli.pki:{name}" for name in ("init", "issue", "revoke", "roles")}
-COMMANDS |= {"list": "pcmrs.cli.pki:list_", "device-key": "pcmrs.cli.pki:device_key"}
+COMMANDS = {name: Listed(f"pcmrs.cli.pki:{name}") for name in ("init", "issue", "revoke", "roles")}
+COMMANDS |= {"list": Listed("pcmrs.cli.pki:list_"), "device-key": Listed("pcmrs.cli.pki:device_key")}
 
 folder_option = click.option(
     "--folder",
@@ -196,7 +196,7 @@ def roles(as_json: bool) -> None:
     if as_json:
         say_json(KEYS)
     else:
-        click.echo(roles_as_markdown(), nl=False)
+        write_document(roles_as_markdown())
 
 
 def _state(identity: Identity, now: float) -> str:

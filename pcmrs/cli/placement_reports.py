@@ -9,7 +9,6 @@ import msgspec
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Group
-from rich.markup import escape
 from rich.table import Table
 
 from pcmrs.analysis.placements import PlacementTrial, Summary, summarize
@@ -132,7 +131,7 @@ def placements_tables(report: PlacementsReport) -> Group:
     trials = _table(f"Placements in {report.path}", "trial", "standoff mm", "mm", "°", "x y z mm, tool axes")
     for number, trial in enumerate(report.trials, start=1):
         trials.add_row(
-            f"{number}  {escape(trial.trial)}",
+            f"{number}  {trial.trial}",
             f"{trial.standoff_mm:g}",
             f"{trial.translation_error_mm:.4f}",
             f"{trial.rotation_error_deg:.4f}",
@@ -169,7 +168,7 @@ def pose_log_table(report: PoseLogReport) -> Table:
 
 
 def _table(title: str, *columns: str) -> Table:
-    table = Table(title=escape(title), box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table = Table(title=title, box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for index, name in enumerate(columns):
         table.add_column(name, justify="right" if index else "left", no_wrap=True)
     return table

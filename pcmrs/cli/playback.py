@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pcmrs.cli.options import json_option
-from pcmrs.cli.printing import say_json
+from pcmrs.cli.printing import say_json, say_lines
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.cli.values import POSITIVE, Finite
@@ -63,7 +63,7 @@ def play(
     if as_json:
         say_json(played)
     else:
-        click.echo(_text(played))
+        say_lines(_lines(played))
 
 
 async def _play(
@@ -79,7 +79,7 @@ async def _play(
         await player.close()
 
 
-def _text(played: PlaybackReport) -> str:
+def _lines(played: PlaybackReport) -> list[str]:
     line = f"{played.messages} messages of {played.duration:.1f} s under {played.prefix}"
     lost = [f"{line}; {played.lost_bytes} bytes in all are not readable" for line in played.damage]
-    return "\n".join([line, *lost])
+    return [line, *lost]

@@ -7,9 +7,9 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
 
+from pcmrs.cli.tables import Terminal
 from pcmrs.clock import SystemClock
 
 LONG = 20_000
@@ -30,9 +30,10 @@ def progress_bar(*, beyond: int = 0, transient: bool = False) -> Iterator[Callab
     Yields:
         A function to call with a text, the finished amount of work, and the whole amount.
     """
-    columns = (TextColumn("{task.description:<40}", markup=False), BarColumn(), MofNCompleteColumn())
-    console = Console(stderr=True)
-    bar = Progress(*columns, TimeElapsedColumn(), console=console, transient=transient)
+    console = Terminal(stderr=True)
+    # A string as a column is escaped by the terminal; a TextColumn is not.
+    columns = ("{task.description:<40}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    bar = Progress(*columns, console=console, transient=transient)
     task = bar.add_task("", total=None)
     clock, last = SystemClock(), -math.inf
     with ExitStack() as shown:
@@ -46,7 +47,7 @@ def progress_bar(*, beyond: int = 0, transient: bool = False) -> Iterator[Callab
             nonlocal last
             if not transient and total > beyond and (done == total or clock.monotonic() - last > LINE_PERIOD):
                 last = clock.monotonic()
-                console.print(f"{done}/{total} {text}", markup=False, highlight=False)
+                console.print(f"{done}/{total} {text}", highlight=False)
 
         yield show if console.is_terminal else write
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import os
 import platform
 import signal
@@ -17,9 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import pcmrs.lean_structlog  # noqa: F401
 from pcmrs.cli.lifeline import NICENESS, inherited
+from pcmrs.cli.log import log_standard_library
 from pcmrs.cli.options import OutputFile, config_options, json_option
-from pcmrs.cli.printing import say_json
+from pcmrs.cli.printing import say, say_json, say_lines
 from pcmrs.cli.running import EXIT_FAILED, readable_errors, run
 from pcmrs.cli.values import POSITIVE, Size
 
@@ -82,7 +83,7 @@ def record(
     from pcmrs.recording.writer import RecordingPlan
     from pcmrs.settings import read_settings
 
-    logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(levelname)s %(message)s")
+    log_standard_library(sys.stderr, "%(levelname)s %(message)s")
     if max_total is not None and max_size is None and max_duration is None:
         raise click.UsageError("--max-total needs --max-size or --max-duration: one file alone is never removed.")
     if lifeline:
@@ -102,7 +103,7 @@ def record(
     if as_json:
         say_json(report)
     else:
-        click.echo(_summary(report))
+        say_lines(_summary(report))
     if report.error is not None:
         sys.exit(EXIT_FAILED)
 
@@ -127,7 +128,7 @@ def repair(damaged: Path, output: Path, as_json: bool) -> None:
     if as_json:
         say_json(saved)
     else:
-        click.echo(_saved(saved))
+        say(_saved(saved))
 
 
 def _origin(settings: Settings, session: str) -> dict[str, str]:
@@ -178,24 +179,31 @@ async def _record(
 @contextmanager
 def _status(writer: RecordingWriter, name: str) -> Iterator[Callable[[], Coroutine[Any, Any, None]]]:
     """Show a line on a terminal with the number of recorded messages; the yielded function updates it."""
-    from pcmrs.cli.tables import Terminal  # not at the top: the daemon's recorder has no terminal
+    if not sys.stderr.isatty():
+        yield _nothing
+        return
+    from pcmrs.cli.tables import Terminal, styled  # not at the top: the daemon's recorder shows nothing
 
-    with Terminal(stderr=True).status(f"recording {name}") as status:
+    with Terminal(stderr=True).status(styled(f"recording {name}")) as status:
 
         async def show() -> None:
             while True:
                 await asyncio.sleep(1.0)
-                status.update(f"recording {name}: {writer.messages} messages; Ctrl-C ends it")
+                status.update(styled(f"recording {name}: {writer.messages} messages; Ctrl-C ends it"))
 
         yield show
 
 
-def _summary(report: RecordingReport) -> str:
+async def _nothing() -> None:
+    pass
+
+
+def _summary(report: RecordingReport) -> list[str]:
     lost = f", {report.dropped} dropped" if report.dropped else ""
     removed = f"; {report.removed} older files were removed" if report.removed else ""
     files = ", ".join(report.files)
     line = f"{report.messages} messages in {report.duration:.1f} s{lost}: {files}{removed}"
-    return line if report.error is None else f"{line}\nended early: {report.error}"
+    return [line] if report.error is None else [line, f"ended early: {report.error}"]
 
 
 def _saved(saved: RepairReport) -> str:

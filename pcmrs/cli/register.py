@@ -10,6 +10,7 @@ import click
 import msgspec
 
 from pcmrs.cli.options import OutputFile, json_option, plot_option
+from pcmrs.cli.printing import say, say_lines
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors
 from pcmrs.cli.values import POSITIVE
 from pcmrs.errors import ConfigurationError, DegeneratePointsError
@@ -115,13 +116,13 @@ def _write(
 ) -> None:
     registration = verdict.registration
     if plot is not None and registration is None:
-        click.echo(f"{plot} is not written: there is no registration to draw.", err=True)
+        say(f"{plot} is not written: there is no registration to draw.", err=True)
     elif plot is not None and registration is not None:
         from pcmrs.cli.register_plot import draw
 
         draw(pairs, registration.fixed_from_moving, limits.residual, _heading(verdict), plot)
     if output is not None and (registration is None or not verdict.accepted):
-        click.echo(f"{output} is not written: the registration is refused.", err=True)
+        say(f"{output} is not written: the registration is refused.", err=True)
     elif output is not None and registration is not None:
         from pcmrs.formats.lab_yaml import lab_registration
 
@@ -129,7 +130,9 @@ def _write(
 
 
 def _say(as_object: dict[str, Any], lines: list[str], as_json: bool) -> None:
-    click.echo(msgspec.json.format(msgspec.json.encode(as_object)).decode() if as_json else "\n".join(lines))
+    if as_json:
+        lines = msgspec.json.format(msgspec.json.encode(as_object)).decode().split("\n")
+    say_lines(lines)
 
 
 def _heading(verdict: RegistrationVerdict) -> str:

@@ -8,9 +8,10 @@ import sys
 from pathlib import Path
 
 import click
-import msgspec
 
+import pcmrs.lean_structlog  # noqa: F401
 from pcmrs.cli.options import config_options, json_option
+from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.errors import ConfigurationError
 
@@ -59,5 +60,8 @@ def ros2(file: Path | None, overrides: tuple[str, ...], as_json: bool) -> None:
 
 
 def _say(data: dict[str, str] | dict[str, int], line: str, as_json: bool) -> None:
-    click.echo(msgspec.json.encode(data).decode() if as_json else line)
+    if as_json:
+        say_json(data)
+    else:
+        say(line)
     sys.stdout.flush()

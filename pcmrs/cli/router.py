@@ -13,7 +13,7 @@ import msgspec
 
 from pcmrs.cli.log import log_to_stderr
 from pcmrs.cli.options import identity_option, json_option
-from pcmrs.cli.printing import say_json
+from pcmrs.cli.printing import say_json, say_lines
 from pcmrs.cli.running import readable_errors, run
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def router(identity: Path | None, register: Path, listen: tuple[str, ...], print
         raise click.UsageError("--identity is missing: pcmrs pki issue router NAME --host HOST")
     settings = router_settings(identity, register, listen)
     if print_config:
-        click.echo(_zenohd(settings))
+        say_lines(_zenohd(settings).split("\n"))
         return
     log_to_stderr()
     run(_route(settings, as_json=as_json))
@@ -75,16 +75,16 @@ async def _route(settings: BusSettings, *, as_json: bool) -> None:
         if as_json:
             say_json(report)
         else:
-            click.echo(_text(settings))
+            say_lines(_lines(settings))
         sys.stdout.flush()
         manager.tell("READY=1")
         await ended.wait()
         manager.tell("STOPPING=1")
 
 
-def _text(settings: BusSettings) -> str:
-    lines = [f"pcmrs-router {settings.user}: {len(settings.members)} in the register"]
-    return "\n".join([*lines, *(f"  listens at {endpoint}" for endpoint in settings.listen), "ready"])
+def _lines(settings: BusSettings) -> list[str]:
+    first = f"pcmrs-router {settings.user}: {len(settings.members)} in the register"
+    return [first, *(f"  listens at {endpoint}" for endpoint in settings.listen), "ready"]
 
 
 def _zenohd(settings: BusSettings) -> str:

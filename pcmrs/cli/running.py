@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import asyncio
 import functools
 import sys
 from collections.abc import Callable, Coroutine
-from typing import Any, NoReturn, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, TypeVar
 
 import click
 
-from pcmrs.cli.printing import say
+from pcmrs.cli.printing import say, say_lines
 from pcmrs.errors import BlueprintError, BusError, ConfigurationError, JournalError, PcmrsError
 from pcmrs.extras import missing_module
+
+if TYPE_CHECKING:
+    import asyncio
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -32,6 +34,8 @@ STATUS: list[tuple[type[PcmrsError], int]] = [
 
 def run(work: Coroutine[Any, Any, T]) -> T:
     """Run `work` in its own event loop."""
+    import asyncio  # help does not need it
+
     with asyncio.Runner(loop_factory=_loop_factory()) as runner:
         return runner.run(work)
 
@@ -79,14 +83,22 @@ def fail_missing(error: ModuleNotFoundError) -> NoReturn:
 def fail(error: PcmrsError, status: int | None = None) -> NoReturn:
     """End the process with the error's text and status.
 
-    Further lines of the text are indented, so that a line break in a value from outside cannot forge a message.
-
     Args:
         error: The error.
         status: Exit status; None for that of the error's kind.
     """
-    first, *rest = error.text.splitlines() or [""]
-    say(f"{click.get_current_context().command_path}: {first}", err=True)
-    for line in rest:
-        say(f"  {line}" if line else "", err=True)
+    say_problem(error.text)
     sys.exit(next((its for kind, its in STATUS if isinstance(error, kind)), EXIT_FAILED) if status is None else status)
+
+
+def say_problem(text: str) -> None:
+    """Print what is wrong on standard error, after the command's name.
+
+    Further lines are indented, so that a line break in a value from outside cannot forge a message.
+
+    Args:
+        text: The problem, and what to do.
+    """
+    first, *rest = text.splitlines() or [""]
+    say(f"{click.get_current_context().command_path}: {first}", err=True)
+    say_lines((f"  {line}" if line else "" for line in rest), err=True)

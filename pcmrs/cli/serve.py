@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import signal
 import sys
 from contextlib import closing
@@ -11,16 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import structlog
 
 from pcmrs.cli.lifeline import inherited, inherited_table
 from pcmrs.cli.log import log_to_stderr
 from pcmrs.cli.options import config_options
-from pcmrs.cli.printing import say_json
+from pcmrs.cli.printing import say_json, say_lines
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.descriptors import reserve
 from pcmrs.errors import ConfigurationError
-from pcmrs.files import read_secret
+from pcmrs.files import keep_private, read_secret
+from pcmrs.lean_structlog import structlog
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the robot's kinematics.
@@ -49,7 +48,7 @@ def serve(file: Path | None, overrides: tuple[str, ...], as_json: bool, verbose:
     from pcmrs.settings import read_settings
 
     reserve()
-    os.umask(0o077)  # journal and recordings name the patient; the daemon's children inherit this
+    keep_private()  # the daemon's children inherit this
     log_to_stderr(verbose=verbose)
     settings = read_settings(file, overrides)
     # After the settings, which name the extra of a missing driver; before the fork, so that children share them.
@@ -114,23 +113,23 @@ async def _serve(daemon: Daemon, *, as_json: bool, lifeline: bool) -> None:
         if as_json:
             say_json(ready)
         else:
-            click.echo(_text(ready))
+            say_lines(_lines(ready))
         sys.stdout.flush()
         await ended.wait()
         log.info("ending: motion is held first")
 
 
 def _opened(ready: Ready) -> str:
-    """Return the address of the page; with its token on a terminal only, since other output is stored in logs."""
+    """Return the link to the page; with its token on a terminal only, since other output is stored in logs."""
     from pcmrs.console.settings import TOKEN
 
     token = Path(ready.folder) / TOKEN
     if sys.stdout.isatty():
         return f"{ready.console}/?token={read_secret(token).decode()}"
-    return f"{ready.console}/?token=$(cat {token})"
+    return f"{ready.console} (token: {token})"
 
 
-def _text(ready: Ready) -> str:
+def _lines(ready: Ready) -> list[str]:
     faster = f", {ready.rate:g} times as fast as real time" if ready.rate != 1.0 else ""
     lines = [
         f"pcmrs-serve: {ready.workflow}{faster}. Research software, not a medical device.",
@@ -145,4 +144,4 @@ def _text(ready: Ready) -> str:
         lines.append(f"  metrics        {ready.metrics}")
     if ready.console:
         lines.append(f"  console        {_opened(ready)}")
-    return "\n".join([*lines, "ready"])
+    return [*lines, "ready"]

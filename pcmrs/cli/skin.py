@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from pcmrs.cli.options import OutputFile, json_option
-from pcmrs.cli.printing import say_json
+from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import readable_errors
 
@@ -47,4 +47,4 @@ def skin(volume: Path, out: Path, threshold: float | None, as_json: bool) -> Non
         return
     extent = " x ".join(f"{edge:.1f}" for edge in edges_mm)
     closed = "closed" if solid.is_watertight else "not closed"
-    click.echo(f"{out}: {len(mesh.faces)} triangles, {closed}, {extent} mm (right, anterior, superior)")
+    say(f"{out}: {len(mesh.faces)} triangles, {closed}, {extent} mm (right, anterior, superior)")

@@ -19,11 +19,31 @@ NARROWEST = 120
 
 
 class Terminal(Console):
-    """Rich's console; only its own styles can control the terminal."""
+    """Rich's console, on which no text has an effect: brackets are no markup, and each string is one line.
+
+    Use `styled` for a style, and for several lines.
+
+    Args:
+        options: Options of Rich's console.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        # A command's id such as `[/x]` raises an error as markup, and `[link=…]` makes escape sequences.
+        super().__init__(markup=False, emoji=False, **options)
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """Return a text for a table or a line; Rich calls this for every text."""
-        return super().render_str(visible(text, keep="\n"), **options)
+        """Return a text for a table or a line; Rich calls this for every string."""
+        return super().render_str(visible(text), **options)
+
+
+def styled(*lines: str, style: str = "") -> Text:
+    """Return lines in a style, for a table or a `Terminal`, which does not escape a `Text`.
+
+    Args:
+        lines: The lines.
+        style: A style of Rich, such as ``bold red``.
+    """
+    return Text("\n".join(map(visible, lines)), style)
 
 
 def print_report(report: msgspec.Struct, table: RenderableType, *, as_json: bool) -> None:

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import click
 import msgspec
+from rich.console import Group
 from rich.live import Live
-from rich.text import Text
 
 from pcmrs.background import background_task
 from pcmrs.cli.options import Address, address_options, json_option
 from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors, run
-from pcmrs.cli.tables import Terminal
+from pcmrs.cli.tables import Terminal, styled
 from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.errors import CommandRefusedError
@@ -36,15 +36,9 @@ LIMITS = {
 }
 
 
-def status_line(status: TeleopStatus | None, *, keys: bool) -> Text:
-    """Return the newest status.
-
-    Args:
-        status: The status; None before the first.
-        keys: The keyboard is used, so its keys are shown.
-    """
-    text = Text(", ".join(_parts(status)) if status is not None else "waiting for the cell")
-    return text.append(f"\n{HELP}", style="dim") if keys else text
+def status_line(status: TeleopStatus | None) -> str:
+    """Return the newest status; None before the first."""
+    return ", ".join(_parts(status)) if status is not None else "waiting for the cell"
 
 
 def report_line(report: Report) -> str:
@@ -155,7 +149,8 @@ async def _print_json(session: TeleopSession) -> None:
 
 
 async def _show_status_line(session: TeleopSession, *, keys: bool) -> None:
-    with Live(console=Terminal(stderr=True), auto_refresh=False, transient=True) as live:
+    help_line = [styled(HELP, style="dim")] if keys else []
+    with Live(console=Terminal(stderr=True, highlight=False), auto_refresh=False, transient=True) as live:
         while True:
-            live.update(status_line(session.status, keys=keys), refresh=True)
+            live.update(Group(status_line(session.status), *help_line), refresh=True)
             await SystemClock().sleep(SHOW_EVERY)

@@ -28,6 +28,7 @@ from pcmrs.errors import (
     ConfigurationError,
     DeviceError,
     PayloadError,
+    RefusalError,
     UnknownOutcomeError,
 )
 from pcmrs.messages import (
@@ -70,7 +71,10 @@ class Client:
 
     Attributes:
         missed: Number of events that `watch` has dropped, the oldest first, because its reader was too slow.
+        greeting: Snapshot with which the daemon answered the connection.
     """
+
+    greeting: Snapshot
 
     def __init__(self, bus: Bus, user: str) -> None:
         self.missed = 0
@@ -116,7 +120,7 @@ class Client:
         bus = await Bus.open(settings, Seal(device_key) if device_key else None)
         try:
             client = cls(bus, user if settings.user == LOCAL else settings.user)
-            await client._greet()
+            client.greeting = await client._greet()
             yield client
         finally:
             await bus.close()
@@ -294,23 +298,33 @@ class Client:
                 return False
             await self._clock.sleep(_POLL_PERIOD)
 
-    async def acknowledge(self, operation: str | None = None) -> Verdict:
-        """Acknowledge the newest Stop, by its number, as soon as its pending conditions are met.
+    async def acknowledge(self, operation: str | None = None, *, stop: int | None = None) -> Verdict:
+        """Acknowledge a Stop as soon as its pending conditions are met.
+
+        Name the Stop that the person has seen: the number of `Client.stop`, or ``stop.number`` of the snapshot that you
+        have shown. A newer one is not acknowledged.
 
         Args:
             operation: Operation of the workflow that releases the latch; by default the first one.
+            stop: Number of the Stop. Only the user ``local`` may leave it out, and only if the newest Stop is not
+                younger than 1 s.
 
         Raises:
             ConfigurationError: The workflow has no such operation, because the latch blocks nothing in it.
+            RefusalError: The Stop must be named.
             UnknownOutcomeError: The daemon did not answer in time.
         """
+        if stop is None and self._user != LOCAL:
+            text = f"{self._user} has not named the Stop to acknowledge, which only {LOCAL} may do: show the snapshot, "
+            text += "then acknowledge with stop = the number in its field stop.number."
+            raise RefusalError("stop_not_named", text, user=self._user)
         end = self._clock.monotonic() + self._patience
         while (shown := await self.state()).stop.pending and self._clock.monotonic() < end:
             await self._clock.sleep(_POLL_PERIOD)
         if operation is None and not shown.release:
             text = f"In {shown.blueprint.id} the latch of Stop blocks nothing: there is nothing to release."
             raise ConfigurationError(text, workflow=shown.blueprint.id)
-        return await self.call(operation or shown.release[0], {"stop": shown.stop.number})
+        return await self.call(operation or shown.release[0], {} if stop is None else {"stop": stop})
 
     @property
     def user(self) -> str:
@@ -428,9 +442,9 @@ class Client:
             raise DeviceError(reply.failure.text, reason=reply.failure.code, values=reply.failure.fields)
         return reply.result
 
-    async def _greet(self) -> None:
+    async def _greet(self) -> Snapshot:
         try:
-            await self.state()
+            return await self.state()
         except UnknownOutcomeError as error:
             settings = self._bus.settings
             raise BusError(

@@ -42,6 +42,8 @@ class LiveFeed(CellViewModel):
         self._clock = SystemClock()
         self._renewed = asyncio.Event()
         self._holds = False
+        self._pages: set[str] = set()
+        self._opened = asyncio.Event()
         self.client: Client | None = None
         self.trouble = "The daemon has not been reached yet."
         self.setup: Setup | None = None
@@ -63,8 +65,20 @@ class LiveFeed(CellViewModel):
             self.version += 1
             await self._clock.sleep(RECONNECT_PERIOD)
 
+    def page_opened(self, page: str) -> None:
+        """Follow everything that a page shows from now on; `page` is its identity."""
+        self._pages.add(page)
+        self._opened.set()
+
+    def page_closed(self, page: str) -> None:
+        """Follow states and events only, and renew no lease, if this was the last open page."""
+        self._pages.discard(page)
+        if not self._pages:
+            self._opened.clear()
+            self._renewed.set()  # ends `_gather`
+
     async def hold(self, operation: str) -> None:
-        """Send ``acquire`` or ``take_over`` for the lease, and renew it from then on; or send ``release``.
+        """Send ``acquire`` or ``take_over`` for the lease, and renew it while a page is open; or send ``release``.
 
         Raises:
             CommandRefusedError: The request was not accepted.
@@ -77,16 +91,9 @@ class LiveFeed(CellViewModel):
 
     async def _keep_up(self, client: Client) -> None:
         self.setup = await client.setup()
-        self.epochs.clear()  # the valid ones are published again
-        async with AsyncExitStack() as stack, asyncio.TaskGroup() as group:
-            for end in (
-                client.listen("state/joints", JointState, self._take_joints),
-                client.listen("state/pose/*", BodyPose, self._take_pose),
-                client.listen("state/epoch", Epoch, self._take_epoch),
-            ):
-                stack.push_async_callback(end)
+        async with asyncio.TaskGroup() as group:
             self.client, self.trouble = client, ""
-            group.create_task(self._gather(client))
+            group.create_task(self._show(client))
             group.create_task(self._renew(client))
             async with aclosing(client.watch()) as events:
                 group.create_task(self._check_daemon(client))
@@ -114,16 +121,30 @@ class LiveFeed(CellViewModel):
         while True:
             await self._clock.sleep(RENEW_PERIOD)
             holder = None if self.snapshot is None or self.snapshot.lease is None else self.snapshot.lease.holder
-            if self._holds and holder == client.user:
+            if self._pages and self._holds and holder == client.user:
                 with suppress(
                     CommandRefusedError, UnknownOutcomeError
                 ):  # the next renewal may be in time; if not, the page shows it
                     await client.lease("renew")
 
-    async def _gather(self, client: Client) -> None:
-        """Request the gathered data and the journal whenever the state has changed."""
-        may_read = self.setup is not None and self.setup.role in JOURNAL_READERS
+    async def _show(self, client: Client) -> None:
+        """Follow the streams, the gathered data and the journal while a page is open: nobody else looks at them."""
         while True:
+            await self._opened.wait()
+            self.epochs.clear()  # the valid ones are sent again
+            async with AsyncExitStack() as stack:
+                for end in (
+                    client.listen("state/joints", JointState, self._take_joints),
+                    client.listen("state/pose/*", BodyPose, self._take_pose),
+                    client.listen("state/epoch", Epoch, self._take_epoch),
+                ):
+                    stack.push_async_callback(end)
+                await self._gather(client)
+
+    async def _gather(self, client: Client) -> None:
+        """Request the gathered data and the journal whenever the state has changed, until the last page is closed."""
+        may_read = self.setup is not None and self.setup.role in JOURNAL_READERS
+        while self._pages:
             self._renewed.clear()
             self.data = await client.gathered()
             if may_read:

@@ -57,7 +57,8 @@ class Guard:
             await send({"type": "websocket.close", "code": 1008})
         else:
             status, text, more = refusal
-            await answer(send, status, text, more)
+            # Who has no token keeps no connection. A browser that is sent on opens another one.
+            await answer(send, status, text, more | {"connection": "close"})
 
     def _refusal(self, scope: Scope, headers: dict[str, str]) -> tuple[int, str, dict[str, str]] | None:
         """Return status, text and headers of the answer to a refused request; None if it may pass."""

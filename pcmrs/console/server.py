@@ -11,8 +11,9 @@ from pathlib import Path
 
 import uvicorn
 from fastapi import FastAPI
-from nicegui import ui
+from nicegui import Client, ui
 
+from pcmrs.console._connections import limited_protocol
 from pcmrs.console._live_feed import Dial, LiveFeed
 from pcmrs.console._page import Page
 from pcmrs.console._playback_bar import refuse_recording, wait_for_recording
@@ -33,6 +34,8 @@ LARGEST = 2**20
 RECONNECT_TIMEOUT, MESSAGE_HISTORY = 60.0, 10_000
 """A page continues after a disconnection of at most so long, s, and so many missed messages. Later it is reloaded, and
 loses plans that were not sent."""
+MOST_AT_ONCE = 512
+"""Limit of open connections and of requests at once; another request is answered 503. A page needs about 6."""
 SHUTDOWN_TIMEOUT = 1
 """Longest delay of the server's end by open pages, s."""
 
@@ -44,11 +47,13 @@ class ListenAddress:
     Attributes:
         port: Port; 0 for any free one.
         names: Further ``host:port`` that reach it, as behind a proxy.
+        descriptor: File descriptor of a socket that already listens there; None to listen.
     """
 
     host: str = "127.0.0.1"
     port: int = 8080
     names: tuple[str, ...] = ()
+    descriptor: int | None = None
 
 
 async def serve_console(
@@ -95,6 +100,8 @@ async def serve_console(
         server = _Server(
             uvicorn.Config(
                 guarded,
+                http=limited_protocol(),
+                limit_concurrency=MOST_AT_ONCE,
                 log_level="warning",
                 access_log=False,
                 ws_max_size=LARGEST,
@@ -131,6 +138,8 @@ class _Server(uvicorn.Server):
 
 
 def _listen(place: ListenAddress) -> socket.socket:
+    if place.descriptor is not None:
+        return socket.socket(fileno=place.descriptor)
     try:
         return socket.create_server((place.host, place.port))
     except OSError as error:
@@ -163,7 +172,19 @@ def _build(app: FastAPI, feed: LiveFeed, language: str, recordings: Recordings) 
             except PcmrsError as error:
                 refuse_recording(error.text, texts)
                 return
+        _follow(feed, ui.context.client)
         Page(feed, setup, blueprint, texts, surfaces, recordings, playback)
+
+
+def _follow(feed: LiveFeed, client: Client) -> None:
+    """Have the feed follow what a page shows while a browser is connected to it."""
+
+    def gone() -> None:
+        if not client.has_socket_connection:  # a browser may connect again before its old connection has ended
+            feed.page_closed(client.id)
+
+    client.on_connect(lambda: feed.page_opened(client.id))
+    client.on_disconnect(gone)
 
 
 def _wait(feed: LiveFeed, texts: Texts) -> None:

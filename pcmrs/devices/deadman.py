@@ -48,10 +48,10 @@ def node_held_up(device: str, silence: Silence, load: Load) -> DeviceEvent:
 def _cause(silence: Silence, load: Load) -> str:
     if silence.held_up:
         return f" The node had waited {silence.held_up * 1e3:.0f} ms for a processor: {load}."
-    return f" The machine is overloaded: {load}." if load.running > load.processors else ""
+    return f" The machine is overloaded: {load}." if load.is_too_high else ""
 
 
-def _fields(silence: Silence, load: Load) -> dict[str, float]:
+def _fields(silence: Silence, load: Load) -> dict[str, float | None]:
     return {"held_up": silence.held_up, "running": load.running, "processors": load.processors}
 
 

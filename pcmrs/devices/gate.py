@@ -29,6 +29,9 @@ ACTS: dict[str, frozenset[str]] = {
 HOLDS = {"robot": "hold", "stimulator": "disarm", "pointer": "release"}
 """Method of each device that ends whatever acts."""
 
+HOLD_TIME = 1.0
+"""Time within which a held robot stands, and a stimulator is disarmed, s of the machine."""
+
 LATCHING = frozenset({"robot", "stimulator"})
 """Devices that a hold can latch, and that start latched; a pointer has an epoch only."""
 

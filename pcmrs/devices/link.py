@@ -39,6 +39,13 @@ class Link(Protocol):
             handler: Called with relative key and message, in any thread.
         """
 
+    def when_lost(self, handler: Callable[[str], None]) -> None:
+        """Call a handler in the event loop when an event could not be delivered, since too many were waiting.
+
+        Args:
+            handler: Called with the relative key of the event; its content is lost.
+        """
+
     def serve(self, key: str, kind: type[M], handler: Callable[[str, M], Awaitable[msgspec.Struct]]) -> None:
         """Answer requests, each in its own task.
 

@@ -6,7 +6,8 @@ import asyncio
 import itertools
 import uuid
 from collections import Counter
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from math import inf
 from typing import Any
@@ -28,12 +29,11 @@ from pcmrs.devices.deadman import (
     daemon_silent,
     node_held_up,
 )
-from pcmrs.devices.gate import ACTS, HOLDS, RELEASE, Gate
+from pcmrs.devices.gate import ACTS, HOLD_TIME, HOLDS, RELEASE, Gate
 from pcmrs.devices.link import Link
 from pcmrs.devices.protocols import RobotDriver, StimulatorDriver, TrackerDriver
-from pcmrs.devices.remote import HOLD_TIME
 from pcmrs.devices.standstill import Standstill
-from pcmrs.errors import DeviceError, PcmrsError
+from pcmrs.errors import DeviceError, PcmrsError, UnknownOutcomeError
 from pcmrs.messages import (
     Beat,
     DeviceHealth,
@@ -225,14 +225,20 @@ class DeviceNode:
                 gate.forget_daemon()
 
     async def _check_stationary(self, name: str) -> None:
-        """Refuse to release an arm that moves.
+        """Refuse to release an arm that moves, or that is not measured now.
 
         Raises:
-            DeviceError: The arm moves, or does not report its state.
+            DeviceError: The arm moves, or refuses to report its joints.
+            UnknownOutcomeError: It does not report them in time.
         """
         if name != "robot":
             return
-        state: JointState = await self._devices["robot"].joints()
+        try:
+            async with self._clock.timeout(HOLD_TIME):
+                state: JointState = await self._devices["robot"].joints()
+        except TimeoutError:  # the daemon has given this release up, too
+            text = f"The robot reported no joints within {HOLD_TIME:g} s and stays latched. Look at the arm, ask again."
+            raise UnknownOutcomeError(text, limit=HOLD_TIME) from None
         if state.moving:
             raise DeviceError("The robot still moves: it can be released when it stands. Ask again.", code="moving")
 
@@ -356,25 +362,27 @@ class DeviceNode:
         await asyncio.gather(self.make_safe("no heartbeat"), self._report_silence(silence))
 
     async def _report_silence(self, silence: Silence) -> None:
-        load = self._scheduling.load()
-        log.warning(
-            "held_by_node",
-            reason="no heartbeat of the daemon",
-            silence=round(silence.lasted, 4),
-            held_up=round(silence.held_up, 4),
-            running=load.running,
-            processors=load.processors,
-        )
-        self._report_held_up(silence)
-        device = self._device_at_risk()
-        self._link.publish(f"dev/{device}/event", daemon_silent(device, silence, self._deadman.limit, load))
+        with _errors_logged():
+            load = self._scheduling.load()
+            log.warning(
+                "held_by_node",
+                reason="no heartbeat of the daemon",
+                silence=round(silence.lasted, 4),
+                held_up=round(silence.held_up, 4),
+                running=load.running,
+                processors=load.processors,
+            )
+            self._report_held_up(silence)
+            device = self._device_at_risk()
+            self._link.publish(f"dev/{device}/event", daemon_silent(device, silence, self._deadman.limit, load))
 
     def _report_held_up(self, silence: Silence) -> None:
-        now = self._clock.monotonic()
-        if silence.held_up and now - self._reported_held_up_at > HELD_UP_PERIOD:
-            self._reported_held_up_at = now
-            device = self._device_at_risk()
-            self._link.publish(f"dev/{device}/event", node_held_up(device, silence, self._scheduling.load()))
+        with _errors_logged():
+            now = self._clock.monotonic()
+            if silence.held_up and now - self._reported_held_up_at > HELD_UP_PERIOD:
+                self._reported_held_up_at = now
+                device = self._device_at_risk()
+                self._link.publish(f"dev/{device}/event", node_held_up(device, silence, self._scheduling.load()))
 
     def _device_at_risk(self) -> str:
         return "robot" if self._moving or "stimulator" not in self._devices else "stimulator"
@@ -389,3 +397,12 @@ class DeviceNode:
         except Exception:  # its state is unknown, and the deadman must go on
             return True
         return state.armed
+
+
+@contextmanager
+def _errors_logged() -> Iterator[None]:
+    """Log an error of a report: whatever a report meets, the deadman must go on."""
+    try:
+        yield
+    except Exception:
+        log.exception("report_failed")

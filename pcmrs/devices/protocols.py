@@ -6,11 +6,9 @@ over the bus, so an operation cannot distinguish a simulated device from a real 
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Collection, Mapping, Sequence
+from collections.abc import AsyncIterator, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
 from typing import Any, Protocol
-
-import numpy.typing as npt
 
 from pcmrs.clock import Clock
 from pcmrs.messages import (
@@ -34,7 +32,7 @@ from pcmrs.messages import (
 class ServoStream(Protocol):
     """A running servo session, from the side that sends the set points."""
 
-    def send(self, positions: npt.ArrayLike, velocities: npt.ArrayLike) -> None:
+    def send(self, positions: Iterable[float], velocities: Iterable[float]) -> None:
         """Send a set point; never waits. The robot extrapolates it until the next one, and brakes if none arrives.
 
         Args:
@@ -57,7 +55,7 @@ class Robot(Protocol):
         """End the connection; the robot holds its posture."""
 
     async def joints(self) -> JointState:
-        """Return the newest measured joints."""
+        """Return the measured joints. A robot that has gone silent is an error; it does not return its last joints."""
 
     async def follow(self, trajectory: JointTrajectory) -> MotionResult:
         """Move along a trajectory, and return when the arm is at rest at its end or was held."""

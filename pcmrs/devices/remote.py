@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from pcmrs.clock import Clock
-from pcmrs.devices.gate import HOLDS, RELEASE
+from pcmrs.devices.gate import HOLD_TIME, HOLDS, RELEASE
 from pcmrs.devices.link import Link
 from pcmrs.devices.protocols import ServoStream
 from pcmrs.devices.servo import servo_session
@@ -38,9 +38,6 @@ T = TypeVar("T")
 
 ANSWER_TIME = 2.0
 """Time within which a device answers a request that moves nothing, s."""
-
-HOLD_TIME = 1.0
-"""Time within which a held robot stands, and a stimulator is disarmed, s of the machine."""
 
 CONNECTING_TIME = 15.0
 """Time within which a connection to a robot is made or has failed, s: longer than any driver waits for one."""

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterable
 from contextlib import asynccontextmanager, suppress
-
-import numpy as np
-import numpy.typing as npt
 
 from pcmrs.clock import Clock
 from pcmrs.devices.protocols import Robot, ServoStream
@@ -29,14 +26,14 @@ class SetpointSender:
         self._clock = clock
         self._number = 0
 
-    def send(self, positions: npt.ArrayLike, velocities: npt.ArrayLike) -> None:
+    def send(self, positions: Iterable[float], velocities: Iterable[float]) -> None:
         self._number += 1
         setpoint = JointSetpoint(
             session=self._session,
             number=self._number,
             sent=self._clock.monotonic(),
-            positions=np.asarray(positions, dtype=float).tolist(),
-            velocities=np.asarray(velocities, dtype=float).tolist(),
+            positions=list(map(float, positions)),
+            velocities=list(map(float, velocities)),
         )
         self._put(setpoint)
 

@@ -93,8 +93,7 @@ class CommandAdmission(Generic[C, D]):
             verdict, is_new = self._verdict_cache.verdict_of(command)
         except RefusalError as error:  # no row: the one of this id is about something else
             verdict, is_new = asyncio.get_running_loop().create_future(), False
-            self._decisions.answer_unrecorded(CompletedCommand(command, verdict, "rejected", reason_of(error)))
-            self._coordinator.publish_verdict(verdict.result())
+            self._decisions.reject_unrecorded(command, verdict, reason_of(error))
         except JournalError as error:
             verdict, is_new = asyncio.get_running_loop().create_future(), False
             self._decisions.break_off(CompletedCommand(command, verdict, "rejected"), error)
@@ -155,9 +154,8 @@ class CommandAdmission(Generic[C, D]):
     def _admit(self, command: Command, verdict: asyncio.Future[Verdict], arrived: float | None) -> None:
         suspended = self._suspended_for(command)
         if suspended is not None:
-            self._decisions.answer_unrecorded(CompletedCommand(command, verdict, "rejected", suspended))
+            self._decisions.reject_unrecorded(command, verdict, suspended)
             self._verdict_cache.forget(command)
-            self._coordinator.publish_verdict(verdict.result())
             return
         if command.branch == LEASE:
             self._admit_lease(command, verdict)

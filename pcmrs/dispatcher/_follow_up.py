@@ -60,7 +60,9 @@ class FollowUp(Generic[C, D]):
         if verdict.decision == "accepted":
             self._listeners.notify_accepted(completed.command)
         loop = asyncio.get_running_loop()
-        loop.call_soon(self._coordinator.publish_verdict, verdict)  # the requester receives it before those who watch
+        # The requester receives it before those who watch: its task runs in the second turn of the loop from now,
+        # because of the shield in `Dispatcher.submit`.
+        loop.call_soon(loop.call_soon, self._coordinator.publish_verdict, verdict)
         if completed.pending is not None:
             self._locks.running.remove(completed.pending)
             if self._locks.waiting:

@@ -1,12 +1,15 @@
 """From completed command to verdict: journalled, committed, answered, then published.
 
-The journal takes a limited number of rejections of each user. A rejection beyond the limit is answered like any other,
-but leaves no row: one row says how many there were. Accepted commands are not counted.
+The journal takes a limited number of rejections of each user, and of all users together: a program on the cell's
+machine may use many names. A rejection beyond the limit is answered like any other, but leaves no row: one row says how
+many there were. Accepted commands are not counted. The reason of a rejection is clipped, since it may repeat what the
+sender has chosen.
 """
 
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from functools import partial
 from typing import Any, Final, Generic
 
@@ -23,6 +26,7 @@ from pcmrs.dispatcher.verdict_cache import VerdictCache
 from pcmrs.errors import JournalError, PcmrsError
 from pcmrs.failpoints import failpoint
 from pcmrs.messages import Command, Decision, DeviceEvent, Reason, Verdict
+from pcmrs.messages.clipping import clipped_reason
 from pcmrs.messages.identity import PEOPLE
 
 RATE_HZ: Final = 10.0
@@ -31,6 +35,8 @@ BURST: Final = 1000
 """Number of one user's rejections that may get a row at once."""
 USERS: Final = 16
 """Number of users with their own limit; the others share one."""
+TOGETHER: Final = 4
+"""Rate and number of the rejections of all users together that get a row, in multiples of those of one user."""
 OTHERS: Final = "others"
 PERIOD: Final = 10.0
 """Period after which one row counts the rejections without a row, s."""
@@ -48,6 +54,7 @@ class Rejections:
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._buckets: dict[str, TokenBucket] = {}
+        self._together = TokenBucket(TOGETHER * RATE_HZ, TOGETHER * BURST, clock)
         self._dropped: dict[str, int] = {}
         self._coordinator: Coordinator[Any, Any] | None = None
         self._timer: asyncio.TimerHandle | None = None
@@ -68,15 +75,19 @@ class Rejections:
         known = command.user in self._buckets or len(self._buckets) < USERS
         name = command.user if known else OTHERS
         bucket = self._buckets.setdefault(name, TokenBucket(RATE_HZ, BURST, self._clock))
+        spent, whose, rate_hz = bucket, command.user, RATE_HZ
         if bucket.take():
-            return None
+            if self._together.take():
+                return None
+            spent, whose, rate_hz = self._together, "all users", TOGETHER * RATE_HZ
         self._dropped[name] = self._dropped.get(name, 0) + 1
         if self._timer is None:
             self._timer = asyncio.get_running_loop().call_later(PERIOD, self.report)
-        wait = bucket.wait
-        text = f"{reason.text} Commands of {command.user} were rejected more often than {RATE_HZ:g} times per second, "
-        text += f"so this rejection is only counted: correct the command, and ask again in {wait:.1f} s."
-        fields = {"rejected_for": reason.code, "limit_hz": RATE_HZ, "retry_after": wait}
+        wait = spent.wait
+        text = f"Commands of {whose} were rejected more often than {rate_hz:g} times per second, so this rejection is "
+        text += f"only counted: correct the command, and ask again in {wait:.1f} s. "
+        text += f"Reason of the rejection: {reason.text}"
+        fields = {"rejected_for": reason.code, "limit_hz": rate_hz, "retry_after": wait}
         return Reason(code=TOO_MANY, text=text, fields=fields)
 
     def report(self) -> None:
@@ -86,7 +97,8 @@ class Rejections:
             self._timer = None
         dropped, self._dropped = self._dropped, {}
         for user, count in dropped.items():
-            text = f"{count} rejections of commands of {user} have no row: more than {RATE_HZ:g} per second."
+            text = f"{count} rejections of commands of {user} have no row: the limits are {RATE_HZ:g} per second, and "
+            text += f"{TOGETHER * RATE_HZ:g} of all users together."
             fields = {"user": user, "count": count, "limit_hz": RATE_HZ}
             if self._coordinator is not None:
                 event = DeviceEvent(device="dispatcher", code=DROPPED, text=text, fields=fields)
@@ -173,6 +185,18 @@ class Decisions(Generic[C, D]):
         """
         self.conclude(CompletedCommand(command, verdict, "rejected", reason))
 
+    def reject_unrecorded(self, command: Command, verdict: asyncio.Future[Verdict], reason: Reason) -> None:
+        """Reject a command without a row, and publish that. One beyond the limit is only counted, as if it had a row.
+
+        Args:
+            command: The command.
+            verdict: Verdict to give.
+            reason: Reason of the rejection.
+        """
+        rejected: CompletedCommand[C, D] = CompletedCommand(command, verdict, "rejected", reason)
+        self.answer_unrecorded(replace(rejected, reason=self._limit(rejected) or reason))
+        self._coordinator.publish_verdict(verdict.result())
+
     def answer_unrecorded(self, completed: CompletedCommand[C, D]) -> None:
         """Answer a command without a row, since it changes nothing that a later decision could rest on."""
         verdict = self._verdict(completed, completed.decision, completed.reason, self._procedure.joint())
@@ -245,6 +269,8 @@ class Decisions(Generic[C, D]):
     ) -> Verdict:
         command, run = completed.command, completed.run
         state = states.get(command.branch, "")
+        if decision == "rejected" and reason is not None:
+            reason = clipped_reason(reason)
         return Verdict(
             id=command.id,
             branch=command.branch,

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Generator, Mapping
 from dataclasses import dataclass
-from hashlib import sha256
-from typing import Any, Final, Protocol
-
-import msgspec
+from typing import Any, Protocol
 
 from pcmrs.errors import JournalError
 from pcmrs.messages import Command, DeviceEvent, Verdict
@@ -101,20 +98,3 @@ class QueuedRow:
             await self._row
         except JournalError as error:
             self._failed(error)
-
-
-LONGEST: Final = 4096
-"""Limit of the arguments of a rejected command, bytes of their JSON; longer ones are clipped."""
-BEGINNING: Final = 200
-"""Length of their beginning that is kept, bytes."""
-CLIPPED: Final = "clipped"
-"""Key in place of the arguments."""
-
-
-def clipped(arguments: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the arguments; if they are too long, their length, hash and beginning instead."""
-    whole = msgspec.json.encode(arguments, enc_hook=repr, order="sorted")
-    if len(whole) <= LONGEST:
-        return arguments
-    beginning = whole[:BEGINNING].decode(errors="replace")
-    return {CLIPPED: {"bytes": len(whole), "sha256": sha256(whole).hexdigest(), "beginning": beginning}}

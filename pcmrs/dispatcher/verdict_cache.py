@@ -11,9 +11,10 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import msgspec
 
-from pcmrs.dispatcher.recorder import Recorder, clipped
+from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.errors import RefusalError
 from pcmrs.messages import Command, Verdict
+from pcmrs.messages.clipping import clipped
 
 MAX_REMEMBERED = 10_000
 """Commands of which a cache keeps an entry; older ones are looked up in the journal."""

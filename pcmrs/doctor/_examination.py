@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from pcmrs.doctor._check_result import CheckResult, Verdict
 from pcmrs.doctor._disk import disk, free_space
-from pcmrs.doctor._machine import clock_source, kernel, limits, scheduling
+from pcmrs.doctor._machine import clock_source, kernel, limits, scheduling, uploads
 from pcmrs.doctor._surroundings import certificates, devices, extras, is_running, peers, ports, streams
 from pcmrs.messages import Message
 from pcmrs.settings import Settings
@@ -50,3 +50,5 @@ def _findings(settings: Settings) -> Iterator[CheckResult]:
     yield from streams(settings)
     yield from peers(settings)
     yield from certificates(settings)
+    if settings.console.enabled:
+        yield from uploads()

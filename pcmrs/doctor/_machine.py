@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+from pcmrs.console.planning.confined import landlock_version
 from pcmrs.doctor._check_result import CheckResult, bad, good, warning
 from pcmrs.threads.realtime import Priority
 
@@ -136,6 +137,20 @@ def clock_source(root: Path = ROOT) -> Iterator[CheckResult]:
         available = _read(root / "sys/devices/system/clocksource/clocksource0/available_clocksource")
         remedy = "Boot with clocksource=tsc if the machine's is stable (`dmesg | grep -i tsc` says why it was dropped)."
         yield warning("clock source", f"{source} of {available}: every reading of the time is slow", remedy)
+
+
+def uploads(version: int | None = None) -> Iterator[CheckResult]:
+    """Check that the process that reads uploaded files is confined by both layers.
+
+    Args:
+        version: Version of the kernel's Landlock; by default that of this one.
+    """
+    version = landlock_version() if version is None else version
+    if version:
+        yield good("uploads", f"read in a process that a filter of system calls and Landlock {version} confine")
+    else:
+        remedy = "Use a kernel with CONFIG_SECURITY_LANDLOCK, and `landlock` among those of /sys/kernel/security/lsm."
+        yield warning("uploads", "there is no Landlock: only the filter of system calls confines their reader", remedy)
 
 
 def _read(path: Path) -> str:

@@ -13,6 +13,9 @@ from pcmrs.errors import FileFormatError
 MAX_TEXT_BYTES = 1024 * 1024
 """Limit of a file of points or poses: a hundred times the largest useful one."""
 
+MOST_INTEGER = 2**63
+"""Limit of an integer in a YAML file."""
+
 
 def refuse(path: Path, problem: str, **fields: Any) -> NoReturn:
     """Raise `FileFormatError` with a text that begins with the file.
@@ -68,7 +71,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         FileFormatError: It is not YAML, has a key twice, or is not a mapping; the text says where.
     """
     try:
-        found = yaml.load(read_text(path), Loader=_UniqueKeysLoader)  # noqa: S506  # it is a SafeLoader
+        found = yaml.load(read_text(path), Loader=_UntrustedLoader)  # noqa: S506  # it is a SafeLoader
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # a ValueError for a date that does not exist
         reason = " ".join(str(error).split())
         refuse(path, f"is not YAML: {reason}.")
@@ -103,8 +106,8 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]
     return columns, [(line, dict(zip(columns, cells, strict=False))) for line, cells in lines[1:]]
 
 
-class _UniqueKeysLoader(yaml.SafeLoader):
-    """Refuses keys that are given twice, as YAML demands: the library would silently take the last."""
+class _UntrustedLoader(yaml.SafeLoader):
+    """Refuses keys that are given twice, of which the library would silently take the last, and huge integers."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
@@ -112,3 +115,13 @@ class _UniqueKeysLoader(yaml.SafeLoader):
         if twice is not None:
             raise yaml.constructor.ConstructorError(None, None, f"the key {twice} is given twice", node.start_mark)
         return super().construct_mapping(node, deep)
+
+    def construct_integer(self, node: yaml.ScalarNode) -> int:
+        """Return an integer, and refuse one that Python could not print: hexadecimal ones may have any length."""
+        value: int = super().construct_yaml_int(node)
+        if not -MOST_INTEGER < value < MOST_INTEGER:
+            raise yaml.constructor.ConstructorError(None, None, "an integer has more than 64 bits", node.start_mark)
+        return value
+
+
+_UntrustedLoader.add_constructor("tag:yaml.org,2002:int", _UntrustedLoader.construct_integer)

@@ -9,6 +9,7 @@ from typing import NoReturn
 import msgspec
 
 from pcmrs.errors import BlueprintError
+from pcmrs.visible import visible
 
 Path = tuple[str, ...]
 """Keys from the root of a file; the elements of an array count from ``"0"``."""
@@ -43,16 +44,11 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     def heading(self) -> str:
         """Location, code and text in one line, whatever characters the text contains."""
         place = (str(part) for part in (self.file, self.line, self.column) if part)
-        return printable(": ".join(filter(None, (":".join(place), self.code, self.text))))
+        return visible(": ".join(filter(None, (":".join(place), self.code, self.text))))
 
     def __str__(self) -> str:
         shown = f" (after {', '.join(self.commands) or 'the start'})" if self.commands is not None else ""
-        return self.heading + printable(shown)
-
-
-def printable(text: str) -> str:
-    """Return a text in which no character from a file can move the cursor, forge a line or hide what it says."""
-    return "".join(sign if sign.isprintable() else sign.encode("unicode_escape").decode() for sign in text)
+        return self.heading + visible(shown)
 
 
 def summary(findings: Iterable[Finding]) -> str:

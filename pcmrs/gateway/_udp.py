@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import Any, cast
 
+from pcmrs.gateway._arrival import ReceiveWatch
 from pcmrs.gateway.intake import Intake
 from pcmrs.gateway.peer_session import ReplyChannel
 from pcmrs.gateway.settings import LinkConfig
@@ -20,12 +21,15 @@ class UdpLink(asyncio.DatagramProtocol):
         name: Name of the link.
         config: Its ports.
         intake: Intake of the commands.
+        watch: Knows when datagrams have arrived.
     """
 
-    def __init__(self, name: str, config: LinkConfig, intake: Intake) -> None:
+    def __init__(self, name: str, config: LinkConfig, intake: Intake, watch: ReceiveWatch) -> None:
         self._name = name
         self._config = config
         self._intake = intake
+        self._watch = watch
+        self._queue = watch.new_queue()
         self._transport: asyncio.DatagramTransport
         self._exposed = True
 
@@ -39,6 +43,7 @@ class UdpLink(asyncio.DatagramProtocol):
         """Store the transport, once the socket is bound."""
         self._transport = cast(asyncio.DatagramTransport, transport)
         self._exposed = not is_loopback(self.address[0])
+        self._watch.add_stamped(self._queue, transport.get_extra_info("socket").fileno())
 
     def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
         """Take a datagram.
@@ -47,13 +52,14 @@ class UdpLink(asyncio.DatagramProtocol):
             data: The datagram.
             addr: Host and port of the sender.
         """
+        arrived = self._watch.arrival(self._queue)
         host, port = addr[:2]
         reply_port = self._config.reply_port
         answer = ReplyChannel(
             verdict=lambda text: self._send(text, addr),
             acknowledge=None if reply_port is None else lambda text: self._send(text, (host, reply_port, *addr[2:])),
         )
-        self._intake.receive(self._name, (host, port), self._exposed, data, answer)
+        self._intake.receive(self._name, (host, port), self._exposed, data, answer, arrived)
 
     def error_received(self, exc: Exception) -> None:
         """Ignore that a client's port is closed."""
@@ -61,6 +67,7 @@ class UdpLink(asyncio.DatagramProtocol):
 
     def close(self) -> None:
         """Close the socket."""
+        self._watch.remove(self._queue)
         self._transport.close()
 
     def _send(self, text: str, addr: tuple[Any, ...]) -> None:

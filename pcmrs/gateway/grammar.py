@@ -33,6 +33,10 @@ class StringCommand:
     values: tuple[Value, ...] = ()
     id: str | None = None
 
+    def repeats(self, other: StringCommand) -> bool:
+        """Return whether this has the name and the values of another command."""
+        return (self.spec.name, self.values) == (other.spec.name, other.values)
+
 
 def parse(datagram: bytes) -> StringCommand:
     """Parse one datagram.

@@ -19,6 +19,7 @@ from pcmrs.gateway.streams import Streams
 from pcmrs.messages import Command
 from pcmrs.messages.identity import Principal
 
+ID_REUSED = "id_reused"
 PAIR_WINDOW = 1.0
 """Limit of the time between rotation and translation of one pose, s of the machine."""
 
@@ -32,6 +33,11 @@ class LandmarkSeries:
     def __init__(self) -> None:
         self._count: int | None = None
         self._points: dict[int, list[float]] = {}
+
+    @property
+    def collected(self) -> object:
+        """Number and landmarks of the open series, comparable with another; None if none is open."""
+        return None if self._count is None else (self._count, self._points)
 
     def announce(self, count: int) -> None:
         """Begin a series of `count` landmarks; an earlier one is dropped."""
@@ -81,6 +87,11 @@ class PosePair:
 
     def __init__(self) -> None:
         self._open: tuple[float, list[float]] | None = None
+
+    @property
+    def collected(self) -> object:
+        """Rotation that waits, comparable with another; None if none does."""
+        return None if self._open is None else self._open[1]
 
     def rotate(self, quat_xyzw: Sequence[float], now: float) -> None:
         """Begin a pair; a rotation that waits is replaced.
@@ -199,6 +210,7 @@ class CommandHandlers:
         self._core = services.core
         self._lock = lock
         self._stops = 0
+        self._ends: dict[str, float | None] = {}
         self._landmarks = LandmarkSeries()
         self._pair = PosePair()
         self._handlers: dict[Action, Callable[[StringCommand], CommandOutcome | Job]] = {
@@ -242,14 +254,34 @@ class CommandHandlers:
             request: The command.
             refusal: Why it is refused.
         """
-        if request.spec.action in PARTS:
-            self._lock.attempt(PARTS[request.spec.action])
-            self._landmarks, self._pair = LandmarkSeries(), PosePair()
+        self._drop_parts(request)
         return self.refused(request, refusal)
+
+    def deny_reused(self, request: StringCommand, before: StringCommand) -> CommandOutcome:
+        """Refuse a command whose id has been used for another one; see `deny`.
+
+        Args:
+            request: The command.
+            before: The other command.
+        """
+        if not request.repeats(before):  # a late copy of an earlier command must not break a plan that has begun since
+            self._drop_parts(request)
+        text = f"#{request.id} has been used for {before.spec.name}; give each command its own id."
+        return self.rejected(request, ID_REUSED, text)
+
+    def collected(self, request: StringCommand) -> object:
+        """Return the parts of the plan that a command would end; None for another command, or if there are none."""
+        parts = {Action.PLAN_LANDMARKS: self._landmarks.collected, Action.PLAN_POSE: self._pair.collected}
+        return parts.get(request.spec.action)
 
     def halt(self) -> None:
         """End commands of several steps after the present step, because of Stop."""
         self._stops += 1
+
+    def note_end(self, command: Command) -> None:
+        """Note that a step has been accepted just now: the loop may resume its command much later."""
+        if command.id in self._ends:
+            self._ends[command.id] = self._services.clock.monotonic()
 
     def accepted(self, request: StringCommand, *numbers: float) -> CommandOutcome:
         """Return the acceptance of a command that the gateway itself performs, with its results."""
@@ -287,6 +319,11 @@ class CommandHandlers:
         """
         return CommandOutcome("failed", request.spec.branch, self._state(request), reason)
 
+    def _drop_parts(self, request: StringCommand) -> None:
+        if request.spec.action in PARTS:
+            self._lock.attempt(PARTS[request.spec.action])
+            self._landmarks, self._pair = LandmarkSeries(), PosePair()
+
     async def _submit(self, request: StringCommand, arrived: float) -> CommandOutcome:
         if request.spec.approaches and self._lock.held:
             return self.rejected(request, "plan_not_accepted")
@@ -300,15 +337,14 @@ class CommandHandlers:
         """Submits the operations in order; the first that is not accepted ends the command.
 
         The age of the first one counts from the arrival of the command, so that its wait here counts; that of each
-        further one counts from the end of the one before.
+        further one counts from the end of the one before, so that a loop that is held up in between counts.
         """
         outcome = self.accepted(request)
-        stops = self._stops
+        stops, since = self._stops, arrived
         for number, step in enumerate(step for step in request.spec.steps if self._applies(step)):
             if self._stops != stops:
                 return self.failed(request, "stopped")
-            since = arrived if number == 0 else None
-            outcome = await self._operate(request, number, step.branch, step.operation, arguments, since)
+            outcome, since = await self._operate(request, number, step.branch, step.operation, arguments, since)
             if outcome.decision != "accepted":
                 break
         return outcome
@@ -324,7 +360,8 @@ class CommandHandlers:
         operation: str,
         arguments: dict[str, Any],
         arrived: float | None = None,
-    ) -> CommandOutcome:
+    ) -> tuple[CommandOutcome, float]:
+        """Performs one operation; returns its outcome, and when it ended."""
         unique = f"{self._services.run}-{request.id}-{number}" if request.id is not None else uuid4().hex
         command = Command(
             id=unique,
@@ -335,12 +372,16 @@ class CommandHandlers:
             role=self._asker.role,
             arguments=arguments,
         )
-        verdict = await self._core.submit(command, arrived=arrived)
+        self._ends[unique] = None
+        try:
+            verdict = await self._core.submit(command, arrived=arrived)
+        finally:
+            ended = self._ends.pop(unique)
         if (verdict.branch, verdict.operation) != (branch, operation):
             # The daemon has recalled an earlier command: another one, or this one with other steps.
             text = f"#{request.id} has been {verdict.branch}.{verdict.operation}; give each command its own id."
-            raise RefusalError("id_reused", text, id=request.id)
-        return of_verdict(verdict)
+            raise RefusalError(ID_REUSED, text, id=request.id)
+        return of_verdict(verdict), self._services.clock.monotonic() if ended is None else ended
 
     def _announce_landmarks(self, request: StringCommand) -> CommandOutcome:
         self._lock.attempt(PlanKind.LANDMARKS)
@@ -371,7 +412,7 @@ class CommandHandlers:
     async def _plan(
         self, request: StringCommand, kind: PlanKind, attempt: int, operation: str, arguments: dict[str, Any]
     ) -> CommandOutcome:
-        outcome = await self._operate(request, 0, request.spec.branch, operation, arguments)
+        outcome, _ = await self._operate(request, 0, request.spec.branch, operation, arguments)
         if outcome.decision == "accepted":
             self._lock.accept(kind, attempt)
         return outcome

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -11,7 +10,6 @@ from pcmrs.clock import Clock
 from pcmrs.dispatcher import DispatcherListener
 from pcmrs.dispatcher.verdict_cache import CommandCache
 from pcmrs.errors import PayloadError, PcmrsError, RefusalError
-from pcmrs.gateway._command_outcome import CommandOutcome
 from pcmrs.gateway.auth.admission import NOT_KEPT, Admission
 from pcmrs.gateway.auth.peers import (
     BAD_TAG,
@@ -26,8 +24,9 @@ from pcmrs.gateway.auth.peers import (
 from pcmrs.gateway.commands import COMMANDS, Action
 from pcmrs.gateway.grammar import StringCommand, parse, parse_tool_points
 from pcmrs.gateway.handlers import CommandHandlers, PlanLock, Services
-from pcmrs.gateway.peer_session import QUEUE_FULL, PeerSession, ReplyChannel
+from pcmrs.gateway.peer_session import QUEUE_FULL, IdentifiedCommand, PeerSession, ReplyChannel
 from pcmrs.gateway.signing import Signed, split
+from pcmrs.messages import Command
 from pcmrs.messages.identity import ON_SITE, Principal
 
 MAX_SESSIONS = 256
@@ -90,11 +89,17 @@ class Intake(DispatcherListener):
         self._admission = admission
         self._sessions: dict[str, PeerSession] = {}
         self._locks: dict[str, PlanLock] = {}
-        self._outcomes: CommandCache[asyncio.Future[CommandOutcome]] = CommandCache()
+        self._outcomes: CommandCache[IdentifiedCommand] = CommandCache()
         self._clock: Clock = services.clock
 
     def receive(
-        self, link: str, peer: tuple[str, int], exposed: bool, data: bytes, answer: ReplyChannel
+        self,
+        link: str,
+        peer: tuple[str, int],
+        exposed: bool,
+        data: bytes,
+        answer: ReplyChannel,
+        arrived: float | None = None,
     ) -> PayloadError | RefusalError | None:
         """Take one datagram or frame; a refused one is counted and reported, and changes nothing.
 
@@ -104,12 +109,13 @@ class Intake(DispatcherListener):
             exposed: The link is bound to another address than loopback.
             data: The bytes.
             answer: Channel for answers.
+            arrived: Time of arrival, s of the machine's clock; by default now.
 
         Returns:
             None if the sender is known and the grammar is right; `PayloadError` if the grammar is broken or the sender
             may not send unsigned commands; `RefusalError` if a signature is wrong.
         """
-        arrived = self._clock.monotonic()
+        arrived = self._clock.monotonic() if arrived is None else arrived
         self.counters.received += 1
         signed = split(data)
         try:
@@ -151,6 +157,12 @@ class Intake(DispatcherListener):
             self._admission.halt()
         for session in self._sessions.values():
             session.halt()
+
+    def on_accepted(self, command: Command) -> None:
+        """Let the session of a peer know that one of its operations has ended."""
+        session = self._sessions.get(command.source)
+        if session is not None:
+            session.note_end(command)
 
     def lock(self, holder: str) -> PlanLock:
         """Return the plan lock that all unsigned clients of a host share on all links, or that of a signed peer."""

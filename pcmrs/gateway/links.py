@@ -16,6 +16,7 @@ from pcmrs.background import BackgroundTasks, logged_as
 from pcmrs.clock import Clock
 from pcmrs.errors import ConfigurationError
 from pcmrs.gateway._adapter import Core
+from pcmrs.gateway._arrival import ReceiveWatch
 from pcmrs.gateway._udp import UdpLink
 from pcmrs.gateway.auth.admission import NOT_KEPT, Admission
 from pcmrs.gateway.auth.counters import CounterFile, CounterWriter, check_room
@@ -82,15 +83,17 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         services = Services(uuid4().hex, core, clock, streams, pose_files, refusals)
         intake = Intake(services, jobs, config.unsigned_peers, admission)
         core.add_listener(intake)
+        watch = ReceiveWatch(clock, tasks)
+        watch.start()
         if config.markers.enabled:
             core.add_listener(Markers(config.markers.stream, core.snapshot()))
         addresses = {
-            name: await _open_udp(stack, UdpLink(name, link, intake), config.host, link)
+            name: await _open_udp(stack, UdpLink(name, link, intake, watch), config.host, link)
             for name, link in config.links().items()
             if link.port is not None
         }
         if config.tcp_port is not None:
-            addresses[LINK] = await _open_tcp(stack, TcpLink(intake, tasks, clock), config.host, config.tcp_port)
+            addresses[LINK] = await _open_tcp(stack, TcpLink(intake, tasks, clock, watch), config.host, config.tcp_port)
         if config.openigtlink.enabled:
             addresses["openigtlink"] = await _open_openigtlink(stack, core, config, clock, intake, tasks, jobs)
         # It is left first, while the sockets are open: clients learn the outcome of commands that the daemon has ended.

@@ -18,6 +18,7 @@ from pcmrs.gateway._command_outcome import NO_DATA, CommandOutcome
 from pcmrs.gateway.commands import Action, Second
 from pcmrs.gateway.grammar import StringCommand
 from pcmrs.gateway.handlers import CommandHandlers, Job
+from pcmrs.messages import Command
 
 ACKNOWLEDGEMENT = "ack"
 SECOND_WITHIN = 0.35
@@ -67,6 +68,34 @@ class Turn:
     stops: int
 
 
+@dataclass(frozen=True, slots=True)
+class IdentifiedCommand:
+    """A command with an id, which a client may send again.
+
+    Attributes:
+        request: The command.
+        parts: Parts of the plan that it ends; None for others.
+        ended: Its outcome, done or to come.
+    """
+
+    request: StringCommand
+    parts: object
+    ended: asyncio.Future[CommandOutcome]
+
+    def done(self) -> bool:
+        """Return whether the command has ended."""
+        return self.ended.done()
+
+    def repeated_by(self, request: StringCommand, parts: object) -> bool:
+        """Return whether another command with this id is the same one, and not another one that reuses the id.
+
+        Args:
+            request: The other command.
+            parts: Parts of the plan that it would end, if they were sent again.
+        """
+        return request.repeats(self.request) and parts in (None, self.parts)
+
+
 class PeerSession:
     """Acknowledges commands without an id at once and begins them in order; begins those with one on arrival.
 
@@ -87,7 +116,7 @@ class PeerSession:
         actions: CommandHandlers,
         clock: Clock,
         tasks: BackgroundTasks,
-        outcomes: CommandCache[asyncio.Future[CommandOutcome]],
+        outcomes: CommandCache[IdentifiedCommand],
         on_overflow: Callable[[], None],
     ) -> None:
         self._actions = actions
@@ -136,17 +165,27 @@ class PeerSession:
             turn = self._queue.popleft()
             turn.ended.set_result(self._actions.rejected(turn.request, "stopped"))
 
+    def note_end(self, command: Command) -> None:
+        """Note that an operation of this peer has been accepted just now."""
+        self._actions.note_end(command)
+
     def _receive_identified(
         self, request: StringCommand, client_id: str, verdict: Send, arrived: float, refusal: RefusalError | None
     ) -> None:
         # Stop is performed each time, whatever its id.
-        repeatable = request.spec.action is Action.STOP
-        ended = None if repeatable else self._outcomes.get(self._actions.source, client_id)
-        if ended is not None and not ended.done():
+        known = None
+        if request.spec.action is not Action.STOP:
+            known = self._outcomes.get(self._actions.source, client_id)
+        parts = self._actions.collected(request)
+        if known is not None and not known.repeated_by(request, parts):
+            verdict(self._actions.deny_reused(request, known.request).reply(client_id))
+            return
+        if known is None:
+            known = IdentifiedCommand(request, parts, self._begin(request, arrived, refusal))
+            self._outcomes.put(self._actions.source, client_id, known)
+        elif not known.done():
             return  # attached: the reply to come goes to this same sender
-        if ended is None:
-            ended = self._begin(request, arrived, refusal)
-            self._outcomes.put(self._actions.source, client_id, ended)
+        ended = known.ended
         ended.add_done_callback(lambda done: None if done.cancelled() else verdict(done.result().reply(client_id)))
 
     def _begin(

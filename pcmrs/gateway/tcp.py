@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import asyncio
 import re
-from collections import Counter
 from collections.abc import Iterator
+from typing import Any
 
 from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.errors import PayloadError, RefusalError
+from pcmrs.gateway._arrival import ReceiveQueue, ReceiveWatch
+from pcmrs.gateway._connections import ConnectionLimit
 from pcmrs.gateway.grammar import MAX_BYTES, may_become_command
 from pcmrs.gateway.intake import Intake
 from pcmrs.gateway.peer_session import ReplyChannel
@@ -100,13 +102,33 @@ def _shown(data: bytes) -> str:
 
 LINK = "tcp"
 MOST = 32
-"""Limit of open connections. Each needs a descriptor, and Stop must always find one."""
+"""Limit of open connections."""
 MOST_OF_A_HOST = 8
 """Limit of open connections from one address."""
 FIRST_WITHIN = 10.0
 """Limit after which a peer that must sign, but has sent no signed frame, is disconnected, s of the machine."""
-TOO_MANY = "too_many_connections"
 SILENT = "not_authenticated"
+
+
+class _CountingReader(asyncio.StreamReader):
+    """Reads a connection, and counts what was read from the socket and is not taken yet.
+
+    Args:
+        queue: Received data of the connection.
+    """
+
+    def __init__(self, queue: ReceiveQueue) -> None:
+        super().__init__(MAX_BYTES, asyncio.get_running_loop())
+        self.queue = queue
+
+    def feed_data(self, data: Any) -> None:
+        self.queue.buffered += len(data)
+        super().feed_data(data)
+
+    async def read(self, n: int = -1) -> bytes:
+        data = await super().read(n)
+        self.queue.buffered -= len(data)
+        return data
 
 
 class TcpLink:
@@ -116,15 +138,19 @@ class TcpLink:
         intake: Intake of the commands.
         tasks: Owner of the connections' tasks.
         clock: The machine's clock.
+        watch: Knows when bytes have arrived.
     """
 
-    def __init__(self, intake: Intake, tasks: BackgroundTasks, clock: Clock) -> None:
+    def __init__(self, intake: Intake, tasks: BackgroundTasks, clock: Clock, watch: ReceiveWatch) -> None:
         self._intake = intake
+        self._watch = watch
+        self._opened = watch.new_queue().since
+        self._accepting: list[ReceiveQueue] = []
         self._tasks = tasks
         self._clock = clock
         self._server: asyncio.Server
         self._exposed = True
-        self._open: Counter[str] = Counter()
+        self._limit = ConnectionLimit(LINK, intake, MOST, MOST_OF_A_HOST)
 
     async def listen(self, host: str, port: int) -> tuple[str, int]:
         """Start to accept connections; return the address that is bound.
@@ -133,37 +159,40 @@ class TcpLink:
             host: Host to bind.
             port: Port to bind; 0 takes any free one.
         """
-        self._server = await asyncio.start_server(self._connected, host, port, limit=MAX_BYTES)
+        self._server = await asyncio.get_running_loop().create_server(self._protocol, host, port)
+        for listening in self._server.sockets:
+            self._accepting.append(ReceiveQueue(self._opened))
+            self._watch.add(self._accepting[-1], listening.fileno())
         bound_host, bound_port = self._server.sockets[0].getsockname()[:2]
         self._exposed = not is_loopback(bound_host)
         return bound_host, bound_port
 
     def close(self) -> None:
         """Stop accepting connections."""
+        for queue in self._accepting:
+            self._watch.remove(queue)
         self._server.close()
 
-    def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        name = writer.get_extra_info("peername")
-        if name is None:  # the peer has closed the connection already
-            writer.transport.abort()
-            return
-        peer = name[:2]
-        host = peer[0]
-        for count, limit, whose in (
-            (self._open[host], MOST_OF_A_HOST, f"from {host}"),
-            (self._open.total(), MOST, "in all"),
-        ):
-            if count >= limit:
-                text = f"{count} connections are open {whose}, limit {limit}; close one that you do not need."
-                self._intake.refuse(LINK, peer, RefusalError(TOO_MANY, text, count=count, limit=limit))
-                writer.transport.abort()
-                return
-        self._open[host] += 1
-        self._tasks.spawn(self._serve(reader, writer, peer))
+    def _protocol(self) -> asyncio.StreamReaderProtocol:
+        # The first bytes may have arrived while the connection waited to be accepted. The last time but one counts,
+        # because the queue of connections may have been found empty since this one was taken from it.
+        since = min((queue.before for queue in self._accepting), default=self._opened)
+        reader = _CountingReader(ReceiveQueue(since))
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, peer: tuple[str, int]) -> None:
+        def connected(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            self._connected(reader, writer)
+
+        return asyncio.StreamReaderProtocol(reader, connected, asyncio.get_running_loop())
+
+    def _connected(self, reader: _CountingReader, writer: asyncio.StreamWriter) -> None:
+        peer = self._limit.take(writer)
+        if peer is not None:
+            self._watch.add(reader.queue, writer.get_extra_info("socket").fileno())
+            self._tasks.spawn(self._serve(reader, writer, peer))
+
+    async def _serve(self, reader: _CountingReader, writer: asyncio.StreamWriter, peer: tuple[str, int]) -> None:
         """Reads until the peer closes, breaks the grammar, or fails to authenticate in time."""
-        connection = _Connection(self._intake, reader, writer, peer, self._exposed)
+        connection = _Connection(self._intake, self._watch, reader, writer, peer, self._exposed)
         try:
             async with self._clock.timeout(FIRST_WITHIN):
                 while not connection.known and await connection.read():
@@ -178,7 +207,8 @@ class TcpLink:
         except ConnectionError:
             pass
         finally:
-            self._open[peer[0]] -= 1
+            self._limit.free(peer)
+            self._watch.remove(reader.queue)
             writer.close()
 
 
@@ -192,12 +222,14 @@ class _Connection:
     def __init__(
         self,
         intake: Intake,
-        reader: asyncio.StreamReader,
+        watch: ReceiveWatch,
+        reader: _CountingReader,
         writer: asyncio.StreamWriter,
         peer: tuple[str, int],
         exposed: bool,
     ) -> None:
         self._intake = intake
+        self._watch = watch
         self._reader = reader
         self._writer = writer
         self._peer = peer
@@ -214,12 +246,14 @@ class _Connection:
             ConnectionError: The peer is gone.
         """
         data = await self._reader.read(MAX_BYTES)
+        arrived = self._reader.queue.since
         for frame in self._frames.feed(data):
-            error = self._intake.receive(LINK, self._peer, self._exposed, frame, self._answer)
+            error = self._intake.receive(LINK, self._peer, self._exposed, frame, self._answer, arrived)
             if isinstance(error, PayloadError):
                 return False
             self.known = self.known or error is None
             await self._writer.drain()
+        self._watch.look_at(self._reader.queue)
         if not data and self._frames.unfinished:
             raise PayloadError(f"{self._frames.unfinished[:40]!r} is not a complete frame.")
         return bool(data)

@@ -52,7 +52,7 @@ class Identity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     serial: str
     begins: float
     ends: float
-    cells: tuple[str, ...] = EVERY_CELL
+    cells: tuple[str, ...]
     revoked: float | None = None
     via: tuple[str, ...] = ()
 

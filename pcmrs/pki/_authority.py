@@ -13,7 +13,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 
 from pcmrs.errors import ConfigurationError
 from pcmrs.files import SECRET, write_durably
-from pcmrs.messages.identity import EVERY_CELL, INFRASTRUCTURE, PEOPLE, ROLES, Identity, Role, check_cells, check_name
+from pcmrs.messages.identity import INFRASTRUCTURE, PEOPLE, ROLES, Identity, Role, check_cells, check_name
 from pcmrs.pki._certificates import CLOCKS_DIFFER, authority_certificate, certificate, key_bytes, new_key, read_key
 from pcmrs.pki._register import read_register
 
@@ -95,7 +95,7 @@ class Authority:
         *,
         days: float = DAYS,
         hosts: Sequence[str] = (),
-        cells: Sequence[str] = EVERY_CELL,
+        cells: Sequence[str],
         via: Sequence[str] = (),
         into: Path,
     ) -> Issued:

@@ -129,25 +129,30 @@ class ForkServer:
         return cls(ours, pid)
 
     async def __call__(
-        self, module: str, *words: str, stdin: int = asyncio.subprocess.PIPE, stdout: int | None = None
+        self,
+        module: str,
+        *words: str,
+        stdin: int = asyncio.subprocess.PIPE,
+        stdout: int | None = None,
+        passed: int | None = None,
     ) -> Process:
         """See `ProcessStarter`."""
         with suppress(_LostError):
             if stdin == asyncio.subprocess.PIPE:
-                return await self._with_pipes(module, words, stdout)
-            return await self._request(module, words, [stdin], stdout)
-        return await start_by_exec(module, *words, stdin=stdin, stdout=stdout)
+                return await self._with_pipes(module, words, stdout, passed)
+            return await self._request(module, words, stdin, stdout, passed)
+        return await start_by_exec(module, *words, stdin=stdin, stdout=stdout, passed=passed)
 
     def close(self) -> None:
         """End the server, after the event loop; its children go on."""
         if not self._lost:
             self._end()
 
-    async def _with_pipes(self, module: str, words: tuple[str, ...], stdout: int | None) -> Process:
+    async def _with_pipes(self, module: str, words: tuple[str, ...], stdout: int | None, passed: int | None) -> Process:
         here, there = socket.socketpair()
         try:
             with there:
-                process = await self._request(module, words, [there.fileno()], stdout)
+                process = await self._request(module, words, there.fileno(), stdout, passed)
         except BaseException:
             here.close()  # a child that has started after all ends with its input
             raise
@@ -158,22 +163,24 @@ class ForkServer:
         return process
 
     async def _request(
-        self, module: str, words: tuple[str, ...], descriptors: list[int], stdout: int | None
+        self, module: str, words: tuple[str, ...], stdin: int, stdout: int | None, passed: int | None
     ) -> ForkedProcess:
         if self._lost:
             raise _LostError
         if not self._attached:
             self._attached = True
             asyncio.get_running_loop().add_reader(self._control, self._receive)
-        streams: tuple[int, ...] = (0,)
+        given = {0: stdin}
         if stdout == asyncio.subprocess.PIPE:
-            descriptors, streams = descriptors * 2, (0, 1)
+            given[1] = stdin
+        if passed is not None:
+            given[passed] = passed
         number = next(self._numbers)
-        request = Request(number, module, words, streams, silent=stdout == asyncio.subprocess.DEVNULL)
+        request = Request(number, module, words, tuple(given), silent=stdout == asyncio.subprocess.DEVNULL)
         started: asyncio.Future[ForkedProcess] = asyncio.get_running_loop().create_future()
         self._pending[number] = started
         try:
-            socket.send_fds(self._control, [msgspec.json.encode(request)], descriptors)
+            socket.send_fds(self._control, [msgspec.json.encode(request)], list(given.values()))
             async with asyncio.timeout(ANSWER_TIME):
                 return await started
         except (TimeoutError, ConnectionError):

@@ -7,6 +7,7 @@ further imports, and shares its memory with the others. The server does nothing 
 from __future__ import annotations
 
 import atexit
+import fcntl
 import gc
 import importlib
 import os
@@ -23,23 +24,25 @@ from setproctitle import setproctitle
 
 LARGEST = 65536
 """Limit of a message, bytes: a request holds a command line."""
+MOST_DESCRIPTORS = 3
+"""Limit of the descriptors of a request: standard input and output, and one more."""
 
 
 class Request(msgspec.Struct, frozen=True):
-    """Start of a child; comes with the file descriptors of its standard streams.
+    """Start of a child; comes with its file descriptors: those of its standard streams, and at most one more.
 
     Attributes:
         number: Number of the request.
         module: Module whose ``main`` it runs.
         words: Its command line.
-        streams: Which of its streams, 0 or 1, the descriptors become.
+        numbers: Numbers that the descriptors have in the child.
         silent: True to discard its standard output.
     """
 
     number: int
     module: str
     words: tuple[str, ...]
-    streams: tuple[int, ...]
+    numbers: tuple[int, ...]
     silent: bool
 
 
@@ -104,7 +107,7 @@ class _Server:
                     self._reap(key.fd)
 
     def _serve(self) -> None:
-        message, descriptors, *_ = socket.recv_fds(self._control, LARGEST, 2)
+        message, descriptors, *_ = socket.recv_fds(self._control, LARGEST, MOST_DESCRIPTORS)
         if not message:
             os._exit(0)
         request = msgspec.json.decode(message, type=Request)
@@ -143,9 +146,7 @@ class _Server:
             for each in self._children:
                 os.close(each)
             os.setsid()
-            for each, stream in zip(descriptors, request.streams, strict=True):
-                os.dup2(each, stream)
-                os.close(each)
+            _renumber(descriptors, request.numbers)
             if request.silent:
                 discarding = os.open(os.devnull, os.O_WRONLY)
                 os.dup2(discarding, 1)
@@ -153,6 +154,18 @@ class _Server:
             status = run_main(request.module, request.words)
         finally:
             os._exit(status)
+
+
+def _renumber(descriptors: Sequence[int], numbers: Sequence[int]) -> None:
+    """Give descriptors of this process other numbers."""
+    # First to numbers that nobody gets, so that none overwrites another, or itself.
+    beyond = max(numbers, default=0) + 1
+    moved = [fcntl.fcntl(each, fcntl.F_DUPFD, beyond) for each in descriptors]
+    for each in descriptors:
+        os.close(each)
+    for each, number in zip(moved, numbers, strict=True):
+        os.dup2(each, number)
+        os.close(each)
 
 
 def serve_forks(control: socket.socket, modules: Iterable[str]) -> NoReturn:

@@ -31,7 +31,12 @@ class ProcessStarter(Protocol):
     """Starts a child process in its own session: a Ctrl-C at the terminal is the daemon's to handle."""
 
     async def __call__(
-        self, module: str, *words: str, stdin: int = asyncio.subprocess.PIPE, stdout: int | None = None
+        self,
+        module: str,
+        *words: str,
+        stdin: int = asyncio.subprocess.PIPE,
+        stdout: int | None = None,
+        passed: int | None = None,
     ) -> Process:
         """Start ``python -m MODULE WORDS``.
 
@@ -40,6 +45,7 @@ class ProcessStarter(Protocol):
             words: Its command line.
             stdin: A file descriptor, or ``PIPE``.
             stdout: ``PIPE``, ``DEVNULL``, or None for that of this process.
+            passed: A further file descriptor, which the child has under the same number; None for none.
 
         Raises:
             OSError: The process cannot be started.
@@ -47,8 +53,14 @@ class ProcessStarter(Protocol):
 
 
 async def start_by_exec(
-    module: str, *words: str, stdin: int = asyncio.subprocess.PIPE, stdout: int | None = None
+    module: str,
+    *words: str,
+    stdin: int = asyncio.subprocess.PIPE,
+    stdout: int | None = None,
+    passed: int | None = None,
 ) -> Process:
     """Start a new Python, which imports everything itself; see `ProcessStarter`."""
     command = (sys.executable, "-m", module, *words)
-    return await asyncio.create_subprocess_exec(*command, stdin=stdin, stdout=stdout, start_new_session=True)
+    return await asyncio.create_subprocess_exec(
+        *command, stdin=stdin, stdout=stdout, start_new_session=True, pass_fds=() if passed is None else (passed,)
+    )

@@ -76,6 +76,7 @@ class FrameTree:
         self._arm = ArmModel(arm)
         self._mounting = mounting
         self._base_from_flange: Transform | None = None
+        self._positions: list[float] = []
         self._moving = True
 
     def joints(self, state: JointState) -> Link:
@@ -84,7 +85,9 @@ class FrameTree:
         Raises:
             GeometryError: The number of joints differs from the arm's, or a value is not finite.
         """
-        self._base_from_flange = self._arm.forward(state.positions)
+        if self._base_from_flange is None or state.positions != self._positions:
+            self._base_from_flange = self._arm.forward(state.positions)
+            self._positions = state.positions
         self._moving = state.moving
         return Frame.ROBOT_BASE, Frame.FLANGE, self._base_from_flange
 

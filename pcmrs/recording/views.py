@@ -29,6 +29,8 @@ TF_CALIBRATION, TF_ARM, TF_BASE = "/tf/calibration", "/tf/arm", "/tf/robot_base"
 TF_BODIES, TF_IMAGE = "/tf/bodies", "/tf/image"
 
 _SECOND = 1_000_000_000
+BASE_PERIOD_NS = _SECOND
+"""Period of the base of a robot that stands, ns: it is computed from each pose of the coil, and changes little."""
 _LEVELS = {"accepted": LogLevel.Info, "rejected": LogLevel.Warning}
 
 
@@ -47,6 +49,7 @@ class RecordingViews:
         self._fixed = mounting.links()
         self._rate = rate
         self._latest: dict[str, tuple[str, Any]] = {}
+        self._base_due_ns = 0
         self._translators: list[tuple[str, Callable[[RawSample, int], Iterator[Shown]]]] = [
             ("state/pose/", self._pose),
             ("state/joints", self._joints),
@@ -93,14 +96,19 @@ class RecordingViews:
         captured_ns = at_ns - self._age_ns(pose.sent - pose.captured)
         tracker_from_body = _transform(pose)
         yield TF_BODIES, _foxglove_messages.link(Frame.TRACKER, pose.body, tracker_from_body, captured_ns)
-        base = self._frames.coil(tracker_from_body) if pose.body == Frame.COIL else None
+        if pose.body != Frame.COIL or at_ns < self._base_due_ns:
+            return
+        base = self._frames.coil(tracker_from_body)
         if base is not None:
+            self._base_due_ns = at_ns + BASE_PERIOD_NS
             yield self._stored("base", TF_BASE, lambda at: self._linked(base, at), captured_ns)
 
     def _joints(self, sample: RawSample, at_ns: int) -> Iterator[Shown]:
         state = unpack(sample.payload, JointState)
         captured_ns = at_ns - self._age_ns(state.sent - state.captured)
         flange = self._frames.joints(state)
+        if state.moving:
+            self._base_due_ns = 0  # the next standstill is shown at once
         if len(state.velocities) == len(self._names):
             yield JOINTS, _foxglove_messages.joints(self._names, state.positions, state.velocities, captured_ns)
         yield TF_ARM, self._linked(flange, captured_ns)

@@ -21,7 +21,7 @@ from pcmrs.recording.series import Limits, path_of, remove_oldest
 from pcmrs.recording.subscriber import RawSample, Subscriber
 from pcmrs.recording.views import LOG, RecordingViews
 
-PERIOD: Final = 0.05
+PERIOD: Final = 0.2
 """Period at which new messages are written, s; a longer one costs less."""
 
 MAINTENANCE_PERIOD: Final = 1.0

@@ -26,6 +26,8 @@ from pcmrs.workflows.data import PlacementData
 
 IDLE = 1.0
 """Timer of the player, s. No other task waits in simulated time, so it expires when all of them are idle."""
+MOST_ROUNDS = 10
+"""Largest number of times that tasks are cancelled at the end of a run."""
 
 
 class JournalPlayer:
@@ -94,10 +96,15 @@ class JournalPlayer:
     async def end(self) -> None:
         """End all operations and activities in progress, as the end of the process did."""
         self.recorder.end()
-        for task in [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]:
-            task.cancel()
-        self._holds.end()
-        await self._idle()
+        for _ in range(MOST_ROUNDS):
+            others = [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]
+            if not others:
+                return
+            # One that waits for an answer in its end is cancelled again, and may have started another one.
+            for task in others:
+                task.cancel()
+            self._holds.end()
+            await self._idle()
 
     # -- causes -----------------------------------------------------------------------------------------
 

@@ -130,15 +130,17 @@ async def _replay_run(
     carry_over.restore(player.dispatcher, run)
     differences: list[ReplayDifference] = []
     extra = 0
-    for index, stored in enumerate(rows):
-        show(stored.sequence)
-        await player.feed(index)
-        decided = player.recorder.decided(index)
-        differences += [missing(stored)] if decided is None else compared(stored, decided)
-        extras = (each for each in player.recorder.extra[extra:] if not reported_already(each, rows))
-        differences += [added(stored.sequence, each) for each in extras]
-        extra = len(player.recorder.extra)
-    await player.end()
+    try:
+        for index, stored in enumerate(rows):
+            show(stored.sequence)
+            await player.feed(index)
+            decided = player.recorder.decided(index)
+            differences += [missing(stored)] if decided is None else compared(stored, decided)
+            extras = (each for each in player.recorder.extra[extra:] if not reported_already(each, rows))
+            differences += [added(stored.sequence, each) for each in extras]
+            extra = len(player.recorder.extra)
+    finally:
+        await player.end()
     return differences, player.answered
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
+import structlog
 
 from pcmrs.background import background_task
 from pcmrs.bus import Bus, BusSettings
@@ -22,6 +23,12 @@ from pcmrs.errors import ConfigurationError
 
 Name = Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_]*$")]
 NAMES: dict[str, Name] = {"coil": "coil", "body_ref": "body_ref", "pointer": "pointer"}
+NOT_SEALED = (
+    "Poses on ros2/tracker/* carry no seal: every account on this machine and every device certificate of the cell can "
+    "send them. Use this driver only if all of them are trusted."
+)
+
+_log = structlog.get_logger(__name__)
 
 
 class Ros2Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -69,6 +76,7 @@ async def open_devices(
         text = f"The driver ros2 needs {error.name}, which is not installed; install the extra: pcmrs[ros2]."
         raise ConfigurationError(text, module=error.name) from None
     tracker = Ros2Tracker(Accepted(own.names, own.frame, own.max_age, own.latency), clock)
+    _log.warning("tracker_not_sealed", text=NOT_SEALED)
     bus = await Bus.open(_bus(settings, clock))
     try:
         async with background_task(tracker.run(), "frames of ROS 2"):

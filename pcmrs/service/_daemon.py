@@ -15,9 +15,8 @@ import structlog
 
 from pcmrs.background import BackgroundTasks, logged_as
 from pcmrs.bus import Bus, CommandEdge
-from pcmrs.bus.seal import Seal, new_key
+from pcmrs.bus.seal import Seal, new_key, new_run
 from pcmrs.clock import Clock, SystemClock
-from pcmrs.console.settings import HOST
 from pcmrs.errors import ConfigurationError
 from pcmrs.files import make_private
 from pcmrs.fsm import Blueprint
@@ -33,7 +32,7 @@ from pcmrs.service.health.metrics import MetricsServer
 from pcmrs.service.health.service_manager import ServiceManager, run_watchdog
 from pcmrs.service.procedure import Clocks, RunningProcedure
 from pcmrs.service.processes.child import ChildProcess
-from pcmrs.service.processes.console import is_served, open_console
+from pcmrs.service.processes.console import ConsoleListener, is_served
 from pcmrs.service.processes.heart import HeartProcess
 from pcmrs.service.processes.nodes import NodeProcesses
 from pcmrs.service.processes.planner import PlanningProcess
@@ -66,7 +65,7 @@ class Ready(msgspec.Struct, frozen=True):
         folder: Journal and records.
         journal: The journal of its workflow.
         metrics: Address of its metrics; empty if none are served.
-        console: Address of its page; empty if none is served.
+        console: Address of its page, which is served once it is opened; empty if none is.
         listen: Addresses for other machines.
         routers: Routers that it connects to.
     """
@@ -116,8 +115,8 @@ class Daemon:
         session = uuid.uuid4().hex
         async with AsyncExitStack() as stack:
             stack.enter_context(_only_daemon_of(settings.cell.path()))
-            device_key = settings.access.read_device_key() or new_key()
-            bus = await Bus.open(settings.bus("router"), Seal(device_key))
+            device_key = (settings.access.read_device_key() or new_key()) + new_run()
+            bus = await Bus.open(settings.bus("router"), Seal(device_key, current_only=True))
             stack.push_async_callback(bus.close)
             blueprint = workflow.blueprint
             journal = Journal.open(
@@ -142,7 +141,9 @@ class Daemon:
             heart.report = planner.report = dispatcher.report_later
             recovered.give_to(dispatcher, journal)
             recorder.attach(dispatcher.procedure)
-            children = _child_processes(settings, session, device_key, procedure, machine, self._start_process)
+            page = ConsoleListener(self._start_process, settings)
+            stack.callback(page.close)
+            children = _child_processes(settings, session, device_key, procedure, machine, self._start_process, page)
             nodes, recording, console = await stack.enter_async_context(children)
             stack.push_async_callback(heart.stop)
             stack.push_async_callback(planner.stop)
@@ -195,6 +196,7 @@ class Daemon:
             if settings.recording.enabled:
                 recording.start(supervisor)
             if is_served(settings):
+                page.open()  # before the address is printed
                 console.start(supervisor)
             supervisor.start("real-time policy", lambda: go_ahead(machine))
             supervisor.start("health", lambda: tell_health(bus, inspection.health, machine))
@@ -206,7 +208,7 @@ class Daemon:
             stack.push_async_callback(dispatcher.close)
             manager.tell("READY=1")
             stack.callback(manager.tell, "STOPPING=1")
-            yield _ready(settings, blueprint, bus, journal, gateway, metrics)
+            yield _ready(settings, blueprint, bus, journal, gateway, metrics, page)
 
 
 @asynccontextmanager
@@ -217,6 +219,7 @@ async def _child_processes(
     procedure: RunningProcedure,
     machine: Clock,
     start: ProcessStarter,
+    page: ConsoleListener,
 ) -> AsyncIterator[tuple[NodeProcesses, ChildProcess, ChildProcess]]:
     """Yields device nodes, recorder and console, not yet started; they are stopped in this order."""
     report = procedure.dispatcher.report_later
@@ -228,7 +231,7 @@ async def _child_processes(
         machine,
         RECORDER_ENDING_TIME,
     )
-    console = ChildProcess("console", partial(open_console, start, settings), report, machine, CONSOLE_ENDING_TIME)
+    console = ChildProcess("console", page.begin, report, machine, CONSOLE_ENDING_TIME, page.close)
     async with AsyncExitStack() as stack:
         stack.push_async_callback(console.stop)
         stack.push_async_callback(recording.stop)  # after the nodes, so that it writes their last messages
@@ -250,7 +253,13 @@ async def _edges(bus: Bus, procedure: RunningProcedure, settings: Settings, mach
 
 
 def _ready(
-    settings: Settings, blueprint: Blueprint, bus: Bus, journal: Journal, gateway: Gateway, metrics: MetricsServer
+    settings: Settings,
+    blueprint: Blueprint,
+    bus: Bus,
+    journal: Journal,
+    gateway: Gateway,
+    metrics: MetricsServer,
+    page: ConsoleListener,
 ) -> Ready:
     return Ready(
         prefix=bus.prefix,
@@ -261,7 +270,7 @@ def _ready(
         workflow=f"{blueprint.id} {blueprint.version}",
         rate=settings.cell.rate,
         metrics=metrics.address,
-        console=f"http://{HOST}:{settings.console.port}" if is_served(settings) else "",
+        console=page.address,
         listen=settings.access.listen,
         routers=settings.access.routers,
     )

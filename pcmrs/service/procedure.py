@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections import defaultdict
 from dataclasses import dataclass
 
 import structlog
@@ -34,6 +35,7 @@ from pcmrs.service.processes.heart import BeatSender, LoopHeart
 from pcmrs.service.publishing import Publishing
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.service.watches.abandoned import AbandonedWatch
+from pcmrs.service.watches.beats import NodeBeats
 from pcmrs.service.watches.devices import HealthWatch
 from pcmrs.service.watches.gates import GateWatch
 from pcmrs.service.watches.lease import LeaseWatch
@@ -88,7 +90,7 @@ class RunningProcedure(DispatcherListener):
         command_metrics: Metrics of decisions.
         readiness: Readiness of the devices.
         health: Health that the nodes report of their devices.
-        beat_times: Device to the time of its node's last heartbeat, s of the machine's monotonic clock.
+        beat_times: Device to the time at which its node sent its last heartbeat, s of the machine's monotonic clock.
         data_times: Robot and tracker to the time of their last joints and poses, on the same clock.
         misnamed: Number of events that were dropped, since their device is not that of their key.
     """
@@ -139,6 +141,7 @@ class RunningProcedure(DispatcherListener):
         self._gates = GateWatch(remote, dispatcher, self.connected, supervisor)
         self._standstill = Standstill()
         self.health = HealthWatch(self.readiness, self.cell.poses)
+        self._beats: defaultdict[str, NodeBeats] = defaultdict(NodeBeats)
         self.beat_times: dict[str, float] = {}
         self.data_times: dict[str, float] = {}
         self._machine = clocks.machine
@@ -158,6 +161,7 @@ class RunningProcedure(DispatcherListener):
         link.subscribe(DAEMON_BEAT, Beat, lambda _key, _beat: self._heart.hear())
         link.subscribe("dev/*/event", DeviceEvent, self._take_event)
         link.subscribe("daemon/event", DeviceEvent, self._take_event)
+        link.when_lost(self._lose_event)
         connect_teleoperators(link, self.cell.teleop, self._abandoned.see)
         self._supervisor.start("beats and robot watch", self.watch.run, quiet=QUIET)
         self._supervisor.start("reference watch", self._reference.run, quiet=QUIET)
@@ -217,6 +221,13 @@ class RunningProcedure(DispatcherListener):
         self.misnamed += 1
         log.warning("misnamed_event", key=key, device=event.device, code=event.code)
 
+    def _lose_event(self, key: str) -> None:
+        """Stop: what was lost may have been a danger."""
+        device = named_in(key) if key != "daemon/event" else "daemon"
+        text = f"At least one event of the {device} is lost, because too many were waiting: it may have been a danger. "
+        text += "Look at the cell, then acknowledge."
+        self.dispatcher.report_later(DeviceEvent(device=device, code="events_lost", text=text, danger=True))
+
     def _take_pose(self, _key: str, pose: BodyPose) -> None:
         self.data_times["tracker"] = self._machine.monotonic()
         self.cell.poses.update(pose)
@@ -236,9 +247,10 @@ class RunningProcedure(DispatcherListener):
         self._gates.take(device, beat.gate)
         if beat.gate is not None:
             self.readiness.hear_gate(device)
-        self.beat_times[device] = self._machine.monotonic()
+        alive = self._beats[device].take(beat, self._machine.monotonic())
+        self.beat_times[device] = alive
         if device == "robot":
-            self.watch.hear_beat()
+            self.watch.hear_beat(alive)
 
     def on_publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
         """Publish a message of the dispatcher on the bus, and count it."""

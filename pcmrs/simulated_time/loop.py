@@ -70,6 +70,15 @@ class SimulatedLoop(asyncio.BaseEventLoop):
         self._ready.append(handle)
         return handle
 
+    def call_soon_threadsafe(
+        self,
+        callback: Callable[[Unpack[_Arguments]], object],
+        *args: *_Arguments,
+        context: Context | None = None,
+    ) -> asyncio.Handle:
+        """Call soon: what a thread of a simulated process does runs in the thread of this loop."""
+        return self.call_soon(callback, *args, context=context)
+
     def call_later(
         self,
         delay: float,

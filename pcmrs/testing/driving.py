@@ -47,6 +47,14 @@ def tool_pose(number: int = 0) -> dict[str, Any]:
 ACKNOWLEDGE = "robot.acknowledge"
 
 
+async def acknowledge(client: Client) -> Verdict:
+    """Acknowledge the newest Stop by its number; again if a newer one has come meanwhile."""
+    while True:
+        verdict = await client.acknowledge(stop=(await client.state()).stop.number)
+        if verdict.reason is None or verdict.reason.code != "stop_outdated":
+            return verdict
+
+
 async def accept(client: Client, name: str, **arguments: object) -> Verdict:
     """Call an operation that must be accepted.
 
@@ -58,7 +66,7 @@ async def accept(client: Client, name: str, **arguments: object) -> Verdict:
     Raises:
         Unmet: The operation was not accepted.
     """
-    verdict = await (client.acknowledge() if name == ACKNOWLEDGE else client.call(name, arguments))
+    verdict = await (acknowledge(client) if name == ACKNOWLEDGE else client.call(name, arguments))
     if verdict.decision != "accepted":
         raise Unmet(f"{name} was {verdict.decision}: {reason_text(verdict)}")
     return verdict

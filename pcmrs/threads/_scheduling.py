@@ -21,6 +21,7 @@ class ThreadTimes(NamedTuple):
     waited: float
 
 
+LOAD_FILE = "/proc/loadavg"
 _NONE = ThreadTimes(0.0, 0.0)
 _SMALL = 4096
 """Size above which a file of `proc(5)` may be read in parts, bytes."""
@@ -30,14 +31,21 @@ class Load(NamedTuple):
     """Load of the machine.
 
     Attributes:
-        running: Number of threads that run or wait for a processor.
+        running: Number of threads that run or wait for a processor; None if this process may not read it.
         processors: Number of processors that this process may use.
     """
 
-    running: int
+    running: int | None
     processors: int
 
+    @property
+    def is_too_high(self) -> bool:
+        """True if threads are known to wait for a processor."""
+        return self.running is not None and self.running > self.processors
+
     def __str__(self) -> str:
+        if self.running is None:
+            return "the load of the machine is not known"
         many = f"{self.processors} processor" + "s" * (self.processors > 1)
         return f"{self.running} threads want to run on {many}"
 
@@ -87,9 +95,12 @@ class Threads:
         return {thread: text.strip() for thread, text in self._read("comm")}
 
     def load(self) -> Load:
-        """Return the present load of the machine."""
-        running = _read_small("/proc/loadavg").split()[3].partition("/")[0]
-        return Load(int(running), len(os.sched_getaffinity(0)))
+        """Return the present load of the machine, as far as this process may know it."""
+        try:
+            running = int(_read_small(LOAD_FILE).split()[3].partition("/")[0])
+        except OSError:  # a sandbox may hide it, such as ProcSubset=pid of systemd
+            running = None
+        return Load(running, len(os.sched_getaffinity(0)))
 
     def _read(self, file: str, which: Callable[[int], bool] = lambda _: True) -> Iterator[tuple[int, str]]:
         for thread in filter(which, self.ids()):

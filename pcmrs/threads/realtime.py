@@ -40,6 +40,8 @@ ZENOH = ("app-", "net-", "acc-", "rx-", "tx-")
 """Prefixes of the kernel's names of Zenoh's own threads."""
 CALLBACKS = ("pcmrs-bus", "pcmrs-stop", "pyo3-closure")
 """Parts of Python's names of the threads that send requests and handle received messages."""
+READERS = "pcmrs-bus-read"
+"""Part of the names of the threads that send long replies, such as the journal: nothing depends on their time."""
 
 NOT_PERMITTED = (
     "The real-time policy SCHED_RR is not permitted here: RLIMIT_RTPRIO is too small, or sched_setscheduler is "
@@ -100,6 +102,6 @@ class RealTime:
     def _wanted(self) -> set[int]:
         wanted = {thread for thread, name in Threads().names().items() if name.startswith(ZENOH)}
         for each in threading.enumerate():
-            if each.native_id is not None and any(part in each.name for part in CALLBACKS):
+            if each.native_id is not None and any(part in each.name for part in CALLBACKS) and READERS not in each.name:
                 wanted.add(each.native_id)
         return wanted | {os.getpid()}

@@ -50,6 +50,15 @@ class SimScene:
         """The simulated arm, with its true state."""
         return self._world.arm
 
+    @property
+    def tool(self) -> Transform:
+        """True pose of the tool in the tracker frame; its +z points away from the body."""
+        return self._world.tracker_from_coil()
+
+    def is_near_body(self, within: float) -> bool:
+        """Return whether the body is in front of the face of the tool, within a distance, m."""
+        return self._world.is_near_body(within)
+
     async def truth(self) -> SceneTruth:
         return self._world.truth()
 

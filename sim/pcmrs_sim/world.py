@@ -131,6 +131,13 @@ class World:
             self._flange, self._coil = flange, self._tracker_from_world @ flange @ self._flange_from_coil
         return self._coil
 
+    def is_near_body(self, within: float) -> bool:
+        """Return whether the body is in front of the face of the tool, within a distance, m."""
+        image_from_tool = self.tracker_from_image.inverse() @ self.tracker_from_coil()
+        axis = image_from_tool.rotation[:, 2]
+        origin = image_from_tool.translation - within * axis
+        return self.phantom.solid.touch(origin, axis, self.phantom.tool_radius) is not None
+
     def tracker_from_body_ref(self) -> Transform:
         """Return the true pose of the reference; the same object as long as nothing moves it."""
         return self._fixed("body_ref", self.body_ref_from_image)

@@ -1,4 +1,4 @@
-"""Plugin of pytest: the first failure ends it, before anything is closed.
+"""Plugin of pytest: the first failure of a test ends it, before anything is closed.
 
 What lacks a guard may wait for ever when it is closed, and after a failure no limit of time holds any more. Hypothesis
 tries the same examples as in the suite and does not look for the smallest one that fails.
@@ -20,8 +20,8 @@ def pytest_configure() -> None:
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Name the test and end."""
-    if report.failed:
+    """Name the test and end; what a fixture cannot set up or clean up is no failure of a test."""
+    if report.failed and report.when == "call":
         sys.stdout.write(f"\nFAILED {report.nodeid}\n")
         sys.stdout.flush()
         os._exit(pytest.ExitCode.TESTS_FAILED)

@@ -22,6 +22,7 @@ class Mutant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         guard: Its exact text, which occurs once in the function.
         without: The text that takes its place.
         harm: The possible consequence.
+        requirement: Id of the requirement or promise of the documents that it breaks; their tables must name it there.
     """
 
     name: str
@@ -30,6 +31,7 @@ class Mutant(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     guard: str
     without: str
     harm: str
+    requirement: str = ""
 
     def place(self, tree: Path) -> Place:
         """Find the guard.

@@ -6,11 +6,12 @@
     python -m tests.mutants.run_mutants generated [--sample 200] [--seed 0] [--part 1/4] [--jobs 2]
 
 `map` runs the suite once under coverage and writes down which test runs which line; the others choose their tests by
-it. With TESTS it measures only these, and keeps what it knows of the others. `uncovered` lists the guards of which no
-test runs both sides. `listed` tries the mutants that are written down in tests/mutants/listed, each with the harm that
-it could do; all of them must be caught, except those in allowed.toml. `generated` tries a sample of those that are made
-by rule, of which 95 % must be caught. Each command prints a table, or JSON with --json, and ends with 0 when
-all is well.
+it. With TESTS it measures only these, and keeps what it knows of the others. It ends with 1 if a test failed or the
+data of a process were lost: such a test is not chosen, so fewer mutants would be caught. `uncovered` lists the guards
+of which no test runs both sides. `listed` tries the mutants that are written down in tests/mutants/listed, each with
+the harm that it could do; all of them must be caught, except those in allowed.toml. `generated` tries a sample of those
+that are made by rule, of which 95 % must be caught. Each command prints a table, or JSON with --json, and ends with 0
+when all is well.
 """
 
 from __future__ import annotations
@@ -80,7 +81,7 @@ def _map(options: argparse.Namespace) -> int:
             table.add_column(name)
         table.add_row(*(str(each) for each in (len(coverage.tests), len(coverage.failed), lines, coverage.lost)))
         Console().print(table, *coverage.failed, sep="\n")
-    return 0
+    return 1 if coverage.failed or coverage.lost else 0
 
 
 def _listed(options: argparse.Namespace) -> int:
@@ -93,9 +94,10 @@ def _generated(options: argparse.Namespace) -> int:
 
 
 def _uncovered(options: argparse.Namespace) -> int:
-    found = uncovered(guards(), read_map(), excuses())
+    known = guards()
+    found = uncovered(known, read_map(), excuses())
     if options.json:
-        sys.stdout.write(msgspec.json.encode(found).decode() + "\n")
+        sys.stdout.write(msgspec.json.encode({"guards": len(known), "uncovered": found}).decode() + "\n")
     else:
         left = [each for each in found if not each.reason]
         table = Table(title=f"{len(found)} guards of which one side was never run, {len(left)} without a reason")

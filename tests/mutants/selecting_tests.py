@@ -51,7 +51,7 @@ def select(tree: Path, place: Place, coverage: CoverageMap, limits: Limits) -> l
 
     Quick tests come first. Among them, and then among the others, come first those that reach the guard's body; of what
     an import binds, such as the default of a setting, those whose id has its name. Then one instance of each test
-    function comes before the second ones, then those in the folder named as the package, then the fastest.
+    function comes before the second ones, then those in the folder of the package's tests, then the fastest.
 
     Args:
         tree: Root of the sources, unchanged.
@@ -71,7 +71,7 @@ def select(tree: Path, place: Place, coverage: CoverageMap, limits: Limits) -> l
     naming = _naming(coverage, _bound_by_import(module, change))
     tests = list({test.id: test for test in (*reaching, *naming)}.values())
     first = {test.id for test in naming or coverage.reaching(place.file, change.body)}
-    package = f"tests/{place.file.parts[1]}/" if len(place.file.parts) > 2 else "tests/"
+    package = own_tests(place.file)
     instances: Counter[str] = Counter()
 
     def rank(test: MappedTest) -> tuple[bool, bool, int, bool, float]:
@@ -84,6 +84,18 @@ def select(tree: Path, place: Place, coverage: CoverageMap, limits: Limits) -> l
     ordered = sorted([(rank(test), test.id, test.seconds) for test in fast])[: limits.tests]
     sums = itertools.accumulate(seconds for _, _, seconds in ordered)
     return [name for (_, name, _), total in zip(ordered, sums, strict=True) if total <= limits.seconds]
+
+
+def own_tests(file: Path) -> str:
+    """Return the beginning of the ids of the tests that are named as the package of a file, or as the file itself.
+
+    Args:
+        file: File of the product, below the tree.
+    """
+    top, *folders = file.parent.parts
+    if top in ("sim", "lab"):
+        return f"tests/unit/{top}/"
+    return f"tests/unit/{folders[0]}/" if folders else f"tests/unit/test_{file.stem}.py::"
 
 
 def changed(tree: Path, place: Place) -> Change:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import re
+import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,12 +13,13 @@ import msgspec
 import pytest
 
 from tests import ROOT
+from tests.mutants import run_mutants
 from tests.mutants.coverage_map import CoverageMap, MapError, MappedFile, MappedTest, read_map, write_map
 from tests.mutants.listed_guards import listed
 from tests.mutants.places import find
 from tests.mutants.run_mutants import allowed, candidates
-from tests.mutants.selecting_tests import Limits, changed, select
-from tests.mutants.trying import Candidate, Found, Run, run_importable, try_mutants
+from tests.mutants.selecting_tests import Limits, changed, own_tests, select
+from tests.mutants.trying import COPIED, Candidate, Found, Run, outcome_of, run_importable, try_mutants
 
 SHOWN = ("a_series_is_planned_twice", "a_rotation_of_any_age")
 """Mutants whose tests are quick: the way of trying them works."""
@@ -93,6 +98,88 @@ def test_tests_that_reach_the_body_of_a_guard_come_first(coverage: CoverageMap) 
 
     assert 0 < len(body) < len(tests)
     assert set(tests[: len(body)]) == body
+
+
+@pytest.mark.parametrize(
+    ("file", "tests"),
+    [
+        ("pcmrs/gateway/auth/peers.py", "tests/unit/gateway/"),
+        ("pcmrs/bucket.py", "tests/unit/test_bucket.py::"),
+        ("sim/pcmrs_sim/faults/robot.py", "tests/unit/sim/"),
+        ("lab/pcmrs_lab/campaign/run.py", "tests/unit/lab/"),
+    ],
+)
+def test_tests_of_a_package_are_found_where_they_are(file: str, tests: str) -> None:
+    assert own_tests(Path(file)) == tests
+    assert (ROOT / tests.removesuffix("::")).exists()
+
+
+def test_tests_of_the_same_package_come_first(coverage: CoverageMap) -> None:
+    """Where all else is equal: of two tests that reach a guard, the one of its package is tried before."""
+    place = candidates(SHOWN[:1])[0].place
+    other, own = (MappedTest(f"tests/unit/{name}/test_x.py::test_x", 1.0) for name in ("bus", "gateway"))
+    mapped = dict.fromkeys(coverage.files[str(place.file)].lines, "3")
+    files = {str(place.file): msgspec.structs.replace(coverage.files[str(place.file)], lines=mapped)}
+
+    assert select(ROOT, place, CoverageMap([other, own], [], files, 0), FEW) == [own.id, other.id]
+
+
+FAILS = """
+import pytest
+@pytest.fixture
+def broken(): raise OSError
+@pytest.fixture
+def left():
+    yield
+    raise OSError
+def test_setup(broken): pass
+def test_teardown(left): pass
+"""
+
+
+@pytest.mark.parametrize("call", ["", "def test_call(): assert False\n"])
+def test_errors_of_fixtures_catch_nothing(tmp_path: Path, call: str) -> None:
+    (tmp_path / "test_few.py").write_text(FAILS + call)
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "tests.mutants.end_at_first_failure",
+        "-p",
+        "no:cacheprovider",
+    ]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    ended = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+
+    run = Run(ended.returncode, re.findall(r"^FAILED (\S+)", ended.stdout, re.MULTILINE), ended.stdout)
+
+    assert outcome_of(run, ["test_few.py::test_setup", "test_few.py::test_teardown", "test_few.py::test_call"])[0] == (
+        "caught" if call else "broken"
+    )
+    assert run.failed == (["test_few.py::test_call"] if call else [])
+
+
+@pytest.mark.parametrize(("failed", "lost", "code"), [([], 0, 0), (["tests/a.py::test_b"], 0, 1), ([], 2, 1)])
+def test_a_map_without_some_tests_is_no_success(
+    failed: list[str], lost: int, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(run_mutants, "write_map", lambda *_, **__: CoverageMap([], failed, {}, lost))
+    monkeypatch.setattr(sys, "argv", ["run_mutants", "map", "--json"])
+
+    assert run_mutants.main() == code
+    assert msgspec.json.decode(capsys.readouterr().out) == {"tests": 0, "failed": failed, "lines": 0, "lost": lost}
+
+
+def test_everything_that_tests_import_is_in_a_copy() -> None:
+    """A test file that cannot be imported in a copy catches nothing there."""
+    tops = {path.name for path in ROOT.iterdir() if path.is_dir() and not path.name.startswith(".")}
+    named = {
+        name for path in (ROOT / "tests").rglob("*.py") for name in re.findall(r"ROOT / \"(\w+)\"", path.read_text())
+    }
+
+    assert sorted(named & tops - set(COPIED) - {"build"}) == []
 
 
 def test_lines_run_by_a_process_belong_to_its_test(coverage: CoverageMap) -> None:

@@ -1,8 +1,9 @@
 """Mutants are tried: each in a copy of the tree, so that processes which a test starts see it too.
 
-Only a failure of a named test that passes on the product as it is counts as caught. A test that reaches the limit of
-time shows that something waits for ever, which may be the machine's fault: this is an outcome of its own. Any other end
-of pytest (a crash, no tests, what cannot be collected) is ``broken`` and catches nothing.
+Only a failure of a named test in its own code counts as caught, if the test passes on the product as it is. A test
+that reaches the limit of time shows that something waits for ever, which may be the machine's fault: this is an outcome
+of its own. Any other end of pytest (a crash, no tests, what cannot be collected, an error of a fixture) is
+``broken`` and catches nothing.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ COPIED = (
     "benchmarks",
     "docs",
     "deploy",
+    "fuzz",
     "pyproject.toml",
     "README.md",
 )
@@ -212,7 +214,7 @@ def _try(candidate: Candidate, tests: Sequence[str], copy: Path, limits: Limits)
     finally:
         file.write_text(whole)
         shutil.rmtree(copy / ".hypothesis", ignore_errors=True)  # examples that failed on this mutant
-    outcome, by = _outcome(run, tests)
+    outcome, by = outcome_of(run, tests)
     return Found(
         name=candidate.name,
         where=candidate.where,
@@ -244,7 +246,13 @@ def run_importable(tests: Sequence[str], run: Callable[[Sequence[str]], Run]) ->
     return last if last.failed else first
 
 
-def _outcome(run: Run | None, tests: Sequence[str]) -> tuple[Outcome, str]:
+def outcome_of(run: Run | None, tests: Sequence[str]) -> tuple[Outcome, str]:
+    """Return the outcome of a mutant, and the test that caught it or the last text of pytest.
+
+    Args:
+        run: End of its tests; None if no test runs its lines.
+        tests: Ids of its tests.
+    """
     if run is None:
         return "not tested", ""
     if run.code == 0:

@@ -122,13 +122,17 @@ def _section(source: Source, known: dict[str, Result]) -> str:
 
 
 def _test(each: Cited) -> str:
-    return f"`{each.file}::{each.test}`" + (" (nightly)" if each.nightly else "")
+    return f"`{each.file}::{each.test}`" + (f" ({each.only})" if each.only else "")
 
 
 def parts_of(promise: Promise) -> list[str]:
     """Names of the parts that run what proves a promise beyond `make test`."""
-    wanted = [name for each in promise.tests if each.nightly for name in holders(each.file)]
-    wanted += [f"faults-{catalogue()[row].fault_class}" for row in promise.rows]
+    wanted = [name for each in promise.tests if each.only for name in holders(each.file)]
+    for row in promise.rows:
+        wanted += [
+            f"faults-{catalogue()[row].fault_class}",
+            f"faults-{row.lower()}",
+        ]  # a row with more seeds has one more part
     if promise.rows:
         wanted += [part.name for part in chosen("sham")]
     if "`" in promise.watched:

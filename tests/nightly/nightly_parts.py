@@ -12,10 +12,11 @@ from typing import Literal
 import msgspec
 
 from tests import ROOT
+from tests.support.skip_budget import OPTION
 
 TABLE = Path(__file__).with_name("parts.toml")
 
-Counted = Literal["pytest", "faults", "explore", "mutants", "exit"]
+Counted = Literal["pytest", "faults", "explore", "mutants", "map", "uncovered", "exit"]
 
 
 class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -74,7 +75,8 @@ def command_of(part: Part, results: Path, seed: int) -> list[str]:
     if part.tests:
         files = " ".join(f"tests/{each}" for each in part.tests)
         jobs = f"-n {part.jobs}" if part.jobs > 1 else ""
-        options = f"-m '{part.marker}' --hypothesis-profile=nightly {jobs} --junitxml={shlex.quote(str(results))} -q"
+        options = f"-m '{part.marker}' {OPTION} --hypothesis-profile=nightly {jobs} -q"
+        options += f" --junitxml={shlex.quote(str(results))}"
         line = f"{python} -m pytest {options} {files}"
     else:
         bin_folder = Path(sys.executable).parent

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from tests import ROOT
+from tests import ROOT, TESTS
 from tests.nightly import make_evidence
 from tests.nightly.make_evidence import PAGE, page, parts_of
 from tests.nightly.nightly_parts import parts
@@ -22,17 +22,25 @@ def test_the_page_is_up_to_date() -> None:
 
 
 @pytest.mark.parametrize("document", documents(), ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_a_document_says_of_a_test_that_it_is_nightly_only(document: Path, collected: list[Any]) -> None:
-    """Of tests whose files this run has collected: in `make test` all."""
-    instances = defaultdict(list)
+def test_a_document_says_which_tests_make_test_does_not_run(document: Path, collected: list[Any]) -> None:
+    """Of tests whose files this run has collected: in `make test` all. Those marks are `(nightly)` and `(browser)`."""
+    instances = defaultdict(set)
     for each in collected:
-        instances[each.file, each.name].append(each.nightly)
+        instances[each.file, each.name].add(each.only)
     files = {each.file for each in collected}
 
     for each in cited(document.read_text()):
+        assert (TESTS / each.file).is_file(), each
         if each.file in files:
             assert instances[each.file, each.test], f"{each.file}::{each.test} does not exist."
-            assert each.nightly is all(instances[each.file, each.test]), each
+            assert each.only == min(instances[each.file, each.test]), each
+
+
+@pytest.mark.parametrize("mark", ["", "nightly", "browser"])
+def test_a_mark_is_read_where_it_belongs(mark: str) -> None:
+    text = "`unit/a/test_a.py::test_first`" + (f" ({mark})" if mark else " (in a room)")
+
+    assert [each.only for each in cited(f"{text}, `unit/b.py::test_second` (nightly)")] == [mark, "nightly"]
 
 
 def test_every_promise_has_its_own_id_and_a_proof() -> None:
@@ -49,6 +57,8 @@ def test_the_parts_that_prove_a_promise_are_named() -> None:
 
     assert {"faults-operator", "faults-adversary", "sham-1", "explore-ratms"} <= set(found)
     assert "faults-sensor" not in found
+    promise = promises(SOURCES[0])[0]._replace(rows=["N9"])
+    assert {"faults-network", "faults-n9"} <= set(parts_of(promise)), "a row with more seeds is in two parts"
 
 
 def test_parts_that_failed_or_were_never_run_are_on_the_page(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from typing import Any
 
 import yaml
 
@@ -14,9 +15,13 @@ from tests.nightly.nightly_parts import chosen, parts
 WORKFLOWS = ROOT / ".github" / "workflows"
 
 
+def read(name: str) -> Any:
+    return yaml.safe_load((WORKFLOWS / name).read_text())
+
+
 def test_every_part_is_run_each_night() -> None:
     """The matrix is what the runner answers to the command in the workflow."""
-    told = yaml.safe_load((WORKFLOWS / "nightly.yml").read_text())
+    told = read("nightly.yml")
     asking, running = told["jobs"]["parts"], told["jobs"]["part"]
     (step,) = (step for step in asking["steps"] if step.get("id") == "names")
 
@@ -34,7 +39,7 @@ def test_every_part_is_run_each_night() -> None:
 
 
 def test_a_change_passes_what_it_passes_by_hand() -> None:
-    told = yaml.safe_load((WORKFLOWS / "ci.yml").read_text())
+    told = read("ci.yml")
 
     assert any(".ci/run" in step.get("run", "") for step in told["jobs"]["run"]["steps"])
 
@@ -44,3 +49,10 @@ def test_nothing_is_repeated_by_ci() -> None:
         for word in ("again", "--last-failed", "--lf", "--reruns", "retry"):
             lines = [line for line in file.read_text().splitlines() if word in line.split() or f".ci/{word}" in line]
             assert [line for line in lines if "## " not in line] == [], file
+
+
+def test_the_lock_is_audited_each_night_as_documented() -> None:
+    (step,) = (step for step in read("nightly.yml")["jobs"]["audit"]["steps"] if "run" in step)
+
+    assert "pip-audit" in step["run"]
+    assert step["run"] in (ROOT / "docs" / "supply.md").read_text().splitlines()

@@ -23,6 +23,7 @@ REPORT = """<testsuites><testsuite>
 <testcase classname="tests.unit.fsm.test_walk" name="test_b"><failure message="x"/></testcase>
 <testcase classname="tests.unit.fsm.test_walk" name="test_c"><error message="x"/></testcase>
 <testcase classname="tests.unit.fsm.test_walk" name="test_d"><skipped message="no spin"/></testcase>
+<testcase classname="tests.unit.fsm.test_walk" name="test_e"><skipped type="pytest.xfail" message="x"/></testcase>
 </testsuite></testsuites>"""
 
 
@@ -37,7 +38,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_every_nightly_test_is_in_one_part(collected: list[Any]) -> None:
     """Of those that this run has collected: in `make test` all."""
     table = {part.name: part for part in parts()}
-    files = {each.file for each in collected if each.nightly}
+    files = {each.file for each in collected if each.only == "nightly"}
 
     assert {file: found for file in sorted(files) if len(found := holders(file, table)) != 1} == {}
 
@@ -65,17 +66,30 @@ def test_results_of_pytest_are_counted(tmp_path: Path) -> None:
 
     found = counted("pytest", report, "", 1)
 
-    assert (found.passed, found.failed, found.skipped) == (1, 2, {"no spin": 1})
-    assert found.failures == ["tests/unit/fsm/test_walk.py::test_b", "tests/unit/fsm/test_walk.py::test_c"]
+    file = "tests/unit/fsm/test_walk.py"
+    assert (found.passed, found.failed, found.skipped) == (2, 3, {"no spin": 1})
+    assert found.failures == [f"{file}::test_b", f"{file}::test_c", f"skipped: {file}::test_d: no spin"]
 
 
-def test_faults_that_are_not_proved_have_failed() -> None:
+def test_skips_that_the_budget_has_are_no_failures(tmp_path: Path) -> None:
+    report = tmp_path / "report.xml"
+    report.write_text(REPORT.replace("no spin", "no package index can be reached"))
+
+    assert counted("pytest", report, "", 1).failed == 2
+
+
+def test_a_part_of_pytest_is_run_with_the_budget_of_skips() -> None:
+    assert "--tools-installed " in command_of(chosen("journal")[0], Path("unused"), 0)[-1]
+
+
+def test_faults_that_are_not_proved_or_not_run_have_failed() -> None:
     outcomes = ("passed", "failed", "not_proved", "not_run")
     faults = [{"id": each, "outcome": each, "response": "seen"} for each in outcomes]
 
     found = counted("faults", Path("unused"), json.dumps({"faults": faults}), 1)
 
-    assert (found.passed, found.failures, found.skipped) == (1, ["failed", "not_proved"], {"not_run: seen": 1})
+    assert (found.passed, found.skipped) == (1, {"seen": 1})
+    assert found.failures == ["failed", "not_proved", "skipped: not_run: seen"]
 
 
 def test_broken_sessions_have_failed() -> None:
@@ -101,7 +115,25 @@ def test_missed_mutants_have_failed_unless_enough_are_caught(wanted: float, fail
     assert found.skipped == {"c: changes nothing": 1} | ({} if failures else {"b: survived": 1})
 
 
-@pytest.mark.parametrize("how", ["pytest", "faults", "explore", "mutants", "exit"])
+def test_tests_that_failed_under_coverage_are_named() -> None:
+    said = {"tests": 7, "failed": ["tests/unit/a.py::test_b"], "lines": 9, "lost": 2}
+
+    found = counted("map", Path("unused"), json.dumps(said), 1)
+
+    assert (found.passed, found.failures) == (7, ["tests/unit/a.py::test_b", "2 processes without data"])
+
+
+def test_guards_that_no_test_runs_are_counted_and_named() -> None:
+    entry = {"module": "bus.seal", "function": "f", "guard": "x > 1", "side": "never holds"}
+    said = {"guards": 9, "uncovered": [{**entry, "reason": ""}, {**entry, "function": "g", "reason": "narrows a type"}]}
+
+    found = counted("uncovered", Path("unused"), json.dumps(said), 1)
+
+    assert (found.passed, found.failures) == (7, ["bus.seal:f: x > 1 never holds"])
+    assert found.skipped == {"bus.seal:g: x > 1 never holds: narrows a type": 1}
+
+
+@pytest.mark.parametrize("how", ["pytest", "faults", "explore", "mutants", "map", "uncovered", "exit"])
 @pytest.mark.parametrize(("output", "code"), [("", 1), ("{", -9), ("[]", 2), ('{"faults": []}', 139)])
 def test_part_without_a_valid_report_has_failed(tmp_path: Path, how: str, output: str, code: int) -> None:
     found = counted(how, tmp_path / "none.xml", output, code)  # type: ignore[arg-type]

@@ -9,11 +9,13 @@ from pathlib import Path
 import pytest
 
 from tests import ROOT, TESTS
-from tests.support.documents import documents
+from tests.support.documents import DOCS, documents
 
 PACKAGES = {"pcmrs": ROOT / "pcmrs", "sim": ROOT / "sim" / "pcmrs_sim", "lab": ROOT / "lab" / "pcmrs_lab"}
 SHARE = 0.95
 """Least share of the modules with behaviour of each package that have a unit test file."""
+FOLDERS = "unit|system|project|mutants|nightly|support"
+"""Folders below ``tests``, as a regular expression."""
 
 
 def behaves(module: Path) -> bool:
@@ -40,21 +42,29 @@ def modules(package: str) -> list[Path]:
 
 
 def missing_paths(text: str) -> list[str]:
-    """Return the paths below ``tests`` that a text names and that do not exist; ``*`` stands for any name."""
-    return [path for path in re.findall(r"\btests/[\w./*-]*\w", text) if not any(ROOT.glob(path))]
+    """Return the paths below ``tests`` that a text names and that do not exist; ``*`` stands for any name.
+
+    A path in backquotes may leave out ``tests/``.
+    """
+    named = re.findall(r"\btests/[\w./*-]*\w", text)
+    named += [f"tests/{path}" for path in re.findall(rf"`((?:{FOLDERS})/[\w./*-]*\w)", text)]
+    return [path for path in named if not any(ROOT.glob(path))]
 
 
 def test_pages_name_only_files_and_folders_of_tests_that_exist() -> None:
-    pages = [*documents(), ROOT / "CONTRIBUTING.md"]
+    pages = [*documents(), *(DOCS / "adr").glob("*.md")]
     missing = {page.name: missing_paths(page.read_text()) for page in pages}
     assert {name: paths for name, paths in missing.items() if paths} == {}
-    assert missing_paths("`pytest tests/unit tests/journal`, `tests/unit/b*s`, `tests/no_*.py`") == [
+    assert missing_paths(
+        "`pytest tests/unit tests/journal`, `tests/unit/b*s`, `tests/no_*.py`, `unit/no.py`, unit/no"
+    ) == [
         "tests/journal",
         "tests/no_*.py",
+        "tests/unit/no.py",
     ]
 
 
-def test_architecture_names_each_module_of_dispatcher_and_service() -> None:
+def test_architecture_names_modules_of_dispatcher_and_service() -> None:
     page = (ROOT / "docs" / "architecture.md").read_text()
     for package in ("pcmrs/dispatcher", "pcmrs/service"):
         table = re.search(rf"^\| [^|]*`{package}` \|[^\n]*\n(?:\|.*\n)+", page, re.MULTILINE)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from pcmrs.extras import EXTRAS
 from tests import ROOT
 
 SOURCES = ("deploy", "docs", ".ci")
@@ -60,6 +61,12 @@ def test_extra_that_is_not_locked_is_an_error() -> None:
         locked(["everything"])
     with pytest.raises(SystemExit, match="evdev"):
         locked(["teleop"])
+
+
+def test_the_sbom_has_every_locked_extra() -> None:
+    """It is made of what `.ci/wheel` has installed last."""
+    (*_, last) = re.findall(r'^install "[^"]*" (.*)$', (ROOT / ".ci" / "wheel").read_text(), re.MULTILINE)
+    assert set(last.split()) == {"lab", "sim", *EXTRAS} - {"teleop"}
 
 
 def test_another_file_under_the_same_name_and_version_is_refused(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -48,6 +49,33 @@ PACKAGES = {
 }  # fmt: skip
 """Names of packages to the modules that are imported."""
 BROUGHT_ALONG = {"fastapi", "uvicorn"}  # by NiceGUI
+BASE_MODULES = (
+    "client", "planner", "fsm", "fsm.verify", "authoring.chart", "cli.cell", "cli.lease", "cli.fsm", "journal", "pki",
+)  # fmt: skip
+"""Below `pcmrs`; they need no extra."""
+TO_INSTALL = (
+    (("serve",), "pcmrs-sim"),
+    (("demo",), "pcmrs-lab"),
+    (("fsm", "test", "ratms"), "pcmrs-lab"),
+    (("fsm", "render", "ratms", "--format", "png"), "extra authoring"),
+    (("console",), "extra console"),
+    (("record", "run.mcap"), "extra recording"),
+    (("repair", "run.mcap", "-o", "saved.mcap"), "extra recording"),
+    (("report", "."), "extra daemon or report"),
+    (("archive", "list", "--archive", "."), "extra archive"),
+)
+"""Command to what it needs beside the base install."""
+RUN_EACH = """
+import json, traceback
+from click.testing import CliRunner
+from pcmrs.cli import main
+ended = [CliRunner().invoke(main, words, prog_name="pcmrs") for words in {commands!r}]
+for each in ended:
+    if each.exception is not None and not isinstance(each.exception, SystemExit):
+        traceback.print_exception(each.exception)
+print(json.dumps([(each.exit_code, each.stderr) for each in ended]))
+"""
+"""Commands in one process, which prints their exit statuses and what they say on standard error."""
 
 
 def run_python(program: str) -> subprocess.CompletedProcess[str]:
@@ -65,12 +93,8 @@ def test_client_loads_no_arithmetic_and_no_simulation() -> None:
 
 
 @pytest.mark.parametrize("hiding", [BASE, WINDOWS], ids=["base", "windows"])
-@pytest.mark.parametrize(
-    "module",
-    ["client", "planner", "fsm", "fsm.verify", "authoring.chart", "cli.cell", "cli.lease", "cli.fsm", "journal", "pki"],
-)
-def test_the_base_install_is_imported_without_any_extra(hiding: str, module: str) -> None:
-    done = run_python(f"{hiding}\nimport pcmrs.{module}")
+def test_the_base_install_is_imported_without_any_extra(hiding: str) -> None:
+    done = run_python("\n".join((hiding, *(f"import pcmrs.{module}" for module in BASE_MODULES))))
     assert done.returncode == 0, done.stderr
 
 
@@ -81,26 +105,14 @@ def test_a_workflow_is_verified_without_any_extra() -> None:
     assert "install the extra daemon" in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("words", "extra"),
-    [
-        (("serve",), "pcmrs-sim"),
-        (("demo",), "pcmrs-lab"),
-        (("fsm", "test", "ratms"), "pcmrs-lab"),
-        (("fsm", "render", "ratms", "--format", "png"), "extra authoring"),
-        (("console",), "extra console"),
-        (("record", "run.mcap"), "extra recording"),
-        (("repair", "run.mcap", "-o", "saved.mcap"), "extra recording"),
-        (("report", "."), "extra daemon or report"),
-        (("archive", "list", "--archive", "."), "extra archive"),
-    ],
-)
-def test_a_command_says_what_to_install(words: tuple[str, ...], extra: str) -> None:
-    done = run_pcmrs(BASE, *words)
-    assert done.returncode in (2, 4)
-    assert extra in done.stderr
-    assert "docs/supply.md" in done.stderr
-    assert "Traceback" not in done.stderr
+def test_a_command_says_what_to_install() -> None:
+    done = run_python(BASE + RUN_EACH.format(commands=[words for words, _ in TO_INSTALL]))
+    assert (done.returncode, done.stderr) == (0, "")
+    for (words, extra), (status, complaint) in zip(TO_INSTALL, json.loads(done.stdout), strict=True):
+        assert status in (2, 4), words
+        assert extra in complaint, words
+        assert "docs/supply.md" in complaint, words
+        assert "Traceback" not in complaint, words
 
 
 def test_command_that_needs_posix_is_refused_with_the_reason() -> None:
@@ -116,9 +128,9 @@ def test_laboratory_commands_are_listed_only_where_installed() -> None:
     assert listed - left == names
 
 
-@pytest.mark.parametrize("module", ["pcmrs.service", "pcmrs.node", "pcmrs.cli.serve", "pcmrs.client"])
-def test_product_is_imported_without_the_simulation(module: str) -> None:
-    done = run_python(f"{HIDE.format(hidden={*OURS, 'mujoco'})}\nimport {module}")
+def test_product_is_imported_without_the_simulation() -> None:
+    hiding = HIDE.format(hidden={*OURS, "mujoco"})
+    done = run_python(f"{hiding}\nimport pcmrs.service, pcmrs.node, pcmrs.cli.serve, pcmrs.client")
     assert done.returncode == 0, done.stderr
 
 

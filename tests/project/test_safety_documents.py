@@ -9,7 +9,8 @@ import pytest
 from pcmrs_lab.campaign.catalogue import catalogue
 from pcmrs_lab.campaign.explore.invariants import INVARIANTS
 from tests import ROOT
-from tests.support.documents import CODE, NAMED, NONE, ROW, rows_of
+from tests.mutants.listed_guards import listed
+from tests.support.documents import CODE, NAMED, NONE, ROW, SOURCES, promises, rows_of
 
 THREATS = ROOT / "docs" / "threat-model.md"
 SAFETY = ROOT / "docs" / "safety.md"
@@ -27,7 +28,7 @@ def test_every_test_that_is_named_exists(document: Path) -> None:
     named = NAMED.findall(document.read_text())
 
     assert named
-    for file, test in named:
+    for file, test, _ in named:
         assert re.search(rf"^(async )?def {test}\(", (ROOT / "tests" / file).read_text(), re.MULTILINE), (file, test)
 
 
@@ -51,7 +52,7 @@ def mutants() -> set[str]:
     [
         (SAFETY, "Requirements and their tests", 26),
         (SEMANTICS, "What holds", 15),
-        (SUPERVISION, "What is promised", 12),
+        (SUPERVISION, "What is promised", 13),
     ],
     ids=lambda value: getattr(value, "stem", None),
 )
@@ -67,6 +68,15 @@ def test_every_promise_names_a_test_an_invariant_and_a_mutant(document: Path, he
             assert set(CODE.findall(cell)) <= known, row
 
 
+def test_mutants_of_a_requirement_are_named_with_it() -> None:
+    """`none:` is refused where a listed mutant breaks the requirement."""
+    named = {promise.id: set(CODE.findall(promise.without)) for source in SOURCES for promise in promises(source)}
+    breaking = [each for each in listed() if each.requirement]
+
+    assert [(each.name, each.requirement) for each in breaking if each.name not in named[each.requirement]] == []
+    assert {each.requirement for each in breaking} >= {"SR8"}
+
+
 def test_every_threat_has_a_control_and_what_shows_it() -> None:
     threats = all_threats()
 
@@ -76,6 +86,28 @@ def test_every_threat_has_a_control_and_what_shows_it() -> None:
         assert control
         assert set(assets.split()) <= set("MSWJKPV")
         assert NAMED.search(shown) or ROW.search(shown), threat
+
+
+@pytest.mark.parametrize(
+    ("document", "heading"),
+    [(SAFETY, "Requirements and their tests"), *((THREATS, heading) for heading in THREAT_TABLES)],
+    ids=lambda value: getattr(value, "stem", value),
+)
+def test_a_table_with_rows_says_that_they_are_nightly(document: Path, heading: str) -> None:
+    section = document.read_text().partition(f"## {heading}\n")[2].partition("\n## ")[0]
+    head = section.partition("\n|")[0]
+
+    assert any(
+        ROW.search(NAMED.sub("", row[-3 if document == SAFETY else -1]))
+        for row in rows_of(document.read_text(), heading)
+    )
+    assert "Whole rows are run by `make nightly` only" in " ".join(head.split())
+
+
+def test_the_page_of_faults_says_that_rows_are_nightly() -> None:
+    before = (ROOT / "docs" / "faults.md").read_text().partition("## Sensor rows")[0]
+
+    assert "Whole rows are run by `make nightly` only" in " ".join(before.split())
 
 
 def test_every_row_of_the_campaign_that_is_named_exists() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import subprocess
 import sys
 
@@ -46,6 +47,25 @@ def test_quotations_and_output_of_programs_are_left_out(text: str) -> None:
 def test_pages_have_none() -> None:
     ended = subprocess.run([sys.executable, PROGRAM], capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stdout) == (0, "")
+
+
+@pytest.mark.parametrize(
+    "planted",
+    [
+        "import click\n\nclick.echo('x')\n",
+        "from rich.text import Text\n",
+        "from rich.console import Console\n",
+        "from rich.markup import escape\n",
+        "import logging\n\nlogging.basicConfig()\n",
+    ],
+)
+def test_output_that_does_not_escape_is_found_by_the_linter(planted: str) -> None:
+    command = ["ruff", "check", "--select", "TID251", "--output-format", "json"]
+    command += ["--stdin-filename", "pcmrs/cli/planted.py", "-"]
+    ended = subprocess.run(
+        [sys.executable, "-m", *command], input=planted, cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert [found["code"] for found in json.loads(ended.stdout)] == ["TID251"]
 
 
 def test_only_comments_and_strings_of_python_files_are_read() -> None:

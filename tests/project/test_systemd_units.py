@@ -125,6 +125,10 @@ def test_the_daemon_keeps_what_it_was_seen_to_fail_without() -> None:
     assert "SystemCallFilter=seccomp" in unit  # what reads uploaded files confines itself
 
 
+def test_the_node_may_read_the_load_that_it_reports() -> None:
+    assert not re.search("^ProcSubset=pid", (UNITS / "pcmrs-node@.service").read_text(), re.MULTILINE)
+
+
 OPENED_FOR_THE_BEAT = {"sched_setattr", "sched_setparam", "sched_setscheduler"}
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from tests import ROOT
 
 DOCS = ROOT / "docs"
-NAMED = re.compile(r"`([\w/]+\.py)::(test_\w+)`")
+NAMED = re.compile(r"`([\w/]+\.py)::(test_\w+)`(?: \((nightly|browser)\))?")
 NONE = re.compile(r"none: .+")
 CODE = re.compile(r"`(\w+)`")
 ROW = re.compile(r"\b[OSBNPTCAQ]\d{1,2}\b")
@@ -20,12 +20,12 @@ class Cited(NamedTuple):
 
     Attributes:
         file: Below ``tests``.
-        nightly: The document says so: ``make test`` has no instance of it.
+        only: What the document says of it: ``nightly`` or ``browser`` if ``make test`` has no instance of it.
     """
 
     file: str
     test: str
-    nightly: bool
+    only: str
 
 
 class Promise(NamedTuple):
@@ -79,7 +79,7 @@ def rows_of(text: str, heading: str) -> list[list[str]]:
 
 def cited(text: str) -> list[Cited]:
     """Tests that a document names, in its order."""
-    return [Cited(each[1], each[2], text.startswith(" (nightly)", each.end())) for each in NAMED.finditer(text)]
+    return [Cited(each[1], each[2], each[3] or "") for each in NAMED.finditer(text)]
 
 
 def promises(source: Source) -> list[Promise]:
@@ -100,8 +100,7 @@ def promises(source: Source) -> list[Promise]:
 def documents() -> list[Path]:
     """All pages that cite tests."""
     return [
-        ROOT / "README.md",
-        ROOT / "SECURITY.md",
+        *(ROOT / name for name in ("CHANGELOG.md", "CONTRIBUTING.md", "README.md", "SECURITY.md")),
         *sorted(DOCS.glob("*.md")),
         *sorted((ROOT / "deploy").rglob("*.md")),
     ]

@@ -19,11 +19,13 @@ class MemoryLink:
     Attributes:
         published: Key to messages, in order.
         silent: Nobody answers.
+        lose: An event of a key is lost.
     """
 
     def __init__(self) -> None:
         self.published: dict[str, list[Any]] = defaultdict(list)
         self.silent = False
+        self.lose: Callable[[str], None] = lambda _: None
         self._subscribers: dict[str, list[Callable[[str, Any], None]]] = defaultdict(list)
         self._services: dict[str, tuple[type[Any], Callable[[str, Any], Awaitable[msgspec.Struct]]]] = {}
 
@@ -40,6 +42,9 @@ class MemoryLink:
 
     def listen(self, key: str, kind: type[M], handler: Callable[[str, M], None]) -> None:
         self.subscribe(key, kind, handler)
+
+    def when_lost(self, handler: Callable[[str], None]) -> None:
+        self.lose = handler
 
     def serve(self, key: str, kind: type[M], handler: Callable[[str, M], Awaitable[msgspec.Struct]]) -> None:
         self._services[key] = (kind, handler)

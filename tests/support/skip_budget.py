@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import tomllib
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,25 +16,36 @@ OPTION = "--tools-installed"
 _SENT = "skipped_modules"
 
 
+def beyond_budget(skips: Iterable[tuple[str, str]], budget: Path = BUDGET) -> list[str]:
+    """Skips that the budget does not have, as `name: reason`.
+
+    Args:
+        skips: Name and reason of each.
+        budget: Table of the reasons that are allowed, and how often.
+    """
+    table = tomllib.loads(budget.read_text())["skip"]
+    seen: Counter[str] = Counter()
+    found = []
+    for name, reason in skips:
+        allowed = next((each for each in table if re.fullmatch(each["reason"], reason)), None)
+        if allowed is not None:
+            seen[allowed["reason"]] += 1
+        if allowed is None or seen[allowed["reason"]] > allowed["most"]:
+            found.append(f"{name}: {reason}")
+    return found
+
+
 class SkipBudget:
     """Counts the skips of a run, those of whole modules included, over all its processes."""
 
     def __init__(self, budget: Path = BUDGET) -> None:
-        self._allowed = tomllib.loads(budget.read_text())["skip"]
+        self._budget = budget
         self._skips: list[tuple[str, str]] = []
         self._of_modules: list[tuple[str, str]] = []
 
     def over(self) -> list[str]:
         """Skips that the budget does not have, each with its reason."""
-        seen: Counter[str] = Counter()
-        found = []
-        for name, reason in [*self._skips, *self._of_modules]:
-            allowed = next((each for each in self._allowed if re.fullmatch(each["reason"], reason)), None)
-            if allowed is not None:
-                seen[allowed["reason"]] += 1
-            if allowed is None or seen[allowed["reason"]] > allowed["most"]:
-                found.append(f"{name}: {reason}")
-        return found
+        return beyond_budget([*self._skips, *self._of_modules], self._budget)
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.skipped and not hasattr(report, "wasxfail"):

@@ -110,7 +110,16 @@ def test_a_wrong_value_is_refused_with_its_key(override: str, words: tuple[str, 
         assert word in refused.value.text
 
 
-@pytest.mark.parametrize("content", [b"inner = [", b"\xff\xfe", b"flag = yes"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"inner = [",
+        b"\xff\xfe",
+        b"flag = yes",
+        pytest.param(b"flag = " + b"1" * 5000, id="digits"),
+        pytest.param(b"flag = " + b"[" * 5000, id="depth"),
+    ],
+)
 def test_a_file_that_is_no_toml_is_refused_by_name(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "cell.toml"
     file.write_bytes(content)

@@ -7,11 +7,15 @@ import os
 import sys
 from collections.abc import Iterator
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from pcmrs import node
+from pcmrs.background import background_task
 from pcmrs.clock import SystemClock
-from pcmrs.node import when_input_ends
+from pcmrs.node import watch_threads, when_input_ends
+from pcmrs.processes.starting import Process, start_by_exec
 
 WITHIN = 10.0
 
@@ -52,3 +56,17 @@ async def test_data_on_its_input_end_it_too(daemon: int) -> None:
     async with SystemClock().timeout(WITHIN):
         await ended.wait()
     os.close(daemon)
+
+
+async def test_watcher_of_the_threads_is_restarted_when_it_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(node, "RESTART_PAUSE", 0.0)
+    started = asyncio.Queue[Process]()
+
+    async def start(*words: str, **pipes: Any) -> Process:
+        started.put_nowait(process := await start_by_exec(*words, **pipes))
+        return process
+
+    async with background_task(watch_threads(lambda _: None, start)), SystemClock().timeout(WITHIN):
+        first = await started.get()
+        first.kill()
+        assert (await started.get()).pid != first.pid

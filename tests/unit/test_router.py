@@ -8,6 +8,7 @@ import pytest
 
 from pcmrs.clock import SystemClock
 from pcmrs.errors import ConfigurationError
+from pcmrs.messages.identity import EVERY_CELL
 from pcmrs.pki import Authority
 from pcmrs.router import router_settings, routing
 from pcmrs.testing.daemon import free_port
@@ -17,10 +18,10 @@ from pcmrs.testing.daemon import free_port
 def lab(tmp_path: Path) -> Path:
     now = SystemClock().wall()
     authority = Authority.init(tmp_path / "pki", "lab", now)
-    authority.issue("router", "gate", now, hosts=("127.0.0.1",), into=tmp_path)
-    authority.issue("router", "old", now, hosts=("127.0.0.1",), into=tmp_path)
+    authority.issue("router", "gate", now, hosts=("127.0.0.1",), cells=EVERY_CELL, into=tmp_path)
+    authority.issue("router", "old", now, hosts=("127.0.0.1",), cells=EVERY_CELL, into=tmp_path)
     authority.revoke("old", now)
-    authority.issue("operator", "anna", now, into=tmp_path)
+    authority.issue("operator", "anna", now, cells=EVERY_CELL, into=tmp_path)
     return tmp_path
 
 
@@ -45,7 +46,7 @@ def test_identity_of_another_role_or_revoked_routes_nothing(lab: Path, identity:
 
 def test_register_without_the_router_is_an_old_one(lab: Path) -> None:
     other = Authority.init(lab / "other", "lab", SystemClock().wall())
-    other.issue("operator", "bob", SystemClock().wall(), into=lab)
+    other.issue("operator", "bob", SystemClock().wall(), cells=EVERY_CELL, into=lab)
     with pytest.raises(ConfigurationError, match="not in the register"):
         router_settings(lab / "gate", lab / "other" / "register.json", [])
 

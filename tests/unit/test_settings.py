@@ -10,6 +10,7 @@ import pytest
 from pcmrs.bus import BusSettings
 from pcmrs.clock import SystemClock
 from pcmrs.errors import AccessError, ConfigurationError
+from pcmrs.messages.identity import EVERY_CELL
 from pcmrs.pki import Authority
 from pcmrs.settings import read_settings
 
@@ -20,10 +21,10 @@ def lab(tmp_path: Path) -> Path:
     authority = Authority.init(tmp_path / "pki", "lab", now)
     authority.issue("daemon", "c1", now, cells=("lab/cell1",), into=tmp_path)
     authority.issue("daemon", "c2", now, cells=("lab/cell2",), into=tmp_path)
-    authority.issue("daemon", "c3", now, into=tmp_path)
+    authority.issue("daemon", "c3", now, cells=EVERY_CELL, into=tmp_path)
     authority.revoke("c3", now)
-    authority.issue("operator", "anna", now, into=tmp_path)
-    authority.issue("operator", "old", now - 10 * 86400.0, days=7.0, into=tmp_path)
+    authority.issue("operator", "anna", now, cells=EVERY_CELL, into=tmp_path)
+    authority.issue("operator", "old", now - 10 * 86400.0, days=7.0, cells=EVERY_CELL, into=tmp_path)
     return tmp_path
 
 
@@ -103,3 +104,13 @@ def test_user_without_access_has_no_role(lab: Path, name: str, why: str) -> None
         settings.role_of(name)
     assert refused.value.fields == {"user": name, "why": why}
     assert (settings.role_of("anna"), settings.role_of("local")) == ("operator", "operator")
+
+
+@pytest.mark.parametrize("peer", ["anna", "Anna", "c2", "c3"])
+def test_peer_with_the_name_of_a_member_is_refused(lab: Path, peer: str) -> None:
+    """Also of a revoked one: lease and journal know users by their names only."""
+    of_peer = f"gateway.peers.{peer}.key_file={lab / 'peer.key'}"
+    with pytest.raises(ConfigurationError, match=r"would count as one user\. Choose another name") as refused:
+        settings_of(lab, "c1", of_peer)
+    assert refused.value.fields == {"peer": peer}
+    assert settings_of(lab, "c1", of_peer.replace(peer, "panel", 1)).members

@@ -26,10 +26,15 @@ from pcmrs.bus.requests import send_query
 from pcmrs.bus.settings import BusSettings, open_session
 from pcmrs.bus.stop import Stopping
 from pcmrs.errors import DeviceError, PcmrsError, UnknownOutcomeError
-from pcmrs.messages import Verdict
+from pcmrs.messages import TeleopSetpoint, Verdict
+from pcmrs.messages.teleop import AT_REST
 from pcmrs_lab.campaign.sham import is_sham
+from pcmrs_lab.campaign.tries import COMMANDS, DEVICES, FLOODING, QUERIES, SETPOINTS, STOP, STREAMS, record
 
-Kind = Literal["setup", "journal", "stop-puts", "stop-names", "stop-queries", "puts", "rejected"]
+Kind = Literal[
+    "setup", "journal", "check", "stop-puts", "stop-names", "stop-queries", "puts", "rejected", "rejected-names",
+    "rejected-keys", "setpoints", "devices", "streams",
+]  # fmt: skip
 KINDS: tuple[Kind, ...] = get_args(Kind)
 PARALLEL_REQUESTS: Final = 100
 """Number of requests that wait for their reply at the same time."""
@@ -38,10 +43,19 @@ BURST_SIZE: Final = 1_000
 STOP_NAMES: Final = 10_000
 """Number of different names under which one process puts Stops."""
 ARGUMENT_SIZE: Final = 60_000
-"""Size of the arguments of a rejected command, bytes."""
+"""Size of what a rejected command repeats, bytes: the value or name of an argument, or an operation in its key."""
 REPLY_TIMEOUT: Final = 10.0
 """Time limit for a reply, s of the machine."""
 FLOODER: Final = "eve"
+_LONG: Final = "x" * ARGUMENT_SIZE
+CHECKED: Final = b'{"branch": "toolplan", "operation": "plan"}'
+SETPOINT: Final = pack(TeleopSetpoint(sequence=1, sent=0.0, seen=0.0, ttl=1.0, twist=AT_REST))
+WAYS: Final[dict[Kind, str]] = {
+    "setup": QUERIES, "journal": QUERIES, "check": QUERIES, "stop-puts": STOP, "stop-names": STOP, "stop-queries": STOP,
+    "puts": COMMANDS, "rejected": COMMANDS, "rejected-names": COMMANDS,
+    "rejected-keys": COMMANDS, "setpoints": SETPOINTS, "devices": DEVICES, "streams": STREAMS,
+}  # fmt: skip
+"""Entry point that each kind floods."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +112,7 @@ async def bus_flood(
     reader, writer = process.stdout, process.stdin
     if reader is None or writer is None or not await reader.readline():
         raise DeviceError(f"The flood of {kind} did not start.")
+    record(FLOODING, WAYS[kind])
     flooding = BusFlood()
     try:
         if most:
@@ -124,13 +139,21 @@ class _Flood:
         self._run: Callable[[], Awaitable[object]] = {
             "setup": lambda: self._query_in_parallel(f"svc/setup/{user}", b""),
             "journal": lambda: self._query_in_parallel("svc/journal", b'{"limit": 500}'),
+            "check": lambda: self._query_in_parallel(f"svc/check/{user}", CHECKED),
             "stop-puts": lambda: self._put_in_bursts([f"stop/{user}"]),
             "stop-names": lambda: self._put_in_bursts([f"stop/{user}{number}" for number in range(STOP_NAMES)]),
             "puts": lambda: self._put_in_bursts([f"cmd/{user}/toolplan/plan"]),
+            "setpoints": lambda: self._put_in_bursts([f"teleop/{user}"], SETPOINT),
+            "devices": lambda: self._put_in_bursts(["dev/robot/event", "dev/robot/beat"]),
+            "streams": lambda: self._put_in_bursts(["state/joints", "state/pose/coil"]),
             "stop-queries": lambda: self._query_in_parallel(f"stop/{user}", b""),
             "rejected": lambda: self._query_in_parallel(
-                f"cmd/{user}/toolplan/plan", pack(Envelope(arguments={"text": "x" * ARGUMENT_SIZE}))
+                f"cmd/{user}/toolplan/plan", pack(Envelope(arguments={"text": _LONG}))
             ),
+            "rejected-names": lambda: self._query_in_parallel(
+                f"cmd/{user}/toolplan/plan", pack(Envelope(arguments={_LONG: 1}))
+            ),
+            "rejected-keys": lambda: self._query_in_parallel(f"cmd/{user}/toolplan/{_LONG}", b""),
         }[kind]
 
     def end(self) -> None:
@@ -147,15 +170,15 @@ class _Flood:
         await asyncio.to_thread(self._session.close)  # closing flushes the messages that Zenoh still queues
         return FloodReport(self._sent, taken, self._answered, self._codes)
 
-    async def _put_in_bursts(self, names: list[str]) -> None:
+    async def _put_in_bursts(self, names: list[str], payload: bytes = b"") -> None:
         keys = [f"{self._prefix}/{name}" for name in names]
         while self._is_active:
-            await asyncio.to_thread(self._burst, keys)
+            await asyncio.to_thread(self._burst, keys, payload)
 
-    def _burst(self, keys: list[str]) -> None:
+    def _burst(self, keys: list[str], payload: bytes) -> None:
         many = min(BURST_SIZE, self._most - self._sent) if self._most else BURST_SIZE
         for number in range(self._sent, self._sent + many):
-            self._session.put(keys[number % len(keys)], b"", congestion_control=zenoh.CongestionControl.BLOCK)
+            self._session.put(keys[number % len(keys)], payload, congestion_control=zenoh.CongestionControl.BLOCK)
         self._sent += many
 
     async def _query_in_parallel(self, key: str, payload: bytes) -> None:

@@ -183,14 +183,14 @@ async def unmoved(cell: RunningCell) -> AsyncIterator[None]:
 
 
 @asynccontextmanager
-async def standing(cell: RunningCell) -> AsyncIterator[list[float]]:
-    """Check by all published joints that none moves during the context and for a second after it.
+async def displaced(cell: RunningCell) -> AsyncIterator[list[float]]:
+    """Measure by all published joints how far they move during the context and for a second after it.
 
     Yields:
-        List that receives the largest displacement at the end, rad.
+        List that receives the largest displacement of a joint at the end, rad.
 
     Raises:
-        Unmet: A joint has moved, or no joints were published.
+        Unmet: No joints were published.
     """
     found: list[float] = []
     seen: list[tuple[float, ...]] = []
@@ -203,6 +203,20 @@ async def standing(cell: RunningCell) -> AsyncIterator[list[float]]:
     if len(seen) < 2:
         raise Unmet("The arm's joints were not published.")
     found.append(max(abs(now - first) for joints in seen for now, first in zip(joints, seen[0], strict=True)))
+
+
+@asynccontextmanager
+async def standing(cell: RunningCell) -> AsyncIterator[list[float]]:
+    """Check by all published joints that none moves during the context and for a second after it.
+
+    Yields:
+        List that receives the largest displacement at the end, rad.
+
+    Raises:
+        Unmet: A joint has moved, or no joints were published.
+    """
+    async with displaced(cell) as found:
+        yield found
     if found[0] > NO_MOTION:
         raise Unmet(f"A joint moved by {math.degrees(found[0]):.1f}° although no motion is allowed.")
 

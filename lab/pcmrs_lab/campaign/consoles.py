@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import sys
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import AsyncIterator, Iterable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,13 +90,16 @@ def console_command(cell: RunningCell, port: int, token: Path) -> list[str]:
 
 
 @asynccontextmanager
-async def running_console(cell: RunningCell, folder: Path, port: int) -> AsyncIterator[RunningConsole]:
+async def running_console(
+    cell: RunningCell, folder: Path, port: int, prefix: Sequence[str] = ()
+) -> AsyncIterator[RunningConsole]:
     """Run a console of a cell for the length of the context.
 
     Args:
         cell: Cell that the console shows.
         folder: Folder for its token and its log, used in place of the user's cache.
         port: Free port on loopback.
+        prefix: Words before the command line.
 
     Yields:
         Running console.
@@ -110,7 +113,7 @@ async def running_console(cell: RunningCell, folder: Path, port: int) -> AsyncIt
     command, environment = console_command(cell, port, token), {**os.environ, "XDG_CACHE_HOME": str(folder)}
     with (folder / "console.log").open("ab") as log:
         process = await asyncio.create_subprocess_exec(
-            *command, stdout=asyncio.subprocess.PIPE, stderr=log, env=environment
+            *prefix, *command, stdout=asyncio.subprocess.PIPE, stderr=log, env=environment
         )
     try:
         await _until_served(process)

@@ -13,8 +13,9 @@ import zenoh
 from pcmrs.bus.settings import open_session
 from pcmrs_lab.campaign.network_impairment import NetworkImpairment
 from pcmrs_lab.campaign.proxy import tcp_proxy
-from pcmrs_lab.campaign.reachable import ReachableCell
+from pcmrs_lab.campaign.reachable import ReachableCell, attacker_of
 from pcmrs_lab.campaign.sham import is_sham
+from pcmrs_lab.campaign.tries import record, way_of
 from pcmrs_lab.campaign.waiting import until_true
 
 ANSWERED_WITHIN = 0.5
@@ -26,15 +27,18 @@ SETTLED = 0.3
 
 
 class CountedSession:
-    """Session whose messages are the fault: it sends nothing in a sham campaign. Use `counted_session`.
+    """Session whose messages are the fault. It records what it tries, and sends nothing in a sham campaign.
+
+    Use `counted_session`.
 
     Attributes:
         zenoh: Session for messages that are not part of the fault.
     """
 
-    def __init__(self, session: zenoh.Session, impairment: NetworkImpairment) -> None:
+    def __init__(self, session: zenoh.Session, impairment: NetworkImpairment, attacker: str) -> None:
         self.zenoh = session
         self._impairment = impairment
+        self._attacker = attacker
         self._before = impairment.passed["towards"]
         self._sent = 0
 
@@ -46,35 +50,37 @@ class CountedSession:
             await asyncio.sleep(SETTLED)
         self._before = before
 
-    async def put(self, key: str, payload: bytes) -> None:
+    async def put(self, key: str, payload: bytes, attachment: bytes | None = None) -> None:
         """Put a message, and block until it is sent.
 
         Args:
             key: Zenoh key.
             payload: Bytes of the message.
+            attachment: Signature or seal of the message; None for none.
         """
-        self._sent += len(key) + len(payload)
+        self._note(key, len(payload))
         if not is_sham():
             block = zenoh.CongestionControl.BLOCK
-            await asyncio.to_thread(self.zenoh.put, key, payload, congestion_control=block)
+            await asyncio.to_thread(self.zenoh.put, key, payload, congestion_control=block, attachment=attachment)
 
     async def delete(self, key: str) -> None:
         """Delete a key."""
-        self._sent += len(key)
+        self._note(key)
         if not is_sham():
             await asyncio.to_thread(self.zenoh.delete, key)
 
-    async def ask(self, key: str, payload: bytes) -> list[bytes]:
+    async def ask(self, key: str, payload: bytes, attachment: bytes | None = None) -> list[bytes]:
         """Query a key and return the answers without the errors.
 
         Args:
             key: Zenoh key.
             payload: Bytes of the query.
+            attachment: Signature or seal of the query; None for none.
         """
-        self._sent += len(key) + len(payload)
+        self._note(key, len(payload))
         if is_sham():
             return []
-        replies: Any = self.zenoh.get(key, payload=payload, timeout=ANSWERED_WITHIN)
+        replies: Any = self.zenoh.get(key, payload=payload, attachment=attachment, timeout=ANSWERED_WITHIN)
         return [each.ok.payload.to_bytes() for each in await asyncio.to_thread(list, replies) if each.ok is not None]
 
     async def wait_until_arrived(self, most: int | None = None) -> int:
@@ -90,6 +96,10 @@ class CountedSession:
         missing = f"The fault was not injected: fewer than {wanted} bytes reached the daemon"
         await until_true(lambda: self._passed >= wanted, missing, ARRIVED_WITHIN)
         return self._passed
+
+    def _note(self, key: str, length: int = 0) -> None:
+        self._sent += len(key) + length
+        record(self._attacker, way_of(key))
 
     @property
     def _passed(self) -> int:
@@ -114,7 +124,7 @@ async def counted_session(open_cell: ReachableCell, name: str) -> AsyncIterator[
         settings = msgspec.structs.replace(open_cell.settings(name), endpoint=endpoint)
         session = await asyncio.to_thread(open_session, settings)
         try:
-            counted = CountedSession(session, impairment)
+            counted = CountedSession(session, impairment, attacker_of(name))
             await counted.wait_for_handshake()
             yield counted
         finally:

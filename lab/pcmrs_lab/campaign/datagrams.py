@@ -15,6 +15,7 @@ from pcmrs.messages import Snapshot
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.sham import inject_unless_sham
+from pcmrs_lab.campaign.tries import UNKNOWN, record
 from pcmrs_lab.campaign.waiting import until_true
 
 ANSWERS_WITHIN = 10.0
@@ -123,6 +124,7 @@ async def refused_all(cell: RunningCell, datagrams: Sequence[bytes], *, refusals
     async with raw_socket(cell.ready.links["planner"]) as raw:
         for datagram in datagrams:
             raw.attack(datagram)
+        record(UNKNOWN, "UDP")
         answers = await raw.fence()
     accepted = [answer for answer in answers if b"_accepted_" in answer]
     if accepted:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pcmrs.errors import DeviceError
 from pcmrs_lab.campaign.fuzz import datagram
 from pcmrs_lab.campaign.sham import is_sham
+from pcmrs_lab.campaign.tries import FLOODING, record
 
 BURST = 0.002
 """Time between bursts of datagrams, s, so that the sender mostly sleeps."""
@@ -72,6 +73,7 @@ async def flood(address: tuple[str, int], rate: float, seed: int, *, most: int =
     reader, writer = process.stdout, process.stdin
     if reader is None or writer is None or not await reader.readline():
         raise DeviceError("The flood did not start.")
+    record(FLOODING, "UDP")
     sent = FloodResult()
     reading = asyncio.create_task(_read_report(reader, sent))
     try:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import AsyncIterator
+import tempfile
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,13 +24,27 @@ PEOPLE: dict[str, Role] = {
     "anna": "operator", "bob": "operator", "ray": "operator",
     "slicer": "planner", "eve": "viewer", "tom": "teleoperator",
 }  # fmt: skip
-"""Names and roles; ray is revoked, and tom may come through the router `ROUTER`."""
+"""Names and roles; tom, and ray who is revoked, are marked with the router `ROUTER`."""
 ROUTER = "gate"
 CARRIED = "tom"
+PEER = "panel"
+ELSEWHERE = "zoe"
+"""Operator of another cell, who may come through the router, too."""
+DAEMON, DEVICE = "daemon1", "arm1"
 REVOKED = "ray"
 EXPIRED = "old"
 FOREIGN = "foreign"
+INVALID = "revoked or expired certificate"
 DAY = 86400.0
+
+
+def attacker_of(name: str) -> str:
+    """Return the attacker, in the table of attacks, who uses an identity of `People`."""
+    special = {
+        ROUTER: "router", DAEMON: "daemon", DEVICE: "device", ELSEWHERE: "user of another cell",
+        FOREIGN: "unknown client", REVOKED: INVALID, EXPIRED: INVALID,
+    }  # fmt: skip
+    return special.get(name) or PEOPLE[name]
 
 
 class People:
@@ -44,14 +59,17 @@ class People:
         now = SystemClock().wall()
         self.folder = folder
         self.authority = Authority.init(folder / "pki", "lab", now)
-        self.authority.issue("daemon", "daemon1", now, hosts=("127.0.0.1",), cells=(cell,), into=folder)
+        self.authority.issue("daemon", DAEMON, now, hosts=("127.0.0.1",), cells=(cell,), into=folder)
         self.authority.issue("router", ROUTER, now, hosts=("127.0.0.1",), cells=(cell,), into=folder)
         for name, role in PEOPLE.items():
-            via = (ROUTER,) if name == CARRIED else ()
+            via = (ROUTER,) if name in (CARRIED, REVOKED) else ()
             self.authority.issue(role, name, now, cells=(cell,), via=via, into=folder)
+        self.authority.issue("device", DEVICE, now, cells=(cell,), into=folder)
+        self.authority.issue("operator", ELSEWHERE, now, cells=("other/*",), via=(ROUTER,), into=folder)
         self.authority.issue("operator", EXPIRED, now - 10 * DAY, days=7.0, cells=(cell,), into=folder)
         self.authority.revoke(REVOKED, now)
-        Authority.init(folder / FOREIGN, "other", now).issue("operator", "anna", now, into=folder / FOREIGN)
+        other = Authority.init(folder / FOREIGN, "other", now)
+        other.issue("operator", "anna", now, cells=(cell,), into=folder / FOREIGN)
 
     @property
     def register(self) -> Path:
@@ -79,7 +97,7 @@ class ReachableCell:
         cell: Cell of the lab; its own client is on site.
         people: People who may reach it.
         endpoint: Endpoint at which it is dialled.
-        peer_key: Key file of the peer ``slicer``, who signs string commands.
+        peer_key: Key file of the peer `PEER`, who signs string commands.
     """
 
     cell: RunningCell
@@ -99,7 +117,7 @@ class ReachableCell:
 
     def signer(self) -> Signer:
         """Return a signer of string commands for the peer."""
-        return Signer("slicer", read_key(self.peer_key), itertools.count(1).__next__)
+        return Signer(PEER, read_key(self.peer_key), itertools.count(1).__next__)
 
     @asynccontextmanager
     async def client(self, name: str) -> AsyncIterator[Client]:
@@ -110,21 +128,23 @@ class ReachableCell:
 
 
 @asynccontextmanager
-async def reachable_cell(lab: Lab, *overrides: str) -> AsyncIterator[ReachableCell]:
+async def reachable_cell(lab: Lab, *overrides: str, prefix: Sequence[str] = ()) -> AsyncIterator[ReachableCell]:
     """Start a cell that is reached over TLS, with everyone of `PEOPLE`, and a peer that signs.
 
     Args:
         lab: Surroundings of the fault.
         overrides: Further settings, ``key=value`` each.
+        prefix: Words before the command line of the daemon.
     """
-    people = People(lab.folder / "people", "lab/*")
-    endpoint, key = f"tls/127.0.0.1:{free_port()}", lab.folder / "slicer.key"
+    folder = Path(tempfile.mkdtemp(dir=lab.folder))
+    people = People(folder / "people", "lab/*")
+    endpoint, key = f"tls/127.0.0.1:{free_port()}", folder / f"{PEER}.key"
     new_key(key)
     access = (
         f"access.identity={people.folder / 'daemon1'}",
         f"access.register={people.register}",
         f'access.listen=["{endpoint}"]',
-        f"gateway.peers.slicer.key_file={key}",
+        f"gateway.peers.{PEER}.key_file={key}",
     )
-    async with lab.daemon(*access, *overrides) as cell:
+    async with lab.daemon(*access, *overrides, prefix=prefix) as cell:
         yield ReachableCell(cell, people, endpoint, key)

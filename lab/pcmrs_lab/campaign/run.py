@@ -6,7 +6,6 @@ import asyncio
 import tempfile
 import traceback
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 
 import msgspec
@@ -15,13 +14,15 @@ import pcmrs
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.errors import PcmrsError
 from pcmrs.testing.errors import Unmet
-from pcmrs_lab.campaign.catalogue import CatalogueRow
+from pcmrs_lab.campaign.catalogue import CatalogueRow, catalogue
 from pcmrs_lab.campaign.fault import Injection, NotRun
 from pcmrs_lab.campaign.injections import injections
 from pcmrs_lab.campaign.lab import Lab, Pool
 from pcmrs_lab.campaign.report import CampaignReport, FaultResult, InjectionResult, Outcome, result_of, summarize
+from pcmrs_lab.campaign.sham import is_sham as in_sham
 from pcmrs_lab.campaign.sham import sham
 from pcmrs_lab.campaign.tools import require
+from pcmrs_lab.campaign.tries import difference, listed, recorded_tries
 
 NO_INJECTION = "this version has no injection for it"
 
@@ -95,14 +96,9 @@ async def run_fault(
         is_sham: True if no fault is injected.
     """
     known = injections().get(row.id, [])
-    if known:
-        with sham() if is_sham else nullcontext():
-            parts = [await run_injection(injection, seed, folder, pool, clock) for injection in known]
-        if is_sham:
-            parts = list(map(_judge_sham, parts))
-    else:
-        parts = [InjectionResult("", "", "not_run", NO_INJECTION, 0.0)]
-    return result_of(row, seed, parts)
+    run = _run_sham if is_sham else run_injection
+    parts = [await run(injection, seed, folder, pool, clock) for injection in known]
+    return result_of(row, seed, parts or [InjectionResult("", "", "not_run", NO_INJECTION, 0.0)])
 
 
 async def run_injection(injection: Injection, seed: int, folder: Path, pool: Pool, clock: Clock) -> InjectionResult:
@@ -120,8 +116,9 @@ async def run_injection(injection: Injection, seed: int, folder: Path, pool: Poo
         lab = Lab(seed, Path(own), pool)
         try:
             require(injection.needs)
-            async with clock.timeout(injection.deadline):
-                evidence = await injection.run(lab)
+            with recorded_tries() as tried:
+                async with clock.timeout(injection.deadline):
+                    evidence = await injection.run(lab)
         except NotRun as error:
             return InjectionResult(injection.name, injection.how, "not_run", error.text, clock.monotonic() - started)
         except Exception as error:  # any error of an injection fails only this fault
@@ -131,20 +128,28 @@ async def run_injection(injection: Injection, seed: int, folder: Path, pool: Poo
             late = isinstance(error, TimeoutError) and seconds >= injection.deadline
             text = f"not ended within {injection.deadline:g} s" if late else _text(error)
             return InjectionResult(injection.name, injection.how, "failed", text, seconds, details)
-    seconds, missing = clock.monotonic() - started, evidence.missing
+    seconds = clock.monotonic() - started
+    missing = evidence.missing(catalogue()[injection.fault].fault_class)
+    measured = evidence.measured
+    if injection.tries and not in_sham():
+        missing = missing or difference(injection.tries, tried)
+        measured["tried"] = listed(tried)
     outcome: Outcome = "not_proved" if missing else "passed"
-    return InjectionResult(
-        injection.name, injection.how, outcome, missing or evidence.response, seconds, evidence.measured
-    )
+    return InjectionResult(injection.name, injection.how, outcome, missing or evidence.response, seconds, measured)
 
 
-def _judge_sham(part: InjectionResult) -> InjectionResult:
-    """Return the result of a sham injection: it has passed if the row detected that its fault was not injected."""
+async def _run_sham(injection: Injection, seed: int, folder: Path, pool: Pool, clock: Clock) -> InjectionResult:
+    """Run a row without its fault; it has passed if it detected that its fault was not injected."""
+    with sham() as run:
+        part = await run_injection(injection, seed, folder, pool, clock)
     if part.outcome == "not_run":
         return part
     found = part.outcome == "not_proved" or part.details.get("error") == Unmet.code
-    response = part.response if found else f"Without its fault it {part.outcome}: {part.response}"
-    return msgspec.structs.replace(part, outcome="passed" if found else "failed", response=response)
+    if found and run.reached:
+        return msgspec.structs.replace(part, outcome="passed")
+    before = "Before its fault" if found else "Without its fault"
+    outcome = "failed" if found else part.outcome
+    return msgspec.structs.replace(part, outcome="failed", response=f"{before} it {outcome}: {part.response}")
 
 
 def _text(error: Exception) -> str:

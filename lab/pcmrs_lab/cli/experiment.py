@@ -10,6 +10,7 @@ import msgspec
 from rich.console import RenderableType
 
 from pcmrs.cli.options import json_option, plot_option
+from pcmrs.cli.printing import say
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
 from pcmrs.cli.tables import print_report, save_svg
@@ -216,10 +217,8 @@ def demo(options: ExperimentOptions) -> None:
     """
     speed = "in real time" if options.rate == 1.0 else f"{options.rate:g} times as fast as real time"
     devices = ", behind a virtual KUKA cabinet and a virtual NDI tracker" if options.drivers == "virtual" else ""
-    click.echo(
-        f"A simulated cell, {speed}{devices}; speed limits as configured. "
-        "Commands go over UDP, as from 3D Slicer.\nResearch software, not a medical device."
-    )
+    say(f"A simulated cell, {speed}{devices}; speed limits as configured. Commands go over UDP, as from 3D Slicer.")
+    say("Research software, not a medical device.")
     _placements(options, 12, as_json=False)
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pcmrs.cli.options import OutputFile
+from pcmrs.cli.printing import say
 from pcmrs.cli.values import POSITIVE
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ def _reachable(rate: float) -> float:
 
     speed = reachable_speed(rate, processor_share())
     if speed.why:
-        click.echo(speed.why, err=True)
+        say(speed.why, err=True)
     return speed.rate
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Group
-from rich.markup import escape
 from rich.table import Table
 
 from pcmrs_lab.cli.tables import spread, summary_table
@@ -132,7 +131,7 @@ def seeds_tables(report: SeedsReport) -> Group:
             spread(summary.true_rotation_error_deg, 3),
             spread(summary.target_registration_error_mm, 2),
         )
-    refused = [f"Seed {run.seed} was refused: {escape(run.refused)}" for run in report.runs if run.refused is not None]
+    refused = [f"Seed {run.seed} was refused: {run.refused}" for run in report.runs if run.refused is not None]
     if report.pooled is None:
         return Group(*refused)
     pooled = summary_table(report.pooled, "All seeds together. The paper's robot was real; this is simulated.")

@@ -116,14 +116,13 @@ def ratms_threshold(
 
 def session_table(report: SessionSummary) -> Table:
     """Return a table of the session's results."""
-    from rich.markup import escape
     from rich.table import Table
 
     table = Table(title="Hot-spot and motor threshold, simulated", show_header=False)
     table.add_column(style="dim")
     table.add_column()
     for name, text in _lines(report):
-        table.add_row(name, escape(text))
+        table.add_row(name, text)
     return table
 
 

@@ -175,8 +175,8 @@ async def _begin(bench: ExperimentBench, monitor: PlacementErrorMonitor) -> None
         CommandRefusedError: A command was refused, or following ended by itself each time.
     """
     for _ in range(ATTEMPTS):
-        if (await bench.client.state()).latched:
-            await bench.client.acknowledge()
+        if (snapshot := await bench.client.state()).latched:
+            await bench.client.acknowledge(stop=snapshot.stop.number)
         while (state := (await bench.client.state()).branches["placement"]) != "placed":
             await _request(bench, TO_PLACED[state])
         await _request(bench, "placement.follow")

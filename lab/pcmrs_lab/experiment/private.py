@@ -89,7 +89,7 @@ def explained(error: CommandRefusedError, journal: JournalReader, load: Load) ->
     dangers = [result["text"] for result in reported if result.get("danger")]
     if dangers:
         text += f" {dangers[-1]}"
-    if load.running > load.processors:
+    if load.is_too_high:
         text += f" The machine is overloaded: {load}."
     text += f" The journal was kept: {journal.path}."
     return CommandRefusedError(text, **error.fields)

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import click
 
-from pcmrs.cli.lazy import LazyGroup
+from pcmrs.cli.lazy import LazyGroup, Listed
 
 COMMANDS = {
-    "pivot": "pcmrs.cli.calibrate.pivot:pivot",
-    "hand-eye": "pcmrs.cli.calibrate.hand_eye:hand_eye",
+    "pivot": Listed(
+        "pcmrs.cli.calibrate.pivot:pivot",
+        "Find the tip of the pointer from poses taken while it rests on one point.",
+    ),
+    "hand-eye": Listed(
+        "pcmrs.cli.calibrate.hand_eye:hand_eye",
+        "Find the tool on the flange from postures of the arm in which the tracker sees the tool.",
+    ),
 }
 
 

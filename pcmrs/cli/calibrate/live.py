@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 
 import numpy as np
-from rich.progress import BarColumn, Progress, TextColumn
+from rich.progress import BarColumn, Progress
 
 from pcmrs.calibration.pose_collection import PoseCollection
 from pcmrs.calibration.poses import write_poses
@@ -172,7 +172,7 @@ async def _collect(
     Raises:
         RefusalError: ``not_enough_poses`` within the time.
     """
-    with Progress(TextColumn("{task.description}"), BarColumn(), console=Terminal(stderr=True)) as bar:
+    with Progress("{task.description}", BarColumn(), console=Terminal(stderr=True)) as bar:
         task = bar.add_task(prompt, total=1.0)
         try:
             async with clock.timeout(live.seconds):

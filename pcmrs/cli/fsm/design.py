@@ -9,7 +9,9 @@ import click
 
 from pcmrs.cli.fsm.files import check_json_output, conclude, output_option, read, write
 from pcmrs.cli.options import json_option
+from pcmrs.cli.printing import say, say_lines
 from pcmrs.cli.progress import search_bar
+from pcmrs.visible import visible
 
 
 @click.command()
@@ -32,7 +34,7 @@ def design(steps: str, output: Path | None, as_json: bool) -> None:
     with search_bar(origin) as progress:  # appears after the questions
         result = design_blueprint(raw, origin=origin, progress=progress, ask=_ask if _can_ask(steps) else None)
     if result.combinations is not None and not as_json:
-        click.echo(str(result.combinations), err=output is None)
+        say_lines(str(result.combinations).splitlines(), err=output is None)
     if result.text and (output is not None or not as_json):
         write(result.text, output)
     combinations = result.combinations
@@ -53,7 +55,8 @@ def _can_ask(steps: str) -> bool:
 
 def _ask(operation: str) -> list[str]:
     """Ask the user, and show what to write into the table, so that the question is asked only once."""
-    true = [key for key, question in QUESTIONS.items() if click.confirm(question.format(operation), err=True)]
+    shown = visible(operation)
+    true = [key for key, question in QUESTIONS.items() if click.confirm(question.format(shown), err=True)]
     keys = ", ".join(f"{key} = true" for key in true) or "moves = false"
-    click.echo(f"  for the table, at {operation}: {keys}", err=True)
+    say(f"  for the table, at {operation}: {keys}", err=True)
     return true

@@ -10,11 +10,12 @@ from typing import Any, NamedTuple, NoReturn
 import click
 import msgspec
 
-from pcmrs.cli.printing import say
+from pcmrs.cli.printing import say, say_lines, write_document
+from pcmrs.cli.running import say_problem
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm import Blueprint, examine
 from pcmrs.fsm.files.toml import MAX_BYTES, read_bounded
-from pcmrs.fsm.finding import Finding, summary
+from pcmrs.fsm.finding import Finding
 
 
 def check_json_output(output: Path | None, *, as_json: bool) -> None:
@@ -115,7 +116,7 @@ def sound(file: str, *, otherwise: int = EXIT_UNSOUND) -> Blueprint:
     raw, origin, folder = read(file)
     examination = examine(raw, origin=origin, folder=folder)
     if examination.blueprint is None or examination.findings:
-        click.echo(summary(examination.findings), err=True)
+        say_lines(map(str, examination.findings), err=True)
         sys.exit(otherwise if examination.readable else EXIT_UNREADABLE)
     return examination.blueprint
 
@@ -127,13 +128,13 @@ def fail_with_findings(findings: list[Finding], *, readable: bool) -> NoReturn:
         findings: The findings.
         readable: The file could be read: the exit status is "unsound" instead of "unreadable".
     """
-    click.echo(summary(findings), err=True)
+    say_lines(map(str, findings), err=True)
     sys.exit(EXIT_UNSOUND if readable else EXIT_UNREADABLE)
 
 
 def refuse(text: str) -> NoReturn:
     """End a command that cannot be done."""
-    click.echo(f"{click.get_current_context().command_path}: {text}", err=True)
+    say_problem(text)
     sys.exit(EXIT_UNREADABLE)
 
 
@@ -145,7 +146,7 @@ def write(text: str | bytes, output: Path | None) -> None:
         output: The file; None or ``-`` for standard output.
     """
     if output is None or str(output) == "-":
-        click.echo(text, nl=False)
+        write_document(text)
         return
     try:
         output.write_bytes(text.encode() if isinstance(text, str) else text)

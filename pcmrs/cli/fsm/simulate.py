@@ -12,7 +12,7 @@ from rich.table import Table
 
 from pcmrs.cli.fsm.files import file_argument, sound
 from pcmrs.cli.options import json_option
-from pcmrs.cli.printing import say_json
+from pcmrs.cli.printing import say, say_json, say_lines
 from pcmrs.cli.running import readable_errors
 from pcmrs.cli.tables import Terminal
 from pcmrs.errors import RefusalError
@@ -69,7 +69,7 @@ def _converse(walk: SimulationSession, show: Callable[[TrialStep], None], *, tab
         if word == "state":
             _show_state(walk)
         elif word in REPLIES:
-            click.echo(REPLIES[word](walk, rest.strip()))
+            say_lines(REPLIES[word](walk, rest.strip()))
         elif line:
             _ask(walk, line, show)
             if tables and sys.stdin.isatty():
@@ -79,7 +79,7 @@ def _converse(walk: SimulationSession, show: Callable[[TrialStep], None], *, tab
 def _lines() -> Iterator[str]:
     prompt = "> " if sys.stdin.isatty() else ""
     while True:
-        click.echo(prompt, nl=False)
+        say(prompt, nl=False)
         line = sys.stdin.buffer.readline(LONGEST_LINE)
         if not line:
             return
@@ -93,7 +93,7 @@ def _ask(walk: SimulationSession, line: str, show: Callable[[TrialStep], None]) 
     try:
         show(walk.ask(_chosen(walk.choices(), int(line)) if line.isdecimal() else line))
     except RefusalError as error:
-        click.echo(error.text, err=True)
+        say(error.text, err=True)
 
 
 def _chosen(choices: list[str], number: int) -> str:
@@ -102,25 +102,25 @@ def _chosen(choices: list[str], number: int) -> str:
     return choices[number - 1]
 
 
-def _why(walk: SimulationSession, name: str) -> str:
+def _why(walk: SimulationSession, name: str) -> list[str]:
     try:
         denial = walk.denial(name)
     except RefusalError as error:
-        return error.text
-    return f"{name} is allowed." if denial is None else f"{denial.code}: {denial.text}"
+        return [error.text]
+    return [f"{name} is allowed." if denial is None else f"{denial.code}: {denial.text}"]
 
 
-def _undo(walk: SimulationSession, _rest: str) -> str:
-    return _where(walk) if walk.undo() else "There is nothing to undo."
+def _undo(walk: SimulationSession, _rest: str) -> list[str]:
+    return [_where(walk) if walk.undo() else "There is nothing to undo."]
 
 
-def _reset(walk: SimulationSession, _rest: str) -> str:
+def _reset(walk: SimulationSession, _rest: str) -> list[str]:
     walk.reset()
-    return _where(walk)
+    return [_where(walk)]
 
 
-REPLIES: dict[str, Callable[[SimulationSession, str], str]] = {
-    "help": lambda _walk, _rest: HELP,
+REPLIES: dict[str, Callable[[SimulationSession, str], list[str]]] = {
+    "help": lambda _walk, _rest: HELP.splitlines(),
     "why": _why,
     "undo": _undo,
     "reset": _reset,
@@ -136,9 +136,9 @@ def _show_json(step: TrialStep) -> None:
 
 
 def _show(step: TrialStep) -> None:
-    click.echo(f"{step.command}: {step.decision}")
+    say(f"{step.command}: {step.decision}")
     for line in step.lines():
-        click.echo(f"    {line}")
+        say(f"    {line}")
 
 
 def _show_state(walk: SimulationSession) -> None:
@@ -148,4 +148,4 @@ def _show_state(walk: SimulationSession) -> None:
         table.add_row(branch, state, walk.blueprint.branches[branch].states[state])
     Terminal().print(table)
     for number, command in enumerate(walk.choices(), 1):
-        click.echo(f"{number:>4}  {command}")
+        say(f"{number:>4}  {command}")

@@ -7,6 +7,7 @@ taken over the process.
 from __future__ import annotations
 
 import asyncio
+import os
 import sys
 from pathlib import Path
 from typing import Final, NoReturn
@@ -42,6 +43,8 @@ MEMORY = 8 * 2**30
 """Address space of the process that reads one file, bytes: for a volume of `LARGEST` and its surface."""
 
 _CHILD: Final = (sys.executable, "-m", "pcmrs.console.planning.importer")
+_ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+"""Landlock confines the thread that asks for it, so that there must be no other."""
 _LONGEST_ANSWER: Final = 2 * MOST_FACES * 3 * 8 + 2**20
 """Bytes: a closed surface has about half as many vertices as triangles, an open one not many more."""
 
@@ -103,8 +106,10 @@ async def _ask(path: Path, request: Request) -> Answer:
     Raises:
         PcmrsError: The file cannot be read.
     """
+    pipe = asyncio.subprocess.PIPE
+    # A file that has taken over the process must not write to the terminal or log of this one.
     process = await asyncio.create_subprocess_exec(
-        *_CHILD, stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE
+        *_CHILD, stdin=pipe, stdout=pipe, stderr=asyncio.subprocess.DEVNULL, env=os.environ | _ONE_THREAD
     )
     try:
         async with asyncio.timeout(PATIENCE):

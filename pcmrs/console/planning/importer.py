@@ -13,7 +13,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from pcmrs.console.planning._confined import confine
+from pcmrs.console.planning.confined import confine
 from pcmrs.errors import PcmrsError
 from pcmrs.formats.grid import Role, Space, Unit
 from pcmrs.formats.landmarks import Landmarks, read_landmarks

@@ -101,7 +101,9 @@ class KstRobot:
                 await self._end_connection(drive)
 
     async def joints(self) -> JointState:
-        return self._connected().state
+        drive = self._connected()
+        await drive.reading()  # of a cabinet that has gone silent, the last one says nothing
+        return drive.state
 
     async def follow(self, trajectory: JointTrajectory) -> MotionResult:
         drive = self._free()
@@ -133,6 +135,7 @@ class KstRobot:
     async def hold(self) -> JointState:
         drive = self._connected()
         drive.follower.hold()
+        await drive.reading()  # one from before the hold does not confirm it
         if drive.busy:
             await drive.rest()
         return drive.state

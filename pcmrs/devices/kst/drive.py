@@ -34,7 +34,8 @@ UNSETTLED = 5.0
 STALLED = 0.3
 """Pause of the stream after which the motion ends where the arm is, s."""
 
-Futures = list[asyncio.Future[None]]
+Waiting = list[tuple[float, asyncio.Future[None]]]
+"""Callers that wait: the time at which each has asked, s of the clock, and its future."""
 
 
 class Drive:
@@ -81,8 +82,10 @@ class Drive:
         self._requested_at = 0.0
         self._ended_at = np.inf
         self._wake = asyncio.Event()
-        self._resting: Futures = []
-        self._started: Futures = []
+        self._resting: Waiting = []
+        self._started: Waiting = []
+        self._reading: Waiting = []
+        self._polled_at = -np.inf
         self._streaming = self._refusing = self._deviated = False
 
     async def run(self) -> None:
@@ -97,7 +100,8 @@ class Drive:
                 await self._attempt(self._poll(patience))
                 self.follower.supervise()  # a force on an arm at rest must be relieved, too
                 if self.follower.reference.ended:
-                    self._release()
+                    _release(self._started)
+                    _release(self._resting, until=self._polled_at)
                     patience = 0.0
                     await self._pause()
                 else:
@@ -106,10 +110,10 @@ class Drive:
                     await self._attempt(self._stream())
                     self._streaming = False
         except UnknownOutcomeError as error:
-            self._release(error)
+            self._fail(error)
             raise
         finally:
-            self._release(UnknownOutcomeError("The connection ended before the arm was seen at rest. Look at the arm."))
+            self._fail(UnknownOutcomeError("The connection ended before the arm was seen at rest. Look at the arm."))
 
     @property
     def moving(self) -> bool:
@@ -130,8 +134,12 @@ class Drive:
         """Wait until the cabinet follows the stream; see `rest` for the errors."""
         await self._wait(self._started)
 
+    async def reading(self) -> None:
+        """Wait for joints that are requested after this call, moving or not; see `rest` for the errors."""
+        await self._wait(self._reading)
+
     async def rest(self) -> None:
-        """Wait until the arm stands and the stream has ended.
+        """Wait until the arm stands and the stream has ended, by joints that are requested after this call.
 
         Raises:
             DeviceError: The cabinet refused or interrupted the motion.
@@ -146,9 +154,9 @@ class Drive:
         finally:
             self._cabinet.end()
 
-    async def _wait(self, waiting: Futures) -> None:
+    async def _wait(self, waiting: Waiting) -> None:
         future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
-        waiting.append(future)
+        waiting.append((self._clock.monotonic(), future))
         self._wake.set()
         await future
 
@@ -167,7 +175,7 @@ class Drive:
         except DeviceError as error:
             await self._cabinet.drain()
             self.follower.stand(self.arm.positions.copy(), error.code)
-            self._release(error)
+            self._fail(error)
             if not self._refusing:
                 self._report(DeviceEvent(device="robot", code=error.code, text=error.text, danger=True))
             self._refusing = True
@@ -175,8 +183,8 @@ class Drive:
             self._refusing = False
 
     async def _poll(self, patience: float) -> None:
-        requested_at = self._clock.monotonic()
-        self.arm.take_joints(await self._cabinet.joints(), requested_at)
+        self._polled_at = self._clock.monotonic()
+        self._take_reading(await self._cabinet.joints(), self._polled_at)
         self.arm.take_torques(await self._cabinet.external_torques(patience))
         self._publish(self.state)
 
@@ -255,8 +263,12 @@ class Drive:
             reply, self._reply = self._reply, None
             self._take(self._cabinet.values(reply.result()))
 
+    def _take_reading(self, positions: Floats, requested_at: float) -> None:
+        self.arm.take_joints(positions, requested_at)
+        _release(self._reading, until=requested_at)
+
     def _take_joints(self, positions: Floats) -> None:
-        self.arm.take_joints(positions, self._requested_at)
+        self._take_reading(positions, self._requested_at)
         deviation, limit = self.arm.deviation, self._settings.pose_limit
         if deviation > limit and not self._deviated:
             self._deviated = True
@@ -277,17 +289,25 @@ class Drive:
             self._ended_at = self._clock.monotonic()
         return self.arm.at_rest(reference.position, self._ended_at)
 
-    def _release(self, error: PcmrsError | None = None) -> None:
-        _release(self._started, error)
-        _release(self._resting, error)
+    def _fail(self, error: PcmrsError) -> None:
+        for waiting in (self._started, self._resting, self._reading):
+            _release(waiting, error)
 
 
-def _release(waiting: Futures, error: PcmrsError | None = None) -> None:
-    for future in waiting:
+def _release(waiting: Waiting, error: PcmrsError | None = None, *, until: float = np.inf) -> None:
+    """Answer the callers that asked no later than `until`; the others wait for a newer measurement.
+
+    Args:
+        waiting: Waiting callers; the answered ones are removed.
+        error: Error for them; None if they waited successfully.
+        until: Time up to which callers are answered, s of the clock.
+    """
+    answered = [future for asked, future in waiting if asked <= until]
+    waiting[:] = [each for each in waiting if each[0] > until]
+    for future in answered:
         if future.done():  # its caller was cancelled
             continue
         if error is None:
             future.set_result(None)
         else:
             future.set_exception(type(error)(error.text, **error.fields))
-    waiting.clear()

@@ -15,6 +15,7 @@ from pcmrs.devices.plus.frames import MessageReader
 from pcmrs.dispatcher import DispatcherListener
 from pcmrs.errors import PayloadError
 from pcmrs.gateway._adapter import Core
+from pcmrs.gateway._connections import ConnectionLimit, peer_of
 from pcmrs.gateway.intake import Intake, source_of
 from pcmrs.gateway.openigtlink._broadcaster import Broadcaster
 from pcmrs.gateway.openigtlink._peer import KINDS, Peer
@@ -24,7 +25,10 @@ from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.hosts import is_loopback
 
 LINK = "openigtlink"
-MAX_PEERS = 8
+MOST = 8
+"""Limit of clients."""
+MOST_OF_A_HOST = 4
+"""Limit of clients from one address."""
 CONNECT_WITHIN = 3.0
 RETRY_AFTER = 1.0
 SEND_BUFFER = 1 << 16
@@ -62,6 +66,7 @@ class OpenIgtLink(DispatcherListener):
         self._tasks = tasks
         self._jobs = jobs
         self._peers: dict[tuple[str, int], Peer] = {}
+        self._limit = ConnectionLimit(LINK, intake, MOST, MOST_OF_A_HOST)
         self._server: asyncio.Server | None = None
         self._exposed = False
         self._feed = Broadcaster(core, clock, together=self._config.poses == "TDATA")
@@ -102,12 +107,17 @@ class OpenIgtLink(DispatcherListener):
             peer.halt()
 
     def _accept(self, stream: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        address = writer.get_extra_info("peername")[:2]
-        if len(self._peers) >= MAX_PEERS:
-            self._intake.refuse(LINK, address, PayloadError(f"{MAX_PEERS} peers are connected already."))
-            writer.close()
-            return
-        self._tasks.spawn(self._serve(stream, writer))
+        address = self._limit.take(writer)
+        if address is not None:
+            self._tasks.spawn(self._serve_accepted(stream, writer, address))
+
+    async def _serve_accepted(
+        self, stream: asyncio.StreamReader, writer: asyncio.StreamWriter, address: tuple[str, int]
+    ) -> None:
+        try:
+            await self._serve(stream, writer, address)
+        finally:
+            self._limit.free(address)
 
     async def _keep_connected(self) -> None:
         """Connects to Slicer's server, and reconnects; its absence is logged once."""
@@ -122,12 +132,20 @@ class OpenIgtLink(DispatcherListener):
                 absent = True
             else:
                 absent = False
-                await self._serve(stream, writer)
+                address = peer_of(writer)
+                if address is None:
+                    writer.transport.abort()
+                else:
+                    await self._serve(stream, writer, address)
             await self._clock.sleep(RETRY_AFTER)
 
-    async def _serve(self, stream: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serves one connection until either side ends it."""
-        address = writer.get_extra_info("peername")[:2]
+    async def _serve(
+        self, stream: asyncio.StreamReader, writer: asyncio.StreamWriter, address: tuple[str, int]
+    ) -> None:
+        """Serves one connection until either side ends it.
+
+        A peer that sends nothing stays, since it may only look. One that reads nothing is disconnected by `_send`.
+        """
         writer.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         peer = self._peers[address] = self._new_peer(address)
         log.info("openigtlink_peer", peer=f"{address[0]}:{address[1]}")

@@ -164,6 +164,7 @@ class Inspection:
         return {
             "bus.replaced": bus["bus.replaced"],
             "bus.not_sealed": bus["bus.not_sealed"],
+            "bus.ignored": bus["bus.ignored"],
             "events.misnamed": self.procedure.misnamed,
             "gateway.refused": counters.refused,
             "gateway.overflowed": counters.overflowed,

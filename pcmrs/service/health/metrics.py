@@ -7,10 +7,9 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from threading import Thread
 from typing import Any
-from wsgiref.simple_server import WSGIServer
 
 import structlog
-from prometheus_client import CollectorRegistry, ProcessCollector, start_http_server
+from prometheus_client import CollectorRegistry, ProcessCollector
 from prometheus_client.core import (
     CounterMetricFamily,
     GaugeMetricFamily,
@@ -21,6 +20,7 @@ from prometheus_client.core import (
 from prometheus_client.registry import Collector
 
 from pcmrs.messages.health import Health
+from pcmrs.service.health._scrape_server import ScrapeServer
 
 log = structlog.get_logger(__name__)
 
@@ -55,7 +55,7 @@ class HealthCollector(Collector):
 
 
 class MetricsServer:
-    """Serves metrics over HTTP in its own threads.
+    """Serves metrics over HTTP in its own threads; see `ScrapeServer` for its limits.
 
     Args:
         port: Port on loopback; 0 takes a free one, None serves nothing.
@@ -68,7 +68,7 @@ class MetricsServer:
     def __init__(self, port: int | None) -> None:
         self.trouble = self.address = ""
         self._port = port
-        self._serving: tuple[WSGIServer, Thread] | None = None
+        self._serving: tuple[ScrapeServer, Thread] | None = None
 
     def start(self, health: Callable[[], Health]) -> None:
         """Start to serve. If the port is taken, log that and store it in `trouble`: the cell works without metrics.
@@ -83,12 +83,15 @@ class MetricsServer:
         ProcessCollector(registry=registry)
         registry.register(HealthCollector(lambda: ask(loop, health)))
         try:
-            self._serving = start_http_server(self._port, HOST, registry)
+            server = ScrapeServer(HOST, self._port, registry)
         except OSError as error:
             self.trouble = f"Port {self._port} of {HOST} cannot be bound for metrics: {error.strerror}."
             log.warning("metrics_not_served", reason=self.trouble)
         else:
-            self.address = f"http://{HOST}:{self._serving[0].server_port}/metrics"
+            thread = Thread(target=server.serve_forever, name="pcmrs-metrics", daemon=True)
+            thread.start()
+            self._serving = server, thread
+            self.address = f"http://{HOST}:{server.server_port}/metrics"
 
     async def close(self) -> None:
         """Stop serving."""
@@ -96,7 +99,7 @@ class MetricsServer:
             await asyncio.get_running_loop().run_in_executor(None, self._close, *self._serving)
 
     @staticmethod
-    def _close(server: WSGIServer, thread: Thread) -> None:
+    def _close(server: ScrapeServer, thread: Thread) -> None:
         server.shutdown()
         server.server_close()
         thread.join()

@@ -18,7 +18,12 @@ from pcmrs.settings import Inherited, Settings
 
 
 async def open_child(
-    start: ProcessStarter, *words: str, settings: Settings, device_key: bytes = b"", stdout: int | None = None
+    start: ProcessStarter,
+    *words: str,
+    settings: Settings,
+    device_key: bytes = b"",
+    stdout: int | None = None,
+    passed: int | None = None,
 ) -> Process:
     """Start ``pcmrs`` with some arguments, and send it `Inherited` on its standard input.
 
@@ -30,11 +35,12 @@ async def open_child(
         settings: Settings of the daemon.
         device_key: Key for a child that speaks as a device, or for the daemon; see `pcmrs.bus.seal`.
         stdout: See `ProcessStarter`.
+        passed: See `ProcessStarter`.
 
     Raises:
         OSError: The process cannot be started.
     """
-    process = await start("pcmrs.cli", *words, stdout=stdout)
+    process = await start("pcmrs.cli", *words, stdout=stdout, passed=passed)
     if process.stdin is None:
         raise DeviceError(f"pcmrs {words[0]} has no standard input.", words=list(words))
     process.stdin.write(msgspec.json.encode(Inherited(settings=settings, device_key=device_key)) + b"\n")
@@ -63,6 +69,10 @@ _SAID_WHY = 2
 """Lowest exit status for a reason that would end a new child, too."""
 
 
+def _nothing() -> None:
+    pass
+
+
 class ChildProcess:
     """Child that ends with its standard input. It is restarted if it is killed, and never a reason to stop anything.
 
@@ -72,6 +82,7 @@ class ChildProcess:
         report: Called if it has ended by itself.
         clock: The machine's clock.
         ending_time: Limit for it to end before it is killed, s of the machine.
+        given_up: Called when it has ended and is not restarted.
 
     Attributes:
         ended: Why it has ended and is not restarted; empty while it runs, or is not meant to.
@@ -84,8 +95,10 @@ class ChildProcess:
         report: Callable[[DeviceEvent], None],
         clock: Clock,
         ending_time: float,
+        given_up: Callable[[], None] = _nothing,
     ) -> None:
         self._ending_time = ending_time
+        self._given_up = given_up
         self._name = name
         self._begin = begin
         self._report = report
@@ -121,6 +134,7 @@ class ChildProcess:
             log.error("companion_ended", name=self._name, why=why, given_up=given_up)
             self._report(self._event(why, given_up=given_up))
         self.ended = why
+        self._given_up()
         await asyncio.Event().wait()
 
     def _event(self, why: str, *, given_up: bool) -> DeviceEvent:

@@ -16,12 +16,13 @@ import msgspec
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.events import DAEMON
 from pcmrs.dispatcher.procedure import Procedure
-from pcmrs.dispatcher.recorder import EarlierDecision, clipped
+from pcmrs.dispatcher.recorder import EarlierDecision
 from pcmrs.errors import JournalError
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.blueprint import MigrationSpec
 from pcmrs.journal import Journal, JournalRow, Kind
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Verdict
+from pcmrs.messages.clipping import clipped
 from pcmrs.service.restart.state import ENDED, TAKEN_BACK, InFlightCommand, PersistedState, RestartState
 from pcmrs.workflows.data import PlacementData
 

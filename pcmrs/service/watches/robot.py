@@ -82,6 +82,10 @@ class RobotWatch:
         """Note that the robot has reported its joints."""
         self._heard = self._clock.monotonic()
 
-    def hear_beat(self) -> None:
-        """Note that the robot's node has sent a heartbeat."""
-        self._beaten = self._clock.monotonic()
+    def hear_beat(self, sent: float) -> None:
+        """Note that the robot's node has sent a heartbeat.
+
+        Args:
+            sent: Time of sending, s of the machine's clock here.
+        """
+        self._beaten = max(self._beaten, sent)

@@ -1,4 +1,4 @@
-"""Watch of the event loop's delay, measured from a separate thread, with an alarm if it is too long."""
+"""Watch of the event loop's delay: a timer of the loop measures it, and a thread logs a stall while it lasts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pcmrs.messages import DeviceEvent
 log = structlog.get_logger(__name__)
 
 PERIOD = 0.05
-"""Period of the checks, s of the machine."""
+"""Period of the timer, and of the thread's looks at it, s of the machine."""
 
 STALL = 0.2
 """Delay from which the loop counts as stalled, s of the machine."""
@@ -30,7 +30,7 @@ FRAMES = 6
 
 
 class StallWatch:
-    """Checks periodically that the event loop answers; logs a stall at once, and reports its length when it has ended.
+    """Checks periodically that the event loop is in time; logs a stall, and reports its length when it has ended.
 
     The report is no danger event: if the stall is longer than the deadman, the nodes hold by themselves and say so.
 
@@ -41,7 +41,7 @@ class StallWatch:
     Attributes:
         stalls: Number of stalls since the start.
         longest: Longest stall, s.
-        lag: Delay of the last answer, s.
+        lag: Delay of the timer, s.
     """
 
     def __init__(self, report: Callable[[DeviceEvent], None], clock: Clock) -> None:
@@ -50,33 +50,44 @@ class StallWatch:
         self._report, self._clock = report, clock
         self._loop = asyncio.get_running_loop()
         self._loop_thread = threading.get_ident()
+        self._due = 0.0
+        self._timer: asyncio.TimerHandle | None = None
         self._end = threading.Event()
-        self._answered = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="pcmrs-stall", daemon=True)
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the timer and the thread."""
+        self._set_timer()
         self._thread.start()
 
     async def close(self) -> None:
-        """End the thread."""
+        """End both."""
         self._end.set()
-        self._answered.set()
+        if self._timer is not None:
+            self._timer.cancel()
         await self._loop.run_in_executor(None, self._thread.join)
 
     def counters(self) -> dict[str, int]:
         """Return the number of stalls since the start."""
         return {"loop.stalls": self.stalls}
 
+    def _set_timer(self) -> None:
+        self._due = self._clock.monotonic() + PERIOD
+        self._timer = self._loop.call_later(PERIOD, self._answer)
+
     def _watch(self) -> None:
+        # It only reads: waking the loop from another thread would cost more than everything else here.
         while not self._end.wait(PERIOD):
-            asked = self._clock.monotonic()
-            self._answered.clear()
-            self._loop.call_soon_threadsafe(self._answer, asked)
-            if not self._answered.wait(STALL):
-                log.error("loop_stalled", longer_than=STALL, where=self._where())
-                while not self._end.is_set() and not self._answered.wait(PATIENCE):
-                    log.error("loop_stalled", longer_than=round(self._clock.monotonic() - asked, 1))
+            due = self._due
+            if self._clock.monotonic() - due <= STALL:
+                continue
+            log.error("loop_stalled", longer_than=STALL, where=self._where())
+            logged = due + STALL
+            while self._due == due and not self._end.wait(PERIOD):
+                late = self._clock.monotonic()
+                if late - logged >= PATIENCE:
+                    logged = late
+                    log.error("loop_stalled", longer_than=round(late - due, 1))
 
     def _where(self) -> str:
         """Present stack of the loop's thread, innermost frame first."""
@@ -84,10 +95,9 @@ class StallWatch:
         lines = traceback.extract_stack(frame)[::-1][:FRAMES] if frame is not None else []
         return " < ".join(f"{line.name} ({Path(line.filename).name}:{line.lineno})" for line in lines)
 
-    def _answer(self, asked: float) -> None:
-        """Answers, in the loop."""
-        self.lag = self._clock.monotonic() - asked
-        self._answered.set()
+    def _answer(self) -> None:
+        self.lag = max(0.0, self._clock.monotonic() - self._due)
+        self._set_timer()
         if self.lag <= STALL:
             return
         self.stalls += 1

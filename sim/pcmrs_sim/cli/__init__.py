@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import click
 
-from pcmrs.cli.lazy import LazyGroup
+from pcmrs.cli.lazy import LazyGroup, Listed
 
 COMMANDS = {
-    "cell": "pcmrs_sim.cli.commands:cell",
-    "kst": "pcmrs_sim.cli.commands:kst",
-    "ndi": "pcmrs_sim.cli.commands:ndi",
-    "muscle": "pcmrs_sim.cli.muscle:muscle",
-    "faults": "pcmrs_sim.cli.commands:faults",
+    "cell": Listed("pcmrs_sim.cli.commands:cell"),
+    "kst": Listed("pcmrs_sim.cli.commands:kst"),
+    "ndi": Listed("pcmrs_sim.cli.commands:ndi"),
+    "muscle": Listed("pcmrs_sim.cli.muscle:muscle"),
+    "faults": Listed("pcmrs_sim.cli.commands:faults"),
 }
 
 

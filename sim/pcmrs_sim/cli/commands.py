@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-import msgspec
 
+from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.cli.values import POSITIVE
 from pcmrs_sim.cli.options import host_option, world_options
@@ -99,12 +99,12 @@ def faults(as_json: bool) -> None:
             {"name": fault.name, "row": fault.row, "arguments": fault.arguments, "help": fault.help}
             for fault in FAULTS.values()
         ]
-        click.echo(msgspec.json.encode(rows).decode())
+        say_json(rows)
         return
     usages = {name: " ".join((name, *(f"<{each}>" for each in fault.arguments))) for name, fault in FAULTS.items()}
     width = max(map(len, usages.values()))
     for name, fault in FAULTS.items():
-        click.echo(f"{fault.row:<4} {usages[name]:<{width}}  {fault.help}")
+        say(f"{fault.row:<4} {usages[name]:<{width}}  {fault.help}")
 
 
 async def _serve(

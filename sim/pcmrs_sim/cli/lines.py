@@ -7,8 +7,7 @@ import math
 from pathlib import Path
 from typing import cast
 
-import click
-
+from pcmrs.cli.printing import say
 from pcmrs.errors import ConfigurationError, PcmrsError
 from pcmrs.messages import LandmarkPrompt
 from pcmrs_sim.cell import CellSimulation
@@ -108,7 +107,7 @@ async def _try_line(cell: CellSimulation, line: str) -> None:
     try:
         await apply_line(cell, line)
     except PcmrsError as error:
-        click.echo(error.text, err=True)
+        say(error.text, err=True)
 
 
 async def _move_pointer(cell: CellSimulation, word: str, rest: list[str]) -> None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import json
 
 import click
 
 from pcmrs.background import background_task
+from pcmrs.cli.printing import say, say_json
 from pcmrs.devices.lsl.library import EMG
 from pcmrs.devices.lsl.markers import PULSES
 from pcmrs.errors import DeviceError, PcmrsError
@@ -52,7 +52,7 @@ async def _serve(seed: int, hum: float, preactivation: float, stream: str, marke
         try:
             bench.execute(line)
         except DeviceError as error:
-            click.echo(error.text, err=True)
+            say(error.text, err=True)
 
     forward_lines(take)
     _print_streams({"stream": stream, "rate_hz": settings.rate_hz, "markers": markers, "seed": seed}, as_json)
@@ -61,5 +61,8 @@ async def _serve(seed: int, hum: float, preactivation: float, stream: str, marke
 
 
 def _print_streams(streams: dict[str, object], as_json: bool) -> None:
+    if as_json:
+        say_json(streams)
+        return
     text = "EMG stream {stream!r} at {rate_hz} Hz; pulses from the markers {markers!r}; subject {seed}. Ctrl-C ends it."
-    click.echo(json.dumps(streams) if as_json else text.format(**streams))
+    say(text.format(**streams))

@@ -9,10 +9,8 @@ from contextlib import AbstractAsyncContextManager, AsyncExitStack
 from pathlib import Path
 from typing import Any
 
-import click
-import msgspec
-
 from pcmrs.cli.log import log_to_stderr
+from pcmrs.cli.printing import say, say_json
 from pcmrs.clock import SystemClock
 from pcmrs.errors import DeviceError
 from pcmrs_sim.cell import CellSimulation, running_cell
@@ -49,7 +47,10 @@ async def serve(
         addresses = {}
         for name, server in servers.items():
             addresses[name] = await _enter(stack, name, server(cell))
-        click.echo(msgspec.json.encode(addresses).decode() if as_json else _text(addresses))
+        if as_json:
+            say_json(addresses)
+        else:
+            say(_text(addresses))
         sys.stdout.flush()
         async with asyncio.TaskGroup() as tasks:
             following = [tasks.create_task(follow_schedule(cell, lines)), tasks.create_task(follow_input(cell))]

@@ -9,13 +9,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
-from pcmrs.bus.keys import named_in
+from pcmrs.bus.stop import StopLane
 from pcmrs.config import as_table
 from pcmrs.devices.node import DeviceNode
 from pcmrs.devices.protocols import OpenDriver
 from pcmrs.dispatcher import Workflow
 from pcmrs.installed import entry_points_of
-from pcmrs.messages import Beat
 from pcmrs.settings import Settings
 from pcmrs.simulated_time.clock import SimulatedClock
 from pcmrs.simulated_time.loop import SimulatedLoop
@@ -24,6 +23,7 @@ from pcmrs.workflows.data import PlacementData
 from pcmrs_sim.deterministic.daemon import Observe, SimulatedDaemon
 from pcmrs_sim.deterministic.disk import Disk
 from pcmrs_sim.deterministic.network import Endpoint, Network
+from pcmrs_sim.deterministic.stops import open_lane
 
 DRIVER = "sim"
 SIMULATIONS = "pcmrs.simulations"
@@ -69,6 +69,7 @@ class SimulatedCell:
         self.devices = devices
         self.daemon: SimulatedDaemon | None = None
         self._node: Endpoint | None = None
+        self._lane: StopLane | None = None
         self._settings = settings
         self._workflow = workflow
         self._path = path
@@ -117,7 +118,7 @@ class SimulatedCell:
             link = self._node = self.network.endpoint(NODE)
             clock = SimulatedClock(asyncio.get_running_loop())
             node = DeviceNode(link, self.devices, clock, self._settings.robot.deadman)
-            link.subscribe("stop/*", Beat, lambda key, _: node.stop(f"bus:{named_in(key)}"))
+            self._lane = open_lane(link, lambda source, _: node.stop(source))
             link.spawn(node.run())
 
     async def crash_node(self) -> None:
@@ -126,6 +127,8 @@ class SimulatedCell:
         if link is None:
             return
         link.leave()
+        if self._lane is not None:
+            self._lane.end()  # its thread would outlive the process
         # The arm brakes as if its link broke. The link is restored for the next node.
         await self.devices["scene"].cut_robot(True)
         await link.ended()

@@ -8,10 +8,10 @@ from collections.abc import Callable
 from contextlib import AsyncExitStack
 from pathlib import Path
 
-from pcmrs.bus.keys import named_in
+from pcmrs.bus.bridge import ARRIVED
 from pcmrs.dispatcher import Dispatcher, Workflow
 from pcmrs.journal import JournalReader
-from pcmrs.messages import Beat, BlueprintTag, Command, Verdict
+from pcmrs.messages import BlueprintTag, Command, Verdict
 from pcmrs.service.procedure import Clocks, RunningProcedure
 from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs.service.restart.recovery import conclude, keep_journal, recover
@@ -24,9 +24,9 @@ from pcmrs_sim.deterministic.disk import Disk, SimulatedJournal
 from pcmrs_sim.deterministic.gateway import SimulatedGateway
 from pcmrs_sim.deterministic.network import Endpoint
 from pcmrs_sim.deterministic.planner import SimulatedPlanner
+from pcmrs_sim.deterministic.stops import open_lane
 
 COMMANDS = "cmd/*/*/*"
-STOPS = "stop/*"
 
 ProcedureDispatcher = Dispatcher[Cell, PlacementData]
 Observe = Callable[[ProcedureDispatcher, JournalReader], None]
@@ -156,14 +156,11 @@ class SimulatedDaemon:
 
     def _open_edges(self, stack: AsyncExitStack, procedure: RunningProcedure) -> None:
         async def submit(_key: str, command: Command) -> Verdict:
-            return await procedure.dispatcher.submit(command)
-
-        def stop(user: str) -> None:
-            procedure.stop(f"bus:{user}")
+            return await procedure.command_metrics.submit(command, arrived=ARRIVED.get())
 
         self.link.serve(COMMANDS, Command, submit)
-        self.link.subscribe(STOPS, Beat, lambda key, _: stop(named_in(key)))
-        stack.callback(self.link.end, COMMANDS, STOPS)
+        stack.callback(self.link.end, COMMANDS)
+        stack.callback(open_lane(self.link, procedure.stop).end)
         folder = self._path.parent / "records"
         self._gateway = SimulatedGateway(procedure.core, self._settings.gateway, self._clock, folder)
         stack.push_async_callback(self._gateway.close)

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 import msgspec
 
+from pcmrs.bus.bridge import ARRIVED
 from pcmrs.bus.qos import class_of
 from pcmrs.errors import PcmrsError, UnknownOutcomeError
 from pcmrs.simulated_time.loop import OWNER, SimulatedLoop, SimulationError
@@ -63,12 +64,15 @@ class Network:
         conditions: Present disturbances.
         windows: Durations of hand-overs to and from threads, drawn from the seed or set by a script.
         counts: Numbers of messages that were ``lost``, ``doubled`` or ``overtaken``.
+        on_request: Called with key, request and time of arrival, s, when a process takes a request. It arrives even
+            while the event loop of the process is stalled, because threads receive it.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, seed: int, *, coded: bool = False) -> None:
         self.conditions = NetworkConditions()
         self.windows = Windows(loop, seed)
         self.counts = {"lost": 0, "doubled": 0, "overtaken": 0}
+        self.on_request: Callable[[str, msgspec.Struct, float], None] = lambda *_: None
         self._loop = loop
         # A context without an owner: calls in it are neither stalled nor ended with a process, as those of threads.
         self._outside = copy_context()
@@ -206,13 +210,14 @@ class Network:
             return
         due = max(now + delay, packet.due if packet is not None else 0.0)
         packet = self._packets[route] = _Packet(now, due, target, [(call, arguments)])
-        self._loop.call_at(due, target.receive, packet.calls, context=target.context)
+        self._loop.call_at(due, target.receive, due, packet.calls, context=target.context)
 
     def _arrive_alone(
         self, target: Endpoint, delay: float, call: Callable[..., None], arguments: tuple[Any, ...]
     ) -> None:
         """Schedule an arrival that keeps no order."""
-        self._loop.call_later(delay, target.receive, [(call, arguments)], context=target.context)
+        due = self._loop.time() + delay
+        self._loop.call_at(due, target.receive, due, [(call, arguments)], context=target.context)
 
     def _find_route(self, source: Endpoint, key: str) -> tuple[tuple[Endpoint, Handler, type[Any]], ...]:
         others = (each for each in self._endpoints.values() if each.name != source.name)
@@ -231,6 +236,7 @@ class Endpoint:
         context: Context in which its tasks run. Tasks that they start inherit it, and so end with the process.
         prefix: Prefix of its keys, for display.
         alive_tokens: Components whose liveliness it has declared.
+        gone: The process has ended.
     """
 
     prefix = "pcmrs/lab/simulated"
@@ -246,10 +252,10 @@ class Endpoint:
         self.context.run(OWNER.set, self._tasks)
         self._pending_requests: dict[asyncio.Future[Any], Endpoint] = {}
         self._senders = Senders(network.windows)
-        self._gone = False
+        self.gone = False
 
     def publish(self, key: str, message: msgspec.Struct) -> None:
-        if not self._gone:
+        if not self.gone:
             self._network.publish(self, key, message)
 
     def subscribe(self, key: str, kind: type[M], handler: Callable[[str, M], None]) -> None:
@@ -258,6 +264,9 @@ class Endpoint:
 
     def listen(self, key: str, kind: type[M], handler: Callable[[str, M], None]) -> None:
         self.subscribe(key, kind, handler)
+
+    def when_lost(self, handler: Callable[[str], None]) -> None:
+        """Do nothing: no queue of the simulated network is bounded."""
 
     def serve(self, key: str, kind: type[M], handler: Callable[[str, M], Awaitable[msgspec.Struct]]) -> None:
         self._services[key] = (kind, handler)
@@ -280,7 +289,7 @@ class Endpoint:
         urgent: bool = False,  # noqa: ARG002  # no queue of this link is ever full
     ) -> M:
         server = self._network.server(key)
-        if server is None or self._gone:
+        if server is None or self.gone:
             raise UnknownOutcomeError(f"Nobody answers on {key}.", key=key)
         replied: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
         self._pending_requests[replied] = server
@@ -301,7 +310,7 @@ class Endpoint:
         return self._network.copy(answer, reply)
 
     def _send_request(self, server: Endpoint, key: str, message: msgspec.Struct, replied: asyncio.Future[Any]) -> None:
-        if not self._gone:
+        if not self.gone:
             self._network.carry_reliably(self, server, server._serve, key, message, self, replied)
 
     def alive(self, component: str) -> None:
@@ -315,7 +324,7 @@ class Endpoint:
             call: Called in the target's process when the datagram arrives.
             *arguments: Arguments of the call.
         """
-        if not self._gone:
+        if not self.gone:
             self._network.carry(self, target, call, *arguments)
 
     def spawn(self, work: Any) -> asyncio.Task[None]:
@@ -327,16 +336,22 @@ class Endpoint:
         """Stall the process's event loop for a time, s. Its threads continue."""
         cast(SimulatedLoop, asyncio.get_running_loop()).hold_up(self._tasks, seconds)
 
-    def receive(self, calls: list[tuple[Callable[..., None], tuple[Any, ...]]]) -> None:
-        """Process messages that have arrived together, each a function and its arguments."""
+    def receive(self, arrived: float, calls: list[tuple[Callable[..., None], tuple[Any, ...]]]) -> None:
+        """Process messages that have arrived together.
+
+        Args:
+            arrived: Time of their arrival, s: earlier than now if the event loop was stalled.
+            calls: Function and arguments of each message.
+        """
+        ARRIVED.set(arrived)  # as the bridge of the real bus does
         for call, arguments in calls:
-            if self._gone:
+            if self.gone:
                 return
             call(*arguments)
 
     def leave(self) -> None:
         """End the process at once: it receives and answers nothing more, and requests to it fail."""
-        self._gone = True
+        self.gone = True
         self._network.leave(self)
         for task in tuple(self._tasks):
             task.cancel()
@@ -379,6 +394,7 @@ class Endpoint:
         except UnknownOutcomeError as error:  # it was ended while the request was on its way
             self._send_reply(requester, replied, error)
             return
+        self._network.on_request(key, message, ARRIVED.get())
         self.spawn(self._answer(handler, key, message, requester, replied))
 
     async def _answer(
@@ -400,7 +416,7 @@ class Endpoint:
     def _send_reply(
         self, requester: Endpoint, replied: asyncio.Future[Any], answer: msgspec.Struct | PcmrsError
     ) -> None:
-        if not self._gone:
+        if not self.gone:
             self._network.carry_reliably(self, requester, _resolve, replied, answer)
 
     def fail_requests_to(self, server: Endpoint) -> None:

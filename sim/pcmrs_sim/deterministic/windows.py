@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import random
 from collections import Counter
+from collections.abc import Callable
 from fnmatch import fnmatchcase
 from typing import NamedTuple
 
@@ -38,12 +39,14 @@ class Windows:
         share: Fraction of the windows that take time without a script. It may be changed.
         opened: Name to number of windows so far.
         slow: Number of windows so far that took time.
+        on_open: Called with name and duration, s, of each window.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, seed: int, share: float = 0.0) -> None:
         self.share = share
         self.opened: Counter[str] = Counter()
         self.slow = 0
+        self.on_open: Callable[[str, float], None] = lambda *_: None
         self._loop = loop
         self._seed = seed
         self._waits: list[_Wait] = []
@@ -57,6 +60,7 @@ class Windows:
                 duration = max(duration, wait.duration)
                 wait.opened.set_result(None)
         self.slow += duration > 0.0
+        self.on_open(name, duration)
         return duration
 
     async def reached(self, pattern: str, duration: float, timeout: float) -> bool:

@@ -223,7 +223,8 @@ def test_command_lost_before_a_stop_is_not_resent_after_it(cell: Cell) -> None:
     def lost(way: str, data: bytes) -> bool:
         return way == "to" and data.startswith(b"execute_motionxx")
 
-    with lossy_way(cell.port, lost, UNSIGNED) as port, desk(cell, port, signer=None) as slicer:
+    clock = _Clock()
+    with lossy_way(cell.port, lost, UNSIGNED) as port, desk(cell, port, signer=None, clock=clock) as slicer:
         slicer.register()
         slicer.plan_tool()
         answers: list[Any] = []
@@ -232,6 +233,7 @@ def test_command_lost_before_a_stop_is_not_resent_after_it(cell: Cell) -> None:
         assert slicer.program.verdict(slicer.planner.stop).accepted
         repeated = slicer.link.counts.repeated
         cell.ask(accept(cell.cell.client, "robot.acknowledge"))
+        clock.hurry(10.0)
         slicer.program.until(lambda: bool(answers))
         assert (answers[0].decision, answers[0].reason) == ("unknown", "no_answer")
         assert slicer.link.counts.repeated == repeated
@@ -249,7 +251,7 @@ def test_points_from_mixed_reality_are_a_tool_pose(cell: Cell) -> None:
 
 
 def test_command_without_a_listener_is_unknown_with_the_reason(cell: Cell) -> None:
-    with desk(cell, free_port(), clock=_quick(10.0)) as slicer:
+    with desk(cell, free_port(), clock=_Clock(10.0)) as slicer:
         verdict = slicer.program.verdict(slicer.planner.hello)
         assert (verdict.decision, verdict.reason) == ("unknown", "nobody_listens")
         assert slicer.link.under_way is None
@@ -268,7 +270,7 @@ def test_one_job_at_a_time(cell: Cell) -> None:
 def test_client_that_does_not_sign_gets_no_answer(cell: Cell) -> None:
     after = cell.cell.last_row()
     for signer in (None, link.Signer("slicer", bytes(32))):
-        with desk(cell, signer=signer, clock=_quick(20.0)) as slicer:
+        with desk(cell, signer=signer, clock=_Clock(20.0)) as slicer:
             verdict = slicer.program.verdict(slicer.planner.act, "Connect robot")
             assert (verdict.decision, verdict.reason) == ("unknown", "no_answer")
     assert cell.ask(cell.cell.client.state()).branches["robot"] == "0"
@@ -303,7 +305,20 @@ def _joints(cell: Cell) -> list[float]:
     return joints
 
 
-def _quick(rate: float) -> Callable[[], float]:
-    """A clock with which a link gives up sooner."""
-    start = time.monotonic()
-    return lambda: start + rate * (time.monotonic() - start)
+class _Clock:
+    """A clock with which a link gives up sooner.
+
+    Args:
+        rate: Seconds of it per second of the machine.
+    """
+
+    def __init__(self, rate: float = 1.0) -> None:
+        self._since = self._shown = time.monotonic()
+        self._rate = rate
+
+    def __call__(self) -> float:
+        return self._shown + self._rate * (time.monotonic() - self._since)
+
+    def hurry(self, rate: float) -> None:
+        """Goes so many times as fast from now on."""
+        self._shown, self._since, self._rate = self(), time.monotonic(), rate

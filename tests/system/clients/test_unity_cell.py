@@ -32,7 +32,6 @@ from tests.system.clients.unity_programs import (
     SWAP,
     CellProbe,
     cell_probe,
-    compile_client,
     from_numbers,
     is_answer,
     mirrored,
@@ -66,11 +65,6 @@ ONCE = dict.fromkeys(
     ],
     1,
 )
-
-
-@pytest.fixture(scope="module")
-def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return compile_client(tmp_path_factory.mktemp("unity"))
 
 
 @dataclass

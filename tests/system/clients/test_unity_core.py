@@ -29,7 +29,6 @@ from tests.system.clients.unity_programs import (
     PACKAGE,
     SWAP,
     Probe,
-    compile_client,
     from_numbers,
     mirrored,
     mirrored_numbers,
@@ -42,11 +41,6 @@ pytestmark = NEEDS_MONO
 _points = st.tuples(*[st.floats(-1.0, 1.0)] * 3)
 _rotvecs = st.tuples(*[st.floats(-3.2, 3.2)] * 3)
 _poses = st.builds(Transform.from_rotvec, _points, _rotvecs)
-
-
-@pytest.fixture(scope="module")
-def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return compile_client(tmp_path_factory.mktemp("unity"))
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from pcmrs.planner import Planner
 from pcmrs.service import Ready
 from pcmrs.testing.cell import QUICK
 from pcmrs.testing.daemon import DEVICE_KEY, command_line, device_key, free_port
-from pcmrs.testing.driving import connect, reset_cell
+from pcmrs.testing.driving import connect, reset_cell, to_retracted, wait_until_stationary
 from pcmrs.threads import descendants
 from tests import ROOT
 
@@ -217,6 +217,15 @@ async def start_over(daemon: ServeProcess) -> None:
         if (await client.state()).branches["robot"] == "0":
             await connect(client)  # its node may be starting
         await reset_cell(client)
+        assert not (await client.state()).latched
+    daemon.forget_log()
+
+
+async def register_again(daemon: ServeProcess) -> None:
+    """Brings a shared cell to a registered head and a retracted tool, as far as it is not, and forgets the log."""
+    async with daemon.client() as client:
+        await wait_until_stationary(client)
+        await to_retracted(client)
         assert not (await client.state()).latched
     daemon.forget_log()
 

@@ -88,37 +88,42 @@ class User:
 
     Args:
         folder: Where the shell begins; the cell's journal and records are kept beside it.
+        daemon_lasts: A daemon that is started again in the same words simply goes on, so that pages can share it.
 
     Attributes:
         daemons_started: How many daemons said that they are ready.
         planner_port: Where they take datagrams.
         console_port: Where the console serves its page.
         packages: What is installed there is found.
+        endpoint: Of the cell's bus.
+        folder: Where the shell begins.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, daemon_lasts: bool = False) -> None:
         self.daemons_started = 0
         self.planner_port, self.console_port = free_port(), free_port()
         self.packages = folder.with_name("packages")
-        self._folder = folder
+        self.folder = folder
         own = [each for each in own_settings(folder) if not each.startswith(("cell.site", "cell.name", "cell.folder"))]
-        endpoint = next(each for each in own if each.startswith("cell.endpoint")).partition("=")[2]
+        self.endpoint = next(each for each in own if each.startswith("cell.endpoint")).partition("=")[2]
         self._settings = [*own, f"gateway.planner.port={self.planner_port}", *PATIENT]
         self._environment = {
             **os.environ,
             "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
-            "PCMRS_ENDPOINT": endpoint,
+            "PCMRS_ENDPOINT": self.endpoint,
             "PYTHONPATH": os.pathsep.join(filter(None, (str(self.packages), os.environ.get("PYTHONPATH")))),
             "XDG_STATE_HOME": str(folder.with_name("state")),
         }
         self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._daemon_lasts, self._daemon_words = daemon_lasts, list[str]()
         self._shell = self._started(["bash"], "shell", stdin=subprocess.PIPE)
 
     def __enter__(self) -> User:
         return self
 
     def __exit__(self, *_error: object) -> None:
-        self.ended()
+        for program in list(self._running):
+            self.interrupts(program)
         os.killpg(self._shell.pid, signal.SIGKILL)  # with what it runs in the background
         self._shell.wait()
         if self._shell.stdin is not None:
@@ -139,8 +144,8 @@ class User:
             process.kill()
 
     def ended(self) -> list[str]:
-        """What is still running, after Ctrl-C."""
-        programs = list(self._running)
+        """What is still running, after Ctrl-C; a daemon that lasts goes on."""
+        programs = [each for each in self._running if not (self._daemon_lasts and each == SERVE)]
         for program in programs:
             self.interrupts(program)
         return programs
@@ -168,10 +173,13 @@ class User:
         program = shown.program
         if not shown.output:  # a daemon is ready before anything else is typed; what others say comes later
             shown = Shown(shown.command, "…ready" if program == SERVE else None)
+        words = shlex.split(shown.command, comments=True)
+        if program == SERVE and self._daemon_lasts and program in self._running and words == self._daemon_words:
+            return self.printed(program), 0
         if program in self._running:
             self.interrupts(program)
-        words = shlex.split(shown.command, comments=True)
         if program == SERVE:
+            self._daemon_words = words.copy()
             words[1:1] = [word for setting in self._settings for word in ("--set", setting)]
         process = self._running[program] = self._started(words, program)
         wait_until(lambda: shown.matches(self.printed(program)) or process.poll() is not None, START_TIME)
@@ -183,7 +191,7 @@ class User:
         with self._file(name).open("wb") as output, self._file(f"{name}.errors").open("wb") as errors:
             return subprocess.Popen(
                 words,
-                cwd=self._folder,
+                cwd=self.folder,
                 env=self._environment,
                 stdin=stdin,
                 stdout=output,
@@ -192,7 +200,7 @@ class User:
             )
 
     def _file(self, name: str) -> Path:
-        return self._folder.with_name(name)
+        return self.folder.with_name(name)
 
 
 def written_home(folder: Path, page: ShownPage) -> Path:

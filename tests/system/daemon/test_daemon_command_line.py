@@ -1,4 +1,4 @@
-"""Files of a running daemon, and daemons that must not start: second ones, and one without a usable folder."""
+"""Files of a running daemon, and daemons that must not start: second ones."""
 
 from __future__ import annotations
 
@@ -56,9 +56,3 @@ def test_a_second_daemon_of_the_same_cell_is_refused(daemon: ServeProcess) -> No
 def test_a_second_daemon_on_the_same_link_is_refused(daemon: ServeProcess, tmp_path: Path) -> None:
     _, port = daemon.ready.links["planner"]
     _starts_not([*own_settings(tmp_path), *LIGHT, f"gateway.planner={{port={port}}}"], 4, str(port))
-
-
-def test_a_folder_that_cannot_be_used_is_named(tmp_path: Path) -> None:
-    file = tmp_path / "file"
-    file.touch()
-    _starts_not([*own_settings(tmp_path), f"cell.folder={file / 'cell'}"], 4, "file")

@@ -12,19 +12,23 @@ import signal
 import subprocess
 import sys
 from collections.abc import AsyncIterator, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import pytest
 
-from pcmrs.devices.remote import RemoteRobot
+from pcmrs.client import Client
+from pcmrs.clock import SystemClock
+from pcmrs.devices.remote import RemoteRobot, RemoteScene
 from pcmrs.errors import DeviceError, UnknownOutcomeError
 from pcmrs.messages import JointTrajectory
 from pcmrs.testing.cell import LIGHT
 from pcmrs.testing.driving import (
     accept,
+    acknowledge,
     connect,
     landmarks,
+    moving,
     register,
     showing,
     to_standoff,
@@ -88,7 +92,7 @@ async def test_silent_stimulator_stays_latched_and_allows_a_retreat(tmp_path: Pa
             node = node_of(daemon, b"trigger")
             os.kill(node, signal.SIGSTOP)
             await client.stop()
-            acknowledged = await client.acknowledge()
+            acknowledged = await acknowledge(client)
             assert acknowledged.decision == "accepted"
             assert acknowledged.result == {"still_latched": ["stimulator"]}
             await accept(client, "placement.back_off")
@@ -99,7 +103,7 @@ async def test_silent_stimulator_stays_latched_and_allows_a_retreat(tmp_path: Pa
             await until(client, lambda snapshot: snapshot.latched)
             assert (await client.state()).stop.number > before
             async with asyncio.timeout(PATIENCE):
-                while (await client.acknowledge()).result is not None:  # noqa: ASYNC110
+                while (await acknowledge(client)).result is not None:  # noqa: ASYNC110
                     await asyncio.sleep(0.2)
 
 
@@ -116,36 +120,6 @@ async def test_daemon_is_ready_only_when_all_actors_can_be_released(
                 connected = await client.call("robot.connect")
                 assert connected.decision == "accepted"
                 assert "still_latched" not in (connected.result or {})
-
-
-def test_nothing_acts_before_first_connect_but_a_hand_digitizes(tmp_path: Path) -> None:
-    async def play(cell: SimulatedCell, client: CellInSimulatedTime) -> None:
-        await client.accept("registration.plan_landmarks", **landmarks())
-        await client.accept("digitization.digitize_all")
-        assert client.snapshot.branches["robot"] == "0"
-        robot = RemoteRobot(cell.network.endpoint("stranger"), client.clock)
-        await robot.hold()
-        with pytest.raises(DeviceError, match="latched"):
-            await robot.follow(JointTrajectory(period=0.01, positions=[[0.0] * 7]))
-        await retract(client)
-        await client.accept("placement.approach")
-
-    in_cell(play, tmp_path)
-
-
-def test_failed_motion_is_followed_by_a_retreat_without_any_stop(tmp_path: Path) -> None:
-    async def play(_: SimulatedCell, client: CellInSimulatedTime) -> None:
-        await retract(client)
-        approach = asyncio.create_task(client.call("placement.approach"))
-        await client.until(lambda shown: bool(shown.running))
-        await client.scene.occlude("body_ref", True)
-        verdict = await approach
-        assert (verdict.decision, verdict.state) == ("failed", "held")
-        assert not client.snapshot.latched
-        await client.scene.occlude("body_ref", False)
-        await client.accept("placement.back_off")
-
-    in_cell(play, tmp_path)
 
 
 def test_device_request_not_from_the_daemon_moves_nothing(tmp_path: Path) -> None:
@@ -166,9 +140,8 @@ def test_device_request_not_from_the_daemon_moves_nothing(tmp_path: Path) -> Non
 async def retract(client: CellInSimulatedTime) -> None:
     """Connect the robot, register the head and plan a pose; the tool is away from the head then."""
     await client.accept("robot.connect")
-    if client.snapshot.branches["digitization"] == "0":
-        await client.accept("registration.plan_landmarks", **landmarks())
-        await client.accept("digitization.digitize_all")
+    await client.accept("registration.plan_landmarks", **landmarks())
+    await client.accept("digitization.digitize_all")
     await client.accept("registration.register")
     await client.accept("toolplan.plan", **tool_pose())
     await client.until(lambda shown: shown.branches["placement"] == "retracted" and not shown.running)
@@ -197,6 +170,12 @@ class Apart:
         self._running_daemon.close()
         self.daemon = self._running_daemon.enter_context(running_daemon(self._daemon_settings, self._folder))
 
+    def restart(self) -> None:
+        """Start both again, as on the first day: the arm has been released by no daemon."""
+        self._running_daemon.close()
+        self.start_node()
+        self.start_daemon()
+
     def end(self) -> None:
         self._running_daemon.close()
         self._running_node.close()
@@ -215,6 +194,57 @@ async def apart(started_apart: Apart) -> AsyncIterator[Apart]:
     yield started_apart
     assert started_apart.daemon.process.poll() is None
     assert "Traceback" not in started_apart.daemon.log
+
+
+async def test_nothing_acts_before_first_connect_but_a_hand_digitizes(apart: Apart) -> None:
+    apart.restart()
+    async with apart.daemon.client() as client, apart.daemon.bus() as bus:
+        robot = RemoteRobot(bus, SystemClock())
+        await hold_soon(robot)
+        await accept(client, "registration.plan_landmarks", **landmarks())
+        await accept_soon(client, "digitization.digitize_all")
+        assert (await client.state()).branches["robot"] == "0"
+        with pytest.raises(DeviceError, match="latched"):
+            await robot.follow(JointTrajectory(period=0.01, positions=[[0.0] * 7]))
+        await accept(client, "robot.connect")
+        await accept(client, "registration.register")
+        await accept(client, "toolplan.plan", **tool_pose())
+        await until(client, lambda shown: shown.branches["placement"] == "retracted" and not shown.running)
+        await accept(client, "placement.approach")
+
+
+async def hold_soon(robot: RemoteRobot) -> None:
+    """Hold the robot as soon as its node, which may be starting, answers."""
+    async with asyncio.timeout(PATIENCE):
+        while True:
+            with suppress(UnknownOutcomeError):
+                await robot.hold()
+                return
+            await asyncio.sleep(0.1)
+
+
+async def accept_soon(client: Client, name: str) -> None:
+    """Call an operation until it is accepted, because the first poses may not have arrived yet."""
+    async with asyncio.timeout(PATIENCE):
+        while (await client.call(name)).decision != "accepted":  # noqa: ASYNC110
+            await asyncio.sleep(0.1)
+
+
+async def test_failed_motion_is_followed_by_a_retreat_without_any_stop(apart: Apart) -> None:
+    async with apart.daemon.client() as client, apart.daemon.bus() as bus:
+        scene = RemoteScene(bus, SystemClock())
+        await to_standoff(client)
+        before = (await client.state()).stop.number
+        try:
+            async with moving(client, "placement.confirm") as confirm:
+                await scene.occlude("body_ref", True)
+                verdict = await confirm
+        finally:
+            await scene.occlude("body_ref", False)
+        assert (verdict.decision, verdict.state) == ("failed", "held")
+        shown = await client.state()
+        assert (shown.latched, shown.stop.number) == (False, before)
+        await accept(client, "placement.back_off")
 
 
 async def test_daemon_that_restarts_alone_holds_what_was_released(apart: Apart) -> None:

@@ -17,6 +17,7 @@ from pcmrs.client import Client
 from pcmrs.messages import Verdict
 from pcmrs.testing.cell import QUICK
 from pcmrs.testing.daemon import own_settings, running_daemon
+from pcmrs.testing.driving import acknowledge
 from pcmrs.testing.plan import example_plan, read_plan
 from pcmrs_lab.experiment.tours.arguments import plan_arguments
 from tests.unit.report.report_page import Page
@@ -57,7 +58,7 @@ async def treated(client: Client) -> dict[str, Verdict]:
         found[f"placed {number}"] = await told(client, "placement.confirm")
         await told(client, "placement.back_off")
     await client.stop()
-    await client.acknowledge()
+    await acknowledge(client)
     found["home"] = await told(client, "placement.home")
     return found
 

@@ -12,16 +12,16 @@ from pathlib import Path
 import pytest
 
 from pcmrs.testing.cell import LIGHT
-from pcmrs.testing.driving import accept, moving, register, showing, until
+from pcmrs.testing.driving import accept, moving, showing, until
 from tests.system.daemon.daemon_process import (
     SLOW,
     START_TIME,
     ServeProcess,
     is_running,
     own_settings,
+    register_again,
     running_daemon,
     stands_still,
-    start_over,
     wait_until,
 )
 
@@ -31,13 +31,13 @@ REALTIME = os.SCHED_RR | os.SCHED_RESET_ON_FORK
 @pytest.fixture(scope="module")
 def shared_daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServeProcess]:
     folder = tmp_path_factory.mktemp("cell")
-    with running_daemon([*own_settings(folder), *SLOW, *LIGHT, "sim.arm.physics=mujoco"], folder) as daemon:
+    with running_daemon([*own_settings(folder), *SLOW, *LIGHT], folder) as daemon:
         yield daemon
 
 
 @pytest.fixture
 async def daemon(shared_daemon: ServeProcess) -> AsyncIterator[ServeProcess]:
-    await start_over(shared_daemon)
+    await register_again(shared_daemon)
     yield shared_daemon
     assert "Traceback" not in shared_daemon.log
 
@@ -57,7 +57,6 @@ async def test_frozen_world_does_not_delay_the_deadman_of_its_node(daemon: Serve
     (node,) = daemon.children()
     world = daemon.world_of(node)
     async with daemon.client() as client:
-        await register(client)
         async with moving(client) as approach:
             os.kill(world, signal.SIGSTOP)  # nothing can be busier
             daemon.process.send_signal(signal.SIGSTOP)
@@ -77,7 +76,6 @@ async def test_world_frozen_in_motion_is_a_lost_robot_until_restarted(daemon: Se
     (node,) = daemon.children()
     world = daemon.world_of(node)
     async with daemon.client() as client:
-        await register(client)
         async with moving(client) as approach:
             os.kill(world, signal.SIGSTOP)
             verdict = await approach
@@ -100,7 +98,6 @@ async def test_world_frozen_in_motion_is_a_lost_robot_until_restarted(daemon: Se
 async def test_a_world_that_dies_in_motion_leaves_an_unknown_outcome(daemon: ServeProcess) -> None:
     (node,) = daemon.children()
     async with daemon.client() as client:
-        await register(client)
         async with moving(client) as approach:
             os.kill(daemon.world_of(node), signal.SIGKILL)
             verdict = await approach
@@ -112,7 +109,6 @@ async def test_a_world_that_dies_in_motion_leaves_an_unknown_outcome(daemon: Ser
 async def test_node_frozen_in_motion_leaves_an_arm_braked_by_its_world(daemon: ServeProcess) -> None:
     (node,) = daemon.children()
     async with daemon.client() as client:
-        await register(client)
         async with moving(client) as approach:
             os.kill(node, signal.SIGSTOP)
             braked = await asyncio.to_thread(wait_until, lambda: "held_by_world" in daemon.log)
@@ -127,7 +123,6 @@ async def test_node_killed_in_motion_ends_its_world_at_rest(daemon: ServeProcess
     (node,) = daemon.children()
     world = daemon.world_of(node)
     async with daemon.client() as client:
-        await register(client)
         async with moving(client):
             os.kill(node, signal.SIGKILL)
             assert await asyncio.to_thread(wait_until, lambda: not is_running(world))

@@ -8,9 +8,12 @@ from typing import Any
 
 import pytest
 
+from pcmrs.devices.node import DeviceNode
+from pcmrs.devices.standstill import Standstill
 from pcmrs.dispatcher._admission import CommandAdmission
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.verdict_cache import VerdictCache
+from pcmrs.service._command_metrics import CommandMetrics
 from pcmrs_sim.deterministic.disk import SimulatedJournal
 
 Mutation = Callable[[pytest.MonkeyPatch], None]
@@ -68,7 +71,37 @@ def repeats_are_performed(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(VerdictCache, "verdict_of", verdict_of)
 
 
+def unasked_motion_is_ignored(patch: pytest.MonkeyPatch) -> None:
+    """Neither node nor daemon sees that the arm moves while nothing runs."""
+    patch.setattr(Standstill, "take", lambda _self, _state: None)
+
+
+def commands_have_no_time_of_arrival(patch: pytest.MonkeyPatch) -> None:
+    """A motion that waited for a blocked loop begins, as if it had just arrived."""
+    submit = CommandMetrics.submit
+
+    async def submit_as_new(self: Any, command: Any, **_: Any) -> Any:
+        return await submit(self, command)
+
+    patch.setattr(CommandMetrics, "submit", submit_as_new)
+
+
+def reports_of_devices_are_lost(patch: pytest.MonkeyPatch) -> None:
+    """The node passes no event of its devices on, and holds nothing because of it."""
+
+    async def read_only(_self: Any, _name: str, device: Any) -> None:
+        async for _ in device.events():
+            pass
+
+    patch.setattr(DeviceNode, "_publish_events", read_only)
+
+
 MUTANTS: dict[str, Mutation] = {
     each.__name__: each
     for each in (latch_not_checked, stop_does_not_latch, acknowledged_before_written, repeats_are_performed)
 }
+SCRIPTED: dict[str, Mutation] = {
+    each.__name__: each
+    for each in (unasked_motion_is_ignored, commands_have_no_time_of_arrival, reports_of_devices_are_lost)
+}
+"""Mutants that sessions which are drawn seldom meet: a script shows each."""

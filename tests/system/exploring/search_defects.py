@@ -11,7 +11,7 @@ import sys
 from collections.abc import Iterator
 from itertools import count
 from resource import RUSAGE_CHILDREN, getrusage
-from time import process_time
+from time import monotonic
 
 import pytest
 
@@ -33,20 +33,20 @@ def search(name: str, seed: int, step: int, minutes: float) -> SessionScript | N
         name: Of the defect.
         seed: Of the first session.
         step: From one seed to the next.
-        minutes: Of the processor, for this process.
+        minutes: Of the machine, with shrinking.
 
     Returns:
         A script of at most `MOST_ACTS` acts that shows the defect and holds on the product; None when the time is up.
     """
-    defect, end = DEFECTS[name], process_time() + 60.0 * minutes
+    defect, end = DEFECTS[name], monotonic() + 60.0 * minutes
     blueprint = workflow_of(defect.workflow).blueprint
     for each in count(seed, step):
-        if process_time() > end:
+        if monotonic() > end:
             return None
         script = draw_script(blueprint, defect.workflow, each)
         if not _shows(defect, script):
             continue
-        shorter = shrink(script, lambda given: _shows(defect, given))
+        shorter = shrink(script, lambda given: monotonic() < end and _shows(defect, given))
         if len(shorter.acts) <= MOST_ACTS and not run_session(shorter).invariant:
             return shorter
     return None
@@ -79,18 +79,18 @@ def main() -> int:
     """Prints what was found; 0 when all were, within `MOST_ACTS` acts each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME", help="defects to look for; all when none is given")
-    parser.add_argument("--minutes", type=float, default=10.0, help="of the processor, for each defect and process")
+    parser.add_argument("--minutes", type=float, default=10.0, help="of the machine, for each defect")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--seed", type=int, default=1, help="of the first session")
     parser.add_argument("--write", action="store_true", help="keep the scripts beside the tests")
     options = parser.parse_args()
     missed = 0
     for name in options.names or DEFECTS:
-        defect, before = DEFECTS[name], _cost()
+        defect, before, started = DEFECTS[name], _cost(), monotonic()
         found = next((each for each in _by_all(defect, options.seed, options.jobs, options.minutes) if each), None)
         missed += found is None
-        seconds = _cost() - before
-        sys.stdout.write(f"{name}: {'found' if found else 'NOT FOUND'} after {seconds:.0f} s of the processor\n")
+        times = f"{monotonic() - started:.0f} s, {_cost() - before:.0f} s of the processor"
+        sys.stdout.write(f"{name}: {'found' if found else 'NOT FOUND'} after {times}\n")
         if found is not None:
             sys.stdout.write(f"seed {found.seed}, {len(found.acts)} acts\n" + "\n".join(as_lines(found)) + "\n")
         if found is not None and options.write:

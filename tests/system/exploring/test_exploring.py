@@ -14,7 +14,7 @@ from pcmrs_lab.campaign.explore.next_step_policy import WITH_STIMULATOR
 from pcmrs_lab.campaign.explore.script import Act, SessionScript, shrink
 from pcmrs_lab.campaign.explore.session import run_session
 from pcmrs_lab.campaign.explore.settings import workflow_of
-from tests.system.exploring.exploring_mutants import MUTANTS
+from tests.system.exploring.exploring_mutants import MUTANTS, SCRIPTED
 
 TO_THE_HEAD = [Act(1.0, "go_on", "anna", {"turn": turn}) for turn in (1, 0, 1, 0, 1, 0, 1, 0, 0, 0)]
 """From nothing to the coil at its place."""
@@ -24,6 +24,19 @@ FINDING: dict[str, list[Act]] = {
     "stop_does_not_latch": [*TO_THE_HEAD[:3], Act(1.0, "stop", "ben")],
     "acknowledged_before_written": TO_THE_HEAD[:3],
     "repeats_are_performed": [*TO_THE_HEAD[:4], Act(1.0, "toolplan.clear", "ben"), Act(1.0, "repeat", "ben")],
+    "unasked_motion_is_ignored": [
+        Act(1.0, "robot.connect", "anna"),
+        Act(5.0, "fault:guide_by_hand", "", {"joint": 2, "angle": 0.2}),
+    ],
+    "commands_have_no_time_of_arrival": [
+        *TO_THE_HEAD[:5],
+        Act(2.0, "fault:held_up", "", {"process": "daemon", "seconds": 0.5}, waits=False),
+        Act(0.1, "placement.approach", "anna"),
+    ],
+    "reports_of_devices_are_lost": [
+        Act(1.0, "robot.connect", "anna"),
+        Act(5.0, "fault:e_stop", "", {"on": True, "lasts": 2.0}),
+    ],
 }
 """Mutant to what shows it."""
 
@@ -103,11 +116,11 @@ def test_a_pulse_is_given_when_nothing_is_wrong() -> None:
     assert found.seen["accepted stimulation.fire"] == 2
 
 
-@pytest.mark.parametrize("name", MUTANTS)
+@pytest.mark.parametrize("name", [*MUTANTS, *SCRIPTED])
 def test_a_guard_that_was_taken_out_is_missed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     script = SessionScript(seed=5, acts=FINDING[name])
     assert not run_session(script).invariant
-    MUTANTS[name](monkeypatch)
+    (MUTANTS | SCRIPTED)[name](monkeypatch)
     assert run_session(script).invariant
 
 

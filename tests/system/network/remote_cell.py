@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from pcmrs.clock import SystemClock
+from pcmrs.messages.identity import EVERY_CELL
 from pcmrs.pki import Authority
 from pcmrs.testing.daemon import free_port
 from pcmrs.testing.driving import landmarks, tool_pose
@@ -211,7 +212,7 @@ def remote_cell(network: Network, folder: Path, *settings: str, dialled: str = "
     """Router, cell and the identities of a console, ended with the block; `dialled` is a long way to the router."""
     now = SystemClock().wall()
     authority = Authority.init(folder / "pki", SITE, now)
-    authority.issue("router", "gate", now, hosts=(*ROUTER.values(), "127.0.0.1"), into=folder)
+    authority.issue("router", "gate", now, hosts=(*ROUTER.values(), "127.0.0.1"), cells=EVERY_CELL, into=folder)
     authority.issue("daemon", "daemon1", now, cells=(f"{SITE}/{CELL}",), into=folder)
     authority.issue("teleoperator", "tom", now, cells=(f"{SITE}/{CELL}",), via=("gate",), into=folder)
     authority.issue("viewer", "eve", now, cells=(f"{SITE}/{CELL}",), via=("gate",), into=folder)

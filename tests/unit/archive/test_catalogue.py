@@ -66,3 +66,21 @@ def test_another_version_or_file_is_refused(path: Path) -> None:
     path.write_bytes(b"not a database" * 100)
     with pytest.raises(ArchiveError, match="cannot be used"):
         Catalogue(path, make=True)
+
+
+VIEW = (
+    "CREATE VIEW journals AS WITH RECURSIVE n(site) AS (VALUES('a') UNION ALL SELECT site FROM n) "
+    "SELECT site, site AS cell, site AS workflow, site AS first, x'' AS key, x'' AS head FROM n"
+)
+
+
+@pytest.mark.parametrize("table", [VIEW, "CREATE TABLE journals (site, cell, workflow, first, key, head)"])
+def test_a_catalogue_with_other_tables_is_refused(path: Path, table: str) -> None:
+    """A view could have endless rows, and columns without types any values."""
+    Catalogue(path, make=True).close()
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("DROP TABLE segments")
+        connection.execute("DROP TABLE journals")
+        connection.execute(table)
+    with pytest.raises(ArchiveError, match="has other tables"):
+        Catalogue(path, make=False)

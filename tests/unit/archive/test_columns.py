@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pyarrow as pa
@@ -13,7 +14,7 @@ from pcmrs.archive._columns import SCHEMA, check_table, table_of
 from pcmrs.archive._source import JournalSource
 from pcmrs.errors import AlteredSegmentError
 from pcmrs.journal import JournalReader
-from pcmrs.journal.rows import START, decode_row
+from pcmrs.journal.rows import START, RowPosition, decode_row
 from tests.unit.archive.archives import commands, config, failed, segment_of, write
 
 
@@ -90,3 +91,14 @@ def test_rows_of_another_chain_are_found(path: Path, tmp_path: Path) -> None:
     _, other = segment_of(write(tmp_path / "other" / "ratms.sqlite", [config("oslo"), *commands(2), config()]))
     with pytest.raises(AlteredSegmentError, match="ends with another hash"):
         check_table(segment, other)
+
+
+@pytest.mark.parametrize(("start", "rows"), [(0, 0), (-3, 7)])
+def test_a_segment_of_no_rows_or_a_negative_one_is_altered(path: Path, start: int, rows: int) -> None:
+    """Found while writing `fuzz.archives`: it ended with an error of Arrow, or of an integer that has no bytes."""
+    segment, table = segment_of(path)
+    claimed = replace(
+        segment, start=RowPosition(start, segment.start.hash), end=RowPosition(start + rows, segment.end.hash)
+    )
+    with pytest.raises(AlteredSegmentError):
+        check_table(claimed, table.slice(0, rows))

@@ -33,9 +33,11 @@ class Daemon:
         self.presses: Counter[str] = Counter()
         self.ages: list[float] = []
         self.refused: list[tuple[str, str]] = []
+        self.texts: list[str] = []
 
     def refuse(self, source: str, code: str, text: str) -> None:
         self.refused.append((source, code))
+        self.texts.append(text)
 
     def stop(self, source: str, presses: int) -> int:
         """Numbers each Stop, from 1."""

@@ -18,7 +18,7 @@ from pcmrs.bus.access import access_control, roles_as_markdown
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
 from pcmrs.bus.qos import class_of
 from pcmrs.clock import SystemClock
-from pcmrs.messages.identity import ROLES, Role
+from pcmrs.messages.identity import EVERY_CELL, ROLES, Role
 from pcmrs.pki import Authority
 from pcmrs.testing.daemon import free_port
 from tests import ROOT
@@ -198,9 +198,9 @@ def test_at_a_router_are_only_people_who_are_marked_with_it(tmp_path: Path) -> N
     now = SystemClock().wall()
     authority = Authority.init(tmp_path / "pki", "lab", now)
     for role in ("router", "daemon"):
-        authority.issue(role, f"{role}1", now, hosts=("127.0.0.1",), into=tmp_path)
+        authority.issue(role, f"{role}1", now, hosts=("127.0.0.1",), cells=EVERY_CELL, into=tmp_path)
     for name, via in (("anna", ("router1",)), ("bob", ("router2",)), ("eve", ())):
-        authority.issue("operator", name, now, via=via, into=tmp_path)
+        authority.issue("operator", name, now, via=via, cells=EVERY_CELL, into=tmp_path)
     names = [each["id"] for each in access_control(authority.identities(), router="router1")["subjects"]]
     assert names == ["router1", "daemon1", "anna"]
 

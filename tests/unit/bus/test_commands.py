@@ -14,11 +14,17 @@ from pcmrs.bus import CommandEdge
 from pcmrs.bus.bridge import CAPACITY
 from pcmrs.bus.codec import pack, unpack
 from pcmrs.bus.commands import REPORTED_AT_ONCE, Envelope
+from pcmrs.bus.keys import MAX_CHUNK
 from pcmrs.errors import PayloadError
 from pcmrs.messages import Command, Verdict
-from pcmrs.messages.identity import Identity, Role
+from pcmrs.messages.clipping import LONGEST_TEXT
+from pcmrs.messages.identity import EVERY_CELL, Identity, Role
 from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus, plain_session
 from tests.unit.bus.edge_daemon import FLOOD, HELD_UP, PLAN, Daemon, get, running_daemon
+
+LONG = "x" * 30_000
+"""A name that its sender has chosen."""
+
 
 REGISTER: dict[str, Role] = {"anna": "teleoperator", "eve": "viewer"}
 
@@ -55,6 +61,14 @@ async def test_messagepack_is_answered_in_messagepack() -> None:
         assert (verdict.id, verdict.decision, verdict.sequence) == ("b", "accepted", 7)
 
 
+def registered(ends: float) -> list[Identity]:
+    """Everyone of `REGISTER`, in every cell, until then."""
+    return [
+        Identity(name=name, role=role, serial="1", begins=0.0, ends=ends, cells=EVERY_CELL)
+        for name, role in REGISTER.items()
+    ]
+
+
 async def test_user_has_the_registered_role_or_operator_if_no_register() -> None:
     """Without a register everybody counts as on site and has the role operator."""
 
@@ -67,7 +81,7 @@ async def test_user_has_the_registered_role_or_operator_if_no_register() -> None
 
     names = ("anna", "eve", "nobody", "local")
     assert await roles(names) == [(name, "operator") for name in names]
-    known = [Identity(name=name, role=role, serial="1", begins=0.0, ends=math.inf) for name, role in REGISTER.items()]
+    known = registered(math.inf)
     assert await roles(("anna", "eve", "local"), *known) == [
         ("anna", "teleoperator"),
         ("eve", "viewer"),
@@ -77,7 +91,7 @@ async def test_user_has_the_registered_role_or_operator_if_no_register() -> None
 
 async def test_command_of_expired_or_unknown_user_is_refused_at_once() -> None:
     """It is refused before it reaches the dispatcher."""
-    expired = [Identity(name=name, role=role, serial="1", begins=0.0, ends=1.0) for name, role in REGISTER.items()]
+    expired = registered(1.0)
     async with running_daemon(*expired) as (daemon, session):
         for name in ("anna", "nobody"):
             verdict = json.loads(await get(daemon, session, f"cmd/{name}/registration/reinit"))
@@ -113,6 +127,33 @@ async def test_a_malformed_query_is_rejected_and_not_submitted(key: str, payload
         assert daemon.refused == [(f"bus:{key.split('/')[1]}", "malformed")]
         assert says in verdict.reason.text
         assert daemon.submitted.empty()
+
+
+@pytest.mark.parametrize(
+    ("key", "payload"),
+    [
+        (f"cmd/eve/{LONG}/plan", b""),
+        (f"cmd/eve/toolplan/{LONG}", b""),
+        (f"cmd/{LONG}/toolplan/plan", b""),
+        ("cmd/eve/toolplan/plan", json.dumps({LONG: 1}).encode()),
+    ],
+    ids=["branch", "operation", "user", "field"],
+)
+async def test_of_a_long_name_little_is_answered_or_reported(key: str, payload: bytes) -> None:
+    async with running_daemon() as (daemon, session):
+        events = session.declare_subscriber(f"{daemon.bus.prefix}/state/event")
+        answers = [await get(daemon, session, key, payload)]
+        session.put(f"{daemon.bus.prefix}/{key}", payload)
+        event = await asyncio.wait_for(asyncio.to_thread(events.recv), TIMEOUT)
+        for answer in (*answers, event.payload.to_bytes()):
+            reason = unpack(answer, Verdict).reason
+            assert reason is not None
+            assert reason.code == "malformed"
+            assert len(answer) < 2 * LONGEST_TEXT
+        assert daemon.submitted.empty()
+        assert len(daemon.refused) == len(daemon.texts) == 2
+        assert max(map(len, daemon.texts)) < LONGEST_TEXT + 50
+        assert max(len(source) for source, _ in daemon.refused) < 2 * MAX_CHUNK
 
 
 async def test_a_malformed_put_is_refused_on_the_event_key() -> None:

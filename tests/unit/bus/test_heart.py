@@ -13,13 +13,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pcmrs.bus import BusSettings
-from pcmrs.bus.heart import SIGN, read_signs
+from pcmrs.bus.heart import SIGN, read_signs, runaway_event
 from pcmrs.bus.seal import Seal, new_key
 from pcmrs.clock import SystemClock
 from pcmrs.messages import Beat, DeviceEvent
 from pcmrs.processes.starting import start_by_exec
 from pcmrs.service.processes.heart import ANSWER_TIME, HeartProcess
 from pcmrs.service.supervisor import RESTARTS, Supervisor
+from pcmrs.threads import Runaway
 from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus
 
 
@@ -123,6 +124,14 @@ def test_newest_of_queued_signs_is_sent_however_they_are_cut() -> None:
     os.close(writing)
     assert list(signs) == []
     os.close(reading)
+
+
+def test_event_says_if_a_runaway_thread_has_kept_its_policy() -> None:
+    lost = runaway_event("daemon", Runaway(7, 8, "app-0", 0.34))
+    kept = runaway_event("daemon", Runaway(7, 8, "app-0", 0.34, "Operation not permitted"))
+    assert (lost.code, kept.code) == ("thread_demoted", "thread_not_demoted")
+    assert lost.text.startswith("Thread app-0 (8) of process 7 ran for 0.3 s without a pause and has lost")
+    assert "could not be taken away: Operation not permitted." in kept.text
 
 
 def client_of(settings: BusSettings) -> BusSettings:

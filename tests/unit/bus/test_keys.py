@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from pcmrs.bus import KEYS, KeyTable
 from pcmrs.bus.codec import pack, unpack
-from pcmrs.bus.keys import cell_prefix, command_key, split_command_key
+from pcmrs.bus.keys import MAX_CHUNK, cell_prefix, command_key, split_command_key
 from pcmrs.errors import PayloadError
 
 chunks = st.from_regex(r"[a-z0-9][a-z0-9._-]{0,20}", fullmatch=True)
@@ -28,3 +28,12 @@ def test_a_name_that_would_change_the_key_is_refused(name: str) -> None:
 def test_the_table_crosses_the_bus() -> None:
     table = KeyTable(prefix=cell_prefix("lab", "cell1"), keys=KEYS)
     assert unpack(pack(table), KeyTable) == table
+
+
+def test_a_longer_name_than_anything_has_is_refused() -> None:
+    """Its sender would choose how much of the journal a rejected command takes."""
+    assert command_key("local", "a" * MAX_CHUNK, "reinit") == f"cmd/local/{'a' * MAX_CHUNK}/reinit"
+    for length in (MAX_CHUNK + 1, 60_000):
+        with pytest.raises(PayloadError, match=f"1 to {MAX_CHUNK} lower-case") as refused:
+            split_command_key(f"cmd/local/toolplan/{'a' * length}")
+        assert len(refused.value.text) < 4 * MAX_CHUNK

@@ -17,7 +17,18 @@ from hypothesis import strategies as st
 
 from pcmrs.bus import Bus
 from pcmrs.bus.codec import pack, unpack
-from pcmrs.bus.seal import LENGTH, WINDOW, ReplayWindow, Seal, is_sealed, new_key, read_key, write_key
+from pcmrs.bus.seal import (
+    LENGTH,
+    SESSIONS,
+    WINDOW,
+    ReplayWindow,
+    Seal,
+    is_sealed,
+    new_key,
+    new_run,
+    read_key,
+    write_key,
+)
 from pcmrs.errors import ConfigurationError, DeviceError, SealError, UnknownOutcomeError
 from pcmrs.messages import Beat, DeviceEvent, DeviceHealth, DeviceReply, DeviceRequest
 from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus, plain_session
@@ -86,6 +97,7 @@ def test_within_the_window_messages_come_in_any_order_each_once(order: list[int]
         ("state/pose/coil", True),
         ("state/fsm", False),
         ("cmd/local/robot/connect", False),
+        ("ros2/tracker/coil", False),
         ("stop/local", False),
     ],
 )
@@ -312,3 +324,119 @@ async def test_two_receivers_of_one_process_both_take_each_message() -> None:
                 bench.daemon.publish("daemon/beat", Beat(number=number, session="a", alive=0.0, sent=0.0))
                 await asyncio.sleep(0.01)
         assert bench.node.counters()["bus.not_sealed"] == 0
+
+
+def test_sender_in_use_is_remembered_among_many_new_ones() -> None:
+    """A daemon that runs for long sees many short-lived senders; the node that it has seen first still sends."""
+    node, taken = bytes(8), ReplayWindow()
+    assert taken.take(node, 1)
+    for number in range(1, SESSIONS + 10):
+        assert taken.take(number.to_bytes(8, "little"), 1)
+        assert taken.take(node, number + 1)
+    assert not taken.take(node, 1)
+    assert not taken.take(node, SESSIONS)
+
+
+def test_repetition_does_not_keep_a_sender_remembered() -> None:
+    """Otherwise somebody without the key could choose which senders are forgotten."""
+    silent, used, taken = bytes(8), b"\1" + bytes(7), ReplayWindow()
+    assert taken.take(silent, 1)
+    assert taken.take(used, 1)
+    for number in range(2, SESSIONS):
+        assert taken.take(number.to_bytes(8, "big"), 1)
+    assert not taken.take(silent, 1)
+    assert taken.take(b"\2" + bytes(7), 1)
+    assert not taken.take(used, 1)
+
+
+def test_daemon_accepts_no_message_of_an_earlier_run() -> None:
+    """With a key in a file, its earlier messages were recorded under the same key."""
+    key = new_key()
+    earlier, run = new_run(), new_run()
+    daemon, node = Seal(key + run, current_only=True), Seal(key)
+    taken = ReplayWindow()
+    for sender in (node, Seal(key + earlier), Seal(key + new_run())):
+        assert fault(daemon, sender.put("put", KEY, b""), ("put",), KEY, b"", taken) == "other_run"
+    node.follow(Seal(key + earlier).put("put", KEY, b""))
+    assert fault(daemon, node.put("put", KEY, b""), ("put",), KEY, b"", taken) == "other_run"
+    node.follow(daemon.put("put", KEY, b""))
+    assert daemon.check(node.put("put", KEY, b""), ("put",), KEY, b"", taken) == "put"
+    assert daemon.check(Seal(key + run).put("put", KEY, b""), ("put",), KEY, b"", taken) == "put"
+    assert fault(Seal(new_key() + run, current_only=True), daemon.put("put", KEY, b""), ("put",), KEY, b"", taken) == (
+        "forged"
+    )
+
+
+def test_reply_to_a_query_counts_whatever_run_it_names() -> None:
+    """It is bound to the query; a node may not have received a heartbeat yet."""
+    key = new_key()
+    daemon, node = Seal(key + new_run(), current_only=True), Seal(key)
+    query = daemon.put("query", KEY, b"joints")
+    assert node.check(query, ("query",), KEY, b"joints", ReplayWindow()) == "query"
+    assert daemon.check(node.put("reply", KEY, b"1", query), ("reply",), KEY, b"1", ReplayWindow(), query) == "reply"
+
+
+async def test_a_node_learns_the_run_from_a_request_of_the_daemon() -> None:
+    """A daemon that does not know whether its arm stands still sends no heartbeats."""
+    settings, key = new_cell(), new_key()
+    client = msgspec.structs.replace(settings, mode="client")
+    seen: list[str] = []
+    async with open_bus(settings, Seal(key + new_run(), current_only=True)) as daemon:
+        daemon.subscribe("dev/*/event", DeviceEvent, lambda _, event: seen.append(event.code))
+        async with open_bus(client, Seal(key)) as node:
+
+            async def answer(_key: str, request: DeviceRequest) -> DeviceReply:
+                return DeviceReply(result=request.method)
+
+            node.serve("dev/robot/cmd", DeviceRequest, answer)
+            async with asyncio.timeout(TIMEOUT):
+                while not seen:
+                    with suppress(UnknownOutcomeError):
+                        await daemon.request("dev/robot/cmd", DeviceRequest(method="joints"), DeviceReply, TIMEOUT)
+                    node.publish("dev/robot/event", DeviceEvent(device="robot", code="heard", text=""))
+                    await asyncio.sleep(0.02)
+    assert set(seen) == {"heard"}
+
+
+async def test_a_restarted_daemon_takes_only_new_messages_of_a_node() -> None:
+    """The node, on another machine, continues; somebody who has recorded its messages sends them again."""
+    settings, key = new_cell(), new_key()
+    client = msgspec.structs.replace(settings, mode="client")
+    recorded: list[zenoh.Sample] = []
+    seen: list[str] = []
+
+    @asynccontextmanager
+    async def daemon() -> AsyncIterator[Bus]:
+        """A daemon that keeps the events that it accepts."""
+        seen.clear()
+        async with open_bus(settings, Seal(key + new_run(), current_only=True)) as bus:
+            bus.subscribe("dev/*/event", DeviceEvent, lambda _, event: seen.append(event.code))
+            yield bus
+
+    async def until_seen(bus: Bus, node: Bus, code: str) -> None:
+        """Publishes beats and events until the daemon accepts one; the node must have received a beat before."""
+        async with asyncio.timeout(TIMEOUT):
+            while code not in seen:
+                bus.publish("daemon/beat", Beat(number=1, session="a", alive=0.0, sent=0.0))
+                node.publish("dev/robot/event", DeviceEvent(device="robot", code=code, text=""))
+                await asyncio.sleep(0.02)
+
+    async with daemon() as first, open_bus(client, Seal(key)) as node:
+        with plain_session(settings) as stranger:
+            stranger.declare_subscriber(f"{first.prefix}/dev/robot/event", recorded.append)
+            async with asyncio.timeout(TIMEOUT):
+                while not recorded:
+                    seen.clear()
+                    await until_seen(first, node, "old")
+    old = recorded[-1]
+    assert old.attachment is not None
+    async with daemon() as second, open_bus(client, Seal(key)) as node:
+        await until_seen(second, node, "new")
+        before = second.counters()["bus.not_sealed"]
+        with plain_session(settings) as stranger:
+            async with asyncio.timeout(TIMEOUT):
+                while second.counters()["bus.not_sealed"] == before:
+                    stranger.put(f"{second.prefix}/dev/robot/event", old.payload, attachment=old.attachment)
+                    await asyncio.sleep(0.02)
+        await until_seen(second, node, "last")
+        assert set(seen) == {"new", "last"}

@@ -3,6 +3,7 @@
 import asyncio
 import sys
 import threading
+import time
 from contextlib import suppress
 
 import msgspec
@@ -10,6 +11,7 @@ import pytest
 import zenoh
 
 from pcmrs.bus import Bus
+from pcmrs.bus.bridge import CAPACITY
 from pcmrs.bus.codec import pack
 from pcmrs.devices.link import Link
 from pcmrs.errors import PayloadError, UnknownOutcomeError
@@ -226,3 +228,23 @@ async def test_the_bus_is_the_link_that_devices_need() -> None:
     async with open_pair() as (router, _):
         link: Link = router
         assert link is router
+
+
+async def test_an_event_that_finds_the_queue_full_is_reported() -> None:
+    async with open_pair() as (router, client):
+        lost = asyncio.Queue[str]()
+        arrived = asyncio.Queue[BodyPose]()
+        router.subscribe("dev/*/event", BodyPose, lambda _, message: arrived.put_nowait(message))
+        router.when_lost(lost.put_nowait)
+        client.publish("dev/robot/event", pose(0))
+        await asyncio.wait_for(arrived.get(), TIMEOUT)  # the two know each other
+        with plain_session(router.settings) as session:
+            for number in range(CAPACITY + 1):
+                payload = pack(pose(number))
+                key = f"{router.prefix}/dev/robot/event"
+                session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
+            while router.counters()["bus.refused"] == 0:
+                time.sleep(0.001)  # noqa: ASYNC251  # this thread is the loop's: nothing is taken out of the queue
+            assert lost.empty()
+            assert await asyncio.wait_for(lost.get(), TIMEOUT) == "dev/robot/event"
+        assert lost.empty(), "it is reported once, until that was heard"

@@ -29,6 +29,7 @@ from pcmrs.client import Client
 from pcmrs.clock import SystemClock
 from pcmrs.errors import ConfigurationError, UnknownOutcomeError
 from pcmrs.messages import Command, LeaseState, Snapshot, TeleopSetpoint, Verdict
+from pcmrs.messages.identity import EVERY_CELL
 from pcmrs.pki import Authority, read_credentials, read_register
 from pcmrs.router import router_settings
 from pcmrs.testing.daemon import free_port
@@ -59,9 +60,9 @@ class Lab:
     def made(cls, folder: Path) -> Lab:
         now = SystemClock().wall()
         lab = cls(folder, Authority.init(folder / "pki", "lab", now))
-        lab.authority.issue("router", "gate", now, hosts=("127.0.0.1",), into=folder)
-        lab.authority.issue("daemon", "c1", now, hosts=("127.0.0.1",), into=folder)
-        lab.authority.issue("operator", "eve", now, into=folder)
+        lab.authority.issue("router", "gate", now, hosts=("127.0.0.1",), cells=EVERY_CELL, into=folder)
+        lab.authority.issue("daemon", "c1", now, hosts=("127.0.0.1",), cells=EVERY_CELL, into=folder)
+        lab.authority.issue("operator", "eve", now, cells=EVERY_CELL, into=folder)
         lab.issue()
         return lab
 
@@ -71,7 +72,7 @@ class Lab:
 
     def issue(self) -> None:
         """Issue a newer certificate to tom."""
-        self.authority.issue("operator", "tom", SystemClock().wall(), via=("gate",), into=self.folder)
+        self.authority.issue("operator", "tom", SystemClock().wall(), via=("gate",), cells=EVERY_CELL, into=self.folder)
 
     def joined(self, name: str, endpoint: str) -> BusSettings:
         return BusSettings(endpoint=endpoint, cell="c1", credentials=read_credentials(self.folder / name, time.time()))

@@ -14,6 +14,7 @@ import zenoh
 from pcmrs.bus import CommandEdge, stop
 from pcmrs.bus.codec import pack, unpack
 from pcmrs.bus.commands import Envelope
+from pcmrs.bus.keys import MAX_CHUNK
 from pcmrs.bus.settings import STOPS
 from pcmrs.bus.stop import LONGEST_PRESS, OTHERS, WAITING_ANSWERS, StopLane, Stopping, StopReplies
 from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus, plain_session
@@ -208,3 +209,14 @@ async def test_replies_to_one_source_are_limited_and_others_get_theirs() -> None
         answered = [len(await asyncio.to_thread(list, each)) for each in flood]
         assert WAITING_ANSWERS <= sum(answered) < 4 * WAITING_ANSWERS
         assert daemon.presses["bus:eve"] == 4 * WAITING_ANSWERS, "all are Stops"
+
+
+@pytest.mark.usefixtures("many_links")
+async def test_every_name_stops_and_a_long_one_is_shortened() -> None:
+    """The row of a Stop holds its source."""
+    async with running_daemon() as (daemon, session):
+        answer = json.loads(await get(daemon, session, f"stop/{'x' * 30_000}"))
+        assert answer["number"] == daemon.stops == 1
+        source = daemon.stopped.get_nowait()
+        assert source.startswith(f"bus:{'x' * MAX_CHUNK}…")
+        assert len(source) < 2 * MAX_CHUNK

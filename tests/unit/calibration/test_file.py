@@ -79,6 +79,8 @@ def test_a_changed_value_does_not_give_the_hash(tmp_path: Path, before: str, aft
         (("0.15", "inf"), "flange_from_coil"),
         (('serial = "17"', "colour = 5"), "colour"),
         (("schema = 1", "schema = "), "not TOML"),
+        (("version = 1", f"version = {'1' * 5000}"), "not TOML"),
+        (("error_mm = 0.3", f"error_mm = 1{'0' * 400}"), "error_mm"),
     ],
 )
 def test_invalid_calibration_is_refused_with_the_reason(tmp_path: Path, change: tuple[str, str], words: str) -> None:

@@ -60,3 +60,11 @@ def test_json_that_is_no_list_of_objects_is_refused(tmp_path: Path, text: str) -
     file.write_text(text)
     with pytest.raises(FileFormatError):
         read_poses(file, PIVOT)
+
+
+def test_a_number_beyond_a_float_is_refused_with_its_row(tmp_path: Path) -> None:
+    file = tmp_path / "poses.json"
+    row = dict(zip(header(PIVOT).split(","), (10**400, 0, 0, 0, 0, 0, 1), strict=True))
+    file.write_text(json.dumps([row]))
+    with pytest.raises(FileFormatError, match="row 1"):
+        read_poses(file, PIVOT)

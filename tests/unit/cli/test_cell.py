@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from pcmrs.bus import CommandEdge
 from pcmrs.cli.cell import event_line
-from pcmrs.messages import Command, Reason, Verdict
+from pcmrs.messages import Command, Reason, StopState, Verdict
 from pcmrs.testing.daemon import free_port
 from tests.unit.bus.bus_cells import accepted, new_cell, open_bus, snapshot
 from tests.unit.cli.command_line import run
@@ -79,3 +79,32 @@ async def test_the_exit_status_of_a_call_is_its_decision(decision: str, status: 
         await edge.close()
     assert ended.exit_code == status
     assert ("allowed now: robot.hold" in ended.stdout) == (decision != "accepted")
+
+
+async def test_state_is_asked_for_once_and_shown_in_columns() -> None:
+    async with open_bus(new_cell()) as bus:
+        daemon = Daemon(bus)
+        words = ("--endpoint", bus.settings.endpoint, "--site", bus.settings.site, "--cell", bus.settings.cell)
+        ended = await asyncio.to_thread(run, "state", *words)
+    assert ended.exit_code == 0
+    shown = snapshot(0)
+    title, *lines, flags = ended.stdout.splitlines()
+    assert title == f"{shown.blueprint.id} {shown.blueprint.version}"
+    assert [tuple(line.split()) for line in lines] == list(shown.branches.items())
+    assert flags == "flags: none; sequence 0"
+    assert daemon.snapshots == 1
+
+
+async def test_the_hint_after_stop_names_the_stop_that_it_shows() -> None:
+    async with open_bus(new_cell()) as bus:
+        daemon = Daemon(bus)
+        daemon.shown = {"latched": True, "release": ["robot.acknowledge"], "stop": StopState(number=1, confirmed=True)}
+        edge = await CommandEdge.open(bus, daemon.submit, lambda *_: None, daemon.stop)
+        words = ("--endpoint", bus.settings.endpoint, "--site", bus.settings.site, "--cell", bus.settings.cell)
+        stopped = await asyncio.to_thread(run, "stop", *words)
+        daemon.shown["stop"] = StopState(number=7)
+        shown = await asyncio.to_thread(run, "state", *words)
+        await edge.close()
+    hint = "latched until it is acknowledged: pcmrs call robot.acknowledge '{\"stop\": %d}'"
+    assert stopped.stdout == f"stopped, and {hint % 1}\n"
+    assert hint % 7 in shown.stdout.replace("\n", " ")

@@ -5,16 +5,16 @@ from __future__ import annotations
 import io
 
 from msgspec.structs import replace
-from rich.console import Console
 
 from pcmrs.cli.health import health_table
+from pcmrs.cli.tables import Terminal
 from pcmrs.messages.health import Health, HealthFacts, TaskStanding
 from pcmrs.service.health.report import report
 from tests.support.health_facts import WELL
 
 
 def shown(facts: HealthFacts) -> str:
-    console = Console(width=120, file=io.StringIO(), highlight=False)
+    console = Terminal(width=120, file=io.StringIO(), highlight=False)
     health: Health = report(facts)
     console.print(health_table(health))
     assert isinstance(console.file, io.StringIO)

@@ -10,6 +10,7 @@ from click.testing import CliRunner, Result
 
 from pcmrs.cli.router import router
 from pcmrs.clock import SystemClock
+from pcmrs.messages.identity import EVERY_CELL
 from pcmrs.pki import Authority
 from pcmrs.router import router_settings
 
@@ -17,8 +18,8 @@ from pcmrs.router import router_settings
 @pytest.fixture
 def authority(tmp_path: Path) -> Authority:
     made = Authority.init(tmp_path / "pki", "lab", SystemClock().wall())
-    made.issue("router", "gate", SystemClock().wall(), hosts=["127.0.0.1"], into=tmp_path)
-    made.issue("operator", "anna", SystemClock().wall(), into=tmp_path)
+    made.issue("router", "gate", SystemClock().wall(), hosts=["127.0.0.1"], cells=EVERY_CELL, into=tmp_path)
+    made.issue("operator", "anna", SystemClock().wall(), cells=EVERY_CELL, into=tmp_path)
     return made
 
 

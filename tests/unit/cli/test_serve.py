@@ -48,3 +48,10 @@ def test_a_node_wants_a_configuration() -> None:
     ended = CliRunner().invoke(main, ["node", "sim", "robot"], input="nonsense\n")
     assert ended.exit_code == 4
     assert "configuration" in ended.stderr
+
+
+def test_others_may_not_read_what_the_command_writes(tmp_path: Path) -> None:
+    CliRunner().invoke(serve, ["--set", "nonsense"])
+    file = tmp_path / "written"
+    file.touch()
+    assert file.stat().st_mode & 0o077 == 0

@@ -2,6 +2,9 @@
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from typing import Any
+
+import msgspec
 
 from pcmrs.bus import Bus, CommandEdge, Empty
 from pcmrs.client import Client
@@ -10,10 +13,14 @@ from tests.unit.bus.bus_cells import accepted, new_cell, open_bus, snapshot
 
 
 class Daemon:
+    """Accepts everything; its snapshot has the values of `shown`."""
+
     def __init__(self, bus: Bus) -> None:
         self.bus = bus
         self.commands: list[Command] = []
         self.stops: list[str] = []
+        self.snapshots = 0
+        self.shown: dict[str, Any] = {}
         bus.serve("svc/snapshot", Empty, self.snapshot)
 
     async def submit(self, command: Command, *, arrived: float) -> Verdict:
@@ -28,17 +35,18 @@ class Daemon:
         return len(self.stops)
 
     async def snapshot(self, _: str, __: Empty) -> Snapshot:
-        return snapshot(len(self.commands))
+        self.snapshots += 1
+        return msgspec.structs.replace(snapshot(len(self.commands)), **self.shown)
 
 
 @asynccontextmanager
-async def connected() -> AsyncIterator[tuple[Daemon, Client]]:
+async def connected(user: str = "anna") -> AsyncIterator[tuple[Daemon, Client]]:
     async with open_bus(new_cell()) as bus:
         daemon = Daemon(bus)
         edge = await CommandEdge.open(bus, daemon.submit, lambda *_: None, daemon.stop)
         try:
             settings = bus.settings
-            async with Client.connect(settings.endpoint, settings.site, settings.cell, user="anna") as client:
+            async with Client.connect(settings.endpoint, settings.site, settings.cell, user=user) as client:
                 yield daemon, client
         finally:
             await edge.close()

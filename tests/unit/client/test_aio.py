@@ -11,8 +11,8 @@ import zenoh
 
 from pcmrs.bus import Empty
 from pcmrs.client import Client, Event
-from pcmrs.errors import BusError, DeviceError, PayloadError
-from pcmrs.messages import DeviceEvent, DeviceReply, DeviceRequest, Reason, Snapshot
+from pcmrs.errors import BusError, DeviceError, PayloadError, RefusalError
+from pcmrs.messages import DeviceEvent, DeviceReply, DeviceRequest, Reason, Snapshot, StopState
 from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus, plain_session, snapshot
 from tests.unit.client.small_daemon import connected
 
@@ -169,3 +169,26 @@ async def test_wait_for_a_state_that_does_not_come_times_out() -> None:
         assert await client.until(lambda shown: shown.sequence == 1, TIMEOUT) == snapshot(1)
         with pytest.raises(TimeoutError):
             await client.until(lambda shown: shown.sequence == 2, timeout=0.1)
+
+
+async def test_an_acknowledgement_names_the_stop_that_was_seen() -> None:
+    async with connected() as (daemon, client):
+        daemon.shown = {"release": ["robot.acknowledge"], "stop": StopState(number=8)}
+        await client.acknowledge(stop=7)
+        (command,) = daemon.commands
+        assert command.arguments == {"stop": 7}, "not Stop 8, which is newer and which nobody has seen"
+
+
+async def test_only_the_local_user_may_leave_a_stop_unnamed() -> None:
+    shown = {"release": ["robot.acknowledge"], "stop": StopState(number=8)}
+    async with connected() as (daemon, client):
+        daemon.shown = shown
+        with pytest.raises(RefusalError, match="acknowledge with stop = the number") as caught:
+            await client.acknowledge()
+        assert caught.value.refusal_code == "stop_not_named"
+        assert daemon.commands == []
+    async with connected("local") as (daemon, client):
+        daemon.shown = shown
+        await client.acknowledge()
+        (command,) = daemon.commands
+        assert command.arguments == {}, "the daemon decides, which refuses it while the Stop is young"

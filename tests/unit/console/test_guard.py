@@ -54,6 +54,7 @@ def test_without_the_token_there_is_nothing(address: tuple[str, str], path: str,
     cookie = cookie.format(name=cookie_name(address[0]))
     response = ask(address[0], path, **({"Cookie": cookie} if cookie else {}))
     assert response.status == 401
+    assert response.getheader("Connection") == "close", "who has no token keeps no place"
     assert b"nicegui" not in response.body  # type: ignore[attr-defined]
 
 

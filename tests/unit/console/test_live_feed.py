@@ -19,6 +19,7 @@ from pcmrs.messages.health import Health
 from pcmrs.messages.setup import ProcedureDataView, Setup
 from pcmrs.service.health.report import report
 from pcmrs.spatial import Transform
+from pcmrs.testing.clock import settle
 from tests.support.health_facts import WELL
 from tests.unit.bus.bus_cells import snapshot
 from tests.unit.console.shown_cell import body, setup
@@ -33,6 +34,8 @@ class Daemon:
         self.reached = self.answers = True
         self.dialled = 0
         self.leases: list[str] = []
+        self.followed: list[str] = []
+        self.gathers = 0
         self.events: asyncio.Queue[Snapshot] = asyncio.Queue()
         self.pose: Callable[[BodyPose], None] = lambda _: None
 
@@ -46,9 +49,10 @@ class Daemon:
     def listen(self, key: str, _kind: type[Any], handler: Callable[[Any], None]) -> Callable[[], Any]:
         if key.startswith("state/pose"):
             self.pose = handler
+        self.followed.append(key)
 
         async def end() -> None:
-            pass
+            self.followed.remove(key)
 
         return end
 
@@ -65,6 +69,7 @@ class Daemon:
         return report(WELL)
 
     async def gathered(self) -> ProcedureDataView:
+        self.gathers += 1
         return ProcedureDataView(landmarks=[])
 
     async def journal(self, _: JournalQuery) -> JournalPage:
@@ -76,7 +81,9 @@ class Daemon:
 
 @asynccontextmanager
 async def following(daemon: Daemon) -> AsyncIterator[LiveFeed]:
+    """A feed with one open page."""
     feed = LiveFeed(daemon.dial)
+    feed.page_opened("a")
     async with background_task(feed.run()):
         await asyncio.sleep(0.1)
         yield feed
@@ -139,3 +146,35 @@ async def test_a_lease_is_renewed_only_while_it_is_held() -> None:
         await feed.hold("release")
         await asyncio.sleep(2 * RENEW_PERIOD)
         assert daemon.leases[3:] == ["release"]
+
+
+async def test_streams_and_data_are_followed_while_a_page_is_open() -> None:
+    daemon = Daemon()
+    async with following(daemon) as feed:
+        assert sorted(daemon.followed) == ["state/epoch", "state/joints", "state/pose/*"]
+        feed.page_opened("b")
+        feed.page_closed("a")
+        await settle()
+        assert len(daemon.followed) == 3, "another page is open"
+        feed.page_closed("b")
+        await settle()
+        before = daemon.gathers
+        daemon.events.put_nowait(snapshot(2))
+        await settle()
+        assert (daemon.followed, daemon.gathers, feed.snapshot) == ([], before, snapshot(2))
+        feed.page_opened("c")
+        await settle()
+        assert (len(daemon.followed), daemon.gathers) == (3, before + 1)
+
+
+async def test_lease_is_not_renewed_when_the_last_page_is_closed() -> None:
+    daemon = Daemon()
+    async with following(daemon) as feed:
+        await feed.hold("acquire")
+        daemon.events.put_nowait(replace(snapshot(1), lease=LeaseState(holder="local")))
+        feed.page_closed("a")
+        await asyncio.sleep(3 * RENEW_PERIOD)
+        assert daemon.leases == ["acquire"]
+        feed.page_opened("b")
+        await asyncio.sleep(RENEW_PERIOD)
+        assert daemon.leases == ["acquire", "renew"]

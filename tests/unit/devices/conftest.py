@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping
 from typing import cast
 
 import pytest
@@ -20,7 +21,16 @@ def pytest_asyncio_loop_factories(
     return getattr(cast(pytest.Function, item).module, "LOOPS", REAL_TIME)
 
 
-@pytest.fixture
-def patient(monkeypatch: pytest.MonkeyPatch) -> None:
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Leave to the nightly run what a module runs on the loops that it names in `NIGHTLY_LOOPS`."""
+    nightly = getattr(getattr(item, "module", None), "NIGHTLY_LOOPS", ())
+    if any(name in re.split(r"[\[\]-]", item.name) for name in nightly):
+        item.add_marker(pytest.mark.nightly)
+
+
+@pytest.fixture(scope="module")
+def patient() -> Iterator[None]:
     """A test machine may leave this process alone for a while; what a stream does then has a test of its own."""
-    monkeypatch.setattr(drive, "STALLED", 10.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(drive, "STALLED", 10.0)
+        yield

@@ -46,6 +46,8 @@ class FakeScheduling:
 
 
 class Bench:
+    serving: asyncio.Task[None]
+
     def __init__(self) -> None:
         self.clock = ManualClock()
         self.link = MemoryLink()
@@ -65,7 +67,7 @@ class Bench:
 @asynccontextmanager
 async def open_bench() -> AsyncIterator[Bench]:
     bench = Bench()
-    serving = asyncio.create_task(bench.node.run())
+    bench.serving = serving = asyncio.create_task(bench.node.run())
     await settle()
     await bench.robot.joints()
     await bench.robot.release_latch()

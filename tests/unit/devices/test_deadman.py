@@ -16,6 +16,7 @@ from pcmrs.messages import (
 )
 from pcmrs.testing.clock import settle
 from pcmrs.testing.devices import STATE
+from pcmrs.threads import Load
 from tests.unit.devices.node_bench import BEAT_PERIOD, MOVING, TRAJECTORY, Bench, beat, beat_for, open_bench
 
 
@@ -198,3 +199,31 @@ async def test_failed_hold_does_not_end_the_watch_over_a_moving_robot(bench: Ben
     for holds in (1, 2):
         await bench.clock.advance(DEADMAN + BEAT_PERIOD / 2)
         assert bench.robot_device.holds == holds
+
+
+async def test_node_that_may_not_read_the_load_reports_its_hold(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench.scheduling, "load", lambda: Load(None, 2))
+    bench.robot_device.stream.put_nowait(MOVING)
+    beat(bench, 1)
+    await bench.clock.advance(DEADMAN / 2)
+    bench.clock.stall(2 * DEADMAN)
+    await bench.clock.advance(2 * TURN)
+    events = bench.link.published["dev/robot/event"]
+    assert sorted(event.code for event in events) == ["daemon_silent", "node_held_up"]
+    assert all("the load of the machine is not known" in event.text for event in events)
+
+
+async def test_a_report_that_fails_does_not_end_the_deadman(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    def hidden() -> Load:
+        raise FileNotFoundError("/proc/loadavg")
+
+    monkeypatch.setattr(bench.scheduling, "load", hidden)
+    bench.robot_device.stream.put_nowait(MOVING)
+    beat(bench, 1)
+    await bench.clock.advance(DEADMAN / 2)
+    bench.clock.stall(2 * DEADMAN)  # both reports have the load
+    await bench.clock.advance(2 * TURN)
+    assert bench.robot_device.holds == 1
+    assert not bench.serving.done()
+    await bench.clock.advance(2 * DEADMAN)
+    assert bench.robot_device.holds > 1, "it still moves, and the deadman still watches"

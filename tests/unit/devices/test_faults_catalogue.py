@@ -8,8 +8,8 @@ from __future__ import annotations
 import ast
 import asyncio
 import re
-from collections.abc import AsyncIterator, Mapping
-from functools import cache
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from pcmrs_sim.cell import CellSimulation, running_cell
 from pcmrs_sim.cli.lines import apply_line, follow_schedule, read_schedule
 from pcmrs_sim.faults import FAULTS, parse_fault
 from tests import ROOT
+from tests.unit.devices.fault_signs import SIGNS, connected
 
 DOCUMENT = ROOT / "docs" / "faults.md"
 LOOPS = {"simulated": SimulatedLoop}
@@ -118,24 +119,66 @@ def test_every_fault_belongs_to_a_row() -> None:
     assert set(LINES) == set(FAULTS)
 
 
+def test_every_fault_has_its_sign() -> None:
+    assert set(SIGNS) == set(FAULTS)
+
+
+Inject = Callable[[str], Awaitable[object]]
+"""Brings a fault about, or ends it, by a line of text."""
+
+
+async def check_brought_about(cell: CellSimulation, name: str, inject: Inject) -> None:
+    """The fault shows between the line that begins it and the one that ends it, and the cell is healthy after that."""
+    sign, (begin, end) = SIGNS[name], LINES[name]
+    await connected(cell)
+    before = await sign.look(cell)
+    await sign.prepare(cell)
+    await inject(f"{name} {begin}")
+    await settled(cell)
+    during = await sign.look(cell)
+    assert sign.shows(before, during), (before, during)
+    await inject(f"{name} {end}")
+    await settled(cell)
+    await healthy(cell)
+
+
 @pytest.mark.parametrize("name", FAULTS)
 async def test_a_line_brings_it_about_and_another_ends_it(cell: CellSimulation, name: str) -> None:
-    for words in LINES[name]:
-        await apply_line(cell, f"{name} {words}")
-        await settled(cell)
-    await healthy(cell)
+    await check_brought_about(cell, name, partial(apply_line, cell))
+
+
+@pytest.mark.parametrize("name", FAULTS)
+async def test_nothing_brings_no_fault_about(cell: CellSimulation, name: str) -> None:
+    """So a sign is of its fault, and not of the time that has passed."""
+
+    async def nothing(_: str) -> None: ...
+
+    with pytest.raises(AssertionError):
+        await check_brought_about(cell, name, nothing)
 
 
 @pytest.mark.parametrize("name", FAULTS)
 async def test_the_scene_brings_it_about_and_ends_it(cell: CellSimulation, name: str) -> None:
     scene: Any = cell.devices["scene"]
-    for words in LINES[name]:
-        await scene.inject(*parse_fault(f"{name} {words}"))
-        await settled(cell)
-    await healthy(cell)
+
+    async def inject(line: str) -> None:
+        await scene.inject(*parse_fault(line))
+
+    await check_brought_about(cell, name, inject)
 
 
-async def test_a_schedule_brings_all_of_them_about_and_ends_them(
+@pytest.mark.parametrize("name", FAULTS)
+async def test_a_schedule_brings_it_about_and_ends_it(cell: CellSimulation, tmp_path: Path, name: str) -> None:
+    file = tmp_path / "faults.txt"
+
+    async def inject(line: str) -> None:
+        file.write_text(f"0 {line}\n", encoding="utf-8")
+        await follow_schedule(cell, read_schedule(file))
+
+    await check_brought_about(cell, name, inject)
+
+
+async def test_a_schedule_has_all_of_them_at_a_time_and_ends_them(
     cell: CellSimulation, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lines = [f"{name} {LINES[name][which]}".strip() for which in (0, 1) for name in FAULTS]
@@ -143,7 +186,15 @@ async def test_a_schedule_brings_all_of_them_about_and_ends_them(
     file.write_text("".join(f"{0.05 * number:.2f} {line}\n" for number, line in enumerate(lines)), encoding="utf-8")
     schedule = read_schedule(file)
     assert [line for _, line in schedule] == lines
-    await follow_schedule(cell, schedule)
+    following = asyncio.create_task(follow_schedule(cell, schedule))
+    await cell.clock.sleep(0.05 * (len(FAULTS) - 0.5))
+    robot, tracker = cell.robot_faults, cell.tracker.faults
+    assert (robot.cut, robot.silent, robot.doubled, robot.late, robot.refusing) == (True,) * 5
+    assert (robot.drives_off, robot.framing, robot.drops, robot.restarts) == ("brakes_closed", "split", 1, 1)
+    assert (tracker.silent, tracker.frozen, tracker.reversed, tracker.future, tracker.plugged) == (*(True,) * 4, False)
+    marked = (tracker.not_finite, tracker.not_unit, tracker.bad_fit, tracker.wrong_tools, tracker.phantoms)
+    assert marked == ({"coil"},) * 5
+    await following
     assert capsys.readouterr().err == "", "nothing was refused"
     await settled(cell)
     await healthy(cell)

@@ -9,21 +9,29 @@ from typing import Any
 
 import numpy as np
 import pytest
+import pytest_asyncio
 
 from pcmrs.errors import DeviceError, DeviceRefusedError, PcmrsError, UnknownOutcomeError
 from pcmrs.messages import MotionResult
-from tests.unit.devices.contract_robots import BENCHES, HOME, Bench, bench, smooth
+from tests.unit.devices.contract_robots import HOME, LOOP_OF_DRIVER, Bench, bench, smooth
 
-pytestmark = pytest.mark.usefixtures("patient")
+pytestmark = [pytest.mark.usefixtures("patient"), pytest.mark.asyncio(loop_scope="module")]
+LOOPS, NIGHTLY_LOOPS = LOOP_OF_DRIVER, ("kst",)
 NEVER_LATER = 20.0
 """Everything has an answer within this, s."""
 
 
-@pytest.fixture(params=[pytest.param(name, marks=() if name == "sim" else pytest.mark.nightly) for name in BENCHES])
-async def lab(request: pytest.FixtureRequest) -> AsyncIterator[Bench]:
-    async with asyncio.timeout(3 * NEVER_LATER), bench(request.param) as lab:
-        await lab.robot.connect()
-        yield lab
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def opened() -> AsyncIterator[Bench]:
+    """One cell for all tests: each ends the faults that it begins."""
+    async with bench() as opened:
+        yield opened
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def lab(opened: Bench) -> Bench:
+    await opened.back_home()
+    return opened
 
 
 async def inject(lab: Bench, fault: str, **arguments: Any) -> None:
@@ -157,6 +165,7 @@ async def test_a_set_point_of_an_earlier_connection_moves_nothing(lab: Bench) ->
     await lab.clock.sleep(1.0)
     assert np.allclose((await lab.robot.joints()).positions, state.positions, atol=1e-3)
     assert lab.cell.world.arm.positions[0] > HOME[0] + 0.19, "it stays where it was brought by hand"
+    await inject(lab, "late_set_point", on=False)
 
 
 async def test_command_that_arrives_twice_moves_the_arm_once(lab: Bench) -> None:

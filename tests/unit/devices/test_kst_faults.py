@@ -6,19 +6,29 @@ from typing import Any
 
 import numpy as np
 import pytest
+import pytest_asyncio
 
+from pcmrs.devices.node import DeviceNode
+from pcmrs.devices.remote import RemoteRobot
 from pcmrs.errors import DeviceError, DeviceRefusedError, MotionInterruptedError, UnknownOutcomeError
 from pcmrs.messages import MotionResult
+from tests.support.memory_link import MemoryLink
 from tests.unit.devices.contract_robots import HOME, Bench, bench, smooth
 
-pytestmark = pytest.mark.usefixtures("patient")
+pytestmark = [pytest.mark.usefixtures("patient"), pytest.mark.asyncio(loop_scope="module")]
 
 
-@pytest.fixture
-async def lab() -> AsyncIterator[Bench]:
-    async with bench("kst") as lab:
-        await lab.robot.connect()
-        yield lab
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def opened() -> AsyncIterator[Bench]:
+    """One cell for all tests: each ends the faults that it begins."""
+    async with bench() as opened:
+        yield opened
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def lab(opened: Bench) -> Bench:
+    await opened.back_home()
+    return opened
 
 
 async def under_way(lab: Bench) -> "asyncio.Task[MotionResult]":
@@ -62,6 +72,35 @@ async def test_a_link_that_fails_in_motion(lab: Bench, fault: str, arguments: di
     assert (await lab.robot.follow(smooth(np.array(state.positions), HOME))).outcome == "done"
 
 
+async def test_a_cabinet_that_has_gone_silent_confirms_no_hold(lab: Bench) -> None:
+    await inject(lab, "silence_robot", on=True)
+    with pytest.raises(UnknownOutcomeError):
+        await lab.robot.hold()
+    await inject(lab, "silence_robot", on=False)
+    await lab.told("link_lost")
+    await lab.robot.connect()
+
+
+async def test_a_cabinet_that_has_gone_silent_is_not_released(lab: Bench) -> None:
+    link = MemoryLink()
+    serving = asyncio.create_task(DeviceNode(link, {"robot": lab.robot}, lab.clock).run())
+    await asyncio.sleep(0)
+    robot = RemoteRobot(link, lab.clock)
+    await robot.stop()
+    await inject(lab, "silence_robot", on=True)
+    with pytest.raises(UnknownOutcomeError):
+        await robot.release_latch()
+    robot.take(link.published["dev/robot/beat"][-1].gate)
+    assert robot.latched
+    await inject(lab, "silence_robot", on=False)
+    await lab.told("link_lost")
+    await lab.robot.connect()
+    await robot.joints()  # the lost link has raised the epoch
+    await robot.release_latch()
+    assert not robot.latched
+    serving.cancel()
+
+
 async def test_an_interrupted_motion_has_failed(lab: Bench) -> None:
     following = await under_way(lab)
     await inject(lab, "interrupt")
@@ -76,6 +115,7 @@ async def test_split_and_merged_replies_are_no_matter(lab: Bench, how: str) -> N
     await inject(lab, "frame_replies", how=how)
     assert (await lab.robot.follow(smooth(HOME, HOME + 0.1))).outcome == "done"
     assert lab.events == []
+    await inject(lab, "frame_replies", how="mixed")
 
 
 @pytest.mark.parametrize("fault", ["e_stop", "change_mode", "close_brakes"])
@@ -101,6 +141,8 @@ async def test_a_joint_beside_what_is_commanded_holds_the_arm(lab: Bench) -> Non
     assert (result.outcome, result.reason) == ("stopped", "pose_differs")
     assert (await lab.told("pose_differs")).danger
     await stands(lab)
+    await inject(lab, "offset_joint", joint=3, angle=0.0)
+    await lab.clock.sleep(0.5)
 
 
 async def test_an_arm_that_was_moved_by_hand_starts_from_there(lab: Bench) -> None:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 
 import msgspec
 import pytest
 
 from pcmrs.devices.deadman import DEADMAN
+from pcmrs.devices.gate import HOLD_TIME
 from pcmrs.devices.node import PASSIVE_PERIOD, REQUEST_DELAY
-from pcmrs.errors import DeviceError
+from pcmrs.devices.standstill import MOVED, THRESHOLD
+from pcmrs.errors import DeviceError, UnknownOutcomeError
 from pcmrs.messages import (
     BodyPose,
     DeviceEvent,
@@ -115,3 +118,31 @@ async def test_node_receives_stop_itself_even_if_the_hold_fails(bench: Bench, er
     bench.node.stop("bus:nurse")
     await settle()
     assert bench.robot_device.holds == 2
+
+
+async def test_release_without_measured_joints_is_given_up(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    await bench.robot.stop()
+    joints: asyncio.Future[JointState] = asyncio.get_running_loop().create_future()
+    monkeypatch.setattr(bench.robot_device, "joints", lambda: joints)
+    releasing = asyncio.create_task(bench.raw("robot", "release_latch"))
+    await settle()
+    await bench.clock.advance(HOLD_TIME)
+    reply = await releasing
+    assert reply.failure is not None
+    assert reply.failure.code == UnknownOutcomeError.code
+    assert reply.gate is not None
+    assert reply.gate.latched, "what comes after the daemon has given up releases nothing"
+
+
+async def test_node_alone_holds_an_arm_that_moves_unasked(bench: Bench) -> None:
+    await bench.raw("robot", "connect")
+    displaced = [*STATE.positions[:-1], STATE.positions[-1] + 2 * THRESHOLD]
+    bench.robot_device.stream.put_nowait(STATE)
+    await settle()
+    assert bench.robot_device.holds == 0
+    bench.robot_device.stream.put_nowait(msgspec.structs.replace(STATE, positions=displaced))
+    await settle()
+    assert bench.robot_device.holds == 1
+    assert [(event.code, event.danger) for event in bench.link.published["dev/robot/event"]] == [(MOVED, True)]
+    await bench.robot.joints()
+    assert bench.robot.latched

@@ -2,21 +2,21 @@
 
 import asyncio
 from collections.abc import AsyncIterator
-from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
+import pytest_asyncio
 
 from pcmrs.errors import DeviceError
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.track import track
 from pcmrs.messages import JointSetpoint, JointState, JointTrajectory, PressRequest
 from pcmrs.spatial import Floats, Transform, distance
-from tests.unit.devices.contract_robots import BENCHES, FACTS, FLANGE_FROM_TOOL, HOME, Bench, bench, smooth
+from tests.unit.devices.contract_robots import FACTS, FLANGE_FROM_TOOL, HOME, LOOP_OF_DRIVER, Bench, bench, smooth
 
-pytestmark = pytest.mark.usefixtures("patient")
-DRIVERS = pytest.mark.parametrize("driver", list(BENCHES))
+pytestmark = [pytest.mark.usefixtures("patient"), pytest.mark.asyncio(loop_scope="module")]
+LOOPS = LOOP_OF_DRIVER
 MODEL = ArmModel(FACTS)
 INWARD = -FLANGE_FROM_TOOL.rotation[:, 2]
 PRESS = PressRequest(
@@ -26,13 +26,38 @@ PRESS = PressRequest(
     speed=0.02,
     timeout=8.0,
 )
+GAP = 0.003
+"""From the tool at its home position to the head, m."""
 
 
-@pytest.fixture(params=list(BENCHES))
-async def lab(request: pytest.FixtureRequest) -> AsyncIterator[Bench]:
-    async with bench(request.param) as lab:
-        await lab.robot.connect()
-        yield lab
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def opened() -> AsyncIterator[Bench]:
+    """One cell for all tests in which dynamics do not matter."""
+    async with bench() as opened:
+        yield opened
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def lab(opened: Bench) -> Bench:
+    await opened.back_home()
+    return opened
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def opened_at_the_head() -> AsyncIterator[Bench]:
+    """One cell for all tests of forces: the arm has dynamics, and its sensor has noise."""
+    async with bench(GAP, "mujoco") as opened:
+        yield opened
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def at_the_head(opened_at_the_head: Bench) -> AsyncIterator[Bench]:
+    world = opened_at_the_head.cell.world
+    await opened_at_the_head.back_home()
+    before = world.tracker_from_image.translation
+    yield opened_at_the_head
+    await opened_at_the_head.back_home()
+    world.shift_body(before - world.tracker_from_image.translation)
 
 
 def towards_the_body(way: float, duration: float) -> JointTrajectory:
@@ -47,14 +72,20 @@ def tool(lab: Bench) -> Transform:
     return lab.cell.world.arm.base_from_flange() @ FLANGE_FROM_TOOL
 
 
+def shift_head(lab: Bench, way: float) -> None:
+    """Shift the head along the axis of the tool by a way, m; negative is away from it."""
+    tracker_from_tool = lab.cell.world.tracker_from("coil")
+    assert tracker_from_tool is not None
+    lab.cell.world.shift_body(tracker_from_tool.rotation @ np.array((0.0, 0.0, way)))
+
+
 def set_point(number: int, positions: Floats, session: int, speed: float = 0.0) -> JointSetpoint:
     velocities = [speed] * len(positions)
     return JointSetpoint(session=session, number=number, sent=0.0, positions=positions.tolist(), velocities=velocities)
 
 
-@DRIVERS
-async def test_nothing_moves_before_it_is_connected(driver: str) -> None:
-    async with bench(driver) as lab:
+async def test_nothing_moves_before_it_is_connected() -> None:
+    async with bench() as lab:
         for call in (lab.robot.joints, lab.robot.begin_servo, lambda: lab.robot.follow(smooth(HOME, HOME + 0.1))):
             with pytest.raises(DeviceError, match="not connected"):
                 await call()
@@ -185,54 +216,50 @@ async def test_a_jump_ends_a_session_before_the_arm_moves(lab: Bench) -> None:
     assert np.allclose((await lab.robot.joints()).positions, HOME, atol=1e-4)
 
 
-@pytest.mark.parametrize("change", [{"force": 5.5}, {"travel": 0.02}, {"timeout": 21.0}, {"speed": float("nan")}])
-async def test_a_press_that_is_not_gentle_is_refused(lab: Bench, change: dict[str, Any]) -> None:
-    with pytest.raises(DeviceError, match="must be"):
-        await lab.robot.press(msgspec.structs.replace(PRESS, **change))
+async def test_a_press_that_is_not_gentle_is_refused(lab: Bench) -> None:
+    changes: list[dict[str, float]] = [{"force": 5.5}, {"travel": 0.02}, {"timeout": 21.0}, {"speed": float("nan")}]
+    for change in changes:
+        with pytest.raises(DeviceError, match=f"{next(iter(change))}.*must be"):
+            await lab.robot.press(msgspec.structs.replace(PRESS, **change))
     assert np.allclose((await lab.robot.hold()).positions, HOME, atol=1e-4)
 
 
-async def test_a_press_in_the_air_ends_at_its_travel(lab: Bench) -> None:
-    result = await lab.robot.press(msgspec.structs.replace(PRESS, travel=0.003))
+async def test_a_press_in_the_air_ends_at_its_travel(at_the_head: Bench) -> None:
+    shift_head(at_the_head, -0.02)
+    result = await at_the_head.robot.press(msgspec.structs.replace(PRESS, travel=0.003))
     assert (result.outcome, result.reason) == ("stopped", "no_contact")
     assert result.force == pytest.approx(0.0, abs=0.6)
 
 
-@DRIVERS
-async def test_a_press_reaches_its_force_and_keeps_it(driver: str) -> None:
-    async with bench(driver, gap=0.003) as lab:
-        await lab.robot.connect()
-        result = await lab.robot.press(PRESS)
-        assert (result.outcome, result.reason) == ("done", None)
-        assert result.force == pytest.approx(3.0, abs=0.6)
-        assert lab.cell.world.arm.contact.force == pytest.approx(3.0, abs=0.6)
-        await lab.clock.sleep(0.3)
-        assert lab.cell.world.arm.contact.force == pytest.approx(3.0, abs=0.6)
+async def test_a_press_reaches_its_force_and_keeps_it(at_the_head: Bench) -> None:
+    contact = at_the_head.cell.world.arm.contact
+    result = await at_the_head.robot.press(PRESS)
+    assert (result.outcome, result.reason) == ("done", None)
+    assert result.force == pytest.approx(3.0, abs=0.6)
+    assert contact.force == pytest.approx(3.0, abs=0.6)
+    await at_the_head.clock.sleep(0.3)
+    assert contact.force == pytest.approx(3.0, abs=0.6)
 
 
-@DRIVERS
 @pytest.mark.parametrize("motion", ["press", "follow"])
-async def test_hold_in_contact_keeps_position_whatever_the_body_does(driver: str, motion: str) -> None:
+async def test_hold_in_contact_keeps_position_whatever_the_body_does(at_the_head: Bench, motion: str) -> None:
     """No admittance motion and no drift after Stop: neither further in, nor after a body that moves away."""
-    async with bench(driver, gap=0.002) as lab:
-        await lab.robot.connect()
-        inwards = lab.robot.press(PRESS) if motion == "press" else lab.robot.follow(towards_the_body(0.006, 2.0))
-        moving = asyncio.create_task(inwards)
-        await lab.touching(1.0)
-        begun = tool(lab)
-        await lab.robot.hold()
-        held = tool(lab)
-        result = await moving
-        assert (result.outcome, result.reason) == ("stopped", "held")
-        assert distance(begun, held) < 0.002, "it has braked"
-        assert lab.cell.world.arm.contact.force > 0.5
-        tracker_from_tool = lab.cell.world.tracker_from("coil")
-        assert tracker_from_tool is not None
-        for along_axis in (0.0, 0.002, -0.01):
-            lab.cell.world.shift_body(tracker_from_tool.rotation @ np.array((0.0, 0.0, along_axis)))
-            await lab.clock.sleep(1.0)
-            assert distance(held, tool(lab)) < 2e-4, f"the body moved by {along_axis} m along the tool's axis"
-        assert not (await lab.robot.joints()).moving
+    robot, cell = at_the_head.robot, at_the_head.cell
+    inwards = robot.press(PRESS) if motion == "press" else robot.follow(towards_the_body(GAP + 0.004, 2.0))
+    moving = asyncio.create_task(inwards)
+    await at_the_head.touching(1.0)
+    begun = tool(at_the_head)
+    await robot.hold()
+    held = tool(at_the_head)
+    result = await moving
+    assert (result.outcome, result.reason) == ("stopped", "held")
+    assert distance(begun, held) < 0.002, "it has braked"
+    assert cell.world.arm.contact.force > 0.5
+    for along_axis in (0.0, 0.002, -0.01):
+        shift_head(at_the_head, along_axis)
+        await at_the_head.clock.sleep(1.0)
+        assert distance(held, tool(at_the_head)) < 2e-4, f"the body moved by {along_axis} m along the tool's axis"
+    assert not (await robot.joints()).moving
 
 
 async def test_a_disconnected_arm_stands_and_takes_nothing(lab: Bench) -> None:

@@ -303,8 +303,10 @@ class Bench(DispatcherListener):
         return Command(branch=branch, operation=operation, source=source, **fields)
 
     async def do(self, name: str, **fields: Any) -> Verdict:
-        """Submits a command and waits for its verdict."""
-        return await self.dispatcher.submit(self.command(name, **fields))
+        """Submits a command, and waits until its verdict is published, which comes after the answer."""
+        verdict = await self.dispatcher.submit(self.command(name, **fields))
+        await asyncio.sleep(0)
+        return verdict
 
     async def begin(self, name: str, **fields: Any) -> asyncio.Task[Verdict]:
         """Submits a command and lets it go as far as it can without its verdict."""

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import msgspec
 import pytest
 
 from pcmrs.dispatcher import Dispatcher, DispatcherListener, decisions
-from pcmrs.dispatcher.decisions import DROPPED, RATE_HZ, TOO_MANY, Rejections
+from pcmrs.dispatcher.decisions import DROPPED, RATE_HZ, TOGETHER, TOO_MANY, Rejections
 from pcmrs.messages import Command, DeviceEvent, Verdict
+from pcmrs.messages.clipping import CLIPPED, LONGEST_FIELDS, LONGEST_TEXT
 from pcmrs.testing.clock import ManualClock, settle
 from tests.unit.dispatcher.dispatcher_fakes import Bench, make_workflow
 
@@ -100,4 +102,41 @@ async def test_a_dispatcher_tells_of_accepted_commands_only(bench: Limited) -> N
     assert accepted == []
     await bench.do("registration.plan_landmarks")
     assert accepted == ["plan_landmarks"]
+    await bench.dispatcher.close()
+
+
+async def test_names_that_a_sender_has_chosen_fill_no_row(bench: Limited) -> None:
+    """The row, the answer, the published verdict and the verdict in memory are the same object."""
+    verdict = await bench.do("toolplan.plan", user="eve", arguments={"x" * 60_000: 1, "y" * 60_000: 1})
+    assert verdict.reason is not None
+    assert verdict.reason.code == "bad_arguments"
+    assert len(verdict.reason.text) < LONGEST_TEXT + 50
+    assert set(verdict.reason.fields) == {CLIPPED}
+    assert len(msgspec.json.encode(verdict)) < 2 * LONGEST_FIELDS + LONGEST_TEXT
+    await settle()
+    assert bench.recorder.rows[-1][-1] == verdict
+    assert bench.published[-1] == verdict
+
+
+async def test_many_names_share_a_limit(bench: Limited) -> None:
+    """A program on the cell's machine may use any name."""
+    codes = [code for number in range(TOGETHER + 2) for code in await bench.codes(BURST, user=f"eve{number}")]
+    assert codes == ["unknown_operation"] * TOGETHER * BURST + [TOO_MANY] * 2 * BURST
+    assert len(bench.recorder.rows) == TOGETHER * BURST
+    refused = await bench.do("registration.no_such_operation", user="anna")
+    assert refused.reason is not None
+    assert refused.reason.fields["limit_hz"] == TOGETHER * RATE_HZ
+    assert "all users" in refused.reason.text
+
+
+async def test_of_many_reused_ids_a_limited_number_is_shown(bench: Limited) -> None:
+    """Everybody receives a verdict that is published."""
+    await bench.do("registration.plan_landmarks", user="eve", id="9")
+    await settle()
+    before = len(bench.published)
+    verdicts = [await bench.do("toolplan.clear", user="eve", id="9") for _ in range(BURST + 3)]
+    codes = [verdict.reason.code for verdict in verdicts if verdict.reason is not None]
+    assert codes == ["id_reused"] * BURST + [TOO_MANY] * 3
+    await settle()
+    assert bench.published[before:] == verdicts[:BURST]
     await bench.dispatcher.close()

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any
 
 import pytest
 
 from pcmrs.dispatcher import Run
 from pcmrs.errors import RefusalError
+from pcmrs.messages import Verdict
 from pcmrs.testing.clock import settle
 from tests.support.ratms_oracle import INITIAL
 from tests.unit.dispatcher.dispatcher_fakes import STANDOFF, Bench, Notes, code
@@ -57,3 +59,17 @@ async def test_09_an_operation_that_fails_posts_nothing(bench: Bench) -> None:
     await bench.do("robot.connect")
     await settle()
     assert bench.joint == INITIAL
+
+
+@pytest.mark.parametrize("name", ["registration.plan_landmarks", "robot.connect", "registration.no_such_operation"])
+async def test_requester_is_answered_before_the_verdict_is_published(bench: Bench, name: str) -> None:
+    published_at_reply: list[int] = []
+
+    async def request() -> None:
+        await bench.dispatcher.submit(bench.command(name))
+        published_at_reply.append(sum(isinstance(each, Verdict) for each in bench.published))
+
+    await asyncio.gather(request())
+    await settle()
+    assert published_at_reply == [0]
+    assert sum(isinstance(each, Verdict) for each in bench.published) == 1

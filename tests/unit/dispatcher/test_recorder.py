@@ -1,28 +1,14 @@
-"""The interface to the journal: rows on their way to the disk, and clipped arguments."""
+"""The interface to the journal: rows on their way to the disk."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable
-from typing import Any
 
-import msgspec
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from pcmrs.dispatcher.recorder import CLIPPED, LONGEST, QueuedRow, clipped
+from pcmrs.dispatcher.recorder import QueuedRow
 from pcmrs.errors import JournalError
-
-
-def test_short_arguments_are_kept_and_of_long_ones_the_hash() -> None:
-    short, long = {"text": "x"}, {"text": "x" * LONGEST}
-    assert clipped(short) == short
-    kept = clipped(long)
-    assert set(kept) == {CLIPPED}
-    assert kept[CLIPPED]["bytes"] > LONGEST
-    assert clipped({"text": "x" * (LONGEST - 1) + "y"})[CLIPPED]["sha256"] != kept[CLIPPED]["sha256"]
-    assert clipped(kept) == kept
 
 
 @pytest.mark.parametrize("at_once", [True, False])
@@ -60,11 +46,3 @@ async def test_row_is_queued_at_once_and_awaited_until_it_is_durable() -> None:
     durable.set_result(None)
     await row
     assert (queued, failed) == (["row"], [])
-
-
-@given(st.dictionaries(st.text(), st.text() | st.floats(allow_nan=False) | st.lists(st.integers())))
-def test_clipped_arguments_never_exceed_the_limit(arguments: dict[str, Any]) -> None:
-    whole = msgspec.json.encode(arguments, order="sorted")
-    for stored in (clipped(arguments), clipped(arguments | {"padding": "x" * LONGEST})):
-        assert len(msgspec.json.encode(stored)) <= LONGEST
-    assert (clipped(arguments) is arguments) == (len(whole) <= LONGEST)

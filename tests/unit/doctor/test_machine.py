@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.doctor._machine import clock_source, kernel, limits, scheduling
+from pcmrs.doctor._machine import clock_source, kernel, limits, scheduling, uploads
 from tests.unit.doctor.machines import only
 
 
@@ -89,3 +89,8 @@ def test_slow_clock_source_is_reported(root: Path) -> None:
     assert only(clock_source(root), "clock source").verdict == "good"
     (root / "sys/devices/system/clocksource/clocksource0/current_clocksource").write_text("hpet")
     assert "hpet of tsc hpet" in only(clock_source(root), "clock source").found
+
+
+def test_a_kernel_without_landlock_is_a_warning() -> None:
+    assert only(uploads(3), "uploads").verdict == "good"
+    assert only(uploads(0), "uploads").verdict == "warning"

@@ -59,7 +59,7 @@ def test_invalid_mesh_is_refused_with_file_and_reason(name: str, raw: bytes, rea
 
 
 def test_corners_with_two_coordinates_are_refused(tmp_path: Path) -> None:
-    """Found by `fuzz.uploads`: it ended with another error than the refusal."""
+    """Found by `fuzz.meshes`: it ended with another error than the refusal."""
     (tmp_path / "flat.obj").write_text("v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n")
     with pytest.raises(FileFormatError, match=r"flat\.obj"):
         read_mesh(tmp_path / "flat.obj", "mm", "RAS")

@@ -55,3 +55,17 @@ def test_a_row_of_a_table_has_the_line_it_is_in(tmp_path: Path) -> None:
     assert read_table(path) == (["name", "x"], [(4, {"name": "a", "x": "1"}), (6, {"name": "b"})])
     path.write_text("")
     assert read_table(path) == ([], [])
+
+
+@pytest.mark.parametrize("number", ["0x" + "f" * 5000, "1" * 5000, "-0b1" + "0" * 70])
+def test_yaml_refuses_an_integer_that_cannot_be_printed(tmp_path: Path, number: str) -> None:
+    path = tmp_path / "file.yaml"
+    path.write_text(f"x: {number}\n")
+    with pytest.raises(FileFormatError, match="is not YAML"):
+        read_yaml(path)
+
+
+def test_yaml_reads_integers_of_64_bits(tmp_path: Path) -> None:
+    path = tmp_path / "file.yaml"
+    path.write_text(f"x: {2**63 - 1}\ny: -0x10\n")
+    assert read_yaml(path) == {"x": 2**63 - 1, "y": -16}

@@ -7,7 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pcmrs.errors import BlueprintError
-from pcmrs.fsm.finding import Finding, hint, printable, refuse, summary
+from pcmrs.fsm.finding import Finding, hint, refuse, summary
 
 
 @pytest.mark.parametrize(
@@ -35,9 +35,9 @@ def test_commands_that_show_a_finding_are_listed(commands: tuple[str, ...], show
 @given(st.text())
 @example("\ud800\x1b[31m\u202e\u2028")
 def test_no_character_moves_the_cursor_or_forges_a_line(text: str) -> None:
-    assert printable(text).isprintable()
-    assert printable(text) == text or not text.isprintable()
-    assert len(summary([Finding(code="x", text=text), Finding(code="y", text=text)]).splitlines()) == 2
+    shown = summary([Finding(code="x", text=text), Finding(code="y", text=text)])
+    assert len(shown.splitlines()) == 2
+    assert all(map(str.isprintable, shown.split("\n")))
 
 
 def test_a_close_word_is_proposed_and_otherwise_all_are_listed() -> None:

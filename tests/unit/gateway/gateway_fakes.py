@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import asyncio
 from collections import defaultdict
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Callable
+from contextlib import aclosing, asynccontextmanager
 from typing import Any, Self, cast
 
 import numpy as np
 from hypothesis import strategies as st
 
 from pcmrs.dispatcher import DispatcherListener
+from pcmrs.gateway._arrival import LOOKS_HZ
+from pcmrs.gateway.periodic_timer import kernel_beats
 from pcmrs.gateway.rejection_log import PERIOD
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Snapshot, Verdict
 from pcmrs.spatial import Floats, Transform
@@ -33,8 +35,8 @@ CONFIRMED = {
 class FakeCore:
     """Accepts everything except what `refusals` names; an operation with a closed gate waits for it.
 
-    A repeat of (source, id) gets the recorded verdict; `commands` holds what ran, `ages` when
-    each was said to have arrived.
+    A repeat of (source, id) gets the recorded verdict; `commands` holds what ran, `ages` when each was said to have
+    arrived. `after_accepting` is called between the end of an operation and the answer to it.
     """
 
     def __init__(self) -> None:
@@ -48,6 +50,7 @@ class FakeCore:
         self.results: dict[str, dict[str, Any]] = {}
         self.gates: dict[str, asyncio.Event] = defaultdict(_open_gate)
         self.stops: list[str] = []
+        self.after_accepting: Callable[[], object] = lambda: None
         self.stands = True
         self.events: list[DeviceEvent] = []
         self.listeners: list[DispatcherListener] = []
@@ -79,6 +82,10 @@ class FakeCore:
             reason=Reason(code=code, text="") if code else None,
             result=self.results.get(command.operation),
         )
+        if not code:
+            for listener in self.listeners:
+                listener.on_accepted(command)
+            self.after_accepting()
         return self._verdicts[key]
 
     async def stop(self, source: str) -> bool:
@@ -179,6 +186,13 @@ class ManualClock:
         """Lets the timeouts that run now pass, those of at most so many seconds."""
         for timeout in (timeout for seconds, timeout in self._timeouts if seconds <= within):
             timeout.reschedule(0.0)
+
+
+async def pass_look() -> None:
+    """Returns once the gateway has looked for empty sockets: what comes from now on is as new as its clock says."""
+    async with aclosing(kernel_beats(1.0 / LOOKS_HZ)) as beats:
+        for _ in range(4):
+            await anext(beats)
 
 
 async def rest_of(reader: asyncio.StreamReader) -> bytes:

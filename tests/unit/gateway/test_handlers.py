@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pcmrs.errors import RefusalError
 from pcmrs.gateway.commands import PlanKind
 from pcmrs.gateway.handlers import PAIR_WINDOW, LandmarkSeries, PlanLock, PosePair
-from tests.unit.gateway.gateway_fakes import CONFIRMED, UdpClient
+from tests.unit.gateway.gateway_fakes import CONFIRMED, UdpClient, pass_look
 from tests.unit.gateway.open_cell import pass_barrier
 
 
@@ -128,6 +128,7 @@ async def test_half_a_plan_holds_motion_back_too(cell: Any) -> None:
     await cell.ask("target_rotxxxxxx_0_0_0_1_#1;")
     assert (await cell.ask("execute_motionxx_#2;")).endswith("plan_not_accepted;")
     cell.clock.now += 1.5
+    await pass_look()
     assert await cell.ask("target_tslxxxxxx_0_0_0_#3;") == "3_rejected_toolplan_0_rotation_too_old;"
     assert (await cell.ask("execute_motionxx_#4;")).endswith("plan_not_accepted;")
     assert cell.core.commands == []

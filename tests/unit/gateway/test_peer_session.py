@@ -165,7 +165,7 @@ async def test_next_part_of_a_command_starts_when_the_last_has_ended(cell: Any) 
     cell.core.open_gates()
     assert (await reply).startswith("1_accepted")
     assert cell.core.operations == ["back_off", "to_initial", "reinit", "reinit"]
-    assert cell.core.ages[1:] == [None, None, None]
+    assert cell.core.ages[1:] == [cell.clock.now] * 3
 
 
 async def test_commands_queued_before_a_stop_from_elsewhere_never_run(cell: Any) -> None:
@@ -347,3 +347,64 @@ async def test_a_full_queue_refuses_and_counts(cell: Any) -> None:
         await cell.tell("rob_conn_onxxxxx;")
     assert (await cell.ask("rob_conn_onxxxxx_#1;")).endswith("queue_full;")
     assert cell.gateway.counters.overflowed == 1
+
+
+async def test_a_next_part_counts_from_the_end_of_the_one_before(cell: Any) -> None:
+    """The loop was held up before it could begin it."""
+    cell.core.branches["placement"] = "placed"
+    came = cell.clock.now
+
+    def hold_up() -> None:
+        cell.clock.now += 5.0
+
+    cell.core.after_accepting = hold_up
+    assert (await cell.ask("end_session_back_#1;")).startswith("1_accepted")
+    assert cell.core.ages == [came, came, came + 5.0, came + 10.0]
+
+
+async def test_an_id_of_another_command_is_refused_and_reported(cell: Any) -> None:
+    first = await cell.ask("adjust_tranxxxxx_0_0_0.001_#7;")
+    assert first.startswith("7_accepted_placement")
+    for other in ("execute_bkoffset", "adjust_tranxxxxx_0_0_0.002"):
+        assert await cell.ask(f"{other}_#7;") == "7_rejected_placement_retracted_id_reused;"
+    assert cell.core.operations == ["nudge"]
+    texts = refused(cell, "id_reused")
+    assert [text[:16] for text in texts] == ["execute_bkoffset", "adjust_tranxxxxx"]
+    assert texts[0].endswith("#7 has been used for adjust_tranxxxxx; give each command its own id.")
+    assert await cell.ask("adjust_tranxxxxx_0_0_0.001_#7;") == first, "a repeat gets the recorded answer"
+    assert cell.core.operations == ["nudge"]
+
+
+async def test_an_id_of_a_running_command_is_refused_at_once(cell: Any) -> None:
+    cell.core.gates["approach"].clear()
+    cell.client.send("execute_motionxx_#7;", cell.planner)
+    await cell.core.arrived.wait()
+    assert await cell.ask("rob_conn_offxxxx_#7;") == "7_rejected_robot_1_id_reused;"
+    cell.client.send("execute_motionxx_#7;", cell.planner)  # a repeat waits for the answer to the first
+    await arrived(cell)
+    cell.core.open_gates()
+    assert await cell.client.received.get() == "7_accepted_placement_retracted;"
+    assert cell.core.operations == ["approach"]
+
+
+async def test_an_id_of_an_earlier_plan_does_not_accept_a_new_one(cell: Any) -> None:
+    """The command is the same; the rotation that was sent before it is not."""
+    await cell.ask("target_rotxxxxxx_0_0_0_1_#1;")
+    first = await cell.ask("target_tslxxxxxx_0.1_0_0_#2;")
+    assert first.startswith("2_accepted")
+    assert await cell.tell("target_rotxxxxxx_0_0_0_1;") == "ack"
+    assert await cell.ask("target_tslxxxxxx_0.1_0_0_#2;") == first, "all of it was sent again"
+    await cell.ask("target_rotxxxxxx_1_0_0_0_#3;")
+    assert (await cell.ask("target_tslxxxxxx_0.1_0_0_#2;")).endswith("_id_reused;")
+    assert (await cell.ask("execute_motionxx_#4;")).endswith("_plan_not_accepted;")
+    assert cell.core.operations == ["plan"]
+    assert (await cell.ask("target_tslxxxxxx_0.1_0_0_#5;")).startswith("5_accepted"), "the copy has broken nothing"
+
+
+async def test_a_part_of_a_plan_with_a_used_id_drops_the_others(cell: Any) -> None:
+    await cell.ask("target_rotxxxxxx_0_0_0_1_#1;")
+    await cell.ask("rob_conn_onxxxxx_#2;")
+    assert (await cell.ask("target_rotxxxxxx_1_0_0_0_#2;")).endswith("_id_reused;")
+    assert (await cell.ask("target_tslxxxxxx_0.1_0_0_#3;")).endswith("_no_rotation;")
+    assert (await cell.ask("execute_motionxx_#4;")).endswith("_plan_not_accepted;")
+    assert cell.core.operations == ["connect"]

@@ -18,7 +18,7 @@ from pcmrs.gateway.commands import COMMANDS
 from pcmrs.gateway.grammar import MAX_BYTES
 from pcmrs.gateway.links import open_gateway
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
-from pcmrs.gateway.tcp import FIRST_WITHIN, MOST_OF_A_HOST, Frames
+from pcmrs.gateway.tcp import FIRST_WITHIN, MOST, MOST_OF_A_HOST, Frames
 from pcmrs.testing.clock import ManualClock, settle
 from tests.unit.gateway.gateway_fakes import WITHIN, FakeCore, rest_of
 from tests.unit.gateway.signed_room import Room, open_room, peer
@@ -162,6 +162,21 @@ async def test_connections_per_host_are_limited_until_one_ends(cell: Any) -> Non
         while not await is_served(address, opened):
             pass
     for each in opened:
+        each.close()
+
+
+async def test_connections_of_all_hosts_together_are_limited(cell: Any) -> None:
+    """Those of 127.0.0.2 and its like must sign, and are silent."""
+    address, opened = cell.gateway.addresses["tcp"], list[asyncio.StreamWriter]()
+    hosts = [f"127.0.0.{2 + number // MOST_OF_A_HOST}" for number in range(MOST)]
+    silent = [(await asyncio.open_connection(*address, local_addr=(host, 0)))[1] for host in hosts]
+    assert not await is_served(address, opened)
+    assert cell.gateway.counters.refused == 1
+    silent[0].close()
+    async with asyncio.timeout(WITHIN):
+        while not await is_served(address, opened):
+            pass
+    for each in (*silent, *opened):
         each.close()
 
 

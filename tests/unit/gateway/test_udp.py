@@ -33,3 +33,9 @@ async def test_a_peer_stays_itself_when_its_port_changes(room: Room) -> None:
     assert room.core.operations == ["plan"]
     assert {command.source for command in room.core.commands} == {"peer:planner"}
     other.transport.close()
+
+
+async def test_no_text_ends_the_receiver(cell: Any) -> None:
+    for text in ("close", "close;", "quit", "exit;", "shutdown", "\x03"):
+        cell.client.send(text, cell.planner)
+    assert (await cell.ask("stop_visualizexx_#1;")).startswith("1_accepted")

@@ -101,7 +101,8 @@ class ScriptedClient:
         self.rows.append(row(verdict=decided, arguments=dict(arguments or {})))
         return decided
 
-    async def acknowledge(self) -> Verdict:
+    async def acknowledge(self, *, stop: int | None = None) -> Verdict:
+        assert stop == self.stop_state.number, "the one that was shown"
         return await self.call("robot.acknowledge")
 
     async def stop(self, timeout: float = 0.0) -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pcmrs.errors import ConfigurationError
 from pcmrs.messages.identity import EVERY_CELL, LOCAL, Identity, check_cells, check_name, shared_cells
 
-ANNA = Identity(name="anna", role="operator", serial="1", begins=10.0, ends=20.0)
+ANNA = Identity(name="anna", role="operator", serial="1", begins=10.0, ends=20.0, cells=EVERY_CELL)
 ALL_CELLS = [f"{site}/{cell}" for site in "ab" for cell in "xy"]
 patterns = st.lists(st.tuples(st.sampled_from("ab*"), st.sampled_from("xy*")).map("/".join), max_size=4)
 

@@ -15,7 +15,7 @@ from cryptography.x509.oid import NameOID
 
 from pcmrs.cli import main
 from pcmrs.errors import ConfigurationError
-from pcmrs.messages.identity import INFRASTRUCTURE, ROLES
+from pcmrs.messages.identity import EVERY_CELL, INFRASTRUCTURE, ROLES
 from pcmrs.pki import Authority
 
 DAY = 86400.0
@@ -62,8 +62,8 @@ def met(server: ssl.SSLContext, client: ssl.SSLContext, host: str = "127.0.0.1")
 def test_every_role_meets_the_router_under_its_name(
     authority: Authority, tmp_path: Path, now: float, role: str
 ) -> None:
-    authority.issue("router", "gate", now, hosts=("127.0.0.1", "gate.lab"), into=tmp_path)
-    authority.issue(role, "anna", now, into=tmp_path)  # type: ignore[arg-type]
+    authority.issue("router", "gate", now, hosts=("127.0.0.1", "gate.lab"), cells=EVERY_CELL, into=tmp_path)
+    authority.issue(role, "anna", now, cells=EVERY_CELL, into=tmp_path)  # type: ignore[arg-type]
     server = context_of(tmp_path / "gate", "gate", server=True)
     client = context_of(tmp_path / "anna", "anna", server=False)
     assert met(server, client) == ("anna", True)
@@ -72,20 +72,20 @@ def test_every_role_meets_the_router_under_its_name(
 
 
 def test_foreign_or_expired_certificate_is_not_accepted(authority: Authority, tmp_path: Path, now: float) -> None:
-    authority.issue("router", "gate", now, hosts=("127.0.0.1",), into=tmp_path)
+    authority.issue("router", "gate", now, hosts=("127.0.0.1",), cells=EVERY_CELL, into=tmp_path)
     server = context_of(tmp_path / "gate", "gate", server=True)
     foreign = Authority.init(tmp_path / "foreign", "lab", now)
-    foreign.issue("operator", "eve", now, into=tmp_path)
+    foreign.issue("operator", "eve", now, cells=EVERY_CELL, into=tmp_path)
     (tmp_path / "eve" / "ca.pem").write_bytes((tmp_path / "gate" / "ca.pem").read_bytes())
     seen, answered = met(server, context_of(tmp_path / "eve", "eve", server=False))
     assert (seen != "eve", answered) == (True, False)
-    authority.issue("operator", "bob", now - 8 * DAY, days=7.0, into=tmp_path)
+    authority.issue("operator", "bob", now - 8 * DAY, days=7.0, cells=EVERY_CELL, into=tmp_path)
     assert met(server, context_of(tmp_path / "bob", "bob", server=False)) == ("CERTIFICATE_VERIFY_FAILED", False)
 
 
 def test_client_certificate_does_not_serve_as_a_router(authority: Authority, tmp_path: Path, now: float) -> None:
-    authority.issue("operator", "anna", now, into=tmp_path)
-    authority.issue("viewer", "eve", now, into=tmp_path)
+    authority.issue("operator", "anna", now, cells=EVERY_CELL, into=tmp_path)
+    authority.issue("viewer", "eve", now, cells=EVERY_CELL, into=tmp_path)
     server = context_of(tmp_path / "eve", "eve", server=True)
     client = context_of(tmp_path / "anna", "anna", server=False)
     client.check_hostname = False
@@ -94,22 +94,22 @@ def test_client_certificate_does_not_serve_as_a_router(authority: Authority, tmp
 
 def test_a_role_that_does_not_exist_is_given_to_nobody(authority: Authority, tmp_path: Path, now: float) -> None:
     with pytest.raises(ConfigurationError, match="'surgeon' is not a role; choose operator"):
-        authority.issue("surgeon", "anna", now, into=tmp_path)  # type: ignore[arg-type]
+        authority.issue("surgeon", "anna", now, cells=EVERY_CELL, into=tmp_path)  # type: ignore[arg-type]
     assert authority.identities() == []
     assert not (tmp_path / "anna").exists()
 
 
 def test_a_name_is_never_given_to_two(authority: Authority, tmp_path: Path, now: float) -> None:
-    first = authority.issue("operator", "anna", now, into=tmp_path).identity
+    first = authority.issue("operator", "anna", now, cells=EVERY_CELL, into=tmp_path).identity
     with pytest.raises(ConfigurationError, match="has the role operator already"):
-        authority.issue("viewer", "anna", now, into=tmp_path)
-    later = authority.issue("operator", "anna", now + DAY, into=tmp_path).identity
+        authority.issue("viewer", "anna", now, cells=EVERY_CELL, into=tmp_path)
+    later = authority.issue("operator", "anna", now + DAY, cells=EVERY_CELL, into=tmp_path).identity
     assert later.serial != first.serial
     assert authority.identities() == [later]
     revoked = authority.revoke("anna", now + 2 * DAY)
     assert (later.valid(now + 2 * DAY), revoked.valid(now + 2 * DAY)) == (True, False)
     with pytest.raises(ConfigurationError, match="was revoked"):
-        authority.issue("operator", "anna", now + 3 * DAY, into=tmp_path)
+        authority.issue("operator", "anna", now + 3 * DAY, cells=EVERY_CELL, into=tmp_path)
     for name in ("anna", "nobody"):
         with pytest.raises(ConfigurationError, match="cannot be revoked"):
             authority.revoke(name, now)
@@ -118,22 +118,22 @@ def test_a_name_is_never_given_to_two(authority: Authority, tmp_path: Path, now:
 @pytest.mark.parametrize("days", [0.0, -1.0, 399.0, float("nan")])
 def test_days_are_bounded(authority: Authority, tmp_path: Path, now: float, days: float) -> None:
     with pytest.raises(ConfigurationError, match="398"):
-        authority.issue("operator", "anna", now, days=days, into=tmp_path)
+        authority.issue("operator", "anna", now, days=days, cells=EVERY_CELL, into=tmp_path)
     assert authority.identities() == []
 
 
 @pytest.mark.parametrize("name", ["", "Anna", "a/b", "*", "a" * 64, "@adv", "anna otto"])
 def test_a_name_is_a_part_of_a_key(authority: Authority, tmp_path: Path, now: float, name: str) -> None:
     with pytest.raises(ConfigurationError, match="cannot be a name"):
-        authority.issue("operator", name, now, into=tmp_path)
+        authority.issue("operator", name, now, cells=EVERY_CELL, into=tmp_path)
     assert authority.identities() == []
 
 
 def test_only_who_is_dialled_has_hosts(authority: Authority, tmp_path: Path, now: float) -> None:
     with pytest.raises(ConfigurationError, match="accepts no connections"):
-        authority.issue("operator", "anna", now, hosts=("10.0.0.1",), into=tmp_path)
+        authority.issue("operator", "anna", now, hosts=("10.0.0.1",), cells=EVERY_CELL, into=tmp_path)
     with pytest.raises(ConfigurationError, match="give its hosts"):
-        authority.issue("router", "gate", now, into=tmp_path)
+        authority.issue("router", "gate", now, cells=EVERY_CELL, into=tmp_path)
 
 
 @pytest.mark.parametrize("cells", [(), ("",), ("lab",), ("lab/c1/x",), ("lab/C1",), ("lab/**",), ("lab/c1", "a b/c")])
@@ -178,7 +178,7 @@ def test_the_commands_do_the_same(tmp_path: Path) -> None:
 
 
 def test_the_register_says_which_routers_carry_a_person(authority: Authority, tmp_path: Path, now: float) -> None:
-    authority.issue("operator", "anna", now, via=("gate",), into=tmp_path)
+    authority.issue("operator", "anna", now, via=("gate",), cells=EVERY_CELL, into=tmp_path)
     assert [each.via for each in authority.identities()] == [("gate",)]
     with pytest.raises(ConfigurationError, match="not of a device"):
-        authority.issue("device", "arm", now, via=("gate",), into=tmp_path)
+        authority.issue("device", "arm", now, via=("gate",), cells=EVERY_CELL, into=tmp_path)

@@ -12,13 +12,13 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from pcmrs.errors import ConfigurationError
-from pcmrs.messages.identity import Identity
+from pcmrs.messages.identity import EVERY_CELL, Identity
 from pcmrs.pki import Authority
 from pcmrs.pki._certificates import authority_certificate, certificate, key_bytes, new_key, read_key
 
 
 def test_keys_are_their_owners_alone(authority: Authority, tmp_path: Path, now: float) -> None:
-    authority.issue("viewer", "vera", now, into=tmp_path)
+    authority.issue("viewer", "vera", now, cells=EVERY_CELL, into=tmp_path)
     for key in (tmp_path / "vera" / "vera.key", authority.folder / "ca.key"):
         assert key.stat().st_mode & 0o777 == 0o600
         read_key(key)
@@ -26,7 +26,7 @@ def test_keys_are_their_owners_alone(authority: Authority, tmp_path: Path, now: 
         with pytest.raises(ConfigurationError, match=r"mode 0640.*The limit is 0600: chmod 600"):
             read_key(key)
     with pytest.raises(ConfigurationError, match="others than its owner"):
-        authority.issue("viewer", "vito", now, into=tmp_path)
+        authority.issue("viewer", "vito", now, cells=EVERY_CELL, into=tmp_path)
     assert [each.name for each in authority.identities()] == ["vera"]
     with pytest.raises(ConfigurationError, match="cannot be read"):
         read_key(tmp_path / "nothing.key")
@@ -43,7 +43,7 @@ def test_a_key_of_another_kind_signs_no_certificate(
     with pytest.raises(ConfigurationError, match=r"ca\.key is not a key on P-256"):
         read_key(key)
     with pytest.raises(ConfigurationError, match="P-256"):
-        authority.issue("viewer", "vito", now, into=tmp_path)
+        authority.issue("viewer", "vito", now, cells=EVERY_CELL, into=tmp_path)
     assert authority.identities() == []
 
 

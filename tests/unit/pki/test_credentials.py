@@ -10,6 +10,7 @@ import pytest
 
 from pcmrs.clock import SystemClock
 from pcmrs.errors import ConfigurationError
+from pcmrs.messages.identity import EVERY_CELL
 from pcmrs.pki import Authority, read_credentials
 
 DAY = 86400.0
@@ -26,7 +27,8 @@ def folder(tmp_path: Path, now: float) -> Path:
     authority = Authority.init(tmp_path / "pki", "lab", now)
     for name in ("anna", "bob"):
         authority.issue("operator", name, now, days=7.0, cells=("lab/c1", "lab/c2"), into=tmp_path)
-    Authority.init(tmp_path / "foreign", "lab", now).issue("operator", "anna", now, into=tmp_path / "other")
+    foreign = Authority.init(tmp_path / "foreign", "lab", now)
+    foreign.issue("operator", "anna", now, cells=EVERY_CELL, into=tmp_path / "other")
     return tmp_path / "anna"
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.processes import fork_server
+from pcmrs.processes import fork_server, forked
 from pcmrs.processes.fork_server import UNKNOWN_STATUS, ForkServer
 from pcmrs.testing.daemon import command_line
 from tests import ROOT
@@ -23,7 +23,7 @@ WITHIN = 60.0
 SERVER = "import socket, sys; from pcmrs.processes import forked; "
 SERVER += "forked.serve_forks(socket.socket(fileno=int(sys.argv[1])), ['child', 'no_such_module'])"
 CHILD = """
-import atexit, os, signal, sys
+import atexit, os, signal, socket, sys
 
 atexit.register(sys.stderr.write, "the parent ends")
 
@@ -40,9 +40,14 @@ def main():
     elif word == "register":
         atexit.register(os.write, 2, b"the child ends")
         sys.exit(0)
+    elif word == "accept":
+        socket.socket(fileno=int(sys.argv[2])).accept()[0].sendall(b"accepted")
     elif word == "kill":
         os.kill(os.getpid(), signal.SIGKILL)
     sys.stdin.read()
+
+if __name__ == "__main__":
+    main()
 """
 
 
@@ -103,6 +108,35 @@ async def test_given_input_and_silent_output(bench: Bench, capfd: pytest.Capture
         assert await process.wait() == 0
     assert (process.stdin, process.stdout) == (None, None)
     assert capfd.readouterr().out == ""
+
+
+@pytest.mark.parametrize("lost", [False, True])
+async def test_passed_descriptor_keeps_its_number(bench: Bench, lost: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where a new Python is started, because the server is lost."""
+    monkeypatch.setenv("PYTHONPATH", str(bench.errors.parent))
+    if lost:
+        bench.process.kill()
+        bench.process.wait(WITHIN)
+    async with asyncio.timeout(WITHIN):
+        with socket.create_server(("127.0.0.1", 0)) as listening:
+            reader, writer = await asyncio.open_connection(*listening.getsockname())
+            number = listening.fileno()
+            process = await bench.start("child", "accept", str(number), stdout=PIPE, passed=number)
+            assert await reader.read() == b"accepted"
+            writer.close()
+        assert process.stdin is not None
+        process.stdin.close()
+        assert await process.wait() == 0
+
+
+def test_descriptors_may_trade_their_numbers() -> None:
+    (first, into_first), (second, into_second) = os.pipe(), os.pipe()
+    forked._renumber([first, second], [second, first])
+    os.write(into_first, b"1")
+    os.write(into_second, b"2")
+    assert (os.read(second, 1), os.read(first, 1)) == (b"1", b"2")
+    for each in (first, into_first, second, into_second):
+        os.close(each)
 
 
 @pytest.mark.parametrize(

@@ -64,3 +64,14 @@ def test_an_unreadable_calibration_is_refused(tmp_path: Path) -> None:
 def test_joints_of_another_arm_are_refused() -> None:
     with pytest.raises(GeometryError):
         FrameTree(ARM, MOUNTING).joints(joints([0.0] * 6))
+
+
+def test_flange_of_a_standing_arm_is_computed_once() -> None:
+    chain = FrameTree(ARM, MOUNTING)
+    *_, first = chain.joints(joints())
+    *_, again = chain.joints(joints())
+    assert again is first
+    *_, moved = chain.joints(joints([0.1] * 7))
+    assert moved is not first
+    *_, back = chain.joints(joints())
+    np.testing.assert_array_equal(back.matrix, first.matrix)

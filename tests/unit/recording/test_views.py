@@ -83,3 +83,16 @@ def test_a_hidden_body_and_a_moving_arm_show_no_new_place() -> None:
     assert topics(views.of(sample("state/pose/coil", pose("coil")), NOW)) == ["/tf/bodies"]
     views.of(sample("state/joints", joints()), NOW)
     assert topics(views.of(sample("state/pose/coil", pose("coil")), NOW)) == ["/tf/bodies", "/tf/robot_base"]
+
+
+def test_base_of_a_standing_robot_is_shown_once_a_second() -> None:
+    views, seen = RecordingViews(ARM, MOUNTING, 1.0), sample("state/pose/coil", pose("coil"))
+
+    def base_shown(after_ns: int) -> bool:
+        return "/tf/robot_base" in topics(views.of(seen, NOW + after_ns))
+
+    views.of(sample("state/joints", joints()), NOW)
+    assert [base_shown(each) for each in (0, 10**8, 10**9 - 1, 10**9, 11 * 10**8)] == [True, False, False, True, False]
+    views.of(sample("state/joints", joints(moving=True)), NOW)
+    views.of(sample("state/joints", joints()), NOW)
+    assert base_shown(12 * 10**8), "the arm has moved meanwhile"

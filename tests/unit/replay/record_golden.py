@@ -25,6 +25,7 @@ from pcmrs.clock import SystemClock
 from pcmrs.devices.remote import RemoteScene
 from pcmrs.journal import JournalReader
 from pcmrs.messages import Verdict
+from pcmrs.testing.driving import acknowledge
 from pcmrs.testing.plan import Plan, example_plan, read_plan
 from pcmrs.workflows.opening import open_workflow
 from pcmrs_lab.experiment.tours.arguments import Arguments, plan_arguments
@@ -70,7 +71,7 @@ async def first_run(daemon: ServeProcess, client: Client, workflow: str) -> None
     await _told(client, "robot.connect")
     await _located(client)
     await prepare(client, workflow)
-    await client.acknowledge()
+    await acknowledge(client)
     names = ("placement.approach", "placement.approach", "toolplan.clear", "registration.clear_registration")
     await asyncio.gather(*(_told(client, name) for name in names))
     await _to_the_body(client, landmarks, pose, workflow)
@@ -85,11 +86,11 @@ async def first_run(daemon: ServeProcess, client: Client, workflow: str) -> None
         await moving
         await _told(client, "placement.back_off")
         await scene.inject("e_stop", {"on": False})
-    await client.acknowledge()
+    await acknowledge(client)
     await _told(client, "placement.back_off")
     await _told(client, "placement.home")
     await _stopped(client, _told(client, "placement.approach"))
-    await client.acknowledge()
+    await acknowledge(client)
     await _told(client, "placement.back_off")
 
 
@@ -101,7 +102,7 @@ async def second_run(daemon: ServeProcess, client: Client, workflow: str) -> Non
     await _told(client, "registration.use_previous")
     await _told(client, "robot.connect")
     await _located(client)
-    await client.acknowledge()
+    await acknowledge(client)
     await tour_live(blueprint, client, Arguments(arguments), LIMIT, TOUR, lambda *_: None)
 
 
@@ -172,7 +173,7 @@ async def _stopped(client: Client, *work: Awaitable[Verdict]) -> None:
         await asyncio.sleep(IN_MOTION)
     await client.stop()
     await asyncio.gather(*asked)
-    await client.acknowledge()
+    await acknowledge(client)
 
 
 async def _located(client: Client) -> None:

@@ -31,6 +31,7 @@ def played(rows: list[StoredRow], see: Callable[[JournalPlayer, int], Awaitable[
             await player.feed(index)
             await see(player, index)
         await player.end()
+        assert asyncio.all_tasks() == {asyncio.current_task()}
         return player
 
     with asyncio.Runner(loop_factory=SimulatedLoop) as runner:
@@ -60,6 +61,18 @@ def test_stop_is_latched_where_the_journal_has_it() -> None:
     played(ROWS[: stop + 1], see)
     assert latched[stop]
     assert not latched[0]
+
+
+def test_nothing_is_left_when_a_run_ends_in_an_activity() -> None:
+    """A replay printed that a task was destroyed while it was pending."""
+    followed = [index for index, stored in enumerate(ROWS) if stored.row.operation == "follow" and stored.row.verdict]
+    activities: list[int] = []
+
+    async def see(player: JournalPlayer, index: int) -> None:
+        activities.append(len(player.dispatcher.snapshot().activities))
+
+    played(ROWS[: followed[0] + 1], see)
+    assert activities[-1] == 1
 
 
 def test_a_row_of_which_the_cause_is_missing_is_not_decided() -> None:

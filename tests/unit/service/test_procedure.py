@@ -11,6 +11,7 @@ import msgspec
 import pytest
 
 from pcmrs.devices.node import DAEMON_BEAT
+from pcmrs.devices.standstill import MOVED, THRESHOLD
 from pcmrs.errors import DeviceError, SupervisionError
 from pcmrs.messages import (
     BodyPose,
@@ -62,6 +63,9 @@ class FakeLink:
 
     def listen(self, key: str, kind: type[Any], handler: Callable[[str, Any], None]) -> None:
         raise AssertionError
+
+    def when_lost(self, handler: Callable[[str], None]) -> None:
+        self.lose = handler
 
     def serve(self, key: str, kind: type[Any], handler: Callable[[str, Any], Awaitable[msgspec.Struct]]) -> None:
         raise AssertionError
@@ -213,6 +217,24 @@ async def test_the_loss_of_the_robots_node_is_the_loss_of_the_robot() -> None:
         await bench.procedure.dispatcher.close()
 
 
+async def test_daemon_alone_stops_an_arm_that_moves_unasked() -> None:
+    bench = Bench()
+    async with bench.supervisor:
+        bench.procedure.start()
+        bench.hear_all()
+        await bench.connect()
+        await settle()
+        bench.link.hear("state/joints", "state/joints", RESTING)
+        bench.link.asked.clear()
+        displaced = [*RESTING.positions[:-1], RESTING.positions[-1] + 2 * THRESHOLD]
+        bench.link.hear("state/joints", "state/joints", msgspec.structs.replace(RESTING, positions=displaced))
+        await settle()
+        assert [event.danger for event in bench.recorder.events if event.code == MOVED] == [True]
+        assert bench.procedure.dispatcher.snapshot().latched
+        assert "robot.hold" in bench.link.asked
+        await bench.procedure.dispatcher.close()
+
+
 async def test_loss_of_the_stimulator_node_is_reported_as_disarmed() -> None:
     bench = Bench()
     async with bench.supervisor:
@@ -240,10 +262,12 @@ async def test_procedure_data_is_published_whenever_it_changes() -> None:
         bench.procedure.start()
         bench.hear_all()
         await bench.accept("registration", "plan_landmarks", landmarks())
+        await settle()  # it is published after the answer
         names = [[each.name for each in data.landmarks] for data in told]
         assert names[-1] == [each["name"] for each in landmarks()["landmarks"]]
         assert told[-1] == bench.procedure.gathered()
         await bench.connect()
+        await settle()
         assert len(told) == len(names), "nothing new was gathered"
         await bench.procedure.dispatcher.close()
 
@@ -256,3 +280,15 @@ async def test_each_muscle_signal_is_published_once() -> None:
         publishing.publish_data(bench.procedure.cell, data)
     assert bench.link.published["state/epoch"] == signals
     assert [each.stimulation.intensity for each in bench.link.published["state/data"]] == [None, 50.0, None]
+
+
+@pytest.mark.parametrize(("key", "device"), [("dev/robot/event", "robot"), ("daemon/event", "daemon")])
+async def test_a_lost_event_may_have_been_a_danger_and_stops(key: str, device: str) -> None:
+    bench = Bench()
+    async with bench.supervisor:
+        bench.procedure.start()
+        await settle()
+        bench.link.lose(key)
+        await settle()
+        assert bench.procedure.dispatcher.snapshot().latched
+        assert (f"device:{device}", "events_lost") in [(event.device, event.code) for event in bench.recorder.events]

@@ -7,6 +7,7 @@ from pcmrs.clock import Clock
 from pcmrs.errors import DeviceError
 from pcmrs.messages import BodyPose, HeadBurst, HeadMotion
 from pcmrs.spatial import Transform, distance, rotation_angle
+from pcmrs_sim.head import CENTRE
 from pcmrs_sim.motion import head_offset
 from pcmrs_sim.opening import open_devices
 from pcmrs_sim.settings import SimSettings
@@ -89,3 +90,14 @@ async def test_pivoting_pointer_turns_about_a_fixed_tip_and_goes_away(clock: Clo
         await scene.pivot_pointer(20.0)
         await cell["pointer"].release()
         assert (await scene.truth()).tip_in_tracker is None
+
+
+async def test_the_body_is_near_if_it_is_in_front_of_the_tool(cell: Devices) -> None:
+    scene = cell["scene"]
+    assert not scene.is_near_body(0.05)
+    truth = await scene.truth()
+    body = transform(truth.tracker_from_body_ref) @ transform(truth.body_ref_from_image)
+    towards = scene.tool.translation - 0.15 * scene.tool.rotation[:, 2]
+    await scene.move_body(tuple((towards - body @ CENTRE).tolist()))
+    assert scene.is_near_body(0.08)
+    assert not scene.is_near_body(0.03)

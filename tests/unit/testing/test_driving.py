@@ -47,7 +47,7 @@ class Cell:
             id="1", branch=branch, operation=operation, decision=decision, state=state, sequence=1, reason=reason
         )
 
-    async def acknowledge(self) -> Verdict:
+    async def acknowledge(self, *, stop: int | None = None) -> Verdict:
         return await self.call("robot.acknowledge")
 
     async def state(self) -> Snapshot:

@@ -11,6 +11,7 @@ import pytest
 from pcmrs.threads import Priority
 
 REALTIME = os.SCHED_RR | os.SCHED_RESET_ON_FORK
+DEMOTED = os.SCHED_OTHER | os.SCHED_RESET_ON_FORK
 
 
 def permitted() -> bool:

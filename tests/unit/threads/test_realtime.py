@@ -16,14 +16,15 @@ from pcmrs.threads import Priority, RealTime
 async def run():
     ended = threading.Event()
     sending = ThreadPoolExecutor(1, thread_name_prefix="pcmrs-bus")
+    reading = ThreadPoolExecutor(1, thread_name_prefix="pcmrs-bus-read")
     working = ThreadPoolExecutor(1, thread_name_prefix="planning")
-    for pool in (sending, working):
+    for pool in (sending, reading, working):
         pool.submit(int).result()
     keeping = asyncio.create_task(RealTime(Priority.LOOP).keep(asyncio.sleep))
     await asyncio.sleep(0)
     own = "import os; print(os.sched_getscheduler(0))"
     child = subprocess.run([sys.executable, "-c", own], capture_output=True, check=True)
-    threads = [thread.native_id for pool in (sending, working) for thread in pool._threads]
+    threads = [thread.native_id for pool in (sending, reading, working) for thread in pool._threads]
     print(*map(os.sched_getscheduler, (0, *threads)), child.stdout.decode())
     keeping.cancel()
 
@@ -33,10 +34,10 @@ asyncio.run(run())
 
 @needs_permission
 def test_loop_and_bus_have_the_policy_and_workers_do_not() -> None:
-    """Nor do children."""
+    """Nor do children, and threads that send long replies."""
     said = subprocess.run([sys.executable, "-c", GIVEN], capture_output=True, text=True, check=True)
-    expected = [REALTIME, REALTIME, os.SCHED_OTHER, os.SCHED_OTHER]
-    assert [int(word) for word in said.stdout.split()] == expected, "loop, bus, worker, child"
+    expected = [REALTIME, REALTIME, os.SCHED_OTHER, os.SCHED_OTHER, os.SCHED_OTHER]
+    assert [int(word) for word in said.stdout.split()] == expected, "loop, bus, long replies, worker, child"
 
 
 WITHOUT = """

@@ -6,8 +6,11 @@ import os
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
-from pcmrs.threads import Threads, descendants
+import pytest
+
+from pcmrs.threads import Load, Threads, _scheduling, descendants
 
 WORK = "n = 0\nwhile n < 2_000_000: n += 1\nprint('done', flush=True)\ninput()"
 
@@ -66,3 +69,13 @@ def test_children_are_those_that_run_and_none_of_ended_process() -> None:
         child.communicate(b"\n")
     assert child.pid not in descendants(os.getpid())
     assert descendants(child.pid) == []
+
+
+def test_load_is_not_known_where_the_machine_hides_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """As systemd does with ProcSubset=pid."""
+    assert Threads().load().running is not None
+    monkeypatch.setattr(_scheduling, "LOAD_FILE", str(tmp_path / "loadavg"))
+    load = Threads().load()
+    assert load == Load(None, len(os.sched_getaffinity(0)))
+    assert not load.is_too_high
+    assert str(load) == "the load of the machine is not known"

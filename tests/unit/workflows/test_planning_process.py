@@ -17,6 +17,8 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+import pytest_asyncio
+from anyio.from_thread import BlockingPortal, start_blocking_portal
 
 from pcmrs.clock import SystemClock
 from pcmrs.dispatcher import Run
@@ -33,6 +35,8 @@ from tests.support.shipped import shipped_workflow
 from tests.unit.workflows.workflow_bench import POSES, WorkflowBench, open_bench
 
 FAR = POSES[0] | {"position": [0.9, 0.9, 0.9]}
+ANSWERS = pytest.mark.asyncio(loop_scope="module")
+"""For tests that share a process."""
 
 
 def on_the_machine(work: Coroutine[Any, Any, None]) -> None:
@@ -84,42 +88,81 @@ def pid_of(planner: PlanningProcess) -> int:
     return planner._process.pid
 
 
-async def test_it_answers_as_the_checks_do_in_the_loop() -> None:
-    async def ask(bench: WorkflowBench) -> None:
-        async with planning(bench) as (planner, events):
-            here, there = run_of(bench, "placement.approach"), run_of(bench, "placement.approach")
-            assert in_the_loop(here) is None
-            assert await planner.check(there) is None
-            np.testing.assert_allclose(there.prepared.positions, here.prepared.positions, atol=1e-9)
-            for pose in (POSES[1], FAR):
-                here, there = run_of(bench, "toolplan.plan", **pose), run_of(bench, "toolplan.plan", **pose)
-                assert await planner.check(there) == in_the_loop(here)
-                assert there.result == here.result
-            assert in_the_loop(here) is not None
-            assert events.empty()
-            process = planner._process
-            assert process is not None
-            assert process.stdin is not None
-            process.stdin.close()  # as when the daemon is killed
-            assert await process.wait() == 0
-
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def registered() -> AsyncIterator[WorkflowBench]:
+    """A registered head, for tests in which a process only answers."""
     async with open_bench() as bench:
         await bench.register()
-        on_the_machine(ask(bench))
+        yield bench
 
 
-async def test_it_runs_the_blueprint_that_the_daemon_has_verified(tmp_path: Path) -> None:
-    """A file that is changed before the process is restarted must not give it another workflow than the daemon's."""
-    changed = tmp_path / "ratms.toml"
+Answering = tuple[BlockingPortal, PlanningProcess]
+"""The loop of a planning process, and the process."""
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def answering(registered: WorkflowBench, tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Answering]:
+    """One process for all of these tests. The file of its workflow is changed after the daemon has verified it."""
+    changed = tmp_path_factory.mktemp("changed") / "ratms.toml"
     changed.write_text("this is being edited")
+    with start_blocking_portal() as portal:
+        opened = planning(registered, str(changed))
+        with portal.wrap_async_context_manager(opened) as (planner, events):
+            yield portal, planner
+            assert events.empty()
+            assert portal.call(_end_as_its_daemon_is_killed, planner) == 0
 
-    async def ask(bench: WorkflowBench) -> None:
-        async with planning(bench, str(changed)) as (planner, _):
-            assert await planner.check(run_of(bench, "placement.approach")) is None
 
-    async with open_bench() as bench:
-        await bench.register()
-        on_the_machine(ask(bench))
+async def _end_as_its_daemon_is_killed(planner: PlanningProcess) -> int:
+    process = planner._process
+    assert process is not None
+    assert process.stdin is not None
+    process.stdin.close()
+    return await process.wait()
+
+
+@ANSWERS
+async def test_it_answers_as_the_checks_do_in_the_loop(registered: WorkflowBench, answering: Answering) -> None:
+    portal, planner = answering
+    here, there = run_of(registered, "placement.approach"), run_of(registered, "placement.approach")
+    assert in_the_loop(here) is None
+    assert portal.call(planner.check, there) is None
+    np.testing.assert_allclose(there.prepared.positions, here.prepared.positions, atol=1e-9)
+    for pose in (POSES[1], FAR):
+        here, there = run_of(registered, "toolplan.plan", **pose), run_of(registered, "toolplan.plan", **pose)
+        assert portal.call(planner.check, there) == in_the_loop(here)
+        assert there.result == here.result
+    assert in_the_loop(here) is not None
+
+
+@ANSWERS
+async def test_it_runs_the_blueprint_that_the_daemon_has_verified(
+    registered: WorkflowBench, answering: Answering
+) -> None:
+    """A file that is changed before the process is restarted must not give it another workflow than the daemon's."""
+    portal, planner = answering
+    assert planner._settings.workflow != "ratms"
+    assert portal.call(planner.check, run_of(registered, "placement.approach")) is None
+
+
+@ANSWERS
+async def test_arm_that_moved_during_planning_is_planned_for_again(
+    registered: WorkflowBench, answering: Answering, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    portal, planner = answering
+
+    async def ask() -> Reason | None:
+        asked = asyncio.ensure_future(planner.check(run_of(registered, "placement.approach")))
+        await asyncio.sleep(0)  # the request has been sent
+        assert registered.cell.joints is not None
+        elsewhere = [position + 0.02 for position in registered.cell.joints.positions]
+        moved = msgspec.structs.replace(registered.cell.joints, positions=elsewhere)
+        monkeypatch.setattr(registered.cell, "joints", moved)
+        return await asked
+
+    reason = portal.call(ask)
+    assert reason is not None
+    assert reason.code == "moved_while_planning"
 
 
 async def test_it_keeps_away_from_the_body_that_the_daemon_has_read(tmp_path: Path) -> None:
@@ -133,23 +176,6 @@ async def test_it_keeps_away_from_the_body_that_the_daemon_has_read(tmp_path: Pa
             assert await planner.check(run_of(bench, "placement.approach")) is None
 
     async with open_bench({"body": {"surface": str(file)}}) as bench:
-        await bench.register()
-        on_the_machine(ask(bench))
-
-
-async def test_arm_that_moved_during_planning_is_planned_for_again() -> None:
-    async def ask(bench: WorkflowBench) -> None:
-        async with planning(bench) as (planner, _):
-            asked = asyncio.ensure_future(planner.check(run_of(bench, "placement.approach")))
-            await asyncio.sleep(0)  # the request has been sent
-            assert bench.cell.joints is not None
-            elsewhere = [position + 0.02 for position in bench.cell.joints.positions]
-            bench.cell.joints = msgspec.structs.replace(bench.cell.joints, positions=elsewhere)
-            reason = await asked
-            assert reason is not None
-            assert reason.code == "moved_while_planning"
-
-    async with open_bench() as bench:
         await bench.register()
         on_the_machine(ask(bench))
 

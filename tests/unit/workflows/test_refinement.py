@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
+import pytest_asyncio
 
 from pcmrs.spatial import distance
 from pcmrs.workflows.data import as_transform
@@ -18,11 +20,12 @@ from tests import ROOT
 from tests.unit.workflows.workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
 
 ENOUGH = 25
+UNCHANGED = pytest.mark.asyncio(loop_scope="module")
+"""For tests that change nothing, and so share a cell."""
 
 
-@pytest.fixture
-async def digitized() -> AsyncIterator[WorkflowBench]:
-    """A digitized head, and one point of the skin."""
+@asynccontextmanager
+async def _digitized() -> AsyncIterator[WorkflowBench]:
     async with open_bench() as bench:
         await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
         await bench.accept("digitization.digitize_all")
@@ -30,9 +33,8 @@ async def digitized() -> AsyncIterator[WorkflowBench]:
         yield bench
 
 
-@pytest.fixture
-async def touched() -> AsyncIterator[WorkflowBench]:
-    """A digitized head, a plan, and enough points of the skin."""
+@asynccontextmanager
+async def _touched() -> AsyncIterator[WorkflowBench]:
     async with open_bench() as bench:
         await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
         await bench.accept("digitization.digitize_all")
@@ -40,6 +42,32 @@ async def touched() -> AsyncIterator[WorkflowBench]:
         told = await bench.accept("digitization.digitize_surface", points=ENOUGH)
         assert told.result is not None
         assert told.result["points"] == ENOUGH
+        yield bench
+
+
+@pytest.fixture
+async def digitized() -> AsyncIterator[WorkflowBench]:
+    """A digitized head, and one point of the skin."""
+    async with _digitized() as bench:
+        yield bench
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def shared_digitized() -> AsyncIterator[WorkflowBench]:
+    async with _digitized() as bench:
+        yield bench
+
+
+@pytest.fixture
+async def touched() -> AsyncIterator[WorkflowBench]:
+    """A digitized head, a plan, and enough points of the skin."""
+    async with _touched() as bench:
+        yield bench
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def shared_touched() -> AsyncIterator[WorkflowBench]:
+    async with _touched() as bench:
         yield bench
 
 
@@ -52,9 +80,10 @@ async def _true_error(bench: WorkflowBench) -> float:
     return distance(as_transform(bench.data.registered.body_ref_from_image) @ image_from_coil, true @ image_from_coil)
 
 
-async def test_points_are_touched_on_the_true_skin(touched: WorkflowBench) -> None:
-    image_from_body_ref = as_transform((await touched.scene.truth()).body_ref_from_image).inverse()
-    points = image_from_body_ref @ np.array(touched.data.surface)
+@UNCHANGED
+async def test_points_are_touched_on_the_true_skin(shared_touched: WorkflowBench) -> None:
+    image_from_body_ref = as_transform((await shared_touched.scene.truth()).body_ref_from_image).inverse()
+    points = image_from_body_ref @ np.array(shared_touched.data.surface)
     off = np.array([np.linalg.norm(point - head.surface_point(point - head.CENTRE)) for point in points])
     assert 0.0001 < np.sqrt(np.mean(off**2)) < 0.0012
     assert np.unique(points.round(6), axis=0).shape == points.shape
@@ -110,28 +139,34 @@ async def test_too_few_points_are_refused(digitized: WorkflowBench) -> None:
     assert digitized.data.registered == before
 
 
-async def test_useless_refinement_is_refused_with_both_values(touched: WorkflowBench) -> None:
-    mine = touched.cell.settings
+@UNCHANGED
+async def test_useless_refinement_is_refused_with_both_values(
+    shared_touched: WorkflowBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine = shared_touched.cell.settings
     noisy = msgspec.structs.replace(mine.registration, surface_sigma_mm=60.0)
-    touched.cell.settings = msgspec.structs.replace(mine, registration=noisy)
-    verdict = await touched.refuse("registration.refine", "tre_not_lowered")
+    monkeypatch.setattr(shared_touched.cell, "settings", msgspec.structs.replace(mine, registration=noisy))
+    verdict = await shared_touched.refuse("registration.refine", "tre_not_lowered")
     assert verdict.reason is not None
     assert verdict.reason.fields["tre_after"] > 0.98 * verdict.reason.fields["tre_before"]
-    assert touched.states["registration"] == "110"
+    assert shared_touched.states["registration"] == "110"
 
 
+@UNCHANGED
 @pytest.mark.parametrize("name", ["no_such.ply", "", "/", "../../../etc/passwd", "C:\\skins\\"])
-async def test_an_unknown_surface_is_refused(digitized: WorkflowBench, name: str) -> None:
-    await digitized.refuse("registration.refine", "unknown_surface", surface=name)
+async def test_an_unknown_surface_is_refused(shared_digitized: WorkflowBench, name: str) -> None:
+    await shared_digitized.refuse("registration.refine", "unknown_surface", surface=name)
 
 
+@UNCHANGED
 @pytest.mark.parametrize("name", ["head_phantom.ply", "/home/lab/head_phantom.ply", "C:\\lab\\head_phantom.ply"])
-async def test_of_a_path_only_the_base_name_counts(digitized: WorkflowBench, name: str) -> None:
-    await digitized.refuse("registration.refine", "too_few_surface_points", surface=name)
+async def test_of_a_path_only_the_base_name_counts(shared_digitized: WorkflowBench, name: str) -> None:
+    await shared_digitized.refuse("registration.refine", "too_few_surface_points", surface=name)
 
 
-async def test_a_surface_of_another_body_is_refused(touched: WorkflowBench) -> None:
-    await touched.refuse("registration.refine", "surface_far", surface="femur_phantom.ply")
+@UNCHANGED
+async def test_a_surface_of_another_body_is_refused(shared_touched: WorkflowBench) -> None:
+    await shared_touched.refuse("registration.refine", "surface_far", surface="femur_phantom.ply")
 
 
 async def test_a_file_that_is_no_mesh_is_refused(tmp_path: Path) -> None:

@@ -21,6 +21,10 @@ DEPTHS = (1, 3, 5, 5, 6, 7, 8, 8)
 """Numbers of steps from the initial state: with 5 the arm may approach, and the last of 8 is done at the body."""
 TO_THE_BODY = 7
 """Number of steps after which the tool is at its place."""
+TO_FOLLOW = 8
+"""Number of steps after which the tool is placed even if one of them was too early, and may follow the head."""
+FOLLOWED = 4.0
+"""Longest time for which the tool follows the head before that is interrupted, s."""
 MEETINGS = (1, 3)
 """Least and largest number of meetings of a session."""
 AFTERWARDS = (2, 4)
@@ -102,6 +106,17 @@ def draw_aimed(draw: random.Random) -> list[Act]:
     acts = [Act(0.5, "go_on", "anna", {"turn": turn}) for turn in turns]
     for _ in range(draw.randint(*MEETINGS)):
         acts += _meeting(draw)
+    return acts
+
+
+def draw_following(draw: random.Random) -> list[Act]:
+    """Return acts that go straight to the body and follow the head there, until that is interrupted."""
+    acts = [Act(0.5, "go_on", "anna", {"turn": (number + 1) % 2}) for number in range(TO_FOLLOW)]
+    acts.append(Act(0.5, "placement.follow", "anna"))
+    first, *others = draw.choice((_end, _end, _stop, _event))(draw)
+    acts += [msgspec.structs.replace(first, after=round(draw.uniform(0.0, FOLLOWED), 3)), *others]
+    for _ in range(draw.randint(*AFTERWARDS)):
+        acts += _afterwards(draw)
     return acts
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 from pcmrs.fsm import Blueprint
-from pcmrs_lab.campaign.explore.aiming import draw_aimed
+from pcmrs_lab.campaign.explore.aiming import draw_aimed, draw_following
 from pcmrs_lab.campaign.explore.faults import FAULTS
 from pcmrs_lab.campaign.explore.plans import GARBAGE, random_operation
 from pcmrs_lab.campaign.explore.script import Act, Physics, SessionScript
@@ -19,6 +19,8 @@ CODED = 0.25
 """Share of the sessions in which every message is packed and unpacked."""
 AIMED = 0.75
 """Share of the sessions that aim at windows."""
+FOLLOWING = 0.05
+"""Share of the sessions that follow the head; drawn separately, so that a seed of another session keeps its acts."""
 SLOW = (0.0, 0.0, 0.1, 0.3)
 """Shares of the windows that take time by themselves; one for each session."""
 IN_THE_MIDDLE = 0.3
@@ -44,15 +46,22 @@ def draw_script(blueprint: Blueprint, workflow: str, seed: int, physics: Physics
     """
     draw = random.Random(f"session {workflow} {seed}")
     coded, slow = draw.random() < CODED, draw.choice(SLOW)
-    if draw.random() < AIMED:
-        return SessionScript(
-            seed=seed, workflow=workflow, physics=physics, coded=coded, slow=slow, acts=draw_aimed(draw)
-        )
+    separate = random.Random(f"following {workflow} {seed}")
+    if separate.random() < FOLLOWING:
+        acts = draw_following(separate)
+    elif draw.random() < AIMED:
+        acts = draw_aimed(draw)
+    else:
+        acts = _draw_any(blueprint, draw)
+    return SessionScript(seed=seed, workflow=workflow, physics=physics, coded=coded, slow=slow, acts=acts)
+
+
+def _draw_any(blueprint: Blueprint, draw: random.Random) -> list[Act]:
     trouble = draw.choice((0.0, 0.1, 0.25, 0.4))
     acts: list[Act] = []
     for _ in range(draw.randint(FEWEST, MOST)):
         acts.append(_act(blueprint, draw, trouble, hurry=bool(acts) and not acts[-1].waits))
-    return SessionScript(seed=seed, workflow=workflow, physics=physics, coded=coded, slow=slow, acts=acts)
+    return acts
 
 
 def _act(blueprint: Blueprint, draw: random.Random, trouble: float, *, hurry: bool) -> Act:

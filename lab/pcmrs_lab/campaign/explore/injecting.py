@@ -202,6 +202,8 @@ class Faults:
         process, seconds = str(arguments["process"]), float(arguments["seconds"])
         if process == NODE:
             self._witness.watcher.excuse_node(asyncio.get_running_loop().time() + seconds)
+        else:
+            self._witness.watcher.daemon_blocked(asyncio.get_running_loop().time(), seconds)
         self._cell.hold_up(process, seconds)
 
     async def _restart_tracker(self, _arguments: dict[str, Any]) -> None:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from pcmrs.bus.stop import Press
 from pcmrs.errors import PayloadError, PcmrsError
 from pcmrs.gateway.commands import COMMANDS, Value
 from pcmrs.gateway.grammar import format_command
-from pcmrs.messages import Beat, Command, Snapshot, Verdict
+from pcmrs.messages import Command, Snapshot, Verdict
 from pcmrs.planner import PlannerVerdict, parse_reply
 from pcmrs.simulated_time.clock import SimulatedClock
 from pcmrs_lab.campaign.explore.watcher import Watcher
@@ -159,7 +161,7 @@ class Operators:
 
     def stop(self, who: str) -> None:
         """Press Stop: daemon and node receive it."""
-        self._link.publish(f"stop/{who}", Beat(number=0, session="", alive=0.0, sent=0.0))
+        self._link.publish(f"stop/{who}", Press(id=uuid.uuid4().hex))
 
     async def _request(self, who: str, command: Command) -> None:
         key = f"cmd/{who}/{command.branch}/{command.operation}"
@@ -173,16 +175,27 @@ class Operators:
         answer = self._answers.setdefault(client_id, asyncio.get_running_loop().create_future())
         interval, waited = REPEAT_AFTER, 0.0
         while not answer.done() and waited < PATIENCE:
-            self._send(who, datagram)
+            self._send(who, datagram, client_id)
             await asyncio.wait([answer], timeout=interval)
             waited, interval = waited + interval, 2.0 * interval
 
-    def _send(self, who: str, data: bytes) -> None:
+    def _send(self, who: str, data: bytes, client_id: str = "") -> None:
         daemon = self.cell.daemon
         if daemon is None:
             return
-        receive, link, port = daemon.receive, daemon.link, PORTS[who]
-        self._link.send(link, receive, port, data, lambda text: link.send(self._link, self._answered, text), None)
+        link = daemon.link
+
+        def answer(text: str) -> None:
+            link.send(self._link, self._answered, text)
+
+        self._link.send(link, self._arrive, daemon, PORTS[who], data, client_id, answer)
+
+    def _arrive(
+        self, daemon: SimulatedDaemon, port: int, data: bytes, client_id: str, answer: Callable[[str], None]
+    ) -> None:
+        if client_id:
+            self.watcher.command_arrived(client_id, asyncio.get_running_loop().time())
+        daemon.receive(port, data, answer, None)
 
     def _answered(self, text: str) -> None:
         try:

@@ -126,6 +126,8 @@ async def _run_script(script: SessionScript, path: Path, seconds: float) -> Expl
         observe=witness.observe,
     ) as cell:
         cell.network.windows.share = script.slow
+        cell.network.windows.on_open = witness.window_opened
+        cell.network.on_request = witness.request_arrived
         session = ExploredSession(cell, witness, script)
         with witness.watching(cell.devices["scene"]):
             await session.faults.start_daemon()

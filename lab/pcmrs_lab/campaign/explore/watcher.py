@@ -10,12 +10,17 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 
 from pcmrs.fsm.blueprint import OperationSpec
-from pcmrs.messages import ActiveActivity, Command, DeviceEvent, Snapshot, Verdict
-from pcmrs_lab.campaign.explore.invariants import braked
+from pcmrs.messages import ActiveActivity, Command, DeviceEvent, Running, Snapshot, Verdict
+from pcmrs.spatial import Transform
+from pcmrs_lab.campaign.explore.invariants import BRAKED_ANYHOW, braked
 from pcmrs_lab.campaign.explore.view import REGISTERING, View, refuses_the_id
 
 MOVED = 0.002
 """Displacement at which a resting joint counts as moved, rad."""
+UNASKED = 0.03
+"""Displacement of an arm at rest that must become a Stop, rad: more than the limits of node and daemon."""
+RESTED = 2.0
+"""Time at rest after which node and daemon know the posture, too, s: two joint states, and a blocked loop."""
 DECIDED = 20.0
 """Time within which the operation of an event is decided, while any operation runs, s."""
 ID = re.compile("[0-9a-f]{32}")
@@ -23,11 +28,19 @@ ID = re.compile("[0-9a-f]{32}")
 NEVER_FOR_EVENTS = ("busy", "queue_full", "latched", "stopped")
 """Reasons for which no event may be rejected, since the event has happened already."""
 BEGINS_WITHIN = 1.2
-"""Time within which a motion begins after its command has arrived, s: 0.1 s, a blocked loop, and planning."""
+"""Time within which a motion of a client without ids begins after its arrival, s: 0.1 s, a blocked loop, planning."""
+CHECKED_WITHIN = 0.11
+"""Time within which the checks of what moves or acts begin after its command has arrived, s: 0.1 s, and rounding."""
+OF_A_CLIENT = re.compile(r"[0-9a-f]{32}-(\d+)-0")
+"""Ids that the gateway makes of the id of a string command, for its first operation."""
 SECOND = 0.4
 """Time after which clients take a second datagram for their next acknowledgement, s."""
 HELD = 0.1
 """Tolerance beyond the deadman, s: 25 ms, and the delay with which the simulation sees it."""
+NEAR = 0.05
+"""Distance between the face of the tool and the body in front of it that counts as near, m: less than a standoff."""
+INWARDS = 0.002
+"""Travel of a near tool towards the body that counts, m."""
 AT_THE_BODY = ("standoff", "placed", "following", "guided")
 """States of the placement in which the tool is where the plan puts it."""
 
@@ -47,17 +60,28 @@ class Watcher:
         self._deadman = deadman
         self._posture: Sequence[float] | None = None
         self._settling = False
+        self._stood: Sequence[float] | None = None
+        self._rests_since = 0.0
+        self._displaced_at: float | None = None
         self._allowed: dict[str, float] = {}
         self._newest: tuple[str, float] | None = None
         self._last_hold = float("-inf")
         self._ending: set[str] = set()
         self._lost_at: float | None = None
+        self._seen: Sequence[float] | None = None
         self._node_excused = float("-inf")
         self._reference_moved: float | None = None
         self._undecided: dict[str, float] = {}
         self._dangers: set[str] = set()
         self._tool_at: tuple[str | None, str | None] | None = None
         self._arrived: dict[str, float] = {}
+        self._commands: dict[str, float] = {}
+        self._planned: list[tuple[str, float, float]] = []
+        self._blocked: list[tuple[float, float]] = []
+        self._emitted: dict[str, float] = {}
+        self._not_ready_since: float | None = 0.0
+        self._tool: Transform | None = None
+        self._inwards = 0.0
         self._guided = self._must_latch = False
         self._decisions: dict[tuple[str, str], str] = {}
 
@@ -82,11 +106,88 @@ class Watcher:
                 self._break("the_arm_stays", text)
         elif at_rest and not self._settling:
             self._posture = tuple(positions)
-        commanded = not (at_rest or braking) and now >= self._view.by_hand
+        if relieving or not self._nothing_runs():
+            self._forget_standing(now)
+        else:
+            self._check_unasked(now, positions, at_rest=at_rest)
+        # A hold of an arm at rest is a reference without length: it counts as motion only if a joint moves.
+        seen, self._seen = self._seen, None if self._lost_at is None else tuple(positions)
+        moves = seen is not None and max(abs(one - other) for one, other in zip(positions, seen, strict=True)) > 0.0
+        commanded = moves and not (at_rest or braking) and now >= self._view.by_hand
         if self._lost_at is not None and commanded and now > self._held_by(self._lost_at):
             text = f"The daemon ended {now - self._lost_at:.3f} s ago, and the arm moves."
             self._break("silence_is_held", text)
         self._check_undecided(now)
+        self._check_emitted(now)
+
+    def _check_unasked(self, now: float, positions: Sequence[float], *, at_rest: bool) -> None:
+        """Check that displacement of an arm that nothing moves becomes a Stop, also displacement by hand."""
+        if self._stood is None:
+            if not at_rest or self._settling:
+                self._rests_since = now
+            elif now - self._rests_since > RESTED:
+                self._stood = tuple(positions)
+            return
+        displacement = max(abs(one - other) for one, other in zip(positions, self._stood, strict=True))
+        if displacement < UNASKED:
+            self._displaced_at = None
+        elif self._displaced_at is None:
+            self._displaced_at = now
+        elif now - self._displaced_at > BRAKED_ANYHOW:
+            text = (
+                f"A joint was displaced by {displacement:.3f} rad {now - self._displaced_at:.1f} s ago while nothing "
+            )
+            self._break("unasked_motion_is_a_stop", text + "ran, and Stop is not latched.")
+
+    def _nothing_runs(self) -> bool:
+        """Return whether the arm is connected, may move, and nothing runs that explains a displacement."""
+        snapshot = self._view.snapshot
+        if snapshot is None or snapshot.latched or snapshot.running or self._view.motion.holds or self._view.excused:
+            return False
+        return snapshot.branches.get("robot") == "1"
+
+    def _forget_standing(self, now: float) -> None:
+        self._stood = self._displaced_at = None
+        self._rests_since = now
+
+    def must_stay_away(self, now: float) -> bool:
+        """Return whether the tool may come no nearer to the body: no approach is possible, and the arm has braked."""
+        since = self._not_ready_since
+        return since is not None and now - since > braked(self._view) and now >= self._view.by_hand
+
+    def take_tool(self, tracker_from_tool: Transform, *, near: bool) -> None:
+        """Check a step of a tool that must stay away from the body.
+
+        Args:
+            tracker_from_tool: True pose of the tool, whose +z points away from the body.
+            near: True if it is within `NEAR` of the body.
+        """
+        if self._tool is not None and near:
+            step = self._tool.translation - tracker_from_tool.translation
+            self._inwards = max(0.0, self._inwards + float(step @ tracker_from_tool.rotation[:, 2]))
+        self._tool = tracker_from_tool
+        if self._inwards > INWARDS:
+            text = f"The tool has come {1e3 * self._inwards:.1f} mm nearer to the body, and no approach is possible."
+            self._break("the_tool_comes_near_only_when_ready", text)
+
+    def forget_tool(self) -> None:
+        """Restart with the next step of the tool: it has stopped, or may approach."""
+        self._tool, self._inwards = None, 0.0
+
+    def _note_readiness(self, snapshot: Snapshot | None, now: float) -> None:
+        if snapshot is not None and not snapshot.latched and self._may_approach(snapshot):
+            self._not_ready_since = None
+        elif self._not_ready_since is None:
+            self._not_ready_since = now
+
+    def _may_approach(self, snapshot: Snapshot) -> bool:
+        """Return whether the states permit any operation that approaches the body, whatever the placement is."""
+        branches = self._view.blueprint.branches.values()
+        approaches = [spec for branch in branches for spec in branch.operations.values() if _approaches(spec)]
+        return not approaches or any(
+            all(snapshot.branches.get(branch) in states for branch, states in spec.requires.items())
+            for spec in approaches
+        )
 
     def begins(self, method: str, now: float) -> None:
         """Check a motion that the driver has been commanded to begin.
@@ -145,6 +246,10 @@ class Watcher:
         self._ending.clear()
         self._allowed.clear()
         self._arrived.clear()
+        self._commands.clear()
+        self._planned.clear()
+        self._blocked.clear()
+        self._emitted.clear()
         self._reference_moved = None
         self._tool_at = None
 
@@ -156,6 +261,7 @@ class Watcher:
             crash: True if it was killed.
         """
         snapshot = self._view.snapshot
+        self._note_readiness(None, now)
         if crash:
             self._lost_at = now
             self._must_latch = self._guided and snapshot is not None and self._guides(snapshot)
@@ -168,6 +274,9 @@ class Watcher:
             snapshot: Snapshot.
             now: Time of the simulation, s.
         """
+        self._note_readiness(snapshot, now)
+        if not self._nothing_runs():
+            self._forget_standing(now)
         self._note_motions(snapshot, now)
         placement = snapshot.branches.get("placement")
         ids = (snapshot.plan, snapshot.registration)
@@ -200,6 +309,7 @@ class Watcher:
 
     def take_verdict(self, verdict: Verdict) -> None:
         """Check a published verdict."""
+        self._commands.pop(_command_key(verdict.id), None)
         name, spec = f"{verdict.branch}.{verdict.operation}", self._spec(f"{verdict.branch}.{verdict.operation}")
         if spec is None:
             return
@@ -223,6 +333,11 @@ class Watcher:
         }
         self._ending |= {each.name for each in snapshot.activities if self._moves(each)}
         going_on = {f"{each.branch}:{each.name}": f"{each.branch}:{each.name}" for each in snapshot.activities}
+        before = self._view.before
+        known = set() if before is None else {each.id for each in before.running}
+        for each in snapshot.running:
+            if each.id not in known:
+                self._check_in_time(each, now)
         for key, name in running.items():
             if key not in self._allowed:
                 self._check_beginning(key, name, now)
@@ -239,6 +354,29 @@ class Watcher:
         if now - since > BEGINS_WITHIN:
             text = f"{name} begins {now - since:.3f} s after its command has arrived."
             self._break("motions_begin_in_time", text)
+
+    def _check_in_time(self, running: Running, now: float) -> None:
+        """Check that an operation that moves or acts began soon after its command arrived, without planning."""
+        name = f"{running.branch}.{running.operation}"
+        since, spec = self._commands.pop(_command_key(running.id), None), self._spec(name)
+        if since is None or spec is None or not (spec.moves or spec.affects_patient):
+            return
+        planned = sum(duration for planned, at, duration in self._planned if planned == name and at >= since)
+        blocked = sum(duration for at, duration in self._blocked if at >= since)
+        if now - since > CHECKED_WITHIN + planned + blocked:
+            text = (
+                f"{name} begins {now - since:.3f} s after its command has arrived, of which {planned:.3f} s planning."
+            )
+            self._break("motions_begin_in_time", text)
+
+    def _check_emitted(self, now: float) -> None:
+        snapshot = self._view.snapshot
+        if snapshot is None or snapshot.latched or snapshot.branches.get("robot") != "1" or self._view.excused:
+            self._emitted.clear()
+        for event, since in self._emitted.items():
+            if now - since > BRAKED_ANYHOW:
+                text = f"A device reported {event} {now - since:.1f} s ago, and Stop was not latched since."
+                self._break("every_reported_danger_is_a_stop", text)
 
     def _check_undecided(self, now: float) -> None:
         for code, since in self._undecided.items():
@@ -269,6 +407,44 @@ class Watcher:
             now: Time of the simulation, s.
         """
         self._arrived[name] = now
+
+    def command_arrived(self, key: str, now: float) -> None:
+        """Record that a command with an id has arrived at the daemon for the first time.
+
+        Args:
+            key: Id of a command on the bus, or id of a client's string command.
+            now: Time of its arrival, s: a message on the bus arrives even if the event loop is blocked.
+        """
+        self._commands.setdefault(key, now)
+
+    def planning(self, name: str, now: float, duration: float) -> None:
+        """Record that the planning process works on an operation.
+
+        Args:
+            name: Operation, ``branch.operation``.
+            now: Time at which it starts, s.
+            duration: Duration, s.
+        """
+        self._planned.append((name, now, duration))
+
+    def daemon_blocked(self, now: float, duration: float) -> None:
+        """Record that the event loop of the daemon is blocked.
+
+        Args:
+            now: Time at which that starts, s.
+            duration: Duration, s.
+        """
+        self._blocked.append((now, duration))
+
+    def emitted(self, event: DeviceEvent, now: float) -> None:
+        """Record a danger event that a device has reported to its node.
+
+        Args:
+            event: Event of the device.
+            now: Time of the simulation, s.
+        """
+        if event.danger:
+            self._emitted.setdefault(f"{event.device} {event.code}", now)
 
     def check_second_datagram(self, after: float) -> None:
         """Check the delay of the second datagram after the acknowledgement, s."""
@@ -310,6 +486,12 @@ class Watcher:
     def _moves(self, ongoing: ActiveActivity) -> bool:
         spec = self._view.blueprint.branches[ongoing.branch].activities.get(ongoing.state)
         return spec is not None and spec.moves
+
+
+def _command_key(identifier: str) -> str:
+    """Return the id that the client has given to a command."""
+    match = OF_A_CLIENT.fullmatch(identifier)
+    return identifier if match is None else match[1]
 
 
 def _approaches(spec: OperationSpec) -> bool:

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+import msgspec
+
 from pcmrs.devices.motion.press import Relief
 from pcmrs.dispatcher import DispatcherListener
 from pcmrs.fsm import Blueprint
@@ -28,7 +30,7 @@ from pcmrs_lab.campaign.explore.invariants import INVARIANTS
 from pcmrs_lab.campaign.explore.settings import DEADMAN
 from pcmrs_lab.campaign.explore.tampering import TamperedTracker
 from pcmrs_lab.campaign.explore.view import Answered, Event, Fired, Moved, View
-from pcmrs_lab.campaign.explore.watcher import Watcher
+from pcmrs_lab.campaign.explore.watcher import NEAR, Watcher
 from pcmrs_sim.deterministic.cell import Devices
 from pcmrs_sim.deterministic.daemon import ProcedureDispatcher
 
@@ -115,19 +117,44 @@ class Witness:
         self.watcher.answered(command, verdict)
         self.judge(Answered(command, verdict))
 
+    def request_arrived(self, _key: str, request: msgspec.Struct, at: float) -> None:
+        """Take a request that has arrived at a process.
+
+        Args:
+            request: Request; only commands count.
+            at: Time of its arrival, s.
+        """
+        if isinstance(request, Command):
+            self.watcher.command_arrived(request.id, at)
+
+    def window_opened(self, name: str, duration: float) -> None:
+        """Take the name and the duration, s, of a window; only planning counts."""
+        kind, _, operation = name.partition(":")
+        if kind == "plan":
+            self.watcher.planning(operation, self._loop.time(), duration)
+
+    def emitted(self, event: DeviceEvent) -> None:
+        """Take an event that a device has reported to its node."""
+        self.watcher.emitted(event, self._loop.time())
+
     @contextmanager
     def watching(self, scene: Any) -> Iterator[None]:
         """Check the simulated arm after every step for the length of the context."""
 
         def look() -> None:
-            arm = scene.arm
+            arm, now = scene.arm, self._loop.time()
+            relieving = isinstance(arm.reference, Relief)
             self.watcher.step(
-                self._loop.time(),
+                now,
                 arm.positions,
                 at_rest=arm.at_rest,
                 braking=arm.stopped is not None,
-                relieving=isinstance(arm.reference, Relief),
+                relieving=relieving,
             )
+            if self.watcher.must_stay_away(now) and not (arm.at_rest or relieving):
+                self.watcher.take_tool(scene.tool, near=scene.is_near_body(NEAR))
+            else:
+                self.watcher.forget_tool()
 
         with scene.watched(look):
             yield
@@ -197,6 +224,11 @@ class _Watched:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._device, name)
+
+    async def events(self) -> AsyncIterator[DeviceEvent]:
+        async for event in self._device.events():
+            self._witness.emitted(event)
+            yield event
 
 
 class _WatchedRobot(_Watched):

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import shutil
 import sqlite3
 import sys
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
@@ -40,15 +41,19 @@ from pcmrs_lab.campaign.flood import flood
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.lateness import percentile, timer_lateness
 from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
+from pcmrs_lab.campaign.stop_limits import exceeded
+from pcmrs_lab.campaign.tools import ended
+from pcmrs_lab.campaign.tries import COMMANDS, DELAYED, FLOODING, LOCAL_ACCOUNT, UNKNOWN, record
+from pcmrs_lab.campaign.waiting import until_true
+from pcmrs_lab.campaign.without_guard import without_guards
 
 FLOOD = 40_000.0
 """Datagrams per second."""
 
-STOP_WITHIN = 0.02
-"""Time within which the daemon has begun to stop, s of the machine, beyond the lateness of a bare timer in the same
-run."""
-
-STOPS = 50
+STOPS = 100
+"""Number of Stops whose p99 is checked: of fewer it would be their maximum."""
+STOPS_AT_THE_SOCKET = 20
+"""Number of Stops at the flooded socket, which loses datagrams: the planner repeats a press until it is answered."""
 SPAM = 2_000
 BATCH = 50
 """Number of Stops that are sent before their answers are awaited: more would not fit into the socket's buffer."""
@@ -59,6 +64,10 @@ POINTS = 25
 SILENT = 1_100
 """Number of simultaneous connections: more than the usual limit of 1,024 descriptors of a process."""
 
+DEAF = 3.0
+"""Time without an answer after which a receiver counts as closed, s of the machine; it answers within milliseconds."""
+
+TOO_MANY_LANDMARKS = b"img_fid_numxxxxx_1000;"
 RIGHT = "0.1"
 WRONG_NUMBERS = ("nan", "1e999", "-1e999", "٣", "1_000", "inf", "0x10", "1,5", "")
 MAGIC = (
@@ -70,11 +79,20 @@ TAKEN_OVER = """
 import os, socket, subprocess, sys
 from pcmrs.console.planning import importer
 from pcmrs.errors import PcmrsError
-file = os.open(sys.argv[2], os.O_WRONLY | os.O_CREAT)
-acts = ((socket.socket,), (subprocess.run, ["true"]), (bytes, 2**31), (os.write, file, b"x"))
+how, folder, terminal, is_sham = sys.argv[1:]
+os.chdir(folder)
+file = os.open("written", os.O_WRONLY)
+def fork():
+    if os.fork() == 0:
+        os._exit(0)
+acts = (
+    (socket.socket,), (subprocess.run, ["true"]), (fork,), (bytes, 2**31), (os.write, file, b"x"),
+    (os.unlink, "removed"), (os.truncate, "emptied", 0), (os.open, terminal, os.O_WRONLY | os.O_NOCTTY),
+    (os.kill, os.getppid(), 0),
+)
 def taken_over(path):
     said = []
-    for act, *words in acts[: int(sys.argv[3])]:
+    for act, *words in acts[:0] if is_sham == "yes" else acts:
         try:
             act(*words)
             said.append("done")
@@ -82,58 +100,75 @@ def taken_over(path):
             said.append(type(error).__name__)
     raise PcmrsError(" ".join(said))
 importer.read_points = taken_over
-if sys.argv[1] == "free":
+if how == "free":
     importer.confine = lambda memory, seconds: None
 importer.main()
 """
 """Actions that a malicious file could make its reader perform."""
+ACTS = 9
 
 
-@fault("A4", how="a process that sends 40,000 datagrams per second, nearly all of them refused", deadline=180.0)
+@fault(
+    "A4",
+    how="a process that sends 40,000 datagrams per second, nearly all of them refused",
+    deadline=240.0,
+    tries={FLOODING: ["UDP"]},
+)
 async def stop_under_a_flood(lab: Lab) -> Evidence:
-    """Stop over the bus works while the planner's socket is flooded; once in the middle of a motion."""
+    """Stop works while the planner's socket is flooded, over the bus in time, and at that socket itself."""
     async with lab.daemon("cell.rate=1", "procedure.max_pose_age=0.5", "robot.deadman=0.5") as cell:
         await register(cell.client)
-        async with moving(cell.client), flood(cell.ready.links["planner"], FLOOD, lab.seed) as sent:
+        async with flood(cell.ready.links["planner"], FLOOD, lab.seed), moving(cell.client):
             await cell.client.stop()
             await until(cell.client, lambda shown: shown.latched)
         await held(cell)
         quiet, before = await stop_times(cell, STOPS), (await cell.client.health()).datagrams
         async with flood(cell.ready.links["planner"], FLOOD, lab.seed) as sent, timer_lateness() as timer:
             taken = await stop_times(cell, STOPS)
-        arrived = (await cell.client.health()).datagrams - before
+            arrived = (await cell.client.health()).datagrams - before  # without the presses at the socket
+            at_the_socket = await stop_times(cell, STOPS_AT_THE_SOCKET, cell.planner.stop)
         await confirmed(cell)
         await reset_cell(cell.client)
     details = {"rate_hz": round(sent.rate), **in_ms("stop", taken), **in_ms("timer", timer.late)}
-    late = percentile(taken, 0.5) - percentile(timer.late, 0.99)
-    expect(late < STOP_WITHIN, f"Stop took {late * 1e3:.1f} ms longer than a bare timer is late: {details}.")
+    details |= in_ms("confirmed_at_the_flooded_socket", at_the_socket)
+    late = " ".join(exceeded(taken, timer.late))
+    expect(not late, f"Stop over the bus was late: {late} {details}")
     return Evidence(
-        f"Stop begun after {percentile(taken, 0.5) * 1e3:.1f} ms in the median",
+        f"Stop over the bus begun after {max(taken) * 1e3:.1f} ms at most",
         took_place={"arrived_at_the_gateway": arrived},
-        control=in_ms("stop_without_flood", quiet),
-        details=details,
+        control_kind="permitted",
+        control={"answers_to_commands_of_the_flood": sent.answers},
+        details={**details, **in_ms("stop_without_flood", quiet)},
     )
 
 
-@fault("A5", how="raw datagrams")
+@fault("A5", how="raw datagrams", tries={UNKNOWN: ["UDP"]})
 async def magic_texts(lab: Lab) -> Evidence:
     """Texts that might close a receiver are refused, alone and as a part of a datagram."""
     async with lab.cell() as cell:
         await digitize_landmarks(cell.client)
         details = await refused_all(cell, [*MAGIC, *(b"x" * 16 + m for m in MAGIC)])
         control = await send_accepted(cell, b"stop_visualizexx_#1;")
+    async with lab.daemon(prefix=without_guards("a_text_ends_the_receiver")) as other:
+        await send_accepted(other, b"stop_visualizexx_#1;")
+        async with raw_socket(other.ready.links["planner"]) as raw:
+            raw.send(MAGIC[0])
+            raw.send(b"stop_visualizexx_#2;")
+            answers = await _answers(raw, 1, DEAF)
+    expect(not answers, f"A receiver that obeys {MAGIC[0]!r} has answered {answers}.")
     return Evidence(
         "refused, the receiver continues",
         took_place={"refused_in_the_journal": details.pop("refused")},
-        control={"a_command_instead": control},
+        control_kind="mutant",
+        control={"a_receiver_that_obeys_is_deaf": not answers, "a_command_instead": control},
         details=details,
     )
 
 
-@fault("A6", how="raw datagrams and requests on the bus")
+@fault("A6", how="raw datagrams and requests on the bus", tries={UNKNOWN: ["UDP"], LOCAL_ACCOUNT: [COMMANDS]})
 async def unknown_commands_and_bad_numbers(lab: Lab) -> Evidence:
     """Unknown commands, and invalid indices and numbers, are refused."""
-    wrong = [b"no_such_commandx;", b"img_fid_numxxxxx_-1;", b"img_fid_numxxxxx_1000;", b"img_dig_digitize_x;"]
+    wrong = [b"no_such_commandx;", b"img_fid_numxxxxx_-1;", TOO_MANY_LANDMARKS, b"img_dig_digitize_x;"]
     wrong += [b"target_tslxxxxxx_1_2;", b"target_tslxxxxxx_1_2_3_4;", b"target_tslxxxxxx_1_2_x;"]
     async with lab.cell() as cell:
         await digitize_landmarks(cell.client)
@@ -146,14 +181,18 @@ async def unknown_commands_and_bad_numbers(lab: Lab) -> Evidence:
                 ("toolplan.plan", {"position": ["1", "2", "x"], "quat_xyzw": [0, 0, 0, 1]}, "bad_arguments"),
             ):
                 await refused(cell, name, arguments, codes=(code,))
+                record(LOCAL_ACCOUNT, COMMANDS)
                 details[f"{name} {arguments}"] = code
-        control = await right_numbers(cell, details)
+        right = await right_numbers(cell, details)
         planned = await accept(cell.client, "toolplan.plan", **tool_pose())
+    async with lab.daemon(prefix=without_guards("an_index_of_any_kind")) as other:
+        control = await send_accepted(other, TOO_MANY_LANDMARKS.replace(b";", b"_#1;"))
     return Evidence(
         "refused, nothing changed",
         took_place={"refused_in_the_journal": details.pop("refused")},
-        control={"right_number": control, "right_plan": planned.decision},
-        details=details,
+        control_kind="mutant",
+        control={"such_an_index_without_the_guard": control},
+        details={**details, "right_number": right, "right_plan": planned.decision},
     )
 
 
@@ -175,7 +214,7 @@ async def right_numbers(cell: RunningCell, details: Mapping[str, Any]) -> str:
     )
 
 
-@fault("A7", how="raw datagrams and requests on the bus")
+@fault("A7", how="raw datagrams and requests on the bus", tries={UNKNOWN: ["UDP"], LOCAL_ACCOUNT: [COMMANDS]})
 async def numbers_that_only_some_parsers_read(lab: Lab) -> Evidence:
     """Numbers that Python's own conversion would accept, or read as infinite, are refused."""
     wrong = [f"target_tslxxxxxx_{RIGHT}_{RIGHT}_{number};".encode() for number in WRONG_NUMBERS]
@@ -187,24 +226,43 @@ async def numbers_that_only_some_parsers_read(lab: Lab) -> Evidence:
             details = await refused_all(cell, wrong)
             for number in (float("nan"), float("inf")):
                 await refused_at_edge(cell, "toolplan.plan", _pose(number), code="malformed")
+                record(LOCAL_ACCOUNT, COMMANDS)
             for text in ("1", None):
                 await refused(cell, "toolplan.plan", _pose(text), codes=("bad_arguments",))
             malformed = await reported(cell, row, edge="bus", code="malformed", count=2)
-        control = await right_numbers(cell, details)
+        right = await right_numbers(cell, details)
         planned = await accept(cell.client, "toolplan.plan", **tool_pose())
+    async with lab.daemon(prefix=without_guards("numbers_as_python_reads_them", "numbers_beyond_all_bounds")) as other:
+        reached = await _decided_targets(other, wrong[0])
     return Evidence(
         "refused, nothing changed",
         took_place={"refused_in_the_journal": details.pop("refused"), "malformed_on_the_bus": malformed},
-        control={"right_number": control, "right_plan": planned.decision},
-        details=details,
+        control_kind="mutant",
+        control={"decided_by_the_dispatcher_without_the_guards": reached},
+        details={**details, "right_number": right, "right_plan": planned.decision},
     )
+
+
+async def _decided_targets(cell: RunningCell, translation: bytes) -> int:
+    """Send a rotation and then a translation, and return how many targets the dispatcher has decided on."""
+    row = cell.last_row()
+    async with raw_socket(cell.ready.links["planner"]) as raw:
+        raw.send(b"target_rotxxxxxx_0_0_0_1;")
+        raw.send(translation)
+        await raw.fence()
+
+    def decided() -> int:
+        return sum((each.branch, each.operation) == ("toolplan", "plan") for each in cell.rows(row))
+
+    await until_true(lambda: decided() > 0, f"Without its guard, too, {translation!r} did not reach the dispatcher")
+    return decided()
 
 
 def _pose(number: object) -> dict[str, Any]:
     return {"position": [0.0, 0.0, number], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
 
 
-@fault("A8", how="raw datagrams")
+@fault("A8", how="raw datagrams", tries={UNKNOWN: ["UDP"]})
 async def paths_from_the_network(lab: Lab) -> Evidence:
     """Paths to other files: only the last part counts, and must name a configured surface."""
     secret = lab.folder / "secret.ply"
@@ -222,11 +280,17 @@ async def paths_from_the_network(lab: Lab) -> Evidence:
         before, files = await cell.client.state(), set(cell.folder.rglob("*"))
         row = cell.last_row()
         verdicts = {path: await cell.planner.command("icp_registerxxxx", path) for path in paths if not is_sham()}
+        record(UNKNOWN, "UDP")
         decided = [each.verdict for each in cell.rows(row) if each.operation == "refine" and each.verdict]
         after = await until(cell.client, lambda shown: not shown.running)
         new = set(cell.folder.rglob("*")) - files
         control = await cell.planner.command("icp_registerxxxx", "/home/lab/skin_of_head/head_phantom.ply")
         expect(control.decision == "accepted", f"A path to the configured surface was {control}.")
+    async with lab.daemon(prefix=without_guards("any_path_is_the_surface")) as other:
+        await digitize_landmarks(other.client)
+        await accept(other.client, "digitization.digitize_surface", points=POINTS)
+        obeyed = await other.planner.command("icp_registerxxxx", paths[0])
+        expect(obeyed.decision == "accepted", f"Without the guard {paths[0]} was {obeyed}.")
     reasons = [verdict.reason.code for verdict in decided if verdict.reason]
     expect(reasons == ["unknown_surface"] * len(paths), f"They were refused for {reasons}.")
     accepted = [path for path, verdict in verdicts.items() if verdict.decision == "accepted"]
@@ -236,12 +300,13 @@ async def paths_from_the_network(lab: Lab) -> Evidence:
     return Evidence(
         "refused, no file was touched",
         took_place={"refused_in_the_journal": reasons},
-        control={"configured_surface": control.decision},
+        control_kind="mutant",
+        control={"such_a_path_without_the_guard": obeyed.decision, "configured_surface": control.decision},
         details={path: verdict.reason for path, verdict in verdicts.items()},
     )
 
 
-@fault("A10", how="raw datagrams")
+@fault("A10", how="raw datagrams", tries={FLOODING: ["UDP"]})
 async def stop_spam(lab: Lab) -> Evidence:
     """Thousands of Stops: the first one stops, all are honoured, and the cell can be used again."""
     async with lab.cell() as cell:
@@ -252,6 +317,7 @@ async def stop_spam(lab: Lab) -> Evidence:
             for first in range(1, SPAM, BATCH):
                 for number in range(first, first + BATCH):
                     raw.attack(f"stop_now_xxxxxxx_#{number};".encode())
+                    record(FLOODING, "UDP")
                 answers += await _answers(raw, BATCH)
                 expect(len(answers) == first + BATCH - 1, f"Of {first + BATCH - 1} Stops {len(answers)} were answered.")
         await held(cell)
@@ -269,12 +335,13 @@ async def stop_spam(lab: Lab) -> Evidence:
     return Evidence(
         "all honoured, held until confirmed",
         took_place={"counted_in_the_journal": stops},
-        control={"approach_without_stop": alone.decision},
-        details={"sent": SPAM, "honoured": honoured},
+        control_kind="permitted",
+        control={"stops_that_were_honoured": honoured, "approach_without_stop": alone.decision},
+        details={"sent": SPAM},
     )
 
 
-@fault("A19", how="the bytes that a browser sends, and pieces of them")
+@fault("A19", how="the bytes that a browser sends, and pieces of them", tries={"web page": ["TCP"]})
 async def a_web_page(lab: Lab) -> Evidence:
     """The headers of a request are no commands; its body contains one."""
     command = b"rob_conn_onxxxxx_#1;"
@@ -284,24 +351,30 @@ async def a_web_page(lab: Lab) -> Evidence:
         row = cell.last_row()
         async with unmoved(cell):
             answers = [await _first_answer(cell, request) for request in requests if not is_sham()]
+            record("web page", "TCP")
             malformed = await reported(cell, row, edge="gateway", code="malformed", count=len(requests))
         expect(not any(answers), f"The answers were {answers}.")
         control = await _first_answer(cell, command)
         expect(control.startswith(b"1_accepted"), f"The command by itself was answered {control!r}.")
+    async with lab.daemon(prefix=without_guards("tcp_goes_on_behind_a_wrong_frame")) as other:
+        obeyed = await _first_answer(other, requests[0])
+        expect(obeyed.startswith(b"1_accepted"), f"Without the guard the request was answered {obeyed!r}.")
     return Evidence(
         "ended at the first wrong byte",
         took_place={"malformed_in_the_journal": malformed},
-        control={"the_command_by_itself": control.decode()},
+        control_kind="mutant",
+        control={"the_request_without_the_guard": obeyed.decode(), "the_command_by_itself": control.decode()},
     )
 
 
-@fault("A20", how="TCP connections that send nothing")
+@fault("A20", how="TCP connections that send nothing", tries={FLOODING: ["TCP"]})
 async def silent_connections(lab: Lab) -> Evidence:
     """Silent connections would use up the daemon's descriptors; the tool moves, and Stop is pressed over the bus."""
     async with lab.daemon() as cell:
         await register(cell.client)
         row, (host, port) = cell.last_row(), cell.ready.links["tcp"]
         opened = [await asyncio.open_connection(host, port) for _ in range(0 if is_sham() else SILENT)]
+        record(FLOODING, "TCP")
         try:
             rejected = await reported(
                 cell, row, edge="gateway", code="too_many_connections", count=SILENT - MOST_OF_A_HOST
@@ -318,68 +391,108 @@ async def silent_connections(lab: Lab) -> Evidence:
             while not (control := await _first_answer(cell, b"get_jnt_angsxxxx_#2;")):
                 pass  # the daemon notices the closed connections one after the other
         await confirmed(cell)
+    unlimited = without_guards("any_number_of_connections", "any_number_of_connections_from_one_address")
+    async with lab.daemon(prefix=unlimited) as other:
+        kept = await _descriptors_of_silent(other)
     return Evidence(
         "bounded, and Stop works",
         took_place={"turned_away_in_the_journal": rejected},
-        control={"one_more_when_they_are_closed": control.decode()},
-        details={"connections": SILENT},
+        control_kind="mutant",
+        control={"descriptors_taken_without_the_guard": kept},
+        details={"connections": SILENT, "one_more_when_they_are_closed": control.decode()},
     )
 
 
-@fault("A25", how="a signed command that is delayed; from a peer with the time in its counters, and from one without")
+async def _descriptors_of_silent(cell: RunningCell) -> int:
+    """Return how many descriptors of the daemon silent connections take, more than its limit permits."""
+    before, many = _descriptors(cell), 4 * MOST_OF_A_HOST
+    opened = [await asyncio.open_connection(*cell.ready.links["tcp"]) for _ in range(many)]
+    try:
+        await until_true(lambda: _descriptors(cell) - before >= many, f"{many} connections take fewer descriptors")
+        return _descriptors(cell) - before
+    finally:
+        for _, writer in opened:
+            writer.close()
+
+
+def _descriptors(cell: RunningCell) -> int:
+    """Return the number of open descriptors of the daemon, as the kernel counts them."""
+    return len(list(Path(f"/proc/{cell.process.pid}/fd").iterdir()))
+
+
+@fault("A25", how="a signed command that is delivered seconds after it was sent", tries={DELAYED: ["UDP"]})
 async def held_back(lab: Lab) -> Evidence:
     """An attacker on the route delays a datagram, and delivers it long after it was sent."""
-    command, peers, settings = b"rob_conn_onxxxxx_#1;", {}, []
-    for name, counter in (("timed", "unix_ns"), ("growing", "growing")):
-        key = lab.folder / f"{name}.key"
-        new_key(key)
-        peers[name] = Signer(name, read_key(key))
-        table = {"key_file": str(key), "counter": counter, "role": "operator", "allow": ["robot"]}
-        settings += [f"gateway.peers.{name}.{setting}={json.dumps(value)}" for setting, value in table.items()]
+    key = lab.folder / "timed.key"
+    new_key(key)
+    signer = Signer("timed", read_key(key))
+    table = {"key_file": str(key), "counter": "unix_ns", "role": "operator", "allow": ["robot"]}
+    settings = [f"gateway.peers.timed.{setting}={json.dumps(value)}" for setting, value in table.items()]
+    held = signer.sign(b"rob_conn_onxxxxx_#1;")
     async with lab.daemon(*settings) as cell, raw_socket(cell.ready.links["planner"]) as raw:
-        held = {name: signer.sign(command) for name, signer in peers.items()}
-        if not is_sham():
+        if is_sham():
+            held = signer.sign(b"rob_conn_onxxxxx_#1;")
+        else:
             await asyncio.sleep(FRESH_FOR + 0.5)
         row = cell.last_row()
         async with unmoved(cell):
-            (answer,) = await _send_and_receive(raw, held["timed"])
+            (answer,) = await _send_and_receive(raw, held)
+            record(DELAYED, "UDP")
             too_old = await reported(cell, row, edge="gateway", code="too_old", count=1)
-        expect(b"_rejected_" in answer and b"too_old;" in answer, f"The peer with the time was answered {answer!r}.")
-        (control,) = await _send_and_receive(raw, held["growing"])
-        expect(b"_accepted_" in control, f"The peer without the time was answered {control!r}.")
-        (fresh,) = await _send_and_receive(raw, peers["timed"].sign(b"rob_conn_offxxxx_#2;"))
-        expect(b"_accepted_" in peers["timed"].check(fresh), f"A fresh command was answered {fresh!r}.")
+        expect(b"_rejected_" in answer and b"too_old;" in answer, f"It was answered {answer!r}.")
+        (fresh,) = await _send_and_receive(raw, signer.sign(b"rob_conn_onxxxxx_#2;"))
+        expect(b"_accepted_" in signer.check(fresh), f"A fresh command was answered {fresh!r}.")
+    prefix = without_guards("commands_may_be_held_back")
+    async with lab.daemon(*settings, prefix=prefix) as other, raw_socket(other.ready.links["planner"]) as raw:
+        (control,) = await _send_and_receive(raw, held)
+        expect(b"_accepted_" in signer.check(control), f"Without the guard it was answered {control!r}.")
     return Evidence(
         "refused as too old",
         took_place={"too_old_in_the_journal": too_old},
-        control={"without_the_time": control.decode(), "fresh": fresh.decode()},
+        control_kind="mutant",
+        control={"the_same_datagram_without_the_guard": control.decode(), "fresh": fresh.decode()},
         details={"answer": answer.decode()},
     )
 
 
-@fault("A26", how="the program that reads uploaded files, its parser taken over, with its limits and without")
+@fault(
+    "A26",
+    how="the program that reads uploaded files, its parser taken over, with its limits and without",
+    tries={LOCAL_ACCOUNT: ["uploads"]},
+)
 async def a_reader_is_taken_over(lab: Lab) -> Evidence:
-    """A file makes its reader try to open a connection, start a program, take memory and write."""
-    tries, pipe = {}, asyncio.subprocess.PIPE
+    """A file makes its reader try connections, programs, processes, signals, memory, files and a terminal."""
+    tries, left, pipe = {}, {}, asyncio.subprocess.PIPE
     request = msgspec.msgpack.encode(PointsRequest("patient.json", memory=2**30, seconds=60))
+    master, terminal = os.openpty()
     for how in ("confined", "free"):
-        words = (sys.executable, "-c", TAKEN_OVER, how, str(lab.folder / how), "0" if is_sham() else "4")
+        folder = lab.folder / how
+        folder.mkdir()
+        for name in ("written", "removed", "emptied"):
+            (folder / name).write_text(name)
+        words = (sys.executable, "-c", TAKEN_OVER, how, str(folder), os.ttyname(terminal), "yes" if is_sham() else "no")
         process = await asyncio.create_subprocess_exec(*words, stdin=pipe, stdout=pipe)
         answer, _ = await process.communicate(request)
+        record(LOCAL_ACCOUNT, "uploads")
         tries[how] = msgspec.msgpack.decode(answer, type=Refused).text.split()
+        left[how] = {file.name: file.read_text() for file in sorted(folder.iterdir())}
+    for descriptor in (master, terminal):
+        os.close(descriptor)
     expect(
-        tries["free"] == ["done"] * 4, f"Without limits the results were {tries['free']}: the attack did not happen."
+        tries["free"] == ["done"] * ACTS, f"Without limits the results were {tries['free']}: the attack did not happen."
     )
     expect(
-        len(tries["confined"]) == 4 and "done" not in tries["confined"],
+        len(tries["confined"]) == ACTS and "done" not in tries["confined"],
         f"With limits the results were {tries['confined']}.",
     )
-    written = {how: (lab.folder / how).stat().st_size for how in tries}
-    expect(written == {"confined": 0, "free": 1}, f"Bytes were written: {written}.")
+    unchanged = {name: name for name in ("emptied", "removed", "written")}
+    changed = {"emptied": "", "written": "xritten"}
+    expect(left == {"confined": unchanged, "free": changed}, f"The files are {left}.")
     return Evidence(
         "each is refused by the kernel",
         took_place={"refused_by_the_kernel": tries["confined"]},
-        control={"without_limits": tries["free"], "bytes_written": written["free"]},
+        control_kind="mutant",
+        control={"without_limits": tries["free"], "files": left["free"]},
     )
 
 
@@ -401,7 +514,7 @@ async def _first_answer(cell: RunningCell, sent: bytes) -> bytes:
         writer.close()
 
 
-@fault("A16", how="SQL on the file, its guards removed first", deadline=300.0)
+@fault("A16", how="SQL on the file, its guards removed first", deadline=300.0, tries={LOCAL_ACCOUNT: ["journal"]})
 async def the_journal_is_edited(lab: Lab) -> Evidence:
     """A row is changed without its hash; a start reads only from the last snapshot, verifying reads all."""
     async with lab.daemon() as cell:
@@ -413,19 +526,29 @@ async def the_journal_is_edited(lab: Lab) -> Evidence:
         (guard,) = connection.execute("SELECT sql FROM sqlite_master WHERE name = 'no_update'").fetchone()
         edit = f"DROP TRIGGER no_update; UPDATE journal SET body = zeroblob(20) WHERE sequence = 2; {guard};"  # noqa: S608  # of the file itself
         inject_unless_sham(lambda: connection.executescript(edit))
+        record(LOCAL_ACCOUNT, "journal")
         (body,) = connection.execute("SELECT body FROM journal WHERE sequence = 2").fetchone()
     verified = await asyncio.to_thread(verify, journal)
     expect(not verified.sound and verified.first_bad == 2, f"Verified as {verified}.")
     expect(body == bytes(20), "The row was not changed.")
+    words = ("python", "-m", "pcmrs.cli", "journal", "verify", str(journal))
+    status, text = await ended([*without_guards("bad_rows_are_no_problem"), *words])
+    expect(status == 0, f"Without the guard, too, the journal was not verified: {text[-300:]}")
     return Evidence(
         "found by pcmrs journal verify",
         took_place={"body_of_the_row": body.hex()},
-        control={"sound_before": whole.sound},
+        control_kind="mutant",
+        control={"verified_without_the_guard": status == 0, "sound_before": whole.sound},
         details={"first_bad": verified.first_bad, "problems": list(verified.problems)},
     )
 
 
-@fault("A16", how="an older copy of the database in place of the newer one", deadline=300.0)
+@fault(
+    "A16",
+    how="an older copy of the database in place of the newer one",
+    deadline=300.0,
+    tries={LOCAL_ACCOUNT: ["journal"]},
+)
 async def the_journal_is_rolled_back(lab: Lab) -> Evidence:
     """The database is replaced by an older copy; key and head are unchanged."""
     copy = lab.folder / "older.sqlite"
@@ -436,20 +559,19 @@ async def the_journal_is_rolled_back(lab: Lab) -> Evidence:
             connection.backup(older)
         for _ in range(5):
             await accept(cell.client, "registration.reinit")
-    whole = lab.folder / "whole.sqlite"
-    with closing(sqlite3.connect(journal)) as connection, closing(sqlite3.connect(whole)) as kept:
-        connection.backup(kept)
     before = _last(journal)
     inject_unless_sham(lambda: _replace(copy, journal))
+    record(LOCAL_ACCOUNT, "journal")
     gone = before - _last(journal)
     text = await _detected(lab, cell, "rolled back")
-    _replace(whole, journal)
-    async with lab.daemon(folder=cell.folder) as successor:
+    prefix = without_guards("acknowledged_rows_are_lost_unseen")
+    async with lab.daemon(folder=cell.folder, prefix=prefix) as successor:
         control = await accept(successor.client, "registration.reinit")
     return Evidence(
         DETECTED,
         took_place={"rows_gone": gone},
-        control={"accepted_with_the_newer_one": control.decision},
+        control_kind="mutant",
+        control={"accepted_without_the_guard": control.decision},
         details={"text": text},
     )
 
@@ -465,7 +587,12 @@ def _last(journal: Path) -> int:
         return reader.last_sequence()
 
 
-@fault("A29", how="an accepted verdict added to the database after the daemon has ended", deadline=300.0)
+@fault(
+    "A29",
+    how="an accepted verdict added to the database after the daemon has ended",
+    deadline=300.0,
+    tries={LOCAL_ACCOUNT: ["journal"]},
+)
 async def rows_are_added_without_the_key(lab: Lab) -> Evidence:
     """A start refuses the row, and names it; the same row is recovered after a crash, with its MAC."""
     whole = lab.folder / "whole.sqlite"
@@ -477,6 +604,7 @@ async def rows_are_added_without_the_key(lab: Lab) -> Evidence:
     added = msgspec.structs.replace(verdict, command_id="added")
     shutil.copyfile(journal, whole)
     inject_unless_sham(lambda: append_without_key(journal, [added]))
+    record(LOCAL_ACCOUNT, "journal")
     with JournalReader(journal) as reader:
         chained = [stored.sequence for stored in reader.read_whole()]
         found = reader.outcome_of(added.source or "", "added")
@@ -496,6 +624,7 @@ async def rows_are_added_without_the_key(lab: Lab) -> Evidence:
     return Evidence(
         DETECTED,
         took_place={"chained_row": chained[-1]},
+        control_kind="permitted",
         control={"taken_up_after_a_crash": noted},
         details={"text": text},
     )
@@ -513,28 +642,31 @@ async def _detected(lab: Lab, cell: RunningCell, how: str) -> str:
     return text
 
 
-async def _answers(raw: Raw, most: int) -> list[bytes]:
-    """Return up to `most` answers that come within `PATIENCE`."""
+async def _answers(raw: Raw, most: int, within: float = PATIENCE) -> list[bytes]:
+    """Return up to `most` answers that come within the time, s of the machine."""
     answers: list[bytes] = []
     with suppress(TimeoutError):
-        async with asyncio.timeout(PATIENCE):
+        async with asyncio.timeout(within):
             while len(answers) < most:
                 answers.append(await raw.answers.get())
     return answers
 
 
-async def stop_times(cell: RunningCell, times: int) -> list[float]:
-    """Return the times from the request of each Stop until the daemon confirms that it has begun, s.
+async def stop_times(
+    cell: RunningCell, times: int, press: Callable[[], Awaitable[object]] | None = None
+) -> list[float]:
+    """Return the times from the request of each Stop until it is answered, s: over the bus, when it has begun.
 
     Args:
         cell: Cell to stop.
         times: Number of Stops.
+        press: Function that presses Stop and waits for the answer; over the bus by default.
     """
     clock = asyncio.get_running_loop().time
     taken = []
     for _ in range(times):
         started = clock()
-        await cell.client.stop()
+        await (press or cell.client.stop)()
         taken.append(clock() - started)
         await asyncio.sleep(0.02)
     return taken

@@ -74,6 +74,7 @@ async def the_clocks_of_two_hosts_differ(lab: Lab) -> Evidence:
     return Evidence(
         "stamps beyond their limit are refused; everything else, and Stop, ignores them",
         took_place=decided,
+        control_kind="without_fault",
         control={"with a stamp of now": fresh.decision, "without a stamp": unstamped.decision},
     )
 
@@ -103,6 +104,7 @@ async def the_machine_sleeps(lab: Lab) -> Evidence:
     return Evidence(
         "held; old commands are refused",
         took_place={"processes seen stopped": asleep, "of": len(everybody)},
+        control_kind="without_fault",
         control={"the old command, sent again": fresh.decision},
         details={"approach": ended, "old command": old},
     )
@@ -134,12 +136,19 @@ async def _set_in_motion(lab: Lab, ahead: float | None) -> Evidence:
         over_bus = await _command(cell, "placement", "home")
         _expect_undisturbed(over_bus)
         await _stop_works(cell)
-        stamps = [entry.wall for entry in cell.rows(row)]
+        entries = cell.rows(row)
+    stamps = [entry.wall for entry in entries]
     expect(_is_set(stamps, ahead), f"The daemon's wall clock was not set: {stamps}.")
-    shift = stamps[-1] - stamps[0]
+    stood = [entry.monotonic for entry in entries if entry.wall == stamps[-1]]
+    took_place = (
+        {"the journal has one stamp for_s": stood[-1] - stood[0]}
+        if ahead is None
+        else {"stamps of the journal are set by_s": stamps[-1] - stamps[0]}
+    )
     return Evidence(
         "nothing was decided by it",
-        took_place={"stands" if ahead is None else "stamps of the journal are set by_s": ahead is None or shift},
+        took_place=took_place,
+        control_kind="without_fault",
         control={"a motion with the clock set": ended.decision, "stamped rightly before": stamps[0]},
         details={"stamps": [stamps[0], stamps[-1]]},
     )

@@ -15,6 +15,7 @@ from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.natlab import NEEDS, ROUTER, NatLab, nat_lab
 from pcmrs_lab.campaign.sham import is_sham
+from pcmrs_lab.campaign.tries import FLOODING, record
 
 PORT = 7449
 RULES = Path(pcmrs.__file__).parents[1] / "deploy" / "router" / "router.nft"
@@ -69,7 +70,11 @@ session.close()
 
 
 @fault(
-    "A13", how="network namespaces, rules for nftables of deploy/router: 200 connections", needs=NEEDS, deadline=180.0
+    "A13",
+    how="network namespaces, rules for nftables of deploy/router: 200 connections",
+    needs=NEEDS,
+    deadline=180.0,
+    tries={FLOODING: ["TLS port"]},
 )
 async def handshake_flood(lab: Lab) -> Evidence:
     """While an attacker holds 200 connections open that are not TLS, a client from elsewhere is admitted."""
@@ -81,8 +86,8 @@ async def handshake_flood(lab: Lab) -> Evidence:
 def _flooded(folder: Path) -> Evidence:
     now = SystemClock().wall()
     authority = Authority.init(folder / "pki", "lab", now)
-    authority.issue("router", "gate", now, hosts=tuple(ROUTER.values()), into=folder)
-    authority.issue("operator", "anna", now, via=("gate",), into=folder)
+    authority.issue("router", "gate", now, hosts=tuple(ROUTER.values()), cells=("lab/*",), into=folder)
+    authority.issue("operator", "anna", now, via=("gate",), cells=("lab/*",), into=folder)
     with nat_lab() as net:
         _start_router(net, folder)
         unprotected, open_without = _connected_beside_a_flood(net, folder)
@@ -94,6 +99,7 @@ def _flooded(folder: Path) -> Evidence:
     return Evidence(
         "admitted by the rules of nftables",
         took_place={"open_at_the_router_without_the_rules": open_without},
+        control_kind="mutant",
         control={"let_in_without_the_rules_after_s": round(unprotected, 1)},
         details={"let_in_after_s": round(protected, 2), "open_at_the_router_with_the_rules": open_with},
     )
@@ -106,6 +112,7 @@ def _connected_beside_a_flood(net: NatLab, folder: Path) -> tuple[float, int]:
     flood = net.start("remote", *words, stdin=pipe, stdout=pipe)
     _line(flood)
     held = _established(net)
+    record(FLOODING, "TLS port")
     taken = _connected(net, folder)
     flood.communicate()
     return taken, held

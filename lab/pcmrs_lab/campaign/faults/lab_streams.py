@@ -18,6 +18,7 @@ from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.needs import Need
 from pcmrs_lab.campaign.networks import NEEDS, Machine, Namespaces, lan
 from pcmrs_lab.campaign.sham import is_sham
+from pcmrs_lab.campaign.tries import UNKNOWN, record
 
 WIDER: Final = "[multicast]\nResolveScope = link\n[log]\nlevel = -3\n"
 """Configuration file of a lab for streams of its whole network."""
@@ -77,6 +78,7 @@ def _is_installed() -> bool:
     "A35",
     how="two network namespaces: a stream with the name of the cell's EMG is offered in the other one",
     needs=(*NEEDS, Need("pylsl", _is_installed)),
+    tries={UNKNOWN: ["Lab Streaming Layer"]},
 )
 async def stream_of_another_machine(lab: Lab) -> Evidence:
     """By default the stream is not found; a reader with the lab's own file finds it, and logs a warning."""
@@ -95,6 +97,7 @@ def _offered(folder: Path) -> Evidence:
         log_by_default, log_of_wider = _until_ready(closed), _until_ready(opened)
         taken = _read(opened, LOOKING)
         arrived = _segments(net)
+        record(UNKNOWN, "Lab Streaming Layer")
         by_default = _read(closed, LONGER)
     expect(taken.samples > 0, f"With the scope opened, too, nothing was read: {taken.problem}.")
     expect(WARNING in log_of_wider, "No warning is logged although the scope is opened.")
@@ -104,6 +107,7 @@ def _offered(folder: Path) -> Evidence:
     return Evidence(
         "not found by default; an opened scope is logged",
         took_place={"tcp_segments_at_the_cells_machine": arrived},
+        control_kind="permitted",
         control={"samples_with_the_scope_opened": taken.samples, "logged_where_it_is_opened": WARNING},
         details={"by_default": by_default.problem},
     )

@@ -76,6 +76,7 @@ async def the_router_is_restarted(lab: Lab) -> Evidence:
         "subscriptions and requests work again",
         {"snapshots": len(received)},
         took_place={"exit_status_of_the_first": status},
+        control_kind="without_fault",
         control={"snapshots_of_the_first": before},
     )
 
@@ -114,6 +115,7 @@ async def a_wire_of_100_kbit(lab: Lab) -> Evidence:
         "refused; Stop and status work",
         {"approach": text, "sequence": snapshot.sequence},
         took_place={"poses_fewer": max(0, usual - narrow)},
+        control_kind="without_fault",
         control={"approach": control.decision, "reached": control.state, "poses": usual},
     )
 
@@ -162,6 +164,7 @@ async def _cut_in_motion(lab: Lab, *, towards: bool, back: bool) -> Evidence:
     return Evidence(
         f"held, {ended.state}; nothing moved when the wire was back",
         took_place=({} if back else {"held_by_node": by_node}) | ({} if towards else {"silent_s": round(silent, 3)}),
+        control_kind="without_fault",
         control={"approach": control.decision, "reached": control.state},
         details={"found_after_s": round(found, 3), "latched": shown.latched, "way_m": displacement},
     )
@@ -206,6 +209,7 @@ async def _with_slow_consumer(lab: Lab, manner: Manner) -> Evidence:
         "control unaffected" if frozen else "drops counted, control unaffected",
         {"beside_s": beside, "sent": poses.sent, "state": poses.was},
         took_place={"lost": poses.lost} if frozen else {"lost": poses.lost, "counted": poses.counted},
+        control_kind="without_fault",
         control={"heard_by_one_that_has_time": idle.received, "command_beside_it_s": usual},
     )
 

@@ -82,6 +82,7 @@ async def datagrams_overtake_each_other(lab: Lab) -> Evidence:
         "the series whole or refused; single commands exactly once",
         {"decision": verdicts[-1].decision, "reason": verdicts[-1].reason, "commands": done, **impairment.counted},
         took_place={"done_after_one_sent_later": out_of_order},
+        control_kind="without_fault",
         control={"in_order": control.decision},
     )
 
@@ -126,6 +127,7 @@ async def answers_take_half_a_second(lab: Lab) -> Evidence:
         "exactly once, or a typed timeout",
         {"timeouts": given_up, **impairment.counted},
         took_place={"first_done_after_s": round(late, 3)},
+        control_kind="without_fault",
         control={"as_impatient_without_the_delay": control.decision},
     )
 
@@ -179,6 +181,7 @@ async def rotation_and_translation_of_two_plans(lab: Lab) -> Evidence:
         "refused with their reasons",
         {**details, "late": late.decode(), "approach": approach.reason},
         took_place={"refused": details["refused"]},
+        control_kind="without_fault",
         control={"of_one_plan_in_time": control},
     )
 
@@ -206,6 +209,7 @@ async def a_series_with_gaps(lab: Lab) -> Evidence:
         "refused with their reasons",
         details,
         took_place={name: refused["refused"] for name, refused in details.items()},
+        control_kind="without_fault",
         control={"a_whole_series": control.verdict.decision if control.verdict is not None else ""},
     )
 
@@ -227,11 +231,22 @@ async def a_socket_error(lab: Lab) -> Evidence:
             failed[error] = tampered.calls
         await cell.planner.plan_landmarks([landmark.position for landmark in plan().landmarks])
         expect(await state(cell.client, "registration") == "100", "The planner's link is dead.")
-    return Evidence("the receiver continues", took_place=failed, control={"without_an_error": control.decision})
+    return Evidence(
+        "the receiver continues",
+        took_place=failed,
+        control_kind="without_fault",
+        control={"without_an_error": control.decision},
+    )
 
 
 def _refused_and_taken(details: dict[str, Any], control: dict[str, str]) -> Evidence:
-    return Evidence("refused, nothing changed", details, took_place={"refused": details["refused"]}, control=control)
+    return Evidence(
+        "refused, nothing changed",
+        details,
+        took_place={"refused": details["refused"]},
+        control_kind="without_fault",
+        control=control,
+    )
 
 
 async def refused_all_with_reasons(cell: RunningCell, datagrams: Sequence[bytes], codes: set[str]) -> dict[str, Any]:
@@ -289,6 +304,7 @@ async def _check_exactly_once(
         "every command exactly once",
         {**sent._asdict(), **impairment.counted},
         took_place=measured(sent),
+        control_kind="without_fault",
         control={"done_in_good_weather": control.done, "arrived_in_good_weather": control.arrived},
     )
 

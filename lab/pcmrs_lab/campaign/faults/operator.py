@@ -47,6 +47,7 @@ from pcmrs_lab.campaign.every_state import walk
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.sham import is_sham
+from pcmrs_lab.campaign.without_guard import without_guards
 from pcmrs_lab.experiment.tours.arguments import Arguments, plan_arguments
 
 GATES = ("residual_too_large", "landmark_outlier", "swapped_landmarks", "mirrored", "tre_too_large")
@@ -70,6 +71,7 @@ async def every_state(lab: Lab) -> Evidence:
     return Evidence(
         f"{found.forbidden} refused in {found.joint_states} joint states",
         took_place={"refusals that the journal has": found.recorded},
+        control_kind="mutant",
         control={"found with one guard removed": control.wrong[0]},
         details={"workflow": blueprint.id, "joint_states": found.joint_states, "forbidden": found.forbidden},
     )
@@ -109,7 +111,8 @@ async def all_forbidden(lab: Lab) -> Evidence:
     return Evidence(
         f"{requested} refused in {states} joint states",
         took_place={"refusals that the journal has": decisions["rejected"]},
-        control={"accepted, as the journal has it": decisions["accepted"], "reached": reached},
+        control_kind="permitted",
+        control={"accepted in other states, as the journal has it": decisions["accepted"], "reached": reached},
     )
 
 
@@ -149,8 +152,9 @@ async def _ask_forbidden(cell: RunningCell, blueprint: Blueprint, rulings: Any) 
 async def index_out_of_range(lab: Lab) -> Evidence:
     """A landmark that is not planned is not digitized."""
     async with lab.cell() as cell:
-        await accept(cell.client, "registration.plan_landmarks", **landmarks())
-        count = len(plan().landmarks)
+        whole = landmarks()["landmarks"]
+        count = len(whole) - 1
+        await accept(cell.client, "registration.plan_landmarks", landmarks=whole[:count])
         indices = (0,) if is_sham() else (-1, count, lab.random.randrange(count, 10**6))
         codes = []
         for index in indices:
@@ -162,32 +166,48 @@ async def index_out_of_range(lab: Lab) -> Evidence:
         answer = await cell.planner.command("img_dig_digitize", count, timeout=30.0)
         expect(answer.decision == "rejected", f"Over UDP it was {answer.decision}.")
         expect(shape(await cell.client.state()) == shape(before), "The state changed.")
-        control = await accept(cell.client, "digitization.digitize_one", index=count - 1)
+        await accept(cell.client, "registration.plan_landmarks", landmarks=whole)
+        control = await accept(cell.client, "digitization.digitize_one", index=count)
+        datagram = await cell.planner.command("img_dig_digitize", count, timeout=30.0)
+        expect(datagram.decision == "accepted", f"Over UDP it was {datagram.decision} although it is planned.")
     return Evidence(
         f"refused: {reason_text(verdict)}",
         took_place={"the daemon says of each index": codes, "of the datagram": answer.decision},
-        control={f"index {count - 1}": control.decision},
+        control_kind="permitted",
+        control={f"index {count} once it is planned": control.decision, "the datagram": datagram.decision},
     )
 
 
-async def _register_displaced(cell: RunningCell, offsets: dict[int, Any]) -> Evidence:
-    """Digitize with touches off by `offsets` (m, by index): registering is refused, and accepted without them."""
+NO_GATES = ("a_registration_that_was_not_accepted", "landmarks_in_a_line_or_mirrored", "a_coordinate_in_millimetres")
+"""Guards that refuse landmarks which fit no registration."""
+
+
+async def _register_displaced(lab: Lab, cell: RunningCell, offsets: dict[int, Any]) -> Evidence:
+    """Digitize with touches off by `offsets` (m, by index): registering is refused, and accepted without the gates."""
+    await _digitize_displaced(cell, offsets)
+    verdict = await refused(cell, "registration.register", codes=GATES)
+    await refused(cell, "placement.approach", codes=("requirement_not_met", "invalid_in_state", "parent_refuses"))
+    await digitize_landmarks(cell.client)
+    exact = await accept(cell.client, "registration.register")
+    async with lab.daemon(prefix=without_guards(*NO_GATES)) as other:
+        await _digitize_displaced(other, offsets)
+        control = await accept(other.client, "registration.register")
+    reason = verdict.reason
+    return Evidence(
+        f"registration refused: {reason.code if reason is not None else ''}",
+        took_place={"the daemon's fit of the touches": reason_text(verdict)},
+        control_kind="mutant",
+        control={"the same touches without the gates": control.decision, "without the error": exact.decision},
+    )
+
+
+async def _digitize_displaced(cell: RunningCell, offsets: dict[int, Any]) -> None:
     await accept(cell.client, "registration.plan_landmarks", **landmarks())
     for index, offset in offsets.items():
         x, y, z = map(float, offset)
         if not is_sham():
             await cell.scene.displace_touch(index, (x, y, z))
     await accept(cell.client, "digitization.digitize_all")
-    verdict = await refused(cell, "registration.register", codes=GATES)
-    await refused(cell, "placement.approach", codes=("requirement_not_met", "invalid_in_state", "parent_refuses"))
-    await digitize_landmarks(cell.client)
-    control = await accept(cell.client, "registration.register")
-    reason = verdict.reason
-    return Evidence(
-        f"registration refused: {reason.code if reason is not None else ''}",
-        took_place={"the daemon's fit of the touches": reason_text(verdict)},
-        control={"the same landmarks without the error": control.decision},
-    )
 
 
 def _points() -> Any:
@@ -201,7 +221,7 @@ async def swapped(lab: Lab) -> Evidence:
     first, second = lab.random.sample(range(len(points)), 2)
     offset = points[second] - points[first]
     async with lab.cell() as cell:
-        evidence = await _register_displaced(cell, {first: offset, second: -offset})
+        evidence = await _register_displaced(lab, cell, {first: offset, second: -offset})
     return replace(evidence, details={"landmarks": f"{first}, {second}"})
 
 
@@ -211,7 +231,7 @@ async def large_residual(lab: Lab) -> Evidence:
     index, direction = lab.random.randrange(len(_points())), np.array([lab.random.gauss(0, 1) for _ in range(3)])
     offset = lab.random.uniform(0.025, 0.050) * direction / np.linalg.norm(direction)
     async with lab.cell() as cell:
-        evidence = await _register_displaced(cell, {index: offset})
+        evidence = await _register_displaced(lab, cell, {index: offset})
     return replace(evidence, details={"landmark": index, "millimetres": float(np.linalg.norm(offset) * 1e3)})
 
 
@@ -224,11 +244,14 @@ async def collinear(lab: Lab) -> Evidence:
     async with lab.cell() as cell:
         requested = landmarks() if is_sham() else {"landmarks": line}
         verdict = await refused(cell, "registration.plan_landmarks", requested, codes=codes)
-        control = await accept(cell.client, "registration.plan_landmarks", **landmarks())
+        usual = await accept(cell.client, "registration.plan_landmarks", **landmarks())
+    async with lab.daemon(prefix=without_guards("landmarks_on_a_line_are_planned")) as other:
+        control = await accept(other.client, "registration.plan_landmarks", **requested)
     return Evidence(
         f"refused: {reason_text(verdict)}",
         took_place={"the daemon's words": reason_text(verdict)},
-        control={"the example's landmarks": control.decision},
+        control_kind="mutant",
+        control={"the same landmarks without the guard": control.decision, "the example's": usual.decision},
     )
 
 
@@ -250,6 +273,7 @@ async def previous_patient(lab: Lab) -> Evidence:
     return Evidence(
         f"refused: {reason_text(verdict)}",
         took_place={"the daemon's words": reason_text(verdict)},
+        control_kind="permitted",
         control={"for the same patient": control.decision},
     )
 
@@ -272,6 +296,7 @@ async def planned_again(lab: Lab) -> Evidence:
     return Evidence(
         "digitization and registration gone, approach refused",
         took_place={"registration until the new plan": before, "states after it": states},
+        control_kind="permitted",
         control={"register, digitized again": control.decision},
     )
 
@@ -289,11 +314,14 @@ async def wrong_units(lab: Lab) -> Evidence:
     async with lab.cell() as cell:
         requested = landmarks() if is_sham() else {"landmarks": in_mm}
         unit = await refused(cell, "registration.plan_landmarks", requested, codes=("wrong_unit",))
-        mirror = await _register_displaced(cell, dict(enumerate(mirrored - points)))
+        mirror = await _register_displaced(lab, cell, dict(enumerate(mirrored - points)))
+    async with lab.daemon(prefix=without_guards(*NO_GATES)) as other:
+        control = await accept(other.client, "registration.plan_landmarks", **requested)
     return replace(
         mirror,
         response=f"mm: {reason_text(unit)}; mirror image: {mirror.response}",
         took_place={"the daemon's words of mm": reason_text(unit), **mirror.took_place},
+        control={"mm without the guard": control.decision, **mirror.control},
     )
 
 
@@ -318,6 +346,7 @@ async def repeated(lab: Lab) -> Evidence:
     return Evidence(
         "run once, the recorded verdict thrice",
         took_place={"verdicts received for one id": sum(each.sequence == first.sequence for each in (second, third))},
+        control_kind="permitted",
         control={"another id is run, rows later": other.sequence - first.sequence},
     )
 
@@ -353,6 +382,7 @@ async def stop_while_digitizing(lab: Lab) -> Evidence:
     return Evidence(
         f"cancelled within {values['median_ms']:.1f} ms",
         took_place={"Stops that the journal has": stops},
+        control_kind="permitted",
         control={"the same digitization without a Stop": control.decision},
         details=values,
     )
@@ -412,6 +442,7 @@ async def edited_while_moving(lab: Lab) -> Evidence:
             "a joint moves, rad/s": speed if speed > MOVES else 0.0,
             "runs": [each.operation for each in meanwhile.running],
         },
+        control_kind="permitted",
         control={"planned when the tool stands": control.decision, "the standoff is": revoked},
     )
 
@@ -452,6 +483,7 @@ async def _abandon_session(cell: RunningCell) -> Evidence:
     return Evidence(
         "held, latched, stimulator disarmed",
         took_place={"nobody has asked for anything for_s": quiet if quiet >= LIMIT else 0.0},
+        control_kind="permitted",
         control={f"{ATTENDED:g} s with somebody there, who is never silent for longer than_s": attended},
         details={"placement": shown.branches["placement"]},
     )

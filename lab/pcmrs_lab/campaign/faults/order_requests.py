@@ -57,7 +57,7 @@ def delayed(response: str, late: list[Delayed], moved: list[float] | None = None
     details: dict[str, Any] = {"overtaken_by": sum(each.overtaken for each in late)}
     if moved is not None:
         details["moved_deg"] = round(math.degrees(moved[0]), 3)
-    return Evidence(response, took_place=found, control=control, details=details)
+    return Evidence(response, took_place=found, control_kind="without_fault", control=control, details=details)
 
 
 async def late_motion(

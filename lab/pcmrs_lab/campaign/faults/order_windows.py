@@ -107,6 +107,7 @@ async def earlier_session(lab: Lab) -> Evidence:
     return Evidence(
         "stale_request",
         took_place={"answered_by_the_node": codes},
+        control_kind="without_fault",
         control={"of_the_present_sessions": outcome},
         details={"moved_rad": moved[0]},
     )
@@ -255,6 +256,7 @@ async def queued_motions(lab: Lab) -> Evidence:
     return Evidence(
         "refused, and not performed later",
         took_place={"rejected_in_the_journal": asked},
+        control_kind="without_fault",
         control={"by_itself": verdict.decision},
         details={"moved_rad": moved[0]},
     )
@@ -318,6 +320,7 @@ async def plan_out_of_date(lab: Lab) -> Evidence:
         row = cell.last_row()
         async with standing(cell) as moved:
             inject_unless_sham(lambda: os.kill(found[0], signal.SIGSTOP))
+            asked = asyncio.get_running_loop().time()
             try:
                 approach = asyncio.create_task(cell.client.call("placement.approach", timeout=PATIENCE))
                 await asyncio.sleep(SLOW)
@@ -328,6 +331,7 @@ async def plan_out_of_date(lab: Lab) -> Evidence:
             finally:
                 os.kill(found[0], signal.SIGCONT)
             verdict = await approach
+            waited = asyncio.get_running_loop().time() - asked
         begun = [stored for stored in cell.rows(row) if (stored.kind, stored.operation) == ("intent", "approach")]
         expect(frozen == "T", f"The process that plans is not stopped: its state is {frozen}.")
         expect(not answered, "The approach did not wait for its plan.")
@@ -337,7 +341,8 @@ async def plan_out_of_date(lab: Lab) -> Evidence:
         where = await state(cell.client, "placement")
     return Evidence(
         f"{verdict.decision}: {reason_text(verdict)}",
-        took_place={"state_of_the_process": frozen, "late_s": SLOW},
+        took_place={"state_of_the_process": frozen, "the_approach_waited_s": round(waited, 3)},
+        control_kind="without_fault",
         control={"asked_again": again.decision, "reached": where},
         details={"moved_rad": moved[0]},
     )
@@ -367,6 +372,7 @@ async def moves_while_nothing_runs(lab: Lab) -> Evidence:
     return Evidence(
         "latched",
         took_place={"moved_by_hand_mm": round(trajectory * 1e3, 2)},
+        control_kind="without_fault",
         control={"confirm_of_an_arm_at_rest": again.decision},
         details={"stop": shown.stop.number - before, "stood_within_rad": stood[0]},
     )
@@ -498,7 +504,10 @@ async def killed_before_the_outcome(lab: Lab) -> Evidence:
         control = await accept(second.client, "placement.home")
         reached = await state(second.client, "placement")
     return Evidence(
-        "latched, unknown", took_place={"ended_by": status}, control={"home": control.decision, "reached": reached}
+        "latched, unknown",
+        took_place={"ended_by": status},
+        control_kind="without_fault",
+        control={"home": control.decision, "reached": reached},
     )
 
 

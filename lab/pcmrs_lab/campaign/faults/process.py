@@ -81,6 +81,7 @@ def _nothing_lost(found: KillReport, what: str, failpoints: Collection[str]) -> 
         f"no acknowledged {what} lost",
         {"not_reached": found.not_reached},
         took_place={f"killed at {name}": count for name, count in found.at.items()},
+        control_kind="without_fault",
         control={"acknowledged": found.acknowledged},
     )
 
@@ -109,6 +110,7 @@ async def told_to_end_in_motion(lab: Lab) -> Evidence:
         "held, then a clean exit",
         {"status": status},
         took_place={"ended_in_motion": ended, "ended_nodes": len(nodes)},
+        control_kind="without_fault",
         control=control,
     )
 
@@ -135,6 +137,7 @@ async def the_daemon_is_stopped(lab: Lab) -> Evidence:
         f"held by the node, {ended.decision}, {ended.state}",
         {"way_m": displacement},
         took_place={"stopped": stopped, "held_by_node_after_s": round(found, 3)},
+        control_kind="without_fault",
         control=control,
     )
 
@@ -164,6 +167,7 @@ async def the_event_loop_is_blocked(lab: Lab) -> Evidence:
         "alarm at rest, held in motion",
         {"events": events, "approach": ended.decision},
         took_place={"stalls": loop.stalls - before.stalls, "longest_s": round(longest, 3)},
+        control_kind="without_fault",
         control=control,
     )
 
@@ -185,6 +189,7 @@ async def a_task_dies(lab: Lab) -> Evidence:
         "restarted and reported",
         {"rows": len(events)},
         took_place={"restarts": counted.get(TASK, 0)},
+        control_kind="without_fault",
         control=control,
     )
 
@@ -226,6 +231,7 @@ async def memory_is_limited(lab: Lab) -> Evidence:
         "killed; held by the node, nothing lost",
         {"status": status},
         took_place={"killed_by_the_kernel": by_kernel},
+        control_kind="without_fault",
         control=control,
     )
 
@@ -257,6 +263,7 @@ async def no_file_descriptors(lab: Lab) -> Evidence:
         "Stop and status work; no new client is admitted",
         {"newcomer": refusal, "sequence": status.sequence},
         took_place={"open_beyond_the_limit": max(0, beyond)},
+        control_kind="without_fault",
         control=control,
     )
 
@@ -284,6 +291,7 @@ async def processor_is_limited(lab: Lab) -> Evidence:
         "refused or held; Stop and status work",
         details,
         took_place={"a_thread_waited_s": waited if waited > QUOTA_TIME / 3 else 0},
+        control_kind="without_fault",
         control=control,
     )
 
@@ -313,6 +321,7 @@ async def a_crash_loop(lab: Lab) -> Evidence:
     return Evidence(
         "held, then ended with an error",
         took_place={"exit_status": status, "restarts": restarts},
+        control_kind="without_fault",
         control=control,
     )
 
@@ -333,6 +342,7 @@ async def a_second_daemon(lab: Lab) -> Evidence:
     return Evidence(
         "refused with exit status 4 and 3",
         took_place={"on_the_folder_exit_status": folder[0], "on_the_bus_exit_status": endpoint[0]},
+        control_kind="without_fault",
         control={"once_the_first_has_ended": control.decision},
     )
 
@@ -359,6 +369,7 @@ async def a_callback_that_never_returns(lab: Lab) -> Evidence:
     return Evidence(
         "the bus is unaffected",
         took_place={"alive_with_one_message": blocked == 1},
+        control_kind="without_fault",
         control={"messages_where_it_returns": received},
         details={"command_s": round(taken, 4)},
     )
@@ -389,6 +400,7 @@ async def bad_configuration(lab: Lab) -> Evidence:
     return Evidence(
         "named error and exit status 4",
         took_place={f"exit status with {setting}": status for setting, status in statuses.items()},
+        control_kind="without_fault",
         control={"with_right_settings": control.decision},
     )
 
@@ -420,6 +432,7 @@ async def a_journal_of_an_older_version(lab: Lab) -> Evidence:
         "accepted and replayed",
         {"compared": replayed.compared, "signed": verified.signed},
         took_place={"version": version, "rows": rows},
+        control_kind="without_fault",
         control={"exit_status_of_an_unknown_version": unknown},
     )
 

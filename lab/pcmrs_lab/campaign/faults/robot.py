@@ -71,6 +71,7 @@ async def braked(
     return Evidence(
         "motion failed, held and latched until confirmed",
         took_place=took_place,
+        control_kind="without_fault",
         control={"the next motion, without the fault": again.result().decision},
     )
 
@@ -133,6 +134,7 @@ async def lost(
     return Evidence(
         "unknown, disconnected, latched; located again",
         took_place=took_place,
+        control_kind="without_fault",
         control={"approach without the fault": control.decision},
         details={"moved_m": displacement, "begun": len(intents)},
     )
@@ -165,6 +167,7 @@ async def interrupted(lab: Lab) -> Evidence:
     return Evidence(
         "the operation has failed, the tool is held",
         took_place={"the cabinet's reply": reason_text(verdict)},
+        control_kind="without_fault",
         control={"approach without the fault": control.decision},
     )
 
@@ -200,6 +203,7 @@ async def framed(lab: Lab) -> Evidence:
             "segments beside one for a reply, mixed": seen["mixed"],
             "a reply is held back to be merged for_s": seen["merged"],
         },
+        control_kind="without_fault",
         control={"confirm with whole replies": control, "segments for a reply": whole.per_request},
     )
 
@@ -266,6 +270,7 @@ async def unreachable(lab: Lab) -> Evidence:
     return Evidence(
         f"refused: {reason_text(verdict)}",
         took_place={"the head is elsewhere by_m": shifted if shifted > 1.0 else 0.0},
+        control_kind="without_fault",
         control={"approach when it was back": control.decision},
     )
 
@@ -318,6 +323,7 @@ async def guided(lab: Lab) -> Evidence:
     return Evidence(
         f"placement unknown, then {found}",
         took_place={"moved_rad": moved},
+        control_kind="without_fault",
         control={"approach once it was confirmed": control.decision},
     )
 
@@ -340,6 +346,7 @@ async def raising(lab: Lab) -> Evidence:
     return Evidence(
         f"failed, state 0 kept: {reason_text(verdict)}",
         took_place={"the robot's own reason": reason_text(verdict)},
+        control_kind="without_fault",
         control={"connected when it did not refuse": reached == "1"},
     )
 
@@ -392,6 +399,7 @@ async def late(lab: Lab) -> Evidence:
     return Evidence(
         "dropped and counted: the arm stands after the reconnection",
         took_place={"set points that the robot counts as late": dropped},
+        control_kind="without_fault",
         control={"set points followed in the connection that they were for": setpoint.number},
         details={"session": setpoint.session},
     )
@@ -411,6 +419,7 @@ async def late_on_the_bus(lab: Lab) -> Evidence:
     return Evidence(
         "dropped and counted: the arm stands after the reconnection",
         took_place={"set points that the node counts as late": dropped},
+        control_kind="without_fault",
         control={"set points followed in the connection that they were for": setpoint.number},
     )
 
@@ -432,6 +441,7 @@ async def old_command(lab: Lab) -> Evidence:
     return Evidence(
         f"refused: {reason_text(verdict)}",
         took_place={"age at the daemon, s": verdict.reason.fields["age"] if verdict.reason is not None else 0.0},
+        control_kind="without_fault",
         control={"the same command, sent now": control.decision},
     )
 
@@ -456,6 +466,7 @@ async def doubled(lab: Lab) -> Evidence:
     return Evidence(
         "followed on, every set point once",
         took_place={"repeated set points that the robot has dropped": repeated},
+        control_kind="without_fault",
         control={"set points followed that came once": once},
         details={"sent": sent, "seconds": FOLLOWED},
     )
@@ -490,6 +501,7 @@ async def twice(lab: Lab) -> Evidence:
     return Evidence(
         "moved once, one verdict for both",
         took_place={"verdicts received for one id": [first.result().sequence, second.sequence]},
+        control_kind="without_fault",
         control={"approach with another id": other.decision, "rows later": other.sequence - second.sequence},
         details={"begun": len(begun)},
     )

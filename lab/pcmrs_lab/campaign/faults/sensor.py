@@ -56,6 +56,7 @@ async def no_pose(lab: Lab, name: str, *many: dict[str, Any]) -> Evidence:
     return Evidence(
         f"confirm refused: {', '.join(dict.fromkeys(codes))}",
         took_place=took_place,
+        control_kind="without_fault",
         control={"confirm without the fault": control.decision, "reached": reached},
     )
 
@@ -75,6 +76,7 @@ def _combine(first: Evidence, second: Evidence) -> Evidence:
     return Evidence(
         f"{first.response}; {second.response}",
         took_place={**first.took_place, **second.took_place},
+        control_kind="without_fault",
         control={"first": first.control, "second": second.control},
     )
 
@@ -105,6 +107,7 @@ async def following_held(
     return Evidence(
         "held and latched, confirmed by an operator",
         took_place={name: took_place},
+        control_kind="without_fault",
         control={f"{FOLLOWED:g} s before the fault": before},
     )
 
@@ -171,6 +174,7 @@ async def bumped(lab: Lab) -> Evidence:
     return Evidence(
         "registration and digitization revoked, held",
         took_place={"slipped_mm": slipped if slipped > 0.5 * millimetres else 0.0},
+        control_kind="without_fault",
         control={"registration before the fault": before},
         details={"millimetres": millimetres},
     )
@@ -217,6 +221,7 @@ async def wrong_definition(lab: Lab) -> Evidence:
     return Evidence(
         "the daemon does not start, and names the file",
         took_place={"the file's hash differs": agreed != expected, "named": tool.name in errors},
+        control_kind="without_fault",
         control={"frames of the coil with the file's own hash": control},
         details={"status": status},
     )
@@ -247,6 +252,7 @@ async def wrong_calibration(lab: Lab) -> Evidence:
             "the daemon reads another serial number": 'serial = "18"' not in before and '"18"' in other,
             "characters changed": sum(a != b for a, b in zip(before, file.read_text(), strict=True)),
         },
+        control_kind="without_fault",
         control={"digitize_all with the right file": right},
     )
 
@@ -305,6 +311,7 @@ async def pushed(lab: Lab) -> Evidence:
     return Evidence(
         "held and latched",
         took_place=forces_over_limit(forces, LIMIT),
+        control_kind="without_fault",
         control={f"{STALE:g} s before the fault": before},
         details={"newtons": force, "limit": LIMIT},
     )
@@ -367,7 +374,10 @@ async def _no_pulse(
         took_place = shown(seen, name, begin)
     code = verdict.reason.code if verdict.reason is not None else ""
     return Evidence(
-        f"pulse refused: {code}", took_place={name: took_place}, control={"a pulse before the fault": control}
+        f"pulse refused: {code}",
+        took_place={name: took_place},
+        control_kind="without_fault",
+        control={"a pulse before the fault": control},
     )
 
 
@@ -392,6 +402,7 @@ async def no_response(lab: Lab) -> Evidence:
     return Evidence(
         "threshold refused with its reason",
         took_place={"pulses that evoked nothing": pulses},
+        control_kind="without_fault",
         control={"the muscle answers a pulse without the fault": evoked},
         details={"refusal": result["refusal"]},
     )

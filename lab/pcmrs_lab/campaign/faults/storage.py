@@ -106,6 +106,7 @@ async def synchronising_fails(lab: Lab) -> Evidence:
         "fail-stop; nothing acknowledged is lost",
         {**details, "kept": journalled},
         took_place={"failed_calls": tampered.calls},
+        control_kind="without_fault",
         control={"by_the_next_daemon": await _check_successor(lab, cell)},
     )
 
@@ -143,6 +144,7 @@ async def the_power_is_cut(lab: Lab) -> Evidence:
         "acknowledged rows kept",
         {"cuts": POWER_CUTS, "kept": journalled},
         took_place={"another_program_is_told": ", ".join(sorted(error_of_others))},
+        control_kind="mutant",
         control={"files_of_a_careless_program_lost": lost},
     )
 
@@ -161,6 +163,7 @@ async def the_power_is_cut_at_any_write(lab: Lab) -> Evidence:
     return Evidence(
         "acknowledged rows kept",
         took_place={"cuts_that_changed_files": found.changed},
+        control_kind="mutant",
         control={"careless_writer_lost_or_broke": careless.lost + len(careless.broken)},
         details={"cuts": found.tried, "acknowledged": found.acknowledged},
     )
@@ -209,6 +212,7 @@ async def the_disk_stalls(lab: Lab) -> Evidence:
         "Stop and status did not wait",
         {"stop_and_status_s": round(taken, 3), "command": decision, "kept": journalled},
         took_place={"delayed_calls": slow.calls, "command_waited_s": round(waited, 3)},
+        control_kind="without_fault",
         control={"by_the_next_daemon": await _check_successor(lab, cell)},
     )
 
@@ -227,6 +231,7 @@ async def the_disk_is_read_only(lab: Lab) -> Evidence:
             "refused; Stop and status work",
             details,
             took_place={"another_program_is_told": error_of_others},
+            control_kind="without_fault",
             control={"by_the_next_daemon": await _check_successor(lab, commands.cell)},
         )
 
@@ -241,10 +246,10 @@ async def a_half_written_file(lab: Lab) -> Evidence:
         file = cell.folder / name
         file.parent.mkdir(exist_ok=True)
         inject_unless_sham(partial(file.write_bytes, HALF_WRITTEN))
-    found = [name for name in left if (cell.folder / name).exists()]
     async with lab.daemon(folder=cell.folder) as successor:
         snapshot = await successor.client.state()
         await accept(successor.client, "registration.plan_landmarks", **landmarks())
+        found = sum(map(partial(_shows_half_a_file, successor), left))
     _expect_initial(snapshot)
     key = cell.folder / "journal.key"
     key.write_bytes(HALF_WRITTEN)
@@ -253,9 +258,19 @@ async def a_half_written_file(lab: Lab) -> Evidence:
     return Evidence(
         "ignored",
         {"files": left},
-        took_place={"half_written_files": len(found)},
+        took_place={"half_written_files_where_the_daemon_reads": found},
+        control_kind="permitted",
         control={"exit_status_with_such_a_key": status},
     )
+
+
+def _shows_half_a_file(cell: RunningCell, name: str) -> bool:
+    """Return whether a running daemon would read the half-written content under a name in its folder.
+
+    The kernel shows its view of the file system: its root, and its folder below that.
+    """
+    seen = Path(f"/proc/{cell.process.pid}/root{cell.folder.resolve()}") / name
+    return seen.is_file() and seen.read_bytes() == HALF_WRITTEN
 
 
 @fault("T11", how="kill -9, then the write-ahead log is deleted", deadline=SEVERAL)
@@ -314,6 +329,7 @@ def _damage_reported(response: str, found: CutReport) -> Evidence:
     return Evidence(
         response,
         took_place={"changed": found.changed, "reported": found.reported},
+        control_kind="without_fault",
         control={"undamaged_taken_up": found.whole},
         details={"tried": found.tried, "unaffected": found.unaffected},
     )
@@ -352,6 +368,7 @@ async def _check_recovery(
         "refused; Stop and status work; nothing lost",
         dict(details),
         took_place=took_place,
+        control_kind="without_fault",
         control={"by_the_next_daemon": await _check_successor(lab, cell)},
     )
 
@@ -396,6 +413,7 @@ async def _check_damage_is_reported(lab: Lab, cell: RunningCell, how: str, log: 
         f"{how}: refused to start, with the reason",
         {"status": status, "text": text},
         took_place={"bytes_lost": lost},
+        control_kind="without_fault",
         control={"with_the_whole_log": await _check_successor(lab, cell)},
     )
 

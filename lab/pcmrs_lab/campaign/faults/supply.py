@@ -45,6 +45,7 @@ async def exchanged_library(lab: Lab) -> Evidence:
     return Evidence(
         "not installed",
         took_place={"sha256_locked": locked, "sha256_offered": offered},
+        control_kind="mutant",
         control={"installed_without_hashes": (lab.folder / "third" / "harmless.py").read_text().strip()},
         details={"status": status},
     )
@@ -65,6 +66,7 @@ async def certificate_for_no_cell(lab: Lab) -> Evidence:
     return Evidence(
         "refused with the reason",
         took_place={"said_without_a_cell": refusal.strip().splitlines()[-1]},
+        control_kind="permitted",
         control={"issued_for": " ".join(authority.identities()[0].cells)},
         details={"status": status},
     )

@@ -26,7 +26,6 @@ def cut(cuts: int | None, flips: int | None, power: int, seed: int, minutes: flo
     Example: pcmrs faults cut --power 1000
     """
     from rich.box import SIMPLE_HEAD
-    from rich.markup import escape
     from rich.table import Table
 
     from pcmrs.clock import SystemClock
@@ -49,5 +48,5 @@ def cut(cuts: int | None, flips: int | None, power: int, seed: int, minutes: flo
         )
         table.add_row(report.what, *map(str, numbers), f"{report.seconds:.0f}")
         for text in (*report.silent[:10], *report.broken[:10]):
-            table.add_row(escape(text))
+            table.add_row(text)
     print_findings(reports, [report.violated for report in reports], table, as_json=as_json)

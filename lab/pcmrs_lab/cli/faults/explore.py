@@ -11,7 +11,7 @@ import click
 from pcmrs.cli.options import json_option
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors
-from pcmrs.cli.tables import print_report
+from pcmrs.cli.tables import print_report, styled
 from pcmrs_lab.cli.faults.options import minutes_option, output_option, seed_option
 
 if TYPE_CHECKING:
@@ -83,16 +83,17 @@ def explore(
 
 
 def _summary(found: ExplorationResult) -> RenderableType:
-    from rich.markup import escape
+    from rich.console import Group
 
-    outcome = f"[bold red]{found.invariant}[/] at {found.at:.3f} s: {escape(found.text)}" if found.invariant else "held"
-    return f"Session of seed {found.seed}, {found.time:.1f} s simulated, {found.rows} rows, {found.digest}\n{outcome}"
+    session = f"Session of seed {found.seed}, {found.time:.1f} s simulated, {found.rows} rows, {found.digest}"
+    if not found.invariant:
+        return Group(session, "held")
+    return Group(session, styled(f"{found.invariant} at {found.at:.3f} s: {found.text}", style="bold red"))
 
 
 def _tables(report: Explored) -> RenderableType:
     from rich.box import SIMPLE_HEAD
     from rich.console import Group
-    from rich.markup import escape
     from rich.table import Table
 
     from pcmrs_lab.campaign.explore.exploring import as_lines
@@ -103,10 +104,10 @@ def _tables(report: Explored) -> RenderableType:
     faults = Table("fault", "rows", box=SIMPLE_HEAD, title=title, caption=caption)
     faults.add_column("injected", justify="right")
     for name, times in report.faults.items():
-        faults.add_row(name, " ".join(FAULTS[name].rows), str(times) if times else "[red]never[/]")
-    violations = [
-        f"[bold red]seed {each.seed}: {each.invariant}[/] at {each.at:.3f} s: {escape(each.text)}\n"
-        f"{len(each.script.acts)} of {each.acts} acts show it:\n" + escape("\n".join(as_lines(each.script)))
-        for each in report.broken
-    ]
+        faults.add_row(name, " ".join(FAULTS[name].rows), str(times) if times else styled("never", style="red"))
+    violations: list[RenderableType] = []
+    for each in report.broken:
+        heading = f"seed {each.seed}: {each.invariant} at {each.at:.3f} s: {each.text}"
+        acts = f"{len(each.script.acts)} of {each.acts} acts show it:"
+        violations += [styled(heading, style="bold red"), styled(acts, *as_lines(each.script))]
     return Group(faults, *(violations or ["All invariants held after every event."]))

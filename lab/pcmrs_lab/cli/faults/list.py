@@ -9,7 +9,7 @@ import msgspec
 
 from pcmrs.cli.options import json_option
 from pcmrs.cli.running import readable_errors
-from pcmrs.cli.tables import print_report
+from pcmrs.cli.tables import print_report, styled
 from pcmrs_lab.cli.faults.options import choosing, chosen
 
 if TYPE_CHECKING:
@@ -80,7 +80,6 @@ def _listed(row: CatalogueRow) -> Listed:
 
 def _table(listing: Listing) -> Table:
     from rich.box import SIMPLE_HEAD
-    from rich.markup import escape
     from rich.table import Table
 
     from pcmrs_lab.campaign.catalogue import RESPONSES
@@ -92,6 +91,7 @@ def _table(listing: Listing) -> Table:
     )
     for row in listing.faults:
         how = "; ".join(row.how) or NO_INJECTION
-        needs = ", ".join(f"[bold red]{need} (missing)[/]" if need in row.missing else need for need in row.needs)
-        table.add_row(row.id, row.fault_class, escape(row.title), escape(row.required), escape(how), needs)
+        needs = [f"{need} (missing)" if need in row.missing else need for need in row.needs]
+        style = "bold red" if row.missing else ""
+        table.add_row(row.id, row.fault_class, row.title, row.required, how, styled(", ".join(needs), style=style))
     return table

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from pcmrs.cli.options import json_option
-from pcmrs.cli.printing import say_json
+from pcmrs.cli.printing import say_json, write_document
 from pcmrs.cli.running import readable_errors
 
 
@@ -22,4 +22,4 @@ def matrix(as_json: bool) -> None:
     if as_json:
         say_json(attacks())
     else:
-        click.echo(attacks_as_markdown(), nl=False)
+        write_document(attacks_as_markdown())

@@ -11,7 +11,7 @@ import click
 from pcmrs.cli.options import json_option
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
-from pcmrs.cli.tables import print_report
+from pcmrs.cli.tables import print_report, styled
 from pcmrs_lab.cli.faults.options import PartOf, choosing, chosen, output_option
 
 if TYPE_CHECKING:
@@ -85,7 +85,6 @@ def run_(
 def _tables(report: CampaignReport) -> RenderableType:
     from rich.box import SIMPLE_HEAD
     from rich.console import Group
-    from rich.markup import escape
     from rich.table import Table
 
     from pcmrs_lab.campaign.report import OUTCOMES
@@ -94,16 +93,15 @@ def _tables(report: CampaignReport) -> RenderableType:
     title = f"{kind}, simulated cells, {len(report.seeds)} seeds, {report.seconds:.0f} s"
     faults = Table("", "fault", "seed", "outcome", "s", "observed response", "reference", box=SIMPLE_HEAD, title=title)
     for result in report.faults:
-        outcome = f"[{COLOURS[result.outcome]}]{result.outcome.replace('_', ' ')}[/]"
-        seen = escape(result.response)
+        outcome = styled(result.outcome.replace("_", " "), style=COLOURS[result.outcome])
         faults.add_row(
             result.id,
-            escape(result.title),
+            result.title,
             str(result.seed),
             outcome,
             f"{result.seconds:.1f}",
-            seen,
-            escape(result.reference),
+            result.response,
+            result.reference,
         )
     counts = Table("class", *(outcome.replace("_", " ") for outcome in OUTCOMES), box=SIMPLE_HEAD)
     for fault_class, found in report.summary.items():

@@ -28,7 +28,6 @@ def soak(hours: float, seed: int, plot: Path | None, as_json: bool) -> None:
     Example: pcmrs faults soak --hours 8 --plot soak.png
     """
     from rich.box import SIMPLE_HEAD
-    from rich.markup import escape
     from rich.table import Table
 
     from pcmrs.clock import SystemClock
@@ -41,7 +40,7 @@ def soak(hours: float, seed: int, plot: Path | None, as_json: bool) -> None:
 
         draw_soak(report, plot)
     title = f"{report.steps} commands, {report.stops} of them Stop, in {report.seconds / 3600:.2f} h. "
-    title += escape(report.ended)
+    title += report.ended
     table = Table("process", "measure", "first", "last", "rise of its line", "", box=SIMPLE_HEAD, title=title)
     for trend in report.courses:
         scale = 1e6 if trend.measure == "memory" else 1.0

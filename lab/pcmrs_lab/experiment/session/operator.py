@@ -129,7 +129,9 @@ class SessionOperator:
         verdict: Verdict | None = None
         while (state := (snapshot := await self._client.state()).branches["placement"]) in leads:
             if snapshot.latched:
-                acknowledged = await self._client.acknowledge()
+                acknowledged = await self._client.acknowledge(stop=snapshot.stop.number)
+                if acknowledged.reason is not None and acknowledged.reason.code == "stop_outdated":
+                    continue  # the newer one must be seen first
                 if acknowledged.decision != "accepted":  # what latched says more: the link to the robot may be lost
                     raise refused(verdict or acknowledged)
             verdict = await self._attempt(leads[state])

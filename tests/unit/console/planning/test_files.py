@@ -14,6 +14,7 @@ import trimesh
 from pcmrs.console.planning import files, importer
 from pcmrs.console.planning.files import read_points, read_surface
 from pcmrs.errors import FileFormatError
+from tests.unit.formats.phantom_volumes import oblique, phantom, write_dicom, write_nifti
 
 BALL = trimesh.creation.icosphere(subdivisions=4, radius=90.0)
 
@@ -34,6 +35,19 @@ async def test_a_mesh_is_read_by_another_process(tmp_path: Path, monkeypatch: py
     with pytest.raises(FileFormatError, match=r"broken\.stl") as caught:
         await read_surface(tmp_path / "broken.stl", "mm", "RAS", None)
     assert caught.value.fields["file"].endswith("broken.stl")
+
+
+@pytest.mark.parametrize("kind", ["stl", "obj", "ply", "nii.gz", "dicom"])
+async def test_each_kind_of_surface_is_read_by_that_process(tmp_path: Path, kind: str) -> None:
+    """Its list of system calls suffices for the libraries of all kinds."""
+    if kind == "nii.gz":
+        path = write_nifti(tmp_path / "head.nii.gz", phantom(oblique()), oblique())
+    elif kind == "dicom":
+        path = write_dicom(tmp_path / "series", phantom(oblique()), oblique())
+    else:
+        path = tmp_path / f"head.{kind}"
+        BALL.export(path)
+    assert len((await read_surface(path, "mm", "RAS", None)).faces) > 1000
 
 
 def test_points_come_in_ras_and_metres(tmp_path: Path) -> None:

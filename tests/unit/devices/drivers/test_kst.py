@@ -19,7 +19,7 @@ from pcmrs.errors import (
 from pcmrs.messages import JointSetpoint
 from pcmrs.spatial import Floats
 from tests.unit.devices.kst_lab import Lab, laboratory, smooth
-from tests.unit.devices.kst_peer import HOME, START, Peer, served
+from tests.unit.devices.kst_peer import HOME, START, Peer, line, served
 
 DRIVER: OpenDriver = open_devices  # the type checker proves it
 
@@ -85,6 +85,20 @@ async def test_a_connected_arm_tells_its_joints_by_itself(lab: Lab) -> None:
     assert not any(each.moving for each in lab.states)
     assert all(each.captured <= each.sent for each in lab.states)
     assert np.all(np.diff([each.captured for each in lab.states]) > 0.0)
+
+
+@pytest.mark.parametrize("method", ["hold", "joints", "connect"])
+async def test_joints_asked_for_before_a_call_do_not_answer_it(method: str) -> None:
+    async with laboratory(reply_timeout=2.0) as lab:
+        await lab.robot.connect()
+        lab.peer.answers["getJointsPositions"] = None
+        await lab.when(lambda: lab.peer.lines[-1] == "getJointsPositions")
+        calling = asyncio.create_task(getattr(lab.robot, method)())
+        await asyncio.sleep(0)
+        lab.peer.say(line(list(START)))
+        del lab.peer.answers["getJointsPositions"]
+        lab.peer.joints = list(START + 0.001)
+        assert np.allclose((await calling).positions, START + 0.001, atol=1e-6)
 
 
 async def test_a_motion_nobody_waits_for_any_more_is_braked(lab: Lab) -> None:

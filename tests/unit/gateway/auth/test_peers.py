@@ -11,7 +11,7 @@ import pytest
 from pcmrs.errors import PayloadError
 from pcmrs.gateway.links import COUNTERS
 from pcmrs.gateway.signing import Signer, read_key
-from tests.unit.gateway.gateway_fakes import UdpClient
+from tests.unit.gateway.gateway_fakes import UdpClient, pass_look
 from tests.unit.gateway.signed_room import Room, open_room, peer
 
 FRESH = 2.0
@@ -54,6 +54,7 @@ async def test_a_command_that_was_held_back_has_no_effect(room: Room) -> None:
 async def test_the_same_bytes_move_the_arm_while_they_are_fresh(room: Room) -> None:
     held = room.sign("execute_motionxx_#1;")
     await room.clock.advance(FRESH - 0.01)
+    await pass_look()
     room.client.send(held, room.planner)
     assert (await answer(room)).startswith("1_accepted")
     assert room.core.operations == ["approach"]
@@ -96,6 +97,7 @@ async def test_command_sent_again_within_its_time_is_refused(room: Room) -> None
 async def test_peer_without_timestamps_is_accepted_late(room: Room) -> None:
     held = room.sign("execute_motionxx_#1;", "panel")
     await room.clock.advance(3600.0)
+    await pass_look()
     room.client.send(held, room.planner)
     assert await room.client.received.get() == "1_accepted_placement_retracted;"
     assert room.core.operations == ["approach"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import random
 import signal
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,6 +19,7 @@ from pcmrs.planner import PlannerVerdict
 from pcmrs.simulated_time.clock import SimulatedClock
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.loop import run_on_simulated_loop
+from pcmrs_lab.campaign import without_guard
 from pcmrs_lab.campaign.lab import Lab
 from tests.unit.lab.scripted_client import ScriptedClient
 
@@ -205,6 +206,8 @@ class ScriptedLab:
     Attributes:
         started: Settings of the daemons, in order.
         refusals: Exit status and error of daemons that must refuse to start, in order.
+        unguarded: The cell of a daemon without some guards.
+        removed: Names of the guards that such daemons did not have, in order.
     """
 
     def __init__(self, folder: Path, *cells: ScriptedCell) -> None:
@@ -212,15 +215,21 @@ class ScriptedLab:
         self.cells = list(cells)
         self.started: list[tuple[str, ...]] = []
         self.refusals: list[tuple[int, str]] = []
+        self.unguarded = ScriptedCell()
+        self.removed: list[str] = []
 
     @property
     def as_lab(self) -> Lab:
         return cast(Lab, self)
 
     @asynccontextmanager
-    async def daemon(self, *overrides: str, **_: Any) -> AsyncIterator[ScriptedCell]:
+    async def daemon(self, *overrides: str, prefix: Sequence[str] = (), **_: Any) -> AsyncIterator[ScriptedCell]:
         self.started.append(overrides)
-        yield self.cells.pop(0) if self.cells[1:] else self.cells[0]
+        if without_guard.PROGRAM in prefix:
+            self.removed += prefix[-1].split(",")
+            yield self.unguarded
+        else:
+            yield self.cells.pop(0) if self.cells[1:] else self.cells[0]
 
     def cell(self, *overrides: str, **_: Any) -> Any:
         return self.daemon(*overrides)

@@ -14,8 +14,10 @@ from pcmrs.bus.settings import BusSettings
 from pcmrs.bus.stop import Stopping
 from pcmrs.errors import BusError, DeviceError, UnknownOutcomeError
 from pcmrs_lab.campaign import bus_flood as flooding
+from pcmrs_lab.campaign.attacks import attacks
 from pcmrs_lab.campaign.bus_flood import KINDS, FloodReport, Kind, bus_flood
 from pcmrs_lab.campaign.sham import sham
+from pcmrs_lab.campaign.tries import recorded_tries
 from tests.unit.lab.campaign.scripted_child import ScriptedChild, started
 from tests.unit.lab.scripted_client import verdict
 
@@ -95,7 +97,13 @@ async def test_answers_are_counted_by_their_result(monkeypatch: pytest.MonkeyPat
 
 @pytest.mark.usefixtures("session")
 @pytest.mark.parametrize(
-    ("kind", "key"), [("setup", "svc/setup/eve"), ("journal", "svc/journal"), ("stop-queries", "stop/eve")]
+    ("kind", "key"),
+    [
+        ("setup", "svc/setup/eve"),
+        ("journal", "svc/journal"),
+        ("check", "svc/check/eve"),
+        ("stop-queries", "stop/eve"),
+    ],
 )
 async def test_a_kind_asks_at_its_key(monkeypatch: pytest.MonkeyPatch, kind: Kind, key: str) -> None:
     asked = answering(monkeypatch, pack(Stopping(source="bus:eve", number=1)))
@@ -105,12 +113,13 @@ async def test_a_kind_asks_at_its_key(monkeypatch: pytest.MonkeyPatch, kind: Kin
 
 
 @pytest.mark.usefixtures("session")
-async def test_a_rejected_command_is_large(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("kind", ["rejected", "rejected-names", "rejected-keys"])
+async def test_a_rejected_command_is_large(monkeypatch: pytest.MonkeyPatch, kind: Kind) -> None:
     asked = answering(monkeypatch, b"")
-    await flood("rejected", 1)
+    await flood(kind, 1)
     ((key, payload),) = asked
-    assert key == f"{PREFIX}/cmd/eve/toolplan/plan"
-    assert len(payload) > flooding.ARGUMENT_SIZE
+    assert key.startswith(f"{PREFIX}/cmd/eve/toolplan/")
+    assert len(key + payload.decode(errors="replace")) > flooding.ARGUMENT_SIZE
 
 
 def test_a_rate_is_of_what_was_sent_in_the_time_taken() -> None:
@@ -149,3 +158,26 @@ async def test_a_sham_flood_sends_nothing(monkeypatch: pytest.MonkeyPatch) -> No
         async with bus_flood("puts", "tcp/127.0.0.1:1", "cell1", most=7) as running:
             pass
     assert running.report.sent == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "keys"),
+    [
+        ("setpoints", {"teleop/eve"}),
+        ("devices", {"dev/robot/event", "dev/robot/beat"}),
+        ("streams", {"state/joints", "state/pose/coil"}),
+    ],
+)
+async def test_a_kind_of_puts_goes_to_its_keys(session: ScriptedSession, kind: Kind, keys: set[str]) -> None:
+    await flood(kind, 6)
+    assert set(session.put_to) == {f"{PREFIX}/{key}" for key in keys}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+async def test_a_flood_is_recorded_as_tried(monkeypatch: pytest.MonkeyPatch, kind: Kind) -> None:
+    started(monkeypatch, ScriptedChild(b"begun\n", LINE))
+    with recorded_tries() as tried:
+        async with bus_flood(kind, "tcp/127.0.0.1:1", "cell1"):
+            pass
+    ((way, by),) = tried
+    assert (way in attacks().ways, by) == (True, "flood")

@@ -14,6 +14,7 @@ from pcmrs_lab.campaign import counted_session as counting
 from pcmrs_lab.campaign.counted_session import CountedSession
 from pcmrs_lab.campaign.network_impairment import NetworkImpairment
 from pcmrs_lab.campaign.sham import sham
+from pcmrs_lab.campaign.tries import Try, recorded_tries
 
 OVERHEAD = 10
 """Bytes of the protocol with each message."""
@@ -39,7 +40,7 @@ class ScriptedSession:
     def delete(self, key: str) -> None:
         self._passes("delete", len(key))
 
-    def get(self, key: str, *, payload: bytes, timeout: float) -> list[Any]:
+    def get(self, key: str, *, payload: bytes, attachment: bytes | None, timeout: float) -> list[Any]:
         self._passes("get", len(key) + len(payload))
         return self.replies
 
@@ -52,23 +53,23 @@ def scripted(monkeypatch: pytest.MonkeyPatch) -> ScriptedSession:
 
 
 def counted(scripted: ScriptedSession) -> CountedSession:
-    return CountedSession(cast(zenoh.Session, scripted), scripted.impairment)
+    return CountedSession(cast(zenoh.Session, scripted), scripted.impairment, "viewer")
 
 
 async def test_all_that_was_sent_has_arrived_with_overhead(scripted: ScriptedSession) -> None:
     session = counted(scripted)
-    await session.put("key", b"12345")
-    await session.delete("key")
-    await session.ask("key", b"1")
-    assert await session.wait_until_arrived() == 8 + 3 + 4 + 3 * OVERHEAD
+    await session.put("cmd/eve", b"12345")
+    await session.delete("cmd/eve")
+    await session.ask("cmd/eve", b"1")
+    assert await session.wait_until_arrived() == 12 + 7 + 8 + 3 * OVERHEAD
     assert scripted.calls == ["put", "delete", "get"]
 
 
 async def test_what_did_not_arrive_was_not_injected(scripted: ScriptedSession) -> None:
     scripted.most = 100
     session = counted(scripted)
-    await session.put("key", bytes(200))
-    with pytest.raises(Unmet, match="not injected: fewer than 203 bytes"):
+    await session.put("cmd/eve", bytes(200))
+    with pytest.raises(Unmet, match="not injected: fewer than 207 bytes"):
         await session.wait_until_arrived()
     assert await session.wait_until_arrived(most=100) == 100, "the daemon has closed the link"
 
@@ -76,9 +77,9 @@ async def test_what_did_not_arrive_was_not_injected(scripted: ScriptedSession) -
 async def test_nothing_is_sent_in_a_sham_campaign(scripted: ScriptedSession) -> None:
     session = counted(scripted)
     with sham():
-        await session.put("key", b"1")
-        await session.delete("key")
-        assert await session.ask("key", b"1") == []
+        await session.put("cmd/eve", b"1")
+        await session.delete("cmd/eve")
+        assert await session.ask("cmd/eve", b"1") == []
         with pytest.raises(Unmet, match="not injected"):
             await session.wait_until_arrived()
     assert scripted.calls == []
@@ -87,7 +88,7 @@ async def test_nothing_is_sent_in_a_sham_campaign(scripted: ScriptedSession) -> 
 async def test_errors_are_no_answers(scripted: ScriptedSession) -> None:
     good = SimpleNamespace(ok=SimpleNamespace(payload=SimpleNamespace(to_bytes=lambda: b"yes")))
     scripted.replies = [good, SimpleNamespace(ok=None), good]
-    assert await counted(scripted).ask("key", b"") == [b"yes", b"yes"]
+    assert await counted(scripted).ask("cmd/eve", b"") == [b"yes", b"yes"]
 
 
 async def test_the_handshake_is_not_counted(scripted: ScriptedSession) -> None:
@@ -100,5 +101,15 @@ async def test_the_handshake_is_not_counted(scripted: ScriptedSession) -> None:
             await asyncio.sleep(0)
 
     await asyncio.gather(shake(), session.wait_for_handshake())
-    await session.put("key", b"1")
-    assert await session.wait_until_arrived() == 4 + OVERHEAD
+    await session.put("cmd/eve", b"1")
+    assert await session.wait_until_arrived() == 8 + OVERHEAD
+
+
+async def test_what_is_sent_is_recorded_as_tried(scripted: ScriptedSession) -> None:
+    session = counted(scripted)
+    with recorded_tries() as tried:
+        await session.put("pcmrs/lab/cell1/stop/eve", b"")
+        await session.delete("@/1/router/config/adminspace/enabled")
+        with sham():
+            await session.ask("svc/journal", b"")
+    assert tried == {Try("Stop on the bus", "viewer"), Try("admin space", "viewer")}

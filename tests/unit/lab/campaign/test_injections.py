@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
+from importlib import import_module
+
 import pytest
 
 from pcmrs_lab.campaign.catalogue import CLASSES, catalogue, choose
+from pcmrs_lab.campaign.fault import SENDERS
 from pcmrs_lab.campaign.injections import injections
 
 
@@ -25,6 +29,15 @@ def test_nothing_is_injected_that_the_catalogue_does_not_have() -> None:
 def test_loading_the_injections_again_registers_nothing_twice() -> None:
     before = {name: len(ways) for name, ways in injections().items()}
     assert {name: len(ways) for name, ways in injections().items()} == before
+
+
+def test_rows_of_input_have_a_permitted_control_or_a_mutant() -> None:
+    """`run_injection` says so of each row that is run; this of all of them, in the sources."""
+    modules = {
+        way.run.__module__ for row in catalogue().values() if row.fault_class in SENDERS for way in injections()[row.id]
+    }
+    assert len(modules) > 10
+    assert [name for name in sorted(modules) if '"without_fault"' in inspect.getsource(import_module(name))] == []
 
 
 def test_a_way_is_the_function_that_a_report_names() -> None:

@@ -12,8 +12,12 @@ import pytest
 from pcmrs.bus import Credentials
 from pcmrs.pki import Authority
 from pcmrs_lab.campaign import reachable
+from pcmrs_lab.campaign.attacks import attacks
 from pcmrs_lab.campaign.reachable import (
     CARRIED,
+    DAEMON,
+    DEVICE,
+    ELSEWHERE,
     EXPIRED,
     FOREIGN,
     PEOPLE,
@@ -21,6 +25,7 @@ from pcmrs_lab.campaign.reachable import (
     ROUTER,
     People,
     ReachableCell,
+    attacker_of,
     reachable_cell,
 )
 from tests.unit.lab.campaign.scripted_cell import ScriptedCell, ScriptedLab
@@ -35,9 +40,9 @@ def test_everyone_has_the_role_of_the_table(people: People) -> None:
     known = {each.name: each for each in people.authority.identities()}
     assert {name: known[name].role for name in PEOPLE} == PEOPLE
     assert {name for name, each in known.items() if each.revoked is not None} == {REVOKED}
-    assert {name for name, each in known.items() if each.via} == {CARRIED}
+    assert {name for name, each in known.items() if each.via} == {CARRIED, REVOKED, ELSEWHERE}
     assert known[CARRIED].via == (ROUTER,)
-    assert all(each.cells == ("lab/*",) for each in known.values())
+    assert {name for name, each in known.items() if each.cells != ("lab/*",)} == {ELSEWHERE}
     assert known[EXPIRED].ends < known["anna"].begins
     assert people.register.is_file()
 
@@ -68,8 +73,8 @@ def test_a_cell_is_dialled_at_its_endpoint(people: People, tmp_path: Path) -> No
     assert settings.credentials == people.credentials("bob")
     signer = cell.signer()
     first, second = signer.sign(b"DT_STOP;"), signer.sign(b"DT_STOP;")
-    assert b"|slicer|1|" in first
-    assert b"|slicer|2|" in second, "no signature is used twice"
+    assert b"|panel|1|" in first
+    assert b"|panel|2|" in second, "no signature is used twice"
 
 
 async def test_a_person_is_connected_as_themselves(people: People, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -99,7 +104,26 @@ async def test_the_daemon_gets_identity_register_and_peer(
         f"access.identity={people.folder / 'daemon1'}",
         f"access.register={people.register}",
         f'access.listen=["{cell.endpoint}"]',
-        f"gateway.peers.slicer.key_file={cell.peer_key}",
+        f"gateway.peers.panel.key_file={cell.peer_key}",
         "access.routers=[]",
     )
     assert cell.peer_key.stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.parametrize(
+    ("name", "attacker"),
+    [
+        ("eve", "viewer"),
+        ("anna", "operator"),
+        (REVOKED, "revoked or expired certificate"),
+        (EXPIRED, "revoked or expired certificate"),
+        (FOREIGN, "unknown client"),
+        (ELSEWHERE, "user of another cell"),
+        (ROUTER, "router"),
+        (DEVICE, "device"),
+        (DAEMON, "daemon"),
+    ],
+)
+def test_everyone_is_an_attacker_of_the_table(name: str, attacker: str) -> None:
+    assert attacker_of(name) == attacker
+    assert attacker in attacks().attackers

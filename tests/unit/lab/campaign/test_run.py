@@ -74,14 +74,21 @@ async def test_response_without_measurement_or_control_is_not_proved() -> None:
     assert [result.id for result in report.failed] == ["S9", "S12"]
 
 
+async def test_control_by_other_input_proves_nothing_against_attackers() -> None:
+    report = await campaign(["A1", "S1"], [1])
+    assert [(result.outcome, result.id) for result in report.faults] == [("passed", "S1"), ("not_proved", "A1")]
+    assert "or a mutant without the guard" in report.failed[0].response
+
+
 async def test_sham_campaign_fails_what_passes_or_breaks_without_fault() -> None:
-    report = await run_campaign(choose(ids=["S1", "S10", "S11", "S13", "S3"]), [1], is_sham=True)
+    report = await run_campaign(choose(ids=["S1", "S2", "S10", "S11", "S13", "S3"]), [1], is_sham=True)
     found = {result.id: (result.outcome, result.response) for result in report.faults}
     assert found == {
         "S1": ("failed", "Without its fault it passed: as required"),
         "S10": ("passed", "The measurement that the fault took place is of nothing: arrived."),
         "S11": ("passed", "Nothing arrived."),
         "S13": ("failed", "Without its fault it failed: IndexError: list index out of range"),
+        "S2": ("failed", f"Before its fault it failed: It moved. {NASTY}"),
         "S3": ("not_run", "this machine has no moon"),
     }
     assert report.sham
@@ -106,3 +113,20 @@ def test_nothing_of_an_injection_is_left_behind(tmp_path: Path, monkeypatch: pyt
 async def test_a_campaign_of_no_rows_has_an_empty_report() -> None:
     report = await run_campaign([], [1])
     assert (report.faults, report.summary, report.failed) == ([], {}, [])
+
+
+async def test_attack_that_is_declared_but_not_tried_is_not_proved() -> None:
+    """Otherwise the table of attacks would show one that never took place."""
+    report = await campaign(["A2", "A3"], [1])
+    assert [(result.outcome, result.response) for result in report.faults] == [
+        ("not_proved", "Declared, but not tried: TCP by viewer."),
+        ("passed", "seen"),
+    ]
+    assert of(report, "A3").parts[0].details["tried"] == ["UDP by flood"]
+    assert [result.id for result in report.failed] == ["A2"]
+
+
+async def test_sham_campaign_compares_no_attacks() -> None:
+    """It would pass every row, whether the row detects that its fault is missing or not."""
+    report = await run_campaign(choose(ids=["A3"]), [1], is_sham=True)
+    assert of(report, "A3").response == "Without its fault it passed: seen"

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham, sham
+from pcmrs_lab.campaign.sham import in_sham_campaign, inject_unless_sham, is_sham, sham
 
 
 def test_an_act_is_left_out_only_within_the_context() -> None:
@@ -15,6 +15,16 @@ def test_an_act_is_left_out_only_within_the_context() -> None:
         inject_unless_sham(lambda: acts.append("within"))
     inject_unless_sham(lambda: acts.append("after"))
     assert acts == ["after"]
+
+
+def test_it_is_known_whether_a_fault_was_reached() -> None:
+    with sham() as before:
+        assert in_sham_campaign()
+        assert not before.reached
+    with sham() as after:
+        assert is_sham()
+    assert (before.reached, after.reached) == (False, True)
+    assert not in_sham_campaign()
 
 
 def test_an_error_ends_the_sham_campaign() -> None:

@@ -15,16 +15,16 @@ from pcmrs_lab.experiment.hotspots import METHODS, NEAR, HotspotReport, SearchRe
 
 @pytest.fixture(scope="module")
 def ran() -> tuple[HotspotReport, dict[str, list[SearchResult]]]:
-    report, searched, _ = run_hotspots(12, 1, 120.0, lambda _text, _done, _total: None)
+    report, searched, _ = run_hotspots(6, 1, 120.0, lambda _text, _done, _total: None)
     return report, searched
 
 
 def test_both_methods_come_near_every_kind_of_subject(ran: tuple[HotspotReport, dict[str, list[SearchResult]]]) -> None:
-    """Bounds that 12 subjects keep by a wide margin; the figures of 200 are in docs/tms.md."""
+    """Bounds that 6 subjects keep by a wide margin; the figures of 200 are in docs/tms.md."""
     report, _ = ran
     assert [result.method for result in report.methods] == list(METHODS)
     for result in report.methods:
-        assert result.near >= 9 / 12
+        assert result.near >= 0.75
         assert result.unanswered == 0
         assert result.pulses_until_near.median is not None
         assert result.pulses_until_near.median <= 30

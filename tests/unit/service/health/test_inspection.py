@@ -16,7 +16,14 @@ from pcmrs.service.health.inspection import Inspection
 from pcmrs.service.watches.space import MEGABYTE
 from pcmrs.testing.clock import ManualClock
 
-COUNTERS = {"bus.waiting": 3, "bus.refused": 1, "bus.answering": 2, "bus.replaced": 4, "bus.not_sealed": 0}
+COUNTERS = {
+    "bus.waiting": 3,
+    "bus.refused": 1,
+    "bus.answering": 2,
+    "bus.replaced": 4,
+    "bus.not_sealed": 0,
+    "bus.ignored": 2,
+}
 
 
 class Room:

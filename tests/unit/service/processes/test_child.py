@@ -45,16 +45,20 @@ class Bench:
         self.children: list[FakeChild] = []
         self.error: OSError | None = None
         self.events: list[DeviceEvent] = []
+        self.given_up = 0
         clock = ManualClock()
         self.supervisor = Supervisor(clock)
         begin = cast(Callable[[], Awaitable[Process]], self._begin)
-        self.child = ChildProcess("recording", begin, self.events.append, clock, WITHIN)
+        self.child = ChildProcess("recording", begin, self.events.append, clock, WITHIN, self._give_up)
 
     async def _begin(self) -> FakeChild:
         if self.error is not None:
             raise self.error
         self.children.append(FakeChild())
         return self.children[-1]
+
+    def _give_up(self) -> None:
+        self.given_up += 1
 
     async def end(self, status: int) -> None:
         await settle()
@@ -77,6 +81,7 @@ async def test_killed_child_is_restarted_until_its_limit() -> None:
     assert bench.codes[-1] == "recording_ended"
     assert len(bench.children) == RESTARTS + 1
     assert bench.child.ended == "status -9"
+    assert bench.given_up == 1, "when it is not restarted any more"
     assert not any(event.danger for event in bench.events), "the cell works on"
     assert bench.supervisor.died == 0
 

@@ -45,7 +45,7 @@ async def _hear_for(bench: Bench, seconds: float, *, beats: bool = True, joints:
         if joints:
             bench.watch.hear()
         if beats:
-            bench.watch.hear_beat()
+            bench.watch.hear_beat(bench.clock.monotonic())
         await bench.clock.advance(BEAT_PERIOD)
 
 
@@ -101,3 +101,13 @@ async def test_node_gets_no_beat_while_a_loss_is_handled_and_holds(bench: Bench)
     await settle()
     await bench.clock.advance(1.0)
     assert len(bench.beats) > before
+
+
+async def test_a_late_heartbeat_of_the_node_is_no_life_of_now(bench: Bench) -> None:
+    await _hear_for(bench, 1.0)
+    last = bench.clock.monotonic()
+    for _ in range(round((BEATS_MISSED * DEADMAN + 2 * BEAT_PERIOD) / BEAT_PERIOD)):
+        bench.watch.hear()
+        bench.watch.hear_beat(last)  # they were held up on their way, and come one after the other
+        await bench.clock.advance(BEAT_PERIOD)
+    assert [event.code for event in bench.events] == ["link_lost"]

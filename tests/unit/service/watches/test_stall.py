@@ -7,6 +7,7 @@ import time
 from collections.abc import AsyncIterator
 
 import pytest
+from structlog.testing import capture_logs
 
 from pcmrs.clock import SystemClock
 from pcmrs.messages import DeviceEvent
@@ -45,3 +46,15 @@ async def test_blocked_loop_is_reported_and_is_no_danger(bench: Bench) -> None:
     assert event.fields["stall"] > STALL
     assert bench.watch.counters()["loop.stalls"] == len(bench.events)
     assert bench.watch.longest >= event.fields["stall"]
+
+
+async def test_blocked_loop_is_logged_while_it_is_blocked(bench: Bench) -> None:
+    """A loop that never answers again would otherwise say nothing."""
+    with capture_logs() as logs:
+        for _ in range(100):
+            time.sleep(STALL)  # noqa: ASYNC251
+            if logs:
+                break
+    assert logs[0]["event"] == "loop_stalled"
+    assert "test_stall.py" in logs[0]["where"]
+    assert bench.events == [], "the loop has not answered yet"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from pcmrs.journal import JournalReader
+from pcmrs.testing.driving import landmarks, tool_pose
 from pcmrs.testing.simulated import CellInSimulatedTime
 from pcmrs_sim.deterministic.cell import SimulatedCell
 from pcmrs_sim.deterministic.daemon import ProcedureDispatcher
@@ -82,5 +83,21 @@ def test_datagrams_to_a_daemon_that_has_crashed_are_lost(tmp_path: Path) -> None
         planner.send(daemon.link, daemon.receive, PLANNER, b"get_jnt_angsxxxx_#2;", answers.append, None)
         await client.clock.sleep(1.0)
         assert len(answers) == 1
+
+    in_cell(play, tmp_path)
+
+
+def test_a_motion_that_arrived_long_ago_is_refused(tmp_path: Path) -> None:
+    async def play(cell: SimulatedCell, client: CellInSimulatedTime) -> None:
+        await connect(client)
+        await client.accept("registration.plan_landmarks", **landmarks())
+        await client.accept("digitization.digitize_all")
+        await client.accept("registration.register")
+        await client.accept("toolplan.plan", **tool_pose())
+        cell.hold_up("daemon", 0.3)
+        verdict = await client.call("placement.approach")
+        assert verdict.reason is not None
+        assert verdict.reason.code == "expired", "it waited for the blocked loop"
+        await client.accept("placement.approach")
 
     in_cell(play, tmp_path)

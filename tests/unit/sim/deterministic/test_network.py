@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable
 import msgspec
 import pytest
 
+from pcmrs.bus.bridge import ARRIVED
 from pcmrs.errors import DeviceError, UnknownOutcomeError
 from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_sim.deterministic.network import Endpoint, Network
@@ -199,5 +200,28 @@ def test_delayed_process_receives_late_and_in_order() -> None:
         assert (late, now) == ([], [0, 1, 2])
         await asyncio.sleep(0.2)
         assert late == [0, 1, 2]
+
+    on_network(play)
+
+
+def test_a_request_arrives_while_its_process_is_delayed() -> None:
+    """As on the bus: a thread receives it and stamps it, and the loop handles it later."""
+
+    async def play(network: Network) -> None:
+        client, server = network.endpoint("client"), network.endpoint("server")
+        loop, stamps, seen = asyncio.get_running_loop(), list[tuple[float, float]](), list[tuple[str, float]]()
+        network.on_request = lambda key, _, arrived: seen.append((key, arrived))
+
+        async def answer(_key: str, note: Note) -> Note:
+            stamps.append((ARRIVED.get(), loop.time()))
+            return note
+
+        server.serve("ask", Note, answer)
+        server.hold_up(0.4)
+        await client.request("ask", Note(), Note, 5.0)
+        ((arrived, handled),) = stamps
+        assert arrived < 0.1
+        assert handled == pytest.approx(0.4)
+        assert seen == [("ask", arrived)]
 
     on_network(play)

@@ -56,3 +56,16 @@ def test_a_script_stops_waiting_after_its_timeout() -> None:
         assert windows.open("write:row") == 0.0
 
     run_on_simulated_loop(play())
+
+
+def test_each_window_is_reported_with_its_duration() -> None:
+    async def play() -> None:
+        windows, opened = Windows(asyncio.get_running_loop(), 1), list[tuple[str, float]]()
+        windows.on_open = lambda name, duration: opened.append((name, duration))
+        windows.open("plan:placement.approach")
+        windows.share = 1.0
+        windows.open("plan:placement.approach")
+        assert [name for name, _ in opened] == ["plan:placement.approach"] * 2
+        assert opened[0][1] == 0.0 < opened[1][1]
+
+    run_on_simulated_loop(play())

@@ -62,3 +62,11 @@ async def test_no_socket_is_left_open(monkeypatch: pytest.MonkeyPatch) -> None:
         async with asyncio.timeout(30.0), open_devices(("robot",), {}, CLOCK):
             pass
     assert [end.fileno() for end in ends] == [-1, -1]
+
+
+def test_the_node_of_simulated_devices_runs_without_numpy() -> None:
+    """Its loop has the deadman: what it runs imports neither NumPy nor the simulation."""
+    code = "import sys, pcmrs.devices.node, pcmrs_sim.process.driver; "
+    code += "print(*sorted({'numpy', 'mujoco', 'scipy', 'pcmrs.settings'} & set(sys.modules)))"
+    imported = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert imported.stdout.split() == []

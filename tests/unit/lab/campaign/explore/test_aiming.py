@@ -10,7 +10,7 @@ import pytest
 from pcmrs.gateway.commands import COMMANDS
 from pcmrs.gateway.grammar import format_command
 from pcmrs_lab.campaign.explore import aiming
-from pcmrs_lab.campaign.explore.aiming import draw_aimed
+from pcmrs_lab.campaign.explore.aiming import draw_aimed, draw_following
 from pcmrs_lab.campaign.explore.faults import FAULTS
 from pcmrs_lab.campaign.explore.script import Act
 from tests.unit.lab.blueprints import ratms
@@ -85,3 +85,13 @@ def test_the_first_act_of_an_interruption_is_in_the_window() -> None:
 def test_windows_are_patterns_of_names(name: str, pattern: str) -> None:
     assert pattern in aiming.OF_OPERATIONS
     assert fnmatchcase(name, pattern)
+
+
+def test_sessions_follow_the_head_until_they_are_interrupted() -> None:
+    sessions = [draw_following(random.Random(seed)) for seed in range(50)]
+    for acts in sessions:
+        assert [act.what for act in acts[: aiming.TO_FOLLOW + 1]] == ["go_on"] * aiming.TO_FOLLOW + ["placement.follow"]
+        assert all(act.waits for act in acts[: aiming.TO_FOLLOW + 1])
+        assert 0.0 <= acts[aiming.TO_FOLLOW + 1].after <= aiming.FOLLOWED
+    interrupted = {acts[aiming.TO_FOLLOW + 1].what for acts in sessions}
+    assert {"stop", "fault:crash_daemon", "fault:crash_node"} <= interrupted

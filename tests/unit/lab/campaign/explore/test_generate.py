@@ -49,6 +49,15 @@ def test_a_share_of_the_sessions_aims_at_windows(scripts: list[SessionScript]) -
     assert coded / SESSIONS == pytest.approx(generate.CODED, abs=0.12)
 
 
+def test_some_sessions_follow_the_head_and_the_others_stay(
+    scripts: list[SessionScript], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(generate, "FOLLOWING", 0.0)
+    changed = [script for script in scripts if script != draw_script(ratms(), "ratms", script.seed)]
+    assert 0 < len(changed) < 0.12 * SESSIONS
+    assert all(any(act.what == "placement.follow" for act in script.acts) for script in changed)
+
+
 def test_people_mostly_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(generate, "AIMED", 0.0)
     scripts = [draw_script(ratms(), "ratms", seed) for seed in range(SESSIONS)]

@@ -158,6 +158,18 @@ def test_a_process_is_held_up() -> None:
     assert during(act).cell.happened == ["node held up 0.5 s", "daemon held up 0.1 s"]
 
 
+def test_commands_may_begin_later_while_the_daemon_is_held_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    blocked: list[tuple[float, float]] = []
+
+    async def act(it: Injected) -> None:
+        monkeypatch.setattr(it.witness.watcher, "daemon_blocked", lambda at, lasts: blocked.append((at, lasts)))
+        await it.faults.inject("held_up", {"process": "node", "seconds": 0.5})
+        await it.faults.inject("held_up", {"process": "daemon", "seconds": 0.1})
+
+    during(act)
+    assert blocked == [(0.0, 0.1)]
+
+
 @pytest.mark.parametrize(("name", "how"), [("crash_daemon", "crashed"), ("end_daemon", "ended")])
 def test_a_daemon_that_ends_is_started_again(name: str, how: str) -> None:
     async def act(it: Injected) -> None:

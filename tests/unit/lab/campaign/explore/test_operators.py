@@ -139,6 +139,18 @@ async def test_any_datagram_is_sent_from_the_port_of_its_operator(people: People
     assert people.datagrams == [(PORTS["ben"], b"\xff")]
 
 
+async def test_a_string_command_with_an_id_is_seen_when_it_arrives(
+    people: People, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arrived: list[str] = []
+    monkeypatch.setattr(people.witness.watcher, "command_arrived", lambda key, _now: arrived.append(key))
+    assert people.cell.daemon is not None
+    people.cell.daemon.answers = lambda data: [f"{data.rpartition(b'#')[2].rstrip(b';').decode()}_accepted_robot_1;"]
+    await people.operators.wire("anna", "rob_conn_onxxxxx", ())
+    people.operators.datagram("ben", b"no command")
+    assert arrived == ["1"]
+
+
 def test_an_old_client_gets_its_second_datagram_soon(monkeypatch: pytest.MonkeyPatch) -> None:
     async def send(late: float) -> Any:
         people = People()

@@ -4,16 +4,30 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from pcmrs.messages import Running, Snapshot
+from pcmrs.spatial import Transform
 from pcmrs_lab.campaign.explore.invariants import BRAKED, BRAKED_ANYHOW
-from pcmrs_lab.campaign.explore.watcher import BEGINS_WITHIN, DECIDED, HELD, MOVED, SECOND, Watcher
+from pcmrs_lab.campaign.explore.watcher import (
+    BEGINS_WITHIN,
+    CHECKED_WITHIN,
+    DECIDED,
+    HELD,
+    INWARDS,
+    MOVED,
+    RESTED,
+    SECOND,
+    UNASKED,
+    Watcher,
+)
 from tests.unit.lab.campaign.explore.ratms_views import (
     APPROACH,
     FOLLOWS,
     PLACED,
+    PLAN,
     READY,
     command,
     decided,
@@ -94,12 +108,55 @@ def test_a_motion_takes_the_arm_elsewhere(session: Session) -> None:
     assert session.broken == ["the_arm_stays"]
 
 
+@pytest.fixture
+def guided(session: Session) -> Session:
+    """An arm that a hand has displaced, after it had rested."""
+    session.view.by_hand = float("inf")
+    session.step(0.0)
+    session.step(0.1 + RESTED)
+    session.step(3.0, UNASKED * 1.1, rests=False)
+    return session
+
+
+def test_motion_by_hand_while_nothing_runs_must_be_a_stop(guided: Session) -> None:
+    guided.step(3.0 + BRAKED_ANYHOW - 0.1, UNASKED * 1.1)
+    assert guided.broken == []
+    guided.step(3.0 + BRAKED_ANYHOW + 0.1, UNASKED * 1.1)
+    assert guided.broken == ["unasked_motion_is_a_stop"]
+
+
+def test_motion_by_hand_that_has_become_a_stop_may_be_released(guided: Session) -> None:
+    guided.show(3.5, states=READY, latched=True)
+    guided.show(5.0, states=READY)
+    guided.step(4.0 + BRAKED_ANYHOW, UNASKED * 1.1)
+    guided.step(5.0 + 2 * BRAKED_ANYHOW, UNASKED * 1.1)
+    assert guided.broken == []
+
+
+@pytest.mark.parametrize(
+    "shown_then",
+    [{"running": [APPROACH], "states": READY}, {"states": {"robot": "0"}}, {"states": PLACED, "activities": [FOLLOWS]}],
+)
+def test_an_explained_displacement_is_no_stop(guided: Session, shown_then: dict[str, Any]) -> None:
+    guided.show(3.5, **shown_then)
+    guided.step(4.0 + BRAKED_ANYHOW, UNASKED * 1.1)
+    assert guided.broken == []
+
+
+def test_an_arm_that_comes_back_was_not_displaced(guided: Session) -> None:
+    guided.step(4.0)
+    guided.step(5.0, UNASKED * 1.1)
+    guided.step(4.0 + BRAKED_ANYHOW, UNASKED * 1.1)
+    assert guided.broken == []
+
+
 def test_silence_of_the_daemon_is_held(session: Session) -> None:
     session.watcher.lose_daemon(10.0, crash=True)
     session.step(10.0 + DEADMAN, rests=False)
     session.step(10.0 + DEADMAN + HELD + 0.05, rests=False, braking=True)
-    assert session.broken == []
     session.step(10.0 + DEADMAN + HELD + 0.1, rests=False)
+    assert session.broken == [], "an arm at rest was held"
+    session.step(10.0 + DEADMAN + HELD + 0.15, 0.001, rests=False)
     assert session.broken == ["silence_is_held"]
 
 
@@ -117,7 +174,7 @@ def test_a_node_that_is_not_there_holds_later(session: Session) -> None:
     session.watcher.node_is_back(20.0)
     session.step(20.0 + DEADMAN, rests=False)
     assert session.broken == []
-    session.step(20.0 + DEADMAN + HELD + 0.1, rests=False)
+    session.step(20.0 + DEADMAN + HELD + 0.1, 0.001, rests=False)
     assert session.broken == ["silence_is_held"]
 
 
@@ -291,6 +348,99 @@ def test_a_command_without_an_id_begins_soon_or_not_at_all(session: Session) -> 
     session.watcher.arrived("placement.approach", 5.0)
     session.show(5.1 + BEGINS_WITHIN, states=READY, running=[replace(made, id="cd" * 16)])
     assert session.broken == ["motions_begin_in_time"]
+
+
+def test_a_command_with_an_id_begins_in_time_planning_apart(session: Session) -> None:
+    session.watcher.command_arrived("a1", 1.0)
+    session.watcher.planning("placement.approach", 1.05, 0.5)
+    session.watcher.planning("placement.home", 1.05, 5.0)
+    session.show(1.0 + CHECKED_WITHIN + 0.49, states=READY, running=[APPROACH])
+    session.watcher.command_arrived("a1", 2.0)  # a repeat of what runs
+    session.show(9.0, states=READY, running=[APPROACH])
+    session.show(9.1, states=READY)
+    assert session.broken == []
+    session.watcher.command_arrived("a2", 10.0)
+    session.show(10.0 + CHECKED_WITHIN + 0.1, states=READY, running=[replace(APPROACH, id="a2")])
+    assert session.broken == ["motions_begin_in_time"]
+
+
+def test_a_loop_that_blocks_after_the_arrival_is_no_delay(session: Session) -> None:
+    session.watcher.daemon_blocked(0.5, 0.5)
+    session.watcher.command_arrived("a1", 1.0)
+    session.watcher.daemon_blocked(1.05, 0.5)
+    session.show(1.5, states=READY, running=[APPROACH])
+    assert session.broken == []
+    session.show(2.0, states=READY)
+    session.watcher.daemon_blocked(3.0, 0.5)
+    session.watcher.command_arrived("a2", 3.1)
+    session.show(3.5, states=READY, running=[replace(APPROACH, id="a2")])
+    assert session.broken == ["motions_begin_in_time"]
+
+
+def test_string_command_with_an_id_begins_in_time_too(session: Session) -> None:
+    session.watcher.command_arrived("17", 1.0)
+    session.show(1.5, states=READY, running=[replace(APPROACH, id=f"{'ab' * 16}-17-0")])
+    assert session.broken == ["motions_begin_in_time"]
+
+
+def test_what_was_decided_or_does_not_move_has_no_time_to_begin(session: Session) -> None:
+    session.watcher.command_arrived("a1", 1.0)
+    session.watcher.take_verdict(decided(decision="rejected", code="busy", id="a1"))
+    session.watcher.command_arrived("p1", 1.0)
+    session.show(9.0, states=READY, running=[APPROACH, PLAN])
+    assert session.broken == []
+
+
+def test_a_danger_that_a_device_reports_must_be_a_stop(session: Session) -> None:
+    session.watcher.emitted(event("drives_off", danger=True), 1.0)
+    session.watcher.emitted(event("no_danger"), 1.0)
+    session.step(1.0 + BRAKED_ANYHOW - 0.1)
+    assert session.broken == []
+    session.step(1.0 + BRAKED_ANYHOW + 0.1)
+    assert session.broken == ["every_reported_danger_is_a_stop"]
+    assert "robot drives_off" in session.texts[0]
+
+
+@pytest.mark.parametrize("answer", [{"states": READY, "latched": True}, {"states": {"robot": "0"}}])
+def test_a_reported_danger_that_was_answered_is_no_danger(session: Session, answer: dict[str, Any]) -> None:
+    session.watcher.emitted(event("drives_off", danger=True), 1.0)
+    session.show(2.0, **answer)
+    session.step(2.1)
+    session.show(3.0, states=READY)
+    session.step(3.0 + BRAKED_ANYHOW)
+    assert session.broken == []
+
+
+def tool_at(height: float) -> Transform:
+    """Above a body that is below it."""
+    return Transform(np.eye(3), np.array((0.0, 0.0, height)))
+
+
+def test_a_tool_comes_near_the_body_only_when_that_is_possible(session: Session) -> None:
+    assert not session.watcher.must_stay_away(100.0)
+    session.show(1.0, states=READY | {"toolplan": "0"})
+    assert not session.watcher.must_stay_away(1.0 + BRAKED - 0.1), "it may brake"
+    assert session.watcher.must_stay_away(1.0 + BRAKED_ANYHOW + 0.1)
+    for height in (0.10, 0.05, 0.06):
+        session.watcher.take_tool(tool_at(height), near=height < 0.05)
+    assert session.broken == [], "it is far, or goes away"
+    session.watcher.forget_tool()
+    session.watcher.take_tool(tool_at(0.04), near=True)
+    session.watcher.take_tool(tool_at(0.04 - 0.9 * INWARDS), near=True)
+    assert session.broken == []
+    session.watcher.take_tool(tool_at(0.04 - 1.1 * INWARDS), near=True)
+    assert session.broken == ["the_tool_comes_near_only_when_ready"]
+
+
+def test_no_daemon_and_a_latch_keep_the_tool_away_and_hands_do_not(session: Session) -> None:
+    session.show(1.0, states=READY, latched=True)
+    assert session.watcher.must_stay_away(1.0 + BRAKED_ANYHOW + 0.1)
+    session.show(10.0, states=READY)
+    assert not session.watcher.must_stay_away(20.0)
+    session.watcher.lose_daemon(20.0, crash=True)
+    assert session.watcher.must_stay_away(20.0 + BRAKED_ANYHOW + 0.1)
+    session.view.by_hand = 100.0
+    assert not session.watcher.must_stay_away(50.0)
 
 
 # -- people -------------------------------------------------------------------------------------------------

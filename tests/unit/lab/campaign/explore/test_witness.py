@@ -7,14 +7,16 @@ from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
 from pcmrs.devices.motion.press import Relief
 from pcmrs.dispatcher import DispatcherListener
 from pcmrs.journal import JournalReader
+from pcmrs.spatial import Transform
 from pcmrs_lab.campaign.explore.witness import Witness
 from tests.unit.lab.blueprints import ratms
-from tests.unit.lab.campaign.explore.ratms_views import READY, command, decided, event, joints, shown
+from tests.unit.lab.campaign.explore.ratms_views import APPROACH, READY, command, decided, event, joints, shown
 from tests.unit.lab.campaign.explore.test_view import Reader
 
 
@@ -160,6 +162,34 @@ async def test_a_pulse_that_nothing_allows_is_seen(witness: Witness) -> None:
     assert witness.violation.text.startswith("Pulse 3 was given")
 
 
+class ReportingDevice(ScriptedDevice):
+    """One that has something to report."""
+
+    async def events(self) -> AsyncIterator[Any]:
+        yield event("drives_off", danger=True)
+
+
+async def test_events_of_a_device_are_seen_and_passed_on(witness: Witness, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[str] = []
+    monkeypatch.setattr(witness.watcher, "emitted", lambda event, _now: seen.append(event.code))
+    found = witness.watched({"robot": ReportingDevice(), "stimulator": ReportingDevice()})
+    for device in found.values():
+        assert [each.code async for each in device.events()] == ["drives_off"]
+    assert seen == ["drives_off"] * 2
+
+
+async def test_commands_are_seen_when_they_arrive(witness: Witness) -> None:
+    dispatcher, _ = observed(witness)
+    witness.request_arrived("dev/robot/cmd", joints(0.0), 0.0)
+    witness.request_arrived("cmd/anna/placement/approach", command(number="a1"), 0.0)
+    witness.window_opened("plan:placement.approach", 0.5)
+    witness.window_opened("send:robot.follow", 1e9)
+    dispatcher.publish(shown(2, states=READY, running=[APPROACH]))
+    assert witness.violation is not None
+    assert witness.violation.invariant == "motions_begin_in_time"
+    assert "0.500 s planning" in witness.violation.text
+
+
 async def test_other_devices_are_served_as_they_are(witness: Witness) -> None:
     devices = {"scene": object(), "tracker": object()}
     found = witness.watched(devices)
@@ -174,12 +204,29 @@ class ScriptedScene:
     def __init__(self) -> None:
         self.arm = SimpleNamespace(positions=[0.0], at_rest=True, stopped=None, reference=None)
         self.look: Callable[[], None] | None = None
+        self.tool = Transform(np.eye(3), np.zeros(3))
+
+    def is_near_body(self, _within: float) -> bool:
+        return True
 
     @contextmanager
     def watched(self, look: Callable[[], None]) -> Iterator[None]:
         self.look = look
         yield
         self.look = None
+
+
+async def test_a_tool_that_comes_near_an_unknown_body_is_seen(witness: Witness) -> None:
+    observed(witness)
+    scene = ScriptedScene()
+    scene.arm.at_rest = False
+    with witness.watching(scene):
+        assert scene.look is not None
+        for height in (0.04, 0.03):
+            scene.tool = Transform(np.eye(3), np.array((0.0, 0.0, height)))
+            scene.look()
+    assert witness.violation is not None
+    assert witness.violation.invariant == "the_tool_comes_near_only_when_ready"
 
 
 async def test_the_arm_is_looked_at_after_every_step(witness: Witness) -> None:

@@ -34,7 +34,7 @@ class Reachable:
         self.cell = cell
         self.holder = ""
         self.endpoint = "tls/127.0.0.1:1"
-        self.peer_key = Path("slicer.key")
+        self.peer_key = Path("panel.key")
 
     @asynccontextmanager
     async def client(self, name: str) -> AsyncIterator[Person]:
@@ -241,11 +241,21 @@ class Session:
 
 async def test_no_forbidden_message_is_answered(reachable: Reachable) -> None:
     session = Session([])
-    await access._send_forbidden(reachable, session, "anna")  # type: ignore[arg-type]
+    await access.send_forbidden(reachable, session, "anna")  # type: ignore[arg-type]
     assert f"pcmrs/lab/{reachable.cell.name}/cmd/anna/lease/take_over" in session.put_to
     assert f"pcmrs/lab/{reachable.cell.name}/dev/robot/cmd" in session.put_to
     with pytest.raises(Unmet, match="cmd/anna/robot/connect was answered"):
-        await access._send_forbidden(reachable, Session([b"yes"]), "anna")  # type: ignore[arg-type]
+        await access.send_forbidden(reachable, Session([b"yes"]), "anna")  # type: ignore[arg-type]
+
+
+async def test_under_another_name_stop_and_set_points_are_sent_too(reachable: Reachable) -> None:
+    """Under their own name viewers may press Stop."""
+    own, other = Session([]), Session([])
+    await access.send_forbidden(reachable, own, "eve", is_own=True)  # type: ignore[arg-type]
+    await access.send_forbidden(reachable, other, "anna")  # type: ignore[arg-type]
+    prefix = f"pcmrs/lab/{reachable.cell.name}"
+    assert not any(key.startswith((f"{prefix}/stop", f"{prefix}/svc", f"{prefix}/teleop")) for key in own.put_to)
+    assert {f"{prefix}/{key}/anna" for key in ("stop", "teleop", "svc/setup", "svc/check")} <= set(other.put_to)
 
 
 @pytest.mark.parametrize(
@@ -280,7 +290,7 @@ class Keys(ScriptedLab):
         cell = OperatedCell(folder / "cell1")
         super().__init__(folder, cell)
         (folder / "cell1").mkdir()
-        self.keys = [folder / "daemon1" / "daemon1.key", folder / "slicer.key", folder / "cell1" / "journal.key"]
+        self.keys = [folder / "daemon1" / "daemon1.key", folder / "panel.key", folder / "cell1" / "journal.key"]
         for key in self.keys:
             key.parent.mkdir(exist_ok=True)
             key.write_text("secret")
@@ -308,7 +318,7 @@ def keys(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Keys:
 def test_a_key_that_others_may_read_is_named(monkeypatch: pytest.MonkeyPatch, keys: Keys) -> None:
     found = run(monkeypatch, access.readable_key(keys.as_lab))
     assert proves(found)
-    assert found.took_place == {"modes": dict.fromkeys(("daemon1.key", "slicer.key", "journal.key"), "0644")}
+    assert found.took_place == {"modes": dict.fromkeys(("daemon1.key", "panel.key", "journal.key"), "0644")}
     assert all(key.stat().st_mode & 0o777 == 0o600 for key in keys.keys), "they are as before"
 
 

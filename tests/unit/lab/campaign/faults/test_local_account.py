@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from pcmrs.testing.errors import Unmet
+from pcmrs_lab.campaign import without_guard
 from pcmrs_lab.campaign.fault import Evidence
 from pcmrs_lab.campaign.faults import local_account
 from pcmrs_lab.campaign.sham import sham
@@ -23,15 +24,17 @@ class Shell(ScriptedLab):
     def __init__(self, folder: Path, mode: int = 0o600, *, files: tuple[str, ...] = FILES) -> None:
         cell = OperatedCell(folder / "open")
         super().__init__(folder, cell)
+        self.unguarded = OperatedCell(folder / "unguarded")
         self._mode, self._files = mode, files
 
     def daemon(self, *overrides: str, **given: Any) -> Any:
         place, words = given["folder"], given["prefix"][2]
-        if self._mode != 0o644:
+        mode = 0o644 if without_guard.PROGRAM in given["prefix"] else self._mode
+        if mode != 0o644:
             place.chmod(0o700)
         for name in self._files:
             (place / name).write_bytes(b"x")
-            (place / name).chmod(self._mode)
+            (place / name).chmod(mode)
         probe = self.folder / "probe"
         probe.write_bytes(b"")
         probe.chmod(0o600 if "umask 077" in words else 0o644)
@@ -46,7 +49,8 @@ def test_only_the_owner_may_read_the_files(monkeypatch: pytest.MonkeyPatch, tmp_
     found = opened(monkeypatch, Shell(tmp_path))
     assert proves(found)
     assert found.took_place == {"mode_of_the_folder_before": "0755"}
-    assert found.control == {"mode_of_a_file_of_the_shell": "0644"}
+    assert found.control["mode_of_a_file_of_the_shell"] == "0644"
+    assert set(found.control["others_may_read_without_the_guard"]) == set(FILES)
     assert set(found.details["files"]) == {"open", *FILES}
 
 
@@ -89,3 +93,28 @@ def test_a_peer_with_the_name_of_people_is_refused(
     assert proves(found)
     assert found.took_place == {"said_of_the_name": errors.strip()}
     assert [settings[0].split(".")[2] for settings in lab.started] == ["local", "locals"]
+
+
+@pytest.mark.parametrize(
+    ("status", "errors", "met"),
+    [
+        (4, "Error: gateway.peers holds 'anna', and the register has 'anna'.\n", True),
+        (0, "Error: gateway.peers holds 'anna', and the register has 'anna'.\n", False),
+        (4, "Error: the key cannot be read.\n", False),
+        (4, "", False),
+    ],
+)
+def test_a_peer_with_the_name_of_a_member_is_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, status: int, errors: str, met: bool
+) -> None:
+    lab = ScriptedLab(tmp_path, OperatedCell())
+    lab.refusals = [(status, errors)]
+    work = local_account.peer_named_as_a_member(lab.as_lab)
+    if not met:
+        with pytest.raises(Unmet, match=f"It ended with {status}"):
+            run(monkeypatch, work)
+        return
+    found = run(monkeypatch, work)
+    assert proves(found)
+    assert found.took_place == {"said_of_the_name": errors.strip()}
+    assert [settings[-1].split(".")[2] for settings in lab.started] == ["anna", "another"]

@@ -135,19 +135,27 @@ def test_an_index_that_is_not_planned_is_refused(
 ) -> None:
     from pcmrs.planner import PlannerVerdict
 
-    count = len(plan().landmarks)
+    planned = [0]
+
+    def plan_landmarks(arguments: Any) -> str:
+        planned[0] = len(arguments["landmarks"])
+        return ""
 
     def code(arguments: Any) -> str:
-        return "" if 0 <= arguments["index"] < count else "no_such_landmark"
+        return "" if 0 <= arguments["index"] < planned[0] else "no_such_landmark"
 
-    cell.client.refuses["digitization.digitize_one"] = code
-    cell.planner.verdicts["img_dig_digitize"] = PlannerVerdict("rejected", "digitization", "0", "no_such_landmark", ())
+    async def command(_: str, index: int, timeout: float = 0.0) -> PlannerVerdict:
+        refused = code({"index": index})
+        return PlannerVerdict("rejected" if refused else "accepted", "digitization", "0", refused or None, ())
+
+    cell.client.refuses |= {"digitization.digitize_one": code, "registration.plan_landmarks": plan_landmarks}
+    cell.planner.command = command  # type: ignore[method-assign, assignment]
     found = ran(monkeypatch, tmp_path, cell, operator.index_out_of_range)
     assert proves(found)
     assert len(found.took_place["the daemon says of each index"]) == 3
     with sham(), pytest.raises(Unmet, match="digitize_one was accepted"):
         ran(monkeypatch, tmp_path, cell, operator.index_out_of_range)
-    cell.planner.verdicts.clear()
+    del cell.planner.command  # accepted again
     with pytest.raises(Unmet, match="Over UDP it was accepted"):
         ran(monkeypatch, tmp_path, cell, operator.index_out_of_range)
 
@@ -212,4 +220,4 @@ def test_a_plan_does_not_change_during_a_motion(
     assert found.took_place == {"a joint moves, rad/s": 0.2, "runs": ["approach"]}
     cell.client.branches["placement"] = "retracted"
     cell.client.devices["robot.joints"] = {"velocities": [0.0, 0.0]}
-    assert "a joint moves" in ran(monkeypatch, tmp_path, cell, operator.edited_while_moving).missing
+    assert "a joint moves" in ran(monkeypatch, tmp_path, cell, operator.edited_while_moving).missing("order")

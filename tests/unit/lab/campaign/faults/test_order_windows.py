@@ -68,7 +68,7 @@ def test_motions_that_were_refused_are_not_done_later(monkeypatch: pytest.Monkey
     queue(cell)
     with sham():
         found = run(monkeypatch, order_windows.queued_motions(lab_of(tmp_path, cell)))
-    assert "rejected_in_the_journal" in found.missing
+    assert "rejected_in_the_journal" in found.missing("order")
 
 
 def test_an_arm_that_is_moved_by_hand_is_held(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

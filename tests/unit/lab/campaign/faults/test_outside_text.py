@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from pcmrs.testing.errors import Unmet
+from pcmrs.visible import visible
 from pcmrs_lab.campaign.fault import Evidence
 from pcmrs_lab.campaign.faults import outside_text
 from pcmrs_lab.campaign.faults.outside_text import FORGED, MARK
@@ -20,25 +21,46 @@ PLAIN = f"warning malformed field={MARK}-plain\n"
 
 
 def logging(monkeypatch: pytest.MonkeyPatch, cell: OperatedCell, lines: dict[str, str]) -> None:
-    """A daemon that logs these lines for the names of fields."""
+    """A daemon that logs these lines for the names of fields; one without guards logs each name as it came."""
 
-    def put(_: Any, user: str, name: str) -> None:
-        cell.log += lines.get(name, f"warning malformed field={name}\n")
+    def put(to: Any, user: str, name: str) -> None:
+        known = lines if to is cell else {}
+        to.log += known.get(name, f"warning malformed field={name}\n")
 
     monkeypatch.setattr(outside_text, "_put", put)
 
 
-def escaped(monkeypatch: pytest.MonkeyPatch, folder: Path, lines: dict[str, str]) -> Evidence:
+SNAPSHOT = b"#7 registration=100\n"
+REJECTED = "rejected: registration.reinit: bad_arguments: unknown field `" + visible(FORGED) + "`\n"
+
+
+def printing(monkeypatch: pytest.MonkeyPatch, watched: str, journal: str = REJECTED, state: str = "latched\n") -> None:
+    """Commands that print this after a command with that argument was rejected."""
+    started(monkeypatch, ScriptedChild(SNAPSHOT + watched.encode()))
+
+    async def ended(words: list[str]) -> tuple[int, str]:
+        return 0, journal if "journal" in words else state
+
+    monkeypatch.setattr(outside_text, "ended", ended)
+
+
+def escaped(
+    monkeypatch: pytest.MonkeyPatch, folder: Path, lines: dict[str, str], watched: str = REJECTED, **printed: str
+) -> Evidence:
     cell = OperatedCell()
     logging(monkeypatch, cell, lines)
+    printing(monkeypatch, watched, **printed)
     return run(monkeypatch, outside_text.escape_sequences(lab_of(folder, cell)))
 
 
 def test_a_name_is_logged_without_any_effect(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     found = escaped(monkeypatch, tmp_path, {FORGED: ESCAPED})
     assert proves(found)
-    assert found.took_place == {"escapes in the log": 1}
-    assert found.control == {"times a plain name is logged as it is": 1}
+    assert found.took_place == {"escapes in the log": 1, "escapes that are printed": 2}
+    assert found.control == {
+        "raw escapes in the log without the guard": 1,
+        "times a plain name is logged as it is": 1,
+    }
 
 
 @pytest.mark.parametrize(
@@ -55,6 +77,25 @@ def test_anything_else_is_unmet(
 ) -> None:
     with pytest.raises(Unmet, match=text):
         escaped(monkeypatch, tmp_path, lines)
+
+
+@pytest.mark.parametrize(
+    ("printed", "text"),
+    [
+        ({"watched": f"rejected: {FORGED}\n"}, "watch has printed"),
+        ({"watched": f"rejected: {MARK}\n"}, "watch did not show the name"),
+        ({"watched": "rejected\n"}, f"pcmrs watch did not show {MARK}"),
+        ({"journal": f"rejected: {FORGED}\n"}, "journal has printed"),
+        ({"journal": f"rejected: {MARK} u001b\n2026-01-01 released\n"}, "journal has printed a forged line"),
+        ({"journal": "rejected\n"}, "journal did not show the name"),
+        ({"state": "\x1b[2J"}, "state has printed"),
+    ],
+)
+def test_a_command_that_prints_the_name_as_it_is_is_unmet(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, printed: dict[str, str], text: str
+) -> None:
+    with pytest.raises(Unmet, match=text):
+        escaped(monkeypatch, tmp_path, {FORGED: ESCAPED}, **printed)
 
 
 def test_a_harmless_name_is_found_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -76,7 +117,7 @@ def test_a_token_is_a_secret_file(tmp_path: Path) -> None:
     assert file.stat().st_mode & 0o777 == 0o600
 
 
-REFUSED, SERVES = b"A log line\nError: the limit is 20 characters.\n", b'starting\n{"url": "http://127.0.0.1"}\n'
+REFUSED, SERVES = b"A log line\nError: the minimum is 20.\n", b'starting\n{"url": "http://127.0.0.1"}\n'
 
 
 def opened(monkeypatch: pytest.MonkeyPatch, folder: Path, *outputs: bytes) -> Evidence:

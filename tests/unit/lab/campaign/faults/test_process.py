@@ -227,7 +227,7 @@ def test_a_stopped_daemon_is_held_by_the_node(monkeypatch: pytest.MonkeyPatch, t
 def test_a_daemon_that_was_not_stopped_proves_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     cell = OperatedCell()
     stopped(cell, monkeypatch, state="S")
-    assert "stopped" in run(monkeypatch, process.the_daemon_is_stopped(lab_of(tmp_path, cell))).missing
+    assert "stopped" in run(monkeypatch, process.the_daemon_is_stopped(lab_of(tmp_path, cell))).missing("order")
     cell = OperatedCell()
     stopped(cell, monkeypatch)
     with sham(), pytest.raises(Unmet, match="does not contain 'held_by_node'"):
@@ -251,7 +251,7 @@ def test_a_task_that_dies_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path:
     monkeypatch.setattr(cell.client, "health", health)
     assert proves(run(monkeypatch, process.a_task_dies(lab_of(tmp_path, cell))))
     tasks[0].restarts = 0
-    assert "restarts" in run(monkeypatch, process.a_task_dies(lab_of(tmp_path, cell))).missing
+    assert "restarts" in run(monkeypatch, process.a_task_dies(lab_of(tmp_path, cell))).missing("order")
 
 
 def test_a_restart_without_a_row_is_unmet(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -36,6 +36,8 @@ class Thief:
         self.source = f"bus:{CARRIED}"
         self.answers = 1
         self.seen: set[tuple[str, bytes]] = set()
+        self.ignored = 0
+        self.carried: Any = None
 
     def _why(self, key: str, payload: bytes, signature: bytes | None) -> str:
         if signature is None:
@@ -46,6 +48,13 @@ class Thief:
         if signed != f"{key} ".encode() + payload:
             return "forged"
         return "repeated" if (key, payload) in self.seen else ""
+
+    def put(self, key: str, payload: bytes, *, attachment: bytes | None) -> None:
+        why = self._why(key, payload, attachment)
+        if not why:
+            self.seen.add((key, payload))
+        else:
+            self.ignored += 1
 
     def get(self, key: str, *, payload: bytes, attachment: bytes | None, timeout: float) -> list[Any]:
         name = key.rpartition(f"/{CARRIED}/")[2]
@@ -63,6 +72,29 @@ class Thief:
         return [answer] * self.answers
 
 
+class Carried:
+    """A counted session of the router, of which the daemon drops everything in the name of others.
+
+    Attributes:
+        sent: Keys, in order, and whether somebody has signed.
+        answers: What a signed command of another user is answered with.
+    """
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[str, bool]] = []
+        self.answers: list[bytes] = []
+
+    async def put(self, key: str, _: bytes) -> None:
+        self.sent.append((key, False))
+
+    async def ask(self, key: str, _: bytes, attachment: bytes | None = None) -> list[bytes]:
+        self.sent.append((key, attachment is not None))
+        return self.answers if attachment is not None else []
+
+    async def wait_until_arrived(self) -> int:
+        return len(self.sent)
+
+
 @pytest.fixture
 def thief(monkeypatch: pytest.MonkeyPatch) -> Thief:
     made = Thief()
@@ -74,8 +106,14 @@ def thief(monkeypatch: pytest.MonkeyPatch) -> Thief:
         def sign(self, _: str, key: str, payload: bytes) -> bytes:
             return f"{self._who} {key} ".encode() + payload
 
+    cell, carried = OperatedCell(), Carried()
+
+    async def health() -> Any:
+        return SimpleNamespace(dropped={"bus.ignored": made.ignored})
+
+    monkeypatch.setattr(cell.client, "health", health)
     people = SimpleNamespace(credentials=lambda name: name)
-    open_cell = SimpleNamespace(cell=OperatedCell(), people=people, settings=lambda name: name)
+    open_cell = SimpleNamespace(cell=cell, people=people, settings=lambda name: name)
 
     @asynccontextmanager
     async def reachable(_: Any) -> AsyncIterator[Any]:
@@ -85,6 +123,12 @@ def thief(monkeypatch: pytest.MonkeyPatch) -> Thief:
     async def unmoved(_: Any) -> AsyncIterator[None]:
         yield
 
+    @asynccontextmanager
+    async def counted(*_: Any) -> AsyncIterator[Carried]:
+        yield carried
+
+    made.carried = carried
+    monkeypatch.setattr(router_taken_over, "counted_session", counted)
     monkeypatch.setattr(router_taken_over, "reachable_cell", reachable)
     monkeypatch.setattr(router_taken_over, "unmoved", unmoved)
     monkeypatch.setattr(router_taken_over, "open_session", lambda _: nullcontext(made))
@@ -131,5 +175,27 @@ def test_every_command_has_one_answer(monkeypatch: pytest.MonkeyPatch, tmp_path:
 
 
 def test_what_was_not_sent_is_found_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, thief: Thief) -> None:
-    with sham(), pytest.raises(Unmet, match="The reasons were"):
+    with sham(), pytest.raises(Unmet, match="Of 1 forged set points the daemon has ignored 0"):
+        ran(monkeypatch, tmp_path)
+
+
+def test_router_speaks_for_nobody_whom_it_does_not_carry(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, thief: Thief
+) -> None:
+    found = ran(monkeypatch, tmp_path)
+    assert found.took_place["bytes_in_the_name_of_others_at_the_daemon"] == len(thief.carried.sent)
+    keys = {key.split("/", 3)[3] for key, _ in thief.carried.sent}
+    assert {f"cmd/{name}/lease/take_over" for name in ("local", "anna", "ray", "zoe")} <= keys
+    assert {"stop/anna", "teleop/local", "dev/robot/cmd", "state/fsm", "svc/setup/anna"} <= keys
+    assert sum(signed for _, signed in thief.carried.sent) == 2
+    thief.carried.answers = [b"yes"]
+    with pytest.raises(Unmet, match="A command that ray has signed was answered"):
+        ran(monkeypatch, tmp_path)
+
+
+def test_only_the_genuine_set_point_counts_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, thief: Thief) -> None:
+    assert ran(monkeypatch, tmp_path).took_place["set_points_ignored_by_the_daemon"] == 3
+    assert thief.ignored == 3
+    monkeypatch.setattr(thief, "put", lambda *_, **__: None)
+    with pytest.raises(Unmet, match="Of 1 forged set points the daemon has ignored 0"):
         ran(monkeypatch, tmp_path)

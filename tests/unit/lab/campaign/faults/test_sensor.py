@@ -123,14 +123,16 @@ def test_a_tool_that_follows_on_is_unmet(monkeypatch: pytest.MonkeyPatch, tmp_pa
 
 
 def test_two_faults_of_one_row_keep_their_controls() -> None:
-    first = Evidence("refused", took_place={"a": 1}, control={"confirm": "accepted"})
-    second = Evidence("refused, too", took_place={"b": 2}, control={"confirm": "accepted"})
+    def evidence(response: str, **seen: int) -> Evidence:
+        return Evidence(response, took_place=seen, control={"confirm": "accepted"}, control_kind="without_fault")
+
+    first, second = evidence("refused", a=1), evidence("refused, too", b=2)
     found = sensor._combine(first, second)
     assert found.response == "refused; refused, too"
     assert found.took_place == {"a": 1, "b": 2}
     assert found.control == {"first": first.control, "second": second.control}
-    nothing = sensor._combine(first, Evidence("refused", took_place={"b": 0}, control={"confirm": "accepted"}))
-    assert "b" in nothing.missing
+    nothing = sensor._combine(first, evidence("refused", b=0))
+    assert "b" in nothing.missing("sensor")
 
 
 def test_a_reference_that_slips_ends_the_registration(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -158,7 +160,7 @@ def test_a_slip_that_moved_nothing_proves_nothing(monkeypatch: pytest.MonkeyPatc
 
     cell.scene.effects["bump_reference"] = slip
     found = ran(monkeypatch, tmp_path, cell, sensor.bumped)
-    assert "slipped_mm" in found.missing
+    assert "slipped_mm" in found.missing("order")
 
 
 def test_a_push_is_measured_by_the_arm_itself(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -222,7 +224,7 @@ def test_a_tool_definition_must_be_the_agreed_one(monkeypatch: pytest.MonkeyPatc
     with pytest.raises(Unmet, match="Exit status 2: another error"):
         start("another error")
     with sham():
-        assert "hash differs" in start(f"coil.rom {NOT_AGREED}").missing
+        assert "hash differs" in start(f"coil.rom {NOT_AGREED}").missing("order")
 
 
 def test_a_calibration_of_the_simulated_cell_can_be_read(tmp_path: Path) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import signal
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, cast
@@ -36,6 +37,7 @@ class Server:
         self.reads: Callable[[], None] = lambda: None
         self.starts: Callable[[], None] = lambda: None
         self.sent = 0
+        self.unguarded = False
         (folder / "uploads").mkdir()
         monkeypatch.setattr(uploads, "running_console", self._run)
         monkeypatch.setattr(uploads, "uploader", self._uploader)
@@ -43,7 +45,10 @@ class Server:
         monkeypatch.setattr(uploads, "process_state", lambda _: "T" if signal.SIGSTOP in self.process.signals else "S")
 
     @asynccontextmanager
-    async def _run(self, *_: Any) -> AsyncIterator[RunningConsole]:
+    async def _run(
+        self, _cell: Any, _folder: Path, _port: int, prefix: Sequence[str] = ()
+    ) -> AsyncIterator[RunningConsole]:
+        self.unguarded = bool(prefix)
         self.starts()
         yield self.console
 
@@ -60,10 +65,12 @@ class Server:
         return self.taken
 
     async def announce(self, _: int) -> tuple[int, str]:
+        if self.unguarded:
+            await asyncio.Event().wait()
         return self.announced
 
     async def send_without_length(self, _: bytes) -> tuple[int, str]:
-        return self.unmeasured
+        return (TAKEN, "") if self.unguarded else self.unmeasured
 
     @property
     def file(self) -> Path:
@@ -101,12 +108,12 @@ def test_a_refusal_must_name_the_limit(monkeypatch: pytest.MonkeyPatch, tmp_path
 
 
 def leaves(server: Server, *, removed: bool = True) -> None:
-    """A console that has a file while it reads it; the next one removes it."""
+    """A console that has a file while it reads it; the next one with its guards removes it."""
     started = [0]
 
     def starts() -> None:
         started[0] += 1
-        if started[0] == 2 and removed:
+        if started[0] == 3 and removed:
             server.file.unlink()
 
     server.reads = lambda: cast(None, server.file.write_bytes(uploads.FILE))

@@ -1,0 +1,98 @@
+"""Limits of connections without a request: they keep nobody from the page, which has a button for Stop."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import ClassVar, Final
+
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+
+MOST_SILENT: Final = 64
+"""Limit of connections on which no request has arrived. A browser sends its request at once, and needs few of them."""
+FIRST_WITHIN: Final = 10.0
+"""Limit of the time until the first request has arrived, s."""
+LONGEST_HEAD: Final = 2**16
+"""Limit of the first line and the headers of the first request, bytes."""
+
+
+class SilentConnections:
+    """Connections on which no request has arrived yet, the oldest first.
+
+    One too many ends the oldest, so that a flood of them cannot keep a browser out, whose request comes at once.
+    """
+
+    def __init__(self) -> None:
+        self._open: dict[asyncio.BaseTransport, asyncio.TimerHandle] = {}
+        self._received: dict[asyncio.BaseTransport, int] = {}
+
+    def __len__(self) -> int:
+        return len(self._open)
+
+    def add(self, transport: asyncio.Transport) -> None:
+        """Add a new connection; end the oldest if there are too many, and this one if no request arrives in time."""
+        if len(self._open) >= MOST_SILENT:
+            self._end(next(iter(self._open)))
+        self._open[transport] = asyncio.get_running_loop().call_later(FIRST_WITHIN, self._end, transport)
+        self._received[transport] = 0
+
+    def receive(self, transport: asyncio.Transport, count: int) -> None:
+        """Count the bytes of a request that has not arrived as a whole; end the connection if they are too many.
+
+        Args:
+            transport: The connection; one on which a request has arrived is ignored.
+            count: Number of bytes.
+        """
+        if transport in self._open:
+            self._received[transport] += count
+            if self._received[transport] > LONGEST_HEAD:
+                self._end(transport)
+
+    def remove(self, transport: asyncio.BaseTransport) -> None:
+        """Remove a connection on which a request has arrived, or that has ended."""
+        timer = self._open.pop(transport, None)
+        if timer is not None:
+            timer.cancel()
+            del self._received[transport]
+
+    def _end(self, transport: asyncio.BaseTransport) -> None:
+        self.remove(transport)
+        transport.close()
+
+
+class LimitedProtocol(HttpToolsProtocol):
+    """HTTP of one connection, within the limits of `silent`.
+
+    Attributes:
+        silent: Connections of the server that have not sent a request.
+    """
+
+    silent: ClassVar[SilentConnections]
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """See `asyncio.BaseProtocol.connection_made`."""
+        super().connection_made(transport)
+        self.silent.add(transport)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """See `asyncio.BaseProtocol.connection_lost`."""
+        self.silent.remove(self.transport)
+        super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        """See `asyncio.Protocol.data_received`."""
+        super().data_received(data)
+        self.silent.receive(self.transport, len(data))
+
+    def on_headers_complete(self) -> None:
+        """Called by the parser."""
+        self.silent.remove(self.transport)
+        super().on_headers_complete()
+
+
+def limited_protocol() -> type[LimitedProtocol]:
+    """Return the protocol of a new server, with its own connections."""
+
+    class ServerProtocol(LimitedProtocol):
+        silent = SilentConnections()
+
+    return ServerProtocol
