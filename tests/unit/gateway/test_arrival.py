@@ -120,7 +120,7 @@ def test_motion_over_a_connection_not_yet_accepted_is_late(new_loop: NewLoop, tm
     assert run(new_loop, tmp_path, scenario).operations == ["approach"]
 
 
-def test_the_part_of_a_command_that_was_read_does_not_make_it_old(tmp_path: Path) -> None:
+def test_a_part_of_a_command_that_was_read_does_not_make_it_old(tmp_path: Path) -> None:
     async def scenario(opened: Opened) -> None:
         end = opened("tcp")
         end.send(OTHER + MOTION[:8])

@@ -67,7 +67,7 @@ def test_a_thread_that_rests_again_gets_the_policy_back() -> None:
         child.kill()
 
 
-def test_threads_of_processes_without_the_policy_are_rarely_listed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_threads_of_processes_without_policy_are_rarely_listed(monkeypatch: pytest.MonkeyPatch) -> None:
     listed: list[int] = []
 
     class Listed(Threads):
@@ -83,7 +83,7 @@ def test_threads_of_processes_without_the_policy_are_rarely_listed(monkeypatch: 
 
 
 @needs_permission
-def test_runaway_beside_a_main_thread_without_the_policy_is_found() -> None:
+def test_runaway_beside_a_main_thread_without_policy_is_found() -> None:
     code = f"import os, threading\ndef away():\n  os.sched_setscheduler(0, {REALTIME}, os.sched_param(10))\n"
     code += "  while True: pass\n"
     code += "threading.Thread(target=away, daemon=True).start()\nprint('here', flush=True)\ninput()"

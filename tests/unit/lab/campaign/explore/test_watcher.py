@@ -432,7 +432,7 @@ def test_a_tool_comes_near_the_body_only_when_that_is_possible(session: Session)
     assert session.broken == ["the_tool_comes_near_only_when_ready"]
 
 
-def test_no_daemon_and_a_latch_keep_the_tool_away_and_hands_do_not(session: Session) -> None:
+def test_no_daemon_and_a_latch_keep_the_tool_away(session: Session) -> None:
     session.show(1.0, states=READY, latched=True)
     assert session.watcher.must_stay_away(1.0 + BRAKED_ANYHOW + 0.1)
     session.show(10.0, states=READY)
