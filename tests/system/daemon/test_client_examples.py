@@ -61,9 +61,10 @@ async def test_each_program_does_what_it_says(tmp_path: Path) -> None:
         rows = list(csv.DictReader(StringIO(await poses)))
         assert {row["body"] for row in rows} >= {"coil", "body_ref"}
         for verdict in ("approach: failed", "approach: rejected", "back_off: accepted"):
-            while not (seen := await line_of(watching)).startswith("placement."):
-                pass  # a slow reader misses a state that lasts 0.1 s, but no verdict
-            assert seen == f"placement.{verdict}"
+            # A slow reader misses a state that lasts 0.1 s, but no verdict. Kept verdicts of place.py, of which one is
+            # a rejected approach, too, may come first.
+            while await line_of(watching) != f"placement.{verdict}":
+                pass
         watching.send_signal(signal.SIGINT)
         await asyncio.wait_for(watching.communicate(), 60.0)
         await run(cell, "watch.py", "1")  # ends by itself
