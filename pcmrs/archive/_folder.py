@@ -94,7 +94,7 @@ class FolderStore:
                 what = f"{path} has another SHA-256 than the catalogue"
                 raise altered(segment.journal, segment.first, segment.last, what)
             return pq.ParquetFile(path).read()
-        except (OSError, pa.ArrowException) as error:
+        except (OSError, ValueError, pa.ArrowException) as error:  # ValueError: a name in the file is not UTF-8
             what = f"{path} cannot be read ({error})"
             raise altered(segment.journal, segment.first, segment.last, what) from error
 
