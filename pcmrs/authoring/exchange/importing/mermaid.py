@@ -209,7 +209,10 @@ class _Maker:
                 if homes[name].region is region:
                     self._add_state(region, inside, Node(name, place, title=region.described.get(name, "")))
             for name, inner in region.composites.items():
-                if homes[name].region is region:
+                if name not in homes:
+                    text = f"{name} is the start or the end, which has no inside: give the state a name."
+                    self._findings.add("not_supported", text, inner[0].place)
+                elif homes[name].region is region:
                     self._add_states(inner, self._nodes[name], homes)
                 else:
                     text = f"The state {name!r} is opened twice, in different regions."
