@@ -20,7 +20,7 @@ EXTRAS := daemon recording report authoring hardware console imaging ros2 archiv
 # Some containers set it; each process would then compile every module that it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install demo test check quick nightly evidence mutants fuzz tools spin browser mono screenshots docs lint lock release clean
+.PHONY: help install demo test check quick nightly evidence mutants fuzz bench tools spin browser mono screenshots docs lint lock release clean
 
 help: ## List these targets
 	@sed -nE 's/^([a-z]+):[^#]*## (.*)/  make \1\t\2/p' Makefile
@@ -68,6 +68,9 @@ browser: ## Install the browser that the console is tested in (Debian packages, 
 mono: ## Install the C# compiler that the Unity client is tested with (Debian packages, as root); without it those tests are skipped
 	apt-get update -qq
 	DEBIAN_FRONTEND=noninteractive apt-get install -qq --no-install-recommends mono-mcs >/dev/null
+
+bench: install ## Measure every figure of speed beside its peer and write benchmarks/RESULTS.md (10 minutes)
+	$(BIN)/python benchmarks/bench.py $(OPTIONS)
 
 docs: install ## Build the documentation into site/, strictly: a broken link fails
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet

@@ -4,7 +4,7 @@ Prints p50, p99 and max in µs and the ratio of the medians. The server runs in 
 dispatcher, RATMS workflow and journal, without devices, since the requested commands need none
 (`toolplan.plan`, accepted, changes a state; `registration.register`, rejected). Clients and servers share the machine.
 
-    .venv/bin/python benchmarks/dispatch.py [--count 3000] [--warm-up 300] [--fsync with|without|both]
+    .venv/bin/python benchmarks/dispatch.py [--count 3000] [--warm-up 300] [--fsync with|without|both] [--json]
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ from pcmrs.workflows.surface import read_surface
 
 PAUSE = 0.0005  # s between commands; planners leave far more, so this measures latency and not throughput
 PLAN = {"position": [0.0, 0.05, 0.1], "quat_xyzw": [0.0, 0.0, 0.0, 1.0]}
-FSYNC: dict[str, tuple[bool, ...]] = {"without": (False,), "with": (True,), "both": (False, True)}
+FSYNC = {"without": ("without",), "with": ("with",), "both": ("without", "with")}
 
 
 class Echo(asyncio.DatagramProtocol):
@@ -253,22 +253,30 @@ def server(endpoint: str, folder: Path, durable: bool) -> Any:
         process.wait(timeout=20)
 
 
-def row(name: str, times: list[float], base: list[float] | None = None) -> None:
-    """Print one row of the table.
+def spread(times: list[float]) -> dict[str, float]:
+    """Return median, 99th percentile and maximum, µs.
 
     Args:
-        name: Name of the row.
         times: Times, µs.
-        base: Times of the bare counterpart; None if this is one.
     """
     ordered = sorted(times)
     p99 = ordered[int(0.99 * (len(ordered) - 1))]
-    ratio = f"{median(times) / median(base):6.2f}" if base else "  1.00"
-    print(f"  {name:<44} {median(times):8.0f} {p99:8.0f} {ordered[-1]:8.0f} {ratio}")
+    return {"p50": round(median(ordered), 1), "p99": round(p99, 1), "max": round(ordered[-1], 1)}
 
 
-def compare(durable: bool, count: int, warm_up: int) -> None:
-    """Measure all kinds of commands and print a table.
+ECHO, REJECTED, ACCEPTED = (
+    "UDP, bare asyncio echo (uvloop)",
+    "UDP command, rejected",
+    "UDP command, accepted and committed",
+)
+QUERY, ACCEPTED_QUERY = "Zenoh, bare query answered in the loop", "Zenoh query, accepted and committed"
+COMMIT = "one SQLite commit with fsync, alone"
+BARE = {REJECTED: ECHO, ACCEPTED: ECHO, ACCEPTED_QUERY: QUERY}
+"""Rows of the table, and the bare counterpart of each that has one."""
+
+
+def compare(durable: bool, count: int, warm_up: int) -> dict[str, dict[str, float]]:
+    """Return the times from each kind of command to its verdict, and of its bare counterpart, µs.
 
     Args:
         durable: True to synchronise every commit.
@@ -276,39 +284,44 @@ def compare(durable: bool, count: int, warm_up: int) -> None:
         warm_up: Number of commands before those.
     """
     endpoint = f"tcp/127.0.0.1:{free_port()}"
+    found = {}
     with tempfile.TemporaryDirectory(dir=os.environ.get("BENCHMARK_FOLDER")) as name:
         folder = Path(name)
         with server(endpoint, folder, durable) as ports:
-            kind = "with" if durable else "without"
-            print(f"journal {kind} fsync: p50, p99, max in µs; ratio of p50 to the bare one")
-            echo = measure_udp(ports["echo"], [b"x" * 30] * (count + warm_up))[warm_up:]
-            row("UDP, bare asyncio echo (uvloop)", echo)
-            row(
-                "UDP command → verdict, rejected",
-                measure_udp(ports["planner"], register_datagrams(count + warm_up))[warm_up:],
-                echo,
-            )
-            plans = measure_plans(ports["planner"], count + warm_up)[warm_up:]
-            row("UDP command → verdict, accepted and committed", plans, echo)
+            every = count + warm_up
+            found[ECHO] = spread(measure_udp(ports["echo"], [b"x" * 30] * every)[warm_up:])
+            found[REJECTED] = spread(measure_udp(ports["planner"], register_datagrams(every))[warm_up:])
+            found[ACCEPTED] = spread(measure_plans(ports["planner"], every)[warm_up:])
             config = zenoh.Config()
             config.insert_json5("mode", '"client"')
             config.insert_json5("connect/endpoints", json.dumps([endpoint]))
             config.insert_json5("scouting/multicast/enabled", "false")
             with zenoh.open(config) as session:
                 prefix = "pcmrs/lab/benchmark"
-                empty = [b"{}"] * (count + warm_up)
-                bare = measure_query(session, f"{prefix}/svc/echo", empty)[warm_up:]
-                row("Zenoh, bare query answered in the loop", bare)
-                payloads = [msgspec.json.encode({"arguments": PLAN})] * (count + warm_up)
-                planned = measure_query(session, f"{prefix}/cmd/local/toolplan/plan", payloads)[warm_up:]
-                row("Zenoh query → verdict, accepted and committed", planned, bare)
+                found[QUERY] = spread(measure_query(session, f"{prefix}/svc/echo", [b"{}"] * every)[warm_up:])
+                payloads = [msgspec.json.encode({"arguments": PLAN})] * every
+                planned = measure_query(session, f"{prefix}/cmd/local/toolplan/plan", payloads)
+                found[ACCEPTED_QUERY] = spread(planned[warm_up:])
             if durable:
-                commit = measure_commit(folder, count)
-                row("one SQLite commit with fsync, alone", commit, echo)
-                aim = median(echo) + median(commit) + 100.0
-                print(
-                    f"  aim for an accepted command: echo + commit + 100 = {aim:.0f} µs, found {median(plans):.0f} µs"
-                )
+                found[COMMIT] = spread(measure_commit(folder, count))
+    return found
+
+
+def show(kind: str, found: dict[str, dict[str, float]]) -> None:
+    """Print the times as a table.
+
+    Args:
+        kind: ``with`` or ``without`` fsync.
+        found: Times of each row, µs.
+    """
+    print(f"journal {kind} fsync: p50, p99, max in µs; ratio of p50 to the bare one")
+    for name, times in found.items():
+        ratio = times["p50"] / found[BARE.get(name, name)]["p50"]
+        print(f"  {name:<44} {times['p50']:8.0f} {times['p99']:8.0f} {times['max']:8.0f} {ratio:6.2f}")
+    if COMMIT in found:
+        aim = found[ECHO]["p50"] + 2 * found[COMMIT]["p50"] + 150.0
+        accepted = found[ACCEPTED]["p50"]
+        print(f"  aim for an accepted command: echo + two flushes + 150 = {aim:.0f} µs, found {accepted:.0f} µs")
 
 
 def main() -> None:
@@ -319,6 +332,7 @@ def main() -> None:
     parser.add_argument(
         "--fsync", choices=FSYNC, default="both", help="journal with fsync, without, or one after the other"
     )
+    parser.add_argument("--json", action="store_true")
     parser.add_argument("--serve", nargs=2, metavar=("ENDPOINT", "FOLDER"), help=argparse.SUPPRESS)
     parser.add_argument("--durable", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
@@ -327,10 +341,14 @@ def main() -> None:
         with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
             runner.run(serve(endpoint, Path(folder), arguments.durable))
         return
+    found = {kind: compare(kind == "with", arguments.count, arguments.warm_up) for kind in FSYNC[arguments.fsync]}
+    if arguments.json:
+        print(json.dumps(found))
+        return
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     print(f"{machine}, {arguments.count} commands each")
-    for durable in FSYNC[arguments.fsync]:
-        compare(durable, arguments.count, arguments.warm_up)
+    for kind, times in found.items():
+        show(kind, times)
 
 
 if __name__ == "__main__":

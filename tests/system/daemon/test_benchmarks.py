@@ -135,3 +135,25 @@ def test_processes_of_a_cell_at_rest_are_measured() -> None:
     found = json.loads(measured.stdout)
     assert {"daemon", "node"} <= {each["process"] for each in found["processes"]}
     assert found["total"]["pss_mb"] > 0.0
+
+
+def test_commands_to_the_whole_daemon_are_measured() -> None:
+    pytest.importorskip("mujoco")
+    words = ["--count", "3", "--rounds", "1", "--ram", "--quiet-cell", "--without-chain", "--json"]
+    command = [sys.executable, str(BENCHMARKS / "command.py"), *words]
+
+    measured = subprocess.run(command, capture_output=True, text=True, check=False)
+
+    assert measured.returncode == 0, measured.stderr
+    assert json.loads(measured.stdout).keys() == {"echo", "accepted", "rejected", "commit"}
+
+
+def test_start_and_command_line_are_measured() -> None:
+    pytest.importorskip("mujoco")
+    command = [sys.executable, str(BENCHMARKS / "start.py"), "--runs", "1", "--json"]
+
+    measured = subprocess.run(command, capture_output=True, text=True, check=False)
+
+    assert measured.returncode == 0, measured.stderr
+    found = json.loads(measured.stdout)
+    assert found["answer"] > found["python"] > 0.0

@@ -27,6 +27,7 @@ WITH_DAEMONS = {
     "visualization.py": ["--rates", "60", "--seconds", "1"],
 }
 NOT_RUN = {
+    "bench.py": "CI runs its check of the budgets, and it runs the others",
     "console.py": "it needs a browser, in which `pytest -m browser` runs the same page",
     "loaded.py": "it runs the demo, which tests run, too",
     "reliability.py": "it runs the campaign, which `make nightly` runs",
