@@ -139,8 +139,9 @@ async def route() -> dict[str, int]:
                     link.sendto(format_command("target_tslxxxxxx", 0.0, 0.05, 0.1, client_id=str(2 * n + 1)))
                     await reader.get()
                     await asyncio.sleep(0.05)
+            last = format_command("target_tslxxxxxx", 0.0, 0.05, 0.1, client_id="39")
             with counted:
-                link.sendto(format_command("target_tslxxxxxx", 0.0, 0.05, 0.1, client_id="39"))
+                link.sendto(last)
                 answer = await reader.get()
             link.close()
             if b"accepted" not in answer:

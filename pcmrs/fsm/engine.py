@@ -110,7 +110,7 @@ class Engine:
             return situation.answers.setdefault((branch, operation), found)
 
     def _situation(self, states: Mapping[str, str]) -> _Situation:
-        key = tuple(states[branch] for branch in self.blueprint.branches)
+        key = tuple(map(states.__getitem__, self.blueprint.branches))
         if key not in self._situations:
             self._situations[key] = _Situation(dict(zip(self.blueprint.branches, key, strict=True)))
         return self._situations[key]
