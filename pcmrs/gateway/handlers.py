@@ -10,9 +10,8 @@ from uuid import uuid4
 from pcmrs.clock import Clock
 from pcmrs.errors import RefusalError
 from pcmrs.gateway._adapter import Core
-from pcmrs.gateway._command_outcome import CommandOutcome, of_verdict
 from pcmrs.gateway.commands import Action, CommandStep, PlanKind
-from pcmrs.gateway.grammar import StringCommand
+from pcmrs.gateway.grammar import CommandOutcome, StringCommand, of_verdict
 from pcmrs.gateway.pose_files import PoseFileWriter
 from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.gateway.streams import Streams

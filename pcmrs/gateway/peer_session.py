@@ -14,9 +14,8 @@ from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.verdict_cache import CommandCache
 from pcmrs.errors import PcmrsError, RefusalError
-from pcmrs.gateway._command_outcome import NO_DATA, CommandOutcome
 from pcmrs.gateway.commands import Action, Second
-from pcmrs.gateway.grammar import StringCommand
+from pcmrs.gateway.grammar import NO_DATA, CommandOutcome, StringCommand
 from pcmrs.gateway.handlers import CommandHandlers, Job
 from pcmrs.messages import Command
 
