@@ -19,9 +19,8 @@ from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.errors import PayloadError, RefusalError
 from pcmrs.gateway._arrival import ReceiveQueue, ReceiveWatch
-from pcmrs.gateway._connections import ConnectionLimit
 from pcmrs.gateway.grammar import MAX_BYTES, may_become_command
-from pcmrs.gateway.intake import Intake
+from pcmrs.gateway.intake import ConnectionLimit, Intake
 from pcmrs.gateway.peer_session import ReplyChannel
 from pcmrs.hosts import is_loopback
 

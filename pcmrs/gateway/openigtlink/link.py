@@ -15,8 +15,7 @@ from pcmrs.devices.plus.frames import MessageReader
 from pcmrs.dispatcher import DispatcherListener
 from pcmrs.errors import PayloadError
 from pcmrs.gateway._adapter import Core
-from pcmrs.gateway._connections import ConnectionLimit, peer_of
-from pcmrs.gateway.intake import Intake, source_of
+from pcmrs.gateway.intake import ConnectionLimit, Intake, peer_of, source_of
 from pcmrs.gateway.openigtlink._broadcaster import Broadcaster
 from pcmrs.gateway.openigtlink._peer import KINDS, Peer
 from pcmrs.gateway.openigtlink._plan_submitter import Answer, PlanSubmitter
