@@ -9,9 +9,8 @@ from typing import Any
 from pcmrs.devices.plus.messages import STATUS_EMERGENCY, STATUS_ERROR, STATUS_OK, StatusMessage, text_message
 from pcmrs.errors import PayloadError
 from pcmrs.gateway.commands import PlanKind
-from pcmrs.gateway.openigtlink import plans
 from pcmrs.gateway.openigtlink._outbox import Outbox
-from pcmrs.gateway.openigtlink._plan_submitter import Answer, PlanSubmitter
+from pcmrs.gateway.openigtlink.plans import Answer, PlanSubmitter, landmarks, target
 from pcmrs.gateway.settings import OpenIgtLinkConfig
 
 KINDS = ("TRANSFORM", "POINT", "STRING")
@@ -57,10 +56,10 @@ class Peer:
             self._planner.stop()
         elif kind == "TRANSFORM" and name == self._config.target:
             matrix = message.matrix.tolist()
-            self._plan(PlanKind.POSE, repr(matrix), partial(plans.target, matrix))
+            self._plan(PlanKind.POSE, repr(matrix), partial(target, matrix))
         elif kind == "POINT" and name == self._config.landmarks:
             points = message.positions, message.names
-            self._plan(PlanKind.LANDMARKS, repr(points), partial(plans.landmarks, *points))
+            self._plan(PlanKind.LANDMARKS, repr(points), partial(landmarks, *points))
 
     def halt(self) -> None:
         """Reject the commands that wait, because of Stop."""
