@@ -16,8 +16,8 @@ from pcmrs.dispatcher import DispatcherListener
 from pcmrs.errors import PayloadError
 from pcmrs.gateway._adapter import Core
 from pcmrs.gateway.intake import ConnectionLimit, Intake, peer_of, source_of
-from pcmrs.gateway.openigtlink._broadcaster import Broadcaster
 from pcmrs.gateway.openigtlink._peer import KINDS, Peer
+from pcmrs.gateway.openigtlink._streams import Broadcaster
 from pcmrs.gateway.openigtlink.plans import Answer, PlanSubmitter
 from pcmrs.gateway.periodic_timer import PeriodicTask, kernel_beats
 from pcmrs.gateway.settings import GatewayConfig
