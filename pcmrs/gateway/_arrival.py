@@ -123,6 +123,6 @@ class ReceiveWatch:
 
 
 def _stamp(descriptor: int) -> float:
-    """Returns the stamp of the datagram that was read last, Unix seconds."""
+    """Return the stamp of the datagram that was read last, Unix seconds."""
     seconds, nanoseconds = _TIMESPEC.unpack(fcntl.ioctl(descriptor, _SIOCGSTAMPNS, bytes(_TIMESPEC.size)))
     return float(seconds + nanoseconds * 1e-9)

@@ -172,7 +172,7 @@ class Intake(DispatcherListener):
         return self._locks.setdefault(holder, PlanLock())
 
     def _check_unsigned(self, host: str, exposed: bool) -> None:
-        """Refuses unsigned commands, except from listed loopback peers on loopback links."""
+        """Refuse unsigned commands, except from listed loopback peers on loopback links."""
         if exposed:
             raise PayloadError("The link is not bound to loopback, so it refuses unsigned commands: sign them.")
         if host not in self._unsigned_peers:
@@ -189,7 +189,7 @@ class Intake(DispatcherListener):
         self._session(source_of(link, peer), peer[0], ON_SITE).receive(request, answer, arrived)
 
     def _receive_signed(self, link: str, signed: Signed, answer: ReplyChannel, arrived: float) -> None:
-        """Answers an authentic datagram, refused or not; raises for any other, which gets no answer."""
+        """Answer an authentic datagram, refused or not; raise for any other, which gets no answer."""
         if self._admission is None:
             raise RefusalError(UNKNOWN_PEER, "No peer has a key; make one with: pcmrs peers new NAME.")
         peer = self._admission.identify(signed)
@@ -209,7 +209,7 @@ class Intake(DispatcherListener):
         arrived: float,
         refusal: RefusalError | None,
     ) -> None:
-        """Begins a peer's command; its session, lock and ids are its own, whatever address it sends from."""
+        """Begin a peer's command; its session, lock and ids are its own, whatever address it sends from."""
         if refusal is not None:
             self._count(refusal.refusal_code)
         self._session(peer.source, peer.source, peer.asker).receive(request, answer, arrived, refusal)

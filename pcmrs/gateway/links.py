@@ -126,7 +126,7 @@ def _open_admission(
 
 
 def _report_reset(core: Core, peers: Mapping[str, PeerConfig], path: Path) -> None:
-    """Warns that in a new folder every counter begins at 0, so that recorded commands could be sent again."""
+    """Warn that in a new folder every counter begins at 0, so that recorded commands could be sent again."""
     growing = ", ".join(sorted(name for name, peer in peers.items() if peer.counter != UNIX_NS))
     text = f"{path} is new: counters of signed peers begin at 0. If this cell had another folder, copy it from there."
     if growing:
@@ -136,7 +136,7 @@ def _report_reset(core: Core, peers: Mapping[str, PeerConfig], path: Path) -> No
 
 
 async def _open_sender(stack: AsyncExitStack) -> Send:
-    """Opens a separate socket for streams, so that a mixed reality host need not be reachable from loopback."""
+    """Open a separate socket for streams, so that a mixed reality host need not be reachable from loopback."""
     transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
         asyncio.DatagramProtocol, family=socket.AF_INET
     )

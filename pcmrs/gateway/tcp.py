@@ -190,7 +190,7 @@ class TcpLink:
             self._tasks.spawn(self._serve(reader, writer, peer))
 
     async def _serve(self, reader: _CountingReader, writer: asyncio.StreamWriter, peer: tuple[str, int]) -> None:
-        """Reads until the peer closes, breaks the grammar, or fails to authenticate in time."""
+        """Read until the peer closes, breaks the grammar, or fails to authenticate in time."""
         connection = _Connection(self._intake, self._watch, reader, writer, peer, self._exposed)
         try:
             async with self._clock.timeout(FIRST_WITHIN):

@@ -84,7 +84,7 @@ class Peer:
         self.outbox.put_pose("PcmrsStatus", status.pack())
 
     def _plan(self, kind: PlanKind, content: str, arguments: Callable[[], dict[str, Any]]) -> None:
-        """Submits a plan if it has changed: Slicer resends a node whenever it is touched."""
+        """Submit a plan if it has changed: Slicer resends a node whenever it is touched."""
         self._check_trusted()
         if self._last.get(kind) == content:
             return

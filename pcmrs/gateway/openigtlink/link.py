@@ -119,7 +119,7 @@ class OpenIgtLink(DispatcherListener):
             self._limit.free(address)
 
     async def _keep_connected(self) -> None:
-        """Connects to Slicer's server, and reconnects; its absence is logged once."""
+        """Connect to Slicer's server, and reconnect; its absence is logged once."""
         server, absent = f"{self._config.host}:{self._config.port}", False
         while True:
             try:
@@ -141,7 +141,7 @@ class OpenIgtLink(DispatcherListener):
     async def _serve(
         self, stream: asyncio.StreamReader, writer: asyncio.StreamWriter, address: tuple[str, int]
     ) -> None:
-        """Serves one connection until either side ends it.
+        """Serve one connection until either side ends it.
 
         A peer that sends nothing stays, since it may only look. One that reads nothing is disconnected by `_send`.
         """
@@ -189,7 +189,7 @@ class OpenIgtLink(DispatcherListener):
             self._intake.counters.received += 1
 
     async def _send(self, peer: Peer, writer: asyncio.StreamWriter) -> None:
-        """Sends to a peer. One that reads nothing is disconnected, which ends the reception from it, too."""
+        """Send to a peer. One that reads nothing is disconnected, which ends the reception from it, too."""
         try:
             await peer.outbox.send(writer, self._clock)
         except TimeoutError:

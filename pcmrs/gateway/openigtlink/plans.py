@@ -168,7 +168,7 @@ class PlanSubmitter:
         self._working = False
 
     async def _decide(self, kind: PlanKind, attempt: Attempt) -> Answer:
-        """Returns the answer to a plan, however it ends."""
+        """Return the answer to a plan, however it ends."""
         branch, operation = OPERATIONS[kind]
         name = f"{branch}.{operation}"
         try:
