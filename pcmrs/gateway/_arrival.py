@@ -4,7 +4,8 @@ If the loop is held up, a command waits in the queue of its socket. It must not 
 may not expect a motion any more. The earliest possible time of its arrival counts instead:
 
 - `ReceiveWatch` asks the kernel periodically which sockets have nothing to read. Whatever is read later has arrived
-  after that.
+  after that. It asks also while nothing arrives: an event loop does not say when it began to wait, so a socket that is
+  readable after a rest of the watch could have been readable since the rest began.
 - The kernel also stamps each datagram. It uses the wall clock, which may be set at any time, so a stamp counts only if
   it lies between the last empty queue and the present.
 
@@ -123,6 +124,6 @@ class ReceiveWatch:
 
 
 def _stamp(descriptor: int) -> float:
-    """Returns the stamp of the datagram that was read last, Unix seconds."""
+    """Return the stamp of the datagram that was read last, Unix seconds."""
     seconds, nanoseconds = _TIMESPEC.unpack(fcntl.ioctl(descriptor, _SIOCGSTAMPNS, bytes(_TIMESPEC.size)))
     return float(seconds + nanoseconds * 1e-9)

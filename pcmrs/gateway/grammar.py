@@ -1,9 +1,13 @@
-"""Grammar of command datagrams: bytes to command and back, checked as a whole.
+"""Grammar of command datagrams and of the replies: bytes to command and back, checked as a whole, and outcome to text.
 
 A datagram is ``<16 characters>[_<token>...][_#<id>];``, printable ASCII, at most 256 bytes. Numbers are decimal
 (``-0.5``, ``1e-3``) and finite. The last token ``#<id>``, 1 to 10 digits, asks for a verdict reply; a path token
 takes everything between, so a path cannot itself end in such a token. A signature behind the terminator is taken off
 before: see `pcmrs.gateway.signing`.
+
+Verdict reply: ``<id>_accepted_<branch>_<state>[_<number>...];`` or ``<id>_rejected_<branch>_<state>_<reason>;`` or the
+same with ``failed``. ``_`` inside a branch or state is written ``-``; the reason is everything after the fourth
+separator and may itself hold ``_``. An unknown outcome is ``failed`` with the reason ``outcome_unknown``.
 """
 
 from __future__ import annotations
@@ -11,13 +15,20 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
-from pcmrs.errors import PayloadError
-from pcmrs.gateway.commands import COMMANDS, Kind, Spec, Value
+from pcmrs.errors import PayloadError, UnknownOutcomeError
+from pcmrs.gateway.commands import COMMANDS, Kind, Second, Spec, Value
+
+if TYPE_CHECKING:
+    # Only for annotations: a planner shares this grammar and must not load the messages of the bus for it.
+    from pcmrs.messages import Verdict
 
 MAX_BYTES = 256
 NAME_LENGTH = 16
 TOOL_POINTS_PREFIX = "__msg_toolpose_"
+NO_DATA = "no_data_returned;"
+"""Second datagram of a command that has no result."""
 
 _COUNT = re.compile(r"[0-9]{1,3}")
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
@@ -162,3 +173,54 @@ def _token(value: Value) -> str:
     if isinstance(value, int):
         return f"{value:02d}"
     return repr(value) if isinstance(value, float) else value
+
+
+@dataclass(frozen=True, slots=True)
+class CommandOutcome:
+    """Outcome of a command.
+
+    Attributes:
+        reason: Code of the reason; None if accepted.
+        numbers: Results in the units of the wire.
+    """
+
+    decision: Literal["accepted", "rejected", "failed"]
+    branch: str
+    state: str
+    reason: str | None = None
+    numbers: tuple[float, ...] = ()
+
+    def reply(self, client_id: str) -> str:
+        """Return the verdict reply to the command `client_id`."""
+        head = [client_id, self.decision, self.branch.replace("_", "-"), self.state.replace("_", "-")]
+        tail = [self.reason] if self.reason else [f"{number:.6g}" for number in self.numbers]
+        return "_".join([*head, *tail]) + ";"
+
+    def second(self, kind: Second) -> str:
+        """Return the second datagram for clients without verdict replies: numbers if accepted."""
+        if self.decision != "accepted" or not self.numbers:
+            return NO_DATA
+        if kind is Second.RESIDUAL:
+            return f"{self.numbers[0]:.6f}"
+        return "".join(f"{number:.6f}_" for number in self.numbers)
+
+
+def of_verdict(verdict: Verdict) -> CommandOutcome:
+    """Return the outcome of a dispatcher's verdict."""
+    if verdict.decision == "accepted":
+        return CommandOutcome("accepted", verdict.branch, verdict.state, numbers=_numbers(verdict.result or {}))
+    if verdict.decision == "unknown":
+        return CommandOutcome("failed", verdict.branch, verdict.state, UnknownOutcomeError.code)
+    code = verdict.reason.code if verdict.reason else verdict.decision
+    return CommandOutcome(verdict.decision, verdict.branch, verdict.state, code)
+
+
+def _numbers(result: dict[str, Any]) -> tuple[float, ...]:
+    """Residual in mm; or the measured pose (m, ``xyzw``, image) with its errors in mm and degrees."""
+    if "residual" in result:
+        return (result["residual"] * 1e3,)
+    if "measured" in result:
+        measured = result["measured"]
+        errors = (result["translation_error"] * 1e3, math.degrees(result["rotation_error"]))
+        return (*measured["position"], *measured["quat_xyzw"], *errors)
+    return ()

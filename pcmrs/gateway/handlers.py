@@ -10,9 +10,8 @@ from uuid import uuid4
 from pcmrs.clock import Clock
 from pcmrs.errors import RefusalError
 from pcmrs.gateway._adapter import Core
-from pcmrs.gateway._command_outcome import CommandOutcome, of_verdict
 from pcmrs.gateway.commands import Action, CommandStep, PlanKind
-from pcmrs.gateway.grammar import StringCommand
+from pcmrs.gateway.grammar import CommandOutcome, StringCommand, of_verdict
 from pcmrs.gateway.pose_files import PoseFileWriter
 from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.gateway.streams import Streams
@@ -334,7 +333,7 @@ class CommandHandlers:
         return outcome
 
     async def _run_steps(self, request: StringCommand, arguments: dict[str, Any], arrived: float) -> CommandOutcome:
-        """Submits the operations in order; the first that is not accepted ends the command.
+        """Submit the operations in order; the first that is not accepted ends the command.
 
         The age of the first one counts from the arrival of the command, so that its wait here counts; that of each
         further one counts from the end of the one before, so that a loop that is held up in between counts.
@@ -361,7 +360,7 @@ class CommandHandlers:
         arguments: dict[str, Any],
         arrived: float | None = None,
     ) -> tuple[CommandOutcome, float]:
-        """Performs one operation; returns its outcome, and when it ended."""
+        """Perform one operation; return its outcome, and when it ended."""
         unique = f"{self._services.run}-{request.id}-{number}" if request.id is not None else uuid4().hex
         command = Command(
             id=unique,

@@ -1,7 +1,9 @@
-"""Intake of all links: checks sender and grammar, and hands each command to its session."""
+"""Intake of all links: limits connections, checks sender and grammar, and hands each command to its session."""
 
 from __future__ import annotations
 
+import asyncio
+from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -32,6 +34,7 @@ from pcmrs.messages.identity import ON_SITE, Principal
 MAX_SESSIONS = 256
 STREAMS = ("tcp", "openigtlink")
 """Links over TCP."""
+TOO_MANY = "too_many_connections"
 LINK_ERROR = "link_error"
 """Reason if the content was not wrong, or only a part of it arrived."""
 OF_PEERS = (UNKNOWN_PEER, BAD_TAG, OLD_COUNTER, TOO_OLD, CLOCK_AHEAD, NOT_ALLOWED, OVER_RATE, NOT_KEPT)
@@ -169,7 +172,7 @@ class Intake(DispatcherListener):
         return self._locks.setdefault(holder, PlanLock())
 
     def _check_unsigned(self, host: str, exposed: bool) -> None:
-        """Refuses unsigned commands, except from listed loopback peers on loopback links."""
+        """Refuse unsigned commands, except from listed loopback peers on loopback links."""
         if exposed:
             raise PayloadError("The link is not bound to loopback, so it refuses unsigned commands: sign them.")
         if host not in self._unsigned_peers:
@@ -186,7 +189,7 @@ class Intake(DispatcherListener):
         self._session(source_of(link, peer), peer[0], ON_SITE).receive(request, answer, arrived)
 
     def _receive_signed(self, link: str, signed: Signed, answer: ReplyChannel, arrived: float) -> None:
-        """Answers an authentic datagram, refused or not; raises for any other, which gets no answer."""
+        """Answer an authentic datagram, refused or not; raise for any other, which gets no answer."""
         if self._admission is None:
             raise RefusalError(UNKNOWN_PEER, "No peer has a key; make one with: pcmrs peers new NAME.")
         peer = self._admission.identify(signed)
@@ -206,7 +209,7 @@ class Intake(DispatcherListener):
         arrived: float,
         refusal: RefusalError | None,
     ) -> None:
-        """Begins a peer's command; its session, lock and ids are its own, whatever address it sends from."""
+        """Begin a peer's command; its session, lock and ids are its own, whatever address it sends from."""
         if refusal is not None:
             self._count(refusal.refusal_code)
         self._session(peer.source, peer.source, peer.asker).receive(request, answer, arrived, refusal)
@@ -257,3 +260,57 @@ def _as_meant(link: str, request: StringCommand) -> StringCommand:
     if link == "mep" and request.spec.action is Action.SAVE_PLACEMENT:
         return replace(request, spec=COMMANDS["save_continupose"])
     return request
+
+
+class ConnectionLimit:
+    """Places for the connections of one link.
+
+    A place is taken when a connection is accepted, before any task serves it: so a burst of connections finds no more
+    places than there are.
+
+    Args:
+        link: Name of the link, for refusals.
+        intake: Counts and reports refusals.
+        most: Number of places. Each needs a descriptor, of which there must be some left.
+        most_of_a_host: Number of places for one address.
+    """
+
+    def __init__(self, link: str, intake: Intake, most: int, most_of_a_host: int) -> None:
+        self._link = link
+        self._intake = intake
+        self._most = most
+        self._most_of_a_host = most_of_a_host
+        self._open: Counter[str] = Counter()
+
+    def take(self, writer: asyncio.StreamWriter) -> tuple[str, int] | None:
+        """Take a place for a new connection.
+
+        Returns:
+            Host and port of the peer; None if the connection was ended instead.
+        """
+        peer = peer_of(writer)
+        if peer is None:
+            writer.transport.abort()
+            return None
+        host = peer[0]
+        for count, limit, whose in (
+            (self._open[host], self._most_of_a_host, f"from {host}"),
+            (self._open.total(), self._most, "in all"),
+        ):
+            if count >= limit:
+                text = f"{count} connections are open {whose}, limit {limit}; close one that you do not need."
+                self._intake.refuse(self._link, peer, RefusalError(TOO_MANY, text, count=count, limit=limit))
+                writer.transport.abort()
+                return None
+        self._open[host] += 1
+        return peer
+
+    def free(self, peer: tuple[str, int]) -> None:
+        """Free the place of a connection that has ended."""
+        self._open[peer[0]] -= 1
+
+
+def peer_of(writer: asyncio.StreamWriter) -> tuple[str, int] | None:
+    """Return host and port of the peer; None if it has closed the connection already."""
+    name = writer.get_extra_info("peername")
+    return None if name is None else (name[0], name[1])

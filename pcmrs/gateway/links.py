@@ -1,4 +1,4 @@
-"""The gateway as a whole: opens all links on one intake, and closes them."""
+"""The gateway as a whole: opens all links on one intake, and closes them. The links over UDP are here, too."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 from uuid import uuid4
 
 import structlog
@@ -17,18 +18,19 @@ from pcmrs.clock import Clock
 from pcmrs.errors import ConfigurationError
 from pcmrs.gateway._adapter import Core
 from pcmrs.gateway._arrival import ReceiveWatch
-from pcmrs.gateway._udp import UdpLink
 from pcmrs.gateway.auth.admission import NOT_KEPT, Admission
 from pcmrs.gateway.auth.counters import CounterFile, CounterWriter, check_room
 from pcmrs.gateway.auth.peers import SignedPeer
 from pcmrs.gateway.handlers import Services
 from pcmrs.gateway.intake import Counters, Intake
+from pcmrs.gateway.peer_session import ReplyChannel
 from pcmrs.gateway.periodic_timer import kernel_beats
 from pcmrs.gateway.pose_files import PoseFileWriter
 from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.gateway.settings import UNIX_NS, GatewayConfig, LinkConfig, PeerConfig
 from pcmrs.gateway.streams import Markers, Send, Streams
 from pcmrs.gateway.tcp import LINK, TcpLink
+from pcmrs.hosts import is_loopback
 from pcmrs.messages import DeviceEvent
 
 FINISH_WITHIN = 1.0
@@ -40,6 +42,8 @@ TASK_FAILED = "gateway_task_failed"
 """Log event of a task of the gateway that has failed."""
 RECORDS = "records"
 """Folder of what clients save."""
+UNKNOWN_PEER = ("unknown", 0)
+"""Sender of a datagram if the socket reports an error instead."""
 
 _log = structlog.get_logger(__name__)
 
@@ -122,7 +126,7 @@ def _open_admission(
 
 
 def _report_reset(core: Core, peers: Mapping[str, PeerConfig], path: Path) -> None:
-    """Warns that in a new folder every counter begins at 0, so that recorded commands could be sent again."""
+    """Warn that in a new folder every counter begins at 0, so that recorded commands could be sent again."""
     growing = ", ".join(sorted(name for name, peer in peers.items() if peer.counter != UNIX_NS))
     text = f"{path} is new: counters of signed peers begin at 0. If this cell had another folder, copy it from there."
     if growing:
@@ -132,7 +136,7 @@ def _report_reset(core: Core, peers: Mapping[str, PeerConfig], path: Path) -> No
 
 
 async def _open_sender(stack: AsyncExitStack) -> Send:
-    """Opens a separate socket for streams, so that a mixed reality host need not be reachable from loopback."""
+    """Open a separate socket for streams, so that a mixed reality host need not be reachable from loopback."""
     transport, _ = await asyncio.get_running_loop().create_datagram_endpoint(
         asyncio.DatagramProtocol, family=socket.AF_INET
     )
@@ -188,3 +192,64 @@ def _unbound(kind: str, host: str, port: int, error: OSError) -> ConfigurationEr
         host=host,
         port=port,
     )
+
+
+class UdpLink(asyncio.DatagramProtocol):
+    """Receives the commands of one link; acknowledges to the link's reply port at the sender's host.
+
+    Args:
+        name: Name of the link.
+        config: Its ports.
+        intake: Intake of the commands.
+        watch: Knows when datagrams have arrived.
+    """
+
+    def __init__(self, name: str, config: LinkConfig, intake: Intake, watch: ReceiveWatch) -> None:
+        self._name = name
+        self._config = config
+        self._intake = intake
+        self._watch = watch
+        self._queue = watch.new_queue()
+        self._transport: asyncio.DatagramTransport
+        self._exposed = True
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port that the link is bound to."""
+        host, port = self._transport.get_extra_info("sockname")[:2]
+        return host, port
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Store the transport, once the socket is bound."""
+        self._transport = cast(asyncio.DatagramTransport, transport)
+        self._exposed = not is_loopback(self.address[0])
+        self._watch.add_stamped(self._queue, transport.get_extra_info("socket").fileno())
+
+    def datagram_received(self, data: bytes, addr: tuple[Any, ...]) -> None:
+        """Take a datagram.
+
+        Args:
+            data: The datagram.
+            addr: Host and port of the sender.
+        """
+        arrived = self._watch.arrival(self._queue)
+        host, port = addr[:2]
+        reply_port = self._config.reply_port
+        answer = ReplyChannel(
+            verdict=lambda text: self._send(text, addr),
+            acknowledge=None if reply_port is None else lambda text: self._send(text, (host, reply_port, *addr[2:])),
+        )
+        self._intake.receive(self._name, (host, port), self._exposed, data, answer, arrived)
+
+    def error_received(self, exc: Exception) -> None:
+        """Ignore that a client's port is closed."""
+        self._intake.refuse(self._name, UNKNOWN_PEER, exc)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._watch.remove(self._queue)
+        self._transport.close()
+
+    def _send(self, text: str, addr: tuple[Any, ...]) -> None:
+        if not self._transport.is_closing():
+            self._transport.sendto(text.encode("ascii"), addr)

@@ -14,9 +14,8 @@ from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.verdict_cache import CommandCache
 from pcmrs.errors import PcmrsError, RefusalError
-from pcmrs.gateway._command_outcome import NO_DATA, CommandOutcome
 from pcmrs.gateway.commands import Action, Second
-from pcmrs.gateway.grammar import StringCommand
+from pcmrs.gateway.grammar import NO_DATA, CommandOutcome, StringCommand
 from pcmrs.gateway.handlers import CommandHandlers, Job
 from pcmrs.messages import Command
 
@@ -233,7 +232,7 @@ class PeerSession:
         self._draining = False
 
     async def _give_up(self, turn: Turn) -> None:
-        """Refuses a motion that still waits after its time limit."""
+        """Refuse a motion that still waits after its time limit."""
         with suppress(TimeoutError):
             async with self._clock.timeout(BEGIN_WITHIN):
                 await asyncio.wait([turn.ended])
@@ -264,7 +263,7 @@ class PeerSession:
         return None
 
     async def _perform(self, request: StringCommand, job: Job) -> CommandOutcome:
-        """Returns the outcome of a job, however it ends: a client must not wait without end."""
+        """Return the outcome of a job, however it ends: a client must not wait without end."""
         try:
             return await job()
         except RefusalError as refusal:
@@ -278,7 +277,7 @@ class PeerSession:
     async def _send_second(
         self, kind: Second, ended: asyncio.Future[CommandOutcome], send: Send, acknowledged: float
     ) -> None:
-        """Sends the second datagram, but never late: the client would take it for its next acknowledgement."""
+        """Send the second datagram, but never late: the client would take it for its next acknowledgement."""
         try:
             async with self._clock.timeout(SECOND_WITHIN):
                 text = (await asyncio.shield(ended)).second(kind)
@@ -293,7 +292,7 @@ class PeerSession:
 
 
 def _report(request: StringCommand, ended: asyncio.Future[CommandOutcome]) -> None:
-    """Logs a refusal, since clients without verdict replies do not receive it."""
+    """Log a refusal, since clients without verdict replies do not receive it."""
     if not ended.cancelled() and (outcome := ended.result()).decision != "accepted":
         _log.warning(
             "command_refused",

@@ -110,7 +110,7 @@ class PeriodicTask:
             self._try()
 
     def _try(self) -> None:
-        """Calls the function; of several failures in a row only the first is logged."""
+        """Call the function; of several failures in a row only the first is logged."""
         try:
             self._tick()
         except OSError as error:

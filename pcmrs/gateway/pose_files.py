@@ -115,7 +115,7 @@ def _mapping(names: str, numbers: list[float]) -> str:
 
 
 def _write_whole(path: Path, text: str) -> None:
-    """Writes a file so that a reader sees the complete file under its name, or none."""
+    """Write a file so that a reader sees the complete file under its name, or none."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
     with part.open("w", encoding="ascii") as file:

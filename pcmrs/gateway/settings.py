@@ -206,7 +206,7 @@ def _check_peers(peers: dict[str, PeerConfig]) -> None:
 
 
 def _check_ipv4(name: str, host: str) -> None:
-    """Refuses a host name, which would have to be looked up at every datagram."""
+    """Refuse a host name, which would have to be looked up at every datagram."""
     try:
         ipaddress.IPv4Address(host)
     except ValueError:

@@ -19,9 +19,8 @@ from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.errors import PayloadError, RefusalError
 from pcmrs.gateway._arrival import ReceiveQueue, ReceiveWatch
-from pcmrs.gateway._connections import ConnectionLimit
 from pcmrs.gateway.grammar import MAX_BYTES, may_become_command
-from pcmrs.gateway.intake import Intake
+from pcmrs.gateway.intake import ConnectionLimit, Intake
 from pcmrs.gateway.peer_session import ReplyChannel
 from pcmrs.hosts import is_loopback
 
@@ -191,7 +190,7 @@ class TcpLink:
             self._tasks.spawn(self._serve(reader, writer, peer))
 
     async def _serve(self, reader: _CountingReader, writer: asyncio.StreamWriter, peer: tuple[str, int]) -> None:
-        """Reads until the peer closes, breaks the grammar, or fails to authenticate in time."""
+        """Read until the peer closes, breaks the grammar, or fails to authenticate in time."""
         connection = _Connection(self._intake, self._watch, reader, writer, peer, self._exposed)
         try:
             async with self._clock.timeout(FIRST_WITHIN):

@@ -15,11 +15,10 @@ from pcmrs.devices.plus.frames import MessageReader
 from pcmrs.dispatcher import DispatcherListener
 from pcmrs.errors import PayloadError
 from pcmrs.gateway._adapter import Core
-from pcmrs.gateway._connections import ConnectionLimit, peer_of
-from pcmrs.gateway.intake import Intake, source_of
-from pcmrs.gateway.openigtlink._broadcaster import Broadcaster
+from pcmrs.gateway.intake import ConnectionLimit, Intake, peer_of, source_of
 from pcmrs.gateway.openigtlink._peer import KINDS, Peer
-from pcmrs.gateway.openigtlink._plan_submitter import Answer, PlanSubmitter
+from pcmrs.gateway.openigtlink._streams import Broadcaster
+from pcmrs.gateway.openigtlink.plans import Answer, PlanSubmitter
 from pcmrs.gateway.periodic_timer import PeriodicTask, kernel_beats
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.hosts import is_loopback
@@ -120,7 +119,7 @@ class OpenIgtLink(DispatcherListener):
             self._limit.free(address)
 
     async def _keep_connected(self) -> None:
-        """Connects to Slicer's server, and reconnects; its absence is logged once."""
+        """Connect to Slicer's server, and reconnect; its absence is logged once."""
         server, absent = f"{self._config.host}:{self._config.port}", False
         while True:
             try:
@@ -142,7 +141,7 @@ class OpenIgtLink(DispatcherListener):
     async def _serve(
         self, stream: asyncio.StreamReader, writer: asyncio.StreamWriter, address: tuple[str, int]
     ) -> None:
-        """Serves one connection until either side ends it.
+        """Serve one connection until either side ends it.
 
         A peer that sends nothing stays, since it may only look. One that reads nothing is disconnected by `_send`.
         """
@@ -190,7 +189,7 @@ class OpenIgtLink(DispatcherListener):
             self._intake.counters.received += 1
 
     async def _send(self, peer: Peer, writer: asyncio.StreamWriter) -> None:
-        """Sends to a peer. One that reads nothing is disconnected, which ends the reception from it, too."""
+        """Send to a peer. One that reads nothing is disconnected, which ends the reception from it, too."""
         try:
             await peer.outbox.send(writer, self._clock)
         except TimeoutError:

@@ -15,9 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyigtl.messages import CRC64
 
-from pcmrs.gateway._command_outcome import CommandOutcome
 from pcmrs.gateway.commands import COMMANDS
-from pcmrs.gateway.grammar import parse
+from pcmrs.gateway.grammar import CommandOutcome, parse
 from pcmrs.gateway.streams import point_message, pose_message
 from pcmrs.spatial import Transform
 from pcmrs.testing.daemon import free_port

@@ -18,8 +18,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from pcmrs.gateway._command_outcome import CommandOutcome
-from pcmrs.gateway.openigtlink._state import state_json
+from pcmrs.gateway.grammar import CommandOutcome
+from pcmrs.gateway.openigtlink._streams import state_json
 from pcmrs.gateway.streams import point_message, pose_message, unity_message
 from pcmrs.messages import Snapshot
 from pcmrs.messages._snapshot import BlueprintTag

@@ -12,7 +12,7 @@ import pytest
 from pcmrs.dispatcher import verdict_cache
 from pcmrs.dispatcher.verdict_cache import CommandCache
 from pcmrs.gateway import intake, peer_session
-from pcmrs.gateway._command_outcome import CommandOutcome
+from pcmrs.gateway.grammar import CommandOutcome
 from pcmrs.gateway.intake import Intake, source_of
 from pcmrs.gateway.links import open_gateway
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig

@@ -1,4 +1,4 @@
-"""The gateway as a whole: its clients, its ports, its closing."""
+"""The gateway as a whole: its clients, its ports, its closing, and the replies of its links over UDP."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from pcmrs.gateway import links
 from pcmrs.gateway.links import open_gateway
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
 from pcmrs.testing.clock import settle
-from tests.unit.gateway.gateway_fakes import FakeCore, ManualClock
+from tests.unit.gateway.gateway_fakes import FakeCore, ManualClock, UdpClient
 from tests.unit.gateway.open_cell import pass_barrier
+from tests.unit.gateway.signed_room import Room
 
 
 async def test_an_unmodified_client_plans_landmarks_and_registers(cell: Any) -> None:
@@ -121,3 +122,35 @@ async def test_closing_does_not_wait_for_ever(cell: Any, tmp_path: Any, monkeypa
         monkeypatch.setattr(cell.clock, "timeout", expired)
     assert waits == [links.FINISH_WITHIN]
     assert cell.client.received.empty()
+
+
+async def test_the_mep_link_does_not_reply_and_logs_poses(cell: Any) -> None:
+    cell.client.send("save_planandreal;", cell.mep)
+    await pass_barrier(cell, cell.mep)
+    assert cell.replies.received.empty()
+    assert (await cell.ask("save_continupose_#1;")).endswith("_busy;")
+
+
+async def test_a_client_without_verdicts_is_acknowledged_as_ever(room: Room) -> None:
+    room.core.results["register"] = {"residual": 0.0021}
+    room.client.send(room.sign("start_registrati;"), room.planner)
+    assert await room.replies.received.get() == "ack"
+    assert await room.replies.received.get() == "2.100000"
+
+
+async def test_a_peer_stays_itself_when_its_port_changes(room: Room) -> None:
+    await room.ask("target_rotxxxxxx_0_0_0_1_#1;")
+    other = await UdpClient.open()
+    other.send(room.sign("target_tslxxxxxx_0.1_0_0_#2;"), room.planner)
+    assert (await other.received.get()).startswith("2_accepted")
+    other.send(room.sign("target_tslxxxxxx_0.1_0_0_#2;"), room.planner)  # the same command anew: its id is known
+    assert (await other.received.get()).startswith("2_accepted")
+    assert room.core.operations == ["plan"]
+    assert {command.source for command in room.core.commands} == {"peer:planner"}
+    other.transport.close()
+
+
+async def test_no_text_ends_the_receiver(cell: Any) -> None:
+    for text in ("close", "close;", "quit", "exit;", "shutdown", "\x03"):
+        cell.client.send(text, cell.planner)
+    assert (await cell.ask("stop_visualizexx_#1;")).startswith("1_accepted")

@@ -1,7 +1,12 @@
-"""Messages to all peers: poses at a steady rate, the state at each change, the status then and every second."""
+"""Messages to all peers: poses at a steady rate, the state at each change, the status then and every second.
+
+Poses have the names of PLUS and SlicerIGT: ``XToY`` maps X to Y. Image is the frame of the image, RAS in Slicer's
+scene; Tracker, Base (of the robot) and Reference are further frames.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection, Mapping
 from typing import Any
 
@@ -11,11 +16,11 @@ from pcmrs.clock import Clock
 from pcmrs.devices.plus.messages import TrackingDataMessage, matrix_mm, text_message
 from pcmrs.gateway._adapter import Core
 from pcmrs.gateway.openigtlink._peer import Peer
-from pcmrs.gateway.openigtlink._poses import poses
-from pcmrs.gateway.openigtlink._state import state_json, state_line
 from pcmrs.messages import Snapshot
+from pcmrs.spatial import Transform
 
 TOOLS = "PcmrsTools"
+NAMES = {"coil": "Coil", "pointer": "Pointer", "body_ref": "Reference"}
 STATUS_PERIOD = 1.0
 """Limit between two status messages on a connection, s; they also detect a dead connection."""
 
@@ -68,3 +73,44 @@ class Broadcaster:
 
 def _texts(snapshot: Snapshot) -> dict[str, str]:
     return {"PcmrsState": state_json(snapshot), "PcmrsLine": state_line(snapshot)}
+
+
+def poses(core: Core) -> dict[str, Transform]:
+    """Return name to ``y_from_x``, m, of all poses that are known now."""
+    seen = {NAMES[body]: pose for body, pose in core.seen().items() if body in NAMES}
+    found = {f"{name}ToTracker": pose for name, pose in seen.items()}
+    reference, body_ref_from_image = seen.get("Reference"), core.registration()
+    if reference is not None and body_ref_from_image is not None:
+        image_from_tracker = (reference @ body_ref_from_image).inverse()
+        found |= {f"{name}ToImage": image_from_tracker @ pose for name, pose in seen.items()}
+        tip = core.tip_in_image()
+        if tip is not None and "Pointer" in seen:
+            found["PointerTipToImage"] = Transform(found["PointerToImage"].rotation, tip)
+    found |= _known("TargetToImage", core.target_in_image())
+    return found | _known("FlangeToBase", core.flange_pose())
+
+
+def _known(name: str, pose: Transform | None) -> dict[str, Transform]:
+    return {} if pose is None else {name: pose}
+
+
+def state_json(snapshot: Snapshot) -> str:
+    """Return JSON: ``sequence``, ``branches``, ``flags``, ``running``, ``latched``, ``plan``, ``registration``."""
+    return json.dumps(
+        {
+            "sequence": snapshot.sequence,
+            "branches": snapshot.branches,
+            "flags": snapshot.flags,
+            "running": [f"{each.branch}.{each.operation}" for each in snapshot.running],
+            "latched": snapshot.latched,
+            "plan": snapshot.plan,
+            "registration": snapshot.registration,
+        }
+    )
+
+
+def state_line(snapshot: Snapshot) -> str:
+    """Return one short line for people."""
+    parts = [f"{branch} {state}" for branch, state in snapshot.branches.items()]
+    parts += [f"running {each.branch}.{each.operation}" for each in snapshot.running]
+    return ("LATCHED, " if snapshot.latched else "") + ", ".join(parts)
