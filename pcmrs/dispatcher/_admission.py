@@ -7,7 +7,6 @@ import uuid
 from typing import Generic
 
 from pcmrs.dispatcher._activities import Activities
-from pcmrs.dispatcher._coordinator import CompletedCommand
 from pcmrs.dispatcher._performer import Performer
 from pcmrs.dispatcher._run import C, D
 from pcmrs.dispatcher.command_checks import (
@@ -19,7 +18,7 @@ from pcmrs.dispatcher.command_checks import (
     read_payload,
 )
 from pcmrs.dispatcher.decisions import Decisions
-from pcmrs.dispatcher.events import DAEMON
+from pcmrs.dispatcher.events import DAEMON, CompletedCommand
 from pcmrs.dispatcher.execution import ExecutionContext, reason_of
 from pcmrs.dispatcher.lease import LEASE, RENEW, TAKEN, Lease
 from pcmrs.dispatcher.locks import PendingCommand, locks_for

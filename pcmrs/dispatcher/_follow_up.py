@@ -9,9 +9,9 @@ import structlog
 
 from pcmrs.dispatcher._activities import Activities
 from pcmrs.dispatcher._admission import CommandAdmission
-from pcmrs.dispatcher._coordinator import CompletedCommand
 from pcmrs.dispatcher._run import C, D, Run
 from pcmrs.dispatcher._stop_control import StopControl
+from pcmrs.dispatcher.events import CompletedCommand
 from pcmrs.dispatcher.execution import ExecutionContext
 from pcmrs.dispatcher.recovery import FailureRecovery, PendingOutcomes
 from pcmrs.messages import Command, Verdict

@@ -6,10 +6,10 @@ import asyncio
 from typing import Generic
 
 from pcmrs.dispatcher._activities import Activities
-from pcmrs.dispatcher._coordinator import CompletedCommand
 from pcmrs.dispatcher._run import C, D, Run
 from pcmrs.dispatcher.command_checks import check_in_time
 from pcmrs.dispatcher.decisions import Decisions
+from pcmrs.dispatcher.events import CompletedCommand
 from pcmrs.dispatcher.execution import (
     Checks,
     ExecutionContext,

@@ -17,9 +17,9 @@ import structlog
 
 from pcmrs.bucket import TokenBucket
 from pcmrs.clock import Clock
-from pcmrs.dispatcher._coordinator import CompletedCommand, Coordinator
 from pcmrs.dispatcher._run import C, D
 from pcmrs.dispatcher.command_checks import is_event
+from pcmrs.dispatcher.events import CompletedCommand, Coordinator
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.verdict_cache import VerdictCache

@@ -18,14 +18,12 @@ from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.dispatcher._activities import Activities
 from pcmrs.dispatcher._admission import CommandAdmission
-from pcmrs.dispatcher._coordinator import CompletedCommand, Submission
 from pcmrs.dispatcher._follow_up import FollowUp
-from pcmrs.dispatcher._listeners import DispatcherListener, Listeners
 from pcmrs.dispatcher._performer import Performer
 from pcmrs.dispatcher._run import C, D
 from pcmrs.dispatcher._stop_control import StopControl
 from pcmrs.dispatcher.decisions import TOO_MANY, Decisions, Rejections, reason_for
-from pcmrs.dispatcher.events import SHUTDOWN
+from pcmrs.dispatcher.events import SHUTDOWN, CompletedCommand, DispatcherListener, Listeners, Submission
 from pcmrs.dispatcher.execution import Checks, ExecutionContext, MotionChecker, performing
 from pcmrs.dispatcher.lease import Lease
 from pcmrs.dispatcher.locks import LockManager, PendingCommand

@@ -13,9 +13,8 @@ import structlog
 
 from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
-from pcmrs.dispatcher._coordinator import Coordinator
-from pcmrs.dispatcher._listeners import Listeners
 from pcmrs.dispatcher._run import C, D, Run
+from pcmrs.dispatcher.events import Coordinator, Listeners
 from pcmrs.dispatcher.locks import LockManager, PendingCommand
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.stops import Hold

@@ -12,11 +12,10 @@ import structlog
 
 from pcmrs.dispatcher._activities import Activities
 from pcmrs.dispatcher._admission import CommandAdmission
-from pcmrs.dispatcher._coordinator import CompletedCommand
 from pcmrs.dispatcher._run import C, D
 from pcmrs.dispatcher._stop_control import StopControl
 from pcmrs.dispatcher.decisions import JOURNAL, Decisions
-from pcmrs.dispatcher.events import REOPENED, failed
+from pcmrs.dispatcher.events import REOPENED, CompletedCommand, failed
 from pcmrs.dispatcher.execution import ExecutionContext
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.recorder import Recorder

@@ -15,8 +15,7 @@ import structlog
 
 from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
-from pcmrs.dispatcher._coordinator import Coordinator
-from pcmrs.dispatcher.events import pressed_again
+from pcmrs.dispatcher.events import Coordinator, pressed_again
 from pcmrs.messages import Command, Reason, StopState
 
 LOCAL = "local"
