@@ -8,9 +8,9 @@ from typing import Any, Generic
 
 import structlog
 
-from pcmrs.dispatcher._run import Activity, C, D
 from pcmrs.dispatcher.events import ACTIVITY_ENDED, ACTIVITY_STARTED, NOT_CONFIRMED
 from pcmrs.dispatcher.execution import ExecutionContext, performing, reason_of
+from pcmrs.dispatcher.workflow import Activity, C, D
 from pcmrs.errors import PcmrsError
 from pcmrs.fsm.blueprint import ActivitySpec
 from pcmrs.messages import ActiveActivity, Command, DeviceEvent, Reason, Verdict

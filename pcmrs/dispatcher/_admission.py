@@ -8,7 +8,6 @@ from typing import Generic
 
 from pcmrs.dispatcher._activities import Activities
 from pcmrs.dispatcher._performer import Performer
-from pcmrs.dispatcher._run import C, D
 from pcmrs.dispatcher.command_checks import (
     CHECKS_BEGIN_WITHIN,
     EVENT_SOURCES,
@@ -24,6 +23,7 @@ from pcmrs.dispatcher.lease import LEASE, RENEW, TAKEN, Lease
 from pcmrs.dispatcher.locks import PendingCommand, locks_for
 from pcmrs.dispatcher.stops import Stops
 from pcmrs.dispatcher.verdict_cache import VerdictCache
+from pcmrs.dispatcher.workflow import C, D
 from pcmrs.errors import JournalError, PcmrsError, RefusalError
 from pcmrs.fsm import Closure, Denial
 from pcmrs.messages import Command, DeviceEvent, DryRunResult, Reason, Verdict

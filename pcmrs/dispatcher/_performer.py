@@ -6,7 +6,6 @@ import asyncio
 from typing import Generic
 
 from pcmrs.dispatcher._activities import Activities
-from pcmrs.dispatcher._run import C, D, Run
 from pcmrs.dispatcher.command_checks import check_in_time
 from pcmrs.dispatcher.decisions import Decisions
 from pcmrs.dispatcher.events import CompletedCommand
@@ -22,6 +21,7 @@ from pcmrs.dispatcher.execution import (
 )
 from pcmrs.dispatcher.locks import Locks, PendingCommand
 from pcmrs.dispatcher.recorder import Recorder
+from pcmrs.dispatcher.workflow import C, D, Run
 from pcmrs.errors import PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.failpoints import failpoint
 from pcmrs.fsm import Denial, OperationSpec

@@ -6,12 +6,12 @@ import asyncio
 from typing import Any, Generic
 
 from pcmrs.dispatcher._activities import Activities
-from pcmrs.dispatcher._run import C, D
 from pcmrs.dispatcher.decisions import Decisions
 from pcmrs.dispatcher.events import DAEMON, Submission, not_confirmed, stopped
 from pcmrs.dispatcher.execution import ExecutionContext
 from pcmrs.dispatcher.recorder import QueuedRow
 from pcmrs.dispatcher.stops import STANDSTILL, Presses, Stops, StopUnderWay
+from pcmrs.dispatcher.workflow import C, D
 from pcmrs.messages import Reason, Verdict
 
 

@@ -17,12 +17,12 @@ import structlog
 
 from pcmrs.bucket import TokenBucket
 from pcmrs.clock import Clock
-from pcmrs.dispatcher._run import C, D
 from pcmrs.dispatcher.command_checks import is_event
 from pcmrs.dispatcher.events import CompletedCommand, Coordinator
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.verdict_cache import VerdictCache
+from pcmrs.dispatcher.workflow import C, D
 from pcmrs.errors import JournalError, PcmrsError
 from pcmrs.failpoints import failpoint
 from pcmrs.messages import Command, Decision, DeviceEvent, Reason, Verdict

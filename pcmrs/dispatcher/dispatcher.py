@@ -20,7 +20,6 @@ from pcmrs.dispatcher._activities import Activities
 from pcmrs.dispatcher._admission import CommandAdmission
 from pcmrs.dispatcher._follow_up import FollowUp
 from pcmrs.dispatcher._performer import Performer
-from pcmrs.dispatcher._run import C, D
 from pcmrs.dispatcher._stop_control import StopControl
 from pcmrs.dispatcher.decisions import TOO_MANY, Decisions, Rejections, reason_for
 from pcmrs.dispatcher.events import SHUTDOWN, CompletedCommand, DispatcherListener, Listeners, Submission
@@ -32,7 +31,7 @@ from pcmrs.dispatcher.recorder import QueuedRow, Recorder
 from pcmrs.dispatcher.recovery import FailureRecovery, PendingOutcomes, Reconciliation
 from pcmrs.dispatcher.stops import Hold, Stops, StopUnderWay
 from pcmrs.dispatcher.verdict_cache import VerdictCache, wait_for_verdicts
-from pcmrs.dispatcher.workflow import Workflow
+from pcmrs.dispatcher.workflow import C, D, Workflow
 from pcmrs.errors import ReentrancyError
 from pcmrs.messages import Command, DeviceEvent, DryRunResult, Reason, Snapshot, UnknownOutcome, Verdict
 

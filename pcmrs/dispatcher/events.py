@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol
 
-from pcmrs.dispatcher._run import C, D, Run
 from pcmrs.dispatcher.locks import PendingCommand
 from pcmrs.dispatcher.recorder import QueuedRow
+from pcmrs.dispatcher.workflow import C, D, Run
 from pcmrs.fsm import Change
 from pcmrs.messages import Command, Decision, DeviceEvent, Reason, Snapshot, Verdict
 

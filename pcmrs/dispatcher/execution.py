@@ -13,12 +13,11 @@ import structlog
 
 from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
-from pcmrs.dispatcher._run import C, D, Run
 from pcmrs.dispatcher.events import Coordinator, Listeners
 from pcmrs.dispatcher.locks import LockManager, PendingCommand
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.stops import Hold
-from pcmrs.dispatcher.workflow import Registry, Workflow
+from pcmrs.dispatcher.workflow import C, D, Registry, Run, Workflow
 from pcmrs.errors import DeviceError, PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm import START_OUTCOME, Change, Closure, OperationSpec
 from pcmrs.messages import Decision, Reason

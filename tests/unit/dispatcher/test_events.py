@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 
 from pcmrs.clock import SystemClock
 from pcmrs.dispatcher import DispatcherListener
-from pcmrs.dispatcher._run import ProcedureData, Run
 from pcmrs.dispatcher.events import (
     DAEMON,
     FAIL_STOP,
@@ -29,6 +28,7 @@ from pcmrs.dispatcher.events import (
     stopped,
 )
 from pcmrs.dispatcher.locks import Locks, PendingCommand
+from pcmrs.dispatcher.workflow import ProcedureData, Run
 from pcmrs.messages import Command, Decision, DeviceEvent, Reason
 from tests.unit.dispatcher.dispatcher_fakes import RATMS, RETRACTED, Bench, code
 
