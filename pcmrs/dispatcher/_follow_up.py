@@ -9,10 +9,10 @@ import structlog
 
 from pcmrs.dispatcher._activities import Activities
 from pcmrs.dispatcher._admission import CommandAdmission
-from pcmrs.dispatcher._stop_control import StopControl
 from pcmrs.dispatcher.events import CompletedCommand
 from pcmrs.dispatcher.execution import ExecutionContext
 from pcmrs.dispatcher.recovery import FailureRecovery, PendingOutcomes
+from pcmrs.dispatcher.stops import StopControl
 from pcmrs.dispatcher.workflow import C, D, Run
 from pcmrs.messages import Command, Verdict
 

@@ -2,7 +2,7 @@
 
 `Dispatcher` is the surface; each idea behind it has a module: `_admission` (from command to pending command),
 `_performer` (checks and steps), `decisions` (journal and commit), `_follow_up` (what follows from a verdict),
-`_stop_control` (Stop until the standstill), `recovery` (failure and resuming).
+`stops` (Stop until the standstill), `recovery` (failure and resuming).
 """
 
 from __future__ import annotations
@@ -20,16 +20,15 @@ from pcmrs.dispatcher._activities import Activities
 from pcmrs.dispatcher._admission import CommandAdmission
 from pcmrs.dispatcher._follow_up import FollowUp
 from pcmrs.dispatcher._performer import Performer
-from pcmrs.dispatcher._stop_control import StopControl
 from pcmrs.dispatcher.decisions import TOO_MANY, Decisions, Rejections, reason_for
 from pcmrs.dispatcher.events import SHUTDOWN, CompletedCommand, DispatcherListener, Listeners, Submission
-from pcmrs.dispatcher.execution import Checks, ExecutionContext, MotionChecker, performing
+from pcmrs.dispatcher.execution import Checks, ExecutionContext, Hold, MotionChecker, performing
 from pcmrs.dispatcher.lease import Lease
 from pcmrs.dispatcher.locks import LockManager, PendingCommand
 from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.recorder import QueuedRow, Recorder
 from pcmrs.dispatcher.recovery import FailureRecovery, PendingOutcomes, Reconciliation
-from pcmrs.dispatcher.stops import Hold, Stops, StopUnderWay
+from pcmrs.dispatcher.stops import StopControl, Stops, StopUnderWay
 from pcmrs.dispatcher.verdict_cache import VerdictCache, wait_for_verdicts
 from pcmrs.dispatcher.workflow import C, D, Workflow
 from pcmrs.errors import ReentrancyError
