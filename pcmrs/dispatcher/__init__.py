@@ -1,9 +1,8 @@
 """Dispatcher-State/Flag/Operation: commands in, decisions out, operations performed in between."""
 
 from pcmrs.dispatcher.dispatcher import Dispatcher
-from pcmrs.dispatcher.events import DispatcherListener
+from pcmrs.dispatcher.events import DispatcherListener, Recorder
 from pcmrs.dispatcher.procedure import Procedure
-from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.workflow import Activity, NoArguments, ProcedureData, Registry, Run, Workflow
 
 __all__ = [

@@ -8,7 +8,7 @@ from typing import Generic
 from pcmrs.dispatcher._activities import Activities
 from pcmrs.dispatcher.command_checks import check_in_time
 from pcmrs.dispatcher.decisions import Decisions
-from pcmrs.dispatcher.events import CompletedCommand
+from pcmrs.dispatcher.events import CompletedCommand, Recorder
 from pcmrs.dispatcher.execution import (
     Checks,
     ExecutionContext,
@@ -20,7 +20,6 @@ from pcmrs.dispatcher.execution import (
     take_steps_at_once,
 )
 from pcmrs.dispatcher.locks import Locks, PendingCommand
-from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.workflow import C, D, Run
 from pcmrs.errors import PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.failpoints import failpoint

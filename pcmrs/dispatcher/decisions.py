@@ -18,9 +18,8 @@ import structlog
 from pcmrs.bucket import TokenBucket
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.command_checks import is_event
-from pcmrs.dispatcher.events import CompletedCommand, Coordinator
+from pcmrs.dispatcher.events import CompletedCommand, Coordinator, Recorder
 from pcmrs.dispatcher.procedure import Procedure
-from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.verdict_cache import VerdictCache
 from pcmrs.dispatcher.workflow import C, D
 from pcmrs.errors import JournalError, PcmrsError

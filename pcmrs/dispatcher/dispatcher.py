@@ -21,12 +21,19 @@ from pcmrs.dispatcher._activities import Activities
 from pcmrs.dispatcher._admission import CommandAdmission
 from pcmrs.dispatcher._performer import Performer
 from pcmrs.dispatcher.decisions import TOO_MANY, Decisions, Rejections, reason_for
-from pcmrs.dispatcher.events import SHUTDOWN, CompletedCommand, DispatcherListener, Listeners, Submission
+from pcmrs.dispatcher.events import (
+    SHUTDOWN,
+    CompletedCommand,
+    DispatcherListener,
+    Listeners,
+    QueuedRow,
+    Recorder,
+    Submission,
+)
 from pcmrs.dispatcher.execution import Checks, ExecutionContext, Hold, MotionChecker, performing
 from pcmrs.dispatcher.lease import Lease
 from pcmrs.dispatcher.locks import LockManager, PendingCommand
 from pcmrs.dispatcher.procedure import Procedure
-from pcmrs.dispatcher.recorder import QueuedRow, Recorder
 from pcmrs.dispatcher.recovery import FailureRecovery, PendingOutcomes, Reconciliation
 from pcmrs.dispatcher.stops import StopControl, Stops, StopUnderWay
 from pcmrs.dispatcher.verdict_cache import VerdictCache, wait_for_verdicts

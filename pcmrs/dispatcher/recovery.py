@@ -13,10 +13,9 @@ import structlog
 from pcmrs.dispatcher._activities import Activities
 from pcmrs.dispatcher._admission import CommandAdmission
 from pcmrs.dispatcher.decisions import JOURNAL, Decisions
-from pcmrs.dispatcher.events import REOPENED, CompletedCommand, failed
+from pcmrs.dispatcher.events import REOPENED, CompletedCommand, Recorder, failed
 from pcmrs.dispatcher.execution import ExecutionContext
 from pcmrs.dispatcher.procedure import Procedure
-from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.stops import StopControl
 from pcmrs.dispatcher.verdict_cache import VerdictCache, wait_for_verdicts
 from pcmrs.dispatcher.workflow import C, D

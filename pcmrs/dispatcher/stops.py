@@ -13,10 +13,9 @@ from typing import Any, Final, Generic
 from pcmrs.clock import Clock
 from pcmrs.dispatcher._activities import Activities
 from pcmrs.dispatcher.decisions import Decisions
-from pcmrs.dispatcher.events import DAEMON, Coordinator, Submission, not_confirmed, pressed_again, stopped
+from pcmrs.dispatcher.events import DAEMON, Coordinator, QueuedRow, Submission, not_confirmed, pressed_again, stopped
 from pcmrs.dispatcher.execution import ExecutionContext
 from pcmrs.dispatcher.procedure import NO_STOP
-from pcmrs.dispatcher.recorder import QueuedRow
 from pcmrs.dispatcher.workflow import C, D
 from pcmrs.messages import Command, Reason, StopState, Verdict
 

@@ -11,7 +11,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import msgspec
 
-from pcmrs.dispatcher.recorder import Recorder
+from pcmrs.dispatcher.events import Recorder
 from pcmrs.errors import RefusalError
 from pcmrs.messages import Command, Verdict
 from pcmrs.messages.clipping import clipped

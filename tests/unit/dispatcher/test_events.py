@@ -1,13 +1,14 @@
-"""The dispatcher's events, those who listen to it, and completed commands.
+"""The dispatcher's events, its journal, those who listen to it, and completed commands.
 
-Events say what is dangerous and who is named, and their fields survive the journal. Listeners learn of everything at
-once, and cannot break the dispatcher. A completed command changes data only if it is accepted, and releases the latch
-only of Stops before it.
+Events say what is dangerous and who is named, and their fields survive the journal. A row is queued at once, and one
+that is lost is reported to its owner. Listeners learn of everything at once, and cannot break the dispatcher. A
+completed command changes data only if it is accepted, and releases the latch only of Stops before it.
 """
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Awaitable
 from typing import Any, get_args
 
 import msgspec
@@ -22,6 +23,7 @@ from pcmrs.dispatcher.events import (
     FAIL_STOP,
     REOPENED,
     CompletedCommand,
+    QueuedRow,
     failed,
     not_confirmed,
     pressed_again,
@@ -29,6 +31,7 @@ from pcmrs.dispatcher.events import (
 )
 from pcmrs.dispatcher.locks import Locks, PendingCommand
 from pcmrs.dispatcher.workflow import ProcedureData, Run
+from pcmrs.errors import JournalError
 from pcmrs.messages import Command, Decision, DeviceEvent, Reason
 from tests.unit.dispatcher.dispatcher_fakes import RATMS, RETRACTED, Bench, code
 
@@ -147,3 +150,40 @@ async def test_command_rejected_before_it_was_pending_changes_nothing() -> None:
         command, asyncio.get_running_loop().create_future(), "accepted"
     )
     assert (rejected.changes, rejected.unlatches) == ({}, False)
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+async def test_lost_row_is_reported_to_its_owner_and_not_raised(at_once: bool) -> None:
+    """Whether the journal refuses to queue it or fails to write it."""
+    lost = JournalError("The disk is full.")
+    reported: list[JournalError] = []
+
+    async def write() -> None:
+        raise lost
+
+    def queue() -> Awaitable[None]:
+        if at_once:
+            raise lost
+        return write()
+
+    await QueuedRow(queue, reported.append)
+    assert reported == [lost]
+
+
+async def test_row_is_queued_at_once_and_awaited_until_it_is_durable() -> None:
+    """Commands that are submitted after it must be journalled after it."""
+    durable: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+    queued: list[str] = []
+    failed: list[JournalError] = []
+
+    def queue() -> Awaitable[None]:
+        queued.append("row")
+        return durable
+
+    row = asyncio.create_task(QueuedRow(queue, failed.append).durable())
+    assert queued == ["row"]
+    await asyncio.sleep(0)
+    assert not row.done()
+    durable.set_result(None)
+    await row
+    assert (queued, failed) == (["row"], [])
