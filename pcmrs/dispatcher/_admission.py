@@ -30,7 +30,7 @@ from pcmrs.messages import Command, DeviceEvent, DryRunResult, Reason, Verdict
 
 
 class CommandAdmission(Generic[C, D]):
-    """Admits commands: each starts, waits or is rejected.
+    """Admit commands: each starts, waits or is rejected.
 
     Args:
         context: Shared parts of the dispatcher.
@@ -176,7 +176,7 @@ class CommandAdmission(Generic[C, D]):
             self._performer.start(pending)
 
     def _admit_lease(self, command: Command, verdict: asyncio.Future[Verdict]) -> None:
-        """Decides at once; a renewal changes nothing, and leaves no row."""
+        """Decide at once; a renewal changes nothing, and leaves no row."""
         before = self.lease.holder
         reason = self.broken or self._too_old(command) or self.lease.decide(command)
         if reason is not None:
@@ -216,14 +216,14 @@ class CommandAdmission(Generic[C, D]):
             pending.patience = asyncio.get_running_loop().call_at(latest, self._lose_patience, pending)
 
     def _lose_patience(self, motion: PendingCommand) -> None:
-        """Rejects a motion that has waited as long as a motion may."""
+        """Reject a motion that has waited as long as a motion may."""
         self._locks.waiting.remove(motion)
         self._decisions.reject(motion.command, motion.verdict, self._locks.busy(motion))
 
     def _pending_command(
         self, command: Command, verdict: asyncio.Future[Verdict], arrived: float | None = None
     ) -> tuple[PendingCommand, Closure | Denial]:
-        """Returns the command as a pending one, and the answer of the states to it.
+        """Return the command as a pending one, and the answer of the states to it.
 
         Raises:
             PcmrsError: The command is refused whatever the states are.

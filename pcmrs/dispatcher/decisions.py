@@ -44,7 +44,7 @@ DROPPED: Final = "rejections_dropped"
 
 
 class Rejections:
-    """Decides which rejections get a row.
+    """Decide which rejections get a row.
 
     Args:
         clock: Clock of the machine.
@@ -110,7 +110,7 @@ JOURNAL = JournalError.code
 
 
 class Decisions(Generic[C, D]):
-    """Makes completed commands durable and commits them, one after the other.
+    """Make completed commands durable and commit them, one after the other.
 
     Args:
         procedure: The procedure that they change.
@@ -231,7 +231,7 @@ class Decisions(Generic[C, D]):
         self._procedure.forget_promises()
 
     def _only_answer(self, completed: CompletedCommand[C, D], reason: Reason) -> None:
-        """Rejects a command without a row; it is decided again when it is repeated."""
+        """Reject a command without a row; it is decided again when it is repeated."""
         self._answer(completed, self._verdict(completed, "rejected", reason, self._procedure.joint()))
         self._verdict_cache.forget(completed.command)
 

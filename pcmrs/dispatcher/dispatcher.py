@@ -48,7 +48,7 @@ ENDING = "ending"
 
 
 class FollowUp(Generic[C, D]):
-    """Does what follows from a verdict.
+    """Do what follows from a verdict.
 
     Args:
         context: Shared parts of the dispatcher.
@@ -127,7 +127,7 @@ class FollowUp(Generic[C, D]):
 
 
 class Dispatcher(Generic[C, D]):
-    """Runs one procedure of one cell; every edge of the system ends in `submit` or `stop`.
+    """Run one procedure of one cell; every edge of the system ends in `submit` or `stop`.
 
     Args:
         workflow: The procedure.

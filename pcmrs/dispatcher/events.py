@@ -88,7 +88,7 @@ class EarlierDecision:
 
 
 class Recorder(Protocol):
-    """Makes decisions durable before they are published; raises `JournalError` if it cannot.
+    """Make decisions durable before they are published; raise `JournalError` if it cannot.
 
     Rows are queued when a method is called, and in that order.
     """
@@ -163,7 +163,7 @@ class QueuedRow:
 
 
 class DispatcherListener:
-    """Receives notifications of a dispatcher, synchronously in its event loop.
+    """Receive notifications of a dispatcher, synchronously in its event loop.
 
     A subclass overrides what it needs. If it raises, the loop's exception handler gets the error, and everything else
     goes on.
@@ -183,7 +183,7 @@ class DispatcherListener:
 
 
 class Listeners:
-    """Notifies all listeners, in the order in which they were added."""
+    """Notify all listeners, in the order in which they were added."""
 
     def __init__(self) -> None:
         self._listeners: list[DispatcherListener] = []
@@ -214,7 +214,7 @@ class Listeners:
 
 
 def _guarded(notify: Callable[..., object], *arguments: object) -> None:
-    """Notifies one listener: the loop reports its failure, which keeps nobody from stopping."""
+    """Notify one listener: the loop reports its failure, which keeps nobody from stopping."""
     try:
         notify(*arguments)
     except Exception as error:
@@ -223,7 +223,7 @@ def _guarded(notify: Callable[..., object], *arguments: object) -> None:
 
 
 Submission = Callable[[], list[asyncio.Future[Verdict]]]
-"""Submits commands without awaiting anything, and returns the verdicts to come."""
+"""Function that submits commands without awaiting anything, and returns the verdicts to come."""
 
 
 @dataclass(frozen=True, slots=True)

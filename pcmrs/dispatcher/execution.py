@@ -28,7 +28,7 @@ performing: ContextVar[int | None] = ContextVar("performing", default=None)
 
 
 class Hold:
-    """Makes the devices stand still, and knows whether that was confirmed.
+    """Make the devices stand still, and know whether that was confirmed.
 
     A Stop while the hold of another Stop is pending waits for that hold: nothing can start to move in between, since
     the latch is set and cannot be released before. The hold of a motion is never merged with another one, since the
@@ -94,7 +94,7 @@ class ExecutionContext(Generic[C, D]):
 
 
 class MotionChecker(Protocol[C, D]):
-    """Asks the checks of operations that plan motions."""
+    """Ask the checks of operations that plan motions."""
 
     async def check(self, run: Run[C, D]) -> Reason | None:
         """Ask the checks of the run's operation, and store their results in the run.
@@ -185,7 +185,7 @@ def _ending_by(error: Exception, step: str, run: Run[C, D]) -> StepResult:
 
 
 def _heed_cancellation() -> None:
-    """Ends the steps if the last one has swallowed the cancellation of Stop or of the deadline."""
+    """End the steps if the last one has swallowed the cancellation of Stop or of the deadline."""
     task = asyncio.current_task()
     if task is not None and task.cancelling():
         raise asyncio.CancelledError
@@ -222,7 +222,7 @@ MOST_PLANS = 3
 
 
 class Checks(Generic[C, D]):
-    """Asks checks; after a planner has answered, verifies that states and data are still the same.
+    """Ask checks; after a planner has answered, verify that states and data are still the same.
 
     Args:
         context: Shared parts of the dispatcher.

@@ -112,7 +112,7 @@ LOST = Reason(code=JOURNAL, text="The journal failed while it ran; its outcome i
 
 
 class Reconciliation(Generic[C, D]):
-    """Makes memory agree with the disk, while nothing runs and nothing is accepted.
+    """Make memory agree with the disk, while nothing runs and nothing is accepted.
 
     Args:
         procedure: The procedure.
@@ -187,7 +187,7 @@ class Reconciliation(Generic[C, D]):
 
 
 class FailureRecovery(Generic[C, D]):
-    """Fails safely, and resumes after a failure of the journal.
+    """Fail safely, and resume after a failure of the journal.
 
     Args:
         context: Shared parts of the dispatcher.

@@ -39,7 +39,7 @@ UNNAMED = "stop_not_named"
 
 
 class Stops:
-    """Numbers Stops, and knows what an acknowledgement waits for.
+    """Number Stops, and know what an acknowledgement waits for.
 
     Args:
         clock: The cell's clock.
@@ -209,7 +209,7 @@ def _kind(source: str) -> str:
 
 
 class StopControl(Generic[C, D]):
-    """Stops everything, and follows each Stop until the robot has confirmed that it stands.
+    """Stop everything, and follow each Stop until the robot has confirmed that it stands.
 
     Args:
         context: Shared parts of the dispatcher.
@@ -319,7 +319,7 @@ class StopControl(Generic[C, D]):
             await self._coordinator.announce(not_confirmed(source))
 
     def _started_since_stop(self) -> bool:
-        """Returns whether anything runs or waits that the last Stop has not ended."""
+        """Return whether anything runs or waits that the last Stop has not ended."""
         running = any(pending.stopped is None for pending in self._locks.running)
         return running or any(not pending.spec.event for pending in self._locks.waiting)
 
