@@ -1,11 +1,9 @@
 """Dispatcher-State/Flag/Operation: commands in, decisions out, operations performed in between."""
 
-from pcmrs.dispatcher._listeners import DispatcherListener
-from pcmrs.dispatcher._run import Activity, ProcedureData, Run
 from pcmrs.dispatcher.dispatcher import Dispatcher
+from pcmrs.dispatcher.events import DispatcherListener, Recorder
 from pcmrs.dispatcher.procedure import Procedure
-from pcmrs.dispatcher.recorder import Recorder
-from pcmrs.dispatcher.workflow import NoArguments, Registry, Workflow
+from pcmrs.dispatcher.workflow import Activity, NoArguments, ProcedureData, Registry, Run, Workflow
 
 __all__ = [
     "Activity",

@@ -8,9 +8,9 @@ from typing import Any, Generic
 
 import structlog
 
-from pcmrs.dispatcher._run import Activity, C, D
 from pcmrs.dispatcher.events import ACTIVITY_ENDED, ACTIVITY_STARTED, NOT_CONFIRMED
 from pcmrs.dispatcher.execution import ExecutionContext, performing, reason_of
+from pcmrs.dispatcher.workflow import Activity, C, D
 from pcmrs.errors import PcmrsError
 from pcmrs.fsm.blueprint import ActivitySpec
 from pcmrs.messages import ActiveActivity, Command, DeviceEvent, Reason, Verdict
@@ -19,7 +19,7 @@ log = structlog.get_logger(__name__)
 
 
 class ActivityTask(Generic[C, D]):
-    """Runs the function of an activity until it ends or is cancelled.
+    """Run the function of an activity until it ends or is cancelled.
 
     Args:
         context: Shared parts of the dispatcher.
@@ -84,7 +84,7 @@ class ActivityTask(Generic[C, D]):
         return self._coordinator.announce(self._event(ACTIVITY_ENDED, f"{self.act.name} has ended: {how}"))
 
     async def _perform(self) -> Reason | None:
-        """Performs its function as soon as its start is durable."""
+        """Perform its function as soon as its start is durable."""
         act = self.act
         self._started = True
         started = self._event(ACTIVITY_STARTED, f"{act.name} begins: {act.branch} is {act.state}.")
@@ -118,7 +118,7 @@ class ActivityTask(Generic[C, D]):
         return Reason(code=code, text=text, fields={"activity": act.name})
 
     async def _held(self) -> Reason | None:
-        """Holds the robot after it was moved; returns the danger if that is not confirmed."""
+        """Hold the robot after it was moved; return the danger if that is not confirmed."""
         if await self._context.hold.end_motion():
             return None
         text = f"The robot has not confirmed that it stands after {self.act.name}: look at it."
@@ -222,7 +222,7 @@ class Activities(Generic[C, D]):
         activity_task.task = context.tasks.spawn(self._attend(activity_task, before))
 
     async def _attend(self, activity_task: ActivityTask[C, D], before: list[ActivityTask[C, D]]) -> bool:
-        """Runs it, and does what follows from its end."""
+        """Run it, and do what follows from its end."""
         try:
             danger = await activity_task.run(before)
         finally:
@@ -244,7 +244,7 @@ class Activities(Generic[C, D]):
         return stands
 
     async def _leave(self, activity_task: ActivityTask[C, D]) -> None:
-        """Performs its `ended`, unless a Stop has submitted that already; it must lead out of the state."""
+        """Perform its `ended`, unless a Stop has submitted that already; it must lead out of the state."""
         act = activity_task.act
         submitted = [activity_task.left] if activity_task.left is not None else self._submit_ended(activity_task)
         if not submitted:
@@ -256,7 +256,7 @@ class Activities(Generic[C, D]):
             self._coordinator.fail_for(PcmrsError(text))
 
     def _submit_ended(self, activity_task: ActivityTask[C, D]) -> list[asyncio.Future[Verdict]]:
-        """Submits its `ended` if the branch is still in its state.
+        """Submit its `ended` if the branch is still in its state.
 
         After a motion that leads out of that state, it is denied and leaves no row.
         """

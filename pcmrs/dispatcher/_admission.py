@@ -7,9 +7,7 @@ import uuid
 from typing import Generic
 
 from pcmrs.dispatcher._activities import Activities
-from pcmrs.dispatcher._coordinator import CompletedCommand
 from pcmrs.dispatcher._performer import Performer
-from pcmrs.dispatcher._run import C, D
 from pcmrs.dispatcher.command_checks import (
     CHECKS_BEGIN_WITHIN,
     EVENT_SOURCES,
@@ -19,19 +17,20 @@ from pcmrs.dispatcher.command_checks import (
     read_payload,
 )
 from pcmrs.dispatcher.decisions import Decisions
-from pcmrs.dispatcher.events import DAEMON
+from pcmrs.dispatcher.events import DAEMON, CompletedCommand
 from pcmrs.dispatcher.execution import ExecutionContext, reason_of
 from pcmrs.dispatcher.lease import LEASE, RENEW, TAKEN, Lease
 from pcmrs.dispatcher.locks import PendingCommand, locks_for
 from pcmrs.dispatcher.stops import Stops
 from pcmrs.dispatcher.verdict_cache import VerdictCache
+from pcmrs.dispatcher.workflow import C, D
 from pcmrs.errors import JournalError, PcmrsError, RefusalError
 from pcmrs.fsm import Closure, Denial
 from pcmrs.messages import Command, DeviceEvent, DryRunResult, Reason, Verdict
 
 
 class CommandAdmission(Generic[C, D]):
-    """Admits commands: each starts, waits or is rejected.
+    """Admit commands: each starts, waits or is rejected.
 
     Args:
         context: Shared parts of the dispatcher.
@@ -177,7 +176,7 @@ class CommandAdmission(Generic[C, D]):
             self._performer.start(pending)
 
     def _admit_lease(self, command: Command, verdict: asyncio.Future[Verdict]) -> None:
-        """Decides at once; a renewal changes nothing, and leaves no row."""
+        """Decide at once; a renewal changes nothing, and leaves no row."""
         before = self.lease.holder
         reason = self.broken or self._too_old(command) or self.lease.decide(command)
         if reason is not None:
@@ -217,14 +216,14 @@ class CommandAdmission(Generic[C, D]):
             pending.patience = asyncio.get_running_loop().call_at(latest, self._lose_patience, pending)
 
     def _lose_patience(self, motion: PendingCommand) -> None:
-        """Rejects a motion that has waited as long as a motion may."""
+        """Reject a motion that has waited as long as a motion may."""
         self._locks.waiting.remove(motion)
         self._decisions.reject(motion.command, motion.verdict, self._locks.busy(motion))
 
     def _pending_command(
         self, command: Command, verdict: asyncio.Future[Verdict], arrived: float | None = None
     ) -> tuple[PendingCommand, Closure | Denial]:
-        """Returns the command as a pending one, and the answer of the states to it.
+        """Return the command as a pending one, and the answer of the states to it.
 
         Raises:
             PcmrsError: The command is refused whatever the states are.

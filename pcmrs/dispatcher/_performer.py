@@ -6,10 +6,9 @@ import asyncio
 from typing import Generic
 
 from pcmrs.dispatcher._activities import Activities
-from pcmrs.dispatcher._coordinator import CompletedCommand
-from pcmrs.dispatcher._run import C, D, Run
 from pcmrs.dispatcher.command_checks import check_in_time
 from pcmrs.dispatcher.decisions import Decisions
+from pcmrs.dispatcher.events import CompletedCommand, Recorder
 from pcmrs.dispatcher.execution import (
     Checks,
     ExecutionContext,
@@ -21,7 +20,7 @@ from pcmrs.dispatcher.execution import (
     take_steps_at_once,
 )
 from pcmrs.dispatcher.locks import Locks, PendingCommand
-from pcmrs.dispatcher.recorder import Recorder
+from pcmrs.dispatcher.workflow import C, D, Run
 from pcmrs.errors import PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.failpoints import failpoint
 from pcmrs.fsm import Denial, OperationSpec
@@ -29,7 +28,7 @@ from pcmrs.messages import DryRunResult, Reason
 
 
 class Performer(Generic[C, D]):
-    """Performs commands that have their locks.
+    """Perform commands that have their locks.
 
     Args:
         context: Shared parts of the dispatcher.
@@ -75,7 +74,7 @@ class Performer(Generic[C, D]):
         return releases or not self._registry.side_effecting.isdisjoint(spec.steps)
 
     def _perform_at_once(self, pending: PendingCommand) -> None:
-        """Performs an operation without side effects, from its checks to its completion."""
+        """Perform an operation without side effects, from its checks to its completion."""
         pending.started = pending.ending = True
         token = performing.set(id(self._context.procedure))
         run = self._run_of(pending)
@@ -89,7 +88,7 @@ class Performer(Generic[C, D]):
             performing.reset(token)
 
     async def _perform(self, pending: PendingCommand) -> None:
-        """Performs an operation that has side effects or is planned, as its own task."""
+        """Perform an operation that has side effects or is planned, as its own task."""
         performing.set(id(self._context.procedure))
         run = self._run_of(pending)
         try:
@@ -105,7 +104,7 @@ class Performer(Generic[C, D]):
             self._break_off(pending, error)
 
     def _break_off(self, pending: PendingCommand, error: Exception) -> None:
-        """Handles an error of the program itself: the command keeps no locks, and nobody waits for it."""
+        """Handle an error of the program itself: the command keeps no locks, and nobody waits for it."""
         self._decisions.break_off(CompletedCommand(pending.command, pending.verdict, "unknown", pending=pending), error)
 
     def _late(self, pending: PendingCommand) -> Reason | None:
@@ -118,7 +117,7 @@ class Performer(Generic[C, D]):
         return None
 
     async def _wait_for_conflicts(self, pending: PendingCommand) -> None:
-        """Waits for operations on branches that this one would move now, and would not have when it started.
+        """Wait for operations on branches that this one would move now, and would not have when it started.
 
         A retreat does not keep others from changing the plan of its standoff: only here can the two meet.
         """
@@ -135,7 +134,7 @@ class Performer(Generic[C, D]):
         return [other for other in others if beyond.conflicts(other.locks)]
 
     async def _steps(self, pending: PendingCommand, run: Run[C, D]) -> StepResult:
-        """Takes the steps, those with side effects after the intent is durable; holds the robot if a motion fails."""
+        """Take the steps, those with side effects after the intent is durable; hold the robot if a motion fails."""
         pending.started = True
         if not pending.side_effecting:
             pending.end_steps()
@@ -163,7 +162,7 @@ class Performer(Generic[C, D]):
         return ending
 
     async def _take_over(self, pending: PendingCommand) -> StepResult | None:
-        """Lets activities give way to a motion; returns the result of the motion if they do not."""
+        """Let activities give way to a motion; return the result of the motion if they do not."""
         if not pending.moves:
             return None
         try:
@@ -176,7 +175,7 @@ class Performer(Generic[C, D]):
         return None
 
     async def _release(self, pending: PendingCommand, run: Run[C, D]) -> StepResult | None:
-        """Releases the devices that Stop has latched; returns the result if the robot does not confirm it."""
+        """Release the devices that Stop has latched; return the result if the robot does not confirm it."""
         if not pending.spec.unlatches or self._context.release is None:
             return None
         try:
@@ -214,7 +213,7 @@ class Performer(Generic[C, D]):
     def _conclude(
         self, pending: PendingCommand, run: Run[C, D], refused: Reason | None, ending: StepResult | None
     ) -> None:
-        """Concludes a command from its refusal, or from the result of its steps."""
+        """Conclude a command from its refusal, or from the result of its steps."""
         command, verdict = pending.command, pending.verdict
         if ending is None:
             self._decisions.conclude(CompletedCommand(command, verdict, "rejected", refused, pending))
@@ -227,7 +226,7 @@ class Performer(Generic[C, D]):
         self._decisions.conclude(CompletedCommand(command, verdict, decision, reason, pending, run, change, at_once))
 
     def _still_so(self, pending: PendingCommand, ending: StepResult) -> StepResult:
-        """Returns the result of the steps, or a failure if a branch has changed that the result requires.
+        """Return the result of the steps, or a failure if a branch has changed that the result requires.
 
         A retreat keeps nobody from changing those: a standoff counts only for the plan that it was found by.
         """

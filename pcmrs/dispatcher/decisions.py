@@ -17,12 +17,11 @@ import structlog
 
 from pcmrs.bucket import TokenBucket
 from pcmrs.clock import Clock
-from pcmrs.dispatcher._coordinator import CompletedCommand, Coordinator
-from pcmrs.dispatcher._run import C, D
 from pcmrs.dispatcher.command_checks import is_event
+from pcmrs.dispatcher.events import CompletedCommand, Coordinator, Recorder
 from pcmrs.dispatcher.procedure import Procedure
-from pcmrs.dispatcher.recorder import Recorder
 from pcmrs.dispatcher.verdict_cache import VerdictCache
+from pcmrs.dispatcher.workflow import C, D
 from pcmrs.errors import JournalError, PcmrsError
 from pcmrs.failpoints import failpoint
 from pcmrs.messages import Command, Decision, DeviceEvent, Reason, Verdict
@@ -45,7 +44,7 @@ DROPPED: Final = "rejections_dropped"
 
 
 class Rejections:
-    """Decides which rejections get a row.
+    """Decide which rejections get a row.
 
     Args:
         clock: Clock of the machine.
@@ -111,7 +110,7 @@ JOURNAL = JournalError.code
 
 
 class Decisions(Generic[C, D]):
-    """Makes completed commands durable and commits them, one after the other.
+    """Make completed commands durable and commit them, one after the other.
 
     Args:
         procedure: The procedure that they change.
@@ -232,7 +231,7 @@ class Decisions(Generic[C, D]):
         self._procedure.forget_promises()
 
     def _only_answer(self, completed: CompletedCommand[C, D], reason: Reason) -> None:
-        """Rejects a command without a row; it is decided again when it is repeated."""
+        """Reject a command without a row; it is decided again when it is repeated."""
         self._answer(completed, self._verdict(completed, "rejected", reason, self._procedure.joint()))
         self._verdict_cache.forget(completed.command)
 

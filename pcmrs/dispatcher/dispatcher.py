@@ -1,8 +1,9 @@
 """The dispatcher (D-SFO): takes commands, asks the active states, performs operations, commits transitions.
 
-`Dispatcher` is the surface; each idea behind it has a module: `_admission` (from command to pending command),
-`_performer` (checks and steps), `decisions` (journal and commit), `_follow_up` (what follows from a verdict),
-`_stop_control` (Stop until the standstill), `recovery` (failure and resuming).
+`Dispatcher` is the surface, and `FollowUp` does what follows from a verdict. Each other idea behind it has a module:
+`_admission` (from command to pending command), `_performer` (checks and steps), `decisions` (journal and commit),
+`_activities` (what runs while a state is active), `stops` (Stop until the standstill), `recovery` (failure and
+resuming).
 """
 
 from __future__ import annotations
@@ -18,23 +19,25 @@ from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.dispatcher._activities import Activities
 from pcmrs.dispatcher._admission import CommandAdmission
-from pcmrs.dispatcher._coordinator import CompletedCommand, Submission
-from pcmrs.dispatcher._follow_up import FollowUp
-from pcmrs.dispatcher._listeners import DispatcherListener, Listeners
 from pcmrs.dispatcher._performer import Performer
-from pcmrs.dispatcher._run import C, D
-from pcmrs.dispatcher._stop_control import StopControl
 from pcmrs.dispatcher.decisions import TOO_MANY, Decisions, Rejections, reason_for
-from pcmrs.dispatcher.events import SHUTDOWN
-from pcmrs.dispatcher.execution import Checks, ExecutionContext, MotionChecker, performing
+from pcmrs.dispatcher.events import (
+    SHUTDOWN,
+    CompletedCommand,
+    DispatcherListener,
+    Listeners,
+    QueuedRow,
+    Recorder,
+    Submission,
+)
+from pcmrs.dispatcher.execution import Checks, ExecutionContext, Hold, MotionChecker, performing
 from pcmrs.dispatcher.lease import Lease
 from pcmrs.dispatcher.locks import LockManager, PendingCommand
 from pcmrs.dispatcher.procedure import Procedure
-from pcmrs.dispatcher.recorder import QueuedRow, Recorder
 from pcmrs.dispatcher.recovery import FailureRecovery, PendingOutcomes, Reconciliation
-from pcmrs.dispatcher.stops import Hold, Stops, StopUnderWay
+from pcmrs.dispatcher.stops import StopControl, Stops, StopUnderWay
 from pcmrs.dispatcher.verdict_cache import VerdictCache, wait_for_verdicts
-from pcmrs.dispatcher.workflow import Workflow
+from pcmrs.dispatcher.workflow import C, D, Run, Workflow
 from pcmrs.errors import ReentrancyError
 from pcmrs.messages import Command, DeviceEvent, DryRunResult, Reason, Snapshot, UnknownOutcome, Verdict
 
@@ -44,8 +47,87 @@ ENDING = "ending"
 """Code of the reason why a dispatcher that is being closed accepts nothing more: no failure."""
 
 
+class FollowUp(Generic[C, D]):
+    """Do what follows from a verdict.
+
+    Args:
+        context: Shared parts of the dispatcher.
+        admission: Admits waiting and posted commands.
+        stop_control: Its doubt ends with an acknowledgement.
+        recovery: Remembers the reports of devices that a failure has kept from being decided.
+        outcomes: Unknown outcomes.
+        activities: Follow the states.
+    """
+
+    def __init__(
+        self,
+        context: ExecutionContext[C, D],
+        admission: CommandAdmission[C, D],
+        stop_control: StopControl[C, D],
+        recovery: FailureRecovery[C, D],
+        outcomes: PendingOutcomes,
+        activities: Activities[C, D],
+    ) -> None:
+        self._coordinator = context.coordinator
+        self._clock = context.clock
+        self._locks = context.locks
+        self._admission = admission
+        self._stop_control = stop_control
+        self._recovery = recovery
+        self._outcomes = outcomes
+        self._activities = activities
+        self._listeners = context.listeners
+
+    def on_completed(self, completed: CompletedCommand[C, D], verdict: Verdict) -> None:
+        """Publish a verdict that has been given, and release the locks, whatever fails of what follows from it.
+
+        Args:
+            completed: The completed command.
+            verdict: The verdict on it.
+        """
+        if verdict.decision == "accepted":
+            self._listeners.notify_accepted(completed.command)
+        loop = asyncio.get_running_loop()
+        # The requester receives it before those who watch: its task runs in the second turn of the loop from now,
+        # because of the shield in `Dispatcher.submit`.
+        loop.call_soon(loop.call_soon, self._coordinator.publish_verdict, verdict)
+        if completed.pending is not None:
+            self._locks.running.remove(completed.pending)
+            if self._locks.waiting:
+                loop.call_soon(self._admission.admit_waiting)
+        try:
+            self._follow(completed, verdict)
+        except Exception as error:
+            log.exception("verdict_not_followed", command=verdict.id)
+            self._coordinator.fail_for(error)
+
+    def _follow(self, completed: CompletedCommand[C, D], verdict: Verdict) -> None:
+        control = self._stop_control
+        control.in_doubt = control.in_doubt and not completed.unlatches
+        self._outcomes.follow(completed.command, verdict, self._clock.wall())
+        self._activities.follow(completed.command)
+        self._recovery.remember_missed(completed.command, verdict)
+        if completed.run is not None and verdict.decision == "accepted":
+            self._submit_posts(completed.command, completed.run)
+
+    def _submit_posts(self, parent: Command, run: Run[C, D]) -> None:
+        for number, (branch, operation, arguments) in enumerate(run.posts):
+            self._admission.admit(
+                Command(
+                    id=f"{parent.id}/{number}",
+                    branch=branch,
+                    operation=operation,
+                    source=f"operation:{parent.source}",
+                    user=parent.user,
+                    role="daemon",
+                    arguments=arguments,
+                    parent=parent.id,
+                )
+            )
+
+
 class Dispatcher(Generic[C, D]):
-    """Runs one procedure of one cell; every edge of the system ends in `submit` or `stop`.
+    """Run one procedure of one cell; every edge of the system ends in `submit` or `stop`.
 
     Args:
         workflow: The procedure.

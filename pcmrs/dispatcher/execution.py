@@ -13,19 +13,55 @@ import structlog
 
 from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
-from pcmrs.dispatcher._coordinator import Coordinator
-from pcmrs.dispatcher._listeners import Listeners
-from pcmrs.dispatcher._run import C, D, Run
+from pcmrs.dispatcher.events import Coordinator, Listeners
 from pcmrs.dispatcher.locks import LockManager, PendingCommand
 from pcmrs.dispatcher.procedure import Procedure
-from pcmrs.dispatcher.stops import Hold
-from pcmrs.dispatcher.workflow import Registry, Workflow
+from pcmrs.dispatcher.workflow import C, D, Registry, Run, Workflow
 from pcmrs.errors import DeviceError, PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm import START_OUTCOME, Change, Closure, OperationSpec
 from pcmrs.messages import Decision, Reason
 
+log = structlog.get_logger(__name__)
+
 performing: ContextVar[int | None] = ContextVar("performing", default=None)
 """Id of the procedure for which the present task runs checks, steps or an activity."""
+
+
+class Hold:
+    """Make the devices stand still, and know whether that was confirmed.
+
+    A Stop while the hold of another Stop is pending waits for that hold: nothing can start to move in between, since
+    the latch is set and cannot be released before. The hold of a motion is never merged with another one, since the
+    request of that motion may still be on its way: only a hold that is sent after it outdates it.
+
+    Args:
+        hold: Holds the robot, latches it if its argument is true, and returns when it stands; raises if that is not
+            confirmed.
+        tasks: Owner of the holds, which go on when those who wait for them are cancelled.
+    """
+
+    def __init__(self, hold: Callable[[bool], Awaitable[object]], tasks: BackgroundTasks) -> None:
+        self._hold = hold
+        self._tasks = tasks
+        self._stopping: asyncio.Task[bool] | None = None
+
+    def stop(self) -> asyncio.Task[bool]:
+        """Hold and latch; return a task whose result is whether the robot has confirmed that it stands."""
+        if self._stopping is None or self._stopping.done():
+            self._stopping = self._tasks.spawn(self._try(latch=True))
+        return self._stopping
+
+    async def end_motion(self) -> bool:
+        """Hold the robot after a motion; return whether it has confirmed that it stands."""
+        return await asyncio.shield(self._tasks.spawn(self._try(latch=False)))
+
+    async def _try(self, *, latch: bool) -> bool:
+        try:
+            await self._hold(latch)
+        except Exception as error:
+            log.warning("hold_not_confirmed", reason=str(error))
+            return False
+        return True
 
 
 @dataclass(frozen=True)
@@ -58,7 +94,7 @@ class ExecutionContext(Generic[C, D]):
 
 
 class MotionChecker(Protocol[C, D]):
-    """Asks the checks of operations that plan motions."""
+    """Ask the checks of operations that plan motions."""
 
     async def check(self, run: Run[C, D]) -> Reason | None:
         """Ask the checks of the run's operation, and store their results in the run.
@@ -66,9 +102,6 @@ class MotionChecker(Protocol[C, D]):
         Returns:
             The first refusal, or why the planner has no answer; None when all agree.
         """
-
-
-log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +185,7 @@ def _ending_by(error: Exception, step: str, run: Run[C, D]) -> StepResult:
 
 
 def _heed_cancellation() -> None:
-    """Ends the steps if the last one has swallowed the cancellation of Stop or of the deadline."""
+    """End the steps if the last one has swallowed the cancellation of Stop or of the deadline."""
     task = asyncio.current_task()
     if task is not None and task.cancelling():
         raise asyncio.CancelledError
@@ -189,7 +222,7 @@ MOST_PLANS = 3
 
 
 class Checks(Generic[C, D]):
-    """Asks checks; after a planner has answered, verifies that states and data are still the same.
+    """Ask checks; after a planner has answered, verify that states and data are still the same.
 
     Args:
         context: Shared parts of the dispatcher.

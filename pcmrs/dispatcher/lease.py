@@ -103,7 +103,7 @@ class Lease:
         return None
 
     def _take_over(self, command: Command) -> Reason | None:
-        """Takes over at once for a local user; all others request it, and the holder confirms."""
+        """Take over at once for a local user; all others request it, and the holder confirms."""
         if self.state is None or command.user in (self.holder, LOCAL):
             self._give(command.user)
         else:

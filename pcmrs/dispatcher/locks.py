@@ -132,7 +132,7 @@ MAX_WAITING = 32
 
 
 class LockManager:
-    """Grants all locks of a command at once, in order of arrival; events go ahead of commands.
+    """Grant all locks of a command at once, in order of arrival; events go ahead of commands.
 
     Args:
         revokers: Branches whose change revokes a plan.

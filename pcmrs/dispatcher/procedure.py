@@ -7,12 +7,13 @@ from typing import Any, Generic
 
 import msgspec
 
-from pcmrs.dispatcher._run import C, D
-from pcmrs.dispatcher.stops import NO_STOP
-from pcmrs.dispatcher.workflow import Workflow
+from pcmrs.dispatcher.workflow import C, D, Workflow
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm import Change, Closure, Denial, Engine, flags_of
 from pcmrs.messages import ActiveActivity, BlueprintTag, LeaseState, Running, Snapshot, StopState, UnknownOutcome
+
+NO_STOP = StopState()
+"""State before the first Stop."""
 
 
 class Procedure(Generic[C, D]):

@@ -12,15 +12,13 @@ import structlog
 
 from pcmrs.dispatcher._activities import Activities
 from pcmrs.dispatcher._admission import CommandAdmission
-from pcmrs.dispatcher._coordinator import CompletedCommand
-from pcmrs.dispatcher._run import C, D
-from pcmrs.dispatcher._stop_control import StopControl
 from pcmrs.dispatcher.decisions import JOURNAL, Decisions
-from pcmrs.dispatcher.events import REOPENED, failed
+from pcmrs.dispatcher.events import REOPENED, CompletedCommand, Recorder, failed
 from pcmrs.dispatcher.execution import ExecutionContext
 from pcmrs.dispatcher.procedure import Procedure
-from pcmrs.dispatcher.recorder import Recorder
+from pcmrs.dispatcher.stops import StopControl
 from pcmrs.dispatcher.verdict_cache import VerdictCache, wait_for_verdicts
+from pcmrs.dispatcher.workflow import C, D
 from pcmrs.errors import JournalError, PcmrsError
 from pcmrs.fsm import Blueprint, Closure
 from pcmrs.fsm.blueprint import OperationSpec
@@ -114,7 +112,7 @@ LOST = Reason(code=JOURNAL, text="The journal failed while it ran; its outcome i
 
 
 class Reconciliation(Generic[C, D]):
-    """Makes memory agree with the disk, while nothing runs and nothing is accepted.
+    """Make memory agree with the disk, while nothing runs and nothing is accepted.
 
     Args:
         procedure: The procedure.
@@ -189,7 +187,7 @@ class Reconciliation(Generic[C, D]):
 
 
 class FailureRecovery(Generic[C, D]):
-    """Fails safely, and resumes after a failure of the journal.
+    """Fail safely, and resume after a failure of the journal.
 
     Args:
         context: Shared parts of the dispatcher.

@@ -1,4 +1,4 @@
-"""Stop: the numbers of Stops, presses that meet a pending Stop, and how the robot is held.
+"""Stop: from the press, or a danger event, to the confirmed standstill; numbers of Stops, and presses that join one.
 
 Until the hold of a Stop is answered, nothing can release the latch, and a further press would change nothing. Such
 presses are counted: endless pressing must neither delay the loop nor fill the journal.
@@ -7,17 +7,17 @@ presses are counted: endless pressing must neither delay the loop nor fill the j
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, Generic
 
-import structlog
-
-from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
-from pcmrs.dispatcher._coordinator import Coordinator
-from pcmrs.dispatcher.events import pressed_again
-from pcmrs.messages import Command, Reason, StopState
+from pcmrs.dispatcher._activities import Activities
+from pcmrs.dispatcher.decisions import Decisions
+from pcmrs.dispatcher.events import DAEMON, Coordinator, QueuedRow, Submission, not_confirmed, pressed_again, stopped
+from pcmrs.dispatcher.execution import ExecutionContext
+from pcmrs.dispatcher.procedure import NO_STOP
+from pcmrs.dispatcher.workflow import C, D
+from pcmrs.messages import Command, Reason, StopState, Verdict
 
 LOCAL = "local"
 """User at the cell's own machine: the only one who may acknowledge without naming the Stop."""
@@ -37,11 +37,9 @@ PENDING = "stop_pending"
 UNNAMED = "stop_not_named"
 """Code of the refusal of an acknowledgement that must name its Stop."""
 
-NO_STOP = StopState()
-
 
 class Stops:
-    """Numbers Stops, and knows what an acknowledgement waits for.
+    """Number Stops, and know what an acknowledgement waits for.
 
     Args:
         clock: The cell's clock.
@@ -210,41 +208,124 @@ def _kind(source: str) -> str:
     return source.partition(":")[0]
 
 
-log = structlog.get_logger(__name__)
-
-
-class Hold:
-    """Makes the devices stand still, and knows whether that was confirmed.
-
-    A Stop while the hold of another Stop is pending waits for that hold: nothing can start to move in between, since
-    the latch is set and cannot be released before. The hold of a motion is never merged with another one, since the
-    request of that motion may still be on its way: only a hold that is sent after it outdates it.
+class StopControl(Generic[C, D]):
+    """Stop everything, and follow each Stop until the robot has confirmed that it stands.
 
     Args:
-        hold: Holds the robot, latches it if its argument is true, and returns when it stands; raises if that is not
-            confirmed.
-        tasks: Owner of the holds, which go on when those who wait for them are cancelled.
+        context: Shared parts of the dispatcher.
+        stops: Numbers Stops and knows what each waits for.
+        decisions: Rejects waiting commands.
+        activities: Activities that may move the robot.
+
+    Attributes:
+        in_doubt: The hold of a Stop or a failure was not confirmed, and this has not been acknowledged since.
     """
 
-    def __init__(self, hold: Callable[[bool], Awaitable[object]], tasks: BackgroundTasks) -> None:
-        self._hold = hold
-        self._tasks = tasks
-        self._stopping: asyncio.Task[bool] | None = None
+    def __init__(
+        self,
+        context: ExecutionContext[C, D],
+        stops: Stops,
+        decisions: Decisions[C, D],
+        activities: Activities[C, D],
+    ) -> None:
+        self.in_doubt = False
+        self._coordinator = context.coordinator
+        self._procedure = context.procedure
+        self._tasks = context.tasks
+        self._hold = context.hold
+        self._presses = Presses(context.coordinator)
+        self._stops = stops
+        self._locks = context.locks
+        self._decisions = decisions
+        self._activities = activities
+        self._listeners = context.listeners
 
-    def stop(self) -> asyncio.Task[bool]:
-        """Hold and latch; return a task whose result is whether the robot has confirmed that it stands."""
-        if self._stopping is None or self._stopping.done():
-            self._stopping = self._tasks.spawn(self._try(latch=True))
-        return self._stopping
+    def begin(self, source: str, reason: Reason | None, then: Submission) -> asyncio.Task[bool]:
+        """Begin to stop everything; see `Dispatcher.begin_stop`.
 
-    async def end_motion(self) -> bool:
-        """Hold the robot after a motion; return whether it has confirmed that it stands."""
-        return await asyncio.shield(self._tasks.spawn(self._try(latch=False)))
+        Args:
+            source: Who stops.
+            reason: Why; by default that `source` has requested it.
+            then: Submits the operations that follow from a danger event.
+        """
+        reason = reason or Reason(code="stopped", text=f"Stopped by {source}.", fields={"source": source})
+        number, holding = self.latch(), self._hold.stop()
+        self._stops.wait_for(STANDSTILL, holding)
+        moving = self._activities.end_moving()
+        ending = [pending.verdict for pending in self._locks.running]
+        for pending in self._locks.running:
+            pending.stop(reason)
+        self._listeners.notify_stop()
+        for pending in self._locks.turn_away():
+            pending.end_wait()
+            self._decisions.reject(pending.command, pending.verdict, reason)
+        recorded = self._coordinator.announce(stopped(source, reason, number))
+        following = self.follow_danger(then)
+        self._coordinator.publish_snapshot()
+        return self._tasks.spawn(self._end(number, source, recorded, [holding, *ending, *moving, *following]))
 
-    async def _try(self, *, latch: bool) -> bool:
-        try:
-            await self._hold(latch)
-        except Exception as error:
-            log.warning("hold_not_confirmed", reason=str(error))
-            return False
-        return True
+    def press(self, source: str, presses: int) -> StopUnderWay:
+        """Stop for a person; see `Dispatcher.press_stop`.
+
+        Args:
+            source: Who stops.
+            presses: Number of presses of this source since the last call.
+        """
+        stop = self._presses.find(source)
+        if stop is None or self._started_since_stop():
+            standing = self.begin(source, None, list)
+            stop, presses = StopUnderWay(source, self._stops.state.number, standing), presses - 1
+            self._presses.add(stop, self._hold.stop())
+        else:
+            self._listeners.notify_stop()  # commands that have come to the edges since end, too
+        if presses:
+            stop.join(source, presses)
+        return stop
+
+    def latch(self) -> int:
+        """Set the latch, which counts as a Stop; return the Stop's number."""
+        self._stops.begin()
+        self._procedure.latch()
+        return self._stops.state.number
+
+    def follow_danger(self, submit: Submission) -> list[asyncio.Future[Verdict]]:
+        """Submit the operations that follow from danger, and allow no acknowledgement before they are decided.
+
+        Operations that the state does not allow are decided already: they neither run nor wait.
+        """
+        following = submit()
+        for pending in (*self._locks.running, *self._locks.waiting):
+            if pending.verdict in following:
+                self._stops.wait_for(pending.name, pending.verdict)
+        return following
+
+    async def hold_after_failure(self, number: int) -> None:
+        """Hold the robot because of a failure, and confirm Stop `number` or doubt that the robot stands."""
+        await self.take_standstill(number, DAEMON, stands=await self._hold.stop())
+
+    async def take_standstill(self, number: int, source: str, *, stands: bool) -> None:
+        """Confirm a Stop, or announce that robot or stimulator have not confirmed that they stand.
+
+        Args:
+            number: Number of the Stop.
+            source: Who has stopped.
+            stands: Robot and stimulator have confirmed.
+        """
+        if stands:
+            self._stops.stood(number)
+            self._coordinator.publish_snapshot()
+        else:
+            self.in_doubt = True
+            await self._coordinator.announce(not_confirmed(source))
+
+    def _started_since_stop(self) -> bool:
+        """Return whether anything runs or waits that the last Stop has not ended."""
+        running = any(pending.stopped is None for pending in self._locks.running)
+        return running or any(not pending.spec.event for pending in self._locks.waiting)
+
+    async def _end(self, number: int, source: str, recorded: QueuedRow, ending: list[asyncio.Future[Any]]) -> bool:
+        await recorded
+        await asyncio.wait(ending)
+        confirmed = all(each.result() is not False for each in ending)
+        await self.take_standstill(number, source, stands=confirmed)
+        return confirmed

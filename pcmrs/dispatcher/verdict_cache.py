@@ -7,17 +7,19 @@ from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import blake2b
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Final, Generic, Protocol, TypeVar
 
 import msgspec
 
-from pcmrs.dispatcher.recorder import Recorder
+from pcmrs.dispatcher.events import Recorder
 from pcmrs.errors import RefusalError
 from pcmrs.messages import Command, Verdict
 from pcmrs.messages.clipping import clipped
 
 MAX_REMEMBERED = 10_000
 """Commands of which a cache keeps an entry; older ones are looked up in the journal."""
+ID_REUSED: Final = "id_reused"
+"""Code of the refusal of a command whose id the same source has used for another one."""
 
 
 class CacheEntry(Protocol):
@@ -143,11 +145,20 @@ def _digest(branch: str, operation: str, arguments: Mapping[str, Any]) -> bytes:
 
 def _check_same(command: Command, digest: bytes, before: bytes) -> None:
     if digest != before:
-        text = (
-            f"{command.source} has used the id {command.id!r} before, for another operation or other arguments than "
-            f"{command.branch}.{command.operation} now: give every command its own id."
-        )
-        raise RefusalError("id_reused", text, id=command.id)
+        other = f"another operation or other arguments than {command.branch}.{command.operation} now"
+        raise id_reused(command.source, command.id, other)
+
+
+def id_reused(source: str, command_id: str, other: str) -> RefusalError:
+    """Return the refusal of a command whose id has been used for another one.
+
+    Args:
+        source: Source of both commands.
+        command_id: Id that the source has given them.
+        other: The other command, as far as it is known.
+    """
+    text = f"{source} has used the id {command_id!r} before, for {other}: give every command its own id."
+    return RefusalError(ID_REUSED, text, id=command_id)
 
 
 async def wait_for_verdicts(verdicts: list[asyncio.Future[Verdict]]) -> None:

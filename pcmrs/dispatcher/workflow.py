@@ -1,19 +1,197 @@
-"""A workflow ready to run: its blueprint, and the functions and types that it names."""
+"""A workflow ready to run: its blueprint, the functions and types that it names, and the arguments of these."""
 
 from __future__ import annotations
 
+import asyncio
 import inspect
+import uuid
 from collections.abc import Awaitable, Callable, Container, Coroutine, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 import msgspec
 
-from pcmrs.dispatcher._run import Activity, C, D, Run
-from pcmrs.errors import BlueprintError
+from pcmrs.clock import Clock
+from pcmrs.errors import BlueprintError, RefusalError
 from pcmrs.fsm import Blueprint, Effect
+from pcmrs.fsm.blueprint import Motion
 from pcmrs.fsm.finding import summary
 from pcmrs.fsm.rules.declared import KnownHazards, check_declared
+from pcmrs.messages import Command, Reason, Verdict
+
+
+class ProcedureData(msgspec.Struct, frozen=True, kw_only=True):
+    """Data of a procedure; workflows add their own fields. Immutable.
+
+    Attributes:
+        plan_id: Id of the accepted tool plan.
+        registration_id: Id of the accepted registration.
+    """
+
+    plan_id: str | None = None
+    registration_id: str | None = None
+
+
+C = TypeVar("C")
+D = TypeVar("D", bound=ProcedureData)
+
+
+@dataclass
+class Run(Generic[C, D]):
+    """Argument of every check and step of one operation.
+
+    Attributes:
+        command: The command.
+        payload: Its arguments as the registered type.
+        states: The joint state in which it started; its own branches cannot change while it runs.
+        cell: The devices and frames of the cell.
+        clock: The cell's clock.
+        motion: Kind of motion that the blueprint declares for the operation.
+        latched: Stop was latched when the operation started.
+        outcome: Declared outcome to end with; the last step of an operation with outcomes sets it.
+        result: Results that the verdict reports.
+        prepared: Result of a check for a step, such as a trajectory.
+        undecided: Texts for a dry run about what a check could not decide yet.
+    """
+
+    command: Command
+    payload: Any
+    states: dict[str, str]
+    cell: C
+    clock: Clock
+    _data: D
+    _show_progress: Callable[[float], None]
+    motion: Motion = "none"
+    latched: bool = False
+    outcome: str | None = None
+    result: dict[str, Any] = field(default_factory=dict)
+    prepared: Any = None
+    undecided: list[str] = field(default_factory=list)
+    changes: dict[str, Any] = field(default_factory=dict)
+    posts: list[tuple[str, str, dict[str, Any]]] = field(default_factory=list)
+    _replan: Callable[[], Awaitable[Reason | None]] | None = None
+
+    @property
+    def data(self) -> D:
+        """Data of the procedure with the changes of this run."""
+        return msgspec.structs.replace(self._data, **self.changes) if self.changes else self._data
+
+    def use_planner(self, replan: Callable[[], Awaitable[Reason | None]]) -> None:
+        """Set the function that asks the operation's checks again."""
+        self._replan = replan
+
+    async def replan(self) -> None:
+        """Ask the operation's checks again, with the present data: a step calls it when the arm stands.
+
+        Raises:
+            RefusalError: A check refuses.
+        """
+        refused = None if self._replan is None else await self._replan()
+        if refused is not None:
+            raise RefusalError(refused.code, refused.text, **refused.fields)
+
+    def keep(self, **changes: Any) -> None:
+        """Change fields of the procedure's data; they are committed with the states, or not at all."""
+        self.changes.update(changes)
+
+    def post(self, branch: str, operation: str, **arguments: Any) -> None:
+        """Submit a command once this operation is committed, without waiting for it.
+
+        Args:
+            branch: Branch of the command.
+            operation: Its operation.
+            arguments: Its arguments.
+        """
+        self.posts.append((branch, operation, arguments))
+
+    def progress(self, fraction: float) -> None:
+        """Publish the progress of the operation, from 0 to 1."""
+        self._show_progress(fraction)
+
+
+@dataclass(eq=False)
+class Activity(Generic[C, D]):
+    """Argument of the function of an activity, which runs until it is cancelled.
+
+    A function that moves the robot ends its motion before it lets the cancellation through. If it returns or raises by
+    itself, everything is stopped. It must not await the dispatcher; it may `post`.
+
+    Attributes:
+        name: Registered name of the function.
+        branch: Branch of the state that it belongs to.
+        state: The state.
+        command: The command that led into the state.
+        cell: The devices and frames of the cell.
+        clock: The cell's clock.
+        values: Values that the snapshot shows.
+    """
+
+    name: str
+    branch: str
+    state: str
+    command: Command
+    cell: C
+    clock: Clock
+    _data: Callable[[], D]
+    _states: Callable[[], dict[str, str]]
+    _submit: Callable[[Command], asyncio.Future[Verdict]]
+    _show: Callable[[], None]
+    values: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def source(self) -> str:
+        """Source of its commands and events."""
+        return f"activity:{self.name}"
+
+    @property
+    def data(self) -> D:
+        """Present data of the procedure."""
+        return self._data()
+
+    @property
+    def states(self) -> dict[str, str]:
+        """Present joint state."""
+        return self._states()
+
+    def post(self, branch: str, operation: str, **arguments: Any) -> asyncio.Future[Verdict]:
+        """Submit a command at once; it may call event operations, too.
+
+        Args:
+            branch: Branch of the command.
+            operation: Its operation.
+            arguments: Its arguments.
+
+        Returns:
+            The verdict to come. Look at it, but never await it.
+        """
+        return self._submit(self.command_to(branch, operation, arguments))
+
+    def show(self, **values: Any) -> None:
+        """Show values in the snapshot, besides earlier ones; each change is published: a few per second."""
+        shown = self.values | values
+        if shown != self.values:
+            self.values = shown
+            self._show()
+
+    def command_to(self, branch: str, operation: str, arguments: dict[str, Any]) -> Command:
+        """Return a command of this activity, whose parent is the command that led into the state.
+
+        Args:
+            branch: Branch of the command.
+            operation: Its operation.
+            arguments: Its arguments.
+        """
+        return Command(
+            id=f"{self.name}-{uuid.uuid4().hex}",
+            branch=branch,
+            operation=operation,
+            source=self.source,
+            user=self.command.user,
+            role="daemon",
+            arguments=arguments,
+            parent=self.command.id,
+        )
+
 
 Check = Callable[[Run[C, D]], None]
 Step = Callable[[Run[C, D]], Awaitable[None] | None]

@@ -8,6 +8,7 @@ from typing import Any
 from uuid import uuid4
 
 from pcmrs.clock import Clock
+from pcmrs.dispatcher.verdict_cache import id_reused
 from pcmrs.errors import RefusalError
 from pcmrs.gateway._adapter import Core
 from pcmrs.gateway.commands import Action, CommandStep, PlanKind
@@ -18,7 +19,6 @@ from pcmrs.gateway.streams import Streams
 from pcmrs.messages import Command
 from pcmrs.messages.identity import Principal
 
-ID_REUSED = "id_reused"
 PAIR_WINDOW = 1.0
 """Limit of the time between rotation and translation of one pose, s of the machine."""
 
@@ -265,8 +265,8 @@ class CommandHandlers:
         """
         if not request.repeats(before):  # a late copy of an earlier command must not break a plan that has begun since
             self._drop_parts(request)
-        text = f"#{request.id} has been used for {before.spec.name}; give each command its own id."
-        return self.rejected(request, ID_REUSED, text)
+        refusal = id_reused(self.source, str(request.id), before.spec.name)
+        return self.rejected(request, refusal.refusal_code, refusal.text)
 
     def collected(self, request: StringCommand) -> object:
         """Return the parts of the plan that a command would end; None for another command, or if there are none."""
@@ -378,8 +378,7 @@ class CommandHandlers:
             ended = self._ends.pop(unique)
         if (verdict.branch, verdict.operation) != (branch, operation):
             # The daemon has recalled an earlier command: another one, or this one with other steps.
-            text = f"#{request.id} has been {verdict.branch}.{verdict.operation}; give each command its own id."
-            raise RefusalError(ID_REUSED, text, id=request.id)
+            raise id_reused(self.source, str(request.id), f"{verdict.branch}.{verdict.operation}")
         return of_verdict(verdict), self._services.clock.monotonic() if ended is None else ended
 
     def _announce_landmarks(self, request: StringCommand) -> CommandOutcome:

@@ -14,9 +14,8 @@ from typing import Any
 import msgspec
 
 from pcmrs.clock import Clock
-from pcmrs.dispatcher.events import DAEMON
+from pcmrs.dispatcher.events import DAEMON, EarlierDecision
 from pcmrs.dispatcher.procedure import Procedure
-from pcmrs.dispatcher.recorder import EarlierDecision
 from pcmrs.errors import JournalError
 from pcmrs.fsm import Blueprint
 from pcmrs.fsm.blueprint import MigrationSpec

@@ -185,7 +185,7 @@ DEFECTS: dict[str, tuple[str, Callable[..., object]]] = {
         nothing,
     ),
     "nothing follows from danger": (
-        "pcmrs.dispatcher._stop_control:StopControl.follow_danger",
+        "pcmrs.dispatcher.stops:StopControl.follow_danger",
         lambda _, submit: submit(),
     ),
 }

@@ -13,8 +13,8 @@ import msgspec
 import pytest
 
 from pcmrs.dispatcher import Activity, Dispatcher, DispatcherListener, ProcedureData, Registry, Run, Workflow
+from pcmrs.dispatcher.events import EarlierDecision
 from pcmrs.dispatcher.execution import MotionChecker
-from pcmrs.dispatcher.recorder import EarlierDecision
 from pcmrs.errors import JournalError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm import Blueprint, Effect
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict

@@ -1,16 +1,18 @@
-"""Checks and steps: what refuses, raises or is late; and checks that a planner asks while the loop goes on."""
+"""Checks and steps: what refuses, raises or is late; checks that a planner asks while the loop goes on; and holds."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator, Callable
+from contextlib import suppress
 from typing import Any
 
 import msgspec
 import pytest
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.dispatcher import Run
-from pcmrs.dispatcher.execution import MOST_PLANS
+from pcmrs.dispatcher.execution import MOST_PLANS, Hold
 from pcmrs.errors import DeviceError, RefusalError
 from pcmrs.messages import Reason, Verdict
 from pcmrs.testing.clock import settle
@@ -270,3 +272,41 @@ async def test_03_declared_outcomes_have_their_targets_and_others_fail(bench: Be
         verdict = await bench.take("digitization", "digitize_one", ending)
         assert verdict.state == state
         assert (verdict.decision == "failed") == (ending == "nonsense")
+
+
+async def _wait_for(hold: asyncio.Task[bool]) -> bool:
+    return await asyncio.shield(hold)
+
+
+async def test_hold_continues_when_its_caller_is_cancelled() -> None:
+    tasks, stands, held = BackgroundTasks(print), asyncio.Event(), asyncio.Event()
+
+    async def hold(_latch: bool) -> None:
+        await stands.wait()
+        held.set()
+
+    asked = asyncio.create_task(Hold(hold, tasks).end_motion())
+    await asyncio.sleep(0)
+    await asyncio.sleep(0)
+    asked.cancel()
+    with suppress(asyncio.CancelledError):
+        await asked
+    stands.set()
+    await tasks.wait()
+
+    assert held.is_set()
+
+
+async def test_cancelled_caller_does_not_end_the_hold_of_others() -> None:
+    stands = asyncio.Event()
+
+    async def standing(_latch: bool) -> None:
+        await stands.wait()
+
+    hold = Hold(standing, BackgroundTasks(print))
+    impatient, patient = (asyncio.create_task(_wait_for(hold.stop())) for _ in range(2))
+    await settle()
+    impatient.cancel()
+    await settle()
+    stands.set()
+    assert await patient

@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from pcmrs.dispatcher.recorder import EarlierDecision
+from pcmrs.dispatcher.events import EarlierDecision
 from pcmrs.dispatcher.recovery import PendingOutcomes
 from pcmrs.errors import JournalError, PcmrsError, UnknownOutcomeError
 from pcmrs.messages import DeviceEvent, UnknownOutcome, Verdict

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from pcmrs.dispatcher import verdict_cache
-from pcmrs.dispatcher.recorder import EarlierDecision
+from pcmrs.dispatcher.events import EarlierDecision
 from pcmrs.dispatcher.verdict_cache import VerdictCache
 from pcmrs.messages import Command, Verdict
 from pcmrs.testing.clock import settle

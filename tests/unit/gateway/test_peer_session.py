@@ -370,7 +370,7 @@ async def test_an_id_of_another_command_is_refused_and_reported(cell: Any) -> No
     assert cell.core.operations == ["nudge"]
     texts = refused(cell, "id_reused")
     assert [text[:16] for text in texts] == ["execute_bkoffset", "adjust_tranxxxxx"]
-    assert texts[0].endswith("#7 has been used for adjust_tranxxxxx; give each command its own id.")
+    assert texts[0].endswith("has used the id '7' before, for adjust_tranxxxxx: give every command its own id.")
     assert await cell.ask("adjust_tranxxxxx_0_0_0.001_#7;") == first, "a repeat gets the recorded answer"
     assert cell.core.operations == ["nudge"]
 

@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
+from pcmrs.dispatcher.verdict_cache import ID_REUSED
 from pcmrs.fsm import Blueprint
 from pcmrs.journal import JournalReader
 from pcmrs.messages import Command, DeviceEvent, JointState, Snapshot, Verdict
@@ -20,7 +21,7 @@ MOVING_SPEED = 1e-3
 
 def refuses_the_id(verdict: Verdict) -> bool:
     """Return whether the verdict says that another command has that id; the decision on that command is unchanged."""
-    return verdict.reason is not None and verdict.reason.code == "id_reused"
+    return verdict.reason is not None and verdict.reason.code == ID_REUSED
 
 
 @dataclass

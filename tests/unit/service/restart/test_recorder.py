@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from pcmrs.dispatcher.recorder import EarlierDecision
+from pcmrs.dispatcher.events import EarlierDecision
 from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalRow, journal_files
 from pcmrs.journal import writer as writer_module
