@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -99,10 +100,10 @@ def read_payload(workflow: Workflow[Any, Any], command: Command, spec: Operation
         payload: msgspec.Struct = msgspec.convert(arguments, kind)
     except msgspec.ValidationError as error:
         raise RefusalError("bad_arguments", f"{what}: {error}.", arguments=list(command.arguments)) from error
-    for path, value in _numbers(command.arguments, ""):
-        if not math.isfinite(value):
-            text = f"{what}: {path[1:]} is {value}; every number must be finite."
-            raise RefusalError("bad_arguments", text, argument=path[1:], value=str(value))
+    if (found := _not_finite(command.arguments)) is not None:
+        path, value = found
+        text = f"{what}: {path} is {value}; every number must be finite."
+        raise RefusalError("bad_arguments", text, argument=path, value=str(value))
     return payload
 
 
@@ -150,11 +151,15 @@ def check_in_time(name: str, age: float) -> None:
         raise RefusalError("expired", text, age=age, limit=CHECKS_BEGIN_WITHIN)
 
 
-def _numbers(value: Any, path: str) -> list[tuple[str, float]]:
-    if isinstance(value, float):
-        return [(path, value)]
-    if isinstance(value, dict):
-        return [found for key, item in value.items() for found in _numbers(item, f"{path}.{key}")]
-    if isinstance(value, list | tuple):
-        return [found for index, item in enumerate(value) for found in _numbers(item, f"{path}.{index}")]
-    return []
+def _not_finite(arguments: Mapping[str, Any]) -> tuple[str, float] | None:
+    """Return the path and value of a number that is not finite; None if all are."""
+    parts: list[tuple[str, Any]] = list(arguments.items())
+    for path, value in parts:  # which grows by what each part holds: every command passes here, so nothing is called
+        if isinstance(value, float):
+            if not math.isfinite(value):
+                return path, value
+        elif isinstance(value, dict):
+            parts += [(f"{path}.{key}", item) for key, item in value.items()]
+        elif isinstance(value, list | tuple):
+            parts += [(f"{path}.{index}", item) for index, item in enumerate(value)]
+    return None
