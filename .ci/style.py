@@ -14,6 +14,7 @@ FOLDERS = (
     "*.md",
     "docs/*.md",
     "docs/adr/*.md",
+    "docs/api/*.md",
     "deploy/**/*.md",
     "deploy/**/*.py",
     ".github/**/*.md",

@@ -13,8 +13,7 @@ from typing import Any
 
 import click
 
-from pcmrs.bus import DEFAULT_ENDPOINT
-from pcmrs.client import Client
+from pcmrs.client import DEFAULT_ENDPOINT, Client
 from pcmrs.spatial import Transform
 
 PLAN = json.loads((Path(__file__).parent / "ratms_plan.json").read_text())

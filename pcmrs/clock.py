@@ -7,6 +7,8 @@ import time
 from contextlib import AbstractAsyncContextManager
 from typing import Any, Protocol
 
+__all__ = ["Clock", "SystemClock"]
+
 
 class Clock(Protocol):
     """Monotonic time, wall time, and waiting."""

@@ -4,6 +4,37 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
+__all__ = [
+    "AccessError",
+    "AlteredSegmentError",
+    "ArchiveError",
+    "BlueprintError",
+    "BusError",
+    "CommandRefusedError",
+    "ConfigurationError",
+    "DegenerateMotionError",
+    "DegeneratePointsError",
+    "DeviceError",
+    "DeviceRefusedError",
+    "DoubledSegmentError",
+    "FileFormatError",
+    "GeometryError",
+    "JournalError",
+    "MirroredPointsError",
+    "MissingSegmentError",
+    "MissingTransformError",
+    "MotionInterruptedError",
+    "PayloadError",
+    "PcmrsError",
+    "ReentrancyError",
+    "RefusalError",
+    "ReplayError",
+    "SealError",
+    "SupervisionError",
+    "UnknownOutcomeError",
+    "UnreachableError",
+]
+
 
 class PcmrsError(Exception):
     """Base of every error that PCMRS raises on purpose.

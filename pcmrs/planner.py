@@ -18,6 +18,8 @@ from pcmrs.gateway.commands import Value
 from pcmrs.gateway.grammar import format_command
 from pcmrs.gateway.signing import Signer
 
+__all__ = ["Decision", "MeasuredPlacement", "Planner", "PlannerVerdict", "Signer"]
+
 REPEAT_AFTER = 0.5
 """Time without an answer after which a command is first repeated, s; it doubles each time."""
 REPEAT_AT_MOST = 1.0
@@ -27,6 +29,7 @@ With 20 % of the datagrams lost, 1 of 100,000 commands gets no verdict within 10
 """
 
 Decision = Literal["accepted", "rejected", "failed"]
+"""Decision on a command, as the link reports it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,6 +29,8 @@ from pcmrs.recording.settings import RecordingSettings
 from pcmrs.workflows import find_workflow, read_workflow
 from pcmrs.workflows.settings import ProcedureSettings
 
+__all__ = ["Settings", "read_settings"]
+
 DRIVER_SETTINGS = "pcmrs.driver_settings"
 """Group of the entry points that name the settings of drivers."""
 SIMULATED = "sim"

@@ -11,6 +11,7 @@ from itertools import groupby
 from typing import Any
 
 import msgspec
+from python_api import MODULE, module_section
 from refusals import refusals
 from schema_tables import Schema, definition_body, definition_section, name_of, plain
 
@@ -37,6 +38,7 @@ OWN_TYPE = re.compile(r"(?<!/)\b(?!CDR:)[A-Z]\w+")
 
 def on_page_markdown(markdown: str, **_context: Any) -> str:
     """Fill the page."""
+    markdown = MODULE.sub(lambda found: "\n".join(module_section(found[1], found[2].split())), markdown)
     return re.sub(r"^\{\{ (\w+) \}\}$", lambda found: "\n".join(FILLED[found[1]]()), markdown, flags=re.MULTILINE)
 
 

@@ -15,6 +15,8 @@ from pcmrs.analysis.nibs_tables import EVENTS, PERCENT, TASK, description, posit
 from pcmrs.analysis.session import PulseRecord, SessionRecord
 from pcmrs.tms.mep import Mep
 
+__all__ = ["write_meps"]
+
 STATUS = {"good": "Counts", "bad": "Says nothing about the muscle; status_description says why"}
 Sample = tuple[int, float, float]
 """Number of the pulse, time since it, s, and the signal, uV."""

@@ -16,6 +16,8 @@ from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Floats
 from pcmrs.tms.scalp import as_transform
 
+__all__ = ["write_nibs"]
+
 TASK = "rmt"
 PERCENT = "% Maximum Stimulator Output"
 STIMULATOR, COIL = "stimulator", "coil"

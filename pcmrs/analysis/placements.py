@@ -10,6 +10,8 @@ import numpy.typing as npt
 from pcmrs.formats.pose_file import Placement
 from pcmrs.spatial import Floats, Transform, rotation_angle
 
+__all__ = ["PlacementError", "PlacementTrial", "Summary", "placement_error", "summarize"]
+
 
 @dataclass(frozen=True, slots=True)
 class Summary:

@@ -11,6 +11,8 @@ import numpy as np
 from pcmrs.formats.pose_log import ROWS, PoseLog
 from pcmrs.spatial import Floats, Transform, distance, mean_transform, rotation_angle
 
+__all__ = ["LoopCheck", "PoseJitter", "PoseTrack", "analyse_track", "check_loop"]
+
 FEWEST = 3
 """Smallest number of poses that leaves a degree of freedom after fitting a straight line."""
 

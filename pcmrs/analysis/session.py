@@ -12,6 +12,8 @@ from pcmrs.tms.mep import Mep
 from pcmrs.tms.settings import Estimate, Hotspot, MepSettings
 from pcmrs.tms.threshold import MotorThresholdEstimator
 
+__all__ = ["Phase", "PlacementRecord", "PulseRecord", "RefusalRecord", "RegistrationRecord", "SessionRecord"]
+
 Phase = Literal["intensity", "hotspot", "threshold"]
 """Purpose of a pulse: to find an intensity for the search, the hot-spot search, the threshold hunt."""
 

@@ -13,6 +13,8 @@ import pyarrow.parquet as pq
 from pcmrs.errors import ArchiveError
 from pcmrs.files import SECRET, publish
 
+__all__ = ["rows_of", "write_answer"]
+
 
 def rows_of(answer: pa.RecordBatchReader) -> Iterator[dict[str, Any]]:
     """Yield the rows of an answer as values by the names of their columns.

@@ -17,6 +17,8 @@ from pcmrs.fsm.behaviour import Joint, Ruling, behaviour, endings, line_of, oper
 from pcmrs.fsm.blueprint import ActivitySpec, Blueprint, OperationSpec, PropertySpec
 from pcmrs.fsm.closure import Change, Denial
 
+__all__ = ["BlueprintDifference", "compare"]
+
 FacetKind = Literal["accepted", "rejected", "ending", "reason", "locks"]
 
 Facets = dict[str, frozenset[Any]]

@@ -16,6 +16,7 @@ from pcmrs.hosts import is_loopback
 from pcmrs.messages.identity import LOCAL, ON_SITE, Identity, Role
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
+"""Endpoint of a daemon on this machine."""
 SECURED: Final = "tls/"
 """Prefix of every endpoint on another machine."""
 LOCAL_LEASE_MS: Final = 1000

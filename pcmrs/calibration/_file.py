@@ -18,7 +18,9 @@ from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Transform
 
 Kind = Literal["tool", "pointer"]
+"""Kind of calibration: of a tool on the flange, or of the tip of a pointer."""
 ToolType = Literal["coil", "drill_guide"]
+"""Type of a calibrated tool."""
 
 TRANSFORM: dict[Kind, str] = {"tool": "flange_from_coil", "pointer": "pointer_from_tip"}
 """Transform that a calibration of each kind must hold; the frames are those of `pcmrs.spatial.Frame`."""

@@ -16,8 +16,12 @@ from pcmrs.formats.grid import METRES
 from pcmrs.formats.reading import read_table, read_text, refuse
 from pcmrs.spatial import Transform
 
+__all__ = ["HAND_EYE", "PIVOT", "header", "read_poses", "write_poses"]
+
 PIVOT = ("tracker_from_pointer",)
+"""Poses in each row of a file for a pivot calibration."""
 HAND_EYE = ("base_from_flange", "tracker_from_coil")
+"""Poses in each row of a file for a hand-eye calibration."""
 
 MAX_DISTANCE = 20.0
 """Farthest distance from the tracker, m. No tracker sees farther: a larger number was probably given in mm."""

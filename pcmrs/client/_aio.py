@@ -48,6 +48,7 @@ from pcmrs.messages.identity import LOCAL
 from pcmrs.messages.setup import ProcedureDataView, Setup
 
 Event = Snapshot | Verdict | DeviceEvent
+"""Event that `Client.watch` yields."""
 T = TypeVar("T")
 
 _TTL = 5.0
@@ -68,6 +69,10 @@ _BACKLOG = 1024
 
 class Client:
     """A connection to the daemon of one cell. Use `Client.connect`.
+
+    Args:
+        bus: Session of the bus, open.
+        user: Name of the user.
 
     Attributes:
         missed: Number of events that `watch` has dropped, the oldest first, because its reader was too slow.

@@ -29,6 +29,10 @@ class PlainClient:
     """`Client` with blocking functions. Use `PlainClient.connect`.
 
     Its own event loop runs in a thread; call its functions from any thread but that one.
+
+    Args:
+        portal: Portal to the event loop.
+        client: Client in that loop, connected.
     """
 
     def __init__(self, portal: BlockingPortal, client: Client) -> None:

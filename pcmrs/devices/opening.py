@@ -15,6 +15,8 @@ from pcmrs.devices.protocols import OpenDriver
 from pcmrs.errors import ConfigurationError
 from pcmrs.installed import entry_points_of
 
+__all__ = ["DRIVERS", "check_conformity", "open_driver"]
+
 
 def check_conformity(driver: str, devices: Mapping[str, Any]) -> None:
     """Check that each device has every method and attribute of its protocol.

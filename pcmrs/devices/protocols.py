@@ -28,6 +28,23 @@ from pcmrs.messages import (
     StimulatorState,
 )
 
+__all__ = [
+    "Device",
+    "Emg",
+    "Latching",
+    "LatchingRobot",
+    "LatchingStimulator",
+    "OpenDriver",
+    "Pointer",
+    "Robot",
+    "RobotDriver",
+    "Scene",
+    "ServoStream",
+    "Stimulator",
+    "StimulatorDriver",
+    "TrackerDriver",
+]
+
 
 class ServoStream(Protocol):
     """A running servo session, from the side that sends the set points."""
@@ -276,6 +293,7 @@ class TrackerDriver(Protocol):
 
 
 Device = RobotDriver | TrackerDriver | Pointer | Scene | StimulatorDriver | Emg
+"""Any device that a driver opens."""
 
 
 class OpenDriver(Protocol):

@@ -6,6 +6,8 @@ import asyncio
 from collections.abc import AsyncIterator
 from typing import Generic, TypeVar
 
+__all__ = ["Stream"]
+
 T = TypeVar("T")
 
 BACKLOG = 64

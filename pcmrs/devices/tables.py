@@ -9,6 +9,8 @@ import msgspec
 
 from pcmrs.errors import ConfigurationError
 
+__all__ = ["check_devices", "check_names", "read_table"]
+
 S = TypeVar("S", bound=msgspec.Struct)
 
 

@@ -14,8 +14,12 @@ import numpy.typing as npt
 from pcmrs.formats.reading import refuse
 from pcmrs.spatial import Floats
 
+__all__ = ["Space", "Unit", "Volume"]
+
 Unit = Literal["m", "mm"]
+"""Unit of the lengths in a file."""
 Space = Literal["RAS", "LPS"]
+"""Axes of a file: to the right, anterior and superior, or to the left, posterior and superior."""
 Role = Literal["planned", "digitized"]
 Named = tuple[str, tuple[float, ...]]
 """A name and its point, RAS, m."""

@@ -18,6 +18,8 @@ from pcmrs.formats.lab_yaml import read_lab_landmarks
 from pcmrs.formats.reading import read_text, refuse
 from pcmrs.spatial import Floats
 
+__all__ = ["Landmarks", "Pairs", "pair_landmarks", "read_landmarks"]
+
 
 class _Landmark(msgspec.Struct, frozen=True):
     name: str

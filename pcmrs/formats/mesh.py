@@ -18,6 +18,8 @@ from pcmrs.formats.grid import Space, Unit, as_ras
 from pcmrs.formats.reading import read_bytes, refuse
 from pcmrs.spatial import Floats
 
+__all__ = ["Mesh", "read_mesh"]
+
 KINDS = (".stl", ".ply", ".obj")
 MAX_MESH_BYTES = 64 * 1024 * 1024
 """Limit of a file: about a million triangles."""

@@ -16,6 +16,8 @@ from pcmrs.formats.lab_yaml import lab_pose
 from pcmrs.formats.reading import read_yaml, refuse
 from pcmrs.spatial import Transform
 
+__all__ = ["Placement", "read_placements"]
+
 SUFFIXES = (".yaml", ".yml")
 
 

@@ -15,6 +15,8 @@ from pcmrs.errors import GeometryError
 from pcmrs.formats.reading import read_bytes, refuse
 from pcmrs.spatial import Transform
 
+__all__ = ["PoseLog", "read_pose_log"]
+
 ROWS = ("body_tool", "pol_body", "pol_tool")
 """``body_from_tool``, ``tracker_from_body``, ``tracker_from_tool``."""
 

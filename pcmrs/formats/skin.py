@@ -12,6 +12,8 @@ from pcmrs.errors import ConfigurationError, GeometryError
 from pcmrs.formats.grid import Volume
 from pcmrs.formats.mesh import Mesh
 
+__all__ = ["skin_of"]
+
 FINEST = 0.0015
 """Finer voxels than this are averaged before the surface is extracted, m."""
 SMOOTHING = 0.7

@@ -8,6 +8,8 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.formats.grid import Volume
 from pcmrs.formats.reading import refuse
 
+__all__ = ["read_volume"]
+
 NIFTI = (".nii", ".nii.gz")
 
 

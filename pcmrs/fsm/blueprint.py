@@ -10,6 +10,21 @@ import msgspec
 
 from pcmrs.messages.identity import COMMANDING, Role
 
+__all__ = [
+    "START_OUTCOME",
+    "ActivitySpec",
+    "Blueprint",
+    "BranchSpec",
+    "Condition",
+    "MigrationSpec",
+    "OperationSpec",
+    "OutcomeSpec",
+    "ParentSpec",
+    "PropertySpec",
+    "RevocationSpec",
+    "SequenceSpec",
+]
+
 Motion = Literal["none", "approach", "retreat"]
 
 Requirement = dict[str, list[str]]

@@ -19,6 +19,11 @@ from pcmrs.journal.writer import JournalWriter
 class Journal:
     """Append-only SQLite files of rows, chained by hashes, with a signed head beside them. Use `Journal.open`.
 
+    Args:
+        writer: Writer of the files, open.
+        reader: Reader of the same files.
+        durable: See `Journal.open`.
+
     Attributes:
         reader: Reader of the committed rows.
     """

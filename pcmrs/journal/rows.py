@@ -13,6 +13,7 @@ from pcmrs.messages import BlueprintTag, Message, Verdict
 from pcmrs.messages.identity import Role
 
 Kind = Literal["intent", "outcome", "event", "device", "snapshot", "config"]
+"""Kind of a row."""
 
 Wall = Annotated[float, msgspec.Meta(ge=0.0, lt=2.5e11)]
 """Unix seconds until the year 9892, so that every reader can convert them into a date."""

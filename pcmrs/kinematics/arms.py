@@ -12,6 +12,8 @@ from math import pi, radians
 
 from pcmrs.spatial import Transform
 
+__all__ = ["ARMS", "IIWA7_R800", "IIWA14_R820", "ArmFacts", "JointFacts"]
+
 Triple = tuple[float, float, float]
 Inertia = tuple[float, float, float, float, float, float]
 

@@ -15,6 +15,8 @@ from pcmrs.kinematics.limits import joint_array
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
 
+__all__ = ["inverse"]
+
 
 def inverse(
     arm: ArmModel,

@@ -8,6 +8,8 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from pcmrs.kinematics.arms import ArmFacts, JointFacts
 
+__all__ = ["mjcf"]
+
 _NO_LENGTH = 1e-6  # m
 
 

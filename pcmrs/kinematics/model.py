@@ -15,6 +15,8 @@ from pcmrs.kinematics.limits import joint_array
 from pcmrs.kinematics.urdf import urdf
 from pcmrs.spatial import Floats, Transform, trusted_transform
 
+__all__ = ["ArmModel"]
+
 
 class ArmModel:
     """A serial arm that computes the pose of its flange. Do not share it between threads.

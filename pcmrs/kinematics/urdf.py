@@ -7,6 +7,8 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from pcmrs.kinematics.arms import ArmFacts, JointFacts
 
+__all__ = ["urdf"]
+
 
 def urdf(facts: ArmFacts) -> str:
     """Return the arm as a URDF document without geometry.

@@ -11,6 +11,8 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.kinematics._urdf_reader import read_urdf
 from pcmrs.kinematics.arms import ARMS, ArmFacts
 
+__all__ = ["find_arm"]
+
 _PACKAGE = "example-robot-data"
 
 

@@ -22,6 +22,8 @@ from pcmrs.kinematics.limits import joint_array
 from pcmrs.kinematics.urdf import urdf
 from pcmrs.spatial import Floats, Transform
 
+__all__ = ["Clearance", "ToolShape", "Zone", "ZoneModel"]
+
 FAR_AWAY = pinocchio.SE3(np.eye(3), np.array((0.0, 0.0, -1000.0)))
 """Pose of a zone whose place is not known: too far away to matter."""
 SIGHT_OF_TOOL, SIGHT_OF_BODY = "sight_of_tool", "sight_of_body"

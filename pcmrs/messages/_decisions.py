@@ -8,6 +8,7 @@ from pcmrs.messages._base import Message
 from pcmrs.messages.identity import ON_SITE, Role
 
 Decision = Literal["accepted", "rejected", "failed", "unknown"]
+"""How a command ended: performed, refused before anything happened, failed on the way, or its outcome is unknown."""
 
 
 class Command(Message, frozen=True, kw_only=True):

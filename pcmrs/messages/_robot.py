@@ -46,6 +46,7 @@ class JointTrajectory(Message, frozen=True, kw_only=True):
 
 
 MotionOutcome = Literal["done", "stopped"]
+"""How a motion ended: at its end, or held on the way."""
 
 
 class MotionResult(Message, frozen=True, kw_only=True, omit_defaults=False):

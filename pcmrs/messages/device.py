@@ -7,6 +7,8 @@ from typing import Any
 from pcmrs.messages._base import Message
 from pcmrs.messages._decisions import Reason
 
+__all__ = ["ActToken", "Beat", "DeviceEvent", "DeviceHealth", "DeviceReply", "DeviceRequest", "GateState", "NodeBeat"]
+
 
 class ActToken(Message, frozen=True, kw_only=True):
     """Sessions and hold epoch for which an acting request was made; see `pcmrs.devices.gate`.

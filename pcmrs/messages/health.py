@@ -7,8 +7,25 @@ from typing import Literal
 from pcmrs.messages._base import Message
 from pcmrs.messages._snapshot import BlueprintTag
 
+__all__ = [
+    "DeviceStatus",
+    "Health",
+    "HealthReason",
+    "HealthStatus",
+    "JournalStatus",
+    "LatencyStatus",
+    "LoopStatus",
+    "NodeStatus",
+    "QueueStatus",
+    "Room",
+    "Severity",
+    "TaskStanding",
+]
+
 HealthStatus = Literal["ok", "degraded", "failed"]
+"""Status of the daemon: the worst severity of its reasons, or ``ok`` without any."""
 Severity = Literal["degraded", "failed"]
+"""Severity of a reason: the cell works with a restriction, or does not work."""
 Room = Literal["enough", "little", "none"]
 """Rating of the free disk space for the journal."""
 

@@ -8,7 +8,20 @@ from pcmrs.messages._base import Message
 from pcmrs.messages._poses import PoseMessage
 from pcmrs.messages.identity import Role
 
+__all__ = [
+    "ArmShown",
+    "BoxShown",
+    "LandmarkShown",
+    "Point",
+    "ProcedureDataView",
+    "Setup",
+    "SliceShown",
+    "StimulationShown",
+    "SurfaceShown",
+]
+
 Point = tuple[float, float, float]
+"""Position x y z, m, in the frame that the field names."""
 
 
 class BoxShown(Message, frozen=True, kw_only=True, omit_defaults=False):

@@ -16,6 +16,8 @@ from pcmrs.recording import raw
 from pcmrs.recording.file import METADATA
 from pcmrs.recording.subscriber import RawSample
 
+__all__ = ["RecordingReader"]
+
 LARGEST_CHUNK: Final = 2 * MAX_BYTES
 """Largest size of a decompressed chunk, bytes: the largest message of the bus and its view, after `CHUNK`, fit in."""
 

@@ -21,6 +21,8 @@ from pcmrs.registration.pose_sets import check_count, check_rotation_spread, rot
 from pcmrs.registration.rigid import cross_matrices
 from pcmrs.spatial import Floats, Transform
 
+__all__ = ["HandEyeCalibration", "calibrate_hand_eye"]
+
 MIN_POSES = 6
 REMEDY = "bring the flange to postures turned about at least two axes by 30° and more"
 ROUNDS = 8

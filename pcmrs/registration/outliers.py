@@ -18,6 +18,8 @@ from pcmrs.registration._anisotropic import fit_anisotropic, inverse_covariances
 from pcmrs.registration.rigid import fit_rigid, sums_of_squares
 from pcmrs.spatial import Floats
 
+__all__ = ["OutlierTest", "mean_shift_test"]
+
 MIN_POINTS = 4
 """Least number of landmarks. With three, leaving out any one leaves no residual."""
 SHIFT_DEGREES = 3

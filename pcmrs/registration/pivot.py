@@ -14,6 +14,8 @@ import numpy as np
 from pcmrs.registration.pose_sets import check_count, check_rotation_spread, rotation_spread, without_bad_poses
 from pcmrs.spatial import Floats, Transform
 
+__all__ = ["PivotCalibration", "calibrate_pivot"]
+
 MIN_POSES = 10
 REMEDY = "keep the tip in place, tilt the pointer to all sides by 30° and more"
 

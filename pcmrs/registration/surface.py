@@ -23,6 +23,8 @@ from pcmrs.registration.rigid import motion_jacobians
 from pcmrs.registration.triangles import TriangleSurface
 from pcmrs.spatial import Floats, Transform
 
+__all__ = ["SurfaceRefinement", "refine_with_surface"]
+
 MAX_ITERATIONS = 100
 CONVERGED = 1e-6
 """Largest motion of a landmark in the last iteration, m: far below the resolution of any tracker."""

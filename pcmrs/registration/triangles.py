@@ -8,6 +8,8 @@ import numpy.typing as npt
 from pcmrs.errors import GeometryError
 from pcmrs.spatial import Floats
 
+__all__ = ["TriangleSurface", "closest_on_triangles"]
+
 Ints = npt.NDArray[np.int64]
 _EDGE = 1e-9
 """Tolerance of barycentric coordinates, so that a ray through the edge between two triangles meets both, not none; and

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+__all__ = ["draw_figures"]
+
 WIDTH: Final = 7.1
 """Width of a page of A4 without its margins, inches."""
 TINTS: Final = ("#dfe5ea", "#a9cbe3", "#5fa3d0", "#0072B2", "#9fd6c2", "#3aa886", "#c9b7dd", "#8a6fb0", "#e6d69a")

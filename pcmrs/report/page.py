@@ -11,6 +11,8 @@ from pcmrs.analysis.placements import Summary, summarize
 from pcmrs.report._contents import ReportedPlacement, ReportedRefusal, ReportedRegistration, SessionReport
 from pcmrs.report.pages import SVG, embedded, fixed, render, utc
 
+__all__ = ["render_page"]
+
 TEMPLATE: Final = "report.html.j2"
 MOST_PLACEMENTS: Final = 4
 """Largest number of placements on the first page."""

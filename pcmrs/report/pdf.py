@@ -7,6 +7,8 @@ import io
 from pathlib import Path
 from typing import Final
 
+__all__ = ["render_pdf"]
+
 FACES: Final = (
     ("DejaVu Sans", "normal", "DejaVuSans.ttf"),
     ("DejaVu Sans", "bold", "DejaVuSans-Bold.ttf"),

@@ -54,6 +54,8 @@ from pcmrs.spatial import Transform
 from pcmrs.workflows import find_workflow
 from pcmrs.workflows.data import Registered, as_message, as_transform
 
+__all__ = ["SessionReport", "read_report"]
+
 LONGEST_PAUSE: Final = 3600.0
 """Largest pause, s, after which a run continues the session of one of the same patient that did not end in order."""
 ROUTINE: Final = frozenset({"activity_started", "activity_ended"})

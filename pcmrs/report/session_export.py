@@ -23,6 +23,8 @@ from pcmrs.report.session_folder import JOURNAL, make_folder, write_configuratio
 from pcmrs.report.session_journal import configured_calibrations, find_session
 from pcmrs.settings import Settings
 
+__all__ = ["ExportReport", "export_session"]
+
 Progress = Callable[[str, int, int], None]
 
 VERIFICATION, VERSIONS, README = "verification.json", "versions.json", "README.txt"

@@ -21,6 +21,8 @@ from pcmrs.report._contents import ReportedFile, ReportedJournal
 from pcmrs.report.session_export import README
 from pcmrs.report.session_folder import JOURNAL, SUMS
 
+__all__ = ["ReportSource", "open_source"]
+
 MAGIC = b"\x89MCAP0\r\n"
 """Last bytes of a recording that was ended in order."""
 

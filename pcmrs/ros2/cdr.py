@@ -17,6 +17,25 @@ from pycdr2.types import float64, int32, sequence, uint32
 from pcmrs.errors import PayloadError
 from pcmrs.spatial import Transform
 
+__all__ = [
+    "Header",
+    "JointState",
+    "Point",
+    "Pose",
+    "PoseStamped",
+    "Quaternion",
+    "RigidTransform",
+    "String",
+    "TFMessage",
+    "Time",
+    "TransformStamped",
+    "Vector3",
+    "decode",
+    "header",
+    "link",
+    "pose_stamped",
+]
+
 MAX_BYTES: Final = 4096
 """Longest accepted message; the longest of those received here has less than 400 bytes."""
 

@@ -6,6 +6,8 @@ import asyncio
 from contextlib import AbstractAsyncContextManager
 from typing import Any
 
+__all__ = ["SimulatedClock"]
+
 EPOCH = 1_700_000_000.0
 """Wall time at the start of every simulation, Unix seconds."""
 

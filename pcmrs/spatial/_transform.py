@@ -13,6 +13,7 @@ import numpy.typing as npt
 from pcmrs.errors import GeometryError
 
 Floats = npt.NDArray[np.float64]
+"""Array of numbers; its shape and unit are in the text beside it."""
 
 ORTHONORMAL_TOLERANCE = 1e-6
 GIMBAL_LOCK = 1e-7

@@ -12,6 +12,8 @@ from pcmrs.errors import RefusalError
 from pcmrs.spatial._constant_velocity import Noise, VelocityFilter
 from pcmrs.spatial._transform import Floats, Transform, trusted_transform
 
+__all__ = ["PosePredictor"]
+
 JUMP_THRESHOLD = 30.0
 """Innovation over its standard deviation above which a frame is an outlier: 2.3 mm or 1.4° between frames at 60 Hz. A
 head that starts at once with 86 mm/s moves by 1.4 mm between frames."""

@@ -18,6 +18,8 @@ from pcmrs.planner import Planner
 from pcmrs.service import Ready
 from pcmrs.testing.daemon import device_key, log_tail, own_settings, running_daemon
 
+__all__ = ["LIGHT", "QUICK", "REAL_TIME", "RunningCell", "open_cell"]
+
 QUICK = (
     "cell.rate=5",
     "robot.deadman=0.5",

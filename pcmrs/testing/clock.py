@@ -10,6 +10,8 @@ from contextlib import asynccontextmanager
 
 from pcmrs.clock import SystemClock
 
+__all__ = ["ManualClock", "SetClock", "settle"]
+
 EPOCH = 1_700_000_000.0
 """Offset of the wall time of a `ManualClock`, Unix seconds."""
 SPINS = 50

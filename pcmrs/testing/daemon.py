@@ -21,6 +21,8 @@ from pcmrs.service import Ready
 from pcmrs.service.processes.child import end_child
 from pcmrs.threads import descendants
 
+__all__ = ["DaemonProcess", "free_port", "own_settings", "running_daemon"]
+
 START_TIME = 300.0
 """Time within which the daemon must be ready, s: on a busy machine its imports alone take a minute."""
 

@@ -29,6 +29,8 @@ from pcmrs.messages import (
 )
 from pcmrs.testing.clock import ManualClock
 
+__all__ = ["FakeEmg", "FakeHand", "FakeRobot", "FakeStimulator", "FakeTracker"]
+
 SESSION = 4
 """Number of the servo session of `FakeRobot`."""
 STATE = JointState(captured=1.0, sent=1.0, positions=[0.1] * 7, velocities=[0.0] * 7, torques=[0.0] * 7)

@@ -17,6 +17,28 @@ from pcmrs.messages import JointState, Snapshot, Verdict
 from pcmrs.testing.errors import Unmet
 from pcmrs.testing.plan import Plan, example_plan, read_plan
 
+__all__ = [
+    "accept",
+    "acknowledge",
+    "approach_alone",
+    "connect",
+    "digitize_landmarks",
+    "landmarks",
+    "moving",
+    "plan",
+    "reason_text",
+    "register",
+    "reset_cell",
+    "showing",
+    "state",
+    "to_placed",
+    "to_retracted",
+    "to_standoff",
+    "tool_pose",
+    "until",
+    "wait_until_stationary",
+]
+
 PATIENCE = 20.0
 """Longest wait for an expected event, s of the machine."""
 RETRY = 0.5

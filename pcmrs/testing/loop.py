@@ -7,6 +7,8 @@ from typing import TypeVar
 
 from pcmrs.simulated_time.loop import SimulatedLoop
 
+__all__ = ["run_on_simulated_loop"]
+
 T = TypeVar("T")
 
 

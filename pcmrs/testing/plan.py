@@ -10,6 +10,8 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.workflows.data import Landmark
 from pcmrs.workflows.toolplan import ToolPose
 
+__all__ = ["Plan", "example_plan", "read_plan"]
+
 
 class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Plan of a procedure, in image coordinates: m and quaternions x y z w.

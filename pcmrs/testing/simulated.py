@@ -22,6 +22,8 @@ from pcmrs.workflows.opening import open_workflow
 if TYPE_CHECKING:
     from pcmrs_sim.deterministic.cell import SimulatedCell
 
+__all__ = ["CellInSimulatedTime", "run_simulated", "simulated_cell"]
+
 T = TypeVar("T")
 
 USER = "tester"
@@ -84,6 +86,10 @@ class CellInSimulatedTime:
 
     async def accept(self, name: str, **arguments: object) -> Verdict:
         """Send a command that must be accepted, and return its verdict; see `call`.
+
+        Args:
+            name: Name of the operation, ``branch.operation``.
+            **arguments: Arguments of the operation.
 
         Raises:
             Unmet: The command was not accepted.

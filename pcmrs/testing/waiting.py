@@ -7,6 +7,8 @@ from collections.abc import Callable
 
 from pcmrs.testing.errors import Unmet
 
+__all__ = ["wait_until"]
+
 PATIENCE = 60.0
 """Longest wait, s: on a busy machine a new process needs many seconds."""
 POLL_PERIOD = 0.01

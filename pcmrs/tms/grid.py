@@ -10,6 +10,8 @@ from pcmrs.errors import GeometryError
 from pcmrs.spatial import Floats, Transform
 from pcmrs.tms.scalp import NearestPoints, along_scalp
 
+__all__ = ["grid_on_scalp", "rows_on_scalp"]
+
 CORNERS = np.array([(math.cos(k * math.pi / 3.0), math.sin(k * math.pi / 3.0)) for k in range(6)])
 MAX_RINGS = 20
 MAX_ROWS = 20

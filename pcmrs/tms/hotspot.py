@@ -15,6 +15,8 @@ from pcmrs.tms.grid import grid_on_scalp
 from pcmrs.tms.scalp import NearestPoints, ScalpPatch, as_message, as_transform, scalp_patch
 from pcmrs.tms.settings import Hotspot, HotspotSettings, MapPulse
 
+__all__ = ["HotspotSearch"]
+
 MAX_AMPLITUDE = 0.1
 """Largest plausible amplitude, V: more than ten times that of any muscle."""
 

@@ -8,6 +8,8 @@ import msgspec
 
 from pcmrs.errors import RefusalError
 
+__all__ = ["IntervalSettings", "check_count", "check_interval"]
+
 
 class IntervalSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Limits of single pulses.

@@ -12,6 +12,8 @@ from pcmrs.messages import Epoch
 from pcmrs.spatial import Floats
 from pcmrs.tms.settings import MepSettings
 
+__all__ = ["Mep", "judge_mep", "waveform"]
+
 MIN_RATE_HZ = 1000.0
 """Least sampling rate. Surface electromyograms contain frequencies up to 500 Hz (Merletti, J. Electromyogr. Kinesiol. 9
 (1999), standards of ISEK)."""

@@ -19,6 +19,8 @@ from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Floats, Transform
 from pcmrs.tms.settings import HotspotSettings
 
+__all__ = ["ScalpPatch", "along_scalp", "hand_area", "heading", "on_scalp", "scalp_patch", "turned"]
+
 NEIGHBOURS = 12
 """Number of places to which the scalp around a point is fitted. A quadric has 6 coefficients."""
 

@@ -11,9 +11,23 @@ import msgspec
 
 from pcmrs.messages import PoseMessage
 
+__all__ = [
+    "Estimate",
+    "EstimatorState",
+    "Hotspot",
+    "HotspotMethod",
+    "HotspotSettings",
+    "MapPulse",
+    "MepSettings",
+    "Pulse",
+    "ThresholdMethod",
+    "ThresholdSettings",
+]
+
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Count = Annotated[int, msgspec.Meta(ge=1)]
 HotspotMethod = Literal["adaptive", "grid"]
+"""Order of the pulses of a search: each where it is expected to say most, or one place of the grid after the other."""
 
 
 MAX_POSES = 1000
@@ -97,6 +111,7 @@ class Hotspot(msgspec.Struct, frozen=True):
 Percent = Annotated[float, msgspec.Meta(gt=0.0, le=100.0)]
 """Intensity in percent of the maximum stimulator output."""
 ThresholdMethod = Literal["ml", "relative_frequency"]
+"""Estimator of the motor threshold: maximum likelihood, or relative frequency."""
 
 
 class ThresholdSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -12,6 +12,8 @@ from pcmrs.errors import RefusalError
 from pcmrs.tms import _likelihood, _rossini_rothwell
 from pcmrs.tms.settings import Estimate, EstimatorState, Pulse, ThresholdSettings
 
+__all__ = ["MotorThresholdEstimator"]
+
 METHODS: dict[str, Callable[[ThresholdSettings, tuple[Pulse, ...]], EstimatorState]] = {
     "ml": _likelihood.estimator_state,
     "relative_frequency": _rossini_rothwell.estimator_state,

@@ -28,6 +28,8 @@ from pcmrs.workflows.settings import ProcedureSettings
 from pcmrs.workflows.teleop_port import TeleopPort
 from pcmrs.workflows.zones import CellZones
 
+__all__ = ["Cell"]
+
 log = structlog.get_logger(__name__)
 
 

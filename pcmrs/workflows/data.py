@@ -17,7 +17,21 @@ from pcmrs.messages.setup import StimulationShown
 from pcmrs.registration import NoiseEstimate
 from pcmrs.spatial import Floats, Transform
 
+__all__ = [
+    "Digitized",
+    "Landmark",
+    "PlacementData",
+    "Planned",
+    "Point",
+    "Registered",
+    "as_message",
+    "as_point",
+    "as_transform",
+    "settle",
+]
+
 Point = tuple[float, float, float]
+"""Position x y z, m."""
 
 
 class Landmark(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -26,6 +26,8 @@ from pcmrs.workflows.find import WorkflowFiles, find_installed, find_workflow
 from pcmrs.workflows.reference import register_reference_operations
 from pcmrs.workflows.toolplan import register_plan_operations
 
+__all__ = ["open_installed", "open_verified", "open_workflow", "placement_registry"]
+
 _log = logging.getLogger(__name__)
 
 

@@ -11,6 +11,8 @@ import tomli_w
 
 from pcmrs.fsm.blueprint import Blueprint, OperationSpec
 
+__all__ = ["blueprint_toml"]
+
 LONGEST_LINE = 120
 HEADED = frozenset({"branches", "operations", "states", "parent", "sequence", "activities"})
 HEADED_MEMBERS = frozenset({"branches", "operations", "outcomes"})

@@ -12,6 +12,8 @@ from pcmrs.fsm.rules._references import check_references
 from pcmrs.fsm.rules._shapes import check_shapes
 from pcmrs.fsm.rules.names import check_names
 
+__all__ = ["check_rules"]
+
 
 def check_rules(blueprint: Blueprint) -> Iterator[Finding]:
     """Return all findings; each kind is checked only if the kinds before it have none.

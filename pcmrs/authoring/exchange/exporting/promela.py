@@ -12,6 +12,8 @@ from pcmrs.fsm.behaviour import operations
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, Condition, PropertySpec, Requirement
 from pcmrs.fsm.verify.decision import Decider, Decision
 
+__all__ = ["promela"]
+
 MAX_DECISIONS = 5_000
 """Limit of combinations that the operations depend on; a larger model could neither be read nor compiled."""
 

@@ -13,6 +13,8 @@ from pcmrs.fsm.blueprint import Blueprint, BlueprintPart
 from pcmrs.fsm.files.extend import EXTENDS, FILE_NAME
 from pcmrs.fsm.rules.names import NAME, STATE_NAME
 
+__all__ = ["schema"]
+
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 ANY = r"\*"
 PARTIAL = "Partial"

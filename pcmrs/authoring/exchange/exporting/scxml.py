@@ -18,6 +18,8 @@ from pcmrs.authoring.exchange.exporting._nesting import Nesting, nesting_of
 from pcmrs.authoring.exchange.exporting._reactions import Reaction, reactions
 from pcmrs.fsm.blueprint import Blueprint
 
+__all__ = ["scxml"]
+
 PARALLEL = "joint-state"
 """Id of the state of all regions; the hyphen keeps it apart from every name in a blueprint."""
 

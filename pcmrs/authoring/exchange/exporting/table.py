@@ -6,6 +6,8 @@ from collections.abc import Iterable, Iterator
 
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, BranchSpec, OperationSpec, Requirement, Target, target_from
 
+__all__ = ["table"]
+
 COLUMNS = ("branch", "operation", "from → to", "requires", "checks", "steps", "asked by", "calls")
 
 

@@ -15,6 +15,8 @@ from pcmrs.fsm.files.load import examine
 from pcmrs.fsm.files.toml import MAX_BYTES
 from pcmrs.fsm.finding import Finding
 
+__all__ = ["blueprint_file", "import_chart"]
+
 
 def blueprint_file(blueprint: Blueprint, chart: str, output: str) -> tuple[str, list[Finding]]:
     """Return the blueprint as text, and all that is wrong with it.
