@@ -17,6 +17,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 import pytest
 import pytest_asyncio
 from anyio.from_thread import BlockingPortal, start_blocking_portal
@@ -88,11 +89,11 @@ async def check(planner: PlanningProcess, run: Run[Any, Any]) -> Reason | None:
     return await planner.check(run, checks_of(run))
 
 
-def correction_of(bench: WorkflowBench) -> Run[Any, Any]:
-    """A run whose step asks for the line to 3 mm beside the tool."""
+def correction_of(bench: WorkflowBench, shift: npt.ArrayLike = (0.003, 0.0, 0.0)) -> Run[Any, Any]:
+    """A run whose step asks for the line by which the tool is shifted in its own frame, m."""
     cell, run = bench.cell, run_of(bench, "placement.confirm")
     here = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
-    run.prepared = CorrectionLine(cell.posture(), here @ Transform.from_rotvec((0.003, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    run.prepared = CorrectionLine(cell.posture(), here @ Transform.from_rotvec(shift, np.zeros(3)))
     return run
 
 
