@@ -2,7 +2,7 @@
 
 Run: ``python benchmarks/zones.py [STEPS]``. The cell is that of ``ratms`` as shipped: an iiwa 14, a coil, the hull of
 the head phantom, the table and both lines of sight. A correction is the short line by which a placement is corrected
-from the tracker; the daemon plans it in its loop.
+from the tracker; the planning process plans it.
 """
 
 from __future__ import annotations

@@ -207,7 +207,10 @@ class Performer(Generic[C, D]):
             motion=motion,
             latched=latched,
         )
-        run.use_planner(lambda: self._checks.ask_again(pending.spec, run))
+        run.use_planner(
+            lambda: self._checks.ask_again(pending.spec, run),
+            lambda check, within: self._checks.ask_in_step(pending, run, check, within),
+        )
         return run
 
     def _conclude(

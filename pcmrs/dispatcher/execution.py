@@ -96,8 +96,13 @@ class ExecutionContext(Generic[C, D]):
 class MotionChecker(Protocol[C, D]):
     """Ask the checks of operations that plan motions."""
 
-    async def check(self, run: Run[C, D]) -> Reason | None:
-        """Ask the checks of the run's operation, and store their results in the run.
+    async def check(self, run: Run[C, D], checks: Sequence[str], within: float | None = None) -> Reason | None:
+        """Ask checks of a run, and store their results in the run.
+
+        Args:
+            run: Argument of the checks.
+            checks: Their registered names.
+            within: Limit of the wait for the answer, s of the machine; None for that of the planner.
 
         Returns:
             The first refusal, or why the planner has no answer; None when all agree.
@@ -113,15 +118,15 @@ class StepResult:
     reason: Reason | None = None
 
 
-def refusal(registry: Registry[C, D], spec: OperationSpec, run: Run[C, D]) -> Reason | None:
-    """Run the checks of an operation; return the first refusal, or None if all agree.
+def refusal(registry: Registry[C, D], checks: Sequence[str], run: Run[C, D]) -> Reason | None:
+    """Run checks; return the first refusal, or None if all agree.
 
     Args:
         registry: Checks by name.
-        spec: The operation.
+        checks: Names of the checks to run, in order.
         run: Argument of the checks.
     """
-    for name in spec.checks:
+    for name in checks:
         try:
             registry.checks[name](run)
         except PcmrsError as error:
@@ -249,7 +254,7 @@ class Checks(Generic[C, D]):
             spec: The operation.
             run: Argument of the checks.
         """
-        return refusal(self._registry, spec, run)
+        return refusal(self._registry, spec.checks, run)
 
     async def ask(self, pending: PendingCommand, run_of: Callable[[], Run[C, D]]) -> tuple[Run[C, D], Reason | None]:
         """Return a run with the results of its checks, and why it is refused; None if it is not.
@@ -277,10 +282,37 @@ class Checks(Generic[C, D]):
             spec: The operation.
             run: Its run.
         """
-        if self._planner is None or not self.take_time(spec):
-            return self.ask_at_once(spec, run)
+        return await self._answer(spec.checks, run, None)
+
+    async def ask_in_step(self, pending: PendingCommand, run: Run[C, D], check: str, within: float) -> Reason | None:
+        """Ask one check for a step of a running operation, and verify afterwards that the next motion is still allowed.
+
+        Args:
+            pending: The running command.
+            run: Its run.
+            check: Registered name of the check.
+            within: Limit of the wait for a planner, s of the machine.
+
+        Returns:
+            The refusal, or why the motion must not begin although the check agrees; None if it may.
+        """
+        before = self._context.procedure.data
+        refused = await self._answer([check], run, within)
+        objection = pending.stopped or self._context.coordinator.objection(pending)
+        if objection is not None or refused is not None:
+            return objection or refused
+        data = self._context.procedure.data
+        if (data.plan_id, data.registration_id) == (before.plan_id, before.registration_id):
+            return None
+        text = f"Plan or registration changed while the next motion of {pending.name} was planned: back off."
+        return Reason(code="changed_while_planning", text=text)
+
+    async def _answer(self, checks: Sequence[str], run: Run[C, D], within: float | None) -> Reason | None:
+        """Returns the first refusal, by the planner if there is one and one of the checks takes long."""
+        if self._planner is None or self._registry.lasting.isdisjoint(checks):
+            return refusal(self._registry, checks, run)
         try:
-            return await self._planner.check(run)
+            return await self._planner.check(run, checks, within)
         except Exception:
             log.exception("planner_raised", command=run.command.id)
             return Reason(

@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 import msgspec
 
 from pcmrs.clock import Clock
-from pcmrs.errors import BlueprintError, RefusalError
+from pcmrs.errors import BlueprintError, PcmrsError, RefusalError
 from pcmrs.fsm import Blueprint, Effect
 from pcmrs.fsm.blueprint import Motion
 from pcmrs.fsm.finding import summary
@@ -70,15 +70,25 @@ class Run(Generic[C, D]):
     changes: dict[str, Any] = field(default_factory=dict)
     posts: list[tuple[str, str, dict[str, Any]]] = field(default_factory=list)
     _replan: Callable[[], Awaitable[Reason | None]] | None = None
+    _plan: Callable[[str, float], Awaitable[Reason | None]] | None = None
 
     @property
     def data(self) -> D:
         """Data of the procedure with the changes of this run."""
         return msgspec.structs.replace(self._data, **self.changes) if self.changes else self._data
 
-    def use_planner(self, replan: Callable[[], Awaitable[Reason | None]]) -> None:
-        """Set the function that asks the operation's checks again."""
-        self._replan = replan
+    def use_planner(
+        self,
+        replan: Callable[[], Awaitable[Reason | None]],
+        plan: Callable[[str, float], Awaitable[Reason | None]],
+    ) -> None:
+        """Set the functions that ask checks while the steps run.
+
+        Args:
+            replan: Asks the operation's checks again.
+            plan: Asks one check by its registered name, and waits for its answer so long, s of the machine.
+        """
+        self._replan, self._plan = replan, plan
 
     async def replan(self) -> None:
         """Ask the operation's checks again, with the present data: a step calls it when the arm stands.
@@ -86,9 +96,25 @@ class Run(Generic[C, D]):
         Raises:
             RefusalError: A check refuses.
         """
-        refused = None if self._replan is None else await self._replan()
-        if refused is not None:
-            raise RefusalError(refused.code, refused.text, **refused.fields)
+        _heed(None if self._replan is None else await self._replan())
+
+    async def plan(self, check: Callable[[Any], None], *, within: float) -> None:
+        """Ask a check during the steps, as those of the operation are asked before them: it plans the next motion.
+
+        The check finds its question in `prepared`, and leaves the plan there.
+
+        Args:
+            check: A check that is registered with `Registry.long_check`; the blueprint need not name it.
+            within: Limit of the wait for a planner, s of the machine.
+
+        Raises:
+            RefusalError: The check refuses, the planner has no answer in time, or latch, lease, states, plan,
+                registration or the measured joints have changed until it came. The motion must not begin.
+            PcmrsError: The run is not performed by a dispatcher.
+        """
+        if self._plan is None:
+            raise PcmrsError(f"{check.__name__} can only be asked while a dispatcher performs the operation.")
+        _heed(await self._plan(check.__name__, within))
 
     def keep(self, **changes: Any) -> None:
         """Change fields of the procedure's data; they are committed with the states, or not at all."""
@@ -107,6 +133,11 @@ class Run(Generic[C, D]):
     def progress(self, fraction: float) -> None:
         """Publish the progress of the operation, from 0 to 1."""
         self._show_progress(fraction)
+
+
+def _heed(refused: Reason | None) -> None:
+    if refused is not None:
+        raise RefusalError(refused.code, refused.text, **refused.fields)
 
 
 @dataclass(eq=False)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
-from pcmrs.spatial import Transform
+from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows._collision_checks import plan_linear_path
 from pcmrs.workflows._motion import follow, measure_coil
 from pcmrs.workflows._placement import target_pose
@@ -19,6 +20,22 @@ from pcmrs.workflows.settings import PlacementSettings
 
 Run = AnyRun[Cell, PlacementData]
 
+CORRECTION_TIME = 2.0
+"""Limit to plan one correction, s of the machine. It takes some 10 ms, and rests on what was just measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectionLine:
+    """Straight line by which the tool is corrected.
+
+    Attributes:
+        start: Commanded joint positions at its start, rad, (n,).
+        base_from_coil: Pose of the tool to command at its end, in the robot's base.
+    """
+
+    start: Floats
+    base_from_coil: Transform
+
 
 async def correct_from_tracker(run: Run) -> None:
     """Correct the command by the tracker until the tool is within tolerance.
@@ -27,7 +44,8 @@ async def correct_from_tracker(run: Run) -> None:
     measured pose, by the remaining error. The result holds all rounds.
 
     Raises:
-        RefusalError: A correction is implausibly large, or the rounds do not bring the tool within tolerance.
+        RefusalError: A correction is implausibly large or was not planned in time, what it rests on has changed
+            meanwhile, or the rounds do not bring the tool within tolerance.
     """
     cell, limits = run.cell, run.cell.settings.placement
     commanded = run.prepared.positions[-1]
@@ -42,9 +60,16 @@ async def correct_from_tracker(run: Run) -> None:
         if _converged(rounds, limits):
             return
         goal = cell.arm.forward(commanded) @ cell.flange_from_coil @ measured_from_desired
-        correction = plan_linear_path(run, commanded, goal, near=True)
-        await follow(run, correction)
-        commanded = correction.positions[-1]
+        run.prepared = CorrectionLine(commanded, goal)
+        await run.plan(correction_possible, within=CORRECTION_TIME)
+        await follow(run, run.prepared)
+        commanded = run.prepared.positions[-1]
+
+
+def correction_possible(run: Run) -> None:
+    """Plan the line of one correction, which `run.prepared` holds."""
+    line: CorrectionLine = run.prepared
+    run.prepared = plan_linear_path(run, line.start, line.base_from_coil, near=True)
 
 
 def check_correctable(measured_from_desired: Transform, limits: PlacementSettings) -> None:
@@ -95,5 +120,6 @@ def _converged(rounds: list[dict[str, float]], limits: PlacementSettings) -> boo
 
 
 def register_correction_steps(registry: Registry[Cell, PlacementData]) -> None:
-    """Register the name that blueprints use for this step."""
+    """Register the name that blueprints use for this step, and the check that the step asks."""
+    registry.long_check(correction_possible)
     registry.world_step(correct_from_tracker, moves=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, fields
 from typing import Any, cast
@@ -60,26 +61,30 @@ class PlanningSettings:
 
 @dataclass(frozen=True, slots=True)
 class PlanRequest:
-    """Everything that the checks of one operation may read.
+    """Everything that checks of one operation may read.
 
     Attributes:
         command: Command of the operation.
+        checks: Registered names of the checks.
         payload: Decoded arguments.
         states: State of every branch.
         data: Data of the procedure.
         cell: Fields of the cell by name.
         seen: Recent tracked poses.
+        prepared: Question of a step to its check; None before the steps.
         latched: True if Stop is latched.
         monotonic: Monotonic time of the request, s of the cell.
         wall: Wall time of the request, Unix seconds.
     """
 
     command: Command
+    checks: tuple[str, ...]
     payload: Any
     states: dict[str, str]
     data: PlacementData
     cell: dict[str, Any]
     seen: FeedContents
+    prepared: Any
     latched: bool
     monotonic: float
     wall: float
@@ -87,7 +92,7 @@ class PlanRequest:
 
 @dataclass(frozen=True, slots=True)
 class PlanAnswer:
-    """Result of the checks of one operation.
+    """Result of checks of one operation.
 
     Attributes:
         refused: First refusal; None if all checks pass.
@@ -102,20 +107,38 @@ class PlanAnswer:
     undecided: list[str]
 
 
-def request_of(run: Run) -> PlanRequest:
-    """Return the request for the checks of a run with the present knowledge."""
+def request_of(run: Run, checks: Sequence[str]) -> PlanRequest:
+    """Return the request for checks of a run with the present knowledge.
+
+    Args:
+        run: Present operation.
+        checks: Registered names of the checks.
+    """
     cell = run.cell
     return PlanRequest(
         command=run.command,
+        checks=tuple(checks),
         payload=run.payload,
         states=dict(run.states),
         data=run.data,
         cell={name: getattr(cell, name) for name in _SENT},
         seen=cell.poses.seen_lately(FRAMES),
+        prepared=run.prepared,
         latched=run.latched,
         monotonic=cell.clock.monotonic(),
         wall=cell.clock.wall(),
     )
+
+
+def too_late(name: str, limit: float) -> RefusalError:
+    """Return the refusal for a planner that has not answered in time.
+
+    Args:
+        name: Branch and operation.
+        limit: Limit of the wait, s.
+    """
+    text = f"{name} was not planned within {limit:g} s: ask again; check the load of the machine."
+    return RefusalError("planner_late", text, limit=limit)
 
 
 def apply_answer(run: Run, request: PlanRequest, answer: PlanAnswer) -> Reason | None:
@@ -182,7 +205,7 @@ class PlanningCell:
         )
 
     def answer(self, request: PlanRequest) -> PlanAnswer:
-        """Run all checks of an operation with the time and the knowledge of the request."""
+        """Run the checks of a request with the time and the knowledge of the request."""
         command, cell = request.command, self._cell
         self._clock.now, self._clock.today = request.monotonic, request.wall
         for name, value in request.cell.items():
@@ -199,8 +222,9 @@ class PlanningCell:
             _ignore_progress,
             spec.motion,
             request.latched,
+            prepared=request.prepared,
         )
-        refused = refusal(self._workflow.registry, spec, run)
+        refused = refusal(self._workflow.registry, request.checks, run)
         return PlanAnswer(refused, run.prepared, run.result, run.undecided)
 
 

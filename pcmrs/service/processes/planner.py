@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 import structlog
@@ -22,7 +22,7 @@ from pcmrs.service.supervisor import RESTARTS, WITHIN, RestartLimit, Supervisor
 from pcmrs.settings import Settings
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.planning import PlanAnswer, PlanningSettings, PlanRequest, apply_answer, request_of
+from pcmrs.workflows.planning import PlanAnswer, PlanningSettings, PlanRequest, apply_answer, request_of, too_late
 from pcmrs.workflows.planning_process import HEADER, frame_message
 
 log = structlog.get_logger(__name__)
@@ -61,11 +61,13 @@ class PlanningProcess:
         self._ready = asyncio.Event()
         self._process: Process | None = None
 
-    async def check(self, run: Run[Cell, PlacementData]) -> Reason | None:
+    async def check(
+        self, run: Run[Cell, PlacementData], checks: Sequence[str], within: float | None = None
+    ) -> Reason | None:
         """See `MotionChecker`; the present joints must be those of the plan."""
-        request = request_of(run)
+        request = request_of(run, checks)
         try:
-            answer = await self._ask(request, f"{request.command.branch}.{request.command.operation}")
+            answer = await self._ask(request, f"{request.command.branch}.{request.command.operation}", within)
         except RefusalError as refusal:
             return reason_of(refusal)
         return apply_answer(run, request, answer)
@@ -98,8 +100,9 @@ class PlanningProcess:
         if process is not None:
             await kill_and_wait(process)
 
-    async def _ask(self, request: PlanRequest, name: str) -> PlanAnswer:
+    async def _ask(self, request: PlanRequest, name: str, within: float | None = None) -> PlanAnswer:
         """Returns the answer; raises `RefusalError` if none comes."""
+        limit = PLANNING_TIME if within is None else within
         process = self._process
         if process is None or process.stdin is None or not self._ready.is_set():
             text = f"The process that plans motions does not run yet, so {name} was not planned: ask again in a moment."
@@ -109,13 +112,12 @@ class PlanningProcess:
         self._pending[number] = answered
         process.stdin.write(frame_message(number, pickle.dumps(request, pickle.HIGHEST_PROTOCOL)))
         try:
-            async with self._clock.timeout(PLANNING_TIME):
+            async with self._clock.timeout(limit):
                 answer: PlanAnswer = await answered
         except TimeoutError:
             with suppress(ProcessLookupError):
                 process.kill()
-            text = f"{name} was not planned within {PLANNING_TIME:g} s: ask again; check the load of the machine."
-            raise RefusalError("planner_late", text, limit=PLANNING_TIME) from None
+            raise too_late(name, limit) from None
         finally:
             self._pending.pop(number, None)
         return answer

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from pcmrs.clock import Clock
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.dispatcher import Workflow
-from pcmrs.dispatcher.execution import refusal
+from pcmrs.dispatcher.execution import reason_of, refusal
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import Reason
 from pcmrs.settings import Settings
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
-from pcmrs.workflows.planning import PlanningCell, apply_answer, request_of
+from pcmrs.workflows.planning import PlanningCell, apply_answer, request_of, too_late
 
 Run = AnyRun[Cell, PlacementData]
 
@@ -42,17 +42,22 @@ class SimulatedPlanner:
         self._window = window
         self._cell: PlanningCell | None = None
 
-    async def check(self, run: Run) -> Reason | None:
-        """Check a command; see `MotionChecker`. In a window of no length nothing changes, so no copy is needed."""
-        branch, operation = run.command.branch, run.command.operation
-        duration = self._window(f"plan:{branch}.{operation}")
+    async def check(self, run: Run, checks: Sequence[str], within: float | None = None) -> Reason | None:
+        """Ask checks; see `MotionChecker`. In a window of no length nothing changes, so no copy is needed.
+
+        The window of a step's check, which alone has a limit, has the name of the check behind that of the operation.
+        """
+        name = f"{run.command.branch}.{run.command.operation}"
+        duration = self._window(f"plan:{name}" if within is None else f"plan:{name}:{checks[0]}")
+        if within is not None and duration > within:
+            await self._clock.sleep(within)
+            return reason_of(too_late(name, within))
         if not duration:
-            spec = self._workflow.blueprint.branches[branch].operations[operation]
-            return refusal(self._workflow.registry, spec, run)
+            return refusal(self._workflow.registry, checks, run)
         if self._cell is None:
             arm = ArmModel(find_arm(self._settings.robot.model))
             self._cell = PlanningCell(self._workflow, self._settings.procedure, arm, run.cell.surface)
-        request = request_of(run)
+        request = request_of(run, checks)
         answer = self._cell.answer(request)
         await self._clock.sleep(duration)
         return apply_answer(run, request, answer)

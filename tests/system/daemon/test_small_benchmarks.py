@@ -54,6 +54,11 @@ def test_the_distances_to_zones_are_measured() -> None:
     assert "a whole approach" in measured("zones.py", "3")
 
 
+@pytest.mark.timeout(120)
+def test_the_round_trip_of_a_correction_is_measured() -> None:
+    assert "round trip" in measured("planning.py", "3")
+
+
 @pytest.mark.nightly
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("name", WITH_DAEMONS)

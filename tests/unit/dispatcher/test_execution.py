@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -14,7 +14,7 @@ from pcmrs.background import BackgroundTasks
 from pcmrs.dispatcher import Run
 from pcmrs.dispatcher.execution import MOST_PLANS, Hold
 from pcmrs.errors import DeviceError, RefusalError
-from pcmrs.messages import Reason, Verdict
+from pcmrs.messages import LeaseState, Reason, Verdict
 from pcmrs.testing.clock import settle
 from tests.support.ratms_oracle import INITIAL
 from tests.unit.dispatcher.dispatcher_fakes import HELD, RATMS, RETRACTED, STANDOFF, Bench, Notes, code
@@ -25,6 +25,7 @@ class GatedPlanner:
 
     Attributes:
         asked: States by which checks were asked, in order.
+        limits: Limits of the wait for the answers, in order.
         meanwhile: Is done while a check is asked.
         refused: The answer.
     """
@@ -33,11 +34,13 @@ class GatedPlanner:
         self.gate = asyncio.Event()
         self.gate.set()
         self.asked: list[dict[str, str]] = []
+        self.limits: list[float | None] = []
         self.meanwhile: Callable[[], None] = lambda: None
         self.refused: Reason | None = None
 
-    async def check(self, run: Run[Any, Notes]) -> Reason | None:
+    async def check(self, run: Run[Any, Notes], checks: Sequence[str], within: float | None = None) -> Reason | None:
         self.asked.append(dict(run.states))
+        self.limits.append(within)
         await self.gate.wait()
         self.meanwhile()
         return self.refused
@@ -189,6 +192,149 @@ async def test_step_that_replans_its_motion_fails_if_that_is_refused(
         assert (moved, planned.joint) == ([], HELD)
     else:
         assert (verdict.decision, set(moved), planned.joint) == ("accepted", {"approach"}, STANDOFF)
+
+
+def next_motion_possible(run: Run[Any, Notes]) -> None:
+    """Plans the second motion of an operation."""
+    run.prepared = f"a line from {run.prepared}"
+
+
+class SecondMotion:
+    """An approach whose step plans a second motion while the arm stands after the first one.
+
+    Attributes:
+        planning: Is set when the plan of the second motion has been requested.
+        moved: Prepared plans by which the arm has moved the second time.
+    """
+
+    def __init__(self, bench: Bench, planner: GatedPlanner) -> None:
+        self.moved: list[Any] = []
+        self._bench, self._planner = bench, planner
+        bench.dispatcher._performer._registry.long_check(next_motion_possible)
+        bench.script.steps["placement.approach"] = self._step
+
+    async def _step(self, run: Run[Any, Notes]) -> None:
+        if self._bench.script.entered.count("placement.approach") > 1:
+            return  # the other steps of the operation
+        self._planner.asked.clear()
+        run.prepared = "here"
+        await run.plan(next_motion_possible, within=2.0)
+        self.moved.append(run.prepared)
+
+
+@pytest.fixture
+async def second(planned: Bench, planner: GatedPlanner) -> SecondMotion:
+    await planned.go(RETRACTED)
+    planned.script.entered.clear()
+    return SecondMotion(planned, planner)
+
+
+async def test_step_that_plans_its_next_motion_asks_the_planner(
+    planned: Bench, planner: GatedPlanner, second: SecondMotion
+) -> None:
+    assert (await planned.do("placement.approach")).decision == "accepted"
+    assert (len(planner.asked), planner.limits[-1]) == (1, 2.0)
+    assert second.moved == ["here"], "what the planner has prepared is the run's"
+
+
+@pytest.mark.parametrize("reason", ["planner_late", "planner_lost", "unreachable"])
+async def test_next_motion_that_is_not_planned_holds_the_arm(
+    planned: Bench, planner: GatedPlanner, second: SecondMotion, reason: str
+) -> None:
+    def refuse() -> None:
+        planner.refused = Reason(code=reason, text="No.") if planner.limits[-1] is not None else None
+
+    planner.meanwhile = refuse
+    holds = planned.holds
+    assert told(await planned.do("placement.approach")) == ("failed", reason)
+    assert (second.moved, planned.joint, planned.holds) == ([], HELD, holds + 1)
+
+
+async def test_a_planner_that_raises_holds_the_arm(planned: Bench, planner: GatedPlanner, second: SecondMotion) -> None:
+    def fail() -> None:
+        if planner.limits[-1] is not None:
+            raise OSError("broken pipe")
+
+    planner.meanwhile = fail
+    assert told(await planned.do("placement.approach")) == ("failed", "check_raised")
+    assert (second.moved, planned.joint) == ([], HELD)
+
+
+async def test_stop_while_the_next_motion_is_planned_holds(
+    planned: Bench, planner: GatedPlanner, second: SecondMotion
+) -> None:
+    approach = await _until_second_is_planned(planned, planner)
+    await planned.dispatcher.stop("test:operator")
+    assert told(await approach) == ("failed", "stopped")
+    planner.gate.set()
+    await settle()
+    assert (second.moved, planned.joint) == ([], HELD)
+
+
+def _latch(bench: Bench) -> None:
+    bench.dispatcher.procedure.latch()
+
+
+def _lose_lease(bench: Bench) -> None:
+    bench.dispatcher.lease.state = LeaseState(holder="ben")
+
+
+def _change_plan(bench: Bench) -> None:
+    procedure = bench.dispatcher.procedure
+    procedure.data = msgspec.structs.replace(procedure.data, plan_id="another")
+
+
+def _change_registration(bench: Bench) -> None:
+    procedure = bench.dispatcher.procedure
+    procedure.data = msgspec.structs.replace(procedure.data, registration_id="another")
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (_latch, "latched"),
+        (_lose_lease, "lease_held"),
+        (_change_plan, "changed_while_planning"),
+        (_change_registration, "changed_while_planning"),
+    ],
+)
+async def test_change_while_the_next_motion_is_planned_holds(
+    planned: Bench, planner: GatedPlanner, second: SecondMotion, change: Callable[[Bench], None], reason: str
+) -> None:
+    """What the admission has asked is asked again, whoever has changed it."""
+
+    def meanwhile() -> None:
+        if planner.limits[-1] is not None:
+            change(planned)
+
+    planner.meanwhile = meanwhile
+    holds = planned.holds
+    assert told(await planned.do("placement.approach")) == ("failed", reason)
+    assert (second.moved, planned.joint, planned.holds) == ([], HELD, holds + 1)
+
+
+async def test_next_motion_that_no_state_allows_never_begins(
+    planned: Bench, planner: GatedPlanner, second: SecondMotion
+) -> None:
+    """The locks exclude it, so it is a failure of the program."""
+
+    def lose_plan() -> None:
+        if planner.limits[-1] is not None:
+            planned.dispatcher.procedure._promised["toolplan"] = "0"
+
+    planner.meanwhile = lose_plan
+    holds = planned.holds
+    assert (await planned.do("placement.approach")).decision == "unknown"
+    assert second.moved == []
+    assert planned.holds > holds
+
+
+async def _until_second_is_planned(bench: Bench, planner: GatedPlanner) -> asyncio.Task[Verdict]:
+    """Begins the approach, and returns it while the plan of its second motion is awaited."""
+    planner.meanwhile = planner.gate.clear  # once the motion itself is planned
+    approach = await bench.begin("placement.approach")
+    assert (planner.limits[-1], approach.done()) == (2.0, False)
+    return approach
 
 
 async def test_a_stop_during_a_planned_motion_is_as_ever(planned: Bench) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from pcmrs.dispatcher import Activity, ProcedureData, Registry, Run, Workflow
-from pcmrs.errors import BlueprintError, RefusalError
+from pcmrs.errors import BlueprintError, PcmrsError, RefusalError
 from pcmrs.messages import Command, Reason, Verdict
 from pcmrs.testing.clock import ManualClock
 from tests.unit.dispatcher.dispatcher_fakes import RATMS, Bench, Notes, make_workflow
@@ -46,12 +46,35 @@ async def test_replanning_raises_the_refusal_of_the_checks(run: Run[Any, Procedu
         return answers.pop(0)
 
     await run.replan()  # without a planner there is nothing to ask
-    run.use_planner(ask)
+    run.use_planner(ask, lambda check, within: ask())
     await run.replan()
     with pytest.raises(RefusalError, match=r"limit 0\.8 m") as raised:
         await run.replan()
     assert raised.value.refusal_code == "unreachable"
     assert (raised.value.fields["distance"], raised.value.fields["limit"]) == (0.9, 0.8)
+
+
+async def test_planning_asks_the_named_check_within_its_limit(run: Run[Any, ProcedureData]) -> None:
+    asked: list[tuple[str, float]] = []
+    answers = [None, Reason(code="planner_late", text="Not within 2 s.", fields={"limit": 2.0})]
+
+    async def plan(check: str, within: float) -> Reason | None:
+        asked.append((check, within))
+        return answers.pop(0)
+
+    async def replan() -> Reason | None:
+        raise AssertionError("the operation's own checks are not asked")
+
+    def line_possible(_: Run[Any, ProcedureData]) -> None: ...
+
+    with pytest.raises(PcmrsError, match="line_possible can only be asked while a dispatcher performs"):
+        await run.plan(line_possible, within=2.0)
+    run.use_planner(replan, plan)
+    await run.plan(line_possible, within=2.0)
+    with pytest.raises(RefusalError, match="Not within 2 s") as raised:
+        await run.plan(line_possible, within=2.0)
+    assert (raised.value.refusal_code, raised.value.fields) == ("planner_late", {"limit": 2.0})
+    assert asked == [("line_possible", 2.0)] * 2
 
 
 async def test_commands_of_an_activity_have_a_parent_and_fresh_ids() -> None:

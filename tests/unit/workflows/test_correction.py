@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
+from contextlib import asynccontextmanager
 from typing import Any
 
+import msgspec
 import pytest
 
-from pcmrs.messages import HeadMotion
+from pcmrs.dispatcher import Run
+from pcmrs.dispatcher.execution import refusal
+from pcmrs.messages import HeadMotion, JointTrajectory, LeaseState, MotionResult, Reason
+from pcmrs.testing.clock import settle
+from pcmrs.workflows._correction import CORRECTION_TIME
+from tests.support.shipped import shipped_workflow
 from tests.unit.workflows.workflow_bench import WorkflowBench, open_bench
 
+ROUGH: dict[str, Any] = {"placement": {"tolerance_mm": 1e-3, "tolerance_deg": 1e-3, "corrections": 1}}
+"""So small a tolerance that there is always something to correct."""
 FINE: dict[str, Any] = {"placement": {"frames": 60, "settle_time": 0.3, "tolerance_mm": 0.08, "tolerance_deg": 0.03}}
 
 
@@ -89,3 +99,90 @@ async def test_so_many_rounds_as_configured() -> None:
     assert verdict.reason is not None
     assert verdict.reason.code == "not_converged"
     assert len(verdict.reason.fields["corrections"]) == 2
+
+
+class AbsentPlanner:
+    """Asks all checks in the loop, but waits with the answer to a correction until the test has done something.
+
+    Attributes:
+        corrections: Number of corrections that were to be planned.
+        meanwhile: Is awaited before the answer to a correction.
+        refused: Answer to a correction; None for that of the check.
+    """
+
+    def __init__(self) -> None:
+        self.corrections = 0
+        self.meanwhile: Callable[[], Awaitable[object]] = settle
+        self.refused: Reason | None = None
+
+    async def check(self, run: Run[Any, Any], checks: Sequence[str], within: float | None = None) -> Reason | None:
+        corrects = list(checks) == ["correction_possible"]
+        assert (within == CORRECTION_TIME) == corrects
+        if corrects:
+            self.corrections += 1
+            await self.meanwhile()
+        refused = refusal(shipped_workflow("ratms").registry, checks, run)
+        return (self.refused if corrects else None) or refused
+
+
+@asynccontextmanager
+async def at_standoff(planner: AbsentPlanner) -> AsyncIterator[tuple[WorkflowBench, list[JointTrajectory]]]:
+    """A bench at the standoff, and the motions that the robot is sent from now on."""
+    sent: list[JointTrajectory] = []
+    async with open_bench(ROUGH, planner=planner) as bench:
+        await bench.to_standoff()
+        follow = bench.robot.follow
+
+        async def noting(trajectory: JointTrajectory) -> MotionResult:
+            sent.append(trajectory)
+            return await follow(trajectory)
+
+        bench.robot.follow = noting  # type: ignore[method-assign]
+        yield bench, sent
+
+
+async def test_each_correction_is_planned_by_the_planner() -> None:
+    planner = AbsentPlanner()
+    async with at_standoff(planner) as (bench, sent):
+        await bench.do("placement.confirm")
+    assert (planner.corrections, len(sent)) == (1, 2)
+
+
+@pytest.mark.parametrize("code", ["planner_late", "planner_lost"])
+async def test_correction_of_a_late_or_dead_planner_is_not_sent(code: str) -> None:
+    planner = AbsentPlanner()
+    planner.refused = Reason(code=code, text="No answer.")
+    async with at_standoff(planner) as (bench, sent):
+        verdict = await bench.refuse("placement.confirm", code, "failed")
+        assert (verdict.state, planner.corrections, len(sent)) == ("held", 1, 1)
+        assert (await bench.accept("placement.back_off")).state == "standoff"
+
+
+async def test_stop_while_a_correction_is_planned_sends_nothing() -> None:
+    planner = AbsentPlanner()
+    async with at_standoff(planner) as (bench, sent):
+        planner.meanwhile = lambda: bench.dispatcher.stop("test:operator")
+        verdict = await bench.refuse("placement.confirm", "stopped", "failed")
+        await bench.clock.sleep(1.0)
+        assert (verdict.state, planner.corrections, len(sent)) == ("held", 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "code"), [("latch", "latched"), ("lease", "lease_held"), ("plan", "changed_while_planning")]
+)
+async def test_change_while_a_correction_is_planned_sends_nothing(change: str, code: str) -> None:
+    planner = AbsentPlanner()
+    async with at_standoff(planner) as (bench, sent):
+
+        async def happen() -> None:
+            procedure = bench.dispatcher.procedure
+            if change == "latch":
+                procedure.latch()
+            elif change == "lease":
+                bench.dispatcher.lease.state = LeaseState(holder="another")
+            else:
+                procedure.data = msgspec.structs.replace(procedure.data, plan_id="another")
+
+        planner.meanwhile = happen
+        verdict = await bench.refuse("placement.confirm", code, "failed")
+        assert (verdict.state, planner.corrections, len(sent)) == ("held", 1, 1)

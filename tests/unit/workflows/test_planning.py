@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -31,9 +32,13 @@ def run_of(bench: WorkflowBench, name: str, **arguments: Any) -> Run[Any, Any]:
     return Run(command, payload, bench.states, bench.cell, bench.clock, bench.data, lambda _: None, spec.motion)
 
 
+def checks_of(run: Run[Any, Any]) -> Sequence[str]:
+    command = run.command
+    return shipped_workflow("ratms").blueprint.branches[command.branch].operations[command.operation].checks
+
+
 def in_the_loop(run: Run[Any, Any]) -> Reason | None:
-    workflow, command = shipped_workflow("ratms"), run.command
-    return refusal(workflow.registry, workflow.blueprint.branches[command.branch].operations[command.operation], run)
+    return refusal(shipped_workflow("ratms").registry, checks_of(run), run)
 
 
 def planning_cell(bench: WorkflowBench) -> PlanningCell:
@@ -52,7 +57,7 @@ async def test_another_cell_answers_as_the_cell_itself(bench: WorkflowBench) -> 
     ]
     for name, arguments in asked:
         here, there = run_of(bench, name, **arguments), run_of(bench, name, **arguments)
-        answer = elsewhere.answer(pickle.loads(pickle.dumps(request_of(there))))
+        answer = elsewhere.answer(pickle.loads(pickle.dumps(request_of(there, checks_of(there)))))
         assert answer.refused == in_the_loop(here)
         assert answer.result == here.result
         if name == "placement.approach":
@@ -62,7 +67,7 @@ async def test_another_cell_answers_as_the_cell_itself(bench: WorkflowBench) -> 
 async def test_an_answer_puts_plan_and_questions_into_the_run(bench: WorkflowBench) -> None:
     await bench.register()
     run = run_of(bench, "placement.approach")
-    assert apply_answer(run, request_of(run), NOTHING_REFUSED) is None
+    assert apply_answer(run, request_of(run, checks_of(run)), NOTHING_REFUSED) is None
     assert (run.prepared, run.result, run.undecided) == ("a trajectory", {"tre": 0.002}, ["a question"])
 
 
@@ -72,7 +77,7 @@ async def test_a_plan_is_of_no_use_once_the_arm_has_left_its_start(
 ) -> None:
     await bench.register()
     run, joints = run_of(bench, "placement.approach"), bench.cell.joints
-    request = request_of(run)
+    request = request_of(run, checks_of(run))
     assert joints is not None
     moved = [joints.positions[0] + share * MAX_JOINT_DRIFT, *joints.positions[1:]]
     bench.cell.joints = msgspec.structs.replace(joints, positions=moved)

@@ -11,11 +11,13 @@ import sys
 from collections.abc import AsyncIterator, Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 import pytest
 import pytest_asyncio
 from anyio.from_thread import BlockingPortal, start_blocking_portal
@@ -30,6 +32,8 @@ from pcmrs.service.processes import planner as planner_module
 from pcmrs.service.processes.planner import PlanningProcess
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.settings import Settings
+from pcmrs.spatial import Transform
+from pcmrs.workflows._correction import CORRECTION_TIME, CorrectionLine, correction_possible
 from tests import ROOT
 from tests.support.shipped import shipped_workflow
 from tests.unit.workflows.workflow_bench import POSES, WorkflowBench, open_bench
@@ -76,11 +80,25 @@ def run_of(bench: WorkflowBench, name: str, **arguments: Any) -> Run[Any, Any]:
     return Run(command, payload, bench.states, cell, cell.clock, bench.data, lambda _: None, spec.motion)
 
 
+def checks_of(run: Run[Any, Any]) -> list[str]:
+    blueprint, command = shipped_workflow("ratms").blueprint, run.command
+    return list(blueprint.branches[command.branch].operations[command.operation].checks)
+
+
+async def check(planner: PlanningProcess, run: Run[Any, Any]) -> Reason | None:
+    return await planner.check(run, checks_of(run))
+
+
+def correction_of(bench: WorkflowBench, shift: npt.ArrayLike = (0.003, 0.0, 0.0)) -> Run[Any, Any]:
+    """A run whose step asks for the line by which the tool is shifted in its own frame, m."""
+    cell, run = bench.cell, run_of(bench, "placement.confirm")
+    here = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
+    run.prepared = CorrectionLine(cell.posture(), here @ Transform.from_rotvec(shift, np.zeros(3)))
+    return run
+
+
 def in_the_loop(run: Run[Any, Any]) -> Reason | None:
-    workflow = shipped_workflow("ratms")
-    return refusal(
-        workflow.registry, workflow.blueprint.branches[run.command.branch].operations[run.command.operation], run
-    )
+    return refusal(shipped_workflow("ratms").registry, checks_of(run), run)
 
 
 def pid_of(planner: PlanningProcess) -> int:
@@ -126,13 +144,28 @@ async def test_it_answers_as_the_checks_do_in_the_loop(registered: WorkflowBench
     portal, planner = answering
     here, there = run_of(registered, "placement.approach"), run_of(registered, "placement.approach")
     assert in_the_loop(here) is None
-    assert portal.call(planner.check, there) is None
+    assert portal.call(check, planner, there) is None
     np.testing.assert_allclose(there.prepared.positions, here.prepared.positions, atol=1e-9)
     for pose in (POSES[1], FAR):
         here, there = run_of(registered, "toolplan.plan", **pose), run_of(registered, "toolplan.plan", **pose)
-        assert portal.call(planner.check, there) == in_the_loop(here)
+        assert portal.call(check, planner, there) == in_the_loop(here)
         assert there.result == here.result
     assert in_the_loop(here) is not None
+
+
+@ANSWERS
+async def test_it_plans_a_correction_as_the_loop_would(registered: WorkflowBench, answering: Answering) -> None:
+    portal, planner = answering
+    here, there = correction_of(registered), correction_of(registered)
+    correction_possible(here)
+    assert portal.call(planner.check, there, ["correction_possible"], CORRECTION_TIME) is None
+    np.testing.assert_allclose(there.prepared.positions, here.prepared.positions, atol=1e-9)
+    assert len(there.prepared.positions) > 1
+    far = correction_of(registered)
+    far.prepared = replace(far.prepared, base_from_coil=Transform.from_rotvec((0.9, 0.9, 0.9), (0.0, 0.0, 0.0)))
+    refused = portal.call(planner.check, far, ["correction_possible"], CORRECTION_TIME)
+    assert refused is not None
+    assert refused.code == "unreachable"
 
 
 @ANSWERS
@@ -142,17 +175,19 @@ async def test_it_runs_the_blueprint_that_the_daemon_has_verified(
     """A file that is changed before the process is restarted must not give it another workflow than the daemon's."""
     portal, planner = answering
     assert planner._settings.workflow != "ratms"
-    assert portal.call(planner.check, run_of(registered, "placement.approach")) is None
+    assert portal.call(check, planner, run_of(registered, "placement.approach")) is None
 
 
 @ANSWERS
+@pytest.mark.parametrize("corrects", [False, True])
 async def test_arm_that_moved_during_planning_is_planned_for_again(
-    registered: WorkflowBench, answering: Answering, monkeypatch: pytest.MonkeyPatch
+    registered: WorkflowBench, answering: Answering, monkeypatch: pytest.MonkeyPatch, corrects: bool
 ) -> None:
     portal, planner = answering
 
     async def ask() -> Reason | None:
-        asked = asyncio.ensure_future(planner.check(run_of(registered, "placement.approach")))
+        run = correction_of(registered) if corrects else run_of(registered, "placement.approach")
+        asked = asyncio.ensure_future(planner.check(run, ["correction_possible"] if corrects else checks_of(run)))
         await asyncio.sleep(0)  # the request has been sent
         assert registered.cell.joints is not None
         elsewhere = [position + 0.02 for position in registered.cell.joints.positions]
@@ -173,7 +208,7 @@ async def test_it_keeps_away_from_the_body_that_the_daemon_has_read(tmp_path: Pa
     async def ask(bench: WorkflowBench) -> None:
         file.unlink()
         async with planning(bench) as (planner, _):
-            assert await planner.check(run_of(bench, "placement.approach")) is None
+            assert await check(planner, run_of(bench, "placement.approach")) is None
 
     async with open_bench({"body": {"surface": str(file)}}) as bench:
         await bench.register()
@@ -184,17 +219,17 @@ async def test_a_process_that_is_killed_is_a_refusal_and_restarted() -> None:
     async def ask(bench: WorkflowBench) -> None:
         async with planning(bench) as (planner, events):
             os.kill(pid_of(planner), signal.SIGSTOP)
-            asked = asyncio.ensure_future(planner.check(run_of(bench, "placement.approach")))
+            asked = asyncio.ensure_future(check(planner, run_of(bench, "placement.approach")))
             await asyncio.sleep(0)
             os.kill(pid_of(planner), signal.SIGKILL)
             lost = await asked
             assert lost is not None
             assert lost.code == "planner_lost"
-            absent = await planner.check(run_of(bench, "placement.approach"))
+            absent = await check(planner, run_of(bench, "placement.approach"))
             assert absent is not None
             assert absent.code == "planner_lost"
             await planner.wait()
-            assert await planner.check(run_of(bench, "placement.approach")) is None
+            assert await check(planner, run_of(bench, "placement.approach")) is None
             assert (await events.get()).code == "planner_restarted"
             assert events.empty()
 
@@ -208,13 +243,27 @@ async def test_a_process_that_hangs_is_a_refusal_and_restarted(monkeypatch: pyte
         async with planning(bench) as (planner, events):
             monkeypatch.setattr(planner_module, "PLANNING_TIME", 0.2)
             os.kill(pid_of(planner), signal.SIGSTOP)
-            late = await planner.check(run_of(bench, "placement.approach"))
+            late = await check(planner, run_of(bench, "placement.approach"))
             assert late is not None
             assert late.code == "planner_late"
             monkeypatch.undo()
             assert (await events.get()).code == "planner_restarted"
             await planner.wait()
-            assert await planner.check(run_of(bench, "placement.approach")) is None
+            assert await check(planner, run_of(bench, "placement.approach")) is None
+
+    async with open_bench() as bench:
+        await bench.register()
+        on_the_machine(ask(bench))
+
+
+async def test_a_correction_that_is_late_has_its_own_limit() -> None:
+    async def ask(bench: WorkflowBench) -> None:
+        async with planning(bench) as (planner, events):
+            os.kill(pid_of(planner), signal.SIGSTOP)
+            late = await planner.check(correction_of(bench), ["correction_possible"], 0.2)
+            assert late is not None
+            assert (late.code, late.fields) == ("planner_late", {"limit": 0.2})
+            assert (await events.get()).code == "planner_restarted"
 
     async with open_bench() as bench:
         await bench.register()

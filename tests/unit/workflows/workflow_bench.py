@@ -17,6 +17,7 @@ from pcmrs.config import merge_tables
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.protocols import LatchingRobot, LatchingStimulator, RobotDriver, Scene, TrackerDriver
 from pcmrs.dispatcher import Dispatcher, DispatcherListener, Recorder, Run, Workflow
+from pcmrs.dispatcher.execution import MotionChecker
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
@@ -123,6 +124,7 @@ class WorkflowBench(DispatcherListener):
         settings: ProcedureSettings,
         clock: SimulatedClock,
         journal: Recorder | None,
+        planner: MotionChecker[Cell, PlacementData] | None,
     ) -> None:
         self.clock = clock
         self.robot: RobotDriver = devices["robot"]
@@ -145,7 +147,7 @@ class WorkflowBench(DispatcherListener):
             emg=devices["emg"],
         )
         recorder = journal or self.recorder
-        self.dispatcher = Dispatcher(workflow, self.cell, clock, recorder, self.cell.make_safe)
+        self.dispatcher = Dispatcher(workflow, self.cell, clock, recorder, self.cell.make_safe, planner=planner)
         self.dispatcher.add_listener(self)
         self._ids = itertools.count(1)
 
@@ -271,10 +273,12 @@ async def open_bench(
     *,
     workflow: str | Workflow[Cell, PlacementData] = "ratms",
     journal: Recorder | None = None,
+    planner: MotionChecker[Cell, PlacementData] | None = None,
 ) -> AsyncIterator[WorkflowBench]:
     """A bench with an arm without dynamics, quick motions and touches, and what the test sets itself, table by table.
 
-    The workflow's own defaults are in force; `journal` takes the place of the bench's recorder.
+    The workflow's own defaults are in force; `journal` takes the place of the bench's recorder. Without a planner,
+    all checks are asked in the loop.
     """
     opened_workflow = shipped_workflow(workflow) if isinstance(workflow, str) else workflow
     defaults = opened_workflow.blueprint.defaults
@@ -283,7 +287,7 @@ async def open_bench(
     settings = msgspec.convert(values["procedure"], ProcedureSettings)
     clock = SimulatedClock(asyncio.get_running_loop())
     async with open_devices(DEVICES, {"sim": values["sim"]}, clock) as opened:
-        bench = WorkflowBench(opened_workflow, opened, settings, clock, journal)
+        bench = WorkflowBench(opened_workflow, opened, settings, clock, journal, planner)
         async with background_task(bench.pump()):
             await bench.until(lambda: bench.cell.poses.seen("coil") and bench.cell.joints is not None)
             yield bench
