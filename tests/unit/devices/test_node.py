@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
 
 import msgspec
 import pytest
@@ -23,13 +22,7 @@ from pcmrs.messages import (
 )
 from pcmrs.testing.clock import settle
 from pcmrs.testing.devices import STATE
-from tests.unit.devices.node_bench import BEAT_PERIOD, TRAJECTORY, Bench, beat_for, open_bench
-
-
-@pytest.fixture
-async def bench() -> AsyncIterator[Bench]:
-    async with open_bench() as opened:
-        yield opened
+from tests.unit.devices.node_bench import BEAT_PERIOD, TRAJECTORY, Bench, beat_for
 
 
 async def test_events_of_the_robot_are_published(bench: Bench) -> None:
