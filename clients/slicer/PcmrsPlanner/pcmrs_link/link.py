@@ -155,7 +155,7 @@ class Link:
 
     @property
     def stopping(self) -> bool:
-        """Whether a Stop is not answered yet."""
+        """True if a Stop is not answered yet."""
         return self._stop is not None
 
     def age(self, kind: str) -> float | None:
