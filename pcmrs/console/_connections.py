@@ -1,4 +1,4 @@
-"""Limits of connections without a request: they keep nobody from the page, which has a button for Stop."""
+"""Limits of connections without a request: they never block the page, which has a button for Stop."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class _Silent:
 class SilentConnections:
     """Connections on which no request has arrived yet, the oldest first.
 
-    One too many ends the oldest, so that a flood of them cannot keep a browser out, whose request comes at once.
+    If there are too many, the oldest ends. So a flood of them cannot block a browser, which sends its request at once.
     """
 
     def __init__(self) -> None:

@@ -124,7 +124,7 @@ async def test_release_without_measured_joints_is_given_up(bench: Bench, monkeyp
     assert reply.failure is not None
     assert reply.failure.code == UnknownOutcomeError.code
     assert reply.gate is not None
-    assert reply.gate.latched, "what comes after the daemon has given up releases nothing"
+    assert reply.gate.latched, "an answer after the daemon has stopped waiting releases nothing"
 
 
 async def test_node_alone_holds_an_arm_that_moves_unasked(bench: Bench) -> None:
