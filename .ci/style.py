@@ -1,7 +1,11 @@
-"""Rejects phrases that the project no longer uses; CONTRIBUTING.md ("How we write") says how to write instead."""
+"""Rejects phrases that the project no longer uses, and docstrings of functions that begin in the third person.
+
+CONTRIBUTING.md ("How we write") says how to write instead.
+"""
 
 from __future__ import annotations
 
+import ast
 import io
 import re
 import sys
@@ -82,6 +86,25 @@ UNUSED = re.compile(
     re.IGNORECASE,
 )
 
+VERBS = (
+    r"Adds|Admits|Answers|Appends|Applies|Asks|Begins|Binds|Blocks|Brings|Builds|Called|Calls|Cancels|"
+    r"Changes|Checks|Clears|Closes|Collects|Compares|Computes|Concludes|Connects|Converts|Copies|Counts|"
+    r"Creates|Decides|Decodes|Deletes|Describes|Determines|Disconnects|Does|Drains|Draws|Drops|Encodes|"
+    r"Ends|Expands|Feeds|Finds|Follows|Forgets|Formats|Gets|Gives|Handles|Has|Holds|Ignores|Injects|"
+    r"Installs|Keeps|Kills|Lets|Listens|Loads|Logs|Looks|Makes|Merges|Moves|Notifies|Opens|Parses|"
+    r"Passes|Performs|Plans|Prepares|Presses|Prints|Publishes|Puts|Raises|Reads|Receives|Records|"
+    r"Refuses|Registers|Rejects|Releases|Removes|Reopens|Repeats|Replaces|Reports|Resets|Restarts|"
+    r"Resumes|Returns|Runs|Says|Sends|Serves|Sets|Shows|Signs|Splits|Starts|Stops|Stores|Submits|"
+    r"Takes|Tells|Tests|Treats|Tries|Turns|Updates|Validates|Verifies|Waits|Warns|Watches|Wraps|Writes|"
+    r"Yields"
+)
+"""First words of a docstring in the third person."""
+THIRD_PERSON = re.compile(rf"\s*({VERBS})\b(?! of\b)")
+"""Before "of", the word is a noun: "Reports of the seeds."."""
+IMPERATIVE = "an imperative or a noun phrase"
+NOT_YET_IMPERATIVE = ("pcmrs/dispatcher", "pcmrs/gateway")
+"""Folders that still have docstrings in the third person."""
+
 
 def findings(text: str, code: re.Pattern[str] = QUOTED) -> Iterator[tuple[int, str, str]]:
     """Yield line, phrase and advice for each phrase of a text that is no longer used.
@@ -94,6 +117,15 @@ def findings(text: str, code: re.Pattern[str] = QUOTED) -> Iterator[tuple[int, s
     for found in UNUSED.finditer(plain):
         advice = list(PHRASES.values())[int((found.lastgroup or "p0")[1:])]
         yield plain.count("\n", 0, found.start()) + 1, " ".join(found[0].split()), advice
+
+
+def third_persons(source: str) -> Iterator[tuple[int, str, str]]:
+    """Yield line, first word and advice for each docstring of a function that begins in the third person."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            found = THIRD_PERSON.match(ast.get_docstring(node, clean=False) or "")
+            if found:
+                yield node.body[0].lineno, found[1], IMPERATIVE
 
 
 def prose(source: str) -> str:
@@ -112,15 +144,23 @@ def _blank(text: str | re.Match[str]) -> str:
     return re.sub(r"[^\n]", "\0", text if isinstance(text, str) else text[0])
 
 
+def _findings_in(path: Path) -> Iterator[tuple[int, str, str]]:
+    text = path.read_text()
+    if path.suffix != ".py":
+        yield from findings(text)
+        return
+    yield from findings(prose(text), NAMED)
+    if not any(path.is_relative_to(ROOT / folder) for folder in NOT_YET_IMPERATIVE):
+        yield from third_persons(text)
+
+
 def main() -> int:
     """Print the findings of all files; the exit status is 1 if there are any."""
     files = {path for pattern in FOLDERS for path in ROOT.glob(pattern)} - {ROOT / name for name in LEFT_OUT}
     lines = [
         f"{path.relative_to(ROOT)}:{line}: '{phrase}' is no longer used; write: {advice}\n"
         for path in sorted(files)
-        for line, phrase, advice in (
-            findings(prose(path.read_text()), NAMED) if path.suffix == ".py" else findings(path.read_text())
-        )
+        for line, phrase, advice in _findings_in(path)
     ]
     sys.stdout.writelines(lines)
     return 1 if lines else 0

@@ -76,7 +76,7 @@ class _Compared:
         what: Name of the time, and of the statistic.
         measured: Measured value, s.
         limit: Limit, s.
-        lateness: Same statistic of a bare timer meanwhile, s.
+        lateness: Same statistic of a bare timer in the same run, s.
     """
 
     what: str

@@ -63,7 +63,7 @@ SEAL, WINDOW = Seal(bytes(KEY_BYTES)), ReplayWindow()
 def one(data: bytes) -> None:
     """Check an attachment; the first byte selects a seal, a signature, or one with a certificate of the input.
 
-    The certificate is the rest of the input, or that of the operator in which the input has replaced some bytes.
+    The certificate is the rest of the input, or the operator's, with some bytes replaced by the input.
     """
     kind, rest = data[:1], data[1:]
     if kind < b"\x40":

@@ -5,27 +5,21 @@ python -m fuzz.landmarks -max_total_time=60
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 import numpy as np
 
-from fuzz.running import instrumented, run
+from fuzz.running import UploadedFile, instrumented, run
 
 with instrumented("pcmrs.formats", "yaml"):
     from pcmrs.errors import FileFormatError
     from pcmrs.formats.landmarks import read_landmarks
 
-FOLDER = tempfile.TemporaryDirectory(prefix="fuzz-landmarks-")
-ENDINGS = (".mrk.json", ".fcsv", ".yaml", ".csv", ".json")
+FILE = UploadedFile("file.mrk.json", "file.fcsv", "file.yaml", "file.csv", "file.json")
 
 
 def one(data: bytes) -> None:
     """Read landmarks; the first byte selects the extension."""
-    path = Path(FOLDER.name, f"file{ENDINGS[data[0] % len(ENDINGS) if data else 0]}")
-    path.write_bytes(data[1:])
     try:
-        found = read_landmarks(path)
+        found = read_landmarks(FILE.write(data))
     except FileFormatError as error:
         assert "file" in error.text  # noqa: PT017  # not a test: libFuzzer finds inputs that raise
         return

@@ -5,28 +5,22 @@ python -m fuzz.meshes -max_total_time=60
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 import numpy as np
 import trimesh  # noqa: F401  # `read_mesh` loads it for some inputs, which then could be slower than is allowed
 
-from fuzz.running import instrumented, run
+from fuzz.running import UploadedFile, instrumented, run
 
 with instrumented("pcmrs.formats"):
     from pcmrs.errors import FileFormatError
     from pcmrs.formats.mesh import read_mesh
 
-FOLDER = tempfile.TemporaryDirectory(prefix="fuzz-meshes-")
-ENDINGS = (".ply", ".stl", ".obj")
+FILE = UploadedFile("file.ply", "file.stl", "file.obj")
 
 
 def one(data: bytes) -> None:
     """Read a mesh; the first byte selects the extension."""
-    path = Path(FOLDER.name, f"file{ENDINGS[data[0] % len(ENDINGS) if data else 0]}")
-    path.write_bytes(data[1:])
     try:
-        mesh = read_mesh(path, "mm", "RAS")
+        mesh = read_mesh(FILE.write(data), "mm", "RAS")
     except FileFormatError as error:
         assert "file" in error.text  # noqa: PT017  # not a test: libFuzzer finds inputs that raise
         return

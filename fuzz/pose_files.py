@@ -5,12 +5,11 @@ python -m fuzz.pose_files -max_total_time=60
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from fuzz.running import instrumented, run
+from fuzz.running import UploadedFile, instrumented, run
 
 with instrumented("pcmrs.formats", "pcmrs.calibration", "yaml"):
     from pcmrs.calibration import read_calibration
@@ -19,26 +18,24 @@ with instrumented("pcmrs.formats", "pcmrs.calibration", "yaml"):
     from pcmrs.formats.pose_file import read_placements
     from pcmrs.formats.pose_log import read_pose_log
 
-FOLDER = tempfile.TemporaryDirectory(prefix="fuzz-pose-files-")
 read_hand_eye = partial(read_poses, names=HAND_EYE)
-READERS: tuple[tuple[str, Callable[[Path], object]], ...] = (
-    ("placement.yaml", read_placements),
-    ("log.csv", read_pose_log),
-    ("poses.csv", read_hand_eye),
-    ("poses.json", read_hand_eye),
-    ("calibration.toml", read_calibration),
-)
+READERS: dict[str, Callable[[Path], object]] = {
+    "placement.yaml": read_placements,
+    "log.csv": read_pose_log,
+    "poses.csv": read_hand_eye,
+    "poses.json": read_hand_eye,
+    "calibration.toml": read_calibration,
+}
+FILE = UploadedFile(*READERS)
 
 
 def one(data: bytes) -> None:
     """Read a file; the first byte selects its kind."""
-    name, read = READERS[data[0] % len(READERS) if data else 0]
-    path = Path(FOLDER.name, name)
-    path.write_bytes(data[1:])
+    path = FILE.write(data)
     try:
-        assert read(path)
+        assert READERS[path.name](path)
     except FileFormatError as error:
-        assert name in error.text  # noqa: PT017  # not a test: libFuzzer finds inputs that raise
+        assert path.name in error.text  # noqa: PT017  # not a test: libFuzzer finds inputs that raise
 
 
 if __name__ == "__main__":

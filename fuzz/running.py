@@ -73,6 +73,24 @@ def feed(target: Target, data: bytes) -> None:
         _in_loop(runner, target)(data)
 
 
+class UploadedFile:
+    """File with the input of a target, in a temporary folder.
+
+    Args:
+        names: Names that the file may have.
+    """
+
+    def __init__(self, *names: str) -> None:
+        self._names = names
+        self._folder = tempfile.TemporaryDirectory(prefix="fuzz-")
+
+    def write(self, data: bytes) -> Path:
+        """Write an input without its first byte, which selects the name of the file; return its path."""
+        path = Path(self._folder.name, self._names[data[0] % len(self._names) if data else 0])
+        path.write_bytes(data[1:])
+        return path
+
+
 def pieces(data: bytes) -> list[bytes]:
     """Return the rest of the data, cut at positions that its first bytes select, like packets of a network."""
     count, rest = (data[0] % 8, data[1:]) if data else (0, b"")

@@ -5,27 +5,21 @@ python -m fuzz.volumes -max_total_time=60
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 import numpy as np
 
-from fuzz.running import instrumented, run
+from fuzz.running import UploadedFile, instrumented, run
 
 with instrumented("pcmrs.formats"):
     from pcmrs.errors import FileFormatError
     from pcmrs.formats.volume import read_volume
 
-FOLDER = tempfile.TemporaryDirectory(prefix="fuzz-volumes-")
-ENDINGS = (".nii", ".nii.gz", ".dcm")
+FILE = UploadedFile("file.nii", "file.nii.gz", "file.dcm")
 
 
 def one(data: bytes) -> None:
     """Read a volume; the first byte selects the extension."""
-    path = Path(FOLDER.name, f"file{ENDINGS[data[0] % len(ENDINGS) if data else 0]}")
-    path.write_bytes(data[1:])
     try:
-        volume = read_volume(path)
+        volume = read_volume(FILE.write(data))
     except FileFormatError as error:
         assert "file" in error.text  # noqa: PT017  # not a test: libFuzzer finds inputs that raise
         return

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from pcmrs.archive._segment import JournalName, Segment, added_meanwhile
+from pcmrs.archive._segment import JournalName, Segment, added_by_another_run
 from pcmrs.archive._store import ArchivedJournal
 from pcmrs.errors import ArchiveError
 from pcmrs.files import publish
@@ -119,11 +119,11 @@ class Catalogue:
             try:
                 self._connection.execute("INSERT INTO journals VALUES (?, ?, ?, ?, ?, ?)", values)
             except sqlite3.IntegrityError as error:
-                raise added_meanwhile(journal.name) from error
+                raise added_by_another_run(journal.name) from error
 
     @contextmanager
     def entering(self, listed: ListedSegment) -> Iterator[None]:
-        """Enter a segment at the end of the block, in which its file gets its name; nobody else enters one meanwhile.
+        """Enter a segment when the block ends, in which its file gets its name; no other run enters one before.
 
         Args:
             listed: The segment.
@@ -163,7 +163,7 @@ class Catalogue:
         with self._readable_errors():
             (last,) = self._connection.execute(query, (segment.journal.first,)).fetchone()
         if last != segment.start.sequence:
-            raise added_meanwhile(segment.journal, last, segment)
+            raise added_by_another_run(segment.journal, last, segment)
 
     @contextmanager
     def _readable_errors(self) -> Iterator[None]:

@@ -35,8 +35,9 @@ SCHEMA: Final = pa.schema(list(_FIELDS.items()))
 """Columns of an archived row.
 
 ``time`` is UTC, and ``wall`` the same in Unix seconds; ``monotonic`` is in seconds of the cell's clock. ``arguments``,
-``states``, ``result`` and ``verdict_result`` are JSON, the last two what the operation stored, and what its verdict
-reported. ``body`` is the whole row as the journal has it, canonical MessagePack; ``hash`` is its hash, 32 bytes.
+``states``, ``result`` and ``verdict_result`` are JSON: ``result`` is what the operation stored, ``verdict_result`` what
+its verdict reported. ``body`` is the whole row as the journal has it, canonical MessagePack; ``hash`` is its hash, 32
+bytes.
 """
 JSON_COLUMNS: Final = frozenset(_JSON)
 """Columns that hold JSON."""

@@ -11,7 +11,7 @@ import pyarrow as pa
 from psycopg.types.string import TextLoader
 
 from pcmrs.archive._columns import JSON_COLUMNS, SCHEMA
-from pcmrs.archive._segment import JournalName, Segment, added_meanwhile, missing
+from pcmrs.archive._segment import JournalName, Segment, added_by_another_run, missing
 from pcmrs.archive._store import ArchivedJournal
 from pcmrs.errors import ArchiveError
 from pcmrs.journal.rows import RowPosition
@@ -100,7 +100,7 @@ class PostgresStore:
             try:
                 self._connection.execute("INSERT INTO journals VALUES (%s, %s, %s, %s, %s, %s)", values)
             except psycopg.errors.UniqueViolation as error:
-                raise added_meanwhile(journal.name) from error
+                raise added_by_another_run(journal.name) from error
 
     def add(self, segment: Segment, table: pa.Table) -> None:
         """See `ArchiveStore.add`."""
@@ -175,12 +175,12 @@ class PostgresStore:
         self._connection.execute("SET search_path = pcmrs_archive")
 
     def _require_next(self, segment: Segment) -> None:
-        """Require that a segment follows the last one, and keep other runs from adding to its journal meanwhile."""
+        """Require that a segment follows the last one, and lock its journal against other runs until the commit."""
         self._connection.execute("SELECT FROM journals WHERE first = %s FOR UPDATE", (segment.journal.first,))
         query = "SELECT coalesce(max(last), 0) FROM segments WHERE journal = %s"
         found = self._connection.execute(query, (segment.journal.first,)).fetchone()
         if found is not None and found[0] != segment.start.sequence:
-            raise added_meanwhile(segment.journal, found[0], segment)
+            raise added_by_another_run(segment.journal, found[0], segment)
 
     def _require_segments(self) -> None:
         """Require that the first and the last row of each segment are there; only a verification reads all of them."""

@@ -137,7 +137,7 @@ def doubled(journal: JournalName, first: int, last: int, what: str) -> DoubledSe
     return DoubledSegmentError(f"Rows {first}–{last} of {journal}: {what}", **_fields(journal, first, last))
 
 
-def added_meanwhile(journal: JournalName, last: int = 0, segment: Segment | None = None) -> DoubledSegmentError:
+def added_by_another_run(journal: JournalName, last: int = 0, segment: Segment | None = None) -> DoubledSegmentError:
     """Return the error for rows that another run adds at the same time.
 
     Args:
@@ -151,7 +151,7 @@ def added_meanwhile(journal: JournalName, last: int = 0, segment: Segment | None
 
 
 def follow_segments(journal: JournalName, segments: Iterable[Segment]) -> RowPosition:
-    """Return the end of a journal's segments, each of which must start where the one before it ends.
+    """Return the end of a journal's segments, which must follow each other without gap or overlap.
 
     Args:
         journal: Name of the journal.

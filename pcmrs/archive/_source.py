@@ -35,7 +35,7 @@ class ProvenRow(NamedTuple):
 
 
 class JournalSource:
-    """A journal with all its files, of which a daemon may be writing the last one.
+    """A journal with all its files; a daemon may still be writing the last one.
 
     Only the rows up to the one that the head names are read. Rows after it may be from a commit that was never
     acknowledged; the next run finds them under a later head.

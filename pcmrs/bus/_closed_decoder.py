@@ -56,7 +56,7 @@ def closed_decoder(kind: Any) -> Callable[[bytes], Any] | None:
 
 
 def _check_of(info: inspect.Type) -> Check | None:
-    """Returns the check of a type, or None if it has no numbers. Raises `_OpenTypeError`."""
+    """Return the check of a type, or None if it has no numbers. Raises `_OpenTypeError`."""
     match info:
         case inspect.FloatType():
             return math.isfinite
@@ -87,7 +87,7 @@ def _are_finite(values: Iterable[float]) -> bool:
 
 
 def _all_of(checks: dict[Any, Check | None], getter: Callable[..., Callable[[Any], Any]]) -> Check | None:
-    """Returns the check of several parts of a value; single floats are looked up and checked together."""
+    """Return the check of several parts of a value; single floats are looked up and checked together."""
     floats = [part for part, check in checks.items() if check is math.isfinite]
     steps = [(getter(part), check) for part, check in checks.items() if check not in (None, math.isfinite)]
     if len(floats) > 1:

@@ -1,4 +1,4 @@
-"""Encoding in one step of messages whose type leaves nothing open, as poses, joints and beats.
+"""Encoding in one step of messages with a closed type, such as poses, joints and beats: no field is `Any`.
 
 All others are first turned into plain data, because they may hold values that only MessagePack or only JSON knows. The
 types here hold none, so that `msgspec` writes the same bytes at once, in a fraction of the time.

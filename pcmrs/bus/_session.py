@@ -19,6 +19,7 @@ from pcmrs.bus._round_robin import AT_ONCE, RoundRobin
 from pcmrs.bus.bridge import CAPACITY, Bridge
 from pcmrs.bus.codec import busy, pack, unpack
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
+from pcmrs.bus.following import follow_daemon
 from pcmrs.bus.keys import cell_prefix, is_signed, named_in
 from pcmrs.bus.qos import COMMANDS, REQUESTS, class_of
 from pcmrs.bus.requests import ReplyCheck, send_query
@@ -35,8 +36,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_DAEMON_BEAT: Final = "daemon/beat"
-"""Key of the daemon's heartbeats, whose seals name its run."""
 LOG_PERIOD: Final = 1.0
 """Shortest time between two log lines about ignored messages, s."""
 
@@ -81,7 +80,7 @@ class Bus:
         self._tokens: list[zenoh.LivelinessToken] = []
         self._tasks = BackgroundTasks()
         if seal is not None and seal.follows:
-            self._follow_daemon(seal)
+            self._receivers.append(follow_daemon(session, self.prefix, seal, self._on_forged))
 
     @classmethod
     async def open(cls, settings: BusSettings, seal: Seal | None = None) -> Bus:
@@ -353,18 +352,6 @@ class Bus:
             sender.shutdown(cancel_futures=True)
         self._reading_pool.shutdown()
         self._pool.shutdown()
-
-    def _follow_daemon(self, seal: Seal) -> None:
-        """Take the run of the daemon from its heartbeats, in Zenoh's thread."""
-        taken = ReplayWindow()
-
-        def take(sample: zenoh.Sample) -> None:
-            if self._is_authentic(sample, _DAEMON_BEAT, payload_of(sample), taken):
-                seal.follow(attached_to(sample))
-
-        self._receivers.append(
-            declare_subscriber(self._session, self._absolute(_DAEMON_BEAT), class_of(_DAEMON_BEAT), take)
-        )
 
     def _sender(self, name: str) -> ThreadPoolExecutor:
         if name not in self._senders:

@@ -107,6 +107,9 @@ class Seal:
         key: Key that daemon and nodes share, `KEY_BYTES` bytes. The daemon and its children have the run of the daemon
             behind it (`new_run`); all others take the run from the daemon's messages (`follow`).
         current_only: True for the daemon, which accepts only messages of its present run.
+
+    Attributes:
+        follows: True if the key came without a run, so that the seal takes the run from the daemon's messages.
     """
 
     def __init__(self, key: bytes, *, current_only: bool = False) -> None:
@@ -115,7 +118,10 @@ class Seal:
         self._current_only = current_only
         self._session = secrets.token_bytes(8)
         self._numbers = itertools.count(1)
+        self._named = threading.Event()
         self.follows = not run
+        if run:
+            self._named.set()
 
     def follow(self, seal: bytes) -> None:
         """Name the run of the daemon in all messages from now on.
@@ -127,6 +133,15 @@ class Seal:
         _, run, _, _ = _HEAD.unpack(seal[: _HEAD.size])
         if self.follows and run != bytes(RUN_BYTES):
             self._run = run
+            self._named.set()
+
+    def run_known(self, within: float = 0.0) -> bool:
+        """Return True if the run of the daemon is known; without it the daemon accepts no message.
+
+        Args:
+            within: Longest wait for it, s of the machine.
+        """
+        return self._named.wait(within)
 
     def put(self, kind: Kind, key: str, payload: bytes, query: bytes = b"") -> bytes:
         """Return the seal of a new message.

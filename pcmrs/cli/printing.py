@@ -1,4 +1,4 @@
-"""The output of commands. Text from outside can neither control the terminal nor forge a line of PCMRS.
+"""Output of commands. Text from outside cannot control the terminal, and cannot forge a line of PCMRS.
 
 This module and `pcmrs.cli.tables` are the only ones that write to the terminal: ruff's list of banned names in
 `pyproject.toml` has what escapes nothing, such as `click.echo` and Rich's `Text`.

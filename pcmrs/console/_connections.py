@@ -1,8 +1,9 @@
-"""Limits of connections without a request: they keep nobody from the page, which has a button for Stop."""
+"""Limits of connections without a request: they never block the page, which has a button for Stop."""
 
 from __future__ import annotations
 
 import asyncio
+from dataclasses import dataclass
 from typing import ClassVar, Final
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
@@ -15,15 +16,22 @@ LONGEST_HEAD: Final = 2**16
 """Limit of the first line and the headers of the first request, bytes."""
 
 
+@dataclass(slots=True)
+class _Silent:
+    """A connection on which no request has arrived yet: the timer that ends it, and the bytes that have arrived."""
+
+    timer: asyncio.TimerHandle
+    received: int = 0
+
+
 class SilentConnections:
     """Connections on which no request has arrived yet, the oldest first.
 
-    One too many ends the oldest, so that a flood of them cannot keep a browser out, whose request comes at once.
+    If there are too many, the oldest ends. So a flood of them cannot block a browser, which sends its request at once.
     """
 
     def __init__(self) -> None:
-        self._open: dict[asyncio.BaseTransport, asyncio.TimerHandle] = {}
-        self._received: dict[asyncio.BaseTransport, int] = {}
+        self._open: dict[asyncio.BaseTransport, _Silent] = {}
 
     def __len__(self) -> int:
         return len(self._open)
@@ -32,8 +40,8 @@ class SilentConnections:
         """Add a new connection; end the oldest if there are too many, and this one if no request arrives in time."""
         if len(self._open) >= MOST_SILENT:
             self._end(next(iter(self._open)))
-        self._open[transport] = asyncio.get_running_loop().call_later(FIRST_WITHIN, self._end, transport)
-        self._received[transport] = 0
+        timer = asyncio.get_running_loop().call_later(FIRST_WITHIN, self._end, transport)
+        self._open[transport] = _Silent(timer)
 
     def receive(self, transport: asyncio.Transport, count: int) -> None:
         """Count the bytes of a request that has not arrived as a whole; end the connection if they are too many.
@@ -42,17 +50,17 @@ class SilentConnections:
             transport: The connection; one on which a request has arrived is ignored.
             count: Number of bytes.
         """
-        if transport in self._open:
-            self._received[transport] += count
-            if self._received[transport] > LONGEST_HEAD:
+        silent = self._open.get(transport)
+        if silent is not None:
+            silent.received += count
+            if silent.received > LONGEST_HEAD:
                 self._end(transport)
 
     def remove(self, transport: asyncio.BaseTransport) -> None:
         """Remove a connection on which a request has arrived, or that has ended."""
-        timer = self._open.pop(transport, None)
-        if timer is not None:
-            timer.cancel()
-            del self._received[transport]
+        silent = self._open.pop(transport, None)
+        if silent is not None:
+            silent.timer.cancel()
 
     def _end(self, transport: asyncio.BaseTransport) -> None:
         self.remove(transport)
@@ -84,7 +92,7 @@ class LimitedProtocol(HttpToolsProtocol):
         self.silent.receive(self.transport, len(data))
 
     def on_headers_complete(self) -> None:
-        """Called by the parser."""
+        """Count the connection as one with a request: its parser calls this after the headers."""
         self.silent.remove(self.transport)
         super().on_headers_complete()
 

@@ -401,7 +401,7 @@ class DeviceNode:
 
 @contextmanager
 def _errors_logged() -> Iterator[None]:
-    """Log an error of a report: whatever a report meets, the deadman must go on."""
+    """Log an error of a report, so that it never ends the deadman."""
     try:
         yield
     except Exception:

@@ -233,7 +233,7 @@ class _Cascade:
     def perform(
         self, kind: EffectKind, branch: str, operation: str, target: str, spec: OperationSpec | None = None
     ) -> None:
-        """Moves `branch` to `target`; then sets, signals, re-initiates and revokes what follows from it."""
+        """Move `branch` to `target`; then set, signal, re-initiate and revoke what follows from it."""
         source = self._move(kind, branch, operation, target)
         if spec is not None and kind == "operation":
             for child, state in spec.sets.items():

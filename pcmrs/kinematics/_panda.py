@@ -138,7 +138,7 @@ class _Target:
     def _values(self, q7: Floats, within: bool) -> tuple[Floats, Floats]:
         """Return joint positions as rows of `_BRANCHES`, rad, (10, M), and how far each misses the pose, (M,).
 
-        Scalars along x, y, z are those of the last link, about whose z axis the wrist turns by `q7`. In this frame axis
+        Scalars along x, y, z are those of the last link, whose z axis is the axis of joint 7. In this frame axis
         6 is along (s7, -c7, 0), and axis 5 along (s6 c7, s6 s7, c6).
 
         Args:

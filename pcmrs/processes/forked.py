@@ -158,7 +158,7 @@ class _Server:
 
 def _renumber(descriptors: Sequence[int], numbers: Sequence[int]) -> None:
     """Give descriptors of this process other numbers."""
-    # First to numbers that nobody gets, so that none overwrites another, or itself.
+    # First to numbers above all wanted ones, so that no descriptor overwrites another, or itself.
     beyond = max(numbers, default=0) + 1
     moved = [fcntl.fcntl(each, fcntl.F_DUPFD, beyond) for each in descriptors]
     for each in descriptors:

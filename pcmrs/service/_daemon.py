@@ -221,7 +221,7 @@ async def _child_processes(
     start: ProcessStarter,
     page: ConsoleListener,
 ) -> AsyncIterator[tuple[NodeProcesses, ChildProcess, ChildProcess]]:
-    """Yields device nodes, recorder and console, not yet started; they are stopped in this order."""
+    """Yield device nodes, recorder and console, not yet started; they are stopped in this order."""
     report = procedure.dispatcher.report_later
     nodes = NodeProcesses(settings, device_key, procedure.lose, report, machine, start)
     recording = ChildProcess(
@@ -241,7 +241,7 @@ async def _child_processes(
 
 @asynccontextmanager
 async def _edges(bus: Bus, procedure: RunningProcedure, settings: Settings, machine: Clock) -> AsyncIterator[Gateway]:
-    """Takes commands from the bus and from the links of the gateway, which are closed first."""
+    """Take commands from the bus and from the links of the gateway, which are closed first."""
     async with AsyncExitStack() as stack:
         reporting = BackgroundTasks(logged_as(TASK_FAILED))
         stack.push_async_callback(reporting.close)
@@ -294,7 +294,7 @@ def _tell_counters(sources: Iterable[Source]) -> None:
 
 @contextmanager
 def _only_daemon_of(folder: Path) -> Iterator[None]:
-    """Holds the lock of the cell's folder. Raises `ConfigurationError` if another daemon holds it."""
+    """Hold the lock of the cell's folder. Raises `ConfigurationError` if another daemon holds it."""
     try:
         make_private(folder)
         lock = (folder / "lock").open("w")

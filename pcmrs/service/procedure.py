@@ -213,7 +213,7 @@ class RunningProcedure(DispatcherListener):
         return late | {"events.misnamed": self.misnamed}
 
     def _take_event(self, key: str, event: DeviceEvent) -> None:
-        """Reports an event of the device of its key: nobody may report for the lease or the daemon."""
+        """Report an event of the device that its key names: no device may report for the lease or the daemon."""
         speakers = DAEMON_SPEAKERS if key == "daemon/event" else {named_in(key)} & DEVICES
         if event.device in speakers:
             self.dispatcher.report_later(event)

@@ -181,7 +181,7 @@ class Supervisor:
             await self._report(DeviceEvent(device="daemon", code="task_restarted", text=text))
 
     async def _death(self, work: Coroutine[Any, Any, object]) -> BaseException | None:
-        """Runs the work until it dies; returns its error, or None if it has ended without one."""
+        """Run the work until it dies; return its error, or None if it has ended without one."""
         try:
             await work
         except (KeyboardInterrupt, SystemExit, GeneratorExit):
@@ -208,7 +208,7 @@ class Supervisor:
         raise self._failure from error
 
     async def _report(self, event: DeviceEvent) -> None:
-        """Reports an event and waits for the Stop that may follow, within a limit: a failing Stop delays nothing."""
+        """Report an event and wait for the Stop that may follow, within a limit: a failing Stop delays nothing."""
         try:
             async with self._clock.timeout(REPORT_TIME):
                 await self.report(event)
@@ -222,14 +222,14 @@ def mark() -> None:
 
 
 def _nothing() -> None:
-    """Does nothing: the caller is not supervised."""
+    """Do nothing: the caller is not supervised."""
 
 
 _marked: ContextVar[Callable[[], object]] = ContextVar("marked", default=_nothing)
 
 
 async def _to_nobody(_event: DeviceEvent) -> None:
-    """Ignores an event: nothing can be held yet, and the event has been logged."""
+    """Ignore an event: nothing can be held yet, and the event has been logged."""
 
 
 def _named(error: BaseException | None) -> str:

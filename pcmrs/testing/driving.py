@@ -70,7 +70,7 @@ ACKNOWLEDGE = "robot.acknowledge"
 
 
 async def acknowledge(client: Client) -> Verdict:
-    """Acknowledge the newest Stop by its number; again if a newer one has come meanwhile."""
+    """Acknowledge the newest Stop by its number; repeat it if a newer one has arrived."""
     while True:
         verdict = await client.acknowledge(stop=(await client.state()).stop.number)
         if verdict.reason is None or verdict.reason.code != "stop_outdated":

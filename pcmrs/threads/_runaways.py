@@ -110,7 +110,7 @@ class Runaways:
         return thread in self._demoted or _is_realtime(thread)
 
     def _demote(self, thread: int) -> str | None:
-        """Takes the policy away; returns why that is refused, empty if it is not, and None if nothing is to report."""
+        """Remove the policy. Return why that is refused; empty if it is not, and None if nothing is to report."""
         try:
             priority = os.sched_getparam(thread).sched_priority
             # The flag stays: to clear it needs CAP_SYS_NICE, which neither the units nor the container permit.

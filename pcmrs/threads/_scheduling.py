@@ -122,7 +122,7 @@ def descendants(pid: int) -> list[int]:
 
 
 def _read_small(path: str) -> str:
-    """Returns the content of a small file of `proc(5)`; `Path.read_text` takes four times as long."""
+    """Return the content of a small file of `proc(5)`; `Path.read_text` takes four times as long."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         return os.read(descriptor, _SMALL).decode()

@@ -168,7 +168,7 @@ class PlacementData(ProcedureData, frozen=True, kw_only=True):
         return points if self.landmarks and len(points) == len(self.landmarks) else ()
 
     def stimulation_view(self) -> StimulationShown | None:
-        """What people are shown of the stimulation; None for a procedure without."""
+        """State of the stimulation for people; None for a procedure without."""
         return None
 
     def newest_epoch(self) -> Epoch | None:

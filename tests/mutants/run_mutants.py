@@ -8,10 +8,10 @@
 `map` runs the suite once under coverage and writes down which test runs which line; the others choose their tests by
 it. With TESTS it measures only these, and keeps what it knows of the others. It ends with 1 if a test failed or the
 data of a process were lost: such a test is not chosen, so fewer mutants would be caught. `uncovered` lists the guards
-of which no test runs both sides. `listed` tries the mutants that are written down in tests/mutants/listed, each with
-the harm that it could do; all of them must be caught, except those in allowed.toml. `generated` tries a sample of those
-that are made by rule, of which 95 % must be caught. Each command prints a table, or JSON with --json, and ends with 0
-when all is well.
+with a side that no test runs. `listed` tries the mutants that are written down in tests/mutants/listed, each with the
+harm that it could do; all of them must be caught, except those in allowed.toml. `generated` tries a sample of the
+mutants that are made by rule; 95 % must be caught. Each command prints a table, or JSON with --json, and ends with 0 if
+there is no finding.
 """
 
 from __future__ import annotations

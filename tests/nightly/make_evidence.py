@@ -26,7 +26,7 @@ The promises are those of [safety.md](safety.md), [semantics.md](semantics.md), 
 [threat-model.md](threat-model.md). What they name is below `tests/`, in the catalogue of faults (`pcmrs faults list`),
 among the invariants of the explorer ([explore.md](explore.md)) and the mutants of `tests/mutants`.
 
-`make test` runs every test that is called neither nightly nor a browser's; CI runs the browser's, too. `make nightly`
+`make test` runs all tests without the marker `nightly` or `browser`; CI runs those of the browser, too. `make nightly`
 runs the rest in parts: `make nightly PART=faults` runs some. Parts that have a green result for the present code are
 left out. `make nightly OPTIONS=--publish` gathers the results for this page, which says of each part on which commit it
 was run.

@@ -115,7 +115,7 @@ def _of_map(said: dict[str, Any]) -> Counts:
 
 
 def _of_uncovered(said: dict[str, Any]) -> Counts:
-    """Guards of which one side was never run have failed, except those that have a reason."""
+    """Guards with a side that was never run have failed, except those that have a reason."""
     named = [
         (f"{each['module']}:{each['function']}: {each['guard']} {each['side']}", each) for each in said["uncovered"]
     ]

@@ -73,3 +73,19 @@ def test_only_comments_and_strings_of_python_files_are_read() -> None:
     source += '    """Say what was told.\n\n    Of `told` values.\n    """\n'
     found = [(line, phrase) for line, phrase, _ in style.findings(style.prose(source), style.NAMED)]
     assert found == [(1, "anew"), (5, "told")]
+
+
+@pytest.mark.parametrize(
+    ("docstring", "word"),
+    [
+        ("Returns the pose.", "Returns"),
+        ("\n    Called by the parser.", "Called"),
+        ("Return the pose.", None),
+        ("Reports of the seeds.", None),
+        ("Runs.", "Runs"),
+    ],
+)
+def test_a_docstring_in_the_third_person_is_found(docstring: str, word: str | None) -> None:
+    source = f'class Sender:\n    """Sends."""\n\n    async def run(self) -> None:\n        """{docstring}"""\n'
+    found = [(line, phrase) for line, phrase, _ in style.third_persons(source)]
+    assert found == ([] if word is None else [(5, word)])

@@ -81,7 +81,7 @@ class PcmrsPlannerLogic(ScriptedLoadableModuleLogic):
         self._shown: dict[str, float] = {}
 
     def connect(self, host: str, port: int, feed_port: int, peer: str, key_file: str, *, answers_signed: bool) -> None:
-        """Opens the sockets and says hello.
+        """Open the sockets, and request the joints.
 
         Args:
             host: The daemon's.
@@ -101,7 +101,7 @@ class PcmrsPlannerLogic(ScriptedLoadableModuleLogic):
         self.planner.hello()
 
     def disconnect(self) -> None:
-        """Closes the sockets; the daemon goes on with what it does."""
+        """Close the sockets; the daemon continues."""
         if self.planner is not None:
             self.planner.link.close()
         if self.feed is not None:
@@ -109,7 +109,7 @@ class PcmrsPlannerLogic(ScriptedLoadableModuleLogic):
         self.planner = self.feed = None
 
     def tick(self) -> None:
-        """Drains the sockets and puts new poses into the scene."""
+        """Drain the sockets and put new poses into the scene."""
         if self.planner is None:
             return
         self.planner.link.tick()
@@ -125,7 +125,7 @@ class PcmrsPlannerWidget(ScriptedLoadableModuleWidget):
     """The panel."""
 
     def setup(self) -> None:
-        """Builds the panel and starts the timer."""
+        """Build the panel and start the timer."""
         ScriptedLoadableModuleWidget.setup(self)
         self.logic = PcmrsPlannerLogic()
         self._jobs: list[Any] = []
@@ -143,7 +143,7 @@ class PcmrsPlannerWidget(ScriptedLoadableModuleWidget):
         self._timer.start()
 
     def cleanup(self) -> None:
-        """Called by Slicer when the module is unloaded."""
+        """End the link; Slicer calls this when the module is unloaded."""
         self._timer.stop()
         self.logic.disconnect()
 
@@ -329,7 +329,7 @@ def _points(node: Any) -> list[list[float]]:
 
 
 def _show(name: str, pose: Pose) -> None:
-    """Puts a pose into the linear transform of that name, which is made where the scene has none."""
+    """Put a pose into the linear transform of that name, which is made if the scene has none."""
     node = slicer.mrmlScene.GetFirstNode(name, "vtkMRMLLinearTransformNode")
     if node is None:
         node = slicer.mrmlScene.AddNewNodeByClass("vtkMRMLLinearTransformNode", name)

@@ -34,7 +34,7 @@ class Attack(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class NoProof(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Attackers on entry points of which neither a row nor a test shows anything.
+    """Attackers on entry points for which there is no row and no test.
 
     Attributes:
         ways: Entry points, from `Attacks.ways`.

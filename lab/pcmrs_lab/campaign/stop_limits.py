@@ -1,4 +1,4 @@
-"""Limits of Stop while somebody else floods the cell, beside the lateness of a bare timer in the same run."""
+"""Limits of Stop while another process floods the cell, compared with the lateness of a bare timer in the same run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def exceeded(taken: Sequence[float], timer: Sequence[float]) -> Iterator[str]:
 
     Args:
         taken: Times of the Stops, s; a p99 of fewer than 100 is their maximum.
-        timer: Lateness of a bare timer meanwhile, s.
+        timer: Lateness of a bare timer in the same run, s.
     """
     for name, limit in DURING_FLOODS.items():
         measured, late = (percentile(values, _SHARES[name]) for values in (taken, timer))

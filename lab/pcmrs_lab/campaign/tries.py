@@ -83,7 +83,7 @@ def declared(tries: Mapping[str, Iterable[str]]) -> frozenset[Try]:
 
 
 def difference(wanted: frozenset[Try], tried: set[Try]) -> str:
-    """Describe in which attacks declaration and record differ; empty if they do not, or if none is declared.
+    """Return the attacks that only one of declaration and record has; empty if there are none, or none is declared.
 
     Args:
         wanted: Declared attacks.

@@ -29,7 +29,7 @@ class Speed(NamedTuple):
 
 def processor_share() -> float:
     """Return the share of a processor that a simulated world gets now, measured for `TRIAL`."""
-    with ThreadPoolExecutor(1) as pool:  # in a new thread: without permission no priority can be given back
+    with ThreadPoolExecutor(1) as pool:  # in a new thread, because a lower priority may not be raised again
         return pool.submit(_share_of_world).result()
 
 

@@ -76,7 +76,7 @@ _CALLS: Final[dict[str, tuple[int | None, int | None]]] = {
     "sched_yield": (24, 124),
     "select": (23, None),
     "times": (100, 153),
-    # what it is and has
+    # identity and limits of the process
     "getegid": (108, 177),
     "geteuid": (107, 175),
     "getgid": (104, 176),
@@ -104,7 +104,7 @@ _OPEN: Final[tuple[tuple[tuple[int, int | None], int], ...]] = (((2, None), 1), 
 _CHANGES_FILE: Final = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 _FCNTL: Final = (72, 25)
 _OF_DESCRIPTORS: Final = (fcntl.F_DUPFD, fcntl.F_GETFD, fcntl.F_SETFD, fcntl.F_GETFL, fcntl.F_DUPFD_CLOEXEC)
-"""Commands of ``fcntl`` that can neither lock a file nor have the kernel send a signal."""
+"""Commands of ``fcntl`` that cannot lock a file, and cannot have the kernel send a signal."""
 _PRLIMIT: Final = (302, 261)
 _ITSELF: Final = 0
 _NEWER: Final = 424
@@ -123,7 +123,7 @@ Step = tuple[int, int, int, int]
 
 
 def confine(memory: int, seconds: int) -> None:
-    """Give up everything that reading a file does not need.
+    """Drop all rights that reading a file does not need.
 
     Afterwards no thread of this process can open a socket, start a program, a process or a thread, send a signal,
     change limits or memory of another process, lock, make, change or remove a file, or open a device for writing. It

@@ -23,7 +23,7 @@ class ConsoleListener:
     """Token and port of the page. The process that serves it is started by the first connection.
 
     So the address works as soon as it is printed, although the web server takes seconds to start: the kernel keeps
-    the connection until then. A page that nobody opens costs no process. A process that ends by itself is restarted at
+    the connection until then. A page costs no process until it is opened. A process that ends by itself is restarted at
     once, and if an earlier one has left uploaded files of patients, the first one starts at once: it removes them.
 
     Args:
@@ -56,7 +56,7 @@ class ConsoleListener:
             self._failure = error
 
     def close(self) -> None:
-        """Stop listening; connections that nobody has answered end."""
+        """Stop listening; connections that are not accepted yet end."""
         if self._listening is not None:
             self._listening.close()
             self._listening = None
@@ -82,7 +82,7 @@ class ConsoleListener:
 
 
 async def _connection(listening: socket.socket) -> None:
-    """Wait until somebody has connected; the connection is not accepted."""
+    """Wait until a client has connected; the connection is not accepted."""
     loop, connected = asyncio.get_running_loop(), asyncio.Event()
     loop.add_reader(listening, connected.set)
     try:

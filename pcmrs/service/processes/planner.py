@@ -101,7 +101,7 @@ class PlanningProcess:
             await kill_and_wait(process)
 
     async def _ask(self, request: PlanRequest, name: str, within: float | None = None) -> PlanAnswer:
-        """Returns the answer; raises `RefusalError` if none comes."""
+        """Return the answer; raise `RefusalError` if none comes."""
         limit = PLANNING_TIME if within is None else within
         process = self._process
         if process is None or process.stdin is None or not self._ready.is_set():
@@ -139,7 +139,7 @@ class PlanningProcess:
         return process
 
     async def _take_answers(self, process: Process) -> None:
-        """Takes answers until the process ends."""
+        """Take answers until the process ends."""
         answers = process.stdout
         while answers is not None:
             try:
@@ -165,7 +165,7 @@ class PlanningProcess:
 
 
 def _give(answered: asyncio.Future[PlanAnswer], content: bytes) -> None:
-    """Sets the answer. If it cannot be read, its error is the answer: a user's check may find what cannot be sent."""
+    """Set the answer. If it cannot be read, its error is the answer: a user's check may find what cannot be sent."""
     try:
         answered.set_result(pickle.loads(content))  # noqa: S301  # of the daemon's child, which reads no file
     except Exception as error:

@@ -207,7 +207,7 @@ class JournalRecorder:
         return msgspec.structs.replace(initial, **{field: getattr(previous, field) for field in TAKEN_BACK})
 
     def _append(self, rows: list[JournalRow]) -> Awaitable[int]:
-        """Appends rows, and in the same commit a snapshot if one is due.
+        """Append rows, and in the same commit a snapshot if one is due.
 
         After a failure the state in memory may differ from the disk: there is no snapshot before it is read back.
         """

@@ -173,7 +173,7 @@ async def keep_journal(
 
 
 async def _reopen(journal: Journal, recorder: JournalRecorder, dispatcher: Dispatcher[Any, Any]) -> None:
-    """Reopens the journal, reads it again, and resumes the dispatcher.
+    """Reopen the journal, read it again, and resume the dispatcher.
 
     Raises:
         JournalError: The journal cannot be written yet, or acknowledged rows are lost.

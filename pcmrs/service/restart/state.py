@@ -103,7 +103,7 @@ class RestartState:
             self._doubt(row, row.wall if began is None else began.since)
 
     def _follow_activity(self, row: JournalRow) -> None:
-        """Follows an activity that moves the robot: it has begun, or ended with the robot at rest or a motion."""
+        """Follow an activity that moves the robot: it has begun, or ended with the robot at rest or a motion."""
         fields = (row.result or {}).get("fields") or {}
         key = row.source or "", str(fields.get("command", ""))
         if row.operation == ACTIVITY_ENDED:
@@ -119,7 +119,7 @@ class RestartState:
             )
 
     def _leave_moving(self) -> None:
-        """Treats activities that moved the robot when a daemon ended like unfinished motions."""
+        """Treat activities that moved the robot when a daemon ended like unfinished motions."""
         for each in self._moving.values():
             self._latched = True
             self._unsettled.add(
@@ -134,7 +134,7 @@ class RestartState:
         self._moving.clear()
 
     def _moves(self, branch: str, state: str) -> bool:
-        """Returns whether the activity of a state moves the robot; true if this version does not know the activity."""
+        """Return True if the activity of a state moves the robot, or if this version does not know the activity."""
         declared = self._blueprint.branches.get(branch)
         activity = None if declared is None else declared.activities.get(state)
         return activity is None or activity.moves
@@ -169,5 +169,5 @@ class RestartState:
 
 
 def _left_in_doubt(row: JournalRow) -> bool:
-    """Returns whether a connected robot had not confirmed that it stood when its daemon ended."""
+    """Return True if a connected robot had not confirmed that it stood still when its daemon ended."""
     return row.operation == NOT_CONFIRMED and (row.states or {}).get("robot") == "1"

@@ -96,7 +96,7 @@ class Data(PlacementData, frozen=True, kw_only=True):
     threshold: Estimate | None = None
 
     def stimulation_view(self) -> StimulationShown:
-        """What people are shown of the stimulation."""
+        """State of the stimulation for people."""
         return StimulationShown(
             ceiling=None if self.ceiling is None else self.ceiling.percent,
             intensity=self.intensity,

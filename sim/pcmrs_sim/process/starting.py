@@ -73,8 +73,8 @@ class ForkedWorld:
 def start_world(theirs: socket.socket, ours: socket.socket) -> WorldProcess:
     """Start a world.
 
-    It is a fork of this process if this process has neither an event loop nor other threads, and so has its imports
-    already; otherwise a new Python.
+    It is a fork of this process, with its imports, if this process has no event loop and no other threads; otherwise
+    it is a new Python.
 
     Args:
         theirs: Its end of the link, which becomes its standard input.

@@ -306,7 +306,7 @@ def _joints(cell: Cell) -> list[float]:
 
 
 class _Clock:
-    """A clock with which a link gives up sooner.
+    """A clock that shortens the time limits of a link.
 
     Args:
         rate: Seconds of it per second of the machine.

@@ -88,7 +88,7 @@ class User:
 
     Args:
         folder: Where the shell begins; the cell's journal and records are kept beside it.
-        daemon_lasts: A daemon that is started again in the same words simply goes on, so that pages can share it.
+        daemon_lasts: A daemon that is started again in the same words continues, so that pages can share it.
 
     Attributes:
         daemons_started: How many daemons said that they are ready.
@@ -144,7 +144,7 @@ class User:
             process.kill()
 
     def ended(self) -> list[str]:
-        """What is still running, after Ctrl-C; a daemon that lasts goes on."""
+        """Commands that still run after Ctrl-C; a daemon that lasts is not among them."""
         programs = [each for each in self._running if not (self._daemon_lasts and each == SERVE)]
         for program in programs:
             self.interrupts(program)

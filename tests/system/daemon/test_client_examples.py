@@ -61,8 +61,8 @@ async def test_each_program_does_what_it_says(tmp_path: Path) -> None:
         rows = list(csv.DictReader(StringIO(await poses)))
         assert {row["body"] for row in rows} >= {"coil", "body_ref"}
         for verdict in ("approach: failed", "approach: rejected", "back_off: accepted"):
-            # A slow reader misses a state that lasts 0.1 s, but no verdict. Kept verdicts of place.py, of which one is
-            # a rejected approach, too, may come first.
+            # A slow reader misses a state that lasts 0.1 s, but no verdict. Kept verdicts of place.py may come
+            # first; one of them is a rejected approach, too.
             while await line_of(watching) != f"placement.{verdict}":
                 pass
         watching.send_signal(signal.SIGINT)

@@ -1,4 +1,4 @@
-"""The page that a real daemon serves by its own process, as soon as somebody opens it."""
+"""The page that a real daemon serves by its own process, as soon as it is opened."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_first_start_on_a_terminal_prints_a_link_that_works(tmp_path: Path) -> N
 def test_page_opens_with_its_token_and_returns_after_a_kill(tmp_path: Path) -> None:
     with running_daemon(with_page(tmp_path, free_port()), tmp_path) as daemon:
         page, token = daemon.ready.console, tmp_path / TOKEN
-        assert consoles(daemon) == [], "nobody has opened the page"
+        assert consoles(daemon) == [], "the page has not been opened"
         assert status(page) == 401, "nobody comes in without the token"
         assert token.stat().st_mode & 0o777 == 0o600
         opened = f"{page}/?token={token.read_text()}"

@@ -146,9 +146,9 @@ async def test_without_its_heart_the_daemon_moves_nothing(supervised: Supervised
 
 
 async def test_the_cell_works_on_without_its_fork_server(supervised: Supervised) -> None:
-    """A motion goes on, and a node that dies later is restarted.
+    """A motion continues, and a node that dies later is restarted.
 
-    The last test: it ends the daemon, whose processes cannot be found any more as children of their server.
+    The last test: it ends the daemon, whose processes can no longer be found as children of their server.
     """
     daemon = supervised.daemon
     (node,), heart = daemon.children(), daemon.heart()

@@ -32,7 +32,7 @@ OTHER_NUMBER = {"execute_motionxx_#1;": "execute_motionxx_#2;", "1_rejected_plac
 
 @pytest.fixture(scope="module")
 def neighbour(tmp_path_factory: pytest.TempPathFactory) -> Iterator[User]:
-    """A user whose daemon goes on from page to page."""
+    """A user whose daemon continues from page to page."""
     with User(_home(tmp_path_factory.mktemp("shared")), daemon_lasts=True) as user:
         user.types(Shown(SERVE))
         yield user

@@ -47,7 +47,7 @@ def running_server() -> Iterator[str]:
             _wait(process, address, folder / "log")
             yield address
         finally:
-            process.send_signal(signal.SIGINT)  # it ends the connections that are left
+            process.send_signal(signal.SIGINT)  # it ends the open connections
             process.wait(timeout=60)
     finally:
         shutil.rmtree(folder)

@@ -357,7 +357,10 @@ def test_daemon_accepts_no_message_of_an_earlier_run() -> None:
     taken = ReplayWindow()
     for sender in (node, Seal(key + earlier), Seal(key + new_run())):
         assert fault(daemon, sender.put("put", KEY, b""), ("put",), KEY, b"", taken) == "other_run"
+    node.follow(Seal(key).put("put", KEY, b""))
+    assert (daemon.run_known(), node.run_known()) == (True, False)
     node.follow(Seal(key + earlier).put("put", KEY, b""))
+    assert node.run_known()
     assert fault(daemon, node.put("put", KEY, b""), ("put",), KEY, b"", taken) == "other_run"
     node.follow(daemon.put("put", KEY, b""))
     assert daemon.check(node.put("put", KEY, b""), ("put",), KEY, b"", taken) == "put"

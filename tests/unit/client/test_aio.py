@@ -176,7 +176,7 @@ async def test_an_acknowledgement_names_the_stop_that_was_seen() -> None:
         daemon.shown = {"release": ["robot.acknowledge"], "stop": StopState(number=8)}
         await client.acknowledge(stop=7)
         (command,) = daemon.commands
-        assert command.arguments == {"stop": 7}, "not Stop 8, which is newer and which nobody has seen"
+        assert command.arguments == {"stop": 7}, "not Stop 8, which is newer and was not shown"
 
 
 async def test_only_the_local_user_may_leave_a_stop_unnamed() -> None:

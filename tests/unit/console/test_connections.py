@@ -15,7 +15,7 @@ from pcmrs.console._connections import LONGEST_HEAD, MOST_SILENT, LimitedProtoco
 from pcmrs.console.guard import Receive, Scope, Send, answer
 
 WITHIN = 20.0
-"""A test fails when what it waits for has not come after so long, s."""
+"""Longest wait of a test for one event, s."""
 REQUEST = b"GET / HTTP/1.1\r\nHost: here\r\n\r\n"
 
 

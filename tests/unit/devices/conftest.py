@@ -1,15 +1,20 @@
-"""What tests of drivers share."""
+"""Fixtures that tests of devices share."""
 
 from __future__ import annotations
 
 import asyncio
 import re
-from collections.abc import Callable, Iterator, Mapping
-from typing import cast
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
+from typing import TYPE_CHECKING, cast
 
 import pytest
+import pytest_asyncio
 
 from pcmrs.devices.kst import drive
+from tests.unit.devices.node_bench import Bench, open_bench
+
+if TYPE_CHECKING:
+    from tests.unit.devices import contract_robots
 
 REAL_TIME: Mapping[str, Callable[[], asyncio.AbstractEventLoop]] = {"real": asyncio.new_event_loop}
 
@@ -34,3 +39,26 @@ def patient() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(drive, "STALLED", 10.0)
         yield
+
+
+@pytest.fixture
+async def bench() -> AsyncIterator[Bench]:
+    """A device node with fakes of its devices, in simulated time."""
+    async with open_bench() as opened:
+        yield opened
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def opened() -> AsyncIterator[contract_robots.Bench]:
+    """One cell for all tests of a module in which dynamics do not matter: each ends the faults that it begins."""
+    from tests.unit.devices.contract_robots import bench  # here, because without MuJoCo it skips its importer
+
+    async with bench() as opened:
+        yield opened
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def lab(opened: contract_robots.Bench) -> contract_robots.Bench:
+    """The cell of the module, with its arm at the home position."""
+    await opened.back_home()
+    return opened

@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
 from typing import Any
 
 import pytest
 
-from tests.unit.devices.node_bench import Bench, open_bench
-
-
-@pytest.fixture
-async def bench() -> AsyncIterator[Bench]:
-    async with open_bench() as opened:
-        yield opened
+from tests.unit.devices.node_bench import Bench
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import Awaitable, Callable
 
 import msgspec
 import pytest
@@ -17,13 +17,7 @@ from pcmrs.messages import (
 from pcmrs.testing.clock import settle
 from pcmrs.testing.devices import STATE
 from pcmrs.threads import Load
-from tests.unit.devices.node_bench import BEAT_PERIOD, MOVING, TRAJECTORY, Bench, beat, beat_for, open_bench
-
-
-@pytest.fixture
-async def bench() -> AsyncIterator[Bench]:
-    async with open_bench() as opened:
-        yield opened
+from tests.unit.devices.node_bench import BEAT_PERIOD, MOVING, TRAJECTORY, Bench, beat, beat_for
 
 
 async def test_moving_robot_is_held_one_deadman_after_last_heartbeat(bench: Bench) -> None:

@@ -3,35 +3,20 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
 import pytest
-import pytest_asyncio
 
 from pcmrs.errors import DeviceError, DeviceRefusedError, PcmrsError, UnknownOutcomeError
 from pcmrs.messages import MotionResult
-from tests.unit.devices.contract_robots import HOME, LOOP_OF_DRIVER, Bench, bench, smooth
+from tests.unit.devices.contract_robots import HOME, LOOP_OF_DRIVER, Bench, smooth
 
 pytestmark = [pytest.mark.usefixtures("patient"), pytest.mark.asyncio(loop_scope="module")]
 LOOPS, NIGHTLY_LOOPS = LOOP_OF_DRIVER, ("kst",)
 NEVER_LATER = 20.0
 """Everything has an answer within this, s."""
-
-
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def opened() -> AsyncIterator[Bench]:
-    """One cell for all tests: each ends the faults that it begins."""
-    async with bench() as opened:
-        yield opened
-
-
-@pytest_asyncio.fixture(loop_scope="module")
-async def lab(opened: Bench) -> Bench:
-    await opened.back_home()
-    return opened
 
 
 async def inject(lab: Bench, fault: str, **arguments: Any) -> None:

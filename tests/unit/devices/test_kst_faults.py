@@ -1,34 +1,19 @@
 """The KST driver's answer to what goes wrong at the virtual cabinet: the rows B of the fault catalogue."""
 
 import asyncio
-from collections.abc import AsyncIterator
 from typing import Any
 
 import numpy as np
 import pytest
-import pytest_asyncio
 
 from pcmrs.devices.node import DeviceNode
 from pcmrs.devices.remote import RemoteRobot
 from pcmrs.errors import DeviceError, DeviceRefusedError, MotionInterruptedError, UnknownOutcomeError
 from pcmrs.messages import MotionResult
 from tests.support.memory_link import MemoryLink
-from tests.unit.devices.contract_robots import HOME, Bench, bench, smooth
+from tests.unit.devices.contract_robots import HOME, Bench, smooth
 
 pytestmark = [pytest.mark.usefixtures("patient"), pytest.mark.asyncio(loop_scope="module")]
-
-
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def opened() -> AsyncIterator[Bench]:
-    """One cell for all tests: each ends the faults that it begins."""
-    async with bench() as opened:
-        yield opened
-
-
-@pytest_asyncio.fixture(loop_scope="module")
-async def lab(opened: Bench) -> Bench:
-    await opened.back_home()
-    return opened
 
 
 async def under_way(lab: Bench) -> "asyncio.Task[MotionResult]":

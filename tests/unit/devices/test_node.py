@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
 
 import msgspec
 import pytest
@@ -23,13 +22,7 @@ from pcmrs.messages import (
 )
 from pcmrs.testing.clock import settle
 from pcmrs.testing.devices import STATE
-from tests.unit.devices.node_bench import BEAT_PERIOD, TRAJECTORY, Bench, beat_for, open_bench
-
-
-@pytest.fixture
-async def bench() -> AsyncIterator[Bench]:
-    async with open_bench() as opened:
-        yield opened
+from tests.unit.devices.node_bench import BEAT_PERIOD, TRAJECTORY, Bench, beat_for
 
 
 async def test_events_of_the_robot_are_published(bench: Bench) -> None:
@@ -131,7 +124,7 @@ async def test_release_without_measured_joints_is_given_up(bench: Bench, monkeyp
     assert reply.failure is not None
     assert reply.failure.code == UnknownOutcomeError.code
     assert reply.gate is not None
-    assert reply.gate.latched, "what comes after the daemon has given up releases nothing"
+    assert reply.gate.latched, "an answer after the daemon has stopped waiting releases nothing"
 
 
 async def test_node_alone_holds_an_arm_that_moves_unasked(bench: Bench) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
 from typing import Any
 
 import msgspec
@@ -25,13 +24,7 @@ from pcmrs.messages import (
 from pcmrs.testing.clock import ManualClock, settle
 from pcmrs.testing.devices import STATE
 from tests.support.memory_link import MemoryLink
-from tests.unit.devices.node_bench import TRAJECTORY, Bench, open_bench
-
-
-@pytest.fixture
-async def bench() -> AsyncIterator[Bench]:
-    async with open_bench() as opened:
-        yield opened
+from tests.unit.devices.node_bench import TRAJECTORY, Bench
 
 
 async def test_calls_and_results_keep_their_types(bench: Bench) -> None:

@@ -31,19 +31,6 @@ GAP = 0.003
 
 
 @pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def opened() -> AsyncIterator[Bench]:
-    """One cell for all tests in which dynamics do not matter."""
-    async with bench() as opened:
-        yield opened
-
-
-@pytest_asyncio.fixture(loop_scope="module")
-async def lab(opened: Bench) -> Bench:
-    await opened.back_home()
-    return opened
-
-
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
 async def opened_at_the_head() -> AsyncIterator[Bench]:
     """One cell for all tests of forces: the arm has dynamics, and its sensor has noise."""
     async with bench(GAP, "mujoco") as opened:

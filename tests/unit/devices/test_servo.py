@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
 
 import pytest
 
@@ -13,13 +12,7 @@ from pcmrs.messages import (
 )
 from pcmrs.testing.clock import settle
 from pcmrs.testing.devices import END
-from tests.unit.devices.node_bench import Bench, open_bench
-
-
-@pytest.fixture
-async def bench() -> AsyncIterator[Bench]:
-    async with open_bench() as opened:
-        yield opened
+from tests.unit.devices.node_bench import Bench
 
 
 def carry_setpoints(bench: Bench) -> None:

@@ -134,7 +134,7 @@ def test_unreachable_poses_are_refused_with_their_distances(arm: ArmModel) -> No
 
 
 def test_a_pose_inside_the_folded_arm_is_refused(arm: ArmModel) -> None:
-    """With a long forearm, the wrist cannot come to the shoulder."""
+    """With a long forearm, the wrist cannot reach the shoulder."""
     joints = list(arm.facts.joints)
     joints[4] = replace(joints[4], xyz=(-0.0825, 0.6, 0.0))
     long = ArmModel(replace(arm.facts, joints=tuple(joints)))

@@ -141,7 +141,7 @@ def test_unreachable_poses_are_refused_with_their_distances(arm: ArmModel) -> No
 
 
 def test_a_pose_inside_the_folded_arm_is_refused(arm: ArmModel) -> None:
-    """With a long upper arm, the wrist cannot come to the shoulder."""
+    """With a long upper arm, the wrist cannot reach the shoulder."""
     joints = list(arm.facts.joints)
     joints[2] = replace(joints[2], xyz=(0.0, -0.8, -0.1197))
     long = ArmModel(replace(arm.facts, joints=tuple(joints)))

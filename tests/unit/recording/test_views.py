@@ -95,4 +95,4 @@ def test_base_of_a_standing_robot_is_shown_once_a_second() -> None:
     assert [base_shown(each) for each in (0, 10**8, 10**9 - 1, 10**9, 11 * 10**8)] == [True, False, False, True, False]
     views.of(sample("state/joints", joints(moving=True)), NOW)
     views.of(sample("state/joints", joints()), NOW)
-    assert base_shown(12 * 10**8), "the arm has moved meanwhile"
+    assert base_shown(12 * 10**8), "the arm has moved since"

@@ -136,7 +136,7 @@ def seen_by_nobody(of_the_runaway: str) -> list[object]:
 
 @needs_permission
 def test_a_user_without_capabilities_can_demote_a_thread() -> None:
-    """As under the units and in the container: nobody there has CAP_SYS_NICE."""
+    """As under the units and in the container, where no process has CAP_SYS_NICE."""
     assert seen_by_nobody(BECOME_NOBODY) == [DEMOTED, [""], [[], [], []]]
 
 

@@ -71,18 +71,18 @@ class Feed:
         self._try_at = self.clock()
 
     def close(self) -> None:
-        """Ends the connection."""
+        """End the connection."""
         if self._socket is not None:
             self._socket.close()
         self._socket = None
 
     def age(self, name: str) -> float | None:
-        """Seconds since a transform came; None where none has."""
+        """Seconds since a transform arrived; None if none has."""
         seen = self.seen.get(name)
         return None if seen is None else self.clock() - seen.at
 
     def tick(self) -> None:
-        """Connects where it is not, and takes everything that has come."""
+        """Connect if there is no connection, and take everything that has arrived."""
         try:
             if self._socket is None:
                 self._connect()
@@ -113,7 +113,7 @@ class Feed:
         return True
 
     def _lose(self, problem: str) -> None:
-        """Forgets the received state: other clients may change it meanwhile."""
+        """Forget the received state, which other clients may change without a connection."""
         self.close()
         self._buffer.clear()
         self.state, self.problem = None, problem

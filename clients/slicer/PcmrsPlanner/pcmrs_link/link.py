@@ -138,7 +138,7 @@ class Link:
         self._peer: str = self._commands.getpeername()[0]
 
     def close(self) -> None:
-        """Closes the sockets without a report to waiting jobs."""
+        """Close the sockets without a report to waiting jobs."""
         self._job = self._stop = None
         for each in (self._commands, *self._streams):
             each.close()
@@ -155,16 +155,16 @@ class Link:
 
     @property
     def stopping(self) -> bool:
-        """Whether a Stop is not answered yet."""
+        """True if a Stop is not answered yet."""
         return self._stop is not None
 
     def age(self, kind: str) -> float | None:
-        """Seconds since the newest of a stream was taken; None where none has come."""
+        """Seconds since the newest of a stream was taken; None if none has arrived."""
         seen = self.seen.get(kind)
         return None if seen is None else self.clock() - seen.at
 
     def begin(self, title: str, *steps: Step, then: Then) -> None:
-        """Begins a job; `then` is called, from a tick, with the verdict that ended it.
+        """Start a job; a tick calls `then` with the verdict that ended it.
 
         Raises:
             BusyError: Another is running.
@@ -178,7 +178,7 @@ class Link:
         self._advance(self._job)
 
     def stop(self, then: Then) -> None:
-        """Sends Stop at once. The running job sends no further command, and repeats none.
+        """Send Stop at once. The running job sends no further command, and repeats none.
 
         It is repeated until it is answered; `then` is called with that, unless another Stop comes before.
         """
@@ -191,7 +191,7 @@ class Link:
         self._advance(self._stop)
 
     def tick(self) -> None:
-        """Takes everything that has come, repeats what was not answered, and gives up what is late; never waits."""
+        """Take everything that has arrived, repeat unanswered commands, and give up late ones; never wait."""
         for data, _ in self._drain(self._commands):
             self._take_verdict(data)
         for stream in self._streams:
@@ -257,7 +257,7 @@ class Link:
             self.seen[reading.kind] = Seen(reading.value, self.clock())
 
     def _advance(self, job: _Job) -> None:
-        """Sends the next command of a job."""
+        """Send the next command of a job."""
         step = job.steps.popleft()
         self._last_number += 1
         datagram = command(step.name, *step.values, number=self._last_number)

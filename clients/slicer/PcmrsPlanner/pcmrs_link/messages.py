@@ -70,7 +70,7 @@ class Verdict:
 
     @property
     def accepted(self) -> bool:
-        """Whether it was done."""
+        """True if it was done."""
         return self.decision == "accepted"
 
 

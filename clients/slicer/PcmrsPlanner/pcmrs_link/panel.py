@@ -83,7 +83,7 @@ def _pose(value: Pose | Sequence[float]) -> Pose:
 
 
 def results(planner: Planner) -> list[str]:
-    """What was measured last, as lines: residual of the registration, and errors of the placement."""
+    """Last measurements, as lines: residual of the registration, and errors of the placement."""
     lines = []
     if planner.residual is not None:
         lines.append(f"Residual {planner.residual:.2f} mm")

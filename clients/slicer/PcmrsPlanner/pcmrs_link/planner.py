@@ -88,21 +88,21 @@ class Planner:
         self._wall = wall
 
     def hello(self, then: Then = lambda _: None) -> None:
-        """Asks for the joints: any verdict shows that the daemon accepts commands of this client."""
+        """Request the joints: any verdict shows that the daemon accepts commands of this client."""
         self.link.begin("Connect", HELLO, then=self._answered("Connect", then, quiet=("no_data",)))
 
     def act(self, title: str, then: Then = lambda _: None) -> None:
-        """Begins one of `ACTIONS`. Raises `BusyError`."""
+        """Start one of `ACTIONS`. Raises `BusyError`."""
         self._begin(title, ACTIONS[title], then=then)
 
     def plan_landmarks(self, points: Sequence[Sequence[float]], then: Then = lambda _: None) -> None:
-        """Plans landmarks at points in the image, (N, 3), mm RAS, in this order. Raises `BusyError`, `MessageError`."""
+        """Plan landmarks at points in the image, (N, 3), mm RAS, in this order. Raises `BusyError`, `MessageError`."""
         parts = [Step("img_fid_pntxxxxx", (index, *metres(point)), PART) for index, point in enumerate(points)]
         first = Step("img_fid_numxxxxx", (len(points),), PART)
         self._begin("Plan landmarks", first, *parts, Step("img_fid_lastrecv"), then=then)
 
     def plan_tool(self, pose: Pose, then: Then = lambda _: None) -> None:
-        """Plans the pose of the tool in the image, mm RAS, +z away from the body. Raises `BusyError`."""
+        """Plan the pose of the tool in the image, mm RAS, +z away from the body. Raises `BusyError`."""
         rotation = Step("target_rotxxxxxx", tuple(pose.quat_xyzw), PART)
         self._begin("Plan tool", rotation, Step("target_tslxxxxxx", tuple(metres(pose.position))), then=then)
 
@@ -118,15 +118,15 @@ class Planner:
         return pose_of_line(seen.value[:3], seen.value[3:], turn)
 
     def digitize(self, index: int, then: Then = lambda _: None) -> None:
-        """Has one landmark digitized, counted from 0. Raises `BusyError`."""
+        """Digitize one landmark, counted from 0. Raises `BusyError`."""
         self._begin("Digitize", Step("img_dig_digitize", (index,), 90.0), then=then)
 
     def nudge(self, offset: Sequence[float], then: Then = lambda _: None) -> None:
-        """Moves the tool by an offset in its own frame, (3,), mm. Raises `BusyError`, `MessageError`."""
+        """Move the tool by an offset in its own frame, (3,), mm. Raises `BusyError`, `MessageError`."""
         self._begin("Nudge", Step("adjust_tranxxxxx", tuple(metres(offset)), 60.0), then=then)
 
     def stop(self, then: Then = lambda _: None) -> None:
-        """Stops every motion and activity at once."""
+        """Stop every motion and activity at once."""
         self.link.stop(self._answered("STOP", then))
 
     def _begin(self, title: str, *steps: Step, then: Then) -> None:

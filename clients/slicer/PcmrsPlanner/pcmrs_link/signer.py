@@ -21,7 +21,7 @@ OPENING = b"|;"
 
 
 def read_key(path: str) -> bytes:
-    """Reads a key file that `pcmrs peers new` has made: 64 hex digits."""
+    """Read a key file that `pcmrs peers new` has made: 64 hex digits."""
     return bytes.fromhex(Path(path).read_text(encoding="ascii").strip())
 
 

@@ -48,7 +48,7 @@ FORGED_EVENT = DeviceEvent(device="robot", code="link_lost", text="forged", dang
 FIRST_NUMBER = 10**6
 """Number of a request that is greater than those of the daemon, which counts from 1."""
 TURN = 0.2
-"""Time between two messages of a kind of which one must arrive, s of the machine."""
+"""Time between two messages of the same kind, of which at least one must arrive, s of the machine."""
 IMPLAUSIBLE = 3
 """Number of sealed heartbeats with a wrong time stamp; ten that agree would count as the daemon's new clock."""
 

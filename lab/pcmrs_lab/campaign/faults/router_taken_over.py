@@ -85,7 +85,7 @@ async def taken_over_router(lab: Lab) -> Evidence:
 
 
 async def _send_for_others(open_cell: ReachableCell, session: CountedSession) -> None:
-    """Send messages in the name of users whom the router does not carry, or not any more; two sign them themselves.
+    """Send messages in the name of users whom the router does not carry, or no longer carries. Two users sign.
 
     Args:
         open_cell: Cell that receives it.
@@ -134,12 +134,12 @@ def _absolute(open_cell: ReachableCell, key: str) -> str:
 
 
 def _setpoint(open_cell: ReachableCell, signer: str | None) -> WireMessage:
-    """Return a set point of the carried person, with somebody's signature."""
+    """Return a set point of the carried person, with a signature."""
     return _signed(open_cell, "put", _absolute(open_cell, f"teleop/{CARRIED}"), SETPOINT, signer)
 
 
 def _command(open_cell: ReachableCell, name: str, signer: str | None, user: str = CARRIED) -> WireMessage:
-    """Return a command of a user, by default of the carried person, with somebody's signature."""
+    """Return a command of a user, by default of the carried person, with a signature."""
     return _signed(open_cell, "query", _absolute(open_cell, f"cmd/{user}/{name}"), pack(Envelope(id=name)), signer)
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pcmrs.fsm.verify._relation import Relation
 
 SHIFTS = st.lists(st.lists(st.integers(-50, 50), max_size=3), max_size=5).map(lambda each: [[], *each])
-"""Of each decision, the first of which allows nothing."""
+"""For each decision; the first one allows nothing."""
 
 
 @given(SHIFTS, st.data())

@@ -17,7 +17,7 @@ from pcmrs.service.health._scrape_server import MOST, ScrapeServer
 
 HOST = "127.0.0.1"
 TIMEOUT = 20.0
-"""A test fails when what it waits for has not come after so long, s."""
+"""Longest wait of a test for one event, s."""
 
 
 @pytest.fixture

@@ -81,7 +81,7 @@ async def test_killed_child_is_restarted_until_its_limit() -> None:
     assert bench.codes[-1] == "recording_ended"
     assert len(bench.children) == RESTARTS + 1
     assert bench.child.ended == "status -9"
-    assert bench.given_up == 1, "when it is not restarted any more"
+    assert bench.given_up == 1, "when it is no longer restarted"
     assert not any(event.danger for event in bench.events), "the cell works on"
     assert bench.supervisor.died == 0
 

@@ -48,7 +48,7 @@ async def test_first_connection_starts_the_process_that_answers(tmp_path: Path) 
     async with asyncio.timeout(WITHIN):
         beginning = asyncio.create_task(page.begin())
         await settle()
-        assert not beginning.done(), "nobody has opened the page"
+        assert not beginning.done(), "the page has not been opened"
         reader, writer = await asyncio.open_connection(HOST, port)
         process = await beginning
         assert await reader.read() == b"pcmrs.cli console --lifeline --listening"

@@ -108,6 +108,6 @@ async def test_a_late_heartbeat_of_the_node_is_no_life_of_now(bench: Bench) -> N
     last = bench.clock.monotonic()
     for _ in range(round((BEATS_MISSED * DEADMAN + 2 * BEAT_PERIOD) / BEAT_PERIOD)):
         bench.watch.hear()
-        bench.watch.hear_beat(last)  # they were held up on their way, and come one after the other
+        bench.watch.hear_beat(last)  # they were delayed, and arrive one after the other
         await bench.clock.advance(BEAT_PERIOD)
     assert [event.code for event in bench.events] == ["link_lost"]

@@ -107,7 +107,7 @@ class Guarded(OperatedCell):
         return SimpleNamespace(dropped=dict(self.dropped))
 
     def _told(self, key: str, kind: type, handler: Callable[[Any], None]) -> Callable[[], Awaitable[None]]:
-        """Listens as the cell's client does; beats and health are told until nobody listens any more."""
+        """Listen as the cell's client does; send beats and health until the listener is closed."""
         end = self._listen(key, kind, handler)
         if key not in ("daemon/beat", "dev/robot/state"):
             return end

@@ -15,6 +15,8 @@ from pcmrs_lab.campaign.sham import sham
 from tests.unit.lab.campaign.faults.operated import OperatedCell, proves, run
 from tests.unit.lab.campaign.scripted_cell import ScriptedLab
 
+PEERS = "gateway.peers."
+"""Prefix of the settings that name peers."""
 FILES = ("ratms.sqlite", "ratms.sqlite-wal", "ratms.sqlite.head", "journal.key", "journal.pub")
 
 
@@ -54,14 +56,18 @@ def test_only_the_owner_may_read_the_files(monkeypatch: pytest.MonkeyPatch, tmp_
     assert set(found.details["files"]) == {"open", *FILES}
 
 
-def test_a_file_that_others_may_read_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    with pytest.raises(Unmet, match=r"Others may use \{.*'ratms.sqlite': '0640'"):
-        opened(monkeypatch, Shell(tmp_path, 0o640))
-
-
-def test_too_few_files_prove_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    with pytest.raises(Unmet, match=r"Only open, ratms\.sqlite were checked"):
-        opened(monkeypatch, Shell(tmp_path, files=FILES[:1]))
+@pytest.mark.parametrize(
+    ("mode", "files", "text"),
+    [
+        (0o640, FILES, r"Others may use \{.*'ratms.sqlite': '0640'"),
+        (0o600, FILES[:1], r"Only open, ratms\.sqlite were checked"),
+    ],
+)
+def test_a_folder_that_proves_nothing_is_a_finding(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, mode: int, files: tuple[str, ...], text: str
+) -> None:
+    with pytest.raises(Unmet, match=text):
+        opened(monkeypatch, Shell(tmp_path, mode, files=files))
 
 
 def test_a_shell_that_lets_nobody_read_is_found_out(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -69,52 +75,42 @@ def test_a_shell_that_lets_nobody_read_is_found_out(monkeypatch: pytest.MonkeyPa
         opened(monkeypatch, Shell(tmp_path))
 
 
-@pytest.mark.parametrize(
-    ("status", "errors", "met"),
-    [
-        (4, "Error: local is the name of the operators on site.\n", True),
-        (0, "Error: local is the name of the operators on site.\n", False),
-        (4, "Error: the key cannot be read.\n", False),
-        (4, "Traceback\nError: local\n", False),
-        (4, "", False),
-    ],
-)
-def test_a_peer_with_the_name_of_people_is_refused(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, status: int, errors: str, met: bool
-) -> None:
-    lab = ScriptedLab(tmp_path, OperatedCell())
-    lab.refusals = [(status, errors)]
-    work = local_account.peer_named_local(lab.as_lab)
-    if not met:
-        with pytest.raises(Unmet, match=f"It ended with {status}"):
-            run(monkeypatch, work)
-        return
-    found = run(monkeypatch, work)
-    assert proves(found)
-    assert found.took_place == {"said_of_the_name": errors.strip()}
-    assert [settings[0].split(".")[2] for settings in lab.started] == ["local", "locals"]
+LOCAL = "Error: local is the name of the operators on site.\n"
+ANNA = "Error: gateway.peers holds 'anna', and the register has 'anna'.\n"
+OTHER = "Error: the key cannot be read.\n"
 
 
 @pytest.mark.parametrize(
-    ("status", "errors", "met"),
+    ("of_a_member", "status", "errors", "names"),
     [
-        (4, "Error: gateway.peers holds 'anna', and the register has 'anna'.\n", True),
-        (0, "Error: gateway.peers holds 'anna', and the register has 'anna'.\n", False),
-        (4, "Error: the key cannot be read.\n", False),
-        (4, "", False),
+        (False, 4, LOCAL, ["local", "locals"]),
+        (False, 0, LOCAL, None),
+        (False, 4, OTHER, None),
+        (False, 4, "Traceback\nError: local\n", None),
+        (False, 4, "", None),
+        (True, 4, ANNA, ["anna", "another"]),
+        (True, 0, ANNA, None),
+        (True, 4, OTHER, None),
+        (True, 4, "", None),
     ],
 )
-def test_a_peer_with_the_name_of_a_member_is_refused(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, status: int, errors: str, met: bool
+def test_a_peer_with_the_name_of_a_person_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    of_a_member: bool,
+    status: int,
+    errors: str,
+    names: list[str] | None,
 ) -> None:
     lab = ScriptedLab(tmp_path, OperatedCell())
     lab.refusals = [(status, errors)]
-    work = local_account.peer_named_as_a_member(lab.as_lab)
-    if not met:
+    work = local_account.peer_named_as_a_member if of_a_member else local_account.peer_named_local
+    if names is None:
         with pytest.raises(Unmet, match=f"It ended with {status}"):
-            run(monkeypatch, work)
+            run(monkeypatch, work(lab.as_lab))
         return
-    found = run(monkeypatch, work)
+    found = run(monkeypatch, work(lab.as_lab))
     assert proves(found)
     assert found.took_place == {"said_of_the_name": errors.strip()}
-    assert [settings[-1].split(".")[2] for settings in lab.started] == ["anna", "another"]
+    named = [setting.split(".")[2] for settings in lab.started for setting in settings if setting.startswith(PEERS)]
+    assert named == names

@@ -73,7 +73,7 @@ class Thief:
 
 
 class Carried:
-    """A counted session of the router, of which the daemon drops everything in the name of others.
+    """A counted session of the router; the daemon drops all its messages in the name of others.
 
     Attributes:
         sent: Keys, in order, and whether somebody has signed.
