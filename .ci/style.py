@@ -102,8 +102,6 @@ VERBS = (
 THIRD_PERSON = re.compile(rf"\s*({VERBS})\b(?! of\b)")
 """Before "of", the word is a noun: "Reports of the seeds."."""
 IMPERATIVE = "an imperative or a noun phrase"
-NOT_YET_IMPERATIVE = ("pcmrs/dispatcher", "pcmrs/gateway")
-"""Folders that still have docstrings in the third person."""
 
 
 def findings(text: str, code: re.Pattern[str] = QUOTED) -> Iterator[tuple[int, str, str]]:
@@ -150,8 +148,7 @@ def _findings_in(path: Path) -> Iterator[tuple[int, str, str]]:
         yield from findings(text)
         return
     yield from findings(prose(text), NAMED)
-    if not any(path.is_relative_to(ROOT / folder) for folder in NOT_YET_IMPERATIVE):
-        yield from third_persons(text)
+    yield from third_persons(text)
 
 
 def main() -> int:

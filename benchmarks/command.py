@@ -3,7 +3,7 @@
 The daemon is `pcmrs-serve` with its simulated cell, recorder and console (which starts with the first page); one
 planner sends one command after the other and waits for each verdict. `accepted` is the second half of a plan, which
 changes a state and is committed; `rejected` is a registration without landmarks. In the same run, in turns: a bare
-asyncio echo in a process of its own, a bare SQLite commit with fsync in the same folder, and, where the Debian packages
+asyncio echo in a separate process, a bare SQLite commit with fsync in the same folder, and, where the Debian packages
 `ros-core libroscpp-dev libstd-msgs-dev pkg-config g++` are installed, the paper's architecture as three roscpp nodes
 (`ros1_chain`): UDP in, decode, dispatch, UDP out, without journal and rules.
 

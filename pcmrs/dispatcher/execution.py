@@ -308,7 +308,7 @@ class Checks(Generic[C, D]):
         return Reason(code="changed_while_planning", text=text)
 
     async def _answer(self, checks: Sequence[str], run: Run[C, D], within: float | None) -> Reason | None:
-        """Returns the first refusal, by the planner if there is one and one of the checks takes long."""
+        """Return the first refusal, by the planner if there is one and one of the checks takes long."""
         if self._planner is None or self._registry.lasting.isdisjoint(checks):
             return refusal(self._registry, checks, run)
         try:
