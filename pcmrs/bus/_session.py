@@ -173,6 +173,8 @@ class Bus:
                 message = decode(payload)
             except PayloadError as error:
                 refuse(received, error)
+                if data.urgent and self._seal is not None and is_sealed(received):
+                    self._lost.add(received)  # of a node that has the key: nobody else can cause a Stop by garbage
             else:
                 handler(received, message)
 
@@ -207,7 +209,9 @@ class Bus:
         self._ignored.add(key, error)
 
     def when_lost(self, handler: Callable[[str], None]) -> None:
-        """Call `handler(relative key)` in the event loop for events that found their queue full.
+        """Call `handler(relative key)` in the event loop for events that found their queue full, or are malformed.
+
+        A malformed event counts only if its seal shows that a process with the key has sent it.
 
         Several lost events of one key are one call, until it is made.
 
@@ -459,7 +463,7 @@ def _ignore_lost(_key: str) -> None:
 
 
 class _LostEvents:
-    """Events that were dropped because too many were waiting.
+    """Events that were dropped: too many were waiting, or what a process with the key has sent cannot be read.
 
     Args:
         loop: Event loop in which the handler is called.

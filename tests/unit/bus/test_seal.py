@@ -195,6 +195,38 @@ async def test_unsealed_or_repeated_event_is_counted_and_dropped() -> None:
         assert (await bench.event()).code == "last"
 
 
+async def test_an_unreadable_event_of_a_node_is_a_lost_event() -> None:
+    """It may have been a danger; nobody without the key can cause this."""
+    lost: asyncio.Queue[str] = asyncio.Queue()
+    async with opened() as bench:
+        bench.daemon.when_lost(lost.put_nowait)
+        bench.stranger.put(bench.absolute("dev/tracker/event"), b"no event")
+        await bench.not_sealed(bench.daemon, 1)
+        while bench.events.empty():
+            bench.node.publish("dev/robot/event", DeviceEvent(device="robot", code="known", text=""))
+            await asyncio.sleep(0.01)
+        bench.node.publish("dev/robot/event", {"no": "event"})
+        assert await asyncio.wait_for(lost.get(), TIMEOUT) == "dev/robot/event"
+
+
+async def test_unreadable_events_without_a_seal_are_no_lost_events() -> None:
+    """Everybody may publish those of the scene, and what the daemon publishes for people."""
+    lost: list[str] = []
+    keys = ("dev/scene/event", "state/event")
+    seen: asyncio.Queue[DeviceEvent] = asyncio.Queue()
+    async with opened() as bench:
+        bench.daemon.when_lost(lost.append)
+        for key in keys:
+            bench.daemon.subscribe(key, DeviceEvent, lambda _, event: seen.put_nowait(event))
+        for key in keys:
+            bench.stranger.put(bench.absolute(key), b"no event")
+            bench.stranger.put(bench.absolute(key), pack(DeviceEvent(device="scene", code="last", text="")))
+            assert (await asyncio.wait_for(seen.get(), TIMEOUT)).code == "last"
+        assert bench.daemon.counters()["bus.ignored"] >= len(keys)
+        await asyncio.sleep(0)
+    assert lost == []
+
+
 async def test_subscriber_without_a_key_reads_sealed_messages() -> None:
     read: asyncio.Queue[bytes] = asyncio.Queue()
     loop = asyncio.get_running_loop()
