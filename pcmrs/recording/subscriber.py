@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import threading
 from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
@@ -15,13 +13,13 @@ from typing import TYPE_CHECKING, Any, Final
 from pcmrs.bus import BusSettings
 from pcmrs.bus.codec import pack
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
+from pcmrs.bus.handshake import RUN, Handshake
 from pcmrs.bus.keys import cell_prefix
 from pcmrs.bus.qos import class_of
-from pcmrs.bus.seal import ReplayWindow, Seal
-from pcmrs.bus.serving import attached_to, payload_of
+from pcmrs.bus.seal import Seal
+from pcmrs.bus.serving import payload_of
 from pcmrs.bus.settings import open_session
 from pcmrs.clock import Clock
-from pcmrs.errors import SealError
 from pcmrs.messages import DeviceEvent
 
 if TYPE_CHECKING:
@@ -31,9 +29,6 @@ CAPACITY: Final = 20_000
 """Largest number of messages that wait to be written: many seconds of a cell at work."""
 
 EVENTS: Final = "daemon/event"
-HEARTBEATS: Final = "daemon/beat"
-FOLLOWS_WITHIN: Final = 1.0
-"""Time within which a heartbeat names the run of the daemon, s; without it the daemon accepts no report."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +63,6 @@ class Subscriber:
         self._clock = clock
         self._seal = seal
         self._waiting: deque[RawSample] = deque()
-        self._followed = threading.Event()
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="pcmrs-tap")
         self._declared: list[Any] = []
 
@@ -91,8 +85,6 @@ class Subscriber:
         prefix = cell_prefix(settings.site, settings.cell)
         session = await asyncio.get_running_loop().run_in_executor(None, open_session, settings)
         subscriber = cls(session, prefix, clock, seal)
-        if seal is not None and seal.follows:
-            subscriber._follow_daemon(seal)
         for topic in topics:
             handle = declare_subscriber(session, f"{prefix}/{topic}", class_of(topic), subscriber._receive)
             subscriber._declared.append(handle)
@@ -103,11 +95,13 @@ class Subscriber:
         return [self._waiting.popleft() for _ in range(len(self._waiting))]
 
     async def report(self, event: DeviceEvent) -> None:
-        """Report an event to the daemon, which journals it; without the key this does nothing."""
+        """Report an event to the daemon, which journals it; without the key this does nothing.
+
+        The daemon is asked for its run first: it accepts no report that does not name it.
+        """
         if self._seal is None:
             return
-        if self._seal.follows:
-            await self._in_pool(partial(self._followed.wait, FOLLOWS_WITHIN))
+        await Handshake(self._session, f"{self.prefix}/{RUN}", self._seal, self._pool, lambda *_: None).ended()
         key, payload = f"{self.prefix}/{EVENTS}", pack(event)
         publisher = declare_publisher(self._session, key, class_of(EVENTS))
         self._declared.append(publisher)
@@ -127,18 +121,6 @@ class Subscriber:
             return
         key = str(sample.key_expr).removeprefix(f"{self.prefix}/")
         self._waiting.append(RawSample(key, payload_of(sample), at))
-
-    def _follow_daemon(self, seal: Seal) -> None:
-        """Take the run of the daemon from its heartbeats, in Zenoh's thread."""
-        key, taken = f"{self.prefix}/{HEARTBEATS}", ReplayWindow()
-
-        def take(sample: zenoh.Sample) -> None:
-            with suppress(SealError):
-                seal.check(attached_to(sample), ("put",), key, payload_of(sample), taken)
-                seal.follow(attached_to(sample))
-                self._followed.set()
-
-        self._declared.append(declare_subscriber(self._session, key, class_of(HEARTBEATS), take))
 
     def _undeclare(self) -> None:
         for entity in self._declared:
