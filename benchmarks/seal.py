@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 
 from pcmrs.bus.codec import pack
-from pcmrs.bus.seal import ReplayWindow, Seal, new_key
+from pcmrs.bus.seal import ReplayWindow, Seal, new_key, new_run
 from pcmrs.messages import BodyPose, JointState
 
 JOINTS = pack(
@@ -50,7 +50,8 @@ def measure(name: str, payload: bytes, count: int) -> dict[str, float]:
         count: Number of messages.
     """
     key = new_key()
-    sender, receiver, taken, absolute = Seal(key), Seal(key), ReplayWindow(), f"pcmrs/lab/cell1/{name}"
+    run = key + new_run()
+    sender, receiver, taken, absolute = Seal(run), Seal(run, daemon=True), ReplayWindow(), f"pcmrs/lab/cell1/{name}"
     marks = [sender.put("put", absolute, payload) for _ in range(count)]
     found = {
         "bare HMAC": per_call(lambda _: hmac.digest(key, payload, "sha256"), count),

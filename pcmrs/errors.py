@@ -120,7 +120,7 @@ class PayloadError(PcmrsError):
 class SealError(PcmrsError):
     """A message between daemon and device nodes has no valid seal.
 
-    The field ``why`` is ``unsealed``, ``forged`` or ``repeated``.
+    The field ``why`` is ``unsealed``, ``forged``, ``repeated`` or ``other_run``.
     """
 
     code = "not_sealed"

@@ -19,7 +19,7 @@ from pcmrs.bus._round_robin import AT_ONCE, RoundRobin
 from pcmrs.bus.bridge import CAPACITY, Bridge
 from pcmrs.bus.codec import busy, pack, unpack
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
-from pcmrs.bus.following import follow_daemon
+from pcmrs.bus.handshake import RUN, Handshake, answer_questions
 from pcmrs.bus.keys import cell_prefix, is_signed, named_in
 from pcmrs.bus.qos import COMMANDS, REQUESTS, class_of
 from pcmrs.bus.requests import ReplyCheck, send_query
@@ -79,8 +79,11 @@ class Bus:
         self._receivers: list[Any] = []
         self._tokens: list[zenoh.LivelinessToken] = []
         self._tasks = BackgroundTasks()
-        if seal is not None and seal.follows:
-            self._receivers.append(follow_daemon(session, self.prefix, seal, self._on_forged))
+        self._handshake: Handshake | None = None
+        if seal is not None and seal.is_daemon:
+            self._receivers.append(answer_questions(session, self._absolute(RUN), seal, self._on_forged))
+        elif seal is not None:
+            self._handshake = Handshake(session, self._absolute(RUN), seal, self._pool, self._on_forged)
 
     @classmethod
     async def open(cls, settings: BusSettings, seal: Seal | None = None) -> Bus:
@@ -99,7 +102,9 @@ class Bus:
         cell_prefix(settings.site, settings.cell)
         signing = _signing(settings)
         session = await asyncio.get_running_loop().run_in_executor(None, open_session, settings)
-        return cls(session, settings, seal, *signing)
+        bus = cls(session, settings, seal, *signing)
+        await bus._confirm_run()
+        return bus
 
     def publish(self, key: str, message: Any) -> None:
         """Send a message to all subscribers of a key, and drop it rather than wait for the link. From any thread.
@@ -172,6 +177,8 @@ class Bus:
                 message = decode(payload)
             except PayloadError as error:
                 refuse(received, error)
+                if data.urgent and self._seal is not None and is_sealed(received):
+                    self._lost.add(received)  # of a node that has the key: nobody else can cause a Stop by garbage
             else:
                 handler(received, message)
 
@@ -206,7 +213,9 @@ class Bus:
         self._ignored.add(key, error)
 
     def when_lost(self, handler: Callable[[str], None]) -> None:
-        """Call `handler(relative key)` in the event loop for events that found their queue full.
+        """Call `handler(relative key)` in the event loop for events that found their queue full, or are malformed.
+
+        A malformed event counts only if its seal shows that a process with the key has sent it.
 
         Several lost events of one key are one call, until it is made.
 
@@ -280,6 +289,7 @@ class Bus:
             tasks=self._tasks,
             pool=self._reading_pool if reading else self._pool,
             seal=self._seal if is_sealed(key) else None,
+            ask_run=self._handshake.begin if self._handshake is not None else None,
             verifier=self._verifier if is_signed(key) else None,
         )
         queryable = self._session.declare_queryable(
@@ -353,6 +363,22 @@ class Bus:
         self._reading_pool.shutdown()
         self._pool.shutdown()
 
+    async def _confirm_run(self) -> None:
+        """Ask the daemon for its run, so that its first messages are accepted."""
+        if self._handshake is None or self._seal is None:
+            return
+        try:
+            await self._handshake.ended()
+        except asyncio.CancelledError:
+            await self.close()
+            raise
+        if not self._seal.is_confirmed:
+            _log.warning(
+                "The daemon of %s does not answer with our key; its messages are not accepted before it does. "
+                "Compare access.device_key on both sides.",
+                self.prefix,
+            )
+
     def _sender(self, name: str) -> ThreadPoolExecutor:
         if name not in self._senders:
             self._senders[name] = ThreadPoolExecutor(1, thread_name_prefix=f"pcmrs-bus-{name}")
@@ -389,11 +415,16 @@ class Bus:
         """
         if self._seal is None or not is_sealed(key):
             return True
+        seal = attached_to(sample)
         try:
-            self._seal.check(attached_to(sample), ("put",), str(sample.key_expr), payload, taken)
+            self._seal.check(seal, ("put",), str(sample.key_expr), payload, taken)
         except SealError as error:
             self._on_forged(key, error)
+            if error.fields["why"] == "other_run" and self._handshake is not None:
+                self._handshake.begin()
             return False
+        if self._seal.is_daemon and key.startswith("daemon/"):
+            self._seal.count(seal)
         return True
 
     def _objection(self, sample: zenoh.Sample, key: str, payload: bytes) -> AccessError | None:
@@ -446,7 +477,7 @@ def _ignore_lost(_key: str) -> None:
 
 
 class _LostEvents:
-    """Events that were dropped because too many were waiting.
+    """Events that were dropped: too many were waiting, or what a process with the key has sent cannot be read.
 
     Args:
         loop: Event loop in which the handler is called.

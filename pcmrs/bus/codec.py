@@ -184,6 +184,10 @@ def error_from(payload: bytes) -> PcmrsError:
         reason = unpack(payload, Reason)
     except PayloadError:
         return UnknownOutcomeError(f"The bus gave up: {payload.decode(errors='replace')}.")
+    text = (
+        reason.text
+        or f"The request failed ({reason.code or 'no code'}), and the reply does not say why: see the log there."
+    )
     if reason.code == UnknownOutcomeError.code:
-        return UnknownOutcomeError(reason.text, values=reason.fields)
-    return DeviceError(reason.text, reason=reason.code, values=reason.fields)
+        return UnknownOutcomeError(text, values=reason.fields)
+    return DeviceError(text, reason=reason.code, values=reason.fields)

@@ -135,6 +135,7 @@ KEYS = [
     _row("dev/<device>/state", "subscribe", "DeviceHealth", "Health of a device.", READERS, SENT_ON_SITE),
     _row("dev/<device>/beat", "subscribe", "NodeBeat", "Heartbeats of a device's node.", DAEMON, DEVICE),
     _row("daemon/beat", "subscribe", "Beat", "Signs of life of the daemon's loop.", DEVICE),
+    _row("daemon/run", "query", "nothing -> bytes", "Proves which messages are of the daemon's present run.", DEVICE),
     _row("daemon/event", "subscribe", "DeviceEvent", "Events of the daemon's own processes.", DAEMON),
     _row("dev/robot/setpoint", "subscribe", "JointSetpoint", "Set points of a servo session.", DEVICE),
     _row("dev/<device>/event", "subscribe", "DeviceEvent", "Events that a device reports by itself.", DAEMON, DEVICE),

@@ -17,11 +17,12 @@ from pcmrs.bus.seal import Kind, ReplayWindow, Seal
 from pcmrs.bus.serving import attached_to, payload_of
 from pcmrs.errors import PcmrsError, SealError, UnknownOutcomeError
 
-_TO_ALL_SERVERS: Final[dict[str, Any]] = {
+TO_ALL_SERVERS: Final[dict[str, Any]] = {
     # By default Zenoh sends a query to one server of the key and merges replies on one key into the last one.
     "target": zenoh.QueryTarget.ALL,
     "consolidation": zenoh.ConsolidationMode.NONE,
 }
+"""Options of a query that goes to every process that serves its key, and whose replies all arrive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +98,7 @@ async def send_query(
         timeout=timeout,
         payload=payload,
         attachment=attachment,
-        **({} if check is None else _TO_ALL_SERVERS),
+        **({} if check is None else TO_ALL_SERVERS),
         congestion_control=zenoh.CongestionControl.BLOCK,
         priority=data.priority,
         express=data.express,

@@ -5,8 +5,9 @@ each of their messages carries a MAC over its sender's session, its number, its 
 attachment of the Zenoh message, so that observers can read the payload without the key.
 
 A key in a file is the same after a restart. Each message therefore names a run of the daemon, random for each start,
-and the daemon accepts none of an earlier run. Its children get the run with the key; nodes on other machines take it
-from the daemon's heartbeats and requests.
+and nobody accepts one of another run. All but the daemon ask it which run is the present one (`pcmrs.bus.handshake`),
+and accept nothing before its answer. The answer also tells a node that has just started how far the daemon and its
+heart have counted, so that nothing is accepted that was sent in this run before the node was there.
 
 The MAC is HMAC-SHA256 (RFC 2104), cut to 16 bytes as section 5 of that RFC permits. Each number is accepted once,
 within a window, as in section 3.4.3 of RFC 4303, because messages of different priorities overtake each other.
@@ -40,12 +41,13 @@ become senders."""
 
 _HEXADECIMAL: Final = re.compile(rf"[0-9a-f]{{{2 * KEY_BYTES}}}")
 
-Kind = Literal["put", "query", "reply", "error"]
-_KINDS: Final[dict[Kind, int]] = {"put": 1, "query": 2, "reply": 3, "error": 4}
+Kind = Literal["put", "query", "reply", "error", "question"]
+_KINDS: Final[dict[Kind, int]] = {"put": 1, "query": 2, "reply": 3, "error": 4, "question": 5}
 _HEAD: Final = struct.Struct("<B8s8sQ")
 _MAC: Final = 16
 LENGTH: Final = _HEAD.size + _MAC
 """Length of a seal, bytes."""
+_COUNTED: Final = struct.Struct("<8sQ")
 
 
 def new_key() -> bytes:
@@ -105,43 +107,53 @@ class Seal:
 
     Args:
         key: Key that daemon and nodes share, `KEY_BYTES` bytes. The daemon and its children have the run of the daemon
-            behind it (`new_run`); all others take the run from the daemon's messages (`follow`).
-        current_only: True for the daemon, which accepts only messages of its present run.
-
-    Attributes:
-        follows: True if the key came without a run, so that the seal takes the run from the daemon's messages.
+            behind it (`new_run`), so that their first messages name it.
+        daemon: True for the daemon, which knows its run; all others must have it confirmed before they accept anything.
     """
 
-    def __init__(self, key: bytes, *, current_only: bool = False) -> None:
+    def __init__(self, key: bytes, *, daemon: bool = False) -> None:
         self._key, run = key[:KEY_BYTES], key[KEY_BYTES:]
         self._run = run or bytes(RUN_BYTES)
-        self._current_only = current_only
         self._session = secrets.token_bytes(8)
         self._numbers = itertools.count(1)
-        self._named = threading.Event()
-        self.follows = not run
-        if run:
-            self._named.set()
+        self._lock = threading.Lock()
+        self._counted: dict[bytes, int] = {}  # at the daemon: newest number of each process that speaks for it
+        self._earlier: dict[bytes, int] = {}  # elsewhere: what was counted when the run was confirmed first
+        self.is_daemon = daemon
+        self.is_confirmed = daemon
 
-    def follow(self, seal: bytes) -> None:
-        """Name the run of the daemon in all messages from now on.
-
-        Args:
-            seal: Seal of a checked heartbeat of the daemon, or of a checked request to a device: no heartbeats are sent
-                while the daemon does not know that its arm stands still.
-        """
-        _, run, _, _ = _HEAD.unpack(seal[: _HEAD.size])
-        if self.follows and run != bytes(RUN_BYTES):
-            self._run = run
-            self._named.set()
-
-    def run_known(self, within: float = 0.0) -> bool:
-        """Return True if the run of the daemon is known; without it the daemon accepts no message.
+    def count(self, seal: bytes) -> None:
+        """Note at the daemon how far a process that speaks for it has counted.
 
         Args:
-            within: Longest wait for it, s of the machine.
+            seal: Seal of a checked message on a key of the daemon.
         """
-        return self._named.wait(within)
+        _, _, session, number = _HEAD.unpack(seal[: _HEAD.size])
+        with self._lock:
+            newest = max(number, self._counted.pop(session, 0))
+            self._counted[session] = newest
+            if len(self._counted) > SESSIONS:
+                del self._counted[next(iter(self._counted))]
+
+    def answer(self) -> bytes:
+        """Return the daemon's answer to a question: how far each process that speaks for it has counted."""
+        with self._lock:
+            return b"".join(_COUNTED.pack(session, number) for session, number in self._counted.items())
+
+    def confirm(self, seal: bytes, answer: bytes) -> None:
+        """Accept messages of the daemon's present run from now on, and name it in all messages.
+
+        A process that has been running for some time keeps what it has accepted, and messages on their way may be older
+        than the answer. So only the first answer excludes what was sent before it.
+
+        Args:
+            seal: Seal of a checked answer of the daemon.
+            answer: Payload of that answer.
+        """
+        _, run, session, number = _HEAD.unpack(seal[: _HEAD.size])
+        if not self.is_confirmed:
+            self._earlier = dict(_COUNTED.iter_unpack(answer)) | {session: number}
+        self._run, self.is_confirmed = run, True
 
     def put(self, kind: Kind, key: str, payload: bytes, query: bytes = b"") -> bytes:
         """Return the seal of a new message.
@@ -173,7 +185,8 @@ class Seal:
 
         Raises:
             SealError: The message has no seal (``unsealed``) or a wrong one (``forged``), is a repetition
-                (``repeated``), or was sealed for another run of the daemon (``other_run``).
+                or older than this process (``repeated``), or was sealed for another run of the daemon
+                (``other_run``).
         """
         if len(seal) != LENGTH:
             raise SealError(f"{key}: the message is not sealed; daemon and nodes reject it.", why="unsealed")
@@ -182,11 +195,11 @@ class Seal:
         kind = next((each for each in kinds if _KINDS[each] == number_of_kind), None)
         if kind is None or not hmac.compare_digest(seal[_HEAD.size :], self._mac(head, key, payload, query)):
             raise SealError(f"{key}: the message was not sealed with the key of this cell's daemon.", why="forged")
-        # A reply is bound to its query, so its run does not matter.
-        if self._current_only and not query and run != self._run:
-            text = f"{key}: the message is of an earlier run of the daemon, or its sender has not received a heartbeat."
+        # A reply is bound to its query, and the sender of a question does not know the run yet.
+        if not query and kind != "question" and not (self.is_confirmed and run == self._run):
+            text = f"{key}: the message is of another run of the daemon, or the daemon has not confirmed its run yet."
             raise SealError(text, why="other_run")
-        if not taken.take(session, number):
+        if (not query and number <= self._earlier.get(session, 0)) or not taken.take(session, number):
             text = f"{key}: message {number} arrived before, or more than {WINDOW} messages late."
             raise SealError(text, why="repeated")
         return kind

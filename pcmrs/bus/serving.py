@@ -50,6 +50,8 @@ class Service(Generic[T]):
         tasks: Owner of the running answers.
         pool: Threads that send replies, because a link with a full queue blocks its sender.
         seal: Seal of requests and replies on this key; None where they are not sealed.
+        ask_run: Asks the daemon for its run, then calls a function; returns False if too many wait. None where requests
+            are not sealed.
         verifier: Verifier of requests on this key; None where they are not signed.
     """
 
@@ -63,16 +65,26 @@ class Service(Generic[T]):
     tasks: BackgroundTasks
     pool: Executor
     seal: Seal | None = None
+    ask_run: Callable[[Call], bool] | None = None
     verifier: SignatureVerifier | None = None
     _taken: ReplayWindow = field(default_factory=ReplayWindow)
 
-    def receive(self, query: zenoh.Query) -> None:
-        """Take a query in Zenoh's thread: hand it over to the loop, or refuse it at once."""
+    def receive(self, query: zenoh.Query, *, asked: bool = False) -> None:
+        """Take a query in Zenoh's thread: hand it over to the loop, or refuse it at once.
+
+        The first request of a daemon that was restarted waits until its run is confirmed.
+
+        Args:
+            query: The query.
+            asked: True if the daemon was asked for its run since the query arrived.
+        """
         key = self._relative(query)
         if "*" in key:
             self._send(query, key, PayloadError(f"{key} holds a wildcard; send the request on one key.", key=key))
         elif (unsealed := self._unsealed(query)) is not None:
-            self._send(query, key, unsealed)
+            again = partial(self.receive, query, asked=True)
+            if asked or unsealed.fields["why"] != "other_run" or self.ask_run is None or not self.ask_run(again):
+                self._send(query, key, unsealed)
         elif self.turns is not None:
             if not self.turns.post(str(query.key_expr), partial(self._serve, query, key)):
                 self._send(query, key, self._refusal(key, busy(WAITING)))
@@ -83,12 +95,10 @@ class Service(Generic[T]):
         """Return why a query that must be sealed is not answered: device nodes serve only their daemon."""
         if self.seal is None:
             return None
-        seal = attached_to(query)
         try:
-            self.seal.check(seal, ("query",), str(query.key_expr), payload_of(query), self._taken)
+            self.seal.check(attached_to(query), ("query",), str(query.key_expr), payload_of(query), self._taken)
         except SealError as error:
             return error
-        self.seal.follow(seal)
         return None
 
     def _objection(self, query: zenoh.Query, key: str) -> AccessError | None:

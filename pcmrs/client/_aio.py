@@ -32,6 +32,7 @@ from pcmrs.errors import (
     UnknownOutcomeError,
 )
 from pcmrs.messages import (
+    STOP_NOT_NAMED,
     DeviceEvent,
     DeviceReply,
     DeviceRequest,
@@ -322,7 +323,7 @@ class Client:
         if stop is None and self._user != LOCAL:
             text = f"{self._user} has not named the Stop to acknowledge, which only {LOCAL} may do: show the snapshot, "
             text += "then acknowledge with stop = the number in its field stop.number."
-            raise RefusalError("stop_not_named", text, user=self._user)
+            raise RefusalError(STOP_NOT_NAMED, text, user=self._user)
         end = self._clock.monotonic() + self._patience
         while (shown := await self.state()).stop.pending and self._clock.monotonic() < end:
             await self._clock.sleep(_POLL_PERIOD)

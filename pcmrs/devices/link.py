@@ -40,7 +40,7 @@ class Link(Protocol):
         """
 
     def when_lost(self, handler: Callable[[str], None]) -> None:
-        """Call a handler in the event loop when an event could not be delivered, since too many were waiting.
+        """Call a handler in the event loop when an event was not delivered: too many were waiting, or it is malformed.
 
         Args:
             handler: Called with the relative key of the event; its content is lost.

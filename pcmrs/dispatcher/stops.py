@@ -17,10 +17,8 @@ from pcmrs.dispatcher.events import DAEMON, Coordinator, QueuedRow, Submission, 
 from pcmrs.dispatcher.execution import ExecutionContext
 from pcmrs.dispatcher.procedure import NO_STOP
 from pcmrs.dispatcher.workflow import C, D
-from pcmrs.messages import Command, Reason, StopState, Verdict
-
-LOCAL = "local"
-"""User at the cell's own machine: the only one who may acknowledge without naming the Stop."""
+from pcmrs.messages import STOP_NOT_NAMED, Command, Reason, StopState, Verdict
+from pcmrs.messages.identity import LOCAL
 
 YOUNG = 1.0
 """Age below which a Stop is acknowledged by its number only, s: a user who does not name it may not know of it yet."""
@@ -33,9 +31,6 @@ STANDSTILL = "standstill"
 
 PENDING = "stop_pending"
 """Code of the refusal of an acknowledgement that must wait."""
-
-UNNAMED = "stop_not_named"
-"""Code of the refusal of an acknowledgement that must name its Stop."""
 
 
 class Stops:
@@ -112,12 +107,12 @@ class Stops:
             return None
         if command.user != LOCAL:
             text = f"Name the Stop that you acknowledge: stop = {state.number}, the newest one."
-            return Reason(code=UNNAMED, text=text, fields={"newest": state.number})
+            return Reason(code=STOP_NOT_NAMED, text=text, fields={"newest": state.number})
         age = self._clock.monotonic() - self._since
         if age < YOUNG:
             text = f"Stop {state.number} is only {age:.1f} s old, limit {YOUNG:g} s: name it (stop = {state.number}), "
             text += "or look, and ask again."
-            return Reason(code=UNNAMED, text=text, fields={"newest": state.number, "age": age})
+            return Reason(code=STOP_NOT_NAMED, text=text, fields={"newest": state.number, "age": age})
         return None
 
     def _settle(self, end: asyncio.Future[Any]) -> None:

@@ -27,6 +27,7 @@ from pcmrs.messages._robot import (
 )
 from pcmrs.messages._scene import HeadBurst, HeadMotion, HeadStep, SceneTruth
 from pcmrs.messages._snapshot import (
+    STOP_NOT_NAMED,
     ActiveActivity,
     BlueprintTag,
     Flags,
@@ -50,6 +51,7 @@ from pcmrs.messages.device import (
 from pcmrs.messages.teleop import TeleopSetpoint, TeleopStatus
 
 __all__ = [
+    "STOP_NOT_NAMED",
     "ActToken",
     "ActiveActivity",
     "Beat",

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 from pcmrs.messages._base import Message
+
+STOP_NOT_NAMED: Final = "stop_not_named"
+"""Code of the refusal of an acknowledgement that must name its Stop: daemon and clients refuse it."""
 
 
 class Running(Message, frozen=True, kw_only=True, omit_defaults=False):

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pcmrs.bus import BusSettings
 from pcmrs.bus.codec import pack
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
-from pcmrs.bus.following import follow_daemon
+from pcmrs.bus.handshake import RUN, Handshake
 from pcmrs.bus.keys import cell_prefix
 from pcmrs.bus.qos import class_of
 from pcmrs.bus.seal import Seal
@@ -29,8 +29,6 @@ CAPACITY: Final = 20_000
 """Largest number of messages that wait to be written: many seconds of a cell at work."""
 
 EVENTS: Final = "daemon/event"
-FOLLOWS_WITHIN: Final = 1.0
-"""Time within which a heartbeat names the run of the daemon, s; without it the daemon accepts no report."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +85,6 @@ class Subscriber:
         prefix = cell_prefix(settings.site, settings.cell)
         session = await asyncio.get_running_loop().run_in_executor(None, open_session, settings)
         subscriber = cls(session, prefix, clock, seal)
-        if seal is not None and seal.follows:
-            subscriber._declared.append(follow_daemon(session, prefix, seal))
         for topic in topics:
             handle = declare_subscriber(session, f"{prefix}/{topic}", class_of(topic), subscriber._receive)
             subscriber._declared.append(handle)
@@ -99,10 +95,13 @@ class Subscriber:
         return [self._waiting.popleft() for _ in range(len(self._waiting))]
 
     async def report(self, event: DeviceEvent) -> None:
-        """Report an event to the daemon, which journals it; without the key this does nothing."""
+        """Report an event to the daemon, which journals it; without the key this does nothing.
+
+        The daemon is asked for its run first: it accepts no report that does not name it.
+        """
         if self._seal is None:
             return
-        await self._in_pool(partial(self._seal.run_known, FOLLOWS_WITHIN))
+        await Handshake(self._session, f"{self.prefix}/{RUN}", self._seal, self._pool, lambda *_: None).ended()
         key, payload = f"{self.prefix}/{EVENTS}", pack(event)
         publisher = declare_publisher(self._session, key, class_of(EVENTS))
         self._declared.append(publisher)

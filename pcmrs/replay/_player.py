@@ -11,10 +11,10 @@ import msgspec
 
 from pcmrs.dispatcher import Dispatcher, Workflow
 from pcmrs.dispatcher.events import DAEMON, FAIL_STOP, NOT_CONFIRMED, SHUTDOWN
-from pcmrs.dispatcher.stops import PENDING, UNNAMED
+from pcmrs.dispatcher.stops import PENDING
 from pcmrs.fsm import Closure, Denial
 from pcmrs.journal import JournalRow, StoredRow
-from pcmrs.messages import Command, DeviceEvent, Reason
+from pcmrs.messages import STOP_NOT_NAMED, Command, DeviceEvent, Reason
 from pcmrs.replay._answers import Holds, end_activities, end_unrequested
 from pcmrs.replay._durability import WINDOW, name_of, rejected_by_stop, running_operations
 from pcmrs.replay._keys import command_of, is_danger, is_followed_by_report, same_reason
@@ -164,7 +164,7 @@ class JournalPlayer:
         code = verdict.reason.code if verdict is not None and verdict.reason is not None else ""
         if code != PENDING and self._holds.answer(index):
             await self._idle()
-        if "stop" in command.arguments or code == UNNAMED:
+        if "stop" in command.arguments or code == STOP_NOT_NAMED:
             return command
         named = {**command.arguments, "stop": self.dispatcher.stop_number}
         return msgspec.structs.replace(command, arguments=named)

@@ -116,7 +116,7 @@ class Daemon:
         async with AsyncExitStack() as stack:
             stack.enter_context(_only_daemon_of(settings.cell.path()))
             device_key = (settings.access.read_device_key() or new_key()) + new_run()
-            bus = await Bus.open(settings.bus("router"), Seal(device_key, current_only=True))
+            bus = await Bus.open(settings.bus("router"), Seal(device_key, daemon=True))
             stack.push_async_callback(bus.close)
             blueprint = workflow.blueprint
             journal = Journal.open(

@@ -224,8 +224,8 @@ class RunningProcedure(DispatcherListener):
     def _lose_event(self, key: str) -> None:
         """Stop: what was lost may have been a danger."""
         device = named_in(key) if key != "daemon/event" else "daemon"
-        text = f"At least one event of the {device} is lost, because too many were waiting: it may have been a danger. "
-        text += "Look at the cell, then acknowledge."
+        text = f"At least one event of the {device} is lost, because too many were waiting, or because it could not be "
+        text += "read: it may have been a danger. Look at the cell, then acknowledge."
         self.dispatcher.report_later(DeviceEvent(device=device, code="events_lost", text=text, danger=True))
 
     def _take_pose(self, _key: str, pose: BodyPose) -> None:

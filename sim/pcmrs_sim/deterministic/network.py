@@ -266,7 +266,7 @@ class Endpoint:
         self.subscribe(key, kind, handler)
 
     def when_lost(self, handler: Callable[[str], None]) -> None:
-        """Do nothing: no queue of the simulated network is bounded."""
+        """Do nothing: no queue of the simulated network is bounded, and none of its events is malformed."""
 
     def serve(self, key: str, kind: type[M], handler: Callable[[str, M], Awaitable[msgspec.Struct]]) -> None:
         self._services[key] = (kind, handler)

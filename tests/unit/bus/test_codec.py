@@ -150,3 +150,11 @@ def test_a_refusal_crosses_with_its_code_and_values() -> None:
 @pytest.mark.parametrize("payload", [pack(reason_from(UnknownOutcomeError("Silent."))), b"Timeout", b"\xff"])
 def test_unknown_outcome_of_the_other_side_stays_unknown(payload: bytes) -> None:
     assert isinstance(error_from(payload), UnknownOutcomeError)
+
+
+@pytest.mark.parametrize("code", ["device_failed", UnknownOutcomeError.code])
+def test_an_error_reply_without_a_text_still_says_something(code: str) -> None:
+    error = error_from(pack(Reason(code=code, text="")))
+    assert isinstance(error, UnknownOutcomeError) is (code == UnknownOutcomeError.code)
+    assert f"failed ({code})" in error.text
+    assert "failed (no code)" in error_from(pack(Reason(code="", text=""))).text

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pcmrs.bus import BusSettings
 from pcmrs.bus.heart import SIGN, read_signs, runaway_event
-from pcmrs.bus.seal import Seal, new_key
+from pcmrs.bus.seal import Seal, new_key, new_run
 from pcmrs.clock import SystemClock
 from pcmrs.messages import Beat, DeviceEvent
 from pcmrs.processes.starting import start_by_exec
@@ -44,8 +44,8 @@ class Bench:
 @asynccontextmanager
 async def opened() -> AsyncIterator[Bench]:
     settings = new_cell()
-    key = new_key()
-    async with open_bus(settings, Seal(key)) as router:
+    key = new_key() + new_run()
+    async with open_bus(settings, Seal(key, daemon=True)) as router:
         bench = Bench(HeartProcess(client_of(settings), SystemClock(), key, start_by_exec))
         bench.heart.report = bench.events.put_nowait
         router.subscribe("daemon/beat", Beat, lambda _, beat: bench.beats.put_nowait(beat))

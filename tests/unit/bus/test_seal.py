@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, suppress
+from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import pytest
@@ -29,6 +29,7 @@ from pcmrs.bus.seal import (
     read_key,
     write_key,
 )
+from pcmrs.bus.serving import attached_to, payload_of
 from pcmrs.errors import ConfigurationError, DeviceError, SealError, UnknownOutcomeError
 from pcmrs.messages import Beat, DeviceEvent, DeviceHealth, DeviceReply, DeviceRequest
 from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus, plain_session
@@ -45,7 +46,8 @@ def fault(seal: Seal, mark: bytes, *args: Any) -> str:
 @given(payload=st.binary(max_size=64), flip=st.integers(0, LENGTH * 8 - 1))
 def test_sealed_message_is_taken_once_and_never_if_a_bit_differs(payload: bytes, flip: int) -> None:
     key = new_key()
-    sender, receiver, taken = Seal(key), Seal(key), ReplayWindow()
+    run = key + new_run()
+    sender, receiver, taken = Seal(run), Seal(run, daemon=True), ReplayWindow()
     mark = sender.put("put", KEY, payload)
     changed = bytearray(mark)
     changed[flip // 8] ^= 1 << flip % 8
@@ -72,7 +74,8 @@ def test_a_reply_answers_one_query_only() -> None:
 @given(order=st.permutations(range(1, 9)), far=st.integers(0, 3))
 def test_within_the_window_messages_come_in_any_order_each_once(order: list[int], far: int) -> None:
     key = new_key()
-    sender, receiver, taken = Seal(key), Seal(key), ReplayWindow()
+    run = key + new_run()
+    sender, receiver, taken = Seal(run), Seal(run, daemon=True), ReplayWindow()
     marks = {number: sender.put("put", KEY, b"") for number in range(1, 9)}
     for number in order:
         receiver.check(marks[number], ("put",), KEY, b"", taken)
@@ -159,7 +162,10 @@ class Bench:
 async def opened() -> AsyncIterator[Bench]:
     settings, key = new_cell(), new_key()
     client = msgspec.structs.replace(settings, mode="client")
-    async with open_bus(settings, Seal(key)) as daemon, open_bus(client, Seal(key)) as node:
+    async with (
+        open_bus(settings, Seal(key + new_run(), daemon=True)) as daemon,
+        open_bus(client, Seal(key)) as node,
+    ):
         with plain_session(settings) as stranger:
             bench = Bench(daemon, node, stranger)
             daemon.subscribe("dev/*/event", DeviceEvent, lambda _, event: bench.events.put_nowait(event))
@@ -193,6 +199,38 @@ async def test_unsealed_or_repeated_event_is_counted_and_dropped() -> None:
         await bench.not_sealed(bench.daemon, 3)
         bench.node.publish("dev/robot/event", DeviceEvent(device="robot", code="last", text="by the node"))
         assert (await bench.event()).code == "last"
+
+
+async def test_an_unreadable_event_of_a_node_is_a_lost_event() -> None:
+    """It may have been a danger; nobody without the key can cause this."""
+    lost: asyncio.Queue[str] = asyncio.Queue()
+    async with opened() as bench:
+        bench.daemon.when_lost(lost.put_nowait)
+        bench.stranger.put(bench.absolute("dev/tracker/event"), b"no event")
+        await bench.not_sealed(bench.daemon, 1)
+        while bench.events.empty():
+            bench.node.publish("dev/robot/event", DeviceEvent(device="robot", code="known", text=""))
+            await asyncio.sleep(0.01)
+        bench.node.publish("dev/robot/event", {"no": "event"})
+        assert await asyncio.wait_for(lost.get(), TIMEOUT) == "dev/robot/event"
+
+
+async def test_unreadable_events_without_a_seal_are_no_lost_events() -> None:
+    """Everybody may publish those of the scene, and what the daemon publishes for people."""
+    lost: list[str] = []
+    keys = ("dev/scene/event", "state/event")
+    seen: asyncio.Queue[DeviceEvent] = asyncio.Queue()
+    async with opened() as bench:
+        bench.daemon.when_lost(lost.append)
+        for key in keys:
+            bench.daemon.subscribe(key, DeviceEvent, lambda _, event: seen.put_nowait(event))
+        for key in keys:
+            bench.stranger.put(bench.absolute(key), b"no event")
+            bench.stranger.put(bench.absolute(key), pack(DeviceEvent(device="scene", code="last", text="")))
+            assert (await asyncio.wait_for(seen.get(), TIMEOUT)).code == "last"
+        assert bench.daemon.counters()["bus.ignored"] >= len(keys)
+        await asyncio.sleep(0)
+    assert lost == []
 
 
 async def test_subscriber_without_a_key_reads_sealed_messages() -> None:
@@ -349,56 +387,186 @@ def test_repetition_does_not_keep_a_sender_remembered() -> None:
     assert not taken.take(used, 1)
 
 
+def introduce(daemon: Seal, node: Seal) -> None:
+    """The node asks the daemon for its run."""
+    question = node.put("question", KEY, b"")
+    assert daemon.check(question, ("question",), KEY, b"", ReplayWindow()) == "question"
+    answer = daemon.answer()
+    reply = daemon.put("reply", KEY, answer, question)
+    assert node.check(reply, ("reply",), KEY, answer, ReplayWindow(), question) == "reply"
+    node.confirm(reply, answer)
+
+
 def test_daemon_accepts_no_message_of_an_earlier_run() -> None:
     """With a key in a file, its earlier messages were recorded under the same key."""
     key = new_key()
     earlier, run = new_run(), new_run()
-    daemon, node = Seal(key + run, current_only=True), Seal(key)
+    daemon, node = Seal(key + run, daemon=True), Seal(key)
     taken = ReplayWindow()
     for sender in (node, Seal(key + earlier), Seal(key + new_run())):
         assert fault(daemon, sender.put("put", KEY, b""), ("put",), KEY, b"", taken) == "other_run"
-    node.follow(Seal(key).put("put", KEY, b""))
-    assert (daemon.run_known(), node.run_known()) == (True, False)
-    node.follow(Seal(key + earlier).put("put", KEY, b""))
-    assert node.run_known()
+    introduce(Seal(key + earlier, daemon=True), node)
     assert fault(daemon, node.put("put", KEY, b""), ("put",), KEY, b"", taken) == "other_run"
-    node.follow(daemon.put("put", KEY, b""))
+    introduce(daemon, node)
     assert daemon.check(node.put("put", KEY, b""), ("put",), KEY, b"", taken) == "put"
     assert daemon.check(Seal(key + run).put("put", KEY, b""), ("put",), KEY, b"", taken) == "put"
-    assert fault(Seal(new_key() + run, current_only=True), daemon.put("put", KEY, b""), ("put",), KEY, b"", taken) == (
-        "forged"
-    )
+    assert fault(Seal(new_key() + run, daemon=True), daemon.put("put", KEY, b""), ("put",), KEY, b"", taken) == "forged"
+
+
+@pytest.mark.parametrize("kind", ["put", "query"])
+def test_node_accepts_nothing_before_the_run_is_confirmed(kind: Literal["put", "query"]) -> None:
+    """Neither a node that gets the run with the key, nor one that names no run yet."""
+    key, run = new_key(), new_run()
+    daemon, taken = Seal(key + run, daemon=True), ReplayWindow()
+    for node, sender in ((Seal(key + run), daemon), (Seal(key), daemon), (Seal(key), Seal(key))):
+        assert fault(node, sender.put(kind, KEY, b""), (kind,), KEY, b"", taken) == "other_run"
+    introduce(daemon, node)
+    assert node.check(daemon.put(kind, KEY, b""), (kind,), KEY, b"", taken) == kind
+
+
+def test_node_accepts_no_message_of_an_earlier_run() -> None:
+    key = new_key()
+    earlier, daemon, node = Seal(key + new_run(), daemon=True), Seal(key + new_run(), daemon=True), Seal(key)
+    recorded = [earlier.put("put", KEY, b"") for _ in range(3)]
+    introduce(earlier, node)
+    assert node.check(earlier.put("put", KEY, b""), ("put",), KEY, b"", ReplayWindow()) == "put"
+    introduce(daemon, node)
+    recorded.append(earlier.put("put", KEY, b""))
+    for each in recorded:
+        assert fault(node, each, ("put",), KEY, b"", ReplayWindow()) == "other_run"
+
+
+def test_new_node_accepts_no_earlier_message_of_the_present_run() -> None:
+    """A node is restarted while the daemon goes on; a node that was there accepts what is still on its way."""
+    key = new_key() + new_run()
+    daemon, heart, old, new = Seal(key, daemon=True), Seal(key), Seal(key), Seal(key)
+    introduce(daemon, old)
+    recorded = [sender.put("put", KEY, b"") for sender in (daemon, heart, daemon, heart)]
+    for each in reversed(recorded):
+        daemon.count(each)
+    introduce(daemon, new)
+    introduce(daemon, old)
+    for each in recorded:
+        assert fault(new, each, ("put",), KEY, b"", ReplayWindow()) == "repeated"
+        assert old.check(each, ("put",), KEY, b"", ReplayWindow()) == "put"
+    for sender in (daemon, heart, Seal(key)):
+        assert new.check(sender.put("put", KEY, b""), ("put",), KEY, b"", ReplayWindow()) == "put"
+
+
+def test_a_recorded_answer_confirms_no_other_question() -> None:
+    """Neither in place of a message, nor of a restarted node."""
+    key = new_key()
+    daemon, node, restarted = Seal(key + new_run(), daemon=True), Seal(key), Seal(key)
+    questions = [each.put("question", KEY, b"") for each in (node, node, restarted)]
+    answer = daemon.put("reply", KEY, b"", questions[0])
+    for asker, question in ((node, questions[1]), (restarted, questions[2])):
+        assert fault(asker, answer, ("reply",), KEY, b"", ReplayWindow(), question) == "forged"
+    assert fault(daemon, questions[0], ("put", "query"), KEY, b"", ReplayWindow()) == "forged"
+
+
+def test_processes_of_the_daemon_that_are_counted_are_limited() -> None:
+    """The answer has a bounded size, and is about those that were last received."""
+    key = new_key() + new_run()
+    daemon, node, taken = Seal(key, daemon=True), Seal(key), ReplayWindow()
+    first = Seal(key).put("put", KEY, b"")
+    last = [Seal(key).put("put", KEY, b"") for _ in range(SESSIONS)]
+    for each in (first, *last):
+        daemon.count(each)
+    introduce(daemon, node)
+    assert all(fault(node, each, ("put",), KEY, b"", taken) == "repeated" for each in last)
+    assert node.check(first, ("put",), KEY, b"", taken) == "put"
 
 
 def test_reply_to_a_query_counts_whatever_run_it_names() -> None:
-    """It is bound to the query; a node may not have received a heartbeat yet."""
+    """It is bound to the query."""
     key = new_key()
-    daemon, node = Seal(key + new_run(), current_only=True), Seal(key)
+    daemon, node = Seal(key + new_run(), daemon=True), Seal(key)
     query = daemon.put("query", KEY, b"joints")
-    assert node.check(query, ("query",), KEY, b"joints", ReplayWindow()) == "query"
     assert daemon.check(node.put("reply", KEY, b"1", query), ("reply",), KEY, b"1", ReplayWindow(), query) == "reply"
 
 
-async def test_a_node_learns_the_run_from_a_request_of_the_daemon() -> None:
-    """A daemon that does not know whether its arm stands still sends no heartbeats."""
+@pytest.mark.parametrize("restarted", ["both", "node"])
+async def test_a_restarted_node_takes_only_new_messages(restarted: str) -> None:
+    """Somebody has recorded beats of the daemon and of its heart, and a request, and sends them again."""
     settings, key = new_cell(), new_key()
     client = msgspec.structs.replace(settings, mode="client")
-    seen: list[str] = []
-    async with open_bus(settings, Seal(key + new_run(), current_only=True)) as daemon:
-        daemon.subscribe("dev/*/event", DeviceEvent, lambda _, event: seen.append(event.code))
-        async with open_bus(client, Seal(key)) as node:
+    recorded: list[tuple[bytes, Any]] = []
+    request: list[tuple[bytes, bytes]] = []
+    beats: list[str] = []
+    asked: list[str] = []
 
-            async def answer(_key: str, request: DeviceRequest) -> DeviceReply:
-                return DeviceReply(result=request.method)
+    async def answer(_key: str, sent: DeviceRequest) -> DeviceReply:
+        asked.append(sent.method)
+        return DeviceReply(result=sent.method)
 
+    async with AsyncExitStack() as daemon_stack, AsyncExitStack() as node_stack:
+
+        async def start_daemon() -> tuple[Bus, Bus]:
+            run = key + new_run()
+            daemon = await daemon_stack.enter_async_context(open_bus(settings, Seal(run, daemon=True)))
+            daemon.subscribe("daemon/beat", Beat, lambda _key, _beat: None)
+            return daemon, await daemon_stack.enter_async_context(open_bus(client, Seal(run)))
+
+        async def start_node() -> Bus:
+            node = await node_stack.enter_async_context(open_bus(client, Seal(key)))
+            node.listen("daemon/beat", Beat, lambda _, beat: beats.append(beat.session))
             node.serve("dev/robot/cmd", DeviceRequest, answer)
+            return node
+
+        async def until_received(daemon: Bus, heart: Bus, name: str) -> None:
+            """Publishes beats and sends requests until the node has received one of each."""
             async with asyncio.timeout(TIMEOUT):
-                while not seen:
+                while not {name, f"{name} heart"} <= {*beats} or name not in asked:
+                    daemon.publish("daemon/beat", Beat(number=1, session=name, alive=0.0, sent=0.0))
+                    heart.publish("daemon/beat", Beat(number=1, session=f"{name} heart", alive=0.0, sent=0.0))
                     with suppress(UnknownOutcomeError):
-                        await daemon.request("dev/robot/cmd", DeviceRequest(method="joints"), DeviceReply, TIMEOUT)
-                    node.publish("dev/robot/event", DeviceEvent(device="robot", code="heard", text=""))
+                        await daemon.request("dev/robot/cmd", DeviceRequest(method=name), DeviceReply, TIMEOUT)
+
+        def record(query: zenoh.Query) -> None:
+            with query:
+                request.append((payload_of(query), attached_to(query)))
+
+        daemon, heart = await start_daemon()
+        await start_node()
+        with plain_session(settings) as stranger:
+            stranger.declare_subscriber(
+                f"{daemon.prefix}/daemon/beat",
+                lambda sample: recorded.append((payload_of(sample), attached_to(sample))),
+            )
+            stranger.declare_queryable(f"{daemon.prefix}/dev/robot/cmd", record, complete=True)
+            async with asyncio.timeout(TIMEOUT):
+                while not (recorded and request):
+                    beats.clear()
+                    asked.clear()
+                    await until_received(daemon, heart, "old")
+            await until_received(daemon, heart, "old")
+        await node_stack.aclose()
+        if restarted == "both":
+            await daemon_stack.aclose()
+            daemon, heart = await start_daemon()
+        beats.clear()
+        asked.clear()
+        node = await start_node()
+        await until_received(daemon, heart, "new")
+        with plain_session(settings) as stranger:
+
+            def ask_again(payload: bytes, seal: bytes) -> list[bytes]:
+                replies = stranger.get(f"{daemon.prefix}/dev/robot/cmd", payload=payload, attachment=seal)
+                return [each.err.payload.to_bytes() if each.err is not None else b"accepted" for each in replies]
+
+            async with asyncio.timeout(TIMEOUT):
+                while node.counters()["bus.not_sealed"] < len(recorded):
+                    for payload, seal in recorded:
+                        stranger.put(f"{daemon.prefix}/daemon/beat", payload, attachment=seal)
                     await asyncio.sleep(0.02)
-    assert set(seen) == {"heard"}
+            for payload, seal in request:
+                replies = await asyncio.to_thread(ask_again, payload, seal)
+                assert [unpack(each, dict)["code"] for each in replies] == ["not_sealed"]
+        beats.append("replayed")
+        asked.append("replayed")
+        await until_received(daemon, heart, "last")
+        assert {*beats} == {"new", "new heart", "replayed", "last", "last heart"}
+        assert {*asked} == {"new", "replayed", "last"}
 
 
 async def test_a_restarted_daemon_takes_only_new_messages_of_a_node() -> None:
@@ -412,15 +580,14 @@ async def test_a_restarted_daemon_takes_only_new_messages_of_a_node() -> None:
     async def daemon() -> AsyncIterator[Bus]:
         """A daemon that keeps the events that it accepts."""
         seen.clear()
-        async with open_bus(settings, Seal(key + new_run(), current_only=True)) as bus:
+        async with open_bus(settings, Seal(key + new_run(), daemon=True)) as bus:
             bus.subscribe("dev/*/event", DeviceEvent, lambda _, event: seen.append(event.code))
             yield bus
 
     async def until_seen(bus: Bus, node: Bus, code: str) -> None:
-        """Publishes beats and events until the daemon accepts one; the node must have received a beat before."""
+        """Publishes events until the daemon accepts one."""
         async with asyncio.timeout(TIMEOUT):
             while code not in seen:
-                bus.publish("daemon/beat", Beat(number=1, session="a", alive=0.0, sent=0.0))
                 node.publish("dev/robot/event", DeviceEvent(device="robot", code=code, text=""))
                 await asyncio.sleep(0.02)
 

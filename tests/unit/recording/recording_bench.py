@@ -17,7 +17,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from pcmrs.bus import Bus, BusSettings, Empty
 from pcmrs.bus.codec import pack
-from pcmrs.bus.seal import Seal, new_key
+from pcmrs.bus.seal import Seal, new_key, new_run
 from pcmrs.clock import SystemClock
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose, JointState
@@ -86,7 +86,7 @@ async def recording(
     clock = SystemClock()
     plan = RecordingPlan(first, limits or Limits(), {"cell": router.cell, "site": router.site}, lambda: files_of(first))
     key = new_key()
-    bus = await Bus.open(router, Seal(key))
+    bus = await Bus.open(router, Seal(key + new_run(), daemon=True))
     try:
         subscriber = await Subscriber.open(msgspec.structs.replace(router, mode="client"), topics, clock, Seal(key))
         work = Recording(bus, subscriber, RecordingWriter(plan, RecordingViews(ARM, MOUNTING, 1.0), clock))
