@@ -14,7 +14,7 @@ from contextlib import aclosing, asynccontextmanager, suppress
 from typing import Any, TypeVar
 
 from pcmrs.bus import DEFAULT_ENDPOINT, Bus, BusSettings, Credentials, Empty
-from pcmrs.bus.codec import convert_event
+from pcmrs.bus.codec import convert_event, unpack
 from pcmrs.bus.commands import Envelope
 from pcmrs.bus.keys import KeyTable, command_key
 from pcmrs.bus.seal import Seal
@@ -399,7 +399,9 @@ class Client:
 
         ends = (
             self._bus.subscribe("state/fsm", Snapshot, lambda _, snapshot: take(snapshot)),
-            self._bus.subscribe("state/event", dict, lambda _, fields: take(convert_event(fields))),
+            self._bus.subscribe_encoded(
+                "state/event", lambda payload: convert_event(unpack(payload, dict)), lambda _, event: take(event)
+            ),
         )
         try:
             while True:

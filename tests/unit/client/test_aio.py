@@ -112,6 +112,21 @@ async def test_watch_yields_the_last_snapshot_then_what_happens() -> None:
         await events.aclose()
 
 
+async def test_a_watcher_ignores_what_is_no_event() -> None:
+    """An error in a handler is logged with its traceback, for each message; what is ignored is logged once a second."""
+    errors: list[dict[str, object]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: errors.append(context))
+    async with connected() as (daemon, client), aclosing(client.watch()) as events:
+        daemon.bus.publish("state/fsm", snapshot(0))
+        assert await anext(events) == snapshot(0)
+        await client.state()  # the router knows the subscriptions by now
+        daemon.bus.publish("state/event", {"no": "event"})
+        fault = DeviceEvent(device="robot", code="link_lost", text="The link is cut.", danger=True)
+        daemon.bus.publish("state/event", fault)
+        assert await asyncio.wait_for(anext(events), TIMEOUT) == fault
+    assert errors == []
+
+
 async def test_slow_watcher_gets_the_newest_and_the_number_missed() -> None:
     def event(number: int) -> DeviceEvent:
         return DeviceEvent(device="robot", code="told", text=str(number))
