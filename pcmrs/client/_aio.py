@@ -14,7 +14,7 @@ from contextlib import aclosing, asynccontextmanager, suppress
 from typing import Any, TypeVar
 
 from pcmrs.bus import DEFAULT_ENDPOINT, Bus, BusSettings, Credentials, Empty
-from pcmrs.bus.codec import convert_event
+from pcmrs.bus.codec import convert_event, unpack
 from pcmrs.bus.commands import Envelope
 from pcmrs.bus.keys import KeyTable, command_key
 from pcmrs.bus.seal import Seal
@@ -71,8 +71,11 @@ _BACKLOG = 1024
 class Client:
     """A connection to the daemon of one cell. Use `Client.connect`.
 
+    It has two sessions on the bus: one for Stop, which subscribes to nothing, and one for all else.
+
     Args:
         bus: Session of the bus, open.
+        stopping: Another one, which Stop alone uses.
         user: Name of the user.
 
     Attributes:
@@ -82,9 +85,11 @@ class Client:
 
     greeting: Snapshot
 
-    def __init__(self, bus: Bus, user: str) -> None:
+    def __init__(self, bus: Bus, stopping: Bus, user: str) -> None:
         self.missed = 0
         self._bus = bus
+        # Zenoh delivers a session's messages one after another: behind a flooded subscription, Stop gets no answer.
+        self._stopping = stopping
         self._user = user
         self._clock = SystemClock()
         self._is_far = bus.settings.endpoint.startswith(SECURED)
@@ -123,13 +128,13 @@ class Client:
             cell=cell or os.environ.get("PCMRS_CELL", "cell1"),
             credentials=credentials,
         )
-        bus = await Bus.open(settings, Seal(device_key) if device_key else None)
-        try:
-            client = cls(bus, user if settings.user == LOCAL else settings.user)
+        async with (
+            _opened(settings, Seal(device_key) if device_key else None) as bus,
+            _opened(settings) as stopping,
+        ):
+            client = cls(bus, stopping, user if settings.user == LOCAL else settings.user)
             client.greeting = await client._greet()
             yield client
-        finally:
-            await bus.close()
 
     async def call(
         self,
@@ -279,8 +284,8 @@ class Client:
         """
         key = f"stop/{self._user}"
         press = Press(id=uuid.uuid4().hex)
-        self._bus.publish(key, press)
-        return await self._bus.request(key, press, Stopping, timeout or self._patience, urgent=True)
+        self._stopping.publish(key, press)
+        return await self._stopping.request(key, press, Stopping, timeout or self._patience, urgent=True)
 
     async def standstill(self, number: int, timeout: float = 2.0) -> bool:
         """Wait for the robot's standstill after Stop `number`, or a newer one.
@@ -401,7 +406,9 @@ class Client:
 
         ends = (
             self._bus.subscribe("state/fsm", Snapshot, lambda _, snapshot: take(snapshot)),
-            self._bus.subscribe("state/event", dict, lambda _, fields: take(convert_event(fields))),
+            self._bus.subscribe_encoded(
+                "state/event", lambda payload: convert_event(unpack(payload, dict)), lambda _, event: take(event)
+            ),
         )
         try:
             while True:
@@ -459,6 +466,16 @@ class Client:
                 endpoint=settings.endpoint,
                 cell=self._bus.prefix,
             ) from error
+
+
+@asynccontextmanager
+async def _opened(settings: BusSettings, seal: Seal | None = None) -> AsyncIterator[Bus]:
+    """Open a session for the length of the context; see `Bus.open`."""
+    bus = await Bus.open(settings, seal)
+    try:
+        yield bus
+    finally:
+        await bus.close()
 
 
 def _denial(verdict: Verdict) -> str:

@@ -3,18 +3,23 @@
 import asyncio
 import subprocess
 import sys
+import threading
 from contextlib import aclosing
 
 import msgspec
 import pytest
 import zenoh
 
-from pcmrs.bus import Empty
+from pcmrs.bus import Empty, _session
+from pcmrs.bus.serving import payload_of
 from pcmrs.client import Client, Event
 from pcmrs.errors import BusError, DeviceError, PayloadError, RefusalError
 from pcmrs.messages import DeviceEvent, DeviceReply, DeviceRequest, Reason, Snapshot, StopState
 from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus, plain_session, snapshot
 from tests.unit.client.small_daemon import connected
+
+FLOOD = 2_000
+"""Number of messages that is more than enough to fill the queue of a subscription."""
 
 
 async def test_a_call_is_a_command_with_id_and_time_to_live() -> None:
@@ -67,6 +72,29 @@ async def test_one_press_is_one_stop_whichever_message_comes_first() -> None:
         assert daemon.stops == ["bus:anna"] * 3
 
 
+async def test_stop_is_answered_while_a_stream_is_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Zenoh holds back everything of a session while the queue of one of its subscriptions is full."""
+    receiving, stopped = threading.Event(), threading.Event()
+
+    def receive(sample: zenoh.Sample) -> bytes:
+        if str(sample.key_expr).endswith("/state/joints"):
+            receiving.set()
+            stopped.wait(TIMEOUT)
+        return payload_of(sample)
+
+    monkeypatch.setattr(_session, "payload_of", receive)
+    async with connected() as (daemon, client):
+        client.listen("state/joints", dict, lambda _: None)
+        await client.state()  # the router knows the subscription by now
+        for _ in range(FLOOD):
+            daemon.bus.publish("state/joints", {})
+        assert await asyncio.to_thread(receiving.wait, TIMEOUT)
+        try:
+            assert (await client.stop()).number == 1
+        finally:
+            stopped.set()
+
+
 async def test_watch_yields_the_last_snapshot_then_what_happens() -> None:
     async with connected() as (daemon, client):
         daemon.bus.publish("state/fsm", snapshot(41))
@@ -82,6 +110,21 @@ async def test_watch_yields_the_last_snapshot_then_what_happens() -> None:
         daemon.bus.publish("state/event", fault)
         assert await next_event() == fault
         await events.aclose()
+
+
+async def test_a_watcher_ignores_what_is_no_event() -> None:
+    """An error in a handler is logged with its traceback, for each message; what is ignored is logged once a second."""
+    errors: list[dict[str, object]] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: errors.append(context))
+    async with connected() as (daemon, client), aclosing(client.watch()) as events:
+        daemon.bus.publish("state/fsm", snapshot(0))
+        assert await anext(events) == snapshot(0)
+        await client.state()  # the router knows the subscriptions by now
+        daemon.bus.publish("state/event", {"no": "event"})
+        fault = DeviceEvent(device="robot", code="link_lost", text="The link is cut.", danger=True)
+        daemon.bus.publish("state/event", fault)
+        assert await asyncio.wait_for(anext(events), TIMEOUT) == fault
+    assert errors == []
 
 
 async def test_slow_watcher_gets_the_newest_and_the_number_missed() -> None:
