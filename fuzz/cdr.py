@@ -9,9 +9,9 @@ from fuzz.running import instrumented, run
 
 with instrumented("pcmrs.ros2.cdr", "pycdr2"):
     from pcmrs.errors import PayloadError
-    from pcmrs.ros2.cdr import JointState, Pose, PoseStamped, String, TFMessage, decode
+    from pcmrs.ros2.cdr import Pose, PoseStamped, RosJointState, String, TFMessage, decode
 
-KINDS = (PoseStamped, TFMessage, JointState, String, Pose)
+KINDS = (PoseStamped, TFMessage, RosJointState, String, Pose)
 
 
 def one(data: bytes) -> None:

@@ -20,12 +20,12 @@ with instrumented("pcmrs.bus.codec", "pcmrs.bus._closed_decoder", "pcmrs.message
         DeviceEvent,
         DeviceReply,
         DeviceRequest,
+        DryRunRequest,
         Epoch,
         JointState,
         JournalQuery,
         NodeBeat,
         PoseMessage,
-        Question,
         Snapshot,
         Target,
         TeleopSetpoint,
@@ -33,7 +33,7 @@ with instrumented("pcmrs.bus.codec", "pcmrs.bus._closed_decoder", "pcmrs.message
         Verdict,
     )
 
-ARRIVING = (Envelope, Press, Question, JournalQuery, TeleopSetpoint)
+ARRIVING = (Envelope, Press, DryRunRequest, JournalQuery, TeleopSetpoint)
 """Messages of clients to the daemon."""
 DEVICES = (Beat, BodyPose, DeviceReply, DeviceRequest, Epoch, JointState, NodeBeat, PoseMessage)
 """Messages between daemon and nodes."""

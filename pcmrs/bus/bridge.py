@@ -16,7 +16,7 @@ from collections.abc import Callable, Hashable
 from contextvars import ContextVar
 from typing import Final
 
-Call = Callable[[], object]
+BridgedCall = Callable[[], object]
 
 ARRIVED: Final[ContextVar[float]] = ContextVar("arrived")
 """Arrival time in this process of the message that is handled in this context, s of the machine's monotonic clock."""
@@ -43,9 +43,9 @@ class Bridge:
     def __init__(self, loop: asyncio.AbstractEventLoop, capacity: int = CAPACITY) -> None:
         self._loop = loop
         self._capacity = capacity
-        self._urgent: deque[tuple[float, Call]] = deque()
-        self._ordered: deque[tuple[float, Call]] = deque()
-        self._newest: dict[Hashable, deque[Call]] = {}
+        self._urgent: deque[tuple[float, BridgedCall]] = deque()
+        self._ordered: deque[tuple[float, BridgedCall]] = deque()
+        self._newest: dict[Hashable, deque[BridgedCall]] = {}
         self._lock = threading.Lock()
         self._scheduled = False
         self._closed = False
@@ -57,7 +57,7 @@ class Bridge:
         with self._lock:
             return len(self._urgent) + len(self._ordered) + sum(map(len, self._newest.values()))
 
-    def post(self, call: Call, *, urgent: bool = False) -> bool:
+    def post(self, call: BridgedCall, *, urgent: bool = False) -> bool:
         """Queue a call.
 
         Args:
@@ -76,7 +76,7 @@ class Bridge:
             self._schedule()
             return True
 
-    def post_newest(self, key: Hashable, call: Call, most: int = 1) -> None:
+    def post_newest(self, key: Hashable, call: BridgedCall, most: int = 1) -> None:
         """Queue a call of a stream; the oldest waiting ones of the same key are dropped.
 
         Args:
@@ -115,7 +115,7 @@ class Bridge:
                 self._loop.call_exception_handler({"message": "A bus handler failed", "exception": error})
         self._loop.call_soon(self._drain)
 
-    def _next(self) -> Call | None:
+    def _next(self) -> BridgedCall | None:
         with self._lock:
             for queue in (self._urgent, self._ordered):
                 if queue:

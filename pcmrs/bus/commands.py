@@ -53,16 +53,16 @@ class Envelope(Message, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class Submit(Protocol):
     """Signature of `Dispatcher.submit`."""
 
-    def __call__(self, command: Command, /, *, arrived: float) -> Coroutine[Any, Any, Verdict]:
+    def __call__(self, command: Command, /, *, arrived: float | None) -> Coroutine[Any, Any, Verdict]:
         """Decide on a command.
 
         Args:
             command: Command in its envelope, with the role of its user.
-            arrived: Arrival time in this process, s of the event loop's clock.
+            arrived: Arrival time in this process, s of the event loop's clock; None for now.
         """
 
 
-Refused = Callable[[str, str, str], None]
+RefusalCallback = Callable[[str, str, str], None]
 """Called with source, code and text of a message that is not a command."""
 
 
@@ -74,7 +74,7 @@ class CommandEdge:
     publishing each one would overload the daemon. Use `CommandEdge.open`.
     """
 
-    def __init__(self, bus: Bus, submit: Submit, refused: Refused, lane: StopLane) -> None:
+    def __init__(self, bus: Bus, submit: Submit, refused: RefusalCallback, lane: StopLane) -> None:
         self._bus = bus
         self._submit = submit
         self._refused = refused
@@ -87,13 +87,13 @@ class CommandEdge:
         )
 
     @classmethod
-    async def open(cls, bus: Bus, submit: Submit, refused: Refused, stop: Stop) -> CommandEdge:
+    async def open(cls, bus: Bus, submit: Submit, refused: RefusalCallback, stop: Stop) -> CommandEdge:
         """Start to take commands and Stops; none that is sent after this returns is lost.
 
         Args:
             bus: Bus of the daemon.
             submit: `Dispatcher.submit`.
-            refused: Called in the event loop for each message that is not a command; see `Refused`.
+            refused: Called in the event loop for each message that is not a command; see `RefusalCallback`.
             stop: Called in the event loop with the source, such as ``bus:local``, and its number of presses; starts the
                 Stop before it returns.
 

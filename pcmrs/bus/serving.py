@@ -15,7 +15,7 @@ import zenoh
 
 from pcmrs.background import BackgroundTasks
 from pcmrs.bus._round_robin import WAITING, RoundRobin
-from pcmrs.bus.bridge import CAPACITY, Call
+from pcmrs.bus.bridge import CAPACITY, BridgedCall
 from pcmrs.bus.codec import busy, is_text, pack, pack_text, reason_from, unpack
 from pcmrs.bus.keys import named_in
 from pcmrs.bus.seal import Kind, ReplayWindow, Seal
@@ -60,12 +60,12 @@ class Service(Generic[T]):
     kind: type[T]
     handler: Callable[[str, T], Awaitable[msgspec.Struct]]
     refuse: Refuse | None
-    post: Callable[[Call], bool]
+    post: Callable[[BridgedCall], bool]
     turns: RoundRobin | None
     tasks: BackgroundTasks
     pool: Executor
     seal: Seal | None = None
-    ask_run: Callable[[Call], bool] | None = None
+    ask_run: Callable[[BridgedCall], bool] | None = None
     verifier: SignatureVerifier | None = None
     _taken: ReplayWindow = field(default_factory=ReplayWindow)
 

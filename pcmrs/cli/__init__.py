@@ -9,106 +9,108 @@ from typing import Final
 
 import click
 
-from pcmrs.cli.lazy import LABORATORY, LazyGroup, Listed
+from pcmrs.cli.lazy import LABORATORY, LazyCommand, LazyGroup
 from pcmrs.files import keep_private
 
 COMMANDS = {
-    "call": Listed("pcmrs.cli.cell:call", "Ask for an operation and print the verdict."),
-    "state": Listed(
+    "call": LazyCommand("pcmrs.cli.cell:call", "Ask for an operation and print the verdict."),
+    "state": LazyCommand(
         "pcmrs.cli.cell:state", "Print the state of all branches, the flags, running operations, and unknown outcomes."
     ),
-    "watch": Listed(
+    "watch": LazyCommand(
         "pcmrs.cli.cell:watch", "Print states, decisions and device events as they happen, until interrupted."
     ),
-    "keys": Listed("pcmrs.cli.cell:keys", "List the keys to publish and subscribe to, with their payloads."),
-    "lease": Listed(
+    "keys": LazyCommand("pcmrs.cli.cell:keys", "List the keys to publish and subscribe to, with their payloads."),
+    "lease": LazyCommand(
         "pcmrs.cli.lease:lease",
         "Hold a cell: one operator or teleoperator at a time gives commands, and planners may plan for them.",
     ),
-    "cells": Listed(
+    "cells": LazyCommand(
         "pcmrs.cli.cells:cells", "List the connected cells in which you have a role; on a router, those of all sites."
     ),
-    "console": Listed(
+    "console": LazyCommand(
         "pcmrs.cli.console:console",
         "Serve the page that shows a cell: workflow, scene, planning, signals and session.",
     ),
-    "health": Listed(
+    "health": LazyCommand(
         "pcmrs.cli.health:health", "Print the health of the daemon, the reasons for problems, and what to do."
     ),
-    "doctor": Listed(
+    "doctor": LazyCommand(
         "pcmrs.cli.doctor:doctor",
         "Check that this machine has what the configured cell needs, without changing anything.",
     ),
-    "stop": Listed(
+    "stop": LazyCommand(
         "pcmrs.cli.cell:stop",
         "Stop every motion and latch: nothing moves until the stop is acknowledged, in RATMS by robot.acknowledge.",
     ),
-    "journal": Listed(
+    "journal": LazyCommand(
         "pcmrs.cli.journal:journal",
         "Print the recorded commands, decisions and reports, and prove that the journal is whole.",
     ),
-    "archive": Listed(
+    "archive": LazyCommand(
         "pcmrs.cli.archive:archive",
         "Copy the journals of many cells to one place, verify it, and answer questions about all of them.",
     ),
-    "fsm": Listed("pcmrs.cli.fsm:fsm", "Design, verify, draw, import, test and compare workflows."),
-    "faults": Listed(
+    "fsm": LazyCommand("pcmrs.cli.fsm:fsm", "Design, verify, draw, import, test and compare workflows."),
+    "faults": LazyCommand(
         LABORATORY, "Inject faults into simulated cells, and check that nothing is lost and nothing moves by itself."
     ),
-    "placements": Listed(
+    "placements": LazyCommand(
         "pcmrs.cli.placements:placements", "Print the errors of recorded placements: measured against planned pose."
     ),
-    "register": Listed(
+    "register": LazyCommand(
         "pcmrs.cli.register:register",
         "Register the landmarks in DIGITIZED (body_ref) to those in PLAN (image), and check the result.",
     ),
-    "skin": Listed(
+    "skin": LazyCommand(
         "pcmrs.cli.skin:skin",
         "Extract the outer surface of the body in VOLUME: a NIfTI file, or a folder with one DICOM series.",
     ),
-    "calibrate": Listed(
+    "calibrate": LazyCommand(
         "pcmrs.cli.calibrate:calibrate",
         "Calibrate the pointer or the tool from poses in a file, or with --live on a running cell.",
     ),
-    "experiment": Listed(LABORATORY, "Repeat the paper's experiments on the simulated cell."),
-    "demo": Listed(
+    "experiment": LazyCommand(LABORATORY, "Repeat the paper's experiments on the simulated cell."),
+    "demo": LazyCommand(
         LABORATORY, "Run a whole procedure on the simulated cell: plan, digitize, register, and 12 placements."
     ),
-    "teleop": Listed(
+    "teleop": LazyCommand(
         "pcmrs.cli.teleop:teleop", "Guide the tool near its planned pose, for as long as the clutch is held."
     ),
-    "session": Listed(LABORATORY, "Run whole sessions on the simulated cell."),
-    "pki": Listed(
+    "session": LazyCommand(LABORATORY, "Run whole sessions on the simulated cell."),
+    "pki": LazyCommand(
         "pcmrs.cli.pki:pki",
         "Manage the certificates of a lab: its own authority, and one identity for each person and process.",
     ),
-    "peers": Listed(
+    "peers": LazyCommand(
         "pcmrs.cli.peers:peers", "Give clients on other machines a key, so that the gateway accepts their commands."
     ),
-    "node": Listed("pcmrs.cli.serve:node", hidden=True),
-    "serve": Listed(
+    "node": LazyCommand("pcmrs.cli.serve:node", hidden=True),
+    "serve": LazyCommand(
         "pcmrs.cli.serve:serve", "Run the daemon of one cell: by default robotic TMS on the simulated cell."
     ),
-    "router": Listed(
+    "router": LazyCommand(
         "pcmrs.cli.router:router", "Forward the messages of cells and people, as far as the register allows them."
     ),
-    "record": Listed("pcmrs.cli.recording:record", "Record all messages of a running cell on its bus, until Ctrl-C."),
-    "ros2": Listed(
+    "record": LazyCommand(
+        "pcmrs.cli.recording:record", "Record all messages of a running cell on its bus, until Ctrl-C."
+    ),
+    "ros2": LazyCommand(
         "pcmrs.cli.ros2:ros2",
         "Publish joints, frames, poses and the state of a running cell for ROS 2, until Ctrl-C.",
     ),
-    "repair": Listed(
+    "repair": LazyCommand(
         "pcmrs.cli.recording:repair",
         "Save the readable part of a damaged recording, up to its last whole chunk, and report how much is lost.",
     ),
-    "play": Listed(
+    "play": LazyCommand(
         "pcmrs.cli.playback:play", "Publish recordings on the bus again, byte for byte, under pcmrs/replay/NAME."
     ),
-    "export-session": Listed(
+    "export-session": LazyCommand(
         "pcmrs.cli.export_session:export_session",
         "Copy a session of the configured cell into one folder, and verify the copy of its journal.",
     ),
-    "report": Listed(
+    "report": LazyCommand(
         "pcmrs.cli.report:report", "Write the report of a session: one page for a clinician, then all details."
     ),
 }

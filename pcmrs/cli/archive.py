@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pcmrs.cli.lazy import LazyGroup, Listed
+from pcmrs.cli.lazy import LazyCommand, LazyGroup
 from pcmrs.cli.options import OutputFile, config_options, json_option
 from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from pcmrs.archive import AddedRows, ArchiveVerification
 
-COMMANDS = {name: Listed(f"pcmrs.cli.archive:{name}") for name in ("add", "verify", "ask")}
-COMMANDS["list"] = Listed("pcmrs.cli.archive:list_")
+COMMANDS = {name: LazyCommand(f"pcmrs.cli.archive:{name}") for name in ("add", "verify", "ask")}
+COMMANDS["list"] = LazyCommand("pcmrs.cli.archive:list_")
 
 LONG = 20_000
 """Number of rows from which it takes long enough for a bar."""
@@ -39,7 +39,7 @@ archive_option = click.option(
 _file = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 
-class Cell(click.ParamType[tuple[str, str]]):
+class CellParamType(click.ParamType[tuple[str, str]]):
     """Site and name of a cell, such as lab/cell1."""
 
     name = "site/name"
@@ -63,7 +63,9 @@ def archive() -> None:
 @click.command()
 @click.argument("paths", type=click.Path(path_type=Path), nargs=-1)
 @archive_option
-@click.option("--cell", type=Cell(), help="Cell of the journals, if not the one that their daemon has journalled.")
+@click.option(
+    "--cell", type=CellParamType(), help="Cell of the journals, if not the one that their daemon has journalled."
+)
 @json_option
 @config_options
 @readable_errors
@@ -108,7 +110,7 @@ def add(
 @click.option(
     "--public-key",
     "keys",
-    type=(Cell(), _file),
+    type=(CellParamType(), _file),
     multiple=True,
     metavar="SITE/NAME FILE",
     help="A cell's journal.pub that was kept elsewhere: reveals that its journal and key were replaced.",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
-from pcmrs.cli.options import Address, address_options, json_option
+from pcmrs.cli.options import CellAddress, address_options, json_option
 from pcmrs.cli.printing import say
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors, run
 from pcmrs.errors import PayloadError, PcmrsError
@@ -30,7 +30,7 @@ STATUS = {"accepted": 0, "rejected": EXIT_REJECTED, "failed": EXIT_FAILED, "unkn
 @json_option
 @address_options
 @readable_errors
-def call(operation: str, arguments: str, as_json: bool, address: Address) -> None:
+def call(operation: str, arguments: str, as_json: bool, address: CellAddress) -> None:
     """Ask for an operation and print the verdict.
 
     Exit status: 0 accepted, 1 rejected, 2 failed or unknown, 3 no daemon.
@@ -48,7 +48,7 @@ def call(operation: str, arguments: str, as_json: bool, address: Address) -> Non
 @json_option
 @address_options
 @readable_errors
-def state(as_json: bool, address: Address) -> None:
+def state(as_json: bool, address: CellAddress) -> None:
     """Print the state of all branches, the flags, running operations, and unknown outcomes."""
     snapshot = run(_state(address))
     if as_json:
@@ -61,7 +61,7 @@ def state(as_json: bool, address: Address) -> None:
 @json_option
 @address_options
 @readable_errors
-def watch(as_json: bool, address: Address) -> None:
+def watch(as_json: bool, address: CellAddress) -> None:
     """Print states, decisions and device events as they happen, until interrupted."""
     run(_watch(address, as_json=as_json))
 
@@ -70,7 +70,7 @@ def watch(as_json: bool, address: Address) -> None:
 @json_option
 @address_options
 @readable_errors
-def keys(as_json: bool, address: Address) -> None:
+def keys(as_json: bool, address: CellAddress) -> None:
     """List the keys to publish and subscribe to, with their payloads."""
     from rich.table import Table  # not at the top: stop must not load Rich first
 
@@ -89,7 +89,7 @@ def keys(as_json: bool, address: Address) -> None:
 @click.command()
 @address_options
 @readable_errors
-def stop(address: Address) -> None:
+def stop(address: CellAddress) -> None:
     """Stop every motion and latch: nothing moves until the stop is acknowledged, in RATMS by robot.acknowledge."""
     number, stands, release = run(_stop(address))
     if not stands:
@@ -98,17 +98,17 @@ def stop(address: Address) -> None:
     say(f"stopped, and {_latched(release, number)}")
 
 
-async def _call(address: Address, operation: str, arguments: dict[str, Any]) -> Verdict:
+async def _call(address: CellAddress, operation: str, arguments: dict[str, Any]) -> Verdict:
     async with address.connect() as client:
         return await client.call(operation, arguments)
 
 
-async def _state(address: Address) -> Snapshot:
+async def _state(address: CellAddress) -> Snapshot:
     async with address.connect() as client:
         return client.greeting
 
 
-async def _watch(address: Address, *, as_json: bool) -> None:
+async def _watch(address: CellAddress, *, as_json: bool) -> None:
     missed, shown = 0, ""
     async with address.connect() as client:
         async for event in client.watch():
@@ -124,12 +124,12 @@ async def _watch(address: Address, *, as_json: bool) -> None:
             say(line)
 
 
-async def _keys(address: Address) -> KeyTable:
+async def _keys(address: CellAddress) -> KeyTable:
     async with address.connect() as client:
         return await client.keys()
 
 
-async def _stop(address: Address) -> tuple[int, bool, list[str] | None]:
+async def _stop(address: CellAddress) -> tuple[int, bool, list[str] | None]:
     """Stop, and return its number, whether the robot stands, and what releases the latch, None if not reported."""
     async with address.connect() as client:
         number = (await client.stop()).number

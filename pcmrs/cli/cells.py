@@ -11,7 +11,7 @@ from rich.table import Table
 
 from pcmrs.bus import BusSettings
 from pcmrs.bus.cells import find_cells
-from pcmrs.cli.options import Address, address_options, json_option
+from pcmrs.cli.options import CellAddress, address_options, json_option
 from pcmrs.cli.printing import say_json
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.cli.tables import Terminal
@@ -25,7 +25,7 @@ DAEMON = "daemon"
 @json_option
 @address_options
 @readable_errors
-def cells(as_json: bool, address: Address) -> None:
+def cells(as_json: bool, address: CellAddress) -> None:
     """List the connected cells in which you have a role; on a router, those of all sites.
 
     --site and --cell have no effect.
@@ -42,13 +42,13 @@ def cells(as_json: bool, address: Address) -> None:
     Terminal().print(table)
 
 
-async def _cells(address: Address) -> list[dict[str, Any]]:
+async def _cells(address: CellAddress) -> list[dict[str, Any]]:
     settings = BusSettings(endpoint=address.endpoint, credentials=address.credentials())
     found = await find_cells(settings)
     return await asyncio.gather(*(_shown(address, *each) for each in found.items()))
 
 
-async def _shown(address: Address, name: str, components: list[str]) -> dict[str, Any]:
+async def _shown(address: CellAddress, name: str, components: list[str]) -> dict[str, Any]:
     site, cell = name.split("/")
     shown = {"cell": name, "components": components, "workflow": "", "latched": "", "holder": ""}
     if DAEMON not in components:

@@ -15,7 +15,7 @@ import click
 
 import pcmrs.lean_structlog  # noqa: F401
 from pcmrs.cli.lifeline import NICENESS, inherited
-from pcmrs.cli.options import Address, address_options, json_option
+from pcmrs.cli.options import CellAddress, address_options, json_option
 from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import readable_errors, run
 from pcmrs.console.settings import TOKEN, UPLOADS
@@ -69,7 +69,7 @@ def console(
     lifeline: bool,
     listening: int | None,
     as_json: bool,
-    address: Address,
+    address: CellAddress,
 ) -> None:
     """Serve the page that shows a cell: workflow, scene, planning, signals and session.
 
@@ -108,14 +108,14 @@ def console(
     run(_serve(address, place, token, language, ready, uploads, recordings, lifeline=lifeline))
 
 
-def _address(settings: Settings) -> Address:
+def _address(settings: Settings) -> CellAddress:
     """Return the address of the daemon that starts this console, on its own machine."""
     cell, bus = settings.cell, settings.bus("client")
-    return Address(cell.endpoint, cell.site, cell.name, Path(settings.access.identity) if bus.credentials else None)
+    return CellAddress(cell.endpoint, cell.site, cell.name, Path(settings.access.identity) if bus.credentials else None)
 
 
 async def _serve(
-    address: Address,
+    address: CellAddress,
     place: ListenAddress,
     token: str,
     language: str,

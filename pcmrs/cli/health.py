@@ -11,7 +11,7 @@ from rich.console import Group, RenderableType
 from rich.live import Live
 from rich.table import Table
 
-from pcmrs.cli.options import Address, address_options, json_option
+from pcmrs.cli.options import CellAddress, address_options, json_option
 from pcmrs.cli.printing import say_json
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
 from pcmrs.cli.tables import NARROWEST, Terminal, styled
@@ -114,7 +114,7 @@ WATCHING = 1.0
 @json_option
 @address_options
 @readable_errors
-def health(watch: bool, as_json: bool, address: Address) -> None:
+def health(watch: bool, as_json: bool, address: CellAddress) -> None:
     """Print the health of the daemon, the reasons for problems, and what to do.
 
     Exit status: 0 ok, 1 degraded or failed, 2 it stopped answering, 3 no daemon.
@@ -131,12 +131,12 @@ def health(watch: bool, as_json: bool, address: Address) -> None:
         sys.exit(EXIT_REJECTED)
 
 
-async def _health(address: Address) -> Health:
+async def _health(address: CellAddress) -> Health:
     async with address.connect() as client:
         return await client.health()
 
 
-async def _watch(address: Address, *, as_json: bool) -> None:
+async def _watch(address: CellAddress, *, as_json: bool) -> None:
     if as_json:
         async for found in _looks(address):
             _print_json(found)
@@ -146,7 +146,7 @@ async def _watch(address: Address, *, as_json: bool) -> None:
             live.update(health_table(found), refresh=True)
 
 
-async def _looks(address: Address) -> AsyncIterator[Health]:
+async def _looks(address: CellAddress) -> AsyncIterator[Health]:
     clock = SystemClock()
     async with address.connect() as client:
         while True:

@@ -10,7 +10,7 @@ from typing import Any, get_args
 
 import click
 
-from pcmrs.cli.lazy import LazyGroup, Listed
+from pcmrs.cli.lazy import LazyCommand, LazyGroup
 from pcmrs.cli.options import config_options, json_option
 from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import readable_errors, run
@@ -18,16 +18,16 @@ from pcmrs.clock import SystemClock
 from pcmrs.journal import JournalReader, Kind, StoredRow
 
 COMMANDS = {
-    "show": Listed("pcmrs.cli.journal:show"),
-    "verify": Listed(
+    "show": LazyCommand("pcmrs.cli.journal:show"),
+    "verify": LazyCommand(
         "pcmrs.cli.journal_verify:verify",
         "Read the whole journal at PATH, or of the configured cell, and report which part of it is sound.",
     ),
-    "export": Listed(
+    "export": LazyCommand(
         "pcmrs.cli.journal_export:export",
         "Write the rows of the journal at PATH, or of the configured cell, into a file.",
     ),
-    "replay": Listed(
+    "replay": LazyCommand(
         "pcmrs.cli.journal_replay:replay",
         "Decide everything in the journal at PATH, or of the configured cell, again, and list the differences.",
     ),

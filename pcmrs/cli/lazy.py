@@ -21,7 +21,7 @@ ENTRY_POINTS: Final = "pcmrs.commands"
 """Group of the entry points with which other distributions add commands: ``name``, or ``group.name``."""
 
 
-class Listed(NamedTuple):
+class LazyCommand(NamedTuple):
     """One command of a group.
 
     Attributes:
@@ -44,7 +44,7 @@ class LazyGroup(click.Group):
         options: Further options, see `click.Group`.
     """
 
-    def __init__(self, *, commands: Mapping[str, Listed], prefix: str | None = None, **options: Any) -> None:
+    def __init__(self, *, commands: Mapping[str, LazyCommand], prefix: str | None = None, **options: Any) -> None:
         super().__init__(**options)
         self._listed = commands
         self._prefix = prefix

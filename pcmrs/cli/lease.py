@@ -9,14 +9,14 @@ import sys
 import click
 
 from pcmrs.cli.cell import STATUS, event_line
-from pcmrs.cli.lazy import LazyGroup, Listed
-from pcmrs.cli.options import Address, address_options, json_option
+from pcmrs.cli.lazy import LazyCommand, LazyGroup
+from pcmrs.cli.options import CellAddress, address_options, json_option
 from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, fail, readable_errors, run
 from pcmrs.errors import CommandRefusedError
 from pcmrs.messages import LeaseState, Verdict
 
-COMMANDS = {name: Listed(f"pcmrs.cli.lease:{name}") for name in ("show", "take", "hold", "confirm", "release")}
+COMMANDS = {name: LazyCommand(f"pcmrs.cli.lease:{name}") for name in ("show", "take", "hold", "confirm", "release")}
 
 over_option = click.option(
     "--over", is_flag=True, help="Take it over from its holder: at once on site, otherwise when they confirm."
@@ -36,7 +36,7 @@ def lease() -> None:
 @json_option
 @address_options
 @readable_errors
-def show(as_json: bool, address: Address) -> None:
+def show(as_json: bool, address: CellAddress) -> None:
     """Print the holder of the cell, and the user who requests it."""
     found = run(_shown(address))
     if as_json:
@@ -52,7 +52,7 @@ def show(as_json: bool, address: Address) -> None:
 @json_option
 @address_options
 @readable_errors
-def take(over: bool, as_json: bool, address: Address) -> None:
+def take(over: bool, as_json: bool, address: CellAddress) -> None:
     """Take the lease: on site until it is released; from elsewhere it lapses unless it is renewed, see `hold`.
 
     Exit status: 0 taken or asked for, 1 refused, 3 no daemon.
@@ -64,7 +64,7 @@ def take(over: bool, as_json: bool, address: Address) -> None:
 @over_option
 @address_options
 @readable_errors
-def hold(over: bool, address: Address) -> None:
+def hold(over: bool, address: CellAddress) -> None:
     """Hold the cell until interrupted, and release it then.
 
     Exit status: 0 released, 1 refused, 2 lost in between, 3 no daemon.
@@ -79,7 +79,7 @@ def hold(over: bool, address: Address) -> None:
 @json_option
 @address_options
 @readable_errors
-def confirm(user: str, as_json: bool, address: Address) -> None:
+def confirm(user: str, as_json: bool, address: CellAddress) -> None:
     """Hand the cell over to USER, who has asked for it; all motion is stopped first.
 
     Exit status: 0 handed over, 1 refused, 3 no daemon.
@@ -91,7 +91,7 @@ def confirm(user: str, as_json: bool, address: Address) -> None:
 @json_option
 @address_options
 @readable_errors
-def release(as_json: bool, address: Address) -> None:
+def release(as_json: bool, address: CellAddress) -> None:
     """Release the cell; all motion is stopped.
 
     Exit status: 0 released, 1 refused, 3 no daemon.
@@ -99,17 +99,17 @@ def release(as_json: bool, address: Address) -> None:
     _end_with(run(_call(address, "release")), as_json=as_json)
 
 
-async def _shown(address: Address) -> LeaseState | None:
+async def _shown(address: CellAddress) -> LeaseState | None:
     async with address.connect() as client:
         return (await client.state()).lease
 
 
-async def _call(address: Address, operation: str, **arguments: str) -> Verdict:
+async def _call(address: CellAddress, operation: str, **arguments: str) -> Verdict:
     async with address.connect() as client:
         return await client.call(f"lease.{operation}", arguments)
 
 
-async def _hold(address: Address, *, over: bool) -> None:
+async def _hold(address: CellAddress, *, over: bool) -> None:
     loop, ended = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, ended.set)

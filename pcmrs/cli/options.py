@@ -22,7 +22,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True, slots=True)
-class Address:
+class CellAddress:
     """Address of a cell."""
 
     endpoint: str
@@ -71,7 +71,7 @@ def address_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(function)
     def command(*, endpoint: str, site: str, cell: str, identity: Path | None, **given: Any) -> Any:
-        return function(address=Address(endpoint, site, cell, identity), **given)
+        return function(address=CellAddress(endpoint, site, cell, identity), **given)
 
     for option in (
         identity_option,

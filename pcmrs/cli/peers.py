@@ -7,12 +7,12 @@ from pathlib import Path
 import click
 import msgspec
 
-from pcmrs.cli.lazy import LazyGroup, Listed
+from pcmrs.cli.lazy import LazyCommand, LazyGroup
 from pcmrs.cli.options import json_option
 from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import readable_errors
 
-COMMANDS = {"new": Listed("pcmrs.cli.peers:new")}
+COMMANDS = {"new": LazyCommand("pcmrs.cli.peers:new")}
 
 
 @click.group(cls=LazyGroup, commands=COMMANDS)

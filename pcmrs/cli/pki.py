@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pcmrs.cli.lazy import LazyGroup, Listed
+from pcmrs.cli.lazy import LazyCommand, LazyGroup
 from pcmrs.cli.options import json_option
 from pcmrs.cli.printing import say, say_json, write_document
 from pcmrs.cli.running import readable_errors
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     # For annotations only: asking for help must not load a library for certificates.
     from pcmrs.messages.identity import Identity
 
-COMMANDS = {name: Listed(f"pcmrs.cli.pki:{name}") for name in ("init", "issue", "revoke", "roles")}
-COMMANDS |= {"list": Listed("pcmrs.cli.pki:list_"), "device-key": Listed("pcmrs.cli.pki:device_key")}
+COMMANDS = {name: LazyCommand(f"pcmrs.cli.pki:{name}") for name in ("init", "issue", "revoke", "roles")}
+COMMANDS |= {"list": LazyCommand("pcmrs.cli.pki:list_"), "device-key": LazyCommand("pcmrs.cli.pki:device_key")}
 
 folder_option = click.option(
     "--folder",

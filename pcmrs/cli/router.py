@@ -77,9 +77,9 @@ async def _route(settings: BusSettings, *, as_json: bool) -> None:
         else:
             say_lines(_lines(settings))
         sys.stdout.flush()
-        manager.tell("READY=1")
+        manager.notify("READY=1")
         await ended.wait()
-        manager.tell("STOPPING=1")
+        manager.notify("STOPPING=1")
 
 
 def _lines(settings: BusSettings) -> list[str]:

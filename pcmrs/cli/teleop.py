@@ -14,7 +14,7 @@ from rich.console import Group
 from rich.live import Live
 
 from pcmrs.background import background_task
-from pcmrs.cli.options import Address, address_options, json_option
+from pcmrs.cli.options import CellAddress, address_options, json_option
 from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors, run
 from pcmrs.cli.tables import Terminal, styled
@@ -93,7 +93,7 @@ SHOW_EVERY = 0.1
 @address_options
 @readable_errors
 def teleop(
-    device: str, script: Path | None, rate: float, linear: float, angular: float, as_json: bool, address: Address
+    device: str, script: Path | None, rate: float, linear: float, angular: float, as_json: bool, address: CellAddress
 ) -> None:
     """Guide the tool near its planned pose, for as long as the clutch is held.
 
@@ -116,7 +116,7 @@ def teleop(
 
 
 async def _teleoperate(
-    address: Address, device: str, script: Path | None, mapping: Mapping, rate: float, as_json: bool
+    address: CellAddress, device: str, script: Path | None, mapping: Mapping, rate: float, as_json: bool
 ) -> str:
     def show(report: Report) -> None:
         say(msgspec.json.encode(report).decode() if as_json else report_line(report), err=not as_json)

@@ -36,10 +36,10 @@ from pcmrs.messages import (
     DeviceEvent,
     DeviceReply,
     DeviceRequest,
+    DryRunRequest,
     DryRunResult,
     JournalPage,
     JournalQuery,
-    Question,
     Snapshot,
     TeleopSetpoint,
     Verdict,
@@ -259,7 +259,7 @@ class Client:
             UnknownOutcomeError: The daemon did not answer in time.
         """
         branch, _, operation = name.partition(".")
-        question = Question(branch=branch, operation=operation, arguments=dict(arguments))
+        question = DryRunRequest(branch=branch, operation=operation, arguments=dict(arguments))
         return await self._bus.request(f"svc/check/{self._user}", question, DryRunResult, timeout or self._patience)
 
     async def journal(self, query: JournalQuery, timeout: float | None = None) -> JournalPage:

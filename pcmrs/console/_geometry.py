@@ -43,7 +43,7 @@ def vertices_of(surface: SurfaceShown) -> tuple[Floats, npt.NDArray[np.int64]]:
 
 
 @lru_cache(maxsize=1)
-def lighter(surface: SurfaceShown) -> SurfaceShown:
+def decimate(surface: SurfaceShown) -> SurfaceShown:
     """Return a surface of at most `FACES` for display: a browser without a graphics card cannot draw more in time."""
     vertices, faces = vertices_of(surface)
     if len(faces) <= FACES:
@@ -152,10 +152,10 @@ class TrackerLocator:
         """
         frames = self.arm.frames(positions)
         if coil is not None and coil.valid and not moving:
-            self._stand(frames[-1] @ self._flange_from_coil @ as_transform(coil).inverse())
+            self._update_tracker_pose(frames[-1] @ self._flange_from_coil @ as_transform(coil).inverse())
         return frames
 
-    def _stand(self, found: Transform) -> None:
+    def _update_tracker_pose(self, found: Transform) -> None:
         """Update the estimated pose of the tracker.
 
         The estimate is filtered: over the tracker's distance, the noise of an angle is millimetres.

@@ -41,7 +41,7 @@ class PlaybackBar:
             ).classes("whitespace-nowrap")
         if playback.trouble:
             ui.label(playback.trouble).classes("w-full bg-orange-2 q-pa-xs")
-        self._tell()
+        self._show_time()
         ui.timer(PERIOD, self._go_on)
 
     def _press(self) -> None:
@@ -53,7 +53,7 @@ class PlaybackBar:
 
     def _moved(self, event: events.ValueChangeEventArguments[float | None]) -> None:
         self._playback.seek(event.value or 0.0)
-        self._tell()
+        self._show_time()
 
     def _go_on(self) -> None:
         if not self._plays:
@@ -63,7 +63,7 @@ class PlaybackBar:
         if position >= self._playback.recorded.duration:
             self._press()
 
-    def _tell(self) -> None:
+    def _show_time(self) -> None:
         at = datetime.fromtimestamp(self._playback.recorded.started_at + self._playback.position)
         whole = self._playback.recorded.duration
         self._time.set_text(f"{at:%Y-%m-%d %H:%M:%S}   {self._playback.position:.1f} / {whole:.0f} s")

@@ -55,11 +55,11 @@ class Recordings:
             self.trouble = f"There is no recording {name}."
             return
         try:
-            read = await asyncio.to_thread(load_recording, files, self._tell)
+            read = await asyncio.to_thread(load_recording, files, self._set_progress)
         except (PcmrsError, OSError) as error:
             self.trouble = str(error)
         else:
             self._read = read if name == self._name else None
 
-    def _tell(self, share: float) -> None:
+    def _set_progress(self, share: float) -> None:
         self.progress = share

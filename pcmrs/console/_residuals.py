@@ -10,7 +10,7 @@ import numpy as np
 from nicegui import ui
 
 from pcmrs.console._cell_view_model import NOTHING, CellViewModel
-from pcmrs.console._geometry import lighter, residuals, vertices_of
+from pcmrs.console._geometry import decimate, residuals, vertices_of
 from pcmrs.console.texts import Texts
 from pcmrs.errors import GeometryError
 from pcmrs.messages.setup import ProcedureDataView, Setup, SurfaceShown
@@ -46,7 +46,7 @@ def coloured(surface: SurfaceShown, data: ProcedureDataView, limit: float) -> by
         data: Data of the procedure, with the registration in force.
         limit: Error of the last colour, m.
     """
-    vertices, faces = vertices_of(lighter(surface))
+    vertices, faces = vertices_of(decimate(surface))
     errors = predicted(data, vertices)
     if errors is None:
         return None
@@ -55,7 +55,7 @@ def coloured(surface: SurfaceShown, data: ProcedureDataView, limit: float) -> by
 
     mesh = Trimesh(vertices, faces, process=False, vertex_colors=_linear(colours(errors / limit)))
     export: Callable[..., bytes] = export_glb
-    return export(Scene(mesh), include_normals=True, tree_postprocessor=_dull)
+    return export(Scene(mesh), include_normals=True, tree_postprocessor=_make_matte)
 
 
 def colours(shares: Floats) -> Floats:
@@ -83,7 +83,7 @@ def _linear(srgb: Floats) -> Any:
     return np.column_stack((np.round(255.0 * linear), np.full(len(srgb), 255.0))).astype(np.uint8)
 
 
-def _dull(tree: dict[str, Any]) -> None:
+def _make_matte(tree: dict[str, Any]) -> None:
     """Set a material without reflection: by default the format means metal, which looks black."""
     tree["materials"] = [{"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}]
     for primitive in (each for mesh in tree["meshes"] for each in mesh["primitives"]):

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import msgspec
 from fastapi import FastAPI, Response
 
-from pcmrs.console._geometry import as_stl, as_zone, lighter, vertices_of
+from pcmrs.console._geometry import as_stl, as_zone, decimate, vertices_of
 from pcmrs.console._live_feed import LiveFeed
 from pcmrs.console._residuals import coloured
 from pcmrs.console._scene import SURFACE
@@ -43,7 +43,7 @@ class Surfaces:
 
         @app.get(LIGHTER)
         def light() -> Response:
-            return _stl(self._feed.setup, lambda _, shown: as_stl(*vertices_of(lighter(shown))))
+            return _stl(self._feed.setup, lambda _, shown: as_stl(*vertices_of(decimate(shown))))
 
         @app.get(ZONE)
         def zone() -> Response:

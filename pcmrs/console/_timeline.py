@@ -43,7 +43,7 @@ class TimelinePanel:
             names = {kind: texts(key) for kind, key in KINDS.items()}
             self._kinds = ui.select(names, label=texts("kinds"), multiple=True, on_change=self.refresh, value=AT_FIRST)
             self._kinds.props('dense clearable data-testid="kinds"').classes("w-40")
-            self._earlier = ui.button(texts("earlier"), on_click=self._reach_back).props("flat no-caps")
+            self._earlier = ui.button(texts("earlier"), on_click=self._load_earlier).props("flat no-caps")
             self._earlier.props('data-testid="earlier"')
         columns = [
             {"name": name, "label": texts(name), "field": name, "align": "left", "style": f"white-space: {space}"}
@@ -61,7 +61,7 @@ class TimelinePanel:
         if rows != self._table.rows:
             self._table.rows = rows
 
-    async def _reach_back(self) -> None:
+    async def _load_earlier(self) -> None:
         if self._feed.client is None:
             return
         try:

@@ -128,13 +128,13 @@ class WorkflowPanel:
             await self._sender.ask(name, {"stop": choice.stop} if choice.stop is not None else {})
             return
         if choice.payload == "retreat":
-            await self._bring_away(name)
+            await self._request_retreat(name)
             return
         arguments = await self._arguments(choice)
         if arguments is not None:
             await self._sender.ask(name, arguments)
 
-    async def _bring_away(self, name: str) -> None:
+    async def _request_retreat(self, name: str) -> None:
         """Send a retreat. If the way must be checked first, ask the person whether it is clear."""
         verdict, texts = await self._sender.ask(name, {}), self._texts
         if verdict is None or verdict.reason is None or verdict.reason.code != "body_not_registered":

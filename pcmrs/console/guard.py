@@ -19,7 +19,7 @@ Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 
-class Guard:
+class TokenMiddleware:
     """Middleware in front of the whole application, also for WebSockets.
 
     The token comes once with the address, ``/?token=...``, and is then stored as a cookie. The names under which the

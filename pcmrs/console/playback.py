@@ -162,15 +162,15 @@ class Playback(CellViewModel):
             self.health = _read(payload, Health)
         elif key == "state/joints":
             self.joints = _read(payload, JointState)
-            self._hear("joints", track, count)
+            self._set_received("joints", track, count)
         elif key.startswith("state/pose/"):
             body = key.rpartition("/")[2]
             self.poses.pop(body, None)
             if payload is not None:
                 self.poses[body] = unpack(payload, BodyPose)
-            self._hear(body, track, count)
+            self._set_received(body, track, count)
 
-    def _hear(self, what: str, track: MessageTrack, count: int) -> None:
+    def _set_received(self, what: str, track: MessageTrack, count: int) -> None:
         self.received.pop(what, None)
         if count:
             self.received[what] = track.times[count - 1]

@@ -20,7 +20,7 @@ from pcmrs.console._playback_bar import refuse_recording, wait_for_recording
 from pcmrs.console._recordings import Recordings
 from pcmrs.console._surfaces import Surfaces
 from pcmrs.console._uploads import UploadLimit, use_temporary_folder
-from pcmrs.console.guard import Guard
+from pcmrs.console.guard import TokenMiddleware
 from pcmrs.console.planning.files import LARGEST as LARGEST_UPLOAD
 from pcmrs.console.playback import Playback
 from pcmrs.console.texts import Texts
@@ -96,7 +96,7 @@ async def serve_console(
         host, port = listening.getsockname()[:2]
         use_temporary_folder(uploads)
         names = {f"{name}:{port}" for name in (host, "127.0.0.1", "localhost")} | {*place.names}
-        guarded = Guard(UploadLimit(app, LARGEST_UPLOAD + FORM_BYTES), token, names)
+        guarded = TokenMiddleware(UploadLimit(app, LARGEST_UPLOAD + FORM_BYTES), token, names)
         server = _Server(
             uvicorn.Config(
                 guarded,

@@ -44,7 +44,7 @@ class JumpGuard:
         self._steady: dict[str, int] = {}
         self._swapped: set[str] = set()
 
-    def doubt(self, body: str, exposed: float, tracker_from_body: Transform) -> str:
+    def rejection_reason(self, body: str, exposed: float, tracker_from_body: Transform) -> str:
         """Return why a pose is rejected.
 
         Args:

@@ -236,9 +236,9 @@ class PoseFeed:
             tracker_from_body = Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
         except GeometryError:
             return None, "no_pose"
-        doubt = self._jumps.doubt(pose.body, pose.captured, tracker_from_body)
-        if doubt:
-            return None, doubt
+        rejection = self._jumps.rejection_reason(pose.body, pose.captured, tracker_from_body)
+        if rejection:
+            return None, rejection
         self._number = max(self._number, number)
         return Sighting(number, pose.captured, now - age - late, tracker_from_body, pose.session), ""
 

@@ -165,7 +165,7 @@ class Activities(Generic[C, D]):
             if state in declared and branch not in self._current and not self._closed:
                 self._begin(declared[state], branch, state, command)
 
-    async def give_way(self) -> None:
+    async def yield_to_motion(self) -> None:
         """End the activities that move the robot, for a motion to take over; return when they are quiet."""
         moving = [each for each in self._tasks if each.spec.moves]
         for each in moving:

@@ -95,12 +95,12 @@ class CommandAdmission(Generic[C, D]):
             self._decisions.reject_unrecorded(command, verdict, reason_of(error))
         except JournalError as error:
             verdict, is_new = asyncio.get_running_loop().create_future(), False
-            self._decisions.break_off(CompletedCommand(command, verdict, "rejected"), error)
+            self._decisions.fail_with(CompletedCommand(command, verdict, "rejected"), error)
         if is_new:
             try:
                 self._admit(command, verdict, arrived)
             except Exception as error:
-                self._decisions.break_off(CompletedCommand(command, verdict, "rejected"), error)
+                self._decisions.fail_with(CompletedCommand(command, verdict, "rejected"), error)
         return verdict
 
     def admit_event(self, event: DeviceEvent) -> list[asyncio.Future[Verdict]]:
@@ -127,7 +127,7 @@ class CommandAdmission(Generic[C, D]):
                 self._admit_again(pending)
             except Exception as error:  # the others have been taken out of the queue, too
                 pending.end_wait()
-                self._decisions.break_off(CompletedCommand(pending.command, pending.verdict, "rejected"), error)
+                self._decisions.fail_with(CompletedCommand(pending.command, pending.verdict, "rejected"), error)
 
     async def dry_run(self, command: Command) -> DryRunResult:
         """Return what the verdict on a command would rest on now; see `Dispatcher.dry_run`."""
@@ -213,9 +213,9 @@ class CommandAdmission(Generic[C, D]):
             self._decisions.answer_unrecorded(CompletedCommand(replaced.command, replaced.verdict, "rejected", reason))
         if pending.moves:
             latest = pending.arrived + CHECKS_BEGIN_WITHIN
-            pending.patience = asyncio.get_running_loop().call_at(latest, self._lose_patience, pending)
+            pending.wait_timer = asyncio.get_running_loop().call_at(latest, self._reject_busy, pending)
 
-    def _lose_patience(self, motion: PendingCommand) -> None:
+    def _reject_busy(self, motion: PendingCommand) -> None:
         """Reject a motion that has waited as long as a motion may."""
         self._locks.waiting.remove(motion)
         self._decisions.reject(motion.command, motion.verdict, self._locks.busy(motion))

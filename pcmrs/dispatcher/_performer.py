@@ -83,7 +83,7 @@ class Performer(Generic[C, D]):
             ending = None if refused else take_steps_at_once(self._registry, pending.spec, run)
             self._conclude(pending, run, refused, ending)
         except Exception as error:
-            self._break_off(pending, error)
+            self._fail_with(pending, error)
         finally:
             performing.reset(token)
 
@@ -101,11 +101,11 @@ class Performer(Generic[C, D]):
             self._conclude(pending, run, refused, ending)
         except Exception as error:
             pending.end_steps()
-            self._break_off(pending, error)
+            self._fail_with(pending, error)
 
-    def _break_off(self, pending: PendingCommand, error: Exception) -> None:
+    def _fail_with(self, pending: PendingCommand, error: Exception) -> None:
         """Handle an error of the program itself: the command keeps no locks, and nobody waits for it."""
-        self._decisions.break_off(CompletedCommand(pending.command, pending.verdict, "unknown", pending=pending), error)
+        self._decisions.fail_with(CompletedCommand(pending.command, pending.verdict, "unknown", pending=pending), error)
 
     def _late(self, pending: PendingCommand) -> Reason | None:
         """Why it is too late for the checks of a command that moves or acts: its sender may not expect it any more."""
@@ -167,7 +167,7 @@ class Performer(Generic[C, D]):
             return None
         try:
             async with self._context.clock.timeout(pending.spec.timeout_s):
-                await self._activities.give_way()
+                await self._activities.yield_to_motion()
         except TimeoutError:
             text = f"An activity that moves the robot has not given way within {pending.spec.timeout_s} s."
             fields = {"timeout": pending.spec.timeout_s}

@@ -167,7 +167,7 @@ class Decisions(Generic[C, D]):
             )
             durable: asyncio.Future[Any] = asyncio.ensure_future(written)
         except Exception as error:
-            self.break_off(completed, error)
+            self.fail_with(completed, error)
             return
         if durable.done():
             self._commit(completed, verdict, durable)
@@ -201,7 +201,7 @@ class Decisions(Generic[C, D]):
         verdict = self._verdict(completed, completed.decision, completed.reason, self._procedure.joint())
         self._verdict_cache.settle(completed.verdict, verdict)
 
-    def break_off(self, completed: CompletedCommand[C, D], error: BaseException) -> None:
+    def fail_with(self, completed: CompletedCommand[C, D], error: BaseException) -> None:
         """Fail because of a command that the dispatcher could not conclude, and answer it.
 
         Args:
@@ -249,7 +249,7 @@ class Decisions(Generic[C, D]):
                     verdict.sequence, completed.change, completed.changes, unlatch=completed.unlatches
                 )
         except (Exception, asyncio.CancelledError) as error:
-            self.break_off(completed, error)
+            self.fail_with(completed, error)
         else:
             self._answer(completed, verdict)
 

@@ -243,7 +243,7 @@ class Dispatcher(Generic[C, D]):
 
     # -- commands and events -------------------------------------------------------------------------------
 
-    def take_up(self, *, latched: bool, unknown: Iterable[UnknownOutcome], start: int = 0) -> None:
+    def restore(self, *, latched: bool, unknown: Iterable[UnknownOutcome], start: int = 0) -> None:
         """Take over what an earlier run has left for an operator to settle; before anything is submitted.
 
         Args:

@@ -152,7 +152,7 @@ async def take_steps(registry: Registry[C, D], spec: OperationSpec, run: Run[C, 
                 taken = registry.steps[step](run)
                 if inspect.isawaitable(taken):
                     await taken
-                _heed_cancellation()
+                _raise_if_cancelled()
     except TimeoutError:
         text = f"Step {step} did not end within {spec.timeout_s} s."
         fields = {"step": step, "timeout": spec.timeout_s}
@@ -189,7 +189,7 @@ def _ending_by(error: Exception, step: str, run: Run[C, D]) -> StepResult:
     return StepResult("failed", reason=Reason(code="step_raised", text=text, fields={"step": step}))
 
 
-def _heed_cancellation() -> None:
+def _raise_if_cancelled() -> None:
     """End the steps if the last one has swallowed the cancellation of Stop or of the deadline."""
     task = asyncio.current_task()
     if task is not None and task.cancelling():

@@ -92,13 +92,13 @@ class Lease:
 
     def _renew(self, command: Command) -> Reason | None:
         if self.holder != command.user:
-            return self._not_yours(command)
+            return self._not_holder(command)
         self.renewed = self._clock.monotonic()
         return None
 
     def _release(self, command: Command) -> Reason | None:
         if self.holder != command.user:
-            return self._not_yours(command)
+            return self._not_holder(command)
         self.state = None
         return None
 
@@ -112,7 +112,7 @@ class Lease:
 
     def _confirm(self, command: Command) -> Reason | None:
         if self.state is None or self.holder != command.user:
-            return self._not_yours(command)
+            return self._not_holder(command)
         requested = command.arguments.get("user")
         if requested is None or requested != self.state.asking:
             text = (
@@ -131,7 +131,7 @@ class Lease:
         text = f"{self.holder} holds this cell: ask for it, `pcmrs lease hold --over`, or wait."
         return Reason(code="lease_held", text=text, fields={"holder": self.holder})
 
-    def _not_yours(self, command: Command) -> Reason:
+    def _not_holder(self, command: Command) -> Reason:
         text = f"{command.user} does not hold the lease; {self.holder or 'nobody'} does."
         return Reason(code="not_holder", text=text, fields={"holder": self.holder})
 

@@ -54,7 +54,7 @@ class PendingCommand:
     committing: bool = False
     stopped: Reason | None = None
     planning: asyncio.Future[Reason | None] | None = None
-    patience: asyncio.TimerHandle | None = None
+    wait_timer: asyncio.TimerHandle | None = None
 
     @property
     def moves(self) -> bool:
@@ -88,8 +88,8 @@ class PendingCommand:
 
     def end_wait(self) -> None:
         """Cancel the timer of its wait: it starts, or is rejected."""
-        if self.patience is not None:
-            self.patience.cancel()
+        if self.wait_timer is not None:
+            self.wait_timer.cancel()
 
     def stop(self, reason: Reason) -> None:
         """Cancel its planning or its steps; harmless once they have ended."""
@@ -191,7 +191,7 @@ class LockManager:
         waiting, self.waiting = self.waiting, []
         return sorted(waiting, key=lambda pending: not pending.spec.event)
 
-    def turn_away(self) -> list[PendingCommand]:
+    def drain_commands(self) -> list[PendingCommand]:
         """Take all commands but events out of the queue and return them; events report what has happened already."""
         taken = [pending for pending in self.waiting if not pending.spec.event]
         self.waiting = [pending for pending in self.waiting if pending.spec.event]

@@ -64,7 +64,7 @@ class Stops:
         self._since = self._clock.monotonic()
         self.state = StopState(number=number, pending=self._waits_for(), confirmed=False)
 
-    def stood(self, number: int) -> None:
+    def confirm(self, number: int) -> None:
         """Confirm that standstill was measured after the hold of Stop `number`."""
         if number == self.state.number:
             self.state = StopState(number=number, pending=self.state.pending, confirmed=True)
@@ -251,7 +251,7 @@ class StopControl(Generic[C, D]):
         for pending in self._locks.running:
             pending.stop(reason)
         self._listeners.notify_stop()
-        for pending in self._locks.turn_away():
+        for pending in self._locks.drain_commands():
             pending.end_wait()
             self._decisions.reject(pending.command, pending.verdict, reason)
         recorded = self._coordinator.announce(stopped(source, reason, number))
@@ -307,7 +307,7 @@ class StopControl(Generic[C, D]):
             stands: Robot and stimulator have confirmed.
         """
         if stands:
-            self._stops.stood(number)
+            self._stops.confirm(number)
             self._coordinator.publish_snapshot()
         else:
             self.in_doubt = True

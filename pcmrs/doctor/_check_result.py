@@ -6,7 +6,7 @@ from typing import Literal
 
 from pcmrs.messages import Message
 
-Verdict = Literal["good", "warning", "bad"]
+CheckVerdict = Literal["good", "warning", "bad"]
 
 
 class CheckResult(Message, frozen=True, kw_only=True, omit_defaults=False):
@@ -21,7 +21,7 @@ class CheckResult(Message, frozen=True, kw_only=True, omit_defaults=False):
     """
 
     check: str
-    verdict: Verdict
+    verdict: CheckVerdict
     found: str
     remedy: str = ""
 

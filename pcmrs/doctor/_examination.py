@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pcmrs.doctor._check_result import CheckResult, Verdict
+from pcmrs.doctor._check_result import CheckResult, CheckVerdict
 from pcmrs.doctor._disk import disk, free_space
 from pcmrs.doctor._machine import clock_source, kernel, limits, scheduling, uploads
 from pcmrs.doctor._surroundings import certificates, devices, extras, is_running, peers, ports, streams
@@ -20,7 +20,7 @@ class Examination(Message, frozen=True, kw_only=True, omit_defaults=False):
         findings: Findings in the order of the checks.
     """
 
-    verdict: Verdict
+    verdict: CheckVerdict
     findings: list[CheckResult]
 
 
@@ -32,7 +32,7 @@ def examine(settings: Settings) -> Examination:
     """
     findings = list(_findings(settings))
     verdicts = {finding.verdict for finding in findings}
-    verdict: Verdict = "bad" if "bad" in verdicts else "warning" if "warning" in verdicts else "good"
+    verdict: CheckVerdict = "bad" if "bad" in verdicts else "warning" if "warning" in verdicts else "good"
     return Examination(verdict=verdict, findings=findings)
 
 

@@ -30,7 +30,7 @@ Motion = Literal["none", "approach", "retreat"]
 Requirement = dict[str, list[str]]
 """Branch to the states it may be in."""
 
-Target = str | dict[str, str]
+TransitionTarget = str | dict[str, str]
 """The target state, or a target state for each source state."""
 
 UNMET = "requirement_not_met"
@@ -47,7 +47,7 @@ class BlueprintPart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """Base of all parts of a blueprint; unknown keys are refused when it is read."""
 
 
-def target_from(target: Target, source: str) -> str:
+def target_from(target: TransitionTarget, source: str) -> str:
     """Return the state that `target` means, coming from `source`.
 
     Args:
@@ -65,7 +65,7 @@ class OutcomeSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_field
         requires: Condition for taking this outcome.
     """
 
-    to: Target
+    to: TransitionTarget
     requires: Requirement = {}
 
 
@@ -106,7 +106,7 @@ class OperationSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fie
 
     title: str = ""
     from_: list[str]
-    to: Target | None = None
+    to: TransitionTarget | None = None
     outcomes: dict[str, OutcomeSpec] = {}
     payload: str = "none"
     checks: list[str] = []
@@ -128,8 +128,8 @@ class OperationSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fie
     signals: bool = False
     unlatches: bool = False
     sets: dict[str, str] = {}
-    on_failure: Target | None = None
-    on_unknown: Target | None = None
+    on_failure: TransitionTarget | None = None
+    on_unknown: TransitionTarget | None = None
 
     def __post_init__(self) -> None:
         if self.moves and self.motion == "none":

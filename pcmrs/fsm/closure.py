@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
-from pcmrs.fsm.blueprint import UNMET, Blueprint, OperationSpec, ParentSpec, Requirement, Target, target_from
+from pcmrs.fsm.blueprint import UNMET, Blueprint, OperationSpec, ParentSpec, Requirement, TransitionTarget, target_from
 
 MAX_EFFECTS = 64
 """Limit of a cascade at run time; the loader has proved that none reaches it."""
@@ -163,7 +163,7 @@ def close(
     if isinstance(spec, Denial):
         return spec
 
-    def change(target: Target) -> Change:
+    def change(target: TransitionTarget) -> Change:
         return follow(blueprint, states, branch, operation, target_from(target, states[branch]), spec, ask)
 
     # Requirements come first: of all denials, theirs alone can tell the user what to do.

@@ -16,7 +16,7 @@ Arguments = Callable[[tuple[Value, ...]], dict[str, Any]]
 APPROACHES = frozenset({"approach", "confirm", "nudge"})
 
 
-class Kind(Enum):
+class TokenType(Enum):
     """Type of one token of a payload."""
 
     COUNT = auto()  # 1 to 3 decimal digits
@@ -84,7 +84,7 @@ class Spec:
     name: str
     branch: str
     action: Action = Action.SUBMIT
-    payload: tuple[Kind, ...] = ()
+    payload: tuple[TokenType, ...] = ()
     steps: tuple[CommandStep, ...] = ()
     arguments: Arguments = lambda _: {}
     second: Second | None = None
@@ -104,7 +104,7 @@ class Spec:
 def _submit(
     name: str,
     *operations: str | CommandStep,
-    payload: tuple[Kind, ...] = (),
+    payload: tuple[TokenType, ...] = (),
     arguments: Arguments = lambda _: {},
     second: Second | None = None,
     settles: PlanKind | None = None,
@@ -128,8 +128,8 @@ def _surface(values: tuple[Value, ...]) -> dict[str, Any]:
     return {"surface": PureWindowsPath(str(values[0])).name}
 
 
-_XYZ = (Kind.NUMBER,) * 3
-_INDEX = (Kind.COUNT,)
+_XYZ = (TokenType.NUMBER,) * 3
+_INDEX = (TokenType.COUNT,)
 _BACK_OFF_UNLESS_RETRACTED = CommandStep(
     "placement", "back_off", only_in=("unknown", "standoff", "placed", "following", "guided", "held")
 )
@@ -137,7 +137,7 @@ _REOPEN_IF_ALL_DIGITIZED = CommandStep("digitization", "redigitize_one", only_in
 
 _SPECS = (
     Spec("img_fid_numxxxxx", "registration", Action.ANNOUNCE_LANDMARKS, _INDEX),
-    Spec("img_fid_pntxxxxx", "registration", Action.ADD_LANDMARK, (Kind.COUNT, *_XYZ)),
+    Spec("img_fid_pntxxxxx", "registration", Action.ADD_LANDMARK, (TokenType.COUNT, *_XYZ)),
     Spec("img_fid_lastrecv", "registration", Action.PLAN_LANDMARKS),
     _submit("start_autodigitz", "digitization.digitize_all"),
     _submit(
@@ -147,12 +147,12 @@ _SPECS = (
     _submit("img_dig_prevhilg", "digitization.reuse_previous_except", payload=_INDEX, arguments=_index),
     _submit("start_registrati", "registration.register", second=Second.RESIDUAL),
     _submit("start_useprevreg", "registration.use_previous", second=Second.RESIDUAL, settles=PlanKind.LANDMARKS),
-    Spec("target_rotxxxxxx", "toolplan", Action.OPEN_POSE, (Kind.NUMBER,) * 4),
+    Spec("target_rotxxxxxx", "toolplan", Action.OPEN_POSE, (TokenType.NUMBER,) * 4),
     Spec("target_tslxxxxxx", "toolplan", Action.PLAN_POSE, _XYZ),
     _submit("icp_digitizexxxx", "digitization.digitize_surface"),
     _submit("icp_clear_prevxx", "digitization.clear_surface_point"),
     _submit("icp_clear_allxxx", "digitization.clear_surface"),
-    _submit("icp_registerxxxx", "registration.refine", payload=(Kind.PATH,), arguments=_surface),
+    _submit("icp_registerxxxx", "registration.refine", payload=(TokenType.PATH,), arguments=_surface),
     Spec("tre_startcalcuxx", "gateway", Action.START_TIP),
     Spec("tre_stopcalcuxxx", "gateway", Action.STOP_TIP),
     Spec("get_jnt_angsxxxx", "robot", Action.READ_JOINTS, second=Second.VALUES),

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 from pcmrs.errors import PayloadError, UnknownOutcomeError
-from pcmrs.gateway.commands import COMMANDS, Kind, Second, Spec, Value
+from pcmrs.gateway.commands import COMMANDS, Second, Spec, TokenType, Value
 
 if TYPE_CHECKING:
     # Only for annotations: a planner shares this grammar and must not load the messages of the bus for it.
@@ -136,7 +136,7 @@ def _command_text(text: str) -> str:
 
 
 def _tokens(spec: Spec, payload: str) -> list[str]:
-    if spec.payload == (Kind.PATH,):
+    if spec.payload == (TokenType.PATH,):
         tokens = [payload[1:]] if payload.startswith("_") and len(payload) > 1 else []
     elif payload and not payload.startswith("_"):
         raise PayloadError(f"{spec.name} is followed by {payload[:40]!r}; tokens start with '_'.", name=spec.name)
@@ -152,10 +152,10 @@ def _tokens(spec: Spec, payload: str) -> list[str]:
     return tokens
 
 
-def _value(kind: Kind, token: str, spec: Spec) -> Value:
-    if kind is Kind.PATH:
+def _value(kind: TokenType, token: str, spec: Spec) -> Value:
+    if kind is TokenType.PATH:
         return token
-    if kind is Kind.NUMBER:
+    if kind is TokenType.NUMBER:
         return _number(token, spec.name)
     if not _COUNT.fullmatch(token):
         raise PayloadError(f"{spec.name} takes an index of 1 to 3 digits, got {token[:40]!r}.", token=token)

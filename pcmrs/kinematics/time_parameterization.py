@@ -173,7 +173,7 @@ class ProgressLimits:
 
 
 @dataclass(frozen=True, eq=False)
-class Progress:
+class ProgressProfile:
     """Progress from 0 to 1, from rest to rest.
 
     Attributes:
@@ -227,7 +227,7 @@ def tool_path_lengths(arm: ArmModel, postures: Floats, flange_from_tool: Transfo
     return np.asarray(np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1))
 
 
-def time_parameterize(places: Floats, path_lengths: Floats, allowed: Floats, bounds: ProgressLimits) -> Progress:
+def time_parameterize(places: Floats, path_lengths: Floats, allowed: Floats, bounds: ProgressLimits) -> ProgressProfile:
     """Return the fastest progress that keeps its own bounds and the speed limit at each place.
 
     Args:
@@ -249,7 +249,7 @@ def time_parameterize(places: Floats, path_lengths: Floats, allowed: Floats, bou
         for length, limit, begin, end in zip(lengths, limits, borders[:-1], borders[1:], strict=True)
     ]
     times = np.concatenate(((0.0,), np.cumsum([section.duration for section in sections])))
-    return Progress(times, np.append(places[starts], 1.0), tuple(sections))
+    return ProgressProfile(times, np.append(places[starts], 1.0), tuple(sections))
 
 
 def _border_speeds(lengths: Floats, limits: Floats, bounds: ProgressLimits) -> Floats:

@@ -14,7 +14,7 @@ from pcmrs.kinematics.limits import joint_array
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import Floats, Transform
 
-Reason = Literal["workspace", "joint_limit", "other_posture", "unknown"]
+UnreachableReason = Literal["workspace", "joint_limit", "other_posture", "unknown"]
 """Why the arm cannot follow: no posture reaches the pose, every posture that does breaks a joint limit, only a posture
 far from the present one does, or the arm has no closed form that could answer."""
 
@@ -29,7 +29,7 @@ def track(arm: ArmModel, base_from_flange: Transform, seed: npt.ArrayLike) -> Fl
 
     Raises:
         GeometryError: `seed` does not hold one finite number per joint.
-        UnreachableError: The steps end before the pose. The field `reason` is a `Reason`, and the text explains it.
+        UnreachableError: The steps end before the pose. The text explains the field `reason`, an `UnreachableReason`.
     """
     start = joint_array(seed, arm.joints)
     q, error = damped_least_squares(arm, base_from_flange, start, arm.lower, arm.upper)
@@ -48,7 +48,7 @@ def track(arm: ArmModel, base_from_flange: Transform, seed: npt.ArrayLike) -> Fl
     )
 
 
-def _reason(arm: ArmModel, base_from_flange: Transform, seed: Floats) -> tuple[Reason, str, dict[str, Any]]:
+def _reason(arm: ArmModel, base_from_flange: Transform, seed: Floats) -> tuple[UnreachableReason, str, dict[str, Any]]:
     """Return why small steps from `seed`, rad, (n,), do not reach a pose: the reason, its text, and its values."""
     if arm.geometry is None:  # the search takes too long for a control loop, and does not prove that there is none
         text = (

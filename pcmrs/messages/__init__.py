@@ -8,10 +8,10 @@ from pcmrs.messages._base import Message
 from pcmrs.messages._decisions import (
     Command,
     Decision,
+    DryRunRequest,
     DryRunResult,
     JournalPage,
     JournalQuery,
-    Question,
     Reason,
     Verdict,
 )
@@ -63,6 +63,7 @@ __all__ = [
     "DeviceHealth",
     "DeviceReply",
     "DeviceRequest",
+    "DryRunRequest",
     "DryRunResult",
     "Epoch",
     "FiredPulse",
@@ -84,7 +85,6 @@ __all__ = [
     "NodeBeat",
     "PoseMessage",
     "PressRequest",
-    "Question",
     "Reason",
     "Running",
     "SceneTruth",

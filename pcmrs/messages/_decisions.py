@@ -79,7 +79,7 @@ class Verdict(Message, frozen=True, kw_only=True, omit_defaults=False):
     result: dict[str, Any] | None = None
 
 
-class Question(Message, frozen=True, kw_only=True):
+class DryRunRequest(Message, frozen=True, kw_only=True):
     """Request for a dry run: the verdict that a command would get now.
 
     Attributes:

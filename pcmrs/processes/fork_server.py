@@ -15,7 +15,7 @@ from typing import Self
 import msgspec
 import structlog
 
-from pcmrs.processes.forked import LARGEST, Answer, Ended, Refused, Request, Started, serve_forks
+from pcmrs.processes.forked import LARGEST, Ended, ForkAnswer, ForkRequest, Started, StartFailed, serve_forks
 from pcmrs.processes.starting import Process, start_by_exec
 
 log = structlog.get_logger(__name__)
@@ -176,7 +176,7 @@ class ForkServer:
         if passed is not None:
             given[passed] = passed
         number = next(self._numbers)
-        request = Request(number, module, words, tuple(given), silent=stdout == asyncio.subprocess.DEVNULL)
+        request = ForkRequest(number, module, words, tuple(given), silent=stdout == asyncio.subprocess.DEVNULL)
         started: asyncio.Future[ForkedProcess] = asyncio.get_running_loop().create_future()
         self._pending[number] = started
         try:
@@ -199,11 +199,11 @@ class ForkServer:
         if not message:
             self._lose()
             return
-        match msgspec.json.decode(message, type=Answer):
+        match msgspec.json.decode(message, type=ForkAnswer):
             case Started(number, pid):
                 child = self._children[pid] = ForkedProcess(pid, descriptors[0])
                 self._answer(number, child)
-            case Refused(number, error):
+            case StartFailed(number, error):
                 self._answer(number, OSError(error, os.strerror(error)))
             case Ended(pid, status):
                 self._children.pop(pid).end(status)

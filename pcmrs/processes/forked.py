@@ -28,7 +28,7 @@ MOST_DESCRIPTORS = 3
 """Limit of the descriptors of a request: standard input and output, and one more."""
 
 
-class Request(msgspec.Struct, frozen=True):
+class ForkRequest(msgspec.Struct, frozen=True):
     """Start of a child; comes with its file descriptors: those of its standard streams, and at most one more.
 
     Attributes:
@@ -58,7 +58,7 @@ class Started(msgspec.Struct, frozen=True, tag=True):
     pid: int
 
 
-class Refused(msgspec.Struct, frozen=True, tag=True):
+class StartFailed(msgspec.Struct, frozen=True, tag=True):
     """A child cannot be started.
 
     Attributes:
@@ -82,7 +82,7 @@ class Ended(msgspec.Struct, frozen=True, tag=True):
     status: int
 
 
-Answer = Started | Refused | Ended
+ForkAnswer = Started | StartFailed | Ended
 
 
 class _Server:
@@ -110,11 +110,11 @@ class _Server:
         message, descriptors, *_ = socket.recv_fds(self._control, LARGEST, MOST_DESCRIPTORS)
         if not message:
             os._exit(0)
-        request = msgspec.json.decode(message, type=Request)
+        request = msgspec.json.decode(message, type=ForkRequest)
         try:
             pid = os.fork()
         except OSError as error:
-            self._answer(Refused(request.number, error.errno or 0))
+            self._answer(StartFailed(request.number, error.errno or 0))
         else:
             if pid == 0:
                 self._become(request, descriptors)
@@ -133,11 +133,11 @@ class _Server:
         _, status = os.waitpid(pid, 0)
         self._answer(Ended(pid, os.waitstatus_to_exitcode(status)))
 
-    def _answer(self, answer: Answer, *descriptors: int) -> None:
+    def _answer(self, answer: ForkAnswer, *descriptors: int) -> None:
         with suppress(BrokenPipeError):  # the daemon has ended, which the next read tells
             socket.send_fds(self._control, [msgspec.json.encode(answer)], descriptors)
 
-    def _become(self, request: Request, descriptors: Sequence[int]) -> NoReturn:
+    def _become(self, request: ForkRequest, descriptors: Sequence[int]) -> NoReturn:
         """Turn the new process into the child."""
         status = 1
         try:

@@ -23,7 +23,7 @@ from pcmrs.messages import Message
 from pcmrs.messages.setup import ProcedureDataView
 from pcmrs.spatial import Transform
 
-View = FrameTransforms | JointStates | Log | PoseInFrame | Message
+FoxgloveView = FrameTransforms | JointStates | Log | PoseInFrame | Message
 """Message of a topic for people; a `Message` is written as JSON."""
 
 _SECOND = 1_000_000_000

@@ -16,7 +16,7 @@ from foxglove.messages import FrameTransforms, JointStates, Log, PoseInFrame
 
 from pcmrs.messages import Message
 from pcmrs.recording import raw
-from pcmrs.recording._foxglove_messages import View, json_bytes, json_schema
+from pcmrs.recording._foxglove_messages import FoxgloveView, json_bytes, json_schema
 
 
 class CountingFile:
@@ -118,19 +118,19 @@ class Topics:
             self._channels[topic] = channel
         self._channels[topic].log(raw.encode(monotonic, payload), log_time=at_ns)
 
-    def write(self, topic: str, view: View, at_ns: int) -> None:
+    def write(self, topic: str, view: FoxgloveView, at_ns: int) -> None:
         """Write a view.
 
         Args:
             topic: Topic; all its views are of one type.
-            view: View to be written.
+            view: Message to be written.
             at_ns: Time of the view, ns since 1970.
         """
         if topic not in self._channels:
             self._channels[topic] = self._opened(topic, view)
         self._channels[topic].log(json_bytes(view) if isinstance(view, Message) else view, log_time=at_ns)
 
-    def _opened(self, topic: str, view: View) -> Any:
+    def _opened(self, topic: str, view: FoxgloveView) -> Any:
         if isinstance(view, Message):
             return Channel(topic, schema=json_schema(type(view)), context=self.context)
         return _CHANNELS[type(view)](topic, context=self.context)

@@ -20,7 +20,7 @@ from pcmrs.workflows.settings import CalibrationSettings
 
 COIL_BY_ROBOT: Final = "coil_by_robot"
 
-Link = tuple[str, str, Transform]
+FrameLink = tuple[str, str, Transform]
 """Parent, child and ``parent_from_child``."""
 
 
@@ -54,7 +54,7 @@ class Mounting:
             pointer_from_tip = read_calibration(Path(calibration.pointer_file)).transform()
         return cls(flange_from_tool, flange_from_coil, pointer_from_tip)
 
-    def links(self) -> list[Link]:
+    def links(self) -> list[FrameLink]:
         """Return the links that never move."""
         tool_from_coil = self.flange_from_tool.inverse() @ self.flange_from_coil
         return [
@@ -79,7 +79,7 @@ class FrameTree:
         self._positions: list[float] = []
         self._moving = True
 
-    def joints(self, state: JointState) -> Link:
+    def joints(self, state: JointState) -> FrameLink:
         """Return the pose of the flange in the robot's base frame, from measured joints.
 
         Raises:
@@ -91,7 +91,7 @@ class FrameTree:
         self._moving = state.moving
         return Frame.ROBOT_BASE, Frame.FLANGE, self._base_from_flange
 
-    def coil(self, tracker_from_coil: Transform) -> Link | None:
+    def coil(self, tracker_from_coil: Transform) -> FrameLink | None:
         """Return the pose of the robot's base in the tracker frame; None while the arm moves or its joints are unknown.
 
         Args:

@@ -14,13 +14,13 @@ from pcmrs.messages import BodyPose, DeviceHealth, Epoch, JointState, Message, P
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import ProcedureDataView
 from pcmrs.recording import _foxglove_messages
-from pcmrs.recording._foxglove_messages import View
-from pcmrs.recording.frame_tree import FrameTree, Link, Mounting
+from pcmrs.recording._foxglove_messages import FoxgloveView
+from pcmrs.recording.frame_tree import FrameLink, FrameTree, Mounting
 from pcmrs.recording.subscriber import RawSample
 from pcmrs.spatial import Frame, Transform
 
 T = TypeVar("T")
-Shown = tuple[str, View]
+Shown = tuple[str, FoxgloveView]
 """Topic and message."""
 
 LOG, STATE, HEALTH, JOINTS, TARGET = "/log", "/state", "/health", "/joints", "/target"
@@ -152,11 +152,11 @@ class RecordingViews:
             level = LogLevel.Error if event.danger else LogLevel.Warning
             yield LOG, _foxglove_messages.line(level, event.device, f"{event.code}: {event.text}", at_ns)
 
-    def _stored(self, key: str, topic: str, view: Callable[[int], View], at_ns: int) -> Shown:
+    def _stored(self, key: str, topic: str, view: Callable[[int], FoxgloveView], at_ns: int) -> Shown:
         self._latest[key] = topic, view
         return topic, view(at_ns)
 
-    def _linked(self, link: Link, at_ns: int) -> View:
+    def _linked(self, link: FrameLink, at_ns: int) -> FoxgloveView:
         return _foxglove_messages.link(*link, at_ns)
 
     def _age_ns(self, age: float) -> int:

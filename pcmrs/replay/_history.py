@@ -67,7 +67,7 @@ class CarryOver:
         """
         if run.settings is not None:
             start = run.rows[0].sequence
-            dispatcher.take_up(latched=self.state.latched, unknown=self.state.unknown, start=start)
+            dispatcher.restore(latched=self.state.latched, unknown=self.state.unknown, start=start)
 
     def with_state(self, workflow: Workflow[Cell, PlacementData]) -> Workflow[Cell, PlacementData]:
         """Return the workflow with the data with which a run starts.

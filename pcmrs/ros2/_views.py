@@ -9,7 +9,7 @@ from pycdr2 import IdlStruct
 
 from pcmrs.clock import Clock
 from pcmrs.messages import BodyPose, JointState, PoseMessage, Snapshot, Target
-from pcmrs.recording.frame_tree import FrameTree, Link, Mounting
+from pcmrs.recording.frame_tree import FrameLink, FrameTree, Mounting
 from pcmrs.ros2 import cdr
 from pcmrs.ros2._poses import Stamps
 from pcmrs.ros2.topics import JOINT_STATES, STATE, TF, TF_STATIC, Topic, pose_topic
@@ -39,7 +39,7 @@ class Views:
         self._mounting = mounting
         self._clock = clock
         self._of_robot, self._of_tracker = Stamps(clock, rate), Stamps(clock, rate)
-        self._base: Link | None = None
+        self._base: FrameLink | None = None
         self._body_ref_from_image: Transform | None = None
 
     def fixed(self) -> RosMessage:
@@ -56,7 +56,7 @@ class Views:
         at = self._of_robot.of(state.captured, state.sent)
         flange = self._chain.joints(state)
         header = cdr.header(Frame.ROBOT_BASE, at)
-        yield JOINT_STATES, cdr.JointState(header, self._names, state.positions, state.velocities, state.torques)
+        yield JOINT_STATES, cdr.RosJointState(header, self._names, state.positions, state.velocities, state.torques)
         links = [flange] if self._base is None else [self._base, flange]
         yield TF, cdr.TFMessage([cdr.link(*link, at) for link in links])
 

@@ -19,12 +19,12 @@ from pcmrs.spatial import Transform
 
 __all__ = [
     "Header",
-    "JointState",
     "Point",
     "Pose",
     "PoseStamped",
     "Quaternion",
     "RigidTransform",
+    "RosJointState",
     "String",
     "TFMessage",
     "Time",
@@ -139,7 +139,7 @@ class TFMessage(IdlStruct, typename="tf2_msgs/msg/TFMessage"):
 
 
 @dataclass
-class JointState(IdlStruct, typename="sensor_msgs/msg/JointState"):
+class RosJointState(IdlStruct, typename="sensor_msgs/msg/JointState"):
     """Joints by name: positions in rad, velocities in rad/s, efforts in N m."""
 
     header: Header

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from collections import Counter, deque
-from collections.abc import Awaitable, Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from itertools import accumulate
-from typing import Protocol, get_args
+from typing import get_args
 
+from pcmrs.bus.commands import Submit
 from pcmrs.clock import Clock
 from pcmrs.messages import Command, Decision, DeviceEvent, Snapshot, Verdict
 from pcmrs.messages.health import LatencyStatus
@@ -20,18 +21,6 @@ DECISIONS: tuple[str, ...] = get_args(Decision)
 
 RECENT = 1000
 """Number of newest commands that the percentiles are taken of."""
-
-
-class Submit(Protocol):
-    """`Dispatcher.submit`."""
-
-    def __call__(self, command: Command, /, *, arrived: float | None = None) -> Awaitable[Verdict]:
-        """Decide on a command.
-
-        Args:
-            command: The command.
-            arrived: Time of its arrival, s of the event loop's clock; by default now.
-        """
 
 
 class CommandMetrics:

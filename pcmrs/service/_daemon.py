@@ -37,7 +37,7 @@ from pcmrs.service.processes.heart import HeartProcess
 from pcmrs.service.processes.nodes import NodeProcesses
 from pcmrs.service.processes.planner import PlanningProcess
 from pcmrs.service.processes.recording import start_recording
-from pcmrs.service.publishing import answer_queries, tell_health
+from pcmrs.service.publishing import answer_queries, publish_health
 from pcmrs.service.restart.audit import audit
 from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs.service.restart.recovery import conclude, keep_journal, recover
@@ -170,7 +170,7 @@ class Daemon:
             stalls.start()
             gateway = await stack.enter_async_context(_edges(bus, procedure, settings, machine))
             sources = (bus.counters, supervisor.counters, stalls.counters, procedure.counters, gateway.counters.table)
-            stack.callback(_tell_counters, sources)
+            stack.callback(_log_counters, sources)
             inspection = Inspection(
                 blueprint=tag,
                 drivers=settings.drivers(),
@@ -198,16 +198,16 @@ class Daemon:
             if is_served(settings):
                 page.open()  # before the address is printed
                 console.start(supervisor)
-            supervisor.start("real-time policy", lambda: go_ahead(machine))
-            supervisor.start("health", lambda: tell_health(bus, inspection.health, machine))
+            supervisor.start("real-time policy", lambda: keep_real_time_policy(machine))
+            supervisor.start("health", lambda: publish_health(bus, inspection.health, machine))
             if earlier:
                 supervisor.spawn("audit", audit(journal.reader.path, dispatcher.report_later))
             if manager:
                 supervisor.start("service manager", lambda: run_watchdog(manager, inspection.health, machine))
             # It is entered last, so left first: the arm stands and is latched before anything else ends.
             stack.push_async_callback(dispatcher.close)
-            manager.tell("READY=1")
-            stack.callback(manager.tell, "STOPPING=1")
+            manager.notify("READY=1")
+            stack.callback(manager.notify, "STOPPING=1")
             yield _ready(settings, blueprint, bus, journal, gateway, metrics, page)
 
 
@@ -276,7 +276,7 @@ def _ready(
     )
 
 
-async def go_ahead(machine: Clock) -> None:
+async def keep_real_time_policy(machine: Clock) -> None:
     """Give the real-time policy to the loop and the threads of the bus; log once if a permission is missing."""
     keep_pauses_short()
     realtime = RealTime(Priority.LOOP)
@@ -287,7 +287,7 @@ async def go_ahead(machine: Clock) -> None:
     await realtime.keep(machine.sleep)
 
 
-def _tell_counters(sources: Iterable[Source]) -> None:
+def _log_counters(sources: Iterable[Source]) -> None:
     found = {name: many for name, many in counted(sources).items() if many}
     log.info("counted", **found)
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import asyncio
 
+from pcmrs.bus.commands import Submit
 from pcmrs.dispatcher import Dispatcher, DispatcherListener
 from pcmrs.errors import RefusalError
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
-from pcmrs.service._command_metrics import Submit
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_transform

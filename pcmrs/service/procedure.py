@@ -158,7 +158,7 @@ class RunningProcedure(DispatcherListener):
         link.subscribe("state/joints", JointState, self._take_joints)
         link.subscribe("dev/*/state", DeviceHealth, self.health.take)
         link.subscribe("dev/*/beat", NodeBeat, self._take_beat)
-        link.subscribe(DAEMON_BEAT, Beat, lambda _key, _beat: self._heart.hear())
+        link.subscribe(DAEMON_BEAT, Beat, lambda _key, _beat: self._heart.record_beat())
         link.subscribe("dev/*/event", DeviceEvent, self._take_event)
         link.subscribe("daemon/event", DeviceEvent, self._take_event)
         link.when_lost(self._lose_event)
@@ -231,7 +231,7 @@ class RunningProcedure(DispatcherListener):
     def _take_pose(self, _key: str, pose: BodyPose) -> None:
         self.data_times["tracker"] = self._machine.monotonic()
         self.cell.poses.update(pose)
-        self.readiness.hear("tracker")
+        self.readiness.record_message("tracker")
 
     def _take_joints(self, _key: str, state: JointState) -> None:
         self.data_times["robot"] = self._machine.monotonic()
@@ -239,18 +239,18 @@ class RunningProcedure(DispatcherListener):
         self._standstill.watch(self.connected() and self.dispatcher.idle)
         if (moved := self._standstill.take(state)) is not None:
             self.dispatcher.report_later(moved)
-        self.watch.hear()
-        self.readiness.hear("robot")
+        self.watch.record_joints()
+        self.readiness.record_message("robot")
 
     def _take_beat(self, key: str, beat: NodeBeat) -> None:
         device = named_in(key)
         self._gates.take(device, beat.gate)
         if beat.gate is not None:
-            self.readiness.hear_gate(device)
+            self.readiness.record_gate(device)
         alive = self._beats[device].take(beat, self._machine.monotonic())
         self.beat_times[device] = alive
         if device == "robot":
-            self.watch.hear_beat(alive)
+            self.watch.record_beat(alive)
 
     def on_publish(self, message: Snapshot | Verdict | DeviceEvent) -> None:
         """Publish a message of the dispatcher on the bus, and count it."""

@@ -20,12 +20,12 @@ from pcmrs.journal.rows import encode_row
 from pcmrs.messages import (
     Command,
     DeviceEvent,
+    DryRunRequest,
     DryRunResult,
     Flags,
     JournalPage,
     JournalQuery,
     Message,
-    Question,
     Snapshot,
     Target,
     Verdict,
@@ -125,7 +125,7 @@ def answer_queries(
                 shown.append(await asyncio.to_thread(setup))
         return msgspec.structs.replace(shown[0], user=user, role=bus.settings.role_of(user))
 
-    async def checked(key: str, question: Question) -> DryRunResult:
+    async def checked(key: str, question: DryRunRequest) -> DryRunResult:
         user = key.rpartition("/")[2]
         command = Command(
             id=uuid.uuid4().hex,
@@ -145,13 +145,13 @@ def answer_queries(
     bus.serve("svc/snapshot", Empty, snapshot, reading=True)
     bus.serve("svc/setup/*", Empty, laid_out, reading=True)
     bus.serve("svc/data", Empty, data, reading=True)
-    bus.serve("svc/check/*", Question, checked, reading=True)
+    bus.serve("svc/check/*", DryRunRequest, checked, reading=True)
     bus.serve("svc/keys", Empty, keys, reading=True)
     bus.serve("svc/health", Empty, well, reading=True)
     bus.serve("svc/journal", JournalQuery, page, reading=True)
 
 
-async def tell_health(bus: Link, health: Callable[[], Health], clock: Clock) -> None:
+async def publish_health(bus: Link, health: Callable[[], Health], clock: Clock) -> None:
     """Publish the daemon's health periodically, for recordings of the session; until cancelled.
 
     Args:

@@ -22,7 +22,7 @@ from pcmrs.cli.fsm.design import design
 from pcmrs.cli.fsm.verify import verify
 from pcmrs.console._geometry import FACES
 from pcmrs.dispatcher.locks import MAX_WAITING
-from pcmrs.fsm.verify._space import Space
+from pcmrs.fsm.verify._space import StateSpace
 from pcmrs.gateway.intake import MAX_SESSIONS
 from pcmrs.journal.group import MOST_WAITING
 from pcmrs.service.supervisor import RESTARTS, WITHIN
@@ -51,7 +51,7 @@ def number(text: str) -> float:
 
 def verified(name: str) -> tuple[int, ...]:
     """Joint states, transitions and properties of a workflow, as `pcmrs fsm verify` counts them."""
-    space = Space(shipped_blueprint(name), 100_000)
+    space = StateSpace(shipped_blueprint(name), 100_000)
     return len(space.reached), space.taken, len(shipped_blueprint(name).properties)
 
 

@@ -68,7 +68,7 @@ def _group(controller: str, first: dict[str, str], second: dict[str, str], pids:
         _make(folder, settings, pids)
         yield folder
     finally:
-        _dissolve(folder, parent)
+        _remove_group(folder, parent)
 
 
 def _make(folder: Path, settings: dict[str, str], pids: Sequence[int]) -> None:
@@ -93,7 +93,7 @@ def _killed(folder: Path) -> int:
     return 0
 
 
-def _dissolve(folder: Path, parent: Path) -> None:
+def _remove_group(folder: Path, parent: Path) -> None:
     if folder.is_dir():
         for pid in (folder / "cgroup.procs").read_text().split():
             try:

@@ -11,7 +11,7 @@ import msgspec
 
 from pcmrs.clock import Clock
 from pcmrs.errors import PcmrsError
-from pcmrs.gateway.commands import COMMANDS, Action, Kind, Spec
+from pcmrs.gateway.commands import COMMANDS, Action, Spec, TokenType
 from pcmrs.gateway.grammar import NAME_LENGTH
 from pcmrs.testing.cell import RunningCell, open_cell
 from pcmrs.testing.driving import digitize_landmarks
@@ -23,11 +23,11 @@ from pcmrs_lab.campaign.samples import sample
 HARMLESS = (Action.STOP_TIP, Action.STOP_POSES)
 """Actions that a well-formed datagram may request: they change no state in any situation."""
 
-RIGHT = {Kind.COUNT: "01", Kind.NUMBER: "0.1", Kind.PATH: "surface.ply"}
+RIGHT = {TokenType.COUNT: "01", TokenType.NUMBER: "0.1", TokenType.PATH: "surface.ply"}
 WRONG = {
-    Kind.COUNT: ("1000", "-1", "+1", "٣", "1.0", "", "nan", "0x1"),
-    Kind.NUMBER: ("nan", "-nan", "inf", "1e999", "-1e999", "1_000", "0x1p3", "+", ".", "1e", "١", "", "1,5", " 1"),
-    Kind.PATH: ("", "a" * 300, "a;b", "\n", "é"),
+    TokenType.COUNT: ("1000", "-1", "+1", "٣", "1.0", "", "nan", "0x1"),
+    TokenType.NUMBER: ("nan", "-nan", "inf", "1e999", "-1e999", "1_000", "0x1p3", "+", ".", "1e", "١", "", "1,5", " 1"),
+    TokenType.PATH: ("", "a" * 300, "a;b", "\n", "é"),
 }
 """Valid token of each kind (`RIGHT`), and invalid ones."""
 SIGNATURE = b"|peer|1|" + b"0" * 32
@@ -52,7 +52,7 @@ def _invalid_payload(spec: Spec, generator: random.Random) -> bytes:
     place, way = generator.randrange(len(tokens)), generator.random()
     if way < 0.1:
         return _command(spec, tokens[:-1], generator)
-    if way < 0.2 and spec.payload != (Kind.PATH,):
+    if way < 0.2 and spec.payload != (TokenType.PATH,):
         return _command(spec, [*tokens, "0.1"], generator)
     tokens[place] = generator.choice(WRONG[spec.payload[place]])
     return _command(spec, tokens, generator)

@@ -70,12 +70,12 @@ def main(words: Sequence[str]) -> None:
         return loop
 
     uvloop.new_event_loop = new_event_loop
-    threading.Thread(target=_obey, args=(orders, loops), daemon=True).start()
+    threading.Thread(target=_serve_orders, args=(orders, loops), daemon=True).start()
     sys.argv = ["pcmrs", *words[module + 2 :]]
     runpy.run_module(words[module + 1], run_name="__main__", alter_sys=True)
 
 
-def _obey(orders: Path, loops: list[asyncio.AbstractEventLoop]) -> None:
+def _serve_orders(orders: Path, loops: list[asyncio.AbstractEventLoop]) -> None:
     orders.unlink(missing_ok=True)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
         listener.bind(str(orders))
@@ -110,19 +110,19 @@ def _fail(name: str) -> str:
     return "no such task"
 
 
-def _eat(size: str) -> str:
-    _eaten.append(b"\1" * int(size))
+def _allocate(size: str) -> str:
+    _allocated.append(b"\1" * int(size))
     return "eaten"
 
 
-_eaten: list[bytes] = []
+_allocated: list[bytes] = []
 
 
 def _tasks(_: str) -> str:
     return str(len(asyncio.all_tasks()))
 
 
-ORDERS: dict[str, Callable[[str], str]] = {"block": _block, "eat": _eat, "fail": _fail, "tasks": _tasks}
+ORDERS: dict[str, Callable[[str], str]] = {"block": _block, "eat": _allocate, "fail": _fail, "tasks": _tasks}
 
 if __name__ == "__main__":
     main(sys.argv[1:])

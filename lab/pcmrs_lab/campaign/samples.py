@@ -18,7 +18,7 @@ def descriptors(pid: int) -> int:
     return len(list(Path(f"/proc/{pid}/fd").iterdir()))
 
 
-class Sample(msgspec.Struct, frozen=True):
+class ResourceSample(msgspec.Struct, frozen=True):
     """Resources of one process at one time.
 
     Attributes:
@@ -32,11 +32,11 @@ class Sample(msgspec.Struct, frozen=True):
     threads: int
 
 
-def sample(pid: int) -> Sample:
+def sample(pid: int) -> ResourceSample:
     """Return the present resources of a process; raise `OSError` if it has ended."""
     folder = Path(f"/proc/{pid}")
     pages = int((folder / "statm").read_text().split()[1])
-    return Sample(
+    return ResourceSample(
         memory=pages * resource.getpagesize(),
         descriptors=_count(folder / "fd"),
         threads=_count(folder / "task"),

@@ -13,7 +13,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from pcmrs.cli.fsm.files import file_argument, output_option, refuse, sound, write
-from pcmrs.cli.options import Address, address_options, json_option, refuse_given
+from pcmrs.cli.options import CellAddress, address_options, json_option, refuse_given
 from pcmrs.cli.printing import say, say_json
 from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import readable_errors, run
@@ -24,7 +24,7 @@ from pcmrs.errors import PcmrsError
 if TYPE_CHECKING:
     from pcmrs.authoring.trial.tour import TourCommand
     from pcmrs.fsm.blueprint import Blueprint
-    from pcmrs_lab.experiment.tours.arguments import Arguments
+    from pcmrs_lab.experiment.tours.arguments import TourArguments
     from pcmrs_lab.experiment.tours.live import ShowProgress
     from pcmrs_lab.experiment.tours.report import TourReport
 
@@ -112,7 +112,7 @@ async def _live(
     progress: ShowProgress,
     *,
     connect: bool,
-    address: Address,
+    address: CellAddress,
     rate: float,
     seed: int,
     overrides: tuple[str, ...],
@@ -132,15 +132,15 @@ async def _live(
         return await tour_live(blueprint, bench.client, arguments, limit, time_limit, progress)
 
 
-def _arguments(blueprint: Blueprint, file: Path | None) -> Arguments:
+def _arguments(blueprint: Blueprint, file: Path | None) -> TourArguments:
     """Return the arguments of the example plan (RATMS' if there is none), overridden by those of the file."""
     from pcmrs.testing.plan import example_plan, read_plan
     from pcmrs_lab.experiment.published import PUBLISHED
-    from pcmrs_lab.experiment.tours.arguments import Arguments, plan_arguments, read_arguments
+    from pcmrs_lab.experiment.tours.arguments import TourArguments, plan_arguments, read_arguments
 
     plan = example_plan(blueprint.id if blueprint.id in PUBLISHED else "ratms")
     planned = plan_arguments(read_plan(plan))
-    return Arguments(planned | (read_arguments(file) if file is not None else {}))
+    return TourArguments(planned | (read_arguments(file) if file is not None else {}))
 
 
 def _show(report: TourReport) -> None:

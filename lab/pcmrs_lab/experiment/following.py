@@ -38,7 +38,7 @@ class ErrorSummary(msgspec.Struct, frozen=True):
     max: float
 
 
-class Followed(msgspec.Struct, frozen=True):
+class FollowingResult(msgspec.Struct, frozen=True):
     """Result of one scenario.
 
     Attributes:
@@ -86,7 +86,7 @@ class FollowingReport(msgspec.Struct, frozen=True):
     duration: float
     settings: list[str]
     simulated: bool
-    runs: list[Followed]
+    runs: list[FollowingResult]
     occlusion: Occluded
 
 
@@ -94,7 +94,7 @@ class FollowingReport(msgspec.Struct, frozen=True):
 class Drawn:
     """Run as it is plotted."""
 
-    result: Followed
+    result: FollowingResult
     series: ErrorSeries
 
 
@@ -198,9 +198,11 @@ async def _request(bench: ExperimentBench, name: str) -> None:
         raise CommandRefusedError(f"{name} was {verdict.decision} in {verdict.state}: {reason}")
 
 
-def _result(scenario: Scenario, series: ErrorSeries, monitor: PlacementErrorMonitor, *, compensated: bool) -> Followed:
+def _result(
+    scenario: Scenario, series: ErrorSeries, monitor: PlacementErrorMonitor, *, compensated: bool
+) -> FollowingResult:
     allowed = series.true_allowed_mm()
-    return Followed(
+    return FollowingResult(
         scenario=scenario.name,
         motion=scenario.text,
         compensated=compensated,

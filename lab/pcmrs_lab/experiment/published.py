@@ -9,7 +9,7 @@ import msgspec
 
 from pcmrs.errors import ConfigurationError
 
-Injection = Literal["none", "missing_landmark_plan", "missing_landmark", "large_digitization_error"]
+PublishedInjection = Literal["none", "missing_landmark_plan", "missing_landmark", "large_digitization_error"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class FailureRun:
     """
 
     run: int
-    injection: Injection
+    injection: PublishedInjection
     landmark: int | None = None
     offset_in_image: tuple[float, float, float] | None = None
     residual_mm: float | None = None

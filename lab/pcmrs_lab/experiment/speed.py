@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 from pcmrs.threads import Threads
-from pcmrs_sim.process.priority import go_ahead_of_others
+from pcmrs_sim.process.priority import raise_priority
 
 TRIAL = 0.5
 """Time for which a loop computes to measure its share of a processor, s."""
@@ -34,7 +34,7 @@ def processor_share() -> float:
 
 
 def _share_of_world() -> float:
-    go_ahead_of_others()
+    raise_priority()
     started, ran = time.monotonic(), time.thread_time()
     while (passed := time.monotonic() - started) < TRIAL:
         sum(range(1000))

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from pcmrs.fsm.blueprint import BranchSpec, OperationSpec, Target, target_from
+from pcmrs.fsm.blueprint import BranchSpec, OperationSpec, TransitionTarget, target_from
 
 Kind = Literal["transition", "failure", "signal", "call", "revocation"]
 """Kind of a line: an operation, its failure, Rule 2, Rule 3, or a revocation."""
@@ -109,7 +109,7 @@ def _endings(name: str, branch: BranchSpec) -> Iterator[_Ending]:
             yield from _split(branch, operation, target, "failure", heading, called)
 
 
-def _unconfirmed(operation: OperationSpec) -> Iterator[tuple[str, Target]]:
+def _unconfirmed(operation: OperationSpec) -> Iterator[tuple[str, TransitionTarget]]:
     """Return the targets of an operation that does not end as declared, each with its heading."""
     failure, unknown = operation.on_failure, operation.on_unknown
     if failure is not None:
@@ -121,7 +121,7 @@ def _unconfirmed(operation: OperationSpec) -> Iterator[tuple[str, Target]]:
 def _split(
     branch: BranchSpec,
     operation: OperationSpec,
-    target: Target,
+    target: TransitionTarget,
     kind: Kind,
     heading: str,
     label: str,

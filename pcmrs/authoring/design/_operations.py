@@ -12,7 +12,7 @@ from pcmrs.authoring.design._hazards import GuardedOrder, ways_of
 from pcmrs.authoring.design._order import Order
 from pcmrs.authoring.design._refinement import Refinement, resting_on
 from pcmrs.authoring.design._safety import CONNECTED, ROBOT, UNCONNECTED
-from pcmrs.fsm.blueprint import OperationSpec, OutcomeSpec, Requirement, Target
+from pcmrs.fsm.blueprint import OperationSpec, OutcomeSpec, Requirement, TransitionTarget
 
 REFUSAL = "refinement_begun"
 """Code of the rejection while a refinement that rests on a step has begun and is not complete."""
@@ -136,7 +136,7 @@ class Operations:
         """Return `from` and `to`, as short as possible."""
         state = self.order.state
         everywhere = len(moves) == len(self.order.combinations)
-        to: Target = {state(source): state(target) for source, target in moves.items()}
+        to: TransitionTarget = {state(source): state(target) for source, target in moves.items()}
         ends = set(moves.values())
         return {
             "from_": ["*"] if everywhere else [state(source) for source in moves],

@@ -26,7 +26,7 @@ KINDS = {"accepted": "accepted", "rejected": "rejected", "failed": "steps", "unk
 """Decision to its counter."""
 
 
-class Count(msgspec.Struct, frozen=True):
+class CoverageCount(msgspec.Struct, frozen=True):
     """A number of items out of all."""
 
     covered: int
@@ -52,7 +52,9 @@ class Deviation(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.command} in {self.before}: expected {self.expected}, found {self.found}"
 
 
-def coverage(blueprint: Blueprint, done: Iterable[TourCommand], wanted: Iterable[TourCommand]) -> dict[str, Count]:
+def coverage(
+    blueprint: Blueprint, done: Iterable[TourCommand], wanted: Iterable[TourCommand]
+) -> dict[str, CoverageCount]:
     """Count what has been covered, by the keys of `MEANINGS`.
 
     Args:
@@ -62,11 +64,12 @@ def coverage(blueprint: Blueprint, done: Iterable[TourCommand], wanted: Iterable
     """
     covered, total = set(_counted(done)), set(_counted(wanted)) | set(_declared(blueprint))
     return {
-        key: Count(sum(of == key for of, _ in covered & total), sum(of == key for of, _ in total)) for key in MEANINGS
+        key: CoverageCount(sum(of == key for of, _ in covered & total), sum(of == key for of, _ in total))
+        for key in MEANINGS
     }
 
 
-def is_complete(counts: dict[str, Count]) -> bool:
+def is_complete(counts: dict[str, CoverageCount]) -> bool:
     """Return true if nothing is left."""
     return all(count.covered == count.total for count in counts.values())
 

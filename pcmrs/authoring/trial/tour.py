@@ -21,7 +21,7 @@ from pcmrs.fsm.closure import Change, Denial
 MAX_JOINT_STATES = 5_000
 """Limit of joint states; a longer tour would have millions of commands."""
 
-Principal = Literal["user", "device"]
+Requester = Literal["user", "device"]
 How = Literal["", "refuses", "raises", "late", "silent"]
 
 FAILURES: tuple[How, ...] = ("refuses", "raises", "late")
@@ -33,7 +33,7 @@ class TourCommand(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
     Attributes:
         branch: Branch of the operation.
         operation: Name of the operation.
-        asker: Principal that asks: users also ask for the operations of devices, and are rejected.
+        asker: Kind of client that asks: users also ask for the operations of devices, and are rejected.
         ending: A declared outcome, ``failed``, ``unknown`` or ``rejected``.
         at: The check or step that ends it, if it does not succeed.
         how: Behaviour of that check or step.
@@ -44,7 +44,7 @@ class TourCommand(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
 
     branch: str
     operation: str
-    asker: Principal = "user"
+    asker: Requester = "user"
     ending: str
     at: str = ""
     how: How = ""

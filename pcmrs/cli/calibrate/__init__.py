@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import click
 
-from pcmrs.cli.lazy import LazyGroup, Listed
+from pcmrs.cli.lazy import LazyCommand, LazyGroup
 
 COMMANDS = {
-    "pivot": Listed(
+    "pivot": LazyCommand(
         "pcmrs.cli.calibrate.pivot:pivot",
         "Find the tip of the pointer from poses taken while it rests on one point.",
     ),
-    "hand-eye": Listed(
+    "hand-eye": LazyCommand(
         "pcmrs.cli.calibrate.hand_eye:hand_eye",
         "Find the tool on the flange from postures of the arm in which the tracker sees the tool.",
     ),

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, Progress
 from pcmrs.calibration.pose_collection import PoseCollection
 from pcmrs.calibration.poses import write_poses
 from pcmrs.cli.calibrate.options import LiveOptions
-from pcmrs.cli.options import Address
+from pcmrs.cli.options import CellAddress
 from pcmrs.cli.tables import Terminal
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.devices.poses import PoseFeed
@@ -36,7 +36,7 @@ MOVED, MOVED_TURN = 0.002, math.radians(0.5)
 """Largest motion of the reference in the tracker, m and rad: beyond it, it or the tracker was pushed."""
 
 
-async def pivot_poses(address: Address, live: LiveOptions) -> list[Transform]:
+async def pivot_poses(address: CellAddress, live: LiveOptions) -> list[Transform]:
     """Return ``tracker_from_pointer`` while the operator pivots it.
 
     Args:
@@ -62,7 +62,9 @@ async def pivot_poses(address: Address, live: LiveOptions) -> list[Transform]:
     return collection.poses
 
 
-async def hand_eye_poses(address: Address, live: LiveOptions, robot: str) -> tuple[list[Transform], list[Transform]]:
+async def hand_eye_poses(
+    address: CellAddress, live: LiveOptions, robot: str
+) -> tuple[list[Transform], list[Transform]]:
     """Return ``base_from_flange`` and ``tracker_from_coil`` wherever the arm rests.
 
     Args:

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from pcmrs.cli.options import Address, OutputFile, address_options, json_option, plot_option, refuse_given
+from pcmrs.cli.options import CellAddress, OutputFile, address_options, json_option, plot_option, refuse_given
 from pcmrs.cli.values import Finite
 
 Option = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -52,7 +52,7 @@ class CalibrationRequest:
     """Poses of a file, or poses to gather on the cell at an address, with all other shared options."""
 
     source: Path | LiveOptions
-    address: Address
+    address: CellAddress
     label: CalibrationLabel
     plot: Path | None
     as_json: bool

@@ -4,33 +4,33 @@ from __future__ import annotations
 
 import click
 
-from pcmrs.cli.lazy import LABORATORY, LazyGroup, Listed
+from pcmrs.cli.lazy import LABORATORY, LazyCommand, LazyGroup
 
 COMMANDS = {
-    "design": Listed(
+    "design": LazyCommand(
         "pcmrs.cli.fsm.design:design",
         "Design a workflow from the critical operations in STEPS, a TOML file or - for standard input.",
     ),
-    "verify": Listed(
+    "verify": LazyCommand(
         "pcmrs.cli.fsm.verify:verify", "Search all joint states of each FILE for violations of a rule or a property."
     ),
-    "generate": Listed(
+    "generate": LazyCommand(
         "pcmrs.cli.fsm.generate:generate", "Print the Python source of the branch and state classes of FILE."
     ),
-    "render": Listed("pcmrs.cli.fsm.render:render", "Draw the state chart of FILE."),
-    "export": Listed("pcmrs.cli.fsm.export:export", "Write FILE for other tools."),
-    "import": Listed(
+    "render": LazyCommand("pcmrs.cli.fsm.render:render", "Draw the state chart of FILE."),
+    "export": LazyCommand("pcmrs.cli.fsm.export:export", "Write FILE for other tools."),
+    "import": LazyCommand(
         "pcmrs.cli.fsm.import_:import_",
         "Make a blueprint of a state chart in SCXML, Mermaid stateDiagram-v2 or draw.io XML.",
     ),
-    "simulate": Listed(
+    "simulate": LazyCommand(
         "pcmrs.cli.fsm.simulate:simulate",
         "Step through the workflow FILE: see all possible commands, and the effects of those you give.",
     ),
-    "test": Listed(
+    "test": LazyCommand(
         LABORATORY, "Take the workflow FILE through every operation in every joint state, accepted and rejected."
     ),
-    "diff": Listed(
+    "diff": LazyCommand(
         "pcmrs.cli.fsm.diff:diff",
         "List the differences in behaviour of the workflows OLD and NEW: joint states, accepted operations, "
         "their targets.",

@@ -18,11 +18,11 @@ import numpy as np
 from pcmrs.console.planning.importer import (
     MOST_FACES,
     MOST_POINTS,
-    Answer,
+    ImportAnswer,
+    ImportRequest,
     PointsAnswer,
     PointsRequest,
-    Refused,
-    Request,
+    RefusalAnswer,
     SurfaceAnswer,
     SurfaceRequest,
 )
@@ -80,7 +80,7 @@ async def read_points(path: Path) -> Landmarks:
     return Landmarks(answer.names, points, answer.role)
 
 
-def surface_in(path: Path, answer: Answer) -> Mesh:
+def surface_in(path: Path, answer: ImportAnswer) -> Mesh:
     """Return the surface in an answer.
 
     Args:
@@ -100,7 +100,7 @@ def surface_in(path: Path, answer: Answer) -> Mesh:
     return Mesh(vertices, faces)
 
 
-async def _ask(path: Path, request: Request) -> Answer:
+async def _ask(path: Path, request: ImportRequest) -> ImportAnswer:
     """Return the answer of a new process, which ends with this call.
 
     Raises:
@@ -121,10 +121,10 @@ async def _ask(path: Path, request: Request) -> Answer:
     if not answer:
         refuse(path, "ended the process that read it, perhaps for lack of memory; give a smaller one.")
     try:
-        found: Answer = msgspec.msgpack.decode(answer, type=Answer)
+        found: ImportAnswer = msgspec.msgpack.decode(answer, type=ImportAnswer)
     except msgspec.MsgspecError:
         _refuse_answer(path)
-    if isinstance(found, Refused):
+    if isinstance(found, RefusalAnswer):
         raise FileFormatError(found.text, file=str(path))
     return found
 

@@ -65,30 +65,30 @@ class PointsAnswer(msgspec.Struct, frozen=True, tag="points"):
     role: Role | None
 
 
-class Refused(msgspec.Struct, frozen=True, tag="refused"):
+class RefusalAnswer(msgspec.Struct, frozen=True, tag="refused"):
     """Reason why the file cannot be used."""
 
     text: str
 
 
-Request = SurfaceRequest | PointsRequest
-Answer = SurfaceAnswer | PointsAnswer | Refused
+ImportRequest = SurfaceRequest | PointsRequest
+ImportAnswer = SurfaceAnswer | PointsAnswer | RefusalAnswer
 
 
 def main() -> None:
     """Answer the request on standard input."""
     sys.dont_write_bytecode = True
-    request = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=Request)
+    request = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=ImportRequest)
     confine(request.memory, request.seconds)
     try:
         answer = _read_requested(request)
     except PcmrsError as error:
-        answer = Refused(error.text)
+        answer = RefusalAnswer(error.text)
     sys.stdout.buffer.write(msgspec.msgpack.encode(answer))
     sys.stdout.buffer.flush()
 
 
-def _read_requested(request: Request) -> Answer:
+def _read_requested(request: ImportRequest) -> ImportAnswer:
     """Read the requested file.
 
     Raises:

@@ -9,7 +9,7 @@ from nicegui import ui
 
 from pcmrs.console._cell_view_model import CellViewModel
 from pcmrs.console._colours import BLUE, GREY, ORANGE, VERMILION
-from pcmrs.console.signals._responses import estimator_history, responses, waves
+from pcmrs.console.signals._responses import estimator_history, responses, waveform_points
 from pcmrs.console.texts import Texts
 from pcmrs.messages.setup import Setup, StimulationShown
 from pcmrs.tms.settings import MepSettings
@@ -62,7 +62,7 @@ class MusclePanel:
 
     def _draw_emg(self) -> None:
         """Draw the newest signal above the earlier ones, with its window and the pulse."""
-        settings, drawn = self._settings, [waves(each, self._settings) for each in self._view.epochs]
+        settings, drawn = self._settings, [waveform_points(each, self._settings) for each in self._view.epochs]
         window = [{"xAxis": 1000.0 * settings.window_start}, {"xAxis": 1000.0 * settings.window_end}]
         marks = {"markArea": {"silent": True, "itemStyle": {"color": "#e69f0022"}, "data": [window]}}
         self._emg.options["series"] = [

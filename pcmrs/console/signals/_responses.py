@@ -69,7 +69,7 @@ def responses(events: Iterable[tuple[float, Verdict | DeviceEvent]]) -> list[Cha
     return [_response(result) for result in results if "pulse" in result and "mep" in result]
 
 
-def waves(epoch: Epoch, settings: MepSettings) -> list[tuple[float, float]]:
+def waveform_points(epoch: Epoch, settings: MepSettings) -> list[tuple[float, float]]:
     """Return a signal without offset and hum: ms since the pulse, and µV; nothing if it cannot be evaluated.
 
     Args:

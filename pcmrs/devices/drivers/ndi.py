@@ -18,7 +18,7 @@ from pcmrs.clock import Clock
 from pcmrs.devices.ndi.poses import FrameReader
 from pcmrs.devices.ndi.process import read_reports
 from pcmrs.devices.ndi.tools import placeholder, read_tools
-from pcmrs.devices.ndi.wire import Job, TrackerReady
+from pcmrs.devices.ndi.wire import ReaderJob, TrackerReady
 from pcmrs.devices.tables import check_devices, read_table
 from pcmrs.errors import ConfigurationError, PcmrsError
 from pcmrs.messages import BodyPose
@@ -81,7 +81,7 @@ class NdiTracker:
 
     def __init__(self, settings: NdiSettings, tools: Mapping[str, bytes], clock: Clock) -> None:
         self._settings = settings
-        self._job = Job(settings.device, settings.baud, dict(tools))
+        self._job = ReaderJob(settings.device, settings.baud, dict(tools))
         self._clock = clock
         self._reader = FrameReader(settings.latency, settings.max_error_mm / 1000.0)
         self.trouble = f"The tracker at {settings.device} has not been reached yet."

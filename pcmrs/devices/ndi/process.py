@@ -10,7 +10,7 @@ from collections.abc import AsyncGenerator
 from contextlib import suppress
 
 from pcmrs.clock import Clock
-from pcmrs.devices.ndi.wire import Failed, Job, NdiFrame, TrackerReady, Unpacker, pack
+from pcmrs.devices.ndi.wire import Failed, NdiFrame, ReaderJob, TrackerReady, Unpacker, pack
 from pcmrs.errors import DeviceError
 from pcmrs.killing import kill_and_wait
 
@@ -25,7 +25,7 @@ MODULE = "pcmrs.devices.ndi.reader"
 """Module that the reader process runs."""
 
 
-async def read_reports(job: Job, clock: Clock) -> AsyncGenerator[TrackerReady | NdiFrame, None]:
+async def read_reports(job: ReaderJob, clock: Clock) -> AsyncGenerator[TrackerReady | NdiFrame, None]:
     """Start a reader process and yield its reports; the process ends with this iterator.
 
     Args:
@@ -53,7 +53,7 @@ async def read_reports(job: Job, clock: Clock) -> AsyncGenerator[TrackerReady | 
         await kill_and_wait(process)
 
 
-async def _send_job(process: Process, job: Job) -> None:
+async def _send_job(process: Process, job: ReaderJob) -> None:
     assert process.stdin is not None
     process.stdin.write(pack(job))
     with suppress(ConnectionError):  # the process has ended, and its end is reported instead

@@ -1,7 +1,7 @@
 """The reader process, which talks to the tracker: `ndicapi`'s reads have no timeout, and its calls hold the GIL.
 
-It reads one `Job` from standard input, writes reports to standard output, and ends with its parent. A call that does
-not return is ended, with this process, by SIGALRM, which needs no Python interpreter.
+It reads one `ReaderJob` from standard input, writes reports to standard output, and ends with its parent. A call that
+does not return is ended, with this process, by SIGALRM, which needs no Python interpreter.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 import ndicapy
 
 from pcmrs.clock import SystemClock
-from pcmrs.devices.ndi.wire import Failed, Job, NdiFrame, Report, ToolFrame, TrackerReady, pack, read_job
+from pcmrs.devices.ndi.wire import Failed, NdiFrame, ReaderJob, Report, ToolFrame, TrackerReady, pack, read_job
 
 SETUP_TIME = 8.0
 """Longest wait for the answer to a set-up command, s: longer than the 5 s that `ndicapi` waits on a serial link."""
@@ -54,7 +54,7 @@ def _send(report: Report) -> None:
     sys.stdout.buffer.flush()
 
 
-def _reports(job: Job) -> Iterator[Report]:
+def _reports(job: ReaderJob) -> Iterator[Report]:
     device = _open(job)
     handles = _load(device, job.tools)
     version = _command(device, "VER:0")
@@ -77,7 +77,7 @@ def _alarm(time: float) -> Iterator[None]:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
-def _open(job: Job) -> Device:
+def _open(job: ReaderJob) -> Device:
     host, colon, port = job.device.rpartition(":")
     if colon and port.isdecimal():
         try:

@@ -13,7 +13,7 @@ LARGEST = 1 << 20
 """Limit of the length of one message, bytes."""
 
 
-class Job(msgspec.Struct, frozen=True):
+class ReaderJob(msgspec.Struct, frozen=True):
     """Job of the reader.
 
     Attributes:
@@ -81,14 +81,14 @@ _encoder = msgspec.msgpack.Encoder()
 _decoder = msgspec.msgpack.Decoder(Report)
 
 
-def pack(message: Job | Report) -> bytes:
+def pack(message: ReaderJob | Report) -> bytes:
     """Return the encoded message with its length in front."""
     return framed(_encoder.encode(message))
 
 
-def read_job(stream: BinaryIO) -> Job:
+def read_job(stream: BinaryIO) -> ReaderJob:
     """Read the job at the beginning of `stream`, and nothing beyond it."""
-    return msgspec.msgpack.decode(stream.read(length_of(stream.read(LENGTH_SIZE))), type=Job)
+    return msgspec.msgpack.decode(stream.read(length_of(stream.read(LENGTH_SIZE))), type=ReaderJob)
 
 
 class Unpacker:

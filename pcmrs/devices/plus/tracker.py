@@ -66,11 +66,11 @@ class PlusTracker:
             try:
                 await self._connect_and_read()
             except asyncio.IncompleteReadError:
-                self._complain("it has closed the connection")
+                self._log_failure("it has closed the connection")
             except TimeoutError:
-                self._complain("it does not answer, or sends nothing")
+                self._log_failure("it does not answer, or sends nothing")
             except OSError as error:
-                self._complain(error.strerror or str(error))
+                self._log_failure(error.strerror or str(error))
             await self._clock.sleep(RETRY_AFTER)
 
     async def _connect_and_read(self) -> None:
@@ -96,7 +96,7 @@ class PlusTracker:
                 raise
             self._publish([self._frames.finish(self._clock.monotonic())])
         except PayloadError as error:
-            self._complain(error.text)
+            self._log_failure(error.text)
         else:
             if message is not None:
                 self._take(message)
@@ -116,7 +116,7 @@ class PlusTracker:
         if now - self._last_frame > SILENCE:
             raise ConnectionAbortedError("its stamps do not advance, or it sends no transform that plus.names has")
 
-    def _complain(self, why: str) -> None:
+    def _log_failure(self, why: str) -> None:
         """Store the reason of a failure, and log it at most once per `LOG_PERIOD`."""
         do = "Start PlusServer, or set plus.host and plus.port."
         self.trouble = f"The PLUS server at {self._host}:{self._port}: {why}. {do}"

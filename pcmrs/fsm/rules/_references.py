@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from pcmrs.fsm.blueprint import Blueprint, BranchSpec, Condition, OperationSpec, Requirement, Target
+from pcmrs.fsm.blueprint import Blueprint, BranchSpec, Condition, OperationSpec, Requirement, TransitionTarget
 from pcmrs.fsm.finding import Finding, Path, hint
 
 
@@ -98,7 +98,7 @@ def _operation_references(blueprint: Blueprint, branch: str, spec: OperationSpec
         yield from _requirement(blueprint, ending.requires, (*path, "outcomes", name, "requires"))
 
 
-def _named(target: Target) -> list[str]:
+def _named(target: TransitionTarget) -> list[str]:
     return [target] if isinstance(target, str) else [*target, *target.values()]
 
 

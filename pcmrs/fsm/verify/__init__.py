@@ -10,7 +10,7 @@ from pcmrs.fsm.verify import _hazards, _liveness, _structure
 from pcmrs.fsm.verify._liveness import TimedOperations
 from pcmrs.fsm.verify._properties import check_properties
 from pcmrs.fsm.verify._search import Progress, SearchLimitError
-from pcmrs.fsm.verify._space import Space
+from pcmrs.fsm.verify._space import StateSpace
 
 __all__ = ["MAX_JOINT_STATES", "Verification", "verify"]
 
@@ -53,7 +53,7 @@ def verify(blueprint: Blueprint, *, limit: int = MAX_JOINT_STATES, progress: Pro
         progress: Called regularly with the numbers of joint states that have been examined and that are known.
     """
     try:
-        space = Space(blueprint, limit, progress)
+        space = StateSpace(blueprint, limit, progress)
         findings = [finding for check in ALWAYS_CHECKED for finding in check(space)]
         whole = not any(finding.code in _structure.INCOMPLETE for finding in findings)
         findings += [finding for check in CHECKED_IF_COMPLETE if whole for finding in check(space)]

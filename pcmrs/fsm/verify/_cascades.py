@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 from pcmrs.fsm.blueprint import Blueprint, OperationSpec
 from pcmrs.fsm.closure import Ask, Change, Denial, DeniedError, follow_cascade
-from pcmrs.fsm.verify._observed import Observer
+from pcmrs.fsm.verify._observed import DependencyObserver
 
 
 @dataclass(frozen=True, slots=True)
-class Followed:
+class FollowedCascade:
     """A cascade that was followed.
 
     Attributes:
@@ -32,7 +32,7 @@ class _Question:
     """A branch that a cascade looks at next, and what follows from each of its states that has occurred."""
 
     branch: str
-    below: dict[object, _Question | Followed] = field(default_factory=dict)
+    below: dict[object, _Question | FollowedCascade] = field(default_factory=dict)
 
 
 class Cascades:
@@ -48,11 +48,11 @@ class Cascades:
         followed: Cascades that were followed; to be emptied by the user.
     """
 
-    def __init__(self, observer: Observer, reordered: Sequence[Blueprint]) -> None:
-        self.followed: list[Followed] = []
+    def __init__(self, observer: DependencyObserver, reordered: Sequence[Blueprint]) -> None:
+        self.followed: list[FollowedCascade] = []
         self._observer = observer
         self._reordered = reordered
-        self._known: dict[object, _Question | Followed] = {}
+        self._known: dict[object, _Question | FollowedCascade] = {}
 
     def follow(
         self,
@@ -84,7 +84,7 @@ class Cascades:
             raise DeniedError(known.end)
         return known.end
 
-    def _follow(self, blueprint: Blueprint, follow: Callable[[Blueprint], Change]) -> Followed:
+    def _follow(self, blueprint: Blueprint, follow: Callable[[Blueprint], Change]) -> FollowedCascade:
         """Follow a cascade in all orders of the branches, and note what it depends on."""
         before, self._observer.seen = self._observer.seen, {}
         end = _end_of(follow, blueprint)
@@ -92,9 +92,9 @@ class Cascades:
         others = [_end_of(follow, order) for order in self._reordered] if _has_sequel(end) else []
         ordered = any(_result(each) != _result(end) for each in others)
         also_seen, self._observer.seen = self._observer.seen, before
-        return Followed(end, seen, also_seen, ordered)
+        return FollowedCascade(end, seen, also_seen, ordered)
 
-    def _remember(self, start: object, found: Followed) -> None:
+    def _remember(self, start: object, found: FollowedCascade) -> None:
         below, answer = self._known, start
         for name, state in (found.seen | found.also_seen).items():
             question = below.setdefault(answer, _Question(name))

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcmrs.fsm.verify._encoding import Batch, Encoding
-from pcmrs.fsm.verify.decision import Decision
+from pcmrs.fsm.verify.decision import DecisionCase
 
-Decisions = NDArray[np.int64]
+DecisionNumbers = NDArray[np.int64]
 """Numbers of the decisions that are taken, shape (operations, n)."""
 
-Decide = Callable[[int, int], Decision]
+Decide = Callable[[int, int], DecisionCase]
 """Makes the decision about an operation, by its number, in a joint state, by its code."""
 
 UNKNOWN = 0
@@ -40,7 +40,7 @@ class Forest:
     """
 
     def __init__(self, encoding: Encoding, own: list[int], decide: Decide) -> None:
-        self.learned: list[tuple[int, Decision]] = []
+        self.learned: list[tuple[int, DecisionCase]] = []
         self.paths: list[list[int]] = []
         self._encoding = encoding
         self._decide = decide
@@ -50,7 +50,7 @@ class Forest:
         self._child = array("q", [UNKNOWN])
         self._roots = [self._node(digit) for digit in own]
 
-    def evaluate(self, batch: Batch) -> Decisions:
+    def evaluate(self, batch: Batch) -> DecisionNumbers:
         """Return the decision about every operation in every joint state, shape (operations, n).
 
         Args:

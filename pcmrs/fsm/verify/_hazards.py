@@ -13,12 +13,12 @@ from pcmrs.fsm.verify._encoding import Codes
 from pcmrs.fsm.verify._liveness import describe_state
 from pcmrs.fsm.verify._relation import Relation
 from pcmrs.fsm.verify._search import Reached, search, states_leading_to
-from pcmrs.fsm.verify._space import Operation, Space
+from pcmrs.fsm.verify._space import Operation, StateSpace
 from pcmrs.fsm.verify._structure import path_of
 from pcmrs.fsm.verify._transition import Paths
 
 
-def ways_back(space: Space) -> Iterator[Finding]:
+def ways_back(space: StateSpace) -> Iterator[Finding]:
     """Find a joint state from which nothing that a user may ask for leads back to a safe state.
 
     A state of a branch is safe if the branch can be in it before anything has moved or affected the patient, and if no
@@ -49,7 +49,7 @@ def ways_back(space: Space) -> Iterator[Finding]:
         yield Finding(code="no_way_back", text=text, path=path_of(way[-1]) if way else ("branches",), commands=way)
 
 
-def repetitions(space: Space) -> Iterator[Finding]:
+def repetitions(space: StateSpace) -> Iterator[Finding]:
     """Find irreversible operations that are accepted again without an operation that allows it."""
     for name, branch in space.blueprint.branches.items():
         for key, operation in branch.operations.items():
@@ -58,7 +58,7 @@ def repetitions(space: Space) -> Iterator[Finding]:
                 yield from _repetition(space, name, key, allowing)
 
 
-def _repetition(space: Space, branch: str, key: str, allowing: set[str]) -> Iterator[Finding]:
+def _repetition(space: StateSpace, branch: str, key: str, allowing: set[str]) -> Iterator[Finding]:
     def is_other(operation: Operation) -> bool:
         return operation.branch != branch or operation.operation not in allowing
 
@@ -92,17 +92,17 @@ def _repetition(space: Space, branch: str, key: str, allowing: set[str]) -> Iter
         return
 
 
-def _first_accepting(space: Space, reached: Reached, own: Relation) -> int | None:
+def _first_accepting(space: StateSpace, reached: Reached, own: Relation) -> int | None:
     """Return one of the nearest joint states in which a transition can be taken."""
     return reached.first(lambda batch: own.mark(space.decided(batch)))
 
 
-def _search(space: Space, initial: Codes, onwards: Relation) -> Reached:
+def _search(space: StateSpace, initial: Codes, onwards: Relation) -> Reached:
     following, limit = space.following(onwards), len(space.reached)
     return search(space.encoding, initial, following, limit=limit, within=space.reached.visited)
 
 
-def _before_any(space: Space) -> Reached:
+def _before_any(space: StateSpace) -> Reached:
     """Return the joint states that can be reached before anything has moved or affected the patient."""
     harmless = space.relation(lambda operation: not _is_hazard(operation.spec))
     return _search(space, space.reached.levels[0], harmless)
@@ -128,7 +128,7 @@ def _exposed(branch: BranchSpec) -> set[str]:
     return found
 
 
-def _states_seen(space: Space, reached: Reached, branch: str) -> set[str]:
+def _states_seen(space: StateSpace, reached: Reached, branch: str) -> set[str]:
     digit = space.encoding.position[branch]
     states = space.encoding.values[digit]
     seen: NDArray[np.bool_] = np.zeros(len(states), dtype=np.bool_)

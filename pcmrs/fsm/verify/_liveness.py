@@ -13,9 +13,9 @@ from pcmrs.fsm.finding import Finding
 from pcmrs.fsm.verify._encoding import Batch, Mask
 from pcmrs.fsm.verify._moments import Moments
 from pcmrs.fsm.verify._search import Progress, SearchBudget, states_leading_to
-from pcmrs.fsm.verify._space import Operation, Space
+from pcmrs.fsm.verify._space import Operation, StateSpace
 from pcmrs.fsm.verify._structure import path_of
-from pcmrs.fsm.verify.decision import Decision
+from pcmrs.fsm.verify.decision import DecisionCase
 
 
 class TimedOperations:
@@ -33,7 +33,7 @@ class TimedOperations:
         work: Remaining budget of the searches.
     """
 
-    def __init__(self, space: Space, progress: Progress | None = None) -> None:
+    def __init__(self, space: StateSpace, progress: Progress | None = None) -> None:
         self.space = space
         self.work = SearchBudget(space.limit, progress, len(space.reached))
 
@@ -72,14 +72,14 @@ def _may_be_denied_at_its_end(operation: Operation) -> bool:
     return any(_alike(one, other) for one in accepted for other in denied)
 
 
-def _alike(accepted: Decision, denied: Decision) -> bool:
+def _alike(accepted: DecisionCase, denied: DecisionCase) -> bool:
     # Locked branches cannot change while the operation runs; only the others may differ between start and end.
     writes, reads = accepted.locks
     both = (writes | reads) & accepted.seen.keys() & denied.seen.keys()
     return all(accepted.seen[branch] == denied.seen[branch] for branch in both)
 
 
-def deadlocks(space: Space) -> Iterator[Finding]:
+def deadlocks(space: StateSpace) -> Iterator[Finding]:
     """Find a joint state short of the goal in which a user may ask for nothing; device events do not count."""
     by_user = space.relation(lambda operation: not operation.spec.event)
     code = space.reached.first(lambda batch: ~_at_goal(space, batch) & ~by_user.mark(space.decided(batch)))
@@ -88,7 +88,7 @@ def deadlocks(space: Space) -> Iterator[Finding]:
         yield _after(space, "deadlock", text, code)
 
 
-def goals(space: Space) -> Iterator[Finding]:
+def goals(space: StateSpace) -> Iterator[Finding]:
     """Find a goal that cannot be reached from the start, or no longer from a joint state.
 
     Only requests of users and declared endings count: users cannot rely on a fault, or wait for a device.
@@ -111,7 +111,7 @@ def goals(space: Space) -> Iterator[Finding]:
         yield _after(space, "goal_lost", text, code)
 
 
-def releases(space: Space) -> Iterator[Finding]:
+def releases(space: StateSpace) -> Iterator[Finding]:
     """Find a joint state in which a Stop could no longer be acknowledged by what the latch still allows."""
     blueprint = space.blueprint
     if not any(operation.spec.blocked_when_latched for operation in space.operations):
@@ -131,7 +131,7 @@ def _is_allowed_by_latch(operation: OperationSpec) -> bool:
     return not (operation.event or operation.blocked_when_latched)
 
 
-def describe_state(space: Space, code: int) -> str:
+def describe_state(space: StateSpace, code: int) -> str:
     """Return a joint state in a line.
 
     Args:
@@ -141,12 +141,12 @@ def describe_state(space: Space, code: int) -> str:
     return line_of(space.encoding.decoded(code))
 
 
-def _at_goal(space: Space, batch: Batch) -> Mask:
+def _at_goal(space: StateSpace, batch: Batch) -> Mask:
     if not space.blueprint.goal:
         return np.zeros(len(batch.codes), dtype=np.bool_)
     return batch.matching(space.blueprint.goal)
 
 
-def _after(space: Space, code: str, text: str, state: int) -> Finding:
+def _after(space: StateSpace, code: str, text: str, state: int) -> Finding:
     way = space.path_to(state)
     return Finding(code=code, text=text, path=path_of(way[-1]) if way else ("branches",), commands=way)

@@ -13,9 +13,9 @@ from pcmrs.fsm.blueprint import Condition
 from pcmrs.fsm.verify._encoding import Batch, Encoding, Mask
 from pcmrs.fsm.verify._relation import Edges, Relation
 from pcmrs.fsm.verify._search import Reached, SearchBudget, Visited, search, states_leading_to
-from pcmrs.fsm.verify._space import Operation, Space, check_encodable, command, digits, guard
+from pcmrs.fsm.verify._space import Operation, StateSpace, check_encodable, command, digits, guard
 from pcmrs.fsm.verify._transition import Allowed, Paths, Transition
-from pcmrs.fsm.verify.decision import Decision, Locks
+from pcmrs.fsm.verify.decision import DecisionCase, LockSets
 
 COST_OF_TRANSITION = 20
 """Looking at a transition at all moments takes as long as examining so many moments."""
@@ -54,7 +54,7 @@ class Moments:
         SearchLimitError: The search exceeds the budget, or there are more combinations than can be encoded.
     """
 
-    def __init__(self, space: Space, observed: frozenset[str], work: SearchBudget) -> None:
+    def __init__(self, space: StateSpace, observed: frozenset[str], work: SearchBudget) -> None:
         self._space = space
         self._locks = {
             each.name: sorted({decision.locks for decision in each.known if decision.accepted}, key=_sorted)
@@ -78,7 +78,7 @@ class Moments:
         """Return the commands of a shortest path to a moment."""
         return self._paths.path_to(code)
 
-    def decoded(self, code: int) -> tuple[dict[str, str], list[tuple[str, Locks]]]:
+    def decoded(self, code: int) -> tuple[dict[str, str], list[tuple[str, LockSets]]]:
         """Return the joint state of a moment, and the running operations with the locks that they hold."""
         values = self._encoding.decoded(code)
         running = [(name, held[int(values[name])]) for name, held in self._locks.items() if values[name]]
@@ -201,7 +201,7 @@ class Moments:
             free &= table[kinds, batch.digits[digit]]
         return free
 
-    def _held_by(self, name: str, locks: Locks) -> int:
+    def _held_by(self, name: str, locks: LockSets) -> int:
         """Return the digit of an operation while it runs with these locks; 0 if it is not watched."""
         return self._locks[name].index(locks) + 1 if name in self._locks else 0
 
@@ -217,12 +217,12 @@ class Moments:
                     tables[digit][kind, allowed[digit]] = True
         return tables
 
-    def _beside(self, name: str, locks: Locks) -> Allowed:
+    def _beside(self, name: str, locks: LockSets) -> Allowed:
         """Return the values of all watched operations at which one may begin that takes these locks."""
         own: Allowed = {self._encoding.position[name]: (0,)} if name in self._locks else {}
         return self._others(name, locks) | own
 
-    def _others(self, name: str, locks: Locks) -> Allowed:
+    def _others(self, name: str, locks: LockSets) -> Allowed:
         """Return the values of the other watched operations that do not conflict with these locks."""
         free: Allowed = {}
         for other, held in self._locks.items():
@@ -249,7 +249,7 @@ class Moments:
             if held is not None:
                 yield from self._conclusions(operation, decision, seen | self._others(name, _writing(decision.locks)))
 
-    def _conclusions(self, operation: Operation, decision: Decision, where: Allowed) -> Iterator[Transition]:
+    def _conclusions(self, operation: Operation, decision: DecisionCase, where: Allowed) -> Iterator[Transition]:
         """Return the transitions of a watched operation that has run and ends where a decision is taken."""
         digit = self._encoding.position[operation.name]
         for ending, states in decision.endings.items():
@@ -258,15 +258,15 @@ class Moments:
                 yield Transition.of(self._encoding, command(operation, ending), {**where, digit: (held,)}, targets)
 
 
-def _writing(locks: Locks) -> Locks:
+def _writing(locks: LockSets) -> LockSets:
     """Return the locks that a commit needs."""
     return locks[0], frozenset()
 
 
-def _sorted(locks: Locks) -> tuple[list[str], list[str]]:
+def _sorted(locks: LockSets) -> tuple[list[str], list[str]]:
     return sorted(locks[0]), sorted(locks[1])
 
 
-def _conflict(one: Locks, other: Locks) -> bool:
+def _conflict(one: LockSets, other: LockSets) -> bool:
     """Return true if two locks cannot be held together: one writes what the other reads or writes."""
     return bool(one[0] & (other[0] | other[1]) or one[1] & other[0])

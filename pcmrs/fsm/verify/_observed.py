@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pcmrs.fsm.blueprint import Blueprint
 
 
-class Observer:
+class DependencyObserver:
     """Gives out joint states, and notes which of their states are compared or hashed.
 
     Nothing else can make a decision depend on a state. The states that it gives out must not be used after the
@@ -48,9 +48,9 @@ class _ObservedState(str):
 
     _branch: str
     _plain: str
-    _observer: Observer
+    _observer: DependencyObserver
 
-    def __new__(cls, state: str, branch: str, observer: Observer) -> _ObservedState:
+    def __new__(cls, state: str, branch: str, observer: DependencyObserver) -> _ObservedState:
         made = super().__new__(cls, state)
         made._plain, made._branch, made._observer = state, branch, observer
         return made

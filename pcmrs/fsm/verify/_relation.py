@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcmrs.fsm.verify._encoding import Codes, Mask, Rows
-from pcmrs.fsm.verify._forest import Decisions
+from pcmrs.fsm.verify._forest import DecisionNumbers
 
 Edges = tuple[Rows, Codes]
 """Transitions from a batch: the row that each leaves and the code that it leads to, shape (transitions,) each."""
@@ -27,12 +27,12 @@ class Relation:
         self._shifts = shifts
         self._first = np.cumsum(counts) - counts
 
-    def mark(self, decisions: Decisions) -> Mask:
+    def mark(self, decisions: DecisionNumbers) -> Mask:
         """Return a mask of the joint states in which any of the transitions can be taken."""
         found: Mask = np.logical_or.reduce((self.counts > 0)[decisions], axis=0)
         return found
 
-    def edges(self, codes: Codes, decisions: Decisions, where: NDArray[np.bool_] | None = None) -> Edges:
+    def edges(self, codes: Codes, decisions: DecisionNumbers, where: NDArray[np.bool_] | None = None) -> Edges:
         """Return the transitions from some codes.
 
         Args:

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, OperationSpec
 from pcmrs.fsm.verify._encoding import MAX_COMBINATIONS, Batch, Codes, Encoding, Mask
-from pcmrs.fsm.verify._forest import Decisions, Forest
+from pcmrs.fsm.verify._forest import DecisionNumbers, Forest
 from pcmrs.fsm.verify._relation import Edges, Relation
 from pcmrs.fsm.verify._search import Progress, SearchLimitError, search
 from pcmrs.fsm.verify._transition import Allowed, Paths, Transition
-from pcmrs.fsm.verify.decision import Decider, Decision, Locks
+from pcmrs.fsm.verify.decision import Decider, DecisionCase, LockSets
 
 MAX_DECISIONS = 10_000
 """Limit of evaluated closures; a common workflow needs hundreds, even with a million joint states."""
@@ -40,7 +40,7 @@ class Operation:
     branch: str
     operation: str
     spec: OperationSpec
-    known: list[Decision] = field(default_factory=list)
+    known: list[DecisionCase] = field(default_factory=list)
 
     @property
     def name(self) -> str:
@@ -48,7 +48,7 @@ class Operation:
         return f"{self.branch}.{self.operation}"
 
 
-class Space:
+class StateSpace:
     """Reachable joint states of a workflow, and the transitions between them.
 
     Args:
@@ -90,13 +90,13 @@ class Space:
         initial = np.array([self.encoding.code(blueprint.initial())], dtype=np.int64)
         self.reached = search(self.encoding, initial, self._following, limit=limit, progress=progress)
 
-    def decisions(self) -> Iterator[tuple[Operation, Decision]]:
+    def decisions(self) -> Iterator[tuple[Operation, DecisionCase]]:
         """Return every operation with each decision about it that occurs."""
         for operation in self.operations:
             for decision in operation.known:
                 yield operation, decision
 
-    def decided(self, batch: Batch) -> Decisions:
+    def decided(self, batch: Batch) -> DecisionNumbers:
         """Return the decision about each operation in each joint state of a batch.
 
         Args:
@@ -108,7 +108,7 @@ class Space:
         return batch.cached("decided", self._forest.evaluate)
 
     @property
-    def numbered(self) -> list[tuple[int, Decision]]:
+    def numbered(self) -> list[tuple[int, DecisionCase]]:
         """Decisions by their number, each with the number of its operation."""
         return self._forest.learned
 
@@ -133,9 +133,9 @@ class Space:
         return np.repeat(np.arange(len(counts)), counts), np.array(declared, dtype=np.bool_)
 
     @cached_property
-    def kinds(self) -> tuple[list[tuple[Operation, Locks]], NDArray[np.int64]]:
+    def kinds(self) -> tuple[list[tuple[Operation, LockSets]], NDArray[np.int64]]:
         """Operations with the locks that each may take, and which of them each decision means; -1 if it is denied."""
-        found: dict[tuple[int, Locks], int] = {}
+        found: dict[tuple[int, LockSets], int] = {}
         of = [
             found.setdefault((number, decision.locks), len(found)) if decision.accepted else -1
             for number, decision in self.numbered
@@ -175,7 +175,7 @@ class Space:
         """Return the commands of a shortest path to a joint state."""
         return self._paths.path_to(code)
 
-    def nearest(self, decision: Decision) -> int:
+    def nearest(self, decision: DecisionCase) -> int:
         """Return one of the nearest joint states where the decision is taken."""
         taken = {branch: [state] for branch, state in decision.seen.items()}
         found = self.reached.first(lambda batch: batch.matching(taken))
@@ -187,7 +187,7 @@ class Space:
     def _paths(self) -> Paths:
         return Paths(self.encoding, self.reached.levels, [transition for _, transition in self.transitions()])
 
-    def _decide(self, number: int, code: int) -> Decision:
+    def _decide(self, number: int, code: int) -> DecisionCase:
         self._left -= 1
         if self._left < 0:
             text = "The operations depend on too many combinations of the states of several branches: "
@@ -220,7 +220,7 @@ class Space:
         """Return the number of endings of each decision, and the shift of each ending."""
         return np.array(self._counts, dtype=np.int64), np.array(self._shifts, dtype=np.int64)
 
-    def _transition(self, operation: Operation, decision: Decision, ending: str) -> Transition:
+    def _transition(self, operation: Operation, decision: DecisionCase, ending: str) -> Transition:
         targets = digits(self.encoding, decision.endings[ending])
         return Transition.of(self.encoding, command(operation, ending), guard(self.encoding, decision), targets)
 
@@ -250,7 +250,7 @@ def check_encodable(encoding: Encoding) -> None:
         raise SearchLimitError(f"{text}reduce the branches, the states, or the operations that properties watch.")
 
 
-def guard(encoding: Encoding, decision: Decision) -> Allowed:
+def guard(encoding: Encoding, decision: DecisionCase) -> Allowed:
     """Return the digits that a decision depends on, with their values.
 
     Args:

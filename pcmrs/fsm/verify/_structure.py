@@ -8,8 +8,8 @@ from itertools import combinations
 import numpy as np
 
 from pcmrs.fsm.finding import Finding
-from pcmrs.fsm.verify._space import Operation, Space
-from pcmrs.fsm.verify.decision import Decision
+from pcmrs.fsm.verify._space import Operation, StateSpace
+from pcmrs.fsm.verify.decision import DecisionCase
 
 UNSOUND = {
     "cascade_too_long": (
@@ -24,14 +24,14 @@ INCOMPLETE = {code for code, _ in UNSOUND.values()}
 """Findings after which the search is incomplete: an unreached state may only lie behind a broken operation."""
 
 
-def denials(space: Space) -> Iterator[Finding]:
+def denials(space: StateSpace) -> Iterator[Finding]:
     """Find operations that trigger an endless cascade, or that can begin but not end."""
     for operation, decision in _first_of_each(space, lambda found: found.denied in UNSOUND):
         code, text = UNSOUND[decision.denied or ""]
         yield _shown(space, operation, decision, code, f"{operation.name} {text}")
 
 
-def order(space: Space) -> Iterator[Finding]:
+def order(space: StateSpace) -> Iterator[Finding]:
     """Find operations whose closure depends on the order of the branches in the file."""
     for operation, decision in _first_of_each(space, lambda found: found.ordered):
         text = (
@@ -41,7 +41,7 @@ def order(space: Space) -> Iterator[Finding]:
         yield _shown(space, operation, decision, "order_dependent", text)
 
 
-def activities(space: Space) -> Iterator[Finding]:
+def activities(space: StateSpace) -> Iterator[Finding]:
     """Find activities that may end by themselves where the operation that leaves their state is denied."""
     for operation in space.operations:
         declared = space.blueprint.branches[operation.branch].activities
@@ -58,7 +58,7 @@ def activities(space: Space) -> Iterator[Finding]:
             yield Finding(code="activity_stuck", text=text, path=path, commands=way)
 
 
-def revocations(space: Space) -> Iterator[Finding]:
+def revocations(space: StateSpace) -> Iterator[Finding]:
     """Find revocations of one branch that hold at once and disagree; the file alone shows it."""
     for name, branch in space.blueprint.branches.items():
         for (_, one), (second, other) in combinations(enumerate(branch.revocations), 2):
@@ -70,7 +70,7 @@ def revocations(space: Space) -> Iterator[Finding]:
                 yield Finding(code="ambiguous_revocation", text=text, path=path)
 
 
-def unused(space: Space) -> Iterator[Finding]:
+def unused(space: StateSpace) -> Iterator[Finding]:
     """Find states that no branch enters, and operations that are never accepted or never called."""
     for digit, (name, states) in enumerate(zip(space.encoding.names, space.encoding.values, strict=True)):
         seen = np.zeros(len(states), dtype=np.bool_)
@@ -89,14 +89,14 @@ def path_of(command: str) -> tuple[str, ...]:
     return ("branches", branch, "operations", operation)
 
 
-def _unaccepted(space: Space) -> Iterator[Finding]:
+def _unaccepted(space: StateSpace) -> Iterator[Finding]:
     for operation in space.operations:
         if not any(decision.accepted for decision in operation.known):
             text = f"{operation.name} is accepted in none of the {len(space.reached)} joint states: see its `requires`."
             yield Finding(code="never_accepted", text=text, path=path_of(operation.name))
 
 
-def _uncalled(space: Space) -> Iterator[Finding]:
+def _uncalled(space: StateSpace) -> Iterator[Finding]:
     called = frozenset[tuple[str, str]]().union(*(decision.calls for _, decision in space.decisions()))
     for name, branch in space.blueprint.branches.items():
         for operation, spec in branch.operations.items():
@@ -105,12 +105,14 @@ def _uncalled(space: Space) -> Iterator[Finding]:
                 yield Finding(code="never_called", text=text, path=("branches", name, "operations", operation))
 
 
-def _first_of_each(space: Space, wanted: Callable[[Decision], bool]) -> Iterator[tuple[Operation, Decision]]:
+def _first_of_each(
+    space: StateSpace, wanted: Callable[[DecisionCase], bool]
+) -> Iterator[tuple[Operation, DecisionCase]]:
     """Return one wanted decision of each operation that has one."""
     for operation in space.operations:
         yield from ((operation, decision) for decision in [*filter(wanted, operation.known)][:1])
 
 
-def _shown(space: Space, operation: Operation, decision: Decision, code: str, text: str) -> Finding:
+def _shown(space: StateSpace, operation: Operation, decision: DecisionCase, code: str, text: str) -> Finding:
     commands = (*space.path_to(space.nearest(decision)), operation.name)
     return Finding(code=code, text=text, path=path_of(operation.name), commands=commands)

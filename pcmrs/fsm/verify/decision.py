@@ -12,14 +12,14 @@ from pcmrs.fsm.behaviour import Ruling, endings
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.closure import Change, Closure, close
 from pcmrs.fsm.verify._cascades import Cascades
-from pcmrs.fsm.verify._observed import Observer
+from pcmrs.fsm.verify._observed import DependencyObserver
 
-Locks = tuple[frozenset[str], frozenset[str]]
+LockSets = tuple[frozenset[str], frozenset[str]]
 """Branches locked for writing, and for reading."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Decision:
+class DecisionCase:
     """Result of an operation wherever the branches that it depends on have these states.
 
     Attributes:
@@ -37,7 +37,7 @@ class Decision:
     endings: dict[str, dict[str, str]]
     declared: frozenset[str]
     calls: frozenset[tuple[str, str]]
-    locks: Locks
+    locks: LockSets
     ordered: bool
 
     @property
@@ -55,10 +55,10 @@ class Decider:
 
     def __init__(self, *orders: Blueprint) -> None:
         self._blueprint, *self._reordered = orders
-        self._observer = Observer(self._blueprint)
+        self._observer = DependencyObserver(self._blueprint)
         self._cascades = Cascades(self._observer, self._reordered)
 
-    def decide(self, states: Mapping[str, str], branch: str, operation: str) -> Decision:
+    def decide(self, states: Mapping[str, str], branch: str, operation: str) -> DecisionCase:
         """Work out the closure of an operation in a joint state, and what it depends on.
 
         Args:
@@ -80,7 +80,7 @@ class Decider:
         seen.update({name: states[name] for name in states if name in touched})
         # No observed state must leave this function: targets and names come from the blueprint.
         if not isinstance(answer, Closure):
-            return Decision(seen, answer.code, {}, frozenset(), frozenset(), (frozenset(), frozenset()), ordered)
+            return DecisionCase(seen, answer.code, {}, frozenset(), frozenset(), (frozenset(), frozenset()), ordered)
         spec = self._blueprint.branches[branch].operations[operation]
         ends = {name: {} if change is None else change.targets for name, change in endings(spec, answer).items()}
         calls = frozenset(
@@ -89,7 +89,7 @@ class Decider:
             for effect in change.effects
             if effect.kind == "signal"
         )
-        return Decision(seen, None, ends, frozenset(answer.outcomes), calls, (answer.writes, answer.reads), ordered)
+        return DecisionCase(seen, None, ends, frozenset(answer.outcomes), calls, (answer.writes, answer.reads), ordered)
 
 
 def _changes(answer: Ruling) -> list[Change]:

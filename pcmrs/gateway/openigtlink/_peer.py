@@ -12,7 +12,7 @@ from pcmrs.clock import Clock
 from pcmrs.devices.plus.messages import STATUS_EMERGENCY, STATUS_ERROR, STATUS_OK, StatusMessage, text_message
 from pcmrs.errors import PayloadError
 from pcmrs.gateway.commands import PlanKind
-from pcmrs.gateway.openigtlink.plans import Answer, PlanSubmitter, landmarks, target
+from pcmrs.gateway.openigtlink.plans import PlanOutcome, PlanSubmitter, landmarks, target
 from pcmrs.gateway.settings import OpenIgtLinkConfig
 
 KINDS = ("TRANSFORM", "POINT", "STRING")
@@ -22,7 +22,7 @@ MAX_WAITING = 100
 STALLED_AFTER = 10.0
 """Limit after which a peer that reads nothing is disconnected, s."""
 
-Plans = Callable[[Callable[[Answer], None]], PlanSubmitter]
+Plans = Callable[[Callable[[PlanOutcome], None]], PlanSubmitter]
 
 
 class Peer:
@@ -47,7 +47,7 @@ class Peer:
         self._wall = wall
         self._trusted = trusted
         self._last: dict[PlanKind, object] = {}
-        self._wrong: Answer | None = None
+        self._wrong: PlanOutcome | None = None
         self._latched = False
 
     def receive(self, message: Any) -> None:
@@ -95,7 +95,7 @@ class Peer:
         if not self._trusted:
             raise PayloadError("Commands over OpenIGTLink are not signed: they are taken from loopback peers only.")
 
-    def _take_answer(self, answer: Answer) -> None:
+    def _take_answer(self, answer: PlanOutcome) -> None:
         self._wrong = None if answer.decision == "accepted" else answer
         self.outbox.put(text_message(answer.line, **self._header("PcmrsVerdict")).pack())
         self.send_status(self._latched)

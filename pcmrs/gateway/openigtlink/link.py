@@ -18,7 +18,7 @@ from pcmrs.gateway._adapter import Core
 from pcmrs.gateway.intake import ConnectionLimit, Intake, peer_of, source_of
 from pcmrs.gateway.openigtlink._peer import KINDS, Peer
 from pcmrs.gateway.openigtlink._streams import Broadcaster
-from pcmrs.gateway.openigtlink.plans import Answer, PlanSubmitter
+from pcmrs.gateway.openigtlink.plans import PlanOutcome, PlanSubmitter
 from pcmrs.gateway.periodic_timer import PeriodicTask, kernel_beats
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.hosts import is_loopback
@@ -163,7 +163,7 @@ class OpenIgtLink(DispatcherListener):
         host = address[0]
         lock, source = self._intake.lock(host), source_of(LINK, address)
 
-        def planner(answer: Callable[[Answer], None]) -> PlanSubmitter:
+        def planner(answer: Callable[[PlanOutcome], None]) -> PlanSubmitter:
             return PlanSubmitter(source, self._core, lock, self._jobs, answer, self._intake.refusals)
 
         trusted = not self._exposed and host in self._gateway.unsigned_peers

@@ -84,7 +84,7 @@ def _check_near(points_mm: npt.NDArray[np.float64]) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class PlanOutcome:
     """Outcome of a command; `code` and `text` say why it was not accepted."""
 
     decision: str
@@ -127,7 +127,7 @@ class PlanSubmitter:
         core: Core,
         lock: PlanLock,
         tasks: BackgroundTasks,
-        answer: Callable[[Answer], None],
+        answer: Callable[[PlanOutcome], None],
         refusals: RejectionLog,
     ) -> None:
         self._source = source
@@ -167,7 +167,7 @@ class PlanSubmitter:
             self._answer(await self._decide(kind, self._waiting.pop(kind)))
         self._working = False
 
-    async def _decide(self, kind: PlanKind, attempt: Attempt) -> Answer:
+    async def _decide(self, kind: PlanKind, attempt: Attempt) -> PlanOutcome:
         """Return the answer to a plan, however it ends."""
         branch, operation = OPERATIONS[kind]
         name = f"{branch}.{operation}"
@@ -181,28 +181,30 @@ class PlanSubmitter:
         except RefusalError as refusal:
             return self._rejected(name, refusal.refusal_code, refusal.text)
         except PcmrsError as error:
-            return Answer("failed", name, error.code, error.text)
+            return PlanOutcome("failed", name, error.code, error.text)
         except Exception:
             log.exception("plan_broke", operation=name)
-            return Answer("failed", name, "internal_error", "The daemon's log has the details.")
+            return PlanOutcome("failed", name, "internal_error", "The daemon's log has the details.")
         if verdict.decision == "accepted":
             self._lock.accept(kind, attempt.number)
         return _answer_of(verdict)
 
-    def _rejected(self, name: str, reason: str, text: str) -> Answer:
+    def _rejected(self, name: str, reason: str, text: str) -> PlanOutcome:
         self._refusals.add(self._source, reason, f"{name} was refused: {text}")
-        return Answer("rejected", name, reason, text)
+        return PlanOutcome("rejected", name, reason, text)
 
     async def _stop(self) -> None:
         stands = await self._core.stop(self._source)
         text = "The robot has not confirmed that it stands."
-        self._answer(Answer("accepted", "stop") if stands else Answer("failed", "stop", "hold_not_confirmed", text))
+        self._answer(
+            PlanOutcome("accepted", "stop") if stands else PlanOutcome("failed", "stop", "hold_not_confirmed", text)
+        )
 
 
-def _answer_of(verdict: Verdict) -> Answer:
+def _answer_of(verdict: Verdict) -> PlanOutcome:
     name = f"{verdict.branch}.{verdict.operation}"
     if verdict.decision == "accepted":
-        return Answer("accepted", name)
+        return PlanOutcome("accepted", name)
     if verdict.reason is None:
-        return Answer(verdict.decision, name, verdict.decision)
-    return Answer(verdict.decision, name, verdict.reason.code, verdict.reason.text)
+        return PlanOutcome(verdict.decision, name, verdict.decision)
+    return PlanOutcome(verdict.decision, name, verdict.reason.code, verdict.reason.text)

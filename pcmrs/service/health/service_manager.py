@@ -41,7 +41,7 @@ class ServiceManager:
     def __bool__(self) -> bool:
         return bool(self._address)
 
-    def tell(self, *lines: str) -> None:
+    def notify(self, *lines: str) -> None:
         """Send lines without waiting, and log if that fails; do nothing without a service manager."""
         if not self:
             return
@@ -66,7 +66,7 @@ async def run_watchdog(manager: ServiceManager, health: Callable[[], Health], cl
         mark()
         now = health()
         fed = ("WATCHDOG=1",) if manager.watched and not needs_restart(now.reasons) else ()
-        manager.tell(f"STATUS={status_line(now)}", *fed)
+        manager.notify(f"STATUS={status_line(now)}", *fed)
         await clock.sleep(manager.period)
 
 

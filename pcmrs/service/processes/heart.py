@@ -43,7 +43,7 @@ class BeatSender(Protocol):
     def sign(self, alive: float) -> None:
         """Send a sign of life of the loop, s of the machine's monotonic clock; never blocks."""
 
-    def hear(self) -> None:
+    def record_beat(self) -> None:
         """Note that one of its beats has arrived over the bus."""
 
 
@@ -68,7 +68,7 @@ class LoopHeart:
         sent = self._clock.monotonic()
         self._publish(DAEMON_BEAT, Beat(number=self._number, session=self.session, alive=alive, sent=sent))
 
-    def hear(self) -> None:
+    def record_beat(self) -> None:
         """Ignore its own beats."""
 
 
@@ -96,7 +96,7 @@ class HeartProcess:
         self.report: Callable[[DeviceEvent], None] = lambda _: None
         self._settings, self._clock = settings, clock
         self._number = 0
-        self._patience = STARTING_TIME
+        self._answer_limit = STARTING_TIME
         self._unanswered_since: float | None = None
         self._pipe: int | None = None
         self._process: Process | None = None
@@ -108,13 +108,13 @@ class HeartProcess:
             with suppress(BlockingIOError, BrokenPipeError):
                 os.write(self._pipe, SIGN.pack(self._number, alive))
         self._unanswered_since = alive if self._unanswered_since is None else self._unanswered_since
-        if self._process is not None and alive - self._unanswered_since > self._patience:
+        if self._process is not None and alive - self._unanswered_since > self._answer_limit:
             self._unanswered_since = None
             with suppress(ProcessLookupError):
                 self._process.kill()  # the same follows as if it ends by itself
 
-    def hear(self) -> None:
-        self._patience, self._unanswered_since = ANSWER_TIME, None
+    def record_beat(self) -> None:
+        self._answer_limit, self._unanswered_since = ANSWER_TIME, None
 
     def start(self, supervisor: Supervisor) -> None:
         """Start the process, and keep it running."""
@@ -129,7 +129,7 @@ class HeartProcess:
     async def _keep(self) -> None:
         limit = RestartLimit(RESTARTS, WITHIN, self._clock)
         while True:
-            self._patience, self._unanswered_since = STARTING_TIME, None
+            self._answer_limit, self._unanswered_since = STARTING_TIME, None
             process = self._process = await self._begin()
             status = await process.wait()
             self._close_pipe()

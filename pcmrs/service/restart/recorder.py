@@ -79,7 +79,7 @@ class JournalRecorder:
         self._clock = clock
         self._common: dict[str, Any] = {"session_id": session, "boot_id": _boot_id(), "blueprint": blueprint}
         self._decided = DecidedKeys(journal.reader.decided())
-        self._ledger: RestartState | None = None
+        self._restart_state: RestartState | None = None
         self._procedure: Procedure[Any, Any] | None = None
         self._since_snapshot = 0
 
@@ -139,17 +139,17 @@ class JournalRecorder:
         reader = self._journal.reader
         snapshot = next(reader.read(kind="snapshot", last=1), None)
         kept = PersistedState() if snapshot is None else self._kept_in(snapshot.row)
-        ledger, rows = RestartState(blueprint, kept), 0
+        restart_state, rows = RestartState(blueprint, kept), 0
         for stored in reader.read(after=0 if snapshot is None else snapshot.sequence):
-            ledger.take(stored.row)
+            restart_state.take(stored.row)
             rows += 1
-        self._ledger, self._since_snapshot = ledger, rows
-        return ledger.kept
+        self._restart_state, self._since_snapshot = restart_state, rows
+        return restart_state.kept
 
     @property
     def kept(self) -> PersistedState:
         """State that a run that begins now would take over."""
-        return PersistedState() if self._ledger is None else self._ledger.kept
+        return PersistedState() if self._restart_state is None else self._restart_state.kept
 
     def attach(self, procedure: Procedure[Any, Any]) -> None:
         """Take states, data and sequence of later snapshots from this procedure."""
@@ -166,7 +166,7 @@ class JournalRecorder:
         result = {"settings": dict(settings), "versions": versions, "calibration": calibration}
         return await self._append([self._row("config", source=DAEMON, operation="started", result=result)])
 
-    async def taken_up(self, migration: MigrationSpec) -> None:
+    async def record_migration(self, migration: MigrationSpec) -> None:
         """Journal that the present blueprint continues the journal of an older one, and why."""
         text = f"Taken up from {migration.version} {migration.hash} because {migration.why}"
         result = {"text": text, **msgspec.to_builtins(migration)}
@@ -185,7 +185,7 @@ class JournalRecorder:
         Raises:
             JournalError: The snapshot cannot be written.
         """
-        if self._ledger is not None:
+        if self._restart_state is not None:
             await self._journal.append([self._snapshot()])
 
     def previous(self, kept: PersistedState, initial: PlacementData) -> PlacementData:
@@ -214,12 +214,12 @@ class JournalRecorder:
         for row in rows:
             if row.kind == "outcome":
                 self._decided.add(row.source or "", row.command_id or "")
-        if self._ledger is not None:
-            rows = self._followed(rows, self._ledger)
+        if self._restart_state is not None:
+            rows = self._followed(rows, self._restart_state)
         try:
             written = self._journal.append(rows)
         except JournalError:
-            self._ledger = None
+            self._restart_state = None
             raise
         if written.done():
             self._check(written)
@@ -227,9 +227,9 @@ class JournalRecorder:
             written.add_done_callback(self._check)
         return written
 
-    def _followed(self, rows: list[JournalRow], ledger: RestartState) -> list[JournalRow]:
+    def _followed(self, rows: list[JournalRow], restart_state: RestartState) -> list[JournalRow]:
         for row in rows:
-            ledger.take(row)
+            restart_state.take(row)
         self._since_snapshot += len(rows)
         if self._since_snapshot < SNAPSHOT_EVERY:
             return rows
@@ -238,7 +238,7 @@ class JournalRecorder:
 
     def _check(self, written: asyncio.Future[int]) -> None:
         if written.cancelled() or written.exception() is not None:
-            self._ledger = None
+            self._restart_state = None
 
     def _snapshot(self) -> JournalRow:
         procedure = self._procedure

@@ -91,7 +91,7 @@ class Recovered:
             dispatcher: The dispatcher.
             journal: Its journal.
         """
-        dispatcher.take_up(latched=self.latched, unknown=self.unknown, start=self.start)
+        dispatcher.restore(latched=self.latched, unknown=self.unknown, start=self.start)
         journal.on_failure(lambda error: dispatcher.fail(reason_for(error)))
 
 
@@ -117,7 +117,7 @@ async def recover(
     initial = recorder.previous(before, workflow.initial)
     start = await recorder.started(msgspec.to_builtins(settings), calibration)
     if migration is not None:
-        await recorder.taken_up(migration)
+        await recorder.record_migration(migration)
     await recorder.close_unfinished(before.begun)
     kept = recorder.kept
     for outcome in kept.unknown:

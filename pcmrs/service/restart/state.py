@@ -81,7 +81,7 @@ class RestartState:
         elif row.kind == "device":
             self._follow_activity(row)
             if (row.result or {}).get("danger"):
-                self._latched = self._latched or row.source != SHUTDOWN or _left_in_doubt(row)
+                self._latched = self._latched or row.source != SHUTDOWN or _left_unconfirmed(row)
 
     def _begin(self, row: JournalRow) -> None:
         source, command, branch = row.source or "", row.command_id or "", row.branch or ""
@@ -100,7 +100,7 @@ class RestartState:
         if decision == "accepted":
             self._accept(row)
         elif decision == "unknown":
-            self._doubt(row, row.wall if began is None else began.since)
+            self._add_unknown_outcome(row, row.wall if began is None else began.since)
 
     def _follow_activity(self, row: JournalRow) -> None:
         """Follow an activity that moves the robot: it has begun, or ended with the robot at rest or a motion."""
@@ -148,7 +148,7 @@ class RestartState:
             self._latched = False
             self._moving.clear()  # Stop has ended them all, even if the journal failed before it had the row
 
-    def _doubt(self, row: JournalRow, since: float) -> None:
+    def _add_unknown_outcome(self, row: JournalRow, since: float) -> None:
         self._unsettled.add(
             UnknownOutcome(
                 command=row.command_id or "",
@@ -168,6 +168,6 @@ class RestartState:
         return None if branch is None else branch.operations.get(row.operation or "")
 
 
-def _left_in_doubt(row: JournalRow) -> bool:
+def _left_unconfirmed(row: JournalRow) -> bool:
     """Return True if a connected robot had not confirmed that it stood still when its daemon ended."""
     return row.operation == NOT_CONFIRMED and (row.states or {}).get("robot") == "1"

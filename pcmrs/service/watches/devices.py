@@ -44,4 +44,4 @@ class HealthWatch:
                 log.warning("device_not_connected", device=device, reason=health.text)
         elif before is not None:
             log.info("device_connected", device=device)
-        self._readiness.hear(device)
+        self._readiness.record_message(device)

@@ -62,12 +62,12 @@ class DeviceReadiness:
         """True once all have answered."""
         return not self._silent and not self._unknown_gates
 
-    def hear(self, device: str) -> None:
+    def record_message(self, device: str) -> None:
         """Note a message of a device, or of its node that it is absent: then operations that need it are refused."""
         self._silent.discard(device)
         self._end_when_complete()
 
-    def hear_gate(self, device: str) -> None:
+    def record_gate(self, device: str) -> None:
         """Note that a heartbeat has reported the device's gate."""
         self._unknown_gates.discard(device)
         self._end_when_complete()

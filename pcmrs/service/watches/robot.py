@@ -46,7 +46,7 @@ class RobotWatch:
         self._in_doubt = in_doubt
         self._report = report
         self._clock = clock
-        self._heard = self._beaten = clock.monotonic()
+        self._last_joints = self._last_beat = clock.monotonic()
         self._without_beats, self._period = BEATS_MISSED * deadman, beat_period(deadman)
 
     async def run(self) -> None:
@@ -67,10 +67,10 @@ class RobotWatch:
     def _loss(self) -> str:
         """Text why the robot counts as lost; empty while it does not."""
         now = self._clock.monotonic()
-        if now - self._heard > SILENCE:
-            return f"The robot has not reported its joints for {now - self._heard:.1f} s."
-        if now - self._beaten > self._without_beats:
-            return f"The robot's node has sent no heartbeat for {now - self._beaten:.1f} s."
+        if now - self._last_joints > SILENCE:
+            return f"The robot has not reported its joints for {now - self._last_joints:.1f} s."
+        if now - self._last_beat > self._without_beats:
+            return f"The robot's node has sent no heartbeat for {now - self._last_beat:.1f} s."
         return ""
 
     async def lose(self, text: str) -> None:
@@ -78,14 +78,14 @@ class RobotWatch:
         if self._connected():
             await self._report(DeviceEvent(device="robot", code="link_lost", text=text, danger=True))
 
-    def hear(self) -> None:
+    def record_joints(self) -> None:
         """Note that the robot has reported its joints."""
-        self._heard = self._clock.monotonic()
+        self._last_joints = self._clock.monotonic()
 
-    def hear_beat(self, sent: float) -> None:
+    def record_beat(self, sent: float) -> None:
         """Note that the robot's node has sent a heartbeat.
 
         Args:
             sent: Time of sending, s of the machine's clock here.
         """
-        self._beaten = max(self._beaten, sent)
+        self._last_beat = max(self._last_beat, sent)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import click
 
-from pcmrs.cli.lazy import LazyGroup, Listed
+from pcmrs.cli.lazy import LazyCommand, LazyGroup
 
 COMMANDS = {
-    "cell": Listed("pcmrs_sim.cli.commands:cell"),
-    "kst": Listed("pcmrs_sim.cli.commands:kst"),
-    "ndi": Listed("pcmrs_sim.cli.commands:ndi"),
-    "muscle": Listed("pcmrs_sim.cli.muscle:muscle"),
-    "faults": Listed("pcmrs_sim.cli.commands:faults"),
+    "cell": LazyCommand("pcmrs_sim.cli.commands:cell"),
+    "kst": LazyCommand("pcmrs_sim.cli.commands:kst"),
+    "ndi": LazyCommand("pcmrs_sim.cli.commands:ndi"),
+    "muscle": LazyCommand("pcmrs_sim.cli.muscle:muscle"),
+    "faults": LazyCommand("pcmrs_sim.cli.commands:faults"),
 }
 
 

@@ -25,7 +25,6 @@ from pcmrs_sim.process.wire import (
     ArmState,
     Call,
     Cancel,
-    Event,
     Open,
     Opened,
     Reply,
@@ -33,6 +32,7 @@ from pcmrs_sim.process.wire import (
     ToWorld,
     TrackerPoses,
     Trouble,
+    WorldEvent,
     pack,
     read_by_node,
 )
@@ -140,7 +140,7 @@ class WorldClient:
             case ArmState(state, dropped):
                 self.dropped = dropped
                 self.states.publish(state)
-            case Event(event):
+            case WorldEvent(event):
                 self.events[event.device].publish(event)
             case Trouble(device, text):
                 self.trouble[device] = text

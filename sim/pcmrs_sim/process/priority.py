@@ -10,7 +10,7 @@ NICE = -10
 """Nice value, as of the units in ``deploy/systemd``; not a real-time policy: other programs still get their share."""
 
 
-def go_ahead_of_others() -> None:
+def raise_priority() -> None:
     """Give `NICE` to the calling thread, and to all that it starts, if that is permitted."""
     with suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)

@@ -23,7 +23,6 @@ from pcmrs_sim.process.wire import (
     ArmState,
     Call,
     Cancel,
-    Event,
     Failure,
     Open,
     Opened,
@@ -32,6 +31,7 @@ from pcmrs_sim.process.wire import (
     ToNode,
     TrackerPoses,
     Trouble,
+    WorldEvent,
     pack,
     read_by_world,
 )
@@ -106,9 +106,9 @@ class Server:
             yield self._send_all(cell.tracker.frames(), lambda frame: TrackerPoses(list(frame)), droppable=True)
         if "robot" in self._served:
             yield self._send_all(cell.robot.states(), lambda state: ArmState(state, cell.robot.dropped), droppable=True)
-            yield self._send_all(cell.robot.events(), Event)
+            yield self._send_all(cell.robot.events(), WorldEvent)
         if "stimulator" in self._served:
-            yield self._send_all(cell.stimulator.events(), Event)
+            yield self._send_all(cell.stimulator.events(), WorldEvent)
 
     async def _send_all(
         self, values: AsyncIterator[T], message: Callable[[T], ToNode], *, droppable: bool = False

@@ -118,7 +118,7 @@ class ArmState(msgspec.Struct, frozen=True, tag="state"):
     dropped: int = 0
 
 
-class Event(msgspec.Struct, frozen=True, tag="event"):
+class WorldEvent(msgspec.Struct, frozen=True, tag="event"):
     """Event of a device."""
 
     event: DeviceEvent
@@ -132,7 +132,7 @@ class Trouble(msgspec.Struct, frozen=True, tag="trouble"):
 
 
 ToWorld = Open | Call | Cancel | ServoPoint | Alive
-ToNode = Opened | Reply | TrackerPoses | ArmState | Event | Trouble
+ToNode = Opened | Reply | TrackerPoses | ArmState | WorldEvent | Trouble
 
 _encoder = msgspec.msgpack.Encoder()
 _to_world: msgspec.msgpack.Decoder[ToWorld] = msgspec.msgpack.Decoder(ToWorld)

@@ -12,7 +12,7 @@ import sys
 
 from pcmrs.cli.log import log_to_stderr
 from pcmrs.cli.running import run
-from pcmrs_sim.process.priority import go_ahead_of_others
+from pcmrs_sim.process.priority import raise_priority
 
 # MuJoCo looks for a window system, in two more processes, unless this is set before it is imported.
 os.environ.setdefault("MUJOCO_GL", "disable")
@@ -29,7 +29,7 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         # Its node holds the arm before it ends, and then closes the link, which ends this process.
         signal.signal(number, signal.SIG_IGN)
-    go_ahead_of_others()
+    raise_priority()
     log_to_stderr()
     run(_serve())
 

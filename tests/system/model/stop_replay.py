@@ -261,7 +261,7 @@ class Daemon:
         before = recorder.read_back(BLUEPRINT)
         start = await recorder.started({}, "")
         await recorder.close_unfinished(before.begun)
-        self.dispatcher.take_up(latched=recorder.kept.latched, unknown=recorder.kept.unknown, start=start)
+        self.dispatcher.restore(latched=recorder.kept.latched, unknown=recorder.kept.unknown, start=start)
         await self.dispatcher.submit(self.command("registration.register"))
 
     def command(self, name: str, **arguments: Any) -> Command:

@@ -181,7 +181,7 @@ DEFECTS: dict[str, tuple[str, Callable[..., object]]] = {
     "nothing is locked": ("pcmrs.dispatcher.locks:Locks.conflicts", never),
     "what a beat says of a latch is not looked at": ("pcmrs.service.watches.gates:GateWatch._compare", nothing),
     "a motion that was under way latches nothing after a crash": (
-        "pcmrs.service.restart.state:RestartState._doubt",
+        "pcmrs.service.restart.state:RestartState._add_unknown_outcome",
         nothing,
     ),
     "nothing follows from danger": (

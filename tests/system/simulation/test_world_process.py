@@ -24,7 +24,7 @@ from pcmrs.errors import (
     UnknownOutcomeError,
 )
 from pcmrs_sim.process.driver import open_devices
-from pcmrs_sim.process.priority import go_ahead_of_others
+from pcmrs_sim.process.priority import raise_priority
 from tests.unit.sim.process.test_priority import nice_after
 from tests.unit.sim.process.world_motion import CLOCK, HOME, PATIENCE, motion, until
 
@@ -47,7 +47,7 @@ async def test_calls_streams_and_errors_are_those_of_the_devices() -> None:
         robot, scene = devices["robot"], devices["scene"]
         assert set(devices) == set(DEVICES)
         (world,) = worlds_of(os.getpid())
-        assert os.getpriority(os.PRIO_PROCESS, world) == nice_after(go_ahead_of_others)
+        assert os.getpriority(os.PRIO_PROCESS, world) == nice_after(raise_priority)
         with pytest.raises(DeviceError, match="not connected"):
             await robot.joints()
         assert np.allclose((await robot.connect()).positions, HOME, atol=1e-3)

@@ -46,7 +46,8 @@ class Daemon:
         self.stops += 1
         return self.stops
 
-    async def submit(self, command: Command, *, arrived: float) -> Verdict:
+    async def submit(self, command: Command, *, arrived: float | None) -> Verdict:
+        assert arrived is not None
         self.submitted.put_nowait(command)
         self.ages.append(asyncio.get_running_loop().time() - arrived)
         return accepted(command)

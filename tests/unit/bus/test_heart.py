@@ -95,7 +95,7 @@ async def test_killed_heart_is_restarted_in_its_session_then_given_up() -> None:
 async def test_hung_heart_is_restarted_but_not_after_a_silent_loop() -> None:
     async with opened() as bench:
         first = await bench.sign_until_heard()
-        bench.heart.hear()
+        bench.heart.record_beat()
         bench.heart.sign(first.alive + 100.0)  # so long after the last one
         bench.heart.sign(first.alive + 100.0 + 0.9 * ANSWER_TIME)
         (pid,) = children()

@@ -259,7 +259,7 @@ class Cell:
     answering: asyncio.Event = field(default_factory=asyncio.Event)
     steered: asyncio.Queue[TeleopSetpoint] = field(default_factory=asyncio.Queue)
 
-    async def submit(self, command: Command, *, arrived: float) -> Verdict:
+    async def submit(self, command: Command, *, arrived: float | None) -> Verdict:
         self.submitted.append(command)
         await self.answering.wait()
         return accepted(command)

@@ -69,7 +69,7 @@ def test_a_snapshot_is_one_line_with_all_that_needs_attention() -> None:
 
 @pytest.mark.parametrize(("decision", "status"), [("accepted", 0), ("rejected", 1), ("failed", 2), ("unknown", 2)])
 async def test_the_exit_status_of_a_call_is_its_decision(decision: str, status: int) -> None:
-    async def submit(command: Command, *, arrived: float) -> Verdict:
+    async def submit(command: Command, *, arrived: float | None) -> Verdict:
         return replace(accepted(command), decision=decision, allowed=["robot.hold"])
 
     async with open_bus(new_cell()) as bus:

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 from pcmrs.cli import COMMANDS, main
-from pcmrs.cli.lazy import LazyGroup, Listed
+from pcmrs.cli.lazy import LazyCommand, LazyGroup
 from tests.unit.cli.command_line import run
 
 
@@ -74,7 +74,7 @@ def test_help_needs_neither_kinematics_nor_simulation() -> None:
 
 
 def test_a_command_of_a_missing_distribution_names_it() -> None:
-    commands = {"demo": Listed("pcmrs-none"), "call": Listed("pcmrs.cli.cell:call")}
+    commands = {"demo": LazyCommand("pcmrs-none"), "call": LazyCommand("pcmrs.cli.cell:call")}
     group = LazyGroup(name="pcmrs", commands=commands, prefix=None)
     ended = CliRunner().invoke(group, ["demo"])
     assert ended.exit_code == 2

@@ -26,7 +26,7 @@ class Holding(Daemon):
     lease: LeaseState | None = None
     refuses = False
 
-    async def submit(self, command: Command, *, arrived: float) -> Verdict:
+    async def submit(self, command: Command, *, arrived: float | None) -> Verdict:
         self.commands.append(command)
         if not self.refuses:
             return accepted(command)

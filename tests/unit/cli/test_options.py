@@ -8,7 +8,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from pcmrs.cli.options import Address, OutputFile, address_options
+from pcmrs.cli.options import CellAddress, OutputFile, address_options
 from pcmrs.errors import ConfigurationError
 from tests.unit.cli.command_line import run
 
@@ -21,15 +21,15 @@ def test_options_for_a_cell_are_refused_where_no_cell_is_tested() -> None:
 
 
 def test_without_an_identity_there_are_no_credentials(tmp_path: Path) -> None:
-    assert Address("tcp/127.0.0.1:7447", "lab", "cell1").credentials() is None
+    assert CellAddress("tcp/127.0.0.1:7447", "lab", "cell1").credentials() is None
     with pytest.raises(ConfigurationError, match="none"):
-        Address("tls/router:7449", "lab", "cell1", tmp_path / "none").credentials()
+        CellAddress("tls/router:7449", "lab", "cell1", tmp_path / "none").credentials()
 
 
 def test_an_address_comes_from_options_or_the_environment() -> None:
     @click.command()
     @address_options
-    def show(address: Address) -> None:
+    def show(address: CellAddress) -> None:
         click.echo(f"{address.endpoint} {address.site} {address.cell}")
 
     environment = {"PCMRS_ENDPOINT": "tcp/robot:1", "PCMRS_SITE": "or", "PCMRS_CELL": "", "PCMRS_IDENTITY": ""}

@@ -23,7 +23,7 @@ class Daemon:
         self.shown: dict[str, Any] = {}
         bus.serve("svc/snapshot", Empty, self.snapshot)
 
-    async def submit(self, command: Command, *, arrived: float) -> Verdict:
+    async def submit(self, command: Command, *, arrived: float | None) -> Verdict:
         self.commands.append(command)
         verdict = accepted(command)
         self.bus.publish("state/event", verdict)

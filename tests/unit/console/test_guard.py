@@ -14,7 +14,7 @@ from urllib.request import HTTPCookieProcessor, build_opener
 import pytest
 
 from pcmrs.cli.running import EXIT_BAD_CONFIGURATION
-from pcmrs.console.guard import Guard, cookie_name
+from pcmrs.console.guard import TokenMiddleware, cookie_name
 from pcmrs.errors import ConfigurationError
 from pcmrs.testing.daemon import free_port
 from tests.system.console.consoles import console
@@ -107,9 +107,9 @@ async def nothing(*_: object) -> None:
 @pytest.mark.parametrize("token", ["", "nineteen-characters"])
 def test_a_token_that_could_be_guessed_is_refused(token: str) -> None:
     with pytest.raises(ConfigurationError, match="minimum is 20") as refused:
-        Guard(nothing, token, [])
+        TokenMiddleware(nothing, token, [])
     assert refused.value.fields == {"characters": len(token), "limit": 20}
-    Guard(nothing, "the-twenty-character", [])
+    TokenMiddleware(nothing, "the-twenty-character", [])
 
 
 def test_a_token_that_could_be_guessed_opens_no_console(tmp_path: Path) -> None:

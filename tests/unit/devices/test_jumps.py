@@ -21,7 +21,7 @@ def _at(x: float, angle: float = 0.0) -> Transform:
 
 
 def _doubts(guard: JumpGuard, places: list[Transform], body: str = "coil", start: int = 0) -> list[str]:
-    return [guard.doubt(body, (start + i) * PERIOD, place) for i, place in enumerate(places)]
+    return [guard.rejection_reason(body, (start + i) * PERIOD, place) for i, place in enumerate(places)]
 
 
 def test_a_body_may_move_as_fast_as_the_limit() -> None:
@@ -44,15 +44,15 @@ def test_one_frame_elsewhere_costs_a_jump_there_and_back() -> None:
 
 def test_a_body_that_was_hidden_may_have_gone_far() -> None:
     guard = JumpGuard(LIMITS)
-    assert guard.doubt("coil", 0.0, _at(0.0)) == ""
-    assert guard.doubt("coil", 1.0, _at(1.9)) == ""
+    assert guard.rejection_reason("coil", 0.0, _at(0.0)) == ""
+    assert guard.rejection_reason("coil", 1.0, _at(1.9)) == ""
 
 
 def test_a_frame_that_is_not_newer_does_not_make_it_steady() -> None:
     guard = JumpGuard(LIMITS)
     _doubts(guard, [_at(0.0), _at(0.5)])
-    assert {guard.doubt("coil", PERIOD, _at(0.5)) for _ in range(50)} == {"stamp_not_advancing"}
-    assert guard.doubt("coil", 2 * PERIOD, _at(0.5)) == "jump"
+    assert {guard.rejection_reason("coil", PERIOD, _at(0.5)) for _ in range(50)} == {"stamp_not_advancing"}
+    assert guard.rejection_reason("coil", 2 * PERIOD, _at(0.5)) == "jump"
 
 
 def test_swapped_bodies_are_rejected_at_each_others_place() -> None:
@@ -86,7 +86,7 @@ def test_nothing_is_known_of_a_body_that_was_forgotten() -> None:
     guard = JumpGuard(LIMITS)
     _doubts(guard, [_at(0.0), _at(0.5)])
     guard.forget("coil")
-    assert guard.doubt("coil", 0.0, _at(9.0)) == ""
+    assert guard.rejection_reason("coil", 0.0, _at(9.0)) == ""
 
 
 @given(st.lists(st.floats(-10.0, 10.0), max_size=60))

@@ -321,7 +321,7 @@ async def test_user_command_during_the_failure_is_not_done_later(bench: Bench) -
 async def test_unknown_outcomes_of_an_earlier_run_keep_the_latch(bench: Bench) -> None:
     lost = UnknownOutcome(command="c", source="bus:local", branch="robot", operation="connect", since=5.0)
     moved = UnknownOutcome(command="d", source="bus:local", branch="placement", operation="home", since=6.0)
-    bench.dispatcher.take_up(latched=True, unknown=[lost, moved])
+    bench.dispatcher.restore(latched=True, unknown=[lost, moved])
     shown = bench.dispatcher.snapshot()
     assert (shown.latched, shown.unknown) == (True, [lost, moved])
     await bench.do("robot.connect")

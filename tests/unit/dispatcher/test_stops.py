@@ -416,10 +416,10 @@ async def test_a_stop_has_its_number_before_anything_is_awaited(bench: Bench) ->
 
 
 async def test_stops_of_a_later_run_have_greater_numbers(bench: Bench) -> None:
-    bench.dispatcher.take_up(latched=True, unknown=[], start=7)
+    bench.dispatcher.restore(latched=True, unknown=[], start=7)
     assert bench.dispatcher.stop_number > 7
     other = Bench()
-    other.dispatcher.take_up(latched=False, unknown=[], start=8)
+    other.dispatcher.restore(latched=False, unknown=[], start=8)
     for _ in range(100):
         await bench.dispatcher.stop("test:operator")
     await other.dispatcher.stop("test:operator")

@@ -5,11 +5,11 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from pcmrs.doctor._check_result import CheckResult, Verdict, bad, good, warning
+from pcmrs.doctor._check_result import CheckResult, CheckVerdict, bad, good, warning
 
 
 @pytest.mark.parametrize("verdict", ["good", "warning", "bad"])
-def test_each_verdict_has_its_finding_and_all_keys_on_the_wire(verdict: Verdict) -> None:
+def test_each_verdict_has_its_finding_and_all_keys_on_the_wire(verdict: CheckVerdict) -> None:
     words = ("disk", "0.1 GB free, the limit is 1 GB")
     found = {
         "good": good(*words),

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from pcmrs.doctor import _examination as examination
-from pcmrs.doctor._check_result import CheckResult, Verdict, bad, good, warning
+from pcmrs.doctor._check_result import CheckResult, CheckVerdict, bad, good, warning
 from pcmrs.doctor._examination import examine
 from pcmrs.settings import Settings, read_settings
 
-ORDER: tuple[Verdict, ...] = ("good", "warning", "bad")
+ORDER: tuple[CheckVerdict, ...] = ("good", "warning", "bad")
 MADE = {"good": good("a", "1"), "warning": warning("b", "2", "Do it."), "bad": bad("c", "3", "Do it.")}
 
 

@@ -15,7 +15,7 @@ from pcmrs.fsm.blueprint import (
     ParentSpec,
     Requirement,
     RevocationSpec,
-    Target,
+    TransitionTarget,
 )
 
 NAMES = ("alpha", "beta", "gamma", "delta")
@@ -104,7 +104,7 @@ class _Maker:
     def sources(self, branch: str) -> list[str]:
         return ["*"] if self.rng.random() < 0.25 else self.some(self.states[branch])
 
-    def target(self, branch: str, source: list[str]) -> Target:
+    def target(self, branch: str, source: list[str]) -> TransitionTarget:
         states = self.states[branch]
         if self.rng.random() < 0.75:
             return self.rng.choice(states)

@@ -9,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pcmrs.errors import PayloadError
-from pcmrs.gateway.commands import COMMANDS, Kind, Second, Spec, Value
+from pcmrs.gateway.commands import COMMANDS, Second, Spec, TokenType, Value
 from pcmrs.gateway.grammar import (
     MAX_BYTES,
     NO_DATA,
@@ -22,10 +22,10 @@ from pcmrs.gateway.grammar import (
 from pcmrs.messages import Verdict
 from pcmrs.planner import parse_reply
 
-_TOKENS: dict[Kind, st.SearchStrategy[Value]] = {
-    Kind.COUNT: st.integers(0, 999),
-    Kind.NUMBER: st.floats(allow_nan=False, allow_infinity=False),
-    Kind.PATH: st.from_regex(r"[a-zA-Z0-9_/.\-]{0,99}[a-z]", fullmatch=True),
+_TOKENS: dict[TokenType, st.SearchStrategy[Value]] = {
+    TokenType.COUNT: st.integers(0, 999),
+    TokenType.NUMBER: st.floats(allow_nan=False, allow_infinity=False),
+    TokenType.PATH: st.from_regex(r"[a-zA-Z0-9_/.\-]{0,99}[a-z]", fullmatch=True),
 }
 
 

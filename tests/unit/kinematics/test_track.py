@@ -5,7 +5,7 @@ import pytest
 
 from pcmrs.errors import UnreachableError
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.kinematics.track import Reason, track
+from pcmrs.kinematics.track import UnreachableReason, track
 from pcmrs.kinematics.urdf_arms import KNOWN, find_arm
 from pcmrs.spatial import Transform
 from tests.support.trials import run_counts
@@ -18,12 +18,12 @@ def arm(request: pytest.FixtureRequest) -> ArmModel:
     return ArmModel(find_arm(request.param))
 
 
-def reason(arm: ArmModel, target: Transform, seed: np.ndarray) -> Reason:
+def reason(arm: ArmModel, target: Transform, seed: np.ndarray) -> UnreachableReason:
     with pytest.raises(
         UnreachableError, match=r"cannot follow to the pose: it stops .* mm and .* deg before it"
     ) as caught:
         track(arm, target, seed)
-    why: Reason = caught.value.fields["reason"]
+    why: UnreachableReason = caught.value.fields["reason"]
     return why
 
 

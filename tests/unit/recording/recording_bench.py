@@ -21,7 +21,7 @@ from pcmrs.bus.seal import Seal, new_key, new_run
 from pcmrs.clock import SystemClock
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose, JointState
-from pcmrs.recording._foxglove_messages import View
+from pcmrs.recording._foxglove_messages import FoxgloveView
 from pcmrs.recording.file import RecordingFile, Topics
 from pcmrs.recording.frame_tree import Mounting
 from pcmrs.recording.series import Limits, files_of
@@ -150,7 +150,7 @@ def written(path: Path) -> list[bytes]:
     return payloads
 
 
-def read_back(shown: Sequence[tuple[str, View]], path: Path) -> list[tuple[str, Any]]:
+def read_back(shown: Sequence[tuple[str, FoxgloveView]], path: Path) -> list[tuple[str, Any]]:
     """Writes views to a new file, and returns topic and decoded message of each."""
     topics = Topics()
     file = RecordingFile(path, topics, {})

@@ -10,7 +10,7 @@ from foxglove.messages import LogLevel
 from pcmrs.messages import DeviceHealth, Epoch, Message, Snapshot
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import ProcedureDataView
-from pcmrs.recording._foxglove_messages import View, joints, json_schema, line, link, pose_in
+from pcmrs.recording._foxglove_messages import FoxgloveView, joints, json_schema, line, link, pose_in
 from pcmrs.spatial import Transform
 from tests.unit.recording.recording_bench import read_back
 
@@ -45,7 +45,10 @@ def test_time_before_1970_is_recorded_as_0(tmp_path: Path) -> None:
 def test_link_and_pose_hold_the_transform(tmp_path: Path) -> None:
     """The order of a quaternion differs: ours is w x y z."""
     pose = Transform.from_rotvec((0.1, -0.2, 0.3), (0.4, -0.5, 0.6))
-    views: list[tuple[str, View]] = [("/tf", link("tracker", "coil", pose, 5)), ("/pose", pose_in("image", pose, 5))]
+    views: list[tuple[str, FoxgloveView]] = [
+        ("/tf", link("tracker", "coil", pose, 5)),
+        ("/pose", pose_in("image", pose, 5)),
+    ]
     (_, links), (_, placed) = read_back(views, tmp_path / "run.mcap")
     (joined,) = links.transforms
     assert (joined.parent_frame_id, joined.child_frame_id, placed.frame_id) == ("tracker", "coil", "image")

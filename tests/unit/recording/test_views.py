@@ -9,7 +9,7 @@ import pytest
 
 from pcmrs.bus.codec import pack
 from pcmrs.messages import DeviceEvent, Message, PoseMessage, Target
-from pcmrs.recording._foxglove_messages import View
+from pcmrs.recording._foxglove_messages import FoxgloveView
 from pcmrs.recording.subscriber import RawSample
 from pcmrs.recording.views import RecordingViews
 from tests.unit.recording.recording_bench import ARM, MOUNTING, joints, pose, read_back
@@ -35,7 +35,7 @@ def sample(key: str, message: Message) -> RawSample:
     return RawSample(key, pack(message), 1.0)
 
 
-def topics(shown: list[tuple[str, View]]) -> list[str]:
+def topics(shown: list[tuple[str, FoxgloveView]]) -> list[str]:
     return [topic for topic, _ in shown]
 
 

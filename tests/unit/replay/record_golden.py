@@ -28,7 +28,7 @@ from pcmrs.messages import Verdict
 from pcmrs.testing.driving import acknowledge
 from pcmrs.testing.plan import Plan, example_plan, read_plan
 from pcmrs.workflows.opening import open_workflow
-from pcmrs_lab.experiment.tours.arguments import Arguments, plan_arguments
+from pcmrs_lab.experiment.tours.arguments import TourArguments, plan_arguments
 from pcmrs_lab.experiment.tours.run import tour_live
 from pcmrs_lab.experiment.treatment import prepare, treat
 from tests.system.daemon import daemon_process
@@ -103,7 +103,7 @@ async def second_run(daemon: ServeProcess, client: Client, workflow: str) -> Non
     await _told(client, "robot.connect")
     await _located(client)
     await acknowledge(client)
-    await tour_live(blueprint, client, Arguments(arguments), LIMIT, TOUR, lambda *_: None)
+    await tour_live(blueprint, client, TourArguments(arguments), LIMIT, TOUR, lambda *_: None)
 
 
 def _plan_of(workflow: str) -> Plan:

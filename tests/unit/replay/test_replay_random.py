@@ -156,7 +156,7 @@ def test_that_stop_turns_away_what_waits_is_decided_again(monkeypatch: pytest.Mo
     waited = [each.row.verdict for each in course.rows if each.row.operation == "clear_landmarks"]
     assert [verdict.reason.code for verdict in waited if verdict and verdict.reason] == ["stopped"]
     assert decide_anew(course).differences == []
-    monkeypatch.setattr(LockManager, "turn_away", lambda _: [])
+    monkeypatch.setattr(LockManager, "drain_commands", lambda _: [])
     assert decide_anew(course).differences
 
 

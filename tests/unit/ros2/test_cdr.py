@@ -56,10 +56,10 @@ def test_poses(message: cdr.PoseStamped) -> None:
 
 @given(headers, st.lists(texts, max_size=8), numbers, numbers, numbers)
 def test_joints(head: cdr.Header, names: list[str], at: list[float], speed: list[float], effort: list[float]) -> None:
-    message = cdr.JointState(head, names, at, speed, effort)
+    message = cdr.RosJointState(head, names, at, speed, effort)
     by_hand = cdr_bytes.joint_state(head.stamp.sec, head.stamp.nanosec, head.frame_id, names, at, speed, effort)
     assert message.serialize() == by_hand
-    assert cdr.JointState.deserialize(by_hand) == message
+    assert cdr.RosJointState.deserialize(by_hand) == message
 
 
 @given(st.lists(links, max_size=4))

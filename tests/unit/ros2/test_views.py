@@ -29,7 +29,7 @@ async def test_joints_are_a_joint_state_and_the_flange_a_frame() -> None:
     async with copied() as (cell, ear):
         await say_until(cell, lambda: "flange" in ear.links(), joints)
         wall = CLOCK.wall()
-        message = cdr.JointState.deserialize(ear.heard["joint_states"][-1])
+        message = cdr.RosJointState.deserialize(ear.heard["joint_states"][-1])
         assert [*message.name] == [joint.name for joint in ARM.joints]
         assert (message.position, message.velocity, message.effort) == (POSTURE, [0.1] * 7, [2.0] * 7)
         stamp = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9

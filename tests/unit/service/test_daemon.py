@@ -14,7 +14,7 @@ from structlog.testing import capture_logs
 
 from pcmrs.errors import BlueprintError, BusError, ConfigurationError
 from pcmrs.service import _daemon as daemon_module
-from pcmrs.service._daemon import Daemon, go_ahead
+from pcmrs.service._daemon import Daemon, keep_real_time_policy
 from pcmrs.settings import CellSettings, Settings
 from pcmrs.testing.clock import ManualClock, settle
 
@@ -90,7 +90,7 @@ async def test_daemon_without_real_time_permission_works_on(monkeypatch: pytest.
     monkeypatch.setattr(daemon_module, "RealTime", forbidden)
     monkeypatch.setattr(daemon_module, "keep_pauses_short", lambda: None)
     with capture_logs() as logs:
-        going = asyncio.create_task(go_ahead(ManualClock()))
+        going = asyncio.create_task(keep_real_time_policy(ManualClock()))
         await settle()
     assert [each["event"] for each in logs] == ["no_real_time_policy"]
     assert made[0].kept, "threads that start later are looked after all the same"

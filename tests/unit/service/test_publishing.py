@@ -19,7 +19,7 @@ from pcmrs.messages import BlueprintTag, JournalPage, JournalQuery
 from pcmrs.messages.health import Health
 from pcmrs.messages.setup import ProcedureDataView, Setup
 from pcmrs.service.health.report import report
-from pcmrs.service.publishing import HEALTH_PERIOD, LARGEST_PAGE, PAGE_BYTES, answer_queries, tell_health
+from pcmrs.service.publishing import HEALTH_PERIOD, LARGEST_PAGE, PAGE_BYTES, answer_queries, publish_health
 from pcmrs.testing.clock import ManualClock, settle
 from tests.support.health_facts import WELL
 
@@ -107,7 +107,7 @@ async def test_a_page_ends_where_its_rows_are_too_long_together(tmp_path: Path) 
 async def test_health_is_published_at_once_and_periodically() -> None:
     bus, clock = Served(), ManualClock()
     told = (report(msgspec.structs.replace(WELL, uptime=float(n))) for n in range(9))
-    task = asyncio.create_task(tell_health(cast(Link, bus), lambda: next(told), clock))
+    task = asyncio.create_task(publish_health(cast(Link, bus), lambda: next(told), clock))
     await settle()
     assert [health.uptime for _, health in bus.published] == [0.0]
     await clock.advance(HEALTH_PERIOD)

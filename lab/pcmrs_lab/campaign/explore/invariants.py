@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from pcmrs.errors import JournalError
 from pcmrs.fsm.blueprint import Condition
 from pcmrs.messages import DeviceEvent, Snapshot, Verdict
-from pcmrs_lab.campaign.explore.view import MOVING_SPEED, Answered, Event, Fired, Moved, View, refuses_the_id
+from pcmrs_lab.campaign.explore.view import MOVING_SPEED, Answered, Fired, Moved, ObservedEvent, View, refuses_the_id
 
 BRAKED = 0.7
 """Time after which an arm that may not move stands if nothing else is wrong, s: brakes, and a report."""
@@ -22,11 +22,11 @@ LATE_PULSE = 1.5
 AFTER_THE_STOP = ("hold_not_confirmed",)
 """Events that are published when a stop has ended: an operator may have acknowledged it by then."""
 
-Invariant = Callable[[View, Event], str | None]
+Invariant = Callable[[View, ObservedEvent], str | None]
 """Returns the description of a violation; None if it holds."""
 
 
-def one_state_per_branch(view: View, event: Event) -> str | None:
+def one_state_per_branch(view: View, event: ObservedEvent) -> str | None:
     """Check 2: every branch has exactly one active state, and 15: the flags mirror the states.
 
     Args:
@@ -47,7 +47,7 @@ def one_state_per_branch(view: View, event: Event) -> str | None:
     return None
 
 
-def children_fit_their_parents(view: View, event: Event) -> str | None:
+def children_fit_their_parents(view: View, event: ObservedEvent) -> str | None:
     """Check 12: a child branch is in a state that is compatible with that of its parent.
 
     Args:
@@ -69,7 +69,7 @@ def children_fit_their_parents(view: View, event: Event) -> str | None:
     return None
 
 
-def promises_are_kept(view: View, event: Event) -> str | None:
+def promises_are_kept(view: View, event: ObservedEvent) -> str | None:
     """Check 1 and 3.2: the workflow's properties of states and running operations hold.
 
     Args:
@@ -91,7 +91,7 @@ def promises_are_kept(view: View, event: Event) -> str | None:
     return None
 
 
-def nothing_moves_unasked(view: View, event: Event) -> str | None:
+def nothing_moves_unasked(view: View, event: ObservedEvent) -> str | None:
     """Check 3.2: the arm moves only while a motion or an activity that moves it runs.
 
     Args:
@@ -109,7 +109,7 @@ def nothing_moves_unasked(view: View, event: Event) -> str | None:
     return None
 
 
-def stop_holds(view: View, event: Event) -> str | None:
+def stop_holds(view: View, event: ObservedEvent) -> str | None:
     """Check 7: Stop holds the robot and latches: no motion until it is acknowledged.
 
     Args:
@@ -127,7 +127,7 @@ def stop_holds(view: View, event: Event) -> str | None:
     return None
 
 
-def nothing_begins_while_latched(view: View, event: Event) -> str | None:
+def nothing_begins_while_latched(view: View, event: ObservedEvent) -> str | None:
     """Check 7: no motion begins until `robot.acknowledge`.
 
     Args:
@@ -147,7 +147,7 @@ def nothing_begins_while_latched(view: View, event: Event) -> str | None:
     return None
 
 
-def danger_latches(view: View, event: Event) -> str | None:
+def danger_latches(view: View, event: ObservedEvent) -> str | None:
     """Check 7: Stop, and device events that mean danger, latch at once.
 
     Args:
@@ -165,7 +165,7 @@ def danger_latches(view: View, event: Event) -> str | None:
     return None if event.latched else "After a danger event the snapshot does not show Stop as latched."
 
 
-def released_by_acknowledging(view: View, event: Event) -> str | None:
+def released_by_acknowledging(view: View, event: ObservedEvent) -> str | None:
     """Check 7: the latch stays until `robot.acknowledge`.
 
     Args:
@@ -181,7 +181,7 @@ def released_by_acknowledging(view: View, event: Event) -> str | None:
     return None if released else "The latch is released without an acknowledgement."
 
 
-def registered_by_a_verdict(view: View, event: Event) -> str | None:
+def registered_by_a_verdict(view: View, event: ObservedEvent) -> str | None:
     """Check 3: registration 111 needs an accepted verdict on a residual within its limit, in the journal.
 
     Args:
@@ -196,7 +196,7 @@ def registered_by_a_verdict(view: View, event: Event) -> str | None:
     return None
 
 
-def durable_before_known(view: View, event: Event) -> str | None:
+def durable_before_known(view: View, event: ObservedEvent) -> str | None:
     """Check 13: the outcome is journalled before the reply and before it is published.
 
     Args:
@@ -225,12 +225,12 @@ def durable_before_known(view: View, event: Event) -> str | None:
     return f"{verdict.branch}.{verdict.operation} was reported as {verdict.decision}, but {how} ({verdict.id})."
 
 
-def only_changes_leave_rows(view: View, _event: Event) -> str | None:
+def only_changes_leave_rows(view: View, _event: ObservedEvent) -> str | None:
     """Check 6: an event that the state does not allow is decided, and leaves no row."""
     return f"{view.needless_rows[0]}, was rejected, and journalled." if view.needless_rows else None
 
 
-def performed_once(view: View, event: Event) -> str | None:
+def performed_once(view: View, event: ObservedEvent) -> str | None:
     """Check 14: a repeat of (source, id) runs nothing.
 
     Args:
@@ -250,7 +250,7 @@ def performed_once(view: View, event: Event) -> str | None:
     return None
 
 
-def repeats_get_the_recorded_verdict(view: View, event: Event) -> str | None:
+def repeats_get_the_recorded_verdict(view: View, event: ObservedEvent) -> str | None:
     """Check 14: a repeat returns the recorded decision.
 
     Args:
@@ -269,7 +269,7 @@ def repeats_get_the_recorded_verdict(view: View, event: Event) -> str | None:
     return None
 
 
-def sequence_never_goes_back(view: View, event: Event) -> str | None:
+def sequence_never_goes_back(view: View, event: ObservedEvent) -> str | None:
     """Check 2: observers see commits in their order.
 
     Args:
@@ -284,7 +284,7 @@ def sequence_never_goes_back(view: View, event: Event) -> str | None:
     return None
 
 
-def rejection_changes_nothing(view: View, event: Event) -> str | None:
+def rejection_changes_nothing(view: View, event: ObservedEvent) -> str | None:
     """Check 1 and 5: a rejection of any part leaves everything unchanged.
 
     Args:
@@ -301,7 +301,7 @@ def rejection_changes_nothing(view: View, event: Event) -> str | None:
     return None
 
 
-def fires_only_armed_and_placed(view: View, event: Event) -> str | None:
+def fires_only_armed_and_placed(view: View, event: ObservedEvent) -> str | None:
     """Check 3.2: no stimulation unless the coil is placed and the stimulator armed for it.
 
     Args:
@@ -316,7 +316,7 @@ def fires_only_armed_and_placed(view: View, event: Event) -> str | None:
     return None
 
 
-def starts_with_nothing(view: View, event: Event) -> str | None:
+def starts_with_nothing(view: View, event: ObservedEvent) -> str | None:
     """Check 13: after a restart all branches are initial.
 
     Args:
@@ -331,7 +331,7 @@ def starts_with_nothing(view: View, event: Event) -> str | None:
     return None
 
 
-INVARIANTS: Mapping[type[Event], tuple[Invariant, ...]] = {
+INVARIANTS: Mapping[type[ObservedEvent], tuple[Invariant, ...]] = {
     Snapshot: (
         one_state_per_branch,
         children_fit_their_parents,

@@ -194,5 +194,5 @@ class Answered:
     verdict: Verdict
 
 
-Event = Snapshot | Verdict | DeviceEvent | Moved | Fired | Answered
+ObservedEvent = Snapshot | Verdict | DeviceEvent | Moved | Fired | Answered
 Fields = dict[str, Any]

@@ -29,7 +29,7 @@ from pcmrs.messages import (
 from pcmrs_lab.campaign.explore.invariants import INVARIANTS
 from pcmrs_lab.campaign.explore.settings import DEADMAN
 from pcmrs_lab.campaign.explore.tampering import TamperedTracker
-from pcmrs_lab.campaign.explore.view import Answered, Event, Fired, Moved, View
+from pcmrs_lab.campaign.explore.view import Answered, Fired, Moved, ObservedEvent, View
 from pcmrs_lab.campaign.explore.watcher import NEAR, Watcher
 from pcmrs_sim.deterministic.cell import Devices
 from pcmrs_sim.deterministic.daemon import ProcedureDispatcher
@@ -159,7 +159,7 @@ class Witness:
         with scene.watched(look):
             yield
 
-    def judge(self, event: Event) -> None:
+    def judge(self, event: ObservedEvent) -> None:
         """Check an event against all invariants for its type."""
         self.view.now = self._loop.time()
         for invariant in INVARIANTS[type(event)]:

@@ -15,7 +15,7 @@ from typing import Any
 
 import msgspec
 
-from pcmrs.console.planning.importer import PointsRequest, Refused
+from pcmrs.console.planning.importer import PointsRequest, RefusalAnswer
 from pcmrs.dispatcher.events import PRESSED_AGAIN
 from pcmrs.gateway.auth.peers import FRESH_FOR
 from pcmrs.gateway.signing import Signer, new_key, read_key
@@ -474,7 +474,7 @@ async def a_reader_is_taken_over(lab: Lab) -> Evidence:
         process = await asyncio.create_subprocess_exec(*words, stdin=pipe, stdout=pipe)
         answer, _ = await process.communicate(request)
         record(LOCAL_ACCOUNT, "uploads")
-        tries[how] = msgspec.msgpack.decode(answer, type=Refused).text.split()
+        tries[how] = msgspec.msgpack.decode(answer, type=RefusalAnswer).text.split()
         left[how] = {file.name: file.read_text() for file in sorted(folder.iterdir())}
     for descriptor in (master, terminal):
         os.close(descriptor)

@@ -48,7 +48,7 @@ from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.sham import is_sham
 from pcmrs_lab.campaign.without_guard import without_guards
-from pcmrs_lab.experiment.tours.arguments import Arguments, plan_arguments
+from pcmrs_lab.experiment.tours.arguments import TourArguments, plan_arguments
 
 GATES = ("residual_too_large", "landmark_outlier", "swapped_landmarks", "mirrored", "tre_too_large")
 """Codes of a registration that is refused because of its landmarks."""
@@ -130,7 +130,7 @@ async def _ask_forbidden(cell: RunningCell, blueprint: Blueprint, rulings: Any) 
     """Request every operation that is denied in the present joint state, and return how many these are."""
     before, row = await cell.client.state(), cell.last_row()
     there = rulings[joint_of(blueprint, before.branches)]
-    arguments = Arguments(plan_arguments(plan()))
+    arguments = TourArguments(plan_arguments(plan()))
     denied = [
         (f"{branch}.{name}", spec.payload)
         for branch, name, spec in operations(blueprint)

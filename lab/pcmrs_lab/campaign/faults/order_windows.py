@@ -227,7 +227,7 @@ async def registration_cleared(lab: Lab) -> Evidence:
 
 
 @fault("Q6", how=f"{DISK}; another pose is planned")
-async def planned_anew(lab: Lab) -> Evidence:
+async def replanned(lab: Lab) -> Evidence:
     """A standoff never belongs to another plan."""
     return await beside_a_retreat(lab, "toolplan.plan", tool_pose(1), plan=True)
 

@@ -87,7 +87,7 @@ def _nothing_lost(found: KillReport, what: str, failpoints: Collection[str]) -> 
 
 
 @fault("P2", how="SIGTERM in the middle of a motion")
-async def told_to_end_in_motion(lab: Lab) -> Evidence:
+async def terminated_in_motion(lab: Lab) -> Evidence:
     """The motion is held before anything else ends; the exit is clean, and the next daemon can continue from there."""
     async with lab.daemon(*SLOW) as cell:
         nodes = descendants(cell.process.pid)

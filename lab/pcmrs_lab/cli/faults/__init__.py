@@ -4,39 +4,39 @@ from __future__ import annotations
 
 import click
 
-from pcmrs.cli.lazy import LazyGroup, Listed
+from pcmrs.cli.lazy import LazyCommand, LazyGroup
 
 COMMANDS = {
-    "list": Listed(
+    "list": LazyCommand(
         "pcmrs_lab.cli.faults.list:list_",
         "List the faults of the catalogue: the required response, how each is injected, and what that needs.",
     ),
-    "matrix": Listed(
+    "matrix": LazyCommand(
         "pcmrs_lab.cli.faults.matrix:matrix",
         "Print which attackers were tested on which entry points, with the catalogue rows and tests that prove it.",
     ),
-    "run": Listed(
+    "run": LazyCommand(
         "pcmrs_lab.cli.faults.run:run_",
         "Inject faults into separate simulated cells, and check that each response is the required one.",
     ),
-    "kill": Listed(
+    "kill": LazyCommand(
         "pcmrs_lab.cli.faults.kill:kill",
         "Kill processes with SIGKILL, at every failpoint and at random instants; nothing acknowledged may be lost.",
     ),
-    "cut": Listed(
+    "cut": LazyCommand(
         "pcmrs_lab.cli.faults.cut:cut",
         "Damage copies of a journal and open them: a loss must be reported, never silent; "
         "power cuts must lose nothing.",
     ),
-    "fuzz": Listed(
+    "fuzz": LazyCommand(
         "pcmrs_lab.cli.faults.fuzz:fuzz",
         "Send fuzzed datagrams to a daemon: it must not crash, change its state, or grow by 10 MB.",
     ),
-    "soak": Listed(
+    "soak": LazyCommand(
         "pcmrs_lab.cli.faults.soak:soak",
         "Operate a simulated cell at random for hours: memory, file descriptors, threads and tasks must stay flat.",
     ),
-    "explore": Listed(
+    "explore": LazyCommand(
         "pcmrs_lab.cli.faults.explore:explore",
         "Run random procedures under random faults, and check the invariants after every event.",
     ),

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pcmrs_lab.campaign.catalogue import CatalogueRow
 
 
-class Listed(msgspec.Struct, frozen=True, rename={"fault_class": "class"}):
+class ListedFault(msgspec.Struct, frozen=True, rename={"fault_class": "class"}):
     """One listed fault.
 
     Attributes:
@@ -42,7 +42,7 @@ class Listed(msgspec.Struct, frozen=True, rename={"fault_class": "class"}):
 class Listing(msgspec.Struct, frozen=True):
     """Faults in the order of the catalogue."""
 
-    faults: list[Listed]
+    faults: list[ListedFault]
 
 
 @click.command("list")
@@ -58,14 +58,14 @@ def list_(classes: tuple[str, ...], ids: tuple[str, ...], as_json: bool) -> None
     print_report(listing, _table(listing), as_json=as_json)
 
 
-def _listed(row: CatalogueRow) -> Listed:
+def _listed(row: CatalogueRow) -> ListedFault:
     from pcmrs_lab.campaign.injections import injections
 
     known = injections().get(row.id, [])
     needs = {need.name: need for way in known for need in way.needs}
     missing = [name for name, need in needs.items() if not need.is_met()]
     how = list(dict.fromkeys(way.how for way in known))
-    return Listed(
+    return ListedFault(
         row.id,
         row.fault_class,
         row.title,

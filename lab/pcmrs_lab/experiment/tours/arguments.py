@@ -33,7 +33,7 @@ DEPTH = 0.03
 """Depth of a trajectory from the planned pose into the body, m."""
 
 
-class Arguments:
+class TourArguments:
     """Arguments for operations, used in turn.
 
     Args:

@@ -22,7 +22,7 @@ from pcmrs.client import Client
 from pcmrs.fsm.behaviour import Joint
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.messages import Snapshot, Verdict
-from pcmrs_lab.experiment.tours.arguments import Arguments
+from pcmrs_lab.experiment.tours.arguments import TourArguments
 from pcmrs_lab.experiment.tours.faults import FAULTS, fault
 from pcmrs_lab.experiment.tours.observer import Observer
 from pcmrs_lab.experiment.tours.progress import TourObservations, TourProgress
@@ -61,7 +61,7 @@ class LiveTour:
     """
 
     def __init__(
-        self, blueprint: Blueprint, client: Client, observer: Observer, arguments: Arguments, limit: int
+        self, blueprint: Blueprint, client: Client, observer: Observer, arguments: TourArguments, limit: int
     ) -> None:
         self._blueprint = blueprint
         self._client = client

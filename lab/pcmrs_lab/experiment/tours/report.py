@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from pcmrs.authoring.trial.coverage import Count, Deviation
+from pcmrs.authoring.trial.coverage import CoverageCount, Deviation
 
 
 class Left(msgspec.Struct, frozen=True):
@@ -40,7 +40,7 @@ class TourReport(msgspec.Struct, frozen=True, kw_only=True):
     stops: int = 0
     events: int = 0
     seconds: float
-    coverage: dict[str, Count]
+    coverage: dict[str, CoverageCount]
     deviations: dict[str, list[Deviation]]
     left: list[Left] = []
     passed: bool

@@ -13,7 +13,7 @@ from pcmrs.authoring.trial.tour import Tour, TourCommand, plan_tour
 from pcmrs.client import Client
 from pcmrs.errors import ConfigurationError, DeviceError, UnknownOutcomeError
 from pcmrs.fsm.blueprint import Blueprint
-from pcmrs_lab.experiment.tours.arguments import Arguments
+from pcmrs_lab.experiment.tours.arguments import TourArguments
 from pcmrs_lab.experiment.tours.live import LiveTour, ShowProgress
 from pcmrs_lab.experiment.tours.observer import observing
 from pcmrs_lab.experiment.tours.rehearsal import rehearse
@@ -92,7 +92,7 @@ async def _toured(blueprint: Blueprint, tour: Tour) -> AsyncIterator[tuple[str, 
 
 
 async def tour_live(
-    blueprint: Blueprint, client: Client, arguments: Arguments, limit: int, seconds: float, progress: ShowProgress
+    blueprint: Blueprint, client: Client, arguments: TourArguments, limit: int, seconds: float, progress: ShowProgress
 ) -> tuple[TourReport, list[TourCommand]]:
     """Take a running cell on simulated devices through a tour.
 

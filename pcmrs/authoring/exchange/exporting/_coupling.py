@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from pcmrs.errors import BlueprintError
-from pcmrs.fsm.blueprint import Blueprint, OperationSpec, Target
+from pcmrs.fsm.blueprint import Blueprint, OperationSpec, TransitionTarget
 
 MAX_COMBINATIONS = 100_000
 """Limit of combinations that one operation depends on; beyond it an export would be unreadable."""
@@ -109,5 +109,5 @@ def _keeps(signal: OperationSpec, states: list[str]) -> bool:
     return all(_target(signal.to, source) == source for source in sources)
 
 
-def _target(target: Target | None, source: str) -> str | None:
+def _target(target: TransitionTarget | None, source: str) -> str | None:
     return target.get(source) if isinstance(target, dict) else target

@@ -10,7 +10,7 @@ from pcmrs.authoring.exchange._cubes import Cube, merge
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.behaviour import operations
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, Condition, PropertySpec, Requirement
-from pcmrs.fsm.verify.decision import Decider, Decision
+from pcmrs.fsm.verify.decision import Decider, DecisionCase
 
 __all__ = ["promela"]
 
@@ -143,7 +143,7 @@ def _ways(blueprint: Blueprint) -> Iterator[_Way]:
                 yield _Way(command, guard, dict(sorted(targets)), by_user=not spec.event)
 
 
-def _decisions(blueprint: Blueprint, branch: str, operation: str) -> Iterator[Decision]:
+def _decisions(blueprint: Blueprint, branch: str, operation: str) -> Iterator[DecisionCase]:
     """Return every decision of an operation in whatever states; no search has to have found them."""
     decider, initial = Decider(blueprint), blueprint.initial()
     waiting: list[dict[str, str]] = [{}]

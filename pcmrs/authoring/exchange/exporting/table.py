@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, BranchSpec, OperationSpec, Requirement, Target, target_from
+from pcmrs.fsm.blueprint import (
+    START_OUTCOME,
+    Blueprint,
+    BranchSpec,
+    OperationSpec,
+    Requirement,
+    TransitionTarget,
+    target_from,
+)
 
 __all__ = ["table"]
 
@@ -55,7 +63,7 @@ def _asked_by(operation: OperationSpec) -> str:
     return "a device" if operation.event else ", ".join(operation.roles) or "anyone"
 
 
-def _calls(branch: BranchSpec, key: str, operation: OperationSpec, to: Target) -> Iterator[str]:
+def _calls(branch: BranchSpec, key: str, operation: OperationSpec, to: TransitionTarget) -> Iterator[str]:
     """Return the effects on other branches: states that are set, and the parent's operations (Rule 2)."""
     yield from (f"{child} := {state}" for child, state in operation.sets.items())
     ways = [(state, target_from(to, state)) for state in branch.states if branch.valid_in(key, state)]
@@ -69,7 +77,7 @@ def _sources(operation: OperationSpec) -> str:
     return "any" if operation.from_ == ["*"] else ", ".join(operation.from_)
 
 
-def _target(to: Target) -> str:
+def _target(to: TransitionTarget) -> str:
     return to if isinstance(to, str) else ", ".join(to.values())
 
 

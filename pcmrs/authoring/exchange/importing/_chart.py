@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pcmrs.authoring.exchange import descriptors
 from pcmrs.fsm.finding import Place
 
-Condition = tuple[tuple[str, ...], ...]
+ActiveGroups = tuple[tuple[str, ...], ...]
 """Groups of state ids; at least one state of each group must be active."""
 
 
@@ -30,7 +30,7 @@ class Edge:
     targets: list[str]
     place: Place
     internal: bool = False
-    condition: Condition = ()
+    condition: ActiveGroups = ()
 
 
 @dataclass(slots=True, eq=False)

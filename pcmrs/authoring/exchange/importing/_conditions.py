@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from pcmrs.authoring.exchange.importing._chart import Condition, Edge, Node
+from pcmrs.authoring.exchange.importing._chart import ActiveGroups, Edge, Node
 from pcmrs.authoring.exchange.importing._regions import Region
 
 MAX_WORK = 1_000_000
@@ -20,7 +20,7 @@ MAX_WORK = 1_000_000
 IN = re.compile(r"\s*In\(\s*(?:'([^'\\]+)'|\"([^\"\\]+)\")\s*\)\s*")
 
 
-def read_condition(text: str) -> Condition | None:
+def read_condition(text: str) -> ActiveGroups | None:
     """Return the groups of states of a condition, or None if it has any other form."""
     parts = text.split("&&")
     groups = [_group(part.strip(), alone=len(parts) == 1) for part in parts]
@@ -82,7 +82,7 @@ class ConditionalEffects:
     def _first(self, node: Node, event: str, now: Situation) -> Edge | None:
         return next((edge for edge in node.edges_on(event) if self._holds(edge.condition, now)), None)
 
-    def _holds(self, condition: Condition, now: Situation) -> bool:
+    def _holds(self, condition: ActiveGroups, now: Situation) -> bool:
         return all(any(self._active(name, now) for name in group) for group in condition)
 
     def _active(self, name: str, now: Situation) -> bool:

@@ -54,7 +54,7 @@ def test_command_prints_how_to_start_the_bridge_and_publishes(daemon: ServeProce
             assert wait_until(lambda: wanted <= heard.keys(), START_TIME), heard.keys()
             hearing.undeclare()
         joints, coil = (
-            cdr.JointState.deserialize(heard["joint_states"]),
+            cdr.RosJointState.deserialize(heard["joint_states"]),
             cdr.decode(heard["pose/coil"], cdr.PoseStamped),
         )
         assert [*joints.name] == [joint.name for joint in ARMS["iiwa14"].joints]

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from pcmrs.console.signals._responses import estimator_history, responses, waves
+from pcmrs.console.signals._responses import estimator_history, responses, waveform_points
 from pcmrs.messages import Epoch, Verdict
 from pcmrs.tms.settings import MepSettings, ThresholdSettings
 from pcmrs.tms.threshold import MotorThresholdEstimator
@@ -64,8 +64,8 @@ def test_the_signal_is_shown_without_offset_and_hum() -> None:
     times = np.arange(-0.12, 0.1, 1 / 5000)
     samples = 3e-4 + 2e-5 * np.sin(2 * np.pi * 50 * times)
     epoch = Epoch(pulse=1, muscle="fdi", rate_hz=5000.0, start=-0.12, samples=samples.tolist())
-    points = waves(epoch, MepSettings())
+    points = waveform_points(epoch, MepSettings())
     assert len(points) == len(times)
     assert points[0][0] == pytest.approx(-120.0)
     assert max(abs(value) for _, value in points) < 0.1
-    assert waves(msgspec.structs.replace(epoch, samples=[0.0]), MepSettings()) == []
+    assert waveform_points(msgspec.structs.replace(epoch, samples=[0.0]), MepSettings()) == []

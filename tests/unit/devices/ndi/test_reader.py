@@ -12,7 +12,7 @@ from pcmrs.clock import SystemClock
 from pcmrs.devices.ndi.process import MODULE
 from pcmrs.devices.ndi.reader import without_sign_extension
 from pcmrs.devices.ndi.tools import placeholder
-from pcmrs.devices.ndi.wire import Failed, Job, TrackerReady, Unpacker, pack
+from pcmrs.devices.ndi.wire import Failed, ReaderJob, TrackerReady, Unpacker, pack
 from pcmrs_sim.cell import running_cell
 from pcmrs_sim.ndi.server import serve_ndi_pty
 from pcmrs_sim.ndi.system import NdiSystem
@@ -36,7 +36,7 @@ async def test_the_reader_ends_with_its_parent() -> None:
         reader = await asyncio.create_subprocess_exec(sys.executable, "-m", MODULE, stdin=PIPE, stdout=PIPE)
         assert reader.stdin is not None
         assert reader.stdout is not None
-        reader.stdin.write(pack(Job(device, 115200, {"coil": placeholder("coil")})))
+        reader.stdin.write(pack(ReaderJob(device, 115200, {"coil": placeholder("coil")})))
         assert await reader.stdout.readexactly(4)
         reader.stdin.close()
         assert await reader.stdout.read()
@@ -46,7 +46,7 @@ async def test_the_reader_ends_with_its_parent() -> None:
 async def test_serial_reader_finds_its_tracker_and_ends_with_its_input() -> None:
     async with asyncio.timeout(DEADLINE), running_cell({}, SystemClock()) as cell, serve_ndi_pty(cell) as device:
         reader = await asyncio.create_subprocess_exec(sys.executable, "-m", MODULE, stdin=PIPE, stdout=PIPE)
-        reported, _ = await reader.communicate(pack(Job(device, 115200, {"coil": placeholder("coil")})))
+        reported, _ = await reader.communicate(pack(ReaderJob(device, 115200, {"coil": placeholder("coil")})))
     assert isinstance(Unpacker().feed(reported)[0], TrackerReady)
     assert reader.returncode == 0
 
@@ -54,7 +54,7 @@ async def test_serial_reader_finds_its_tracker_and_ends_with_its_input() -> None
 async def test_reader_reports_a_serial_port_that_cannot_be_opened() -> None:
     async with asyncio.timeout(DEADLINE):
         reader = await asyncio.create_subprocess_exec(sys.executable, "-m", MODULE, stdin=PIPE, stdout=PIPE)
-        reported, _ = await reader.communicate(pack(Job("/dev/pts/none", 115200, {"coil": placeholder("coil")})))
+        reported, _ = await reader.communicate(pack(ReaderJob("/dev/pts/none", 115200, {"coil": placeholder("coil")})))
     assert Unpacker().feed(reported) == [Failed("this cannot be opened as a serial port")]
     assert reader.returncode == 0
 

@@ -147,13 +147,13 @@ async def test_damaged_and_foreign_messages_are_passed_over() -> None:
 async def test_absent_server_is_waited_for_and_found_when_it_returns(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    plus, tried, complain = FakePlus(), asyncio.Semaphore(0), tracker.PlusTracker._complain
+    plus, tried, complain = FakePlus(), asyncio.Semaphore(0), tracker.PlusTracker._log_failure
 
     def complain_and_tell(*args: Any) -> None:
         complain(*args)
         tried.release()
 
-    monkeypatch.setattr(tracker.PlusTracker, "_complain", complain_and_tell)
+    monkeypatch.setattr(tracker.PlusTracker, "_log_failure", complain_and_tell)
     async with plus.serving() as port:
         pass
     with capture_logs() as logs:

@@ -11,7 +11,7 @@ from pcmrs.fsm.behaviour import branch_states, endings, operations
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.closure import Closure, close
 from pcmrs.fsm.files.load import read_blueprint
-from pcmrs.fsm.verify.decision import Decider, Decision
+from pcmrs.fsm.verify.decision import Decider, DecisionCase
 from tests.support.trials import examples
 from tests.unit.fsm.large_blueprints import free
 from tests.unit.fsm.random_blueprints import blueprints
@@ -32,7 +32,9 @@ def test_an_answer_depends_on_nothing_but_what_was_seen(blueprint: Blueprint) ->
                 check_answer(decision, blueprint, other, branch, operation)
 
 
-def check_answer(decision: Decision, blueprint: Blueprint, states: dict[str, str], branch: str, operation: str) -> None:
+def check_answer(
+    decision: DecisionCase, blueprint: Blueprint, states: dict[str, str], branch: str, operation: str
+) -> None:
     """A decision is the answer to the operation in a joint state, without the branches that it does not touch."""
     answer = close(blueprint, states, branch, operation)
     assert decision.accepted == isinstance(answer, Closure)

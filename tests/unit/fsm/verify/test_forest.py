@@ -9,8 +9,8 @@ from pcmrs.fsm.behaviour import branch_states
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.verify._encoding import Batch
 from pcmrs.fsm.verify._forest import Forest
-from pcmrs.fsm.verify._space import Space
-from pcmrs.fsm.verify.decision import Decider, Decision
+from pcmrs.fsm.verify._space import StateSpace
+from pcmrs.fsm.verify.decision import Decider, DecisionCase
 from tests.support.trials import examples
 from tests.unit.fsm.random_blueprints import blueprints
 from tests.unit.fsm.verify.joint_state_oracle import levels
@@ -19,7 +19,7 @@ from tests.unit.fsm.verify.joint_state_oracle import levels
 @examples(25)
 @given(blueprints())
 def test_each_joint_state_gets_the_decision_made_there(blueprint: Blueprint) -> None:
-    space = Space(blueprint, 10_000)
+    space = StateSpace(blueprint, 10_000)
     for batch in space.reached.batches():
         decisions = space.decided(batch)
         assert decisions.shape == (len(space.operations), len(batch.codes))
@@ -37,10 +37,10 @@ def test_each_joint_state_gets_the_decision_made_there(blueprint: Blueprint) -> 
 @given(blueprints())
 def test_no_decision_is_made_twice(blueprint: Blueprint) -> None:
     """However the joint states are divided, and in whatever order they come."""
-    space = Space(blueprint, 10_000)
+    space = StateSpace(blueprint, 10_000)
     asked: list[tuple[int, int]] = []
 
-    def count(number: int, code: int) -> Decision:
+    def count(number: int, code: int) -> DecisionCase:
         asked.append((number, code))
         operation = space.operations[number]
         return Decider(blueprint).decide(space.encoding.decoded(code), operation.branch, operation.operation)

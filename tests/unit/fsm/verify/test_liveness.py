@@ -12,7 +12,7 @@ from pcmrs.fsm.blueprint import Blueprint, BranchSpec, Condition, OperationSpec,
 from pcmrs.fsm.closure import Closure
 from pcmrs.fsm.verify import verify
 from pcmrs.fsm.verify._liveness import TimedOperations
-from pcmrs.fsm.verify._space import Space
+from pcmrs.fsm.verify._space import StateSpace
 from tests.support.trials import examples
 from tests.unit.fsm.random_blueprints import blueprints
 from tests.unit.fsm.verify.finding_oracle import States, answers, check, cut_short, found
@@ -103,7 +103,7 @@ def _leading_to_the_goal(blueprint: Blueprint) -> set[Joint]:
 @given(blueprints(), st.data())
 def test_operations_protected_by_locks_need_no_search(blueprint: Blueprint, data: st.DataObject) -> None:
     """Only operations that are called strandable can be found where they are denied."""
-    runs = TimedOperations(Space(blueprint, 10_000))
+    runs = TimedOperations(StateSpace(blueprint, 10_000))
     for branch, spec in blueprint.branches.items():
         for operation, declared in spec.operations.items():
             name = f"{branch}.{operation}"

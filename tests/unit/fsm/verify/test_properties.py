@@ -15,7 +15,7 @@ from pcmrs.fsm.rules import check_rules
 from pcmrs.fsm.verify import verify
 from pcmrs.fsm.verify._liveness import TimedOperations
 from pcmrs.fsm.verify._properties import check_properties
-from pcmrs.fsm.verify._space import Space
+from pcmrs.fsm.verify._space import StateSpace
 from tests.support.trials import examples
 from tests.unit.fsm.command_trace import CommandTrace, follow_commands
 from tests.unit.fsm.large_blueprints import free
@@ -34,7 +34,9 @@ def test_leads_to_is_violated_by_the_shortest_way(blueprint: Blueprint, data: st
     spec = PropertySpec(id="leads", when=Condition(running=sorted(observed)), leads_to=there)
     blueprint = msgspec.structs.replace(blueprint, properties=[spec])
     found = [
-        each for each in check_properties(TimedOperations(Space(blueprint, 10_000))) if each.path == ("properties", "0")
+        each
+        for each in check_properties(TimedOperations(StateSpace(blueprint, 10_000)))
+        if each.path == ("properties", "0")
     ]
     moments = lengths(blueprint, observed)
     place = list(blueprint.branches).index(branch)
@@ -58,7 +60,7 @@ def test_watched_operation_adds_no_commands_if_it_is_irrelevant() -> None:
         never=Condition(states={"main": ["b"]}),
     )
     blueprint = Blueprint(id="ways", version="1.0.0", branches={"main": branch}, properties=[spec])
-    (finding,) = check_properties(TimedOperations(Space(blueprint, 100)))
+    (finding,) = check_properties(TimedOperations(StateSpace(blueprint, 100)))
     assert finding.commands == ("main.jump", "main.jump:started")
 
 

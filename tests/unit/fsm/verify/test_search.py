@@ -13,7 +13,7 @@ from pcmrs.fsm.blueprint import Blueprint, Condition, PropertySpec
 from pcmrs.fsm.verify import _search as search
 from pcmrs.fsm.verify import verify
 from pcmrs.fsm.verify._search import MAX_BITMAP, states_leading_to, visited
-from pcmrs.fsm.verify._space import Space
+from pcmrs.fsm.verify._space import StateSpace
 from tests.support.trials import examples
 from tests.unit.fsm.large_blueprints import free
 from tests.unit.fsm.random_blueprints import blueprints
@@ -29,7 +29,7 @@ def test_the_way_back_is_the_way_there(blueprint: Blueprint, batch: int, data: s
     goal = data.draw(st.sampled_from(list(reached)))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(search, "BATCH", batch)
-        space = Space(blueprint, 10_000)
+        space = StateSpace(blueprint, 10_000)
         assert len(space.reached) == len(reached)
         code = space.encoding.code(branch_states(blueprint, goal))
         known = states_leading_to(space.reached, np.array([code]), space.leaving(space.all))

@@ -10,7 +10,7 @@ from pcmrs.fsm.behaviour import joint_of
 from pcmrs.fsm.blueprint import Blueprint, RevocationSpec
 from pcmrs.fsm.verify import _space as space
 from pcmrs.fsm.verify import verify
-from pcmrs.fsm.verify._space import Space
+from pcmrs.fsm.verify._space import StateSpace
 from tests.support.trials import examples
 from tests.unit.fsm.large_blueprints import free
 from tests.unit.fsm.random_blueprints import blueprints
@@ -23,7 +23,7 @@ from tests.unit.fsm.verify.joint_state_oracle import levels, successors
 def test_search_finds_each_joint_state_on_its_level(blueprint: Blueprint) -> None:
     """Every transition is counted."""
     expected = levels(blueprint)
-    space = Space(blueprint, 10_000)
+    space = StateSpace(blueprint, 10_000)
     found = {
         joint_of(blueprint, space.encoding.decoded(int(code))): length
         for length, level in enumerate(space.reached.levels)

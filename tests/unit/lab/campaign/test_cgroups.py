@@ -99,7 +99,7 @@ def test_a_process_that_has_ended_meanwhile_fails_its_row(mounted: Path, monkeyp
         write(path, text)
 
     monkeypatch.setattr(Path, "write_text", ended)
-    monkeypatch.setattr(cgroups, "_dissolve", lambda *_: None)
+    monkeypatch.setattr(cgroups, "_remove_group", lambda *_: None)
     with pytest.raises(ProcessLookupError), processor_quota([11], 0.5):
         pytest.fail("There is no limit.")
 

@@ -22,7 +22,7 @@ from pcmrs.testing.errors import Unmet
 from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_lab.campaign import fuzz as fuzzing
 from pcmrs_lab.campaign.fuzz import GROWTH_MB, HARMLESS, WINDOW, FuzzReport, datagram, dropped, fuzz
-from pcmrs_lab.campaign.samples import Sample
+from pcmrs_lab.campaign.samples import ResourceSample
 from tests.unit.lab.campaign.faults.operated import OperatedCell
 from tests.unit.lab.campaign.faults.scripted_raw import ScriptedRaw
 from tests.unit.lab.scripted_client import row
@@ -117,8 +117,8 @@ class Fuzzed(OperatedCell):
     async def _open(self, *_: Any) -> AsyncIterator[Any]:
         yield self
 
-    def _sample(self, _: int) -> Sample:
-        return Sample(self.memory.pop(0) if self.memory[1:] else self.memory[0], 1, 1)
+    def _sample(self, _: int) -> ResourceSample:
+        return ResourceSample(self.memory.pop(0) if self.memory[1:] else self.memory[0], 1, 1)
 
     def _take(self, _: bytes) -> bytes:
         if len(self.raw.sent) == self.executes_after:

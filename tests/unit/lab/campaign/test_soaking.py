@@ -20,7 +20,7 @@ from pcmrs.messages import Verdict
 from pcmrs.simulated_time.clock import SimulatedClock
 from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_lab.campaign import soaking
-from pcmrs_lab.campaign.samples import Sample
+from pcmrs_lab.campaign.samples import ResourceSample
 from pcmrs_lab.campaign.soaking import ALLOWED, SoakReport, soak, trend
 from tests.support.trials import examples
 from tests.unit.lab.campaign.scripted_cell import ScriptedCell
@@ -116,11 +116,11 @@ class Soaked:
         self.prefix = prefix
         yield self.cell
 
-    def _sample(self, pid: int) -> Sample:
+    def _sample(self, pid: int) -> ResourceSample:
         self.samples += 1
         if self.ends_after is not None and self.samples > self.ends_after:
             raise FileNotFoundError(2, "No such file or directory", f"/proc/{pid}/statm")
-        return Sample(memory=1 << 20, descriptors=pid, threads=4)
+        return ResourceSample(memory=1 << 20, descriptors=pid, threads=4)
 
     async def _order(self, _: Path, text: str) -> str:
         self.orders.append(text)

@@ -12,7 +12,7 @@ import msgspec
 import pytest
 from click.testing import CliRunner, Result
 
-from pcmrs.authoring.trial.coverage import MEANINGS, Count, Deviation, is_complete
+from pcmrs.authoring.trial.coverage import MEANINGS, CoverageCount, Deviation, is_complete
 from pcmrs.authoring.trial.tour import TourCommand, plan_tour
 from pcmrs.cli import main
 from pcmrs_lab.cli.fsm_test import MOST_SHOWN
@@ -48,7 +48,7 @@ def report(deviations: int = 0, *, passed: bool = True) -> TourReport:
         stops=3,
         events=2,
         seconds=1.25,
-        coverage={key: Count(4, 5) if key == "pairs" else Count(0, 0) for key in MEANINGS},
+        coverage={key: CoverageCount(4, 5) if key == "pairs" else CoverageCount(0, 0) for key in MEANINGS},
         deviations={"cell": found},
         left=[Left("a.b:failed", 2, "the time was up")],
         passed=passed,

@@ -6,7 +6,7 @@ from pcmrs.analysis.placements import Summary
 from pcmrs.messages import PoseMessage
 from pcmrs_lab.experiment.error_series import ErrorSeries
 from pcmrs_lab.experiment.failures import FailureReport, FailureResult, FailureSummary
-from pcmrs_lab.experiment.following import Drawn, ErrorSummary, Followed, FollowingReport, Occluded
+from pcmrs_lab.experiment.following import Drawn, ErrorSummary, FollowingReport, FollowingResult, Occluded
 from pcmrs_lab.experiment.monte_carlo import FIXED_LIMIT, GATES, GateRates, MonteCarloReport, NoiseUsed, RowRates
 from pcmrs_lab.experiment.placements import PlacementReport, Trial, summary_of
 from pcmrs_lab.experiment.thresholds import METHODS, MethodResult, Middle, ThresholdReport, ThresholdResult
@@ -40,7 +40,7 @@ def placement_report(seed: int, trials: int = 2, workflow: str = "ratms") -> Pla
 def followed(scenario: str, *, compensated: bool, lost: bool = False) -> Drawn:
     series = ErrorSeries(times=[0.0, 1.0, 2.0, 3.0], true_mm=[0.1, 2.0, 3.0, 0.2], allowed=[True, True, False, True])
     spread = ErrorSummary(rms=0.123, p99=2.5, max=3.0)
-    result = Followed(scenario, f"a head, {scenario}", compensated, spread, spread, 0.75, 2.0, 0.1, lost)
+    result = FollowingResult(scenario, f"a head, {scenario}", compensated, spread, spread, 0.75, 2.0, 0.1, lost)
     return Drawn(result, series)
 
 

@@ -144,7 +144,7 @@ def test_without_a_service_manager_nothing_is_sent() -> None:
     assert not manager
     assert not manager.watched
     with capture_logs() as told:
-        manager.tell("READY=1")
+        manager.notify("READY=1")
     assert told == []
 
 
@@ -152,5 +152,5 @@ def test_unreachable_service_manager_is_logged(heard: Heard) -> None:
     manager = heard.manager()
     heard.close()
     with capture_logs() as told:
-        manager.tell("READY=1")
+        manager.notify("READY=1")
     assert [(each["event"], each["said"]) for each in told] == [("service_manager_not_told", ("READY=1",))]

@@ -73,7 +73,7 @@ def test_process_may_start_slowly_and_then_must_answer(hanging: Hanging) -> None
     hanging.heart.sign(0.0)
     hanging.heart.sign(STARTING_TIME)
     assert hanging.kills == 0
-    hanging.heart.hear()
+    hanging.heart.record_beat()
     hanging.heart.sign(200.0)
     hanging.heart.sign(200.0 + ANSWER_TIME)
     assert hanging.kills == 0
@@ -84,8 +84,8 @@ def test_process_may_start_slowly_and_then_must_answer(hanging: Hanging) -> None
 
 
 def test_a_loop_that_was_silent_is_not_held_against_the_process(hanging: Hanging) -> None:
-    hanging.heart.hear()
+    hanging.heart.record_beat()
     hanging.heart.sign(0.0)
-    hanging.heart.hear()
+    hanging.heart.record_beat()
     hanging.heart.sign(100.0)
     assert hanging.kills == 0

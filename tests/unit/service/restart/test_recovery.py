@@ -324,7 +324,7 @@ async def test_a_migration_that_is_used_is_in_the_journal_once(journal: Journal)
     used = migration_for(journal.reader, migrated, FILE)
     assert used == declared
     tag = BlueprintTag(id=NEW.id, version=NEW.version, hash=NEW.hash)
-    await JournalRecorder(journal, ManualClock(), "s2", tag).taken_up(used)
+    await JournalRecorder(journal, ManualClock(), "s2", tag).record_migration(used)
     shown = CliRunner().invoke(main, ["journal", "show", str(journal.reader.path), "--last", "1"])
     assert shown.exit_code == 0, shown.output
     assert "event" in shown.output

@@ -50,12 +50,12 @@ ROWS = st.lists(
 
 
 def after_an_unsure_end(robot: str) -> PersistedState:
-    """Ledger after an orderly end with the robot in this state, which did not confirm that it stood."""
-    ledger = RestartState(RATMS, PersistedState())
-    ledger.take(as_row("device", f"{SHUTDOWN}.stopped", True, None))
+    """Restart state after an orderly end with the robot in this state, which did not confirm that it stood."""
+    restart_state = RestartState(RATMS, PersistedState())
+    restart_state.take(as_row("device", f"{SHUTDOWN}.stopped", True, None))
     unsure = as_row("device", f"{SHUTDOWN}.{NOT_CONFIRMED}", True, None)
-    ledger.take(msgspec.structs.replace(unsure, states={"robot": robot}))
-    return ledger.kept
+    restart_state.take(msgspec.structs.replace(unsure, states={"robot": robot}))
+    return restart_state.kept
 
 
 @examples(60)
@@ -106,10 +106,10 @@ def test_reading_on_from_any_snapshot_equals_reading_everything(rows: list[Any],
     ],
 )
 def test_latch_outlives_a_run_until_it_is_acknowledged(rows: list[Any], latched: bool) -> None:
-    ledger = RestartState(RATMS, PersistedState())
+    restart_state = RestartState(RATMS, PersistedState())
     for row in rows:
-        ledger.take(as_row(*row))
-    assert ledger.kept.latched == latched
+        restart_state.take(as_row(*row))
+    assert restart_state.kept.latched == latched
 
 
 def test_robot_not_seen_at_rest_at_an_orderly_end_is_latched() -> None:
@@ -122,8 +122,8 @@ def test_robot_not_connected_at_an_orderly_end_is_not_latched() -> None:
 
 
 def test_only_what_explicit_operations_use_is_taken_back() -> None:
-    ledger = RestartState(RATMS, PersistedState())
+    restart_state = RestartState(RATMS, PersistedState())
     row = as_row("outcome", "toolplan.plan", 1, "accepted")
     assert row.result is not None
-    ledger.take(msgspec.structs.replace(row, result={**row.result, "plan_id": "p", "registration_id": "r"}))
-    assert ledger.kept.taken_back == row.result
+    restart_state.take(msgspec.structs.replace(row, result={**row.result, "plan_id": "p", "registration_id": "r"}))
+    assert restart_state.kept.taken_back == row.result

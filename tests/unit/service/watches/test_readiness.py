@@ -41,11 +41,11 @@ def test_devices_started_here_or_required_are_waited_for(
 
 async def test_all_awaited_devices_must_be_ready() -> None:
     readiness = DeviceReadiness({"robot", "tracker"}, ManualClock())
-    readiness.hear("tracker")
+    readiness.record_message("tracker")
     assert not readiness.complete
-    readiness.hear("robot")
+    readiness.record_message("robot")
     assert not readiness.complete, "its first beat was lost: nobody could release it"
-    readiness.hear_gate("robot")
+    readiness.record_gate("robot")
     assert readiness.complete
     await readiness.wait()
     readiness.fail(DeviceError("too late to matter"))
@@ -72,7 +72,7 @@ async def test_device_that_is_not_ready_in_time_is_named() -> None:
         await clock.advance(NOTED_AFTER - 0.1)
         assert log == []
         await clock.advance(0.1)
-        readiness.hear("tracker")
+        readiness.record_message("tracker")
         await clock.advance(DEVICES_TIME - NOTED_AFTER - 0.1)
         assert not waiting.done()
         await clock.advance(0.1)
@@ -89,6 +89,6 @@ async def test_a_slow_start_is_no_failure() -> None:
     waiting = asyncio.create_task(readiness.wait())
     await settle()
     await clock.advance(60.0)
-    readiness.hear("robot")
-    readiness.hear_gate("robot")
+    readiness.record_message("robot")
+    readiness.record_gate("robot")
     await waiting

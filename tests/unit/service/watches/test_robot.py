@@ -43,9 +43,9 @@ async def bench() -> AsyncIterator[Bench]:
 async def _hear_for(bench: Bench, seconds: float, *, beats: bool = True, joints: bool = True) -> None:
     for _ in range(round(seconds / BEAT_PERIOD)):
         if joints:
-            bench.watch.hear()
+            bench.watch.record_joints()
         if beats:
-            bench.watch.hear_beat(bench.clock.monotonic())
+            bench.watch.record_beat(bench.clock.monotonic())
         await bench.clock.advance(BEAT_PERIOD)
 
 
@@ -107,7 +107,7 @@ async def test_a_late_heartbeat_of_the_node_is_no_life_of_now(bench: Bench) -> N
     await _hear_for(bench, 1.0)
     last = bench.clock.monotonic()
     for _ in range(round((BEATS_MISSED * DEADMAN + 2 * BEAT_PERIOD) / BEAT_PERIOD)):
-        bench.watch.hear()
-        bench.watch.hear_beat(last)  # they were delayed, and arrive one after the other
+        bench.watch.record_joints()
+        bench.watch.record_beat(last)  # they were delayed, and arrive one after the other
         await bench.clock.advance(BEAT_PERIOD)
     assert [event.code for event in bench.events] == ["link_lost"]

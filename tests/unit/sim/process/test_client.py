@@ -20,7 +20,6 @@ from pcmrs_sim.process.wire import (
     ArmState,
     Call,
     Cancel,
-    Event,
     Failure,
     Open,
     Opened,
@@ -28,6 +27,7 @@ from pcmrs_sim.process.wire import (
     ToNode,
     ToWorld,
     Trouble,
+    WorldEvent,
     pack,
     read_by_world,
 )
@@ -121,7 +121,7 @@ async def test_states_events_and_troubles_are_those_of_their_device() -> None:
         event = DeviceEvent(device="robot", code="drives_off", text="Off.", danger=True)
         world.say(Trouble("tracker", "switched off"))
         world.say(ArmState(STATE, dropped=3))
-        world.say(Event(event))
+        world.say(WorldEvent(event))
         assert (await states, await events) == (STATE, event)
         assert (robot.dropped, robot.trouble, tracker.trouble) == (3, "", "switched off")
 

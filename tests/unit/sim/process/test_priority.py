@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from pcmrs_sim.process.priority import NICE, go_ahead_of_others
+from pcmrs_sim.process.priority import NICE, raise_priority
 
 
 def nice_after(call: Callable[[], object]) -> int:
@@ -32,7 +32,7 @@ def raise_it_by_hand() -> None:
 
 def test_the_priority_is_what_the_machine_permits() -> None:
     before = nice_after(lambda: None)
-    assert nice_after(go_ahead_of_others) == nice_after(raise_it_by_hand) in {before, NICE}
+    assert nice_after(raise_priority) == nice_after(raise_it_by_hand) in {before, NICE}
     assert nice_after(lambda: None) == before, "other threads keep theirs"
 
 
@@ -42,4 +42,4 @@ def test_without_permission_the_world_runs_as_it_is(monkeypatch: pytest.MonkeyPa
 
     before = nice_after(lambda: None)
     monkeypatch.setattr(os, "setpriority", refuse)
-    assert nice_after(go_ahead_of_others) == before
+    assert nice_after(raise_priority) == before

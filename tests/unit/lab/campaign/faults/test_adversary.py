@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from pcmrs.console.planning.importer import Refused
+from pcmrs.console.planning.importer import RefusalAnswer
 from pcmrs.dispatcher.events import PRESSED_AGAIN
 from pcmrs.journal import Journal
 from pcmrs.messages import Verdict
@@ -255,7 +255,7 @@ def taken_over(
     folder.mkdir()
     for how, said, acts in (("confined", confined, damaged), ("free", free, True)):
         child = ScriptedChild()
-        answer = msgspec.msgpack.encode(Refused(said))
+        answer = msgspec.msgpack.encode(RefusalAnswer(said))
 
         async def communicate(
             _: bytes, answer: bytes = answer, place: Path = folder / how, acts: bool = acts

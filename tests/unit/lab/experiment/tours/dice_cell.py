@@ -13,7 +13,7 @@ from pcmrs.dispatcher import Dispatcher, DispatcherListener, ProcedureData, Run
 from pcmrs.errors import RefusalError, UnknownOutcomeError
 from pcmrs.fsm import Blueprint, Closure
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
-from pcmrs_lab.experiment.tours.arguments import Arguments
+from pcmrs_lab.experiment.tours.arguments import TourArguments
 from pcmrs_lab.experiment.tours.rehearsal import NullRecorder, ScriptedSteps, scripted
 from pcmrs_lab.experiment.tours.report import TourReport
 from pcmrs_lab.experiment.tours.run import tour_live
@@ -149,7 +149,7 @@ async def toured(cell: DiceCell, given: Mapping[str, Any] = EMPTY, seconds: floa
     done: list[int] = []
     try:
         client = cast(Client, cell)
-        report, _ = await tour_live(ratms(), client, Arguments(given), 1000, seconds, lambda n, _: done.append(n))
+        report, _ = await tour_live(ratms(), client, TourArguments(given), 1000, seconds, lambda n, _: done.append(n))
         return report
     finally:
         await cell.close()

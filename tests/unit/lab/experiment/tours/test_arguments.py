@@ -14,7 +14,7 @@ from pcmrs.errors import ConfigurationError
 from pcmrs.spatial import Transform
 from pcmrs.testing.plan import example_plan, read_plan
 from pcmrs.workflows import find_workflow
-from pcmrs_lab.experiment.tours.arguments import NUDGES, PRESSES, Arguments, plan_arguments, read_arguments
+from pcmrs_lab.experiment.tours.arguments import NUDGES, PRESSES, TourArguments, plan_arguments, read_arguments
 from tests.unit.lab.blueprints import ratms
 
 PLAN = read_plan(example_plan("ratms"))
@@ -22,7 +22,7 @@ PLAN = read_plan(example_plan("ratms"))
 
 def test_arguments_are_used_in_turn_from_the_first_one_on() -> None:
     """The first nudge leads away from the body, the second one back."""
-    arguments = Arguments(plan_arguments(PLAN))
+    arguments = TourArguments(plan_arguments(PLAN))
     turns = [arguments.next("placement.nudge", "nudge") for _ in range(4)]
     assert turns == [*NUDGES, *NUDGES]
     indices = [arguments.next("digitization.digitize_one", "landmark_index")["index"] for _ in PLAN.landmarks]
@@ -32,14 +32,14 @@ def test_arguments_are_used_in_turn_from_the_first_one_on() -> None:
 
 
 def test_arguments_of_operation_count_before_its_payloads() -> None:
-    arguments = Arguments({"press": PRESSES, "placement.press": {"force": 3.0}})
+    arguments = TourArguments({"press": PRESSES, "placement.press": {"force": 3.0}})
     assert [arguments.next("placement.press", "press") for _ in range(2)] == [{"force": 3.0}] * 2
     assert arguments.next("other.press", "press") == PRESSES[0]
     assert arguments.next("other.connect", "none") == {}
 
 
 def test_the_example_plan_has_arguments_for_every_operation() -> None:
-    arguments = Arguments(plan_arguments(PLAN))
+    arguments = TourArguments(plan_arguments(PLAN))
     assert arguments.missing(ratms()) == {}
     choices = arguments.choices(ratms())
     assert choices["digitization.digitize_one"] == len(PLAN.landmarks)
@@ -57,7 +57,7 @@ def test_other_workflows_have_arguments_for_their_payloads(workflow: str, withou
 def test_operations_without_arguments_named_with_their_payload() -> None:
     given = plan_arguments(PLAN)
     del given["nudge"]
-    arguments = Arguments(given | {"press": []})
+    arguments = TourArguments(given | {"press": []})
     assert arguments.missing(ratms()) == {"placement.nudge": "nudge", "placement.press": "press"}
     assert arguments.next("placement.nudge", "nudge") == {}
 
