@@ -52,7 +52,7 @@ def test_the_loop_is_blocked_for_the_time(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_memory_is_taken_for_good(monkeypatch: pytest.MonkeyPatch) -> None:
     eaten: list[bytes] = []
-    monkeypatch.setattr(saboteur, "_eaten", eaten)
+    monkeypatch.setattr(saboteur, "_allocated", eaten)
     assert carried_out("eat 1000") == ["eaten"]
     assert sum(map(len, eaten)) == 1000
 
