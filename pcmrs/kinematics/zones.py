@@ -118,6 +118,7 @@ class ZoneModel:
         self._last_from_tool = se3(facts.joint_from_flange @ flange_from_tool)
         self._tracker: Floats | None = None
         self._number: dict[str, int] = {}
+        self._spheres: dict[str, tuple[Floats, float]] = {}
         self.links = self._add_links(facts, tool)
         self._zones = {zone.name: zone for zone in zones}
         for zone in zones:
@@ -190,9 +191,11 @@ class ZoneModel:
     def bounding_sphere(self, zone: str) -> Floats:
         """Return a sphere around a hull zone at its present place: x, y, z and radius in the robot's base, m, (4,)."""
         placed = self._shape(zone)
-        points = np.asarray(placed.geometry.points())
-        middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
-        radius = np.linalg.norm(points - middle, axis=1).max()
+        if zone not in self._spheres:  # of the shape itself, which never changes
+            points = np.asarray(placed.geometry.points())
+            middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
+            self._spheres[zone] = middle, float(np.linalg.norm(points - middle, axis=1).max())
+        middle, radius = self._spheres[zone]
         return np.append(placed.placement.act(middle), radius)
 
     def _shape(self, name: str) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Self, overload
 
@@ -42,6 +42,10 @@ class Transform:
         rotation = _array(self.rotation, (3, 3), "rotation matrix")
         _check_rotation(rotation)
         _fill(self, rotation, _array(self.translation, (3,), "translation"))
+
+    def __reduce__(self) -> tuple[Callable[[bytes], Transform], tuple[bytes]]:
+        # A request to the planning process contains hundreds of poses, and an array takes ten times as long.
+        return _from_bytes, (self.rotation.tobytes() + self.translation.tobytes(),)
 
     @classmethod
     def identity(cls) -> Self:
@@ -250,6 +254,12 @@ def trusted_transform(rotation: Floats, translation: Floats) -> Transform:
     transform = object.__new__(Transform)
     _fill(transform, rotation, translation)
     return transform
+
+
+def _from_bytes(content: bytes) -> Transform:
+    """Return the transform that was pickled."""
+    numbers = np.frombuffer(content)
+    return trusted_transform(numbers[:9].reshape(3, 3), numbers[9:])
 
 
 def _fill(transform: Transform, rotation: Floats, translation: Floats) -> None:

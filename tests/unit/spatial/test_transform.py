@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -42,6 +43,15 @@ def test_every_form_gives_the_same_transform_back(a: Transform) -> None:
     ):
         np.testing.assert_allclose(again.matrix, a.matrix, atol=1e-12)
     assert a.quat_wxyz[0] == a.quat_xyzw[3] >= 0.0
+
+
+@given(transforms)
+def test_another_process_gets_the_same_numbers(a: Transform) -> None:
+    for sent in (a, a.inverse()):  # whose rotation is a transposed view
+        got = pickle.loads(pickle.dumps(sent))
+        np.testing.assert_array_equal(got.matrix, sent.matrix)
+        assert not got.rotation.flags.writeable
+        assert not got.translation.flags.writeable
 
 
 def test_points_map_one_by_one_or_as_rows() -> None:
