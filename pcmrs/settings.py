@@ -31,6 +31,7 @@ from pcmrs.workflows.settings import ProcedureSettings
 
 __all__ = ["Settings", "read_settings"]
 
+JOURNAL_SUFFIX = ".sqlite"
 DRIVER_SETTINGS = "pcmrs.driver_settings"
 """Group of the entry points that name the settings of drivers."""
 SIMULATED = "sim"
@@ -78,7 +79,29 @@ class CellSettings(Table, frozen=True, forbid_unknown_fields=True):
 
     def journal(self, workflow: str) -> Path:
         """Return the path of a workflow's journal; `workflow` is the id of its blueprint."""
-        return self.path() / f"{workflow}.sqlite"
+        return self.path() / f"{workflow}{JOURNAL_SUFFIX}"
+
+    def stored_journal(self, workflow: str) -> Path:
+        """Return the journal to read: that of a workflow, or the only one in the folder.
+
+        Args:
+            workflow: Id of the blueprint of the configured workflow.
+
+        Returns:
+            Path of the journal; it is missing if the folder has none.
+
+        Raises:
+            ConfigurationError: The folder has journals of several other workflows.
+        """
+        own = self.journal(workflow)
+        others = sorted(self.path().glob(f"*{JOURNAL_SUFFIX}"))
+        if own.exists() or not others:
+            return own
+        if len(others) > 1:
+            names = ", ".join(path.stem for path in others)
+            text = f"{self.path()} has no journal of the workflow {workflow}, but those of {names}: "
+            raise ConfigurationError(f"{text}add --set workflow=NAME with one of them.", folder=str(self.path()))
+        return others[0]
 
 
 class DeviceSettings(Table, frozen=True, forbid_unknown_fields=True):

@@ -52,6 +52,17 @@ class Column(Generic[R]):
         return entry
 
 
+def write_ignored(dataset: Path, pattern: str) -> None:
+    """Write the file ``.bidsignore``, so that validators skip files that are not part of BIDS yet.
+
+    Args:
+        dataset: Folder of the dataset; it is created.
+        pattern: Files that are not part of BIDS, in the syntax of ``.gitignore``.
+    """
+    dataset.mkdir(parents=True, exist_ok=True)
+    (dataset / ".bidsignore").write_text(f"{pattern}\n")
+
+
 def write_table(path: Path, columns: Sequence[Column[R]], rows: Iterable[R], **fields: Any) -> None:
     """Write a table and its sidecar, whose name ends in ``.json`` instead.
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from pcmrs.analysis._bids import Column, write_json, write_table
+from pcmrs.analysis._bids import Column, write_ignored, write_json, write_table
 from pcmrs.analysis.nibs_tables import EVENTS, PERCENT, TASK, description, position_id, subject_label
 from pcmrs.analysis.session import PulseRecord, SessionRecord
 from pcmrs.tms.mep import Mep
@@ -67,6 +67,7 @@ def write_meps(record: SessionRecord, dataset: Path) -> None:
     stem = f"{name}_task-{TASK}"
     settings = record.mep_settings
     write_json(dataset / "dataset_description.json", description(record, "derivative"))
+    write_ignored(dataset, "emg/")
     fields = {
         "ResponseWindow": [1e3 * settings.window_start, 1e3 * settings.window_end],
         "ResponseWindowUnits": "ms",

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pcmrs.analysis._bids import VERSION, Column, label, write_json, write_table
+from pcmrs.analysis._bids import VERSION, Column, label, write_ignored, write_json, write_table
 from pcmrs.analysis.session import PulseRecord, SessionRecord
 from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Floats
@@ -115,6 +115,7 @@ def write_nibs(record: SessionRecord, dataset: Path) -> None:
     stem = f"{name}_task-{TASK}"
     folder = dataset / name / "nibs"
     write_json(dataset / "dataset_description.json", description(record, "raw"))
+    write_ignored(dataset, "nibs/")
     (dataset / "participants.tsv").write_text(f"participant_id\n{name}\n")
     sets = {event_id(pulse): pulse for pulse in sorted(record.pulses, key=lambda each: each.intensity)}
     about = _about(record, f"bids::{name}/nibs/{stem}_events.tsv")

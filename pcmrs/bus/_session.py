@@ -17,10 +17,10 @@ from zenoh import Locality, ext
 from pcmrs.background import BackgroundTasks
 from pcmrs.bus._round_robin import AT_ONCE, RoundRobin
 from pcmrs.bus.bridge import CAPACITY, Bridge
-from pcmrs.bus.codec import busy, pack, unpack
+from pcmrs.bus.codec import busy, pack, pack_text, unpack
 from pcmrs.bus.declare import declare_publisher, declare_subscriber
 from pcmrs.bus.handshake import RUN, Handshake, answer_questions
-from pcmrs.bus.keys import cell_prefix, is_signed, named_in
+from pcmrs.bus.keys import TEXT_COPIES, cell_prefix, is_signed, named_in
 from pcmrs.bus.qos import COMMANDS, REQUESTS, class_of
 from pcmrs.bus.requests import ReplyCheck, send_query
 from pcmrs.bus.seal import ReplayWindow, Seal, is_sealed
@@ -109,6 +109,8 @@ class Bus:
     def publish(self, key: str, message: Any) -> None:
         """Send a message to all subscribers of a key, and drop it rather than wait for the link. From any thread.
 
+        Of a key that has a copy in JSON text (`TEXT_COPIES`), the copy is sent as well while somebody subscribes to it.
+
         Args:
             key: Relative key.
             message: Message of the type that the key table names.
@@ -118,6 +120,10 @@ class Bus:
         """
         payload = pack(message)
         self._publisher(key).put(payload, attachment=self._attached("put", key, payload))
+        if key in TEXT_COPIES:
+            copies: Any = self._publisher(TEXT_COPIES[key])  # Zenoh's stubs call its matching status a bool
+            if copies.matching_status.matching:
+                copies.put(pack_text(message), encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def publish_cdr(self, key: str, payload: bytes) -> None:
         """Send a message that is encoded as CDR, the encoding of ROS 2; see `publish`.

@@ -61,6 +61,10 @@ SENT_ON_SITE: Final[tuple[Role, ...]] = ("device", "daemon")
 """Owners of what devices publish. To a router, the daemon publishes for the devices on its own machine."""
 
 
+TEXT_COPIES: Final = {"state/fsm": "json/state/fsm", "state/event": "json/state/event"}
+"""Keys whose messages are also sent as JSON text, for clients that cannot read MessagePack, each with the other key."""
+
+
 def _row(
     key: str, use: Use, payload: str, text: str, users: tuple[Role, ...], owners: tuple[Role, ...] = DAEMON
 ) -> KeyInfo:
@@ -86,6 +90,14 @@ KEYS = [
     ),
     _row("state/fsm", "subscribe", "Snapshot", "State of all branches after each commit; the last is kept.", READERS),
     _row("state/event", "subscribe", "Verdict | DeviceEvent", "Decisions and device events as they happen.", READERS),
+    _row("json/state/fsm", "subscribe", "Snapshot as JSON", "state/fsm as text, while somebody subscribes.", READERS),
+    _row(
+        "json/state/event",
+        "subscribe",
+        "Verdict | DeviceEvent as JSON",
+        "state/event as text, while somebody subscribes; the verdict on a put.",
+        READERS,
+    ),
     _row("state/joints", "subscribe", "JointState", "Measured joints of the arm.", READERS, SENT_ON_SITE),
     _row(
         "state/pose/<body>",

@@ -47,6 +47,8 @@ VIDEO: Final = DataClass(Priority.BACKGROUND, newest=1)
 # Copies for ROS 2 have a lower priority than everything that the cell itself needs.
 COPIES: Final = DataClass(Priority.DATA_LOW, newest=16)
 COPIED_SNAPSHOTS: Final = DataClass(Priority.DATA_LOW, newest=1, kept=1, history=1)
+# Text for people and scripts: no message replaces another, and none delays the cell.
+TEXT: Final = DataClass(Priority.DATA_LOW, newest=0)
 OTHER: Final = DataClass(Priority.DATA, newest=0)
 
 _TABLE: Final = [
@@ -57,6 +59,7 @@ _TABLE: Final = [
         ("state/fsm", SNAPSHOTS),
         ("state/flags", SNAPSHOTS),
         ("state/event", EVENTS),
+        ("json/**", TEXT),
         ("state/joints", JOINTS),
         ("state/robot", JOINTS),
         ("state/pose/*", POSES),

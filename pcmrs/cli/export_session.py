@@ -35,7 +35,8 @@ def export_session(
     configuration and versions of the session, a README and the hashes of all files. The cell may be running.
 
     Exit status: 0 exported, 1 the journal is not sound (exported as it is), 2 it cannot be read or copied,
-    4 the folder is in use or the disk too full.
+    4 the folder is in use, the disk too full, or the cell has journals of several other workflows than the configured
+    one.
 
     Example: pcmrs export-session -o session1
     """
@@ -44,7 +45,7 @@ def export_session(
     from pcmrs.workflows import read_workflow
 
     settings = read_settings(file, overrides)
-    journal = settings.cell.journal(read_workflow(settings.workflow).id)
+    journal = settings.cell.stored_journal(read_workflow(settings.workflow).id)
     with progress_bar(transient=True) as progress:
         exported = export(settings, journal, session, output, progress)
     if as_json:

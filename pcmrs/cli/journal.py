@@ -114,14 +114,14 @@ def journal_of_cell(file: Path | None, overrides: tuple[str, ...]) -> Path:
         overrides: Values that override it, ``key=value``.
 
     Raises:
-        ConfigurationError: The configuration is wrong.
+        ConfigurationError: The configuration is wrong, or the cell has journals of several other workflows.
         BlueprintError: Its workflow is not sound.
     """
     from pcmrs.settings import read_settings
     from pcmrs.workflows import read_workflow
 
     settings = read_settings(file, overrides)
-    return settings.cell.journal(read_workflow(settings.workflow).id)
+    return settings.cell.stored_journal(read_workflow(settings.workflow).id)
 
 
 def _line(stored: StoredRow) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final
 
 import msgspec
@@ -103,8 +104,8 @@ def json_schema(kind: type[Message]) -> dict[str, Any]:
     """Return the JSON schema of a type of messages in the subset that Foxglove supports.
 
     Foxglove does not show a topic whose schema has references, choices, tuples, maps, or lists of lists. So an optional
-    field is described without null, a tuple as a list, a map as an object without fields, and a list of lists is left
-    out.
+    field is described without null and is missing from a message (see `json_bytes`), a tuple is described as a list, a
+    map as an object without fields, and a list of lists is left out.
     """
     whole = msgspec.json.schema(kind)
     schema: dict[str, Any] = _plain(whole, whole["$defs"])
@@ -112,8 +113,19 @@ def json_schema(kind: type[Message]) -> dict[str, Any]:
 
 
 def json_bytes(message: Message) -> bytes:
-    """Return a message as JSON."""
-    return msgspec.json.encode(message)
+    """Return a message as JSON. Fields without a value are left out, since `json_schema` describes none as null."""
+    return msgspec.json.encode(_without_null(msgspec.to_builtins(message)))
+
+
+def _without_null(value: Any) -> Any:
+    """Return a value without the fields that would be null: None, and numbers that are not finite."""
+    if isinstance(value, dict):
+        return {key: _without_null(each) for key, each in value.items() if not _is_null(each)}
+    return [_without_null(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+def _is_null(value: Any) -> bool:
+    return value is None or (isinstance(value, float) and not math.isfinite(value))
 
 
 def _plain(schema: dict[str, Any], parts: dict[str, Any]) -> Any:

@@ -29,12 +29,14 @@ class IntervalSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     most_pulses: Annotated[int, msgspec.Meta(ge=1, le=1800)] = 500
 
 
-def check_interval(now: float, last: float | None, settings: IntervalSettings) -> None:
+def check_interval(now: float, last: float | None, given: int, settings: IntervalSettings) -> None:
     """Refuse a pulse that would come too soon.
 
     Args:
         now: Present time, s, on the clock of `last`.
-        last: Time of the last pulse, s; None before the first pulse.
+        last: Time from which the interval counts, s: the last pulse, or arming before the first pulse and after one
+            whose outcome was unknown. None before arming.
+        given: Number of pulses given in this session.
         settings: Limits of single pulses.
 
     Raises:
@@ -43,9 +45,14 @@ def check_interval(now: float, last: float | None, settings: IntervalSettings) -
     if last is None or now - last >= settings.least:  # nan counts as too soon
         return
     wait = settings.least - (now - last)
+    since = f"{now - last:.2f} s ago"
+    if given == 0:
+        text = f"No pulse was given yet, so the interval counts from arming, {since};"
+    else:
+        text = f"The last pulse, or arming after one with an unknown outcome, was {since};"
     raise RefusalError(
         "pulse_too_soon",
-        f"The last pulse was {now - last:.2f} s ago; at least {settings.least:g} s must pass. Wait {wait:.2f} s.",
+        f"{text} at least {settings.least:g} s must pass. Wait {wait:.2f} s.",
         since=now - last,
         least=settings.least,
         wait=wait,

@@ -39,7 +39,7 @@ class RobotFaults:
     cut: bool = False
     silent: bool = False
     drives_off: str | None = None
-    framing: Framing = "mixed"
+    framing: Framing = "whole"
     doubled: bool = False
     drops: int = 0
     restarts: int = 0

@@ -28,6 +28,13 @@ TURNS = {"[": TURN, "]": -TURN}
 NEAR, TYPICAL = 0.030, 0.006
 """Largest distance of a landmark from the surface, and of half of them, m: landmarks farther away are of another image
 or space. A surface may lack a nose; on a head that is turned round, no single landmark is far off."""
+_MISREAD = {
+    "in the other space, LPS or RAS": np.diag((-1.0, -1.0, 1.0)),
+    "mirrored, with left and right exchanged": np.diag((-1.0, 1.0, 1.0)),
+    "in a unit 1000 times as large": np.eye(3) * 1e3,
+    "in a unit 1000 times smaller": np.eye(3) * 1e-3,
+}
+"""Mistakes in the reading of a mesh, and what corrects the landmarks, (3, 3): they then fit the mesh as it was read."""
 DEEPEST = 0.080
 """Largest depth of a target for a coil below the scalp, m."""
 
@@ -80,16 +87,17 @@ class Draft:
             points: Their positions, m, (N, 3).
 
         Raises:
-            GeometryError: They are not at the surface, or two have one name: then none is taken.
+            GeometryError: They are not at the surface, or two have one name: then none is taken. If the mesh seems to
+                have been read in a wrong unit, space or handedness, the text says so.
         """
-        distances = self._check_near(names, points, NEAR)
-        if not np.median(distances) <= TYPICAL:
-            middle = float(np.median(distances))
-            text = (
-                f"Half of the landmarks are {middle * 1000:.0f} mm or more from the surface; the limit is "
-                f"{TYPICAL * 1000:g} mm. Does the file declare the right space, LPS or RAS, and is it of this image?"
-            )
-            raise GeometryError(text, value=middle, limit=TYPICAL)
+        try:
+            self._check_at_surface(names, points)
+        except GeometryError as error:
+            mistake = self._mistake(names, points)
+            if mistake is None:
+                raise
+            text = f"{error.text} The landmarks fit a mesh that was read {mistake}: check the files of both."
+            raise GeometryError(text, **error.fields) from None
         found = Draft()
         for name, point in zip(names, points, strict=True):
             found.add_landmark(point, name)
@@ -209,6 +217,30 @@ class Draft:
         if self.surface is None:
             raise GeometryError("There is no surface to plan on: load one, or set procedure.body.surface.")
         return self.surface
+
+    def _mistake(self, names: Sequence[str], points: Floats) -> str | None:
+        """Return the mistake in the reading of the mesh that explains where landmarks (N, 3) are; None if none does."""
+        for mistake, correction in _MISREAD.items():
+            try:
+                self._check_at_surface(names, points @ correction)
+            except GeometryError:
+                continue
+            return mistake
+        return None
+
+    def _check_at_surface(self, names: Sequence[str], points: Floats) -> None:
+        """Check that landmarks (N, 3) are at the surface.
+
+        Raises:
+            GeometryError: One is farther than `NEAR`, or half of them are farther than `TYPICAL`.
+        """
+        middle = float(np.median(self._check_near(names, points, NEAR)))
+        if not middle <= TYPICAL:
+            text = (
+                f"Half of the landmarks are {middle * 1000:.0f} mm or more from the surface; the limit is "
+                f"{TYPICAL * 1000:g} mm. Does the file declare the right space, LPS or RAS, and is it of this image?"
+            )
+            raise GeometryError(text, value=middle, limit=TYPICAL)
 
     def _check_near(self, names: Sequence[str], points: Floats, limit: float) -> Floats:
         """Return the distances of points (N, 3) from the surface, m, (N,).

@@ -30,9 +30,13 @@ class MessageReader:
     Args:
         stream: Stream of the connection.
         kinds: Types of messages that are read, such as ``TRANSFORM``; all others are skipped.
+
+    Attributes:
+        version: Greatest header version of all messages so far, also of skipped ones; 0 before the first.
     """
 
     def __init__(self, stream: asyncio.StreamReader, kinds: Collection[str]) -> None:
+        self.version = 0
         self._stream = stream
         self._kinds = kinds
         self._header: bytes | None = None
@@ -52,6 +56,7 @@ class MessageReader:
         if self._header is None:
             self._header = await self._stream.readexactly(HEADER_BYTES)
         header, (size, crc) = _parse(self._header), _SIZE_AND_CRC.unpack_from(self._header, 42)
+        self.version = max(self.version, header["header_version"])
         if header["message_type"] not in self._kinds or size > MAX_BODY:
             self._header, self._left_to_skip = None, size
             await self._skip()

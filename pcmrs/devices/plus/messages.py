@@ -107,13 +107,18 @@ class TrackingDataMessage(MessageBase):  # type: ignore[misc]
 
 
 class StartTrackingDataMessage(MessageBase):  # type: ignore[misc]
-    """Request for TDATA at the server's full rate; the version 2 header makes PLUS send metadata, too."""
+    """Request for TDATA at the server's full rate.
 
-    def __init__(self, **header: Any) -> None:
+    Args:
+        header_version: 2 makes PLUS send metadata, too. A server that knows only version 1 misreads its body.
+        header: See `MessageBase`.
+    """
+
+    def __init__(self, header_version: int = 2, **header: Any) -> None:
         super().__init__(**header)
         self._message_type = "STT_TDATA"
         self._valid_message = True
-        self.header_version = 2
+        self.header_version = header_version
 
     def _pack_content(self) -> bytes:
         return struct.pack(">i32s", 0, b"")

@@ -21,6 +21,9 @@ CONNECT_WITHIN = 3.0
 """Longest wait for a connection, s."""
 RETRY_AFTER = 1.0
 """Pause between two attempts to connect, s."""
+ANSWER_WITHIN = 2.0
+"""Time without a frame and without a header of version 2 after which the server is asked with version 1, s; PLUS sends
+STATUS more often."""
 SILENCE = 5.0
 """Time without a frame after which the connection is made again, s; PLUS keeps a quiet connection alive by STATUS."""
 TOGETHER_WITHIN = 0.005
@@ -48,9 +51,11 @@ class PlusTracker:
     def __init__(self, host: str, port: int, names: Mapping[str, str], latency: float, clock: Clock) -> None:
         self._host, self._port = host, port
         self._clock = clock
+        self._names = frozenset(names.values())
         self._frames = FrameAssembler({name: body for body, name in names.items()}, latency)
         self._stream: Stream[Sequence[BodyPose]] = Stream()
         self._next_log = self._last_frame = clock.monotonic()
+        self._has_frames = False
         self.trouble = f"The PLUS server at {host}:{port} has not been reached yet."
 
     def frames(self) -> AsyncIterator[Sequence[BodyPose]]:
@@ -77,14 +82,31 @@ class PlusTracker:
         async with self._clock.timeout(CONNECT_WITHIN):
             stream, writer = await asyncio.open_connection(self._host, self._port)
         try:
-            writer.write(StartTrackingDataMessage(device_name="PCMRS", timestamp=self._clock.wall()).pack())
+            self._ask(writer, 2)
             self._frames.restart()
-            self._last_frame = self._clock.monotonic()
+            self._last_frame, self._has_frames = self._clock.monotonic(), False
             reader = MessageReader(stream, KINDS)
+            if not await self._is_answered(reader):
+                self._ask(writer, 1)
             while True:
                 await self._read_one(reader)
         finally:
             writer.close()
+
+    async def _is_answered(self, reader: MessageReader) -> bool:
+        """Read until a frame or a header of version 2 has come; return False if none does within `ANSWER_WITHIN`."""
+        try:
+            async with self._clock.timeout(ANSWER_WITHIN):
+                while reader.version < 2 and not self._has_frames:
+                    await self._read_one(reader)
+        except TimeoutError:
+            return False
+        return True
+
+    def _ask(self, writer: asyncio.StreamWriter, version: int) -> None:
+        """Request TDATA in a message with a header of this version."""
+        request = StartTrackingDataMessage(version, device_name="PCMRS", timestamp=self._clock.wall())
+        writer.write(request.pack())
 
     async def _read_one(self, reader: MessageReader) -> None:
         waiting = self._frames.waiting
@@ -102,15 +124,18 @@ class PlusTracker:
                 self._take(message)
 
     def _take(self, message: Any) -> None:
+        found = readings(message)
+        if not message.timestamp and self._names & found.keys():
+            raise ConnectionAbortedError("its poses have no time stamp, so that old ones would look new; send stamps")
         now, wall = self._clock.monotonic(), self._clock.wall()
         whole = message.message_type == "TDATA"
-        self._publish(self._frames.take(readings(message), message.timestamp, now, wall, whole=whole))
+        self._publish(self._frames.take(found, message.timestamp, now, wall, whole=whole))
 
     def _publish(self, frames: Sequence[Sequence[BodyPose]]) -> None:
         """Publish frames to the readers; a connection that yields none for `SILENCE` is given up."""
         now = self._clock.monotonic()
         for frame in frames:
-            self._last_frame = now
+            self._last_frame, self._has_frames = now, True
             self.trouble = ""
             self._stream.publish(frame)
         if now - self._last_frame > SILENCE:

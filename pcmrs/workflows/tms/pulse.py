@@ -36,7 +36,7 @@ POLL_INTERVAL = 0.02
 def pulse_allowed_now(run: Run) -> None:
     """Refuse a pulse too soon after the last one, or after too many: the published limits of single pulses."""
     limits, data = run.cell.settings.stimulation.intervals, run.data
-    check_interval(run.clock.monotonic(), data.last_pulse, limits)
+    check_interval(run.clock.monotonic(), data.last_pulse, data.given, limits)
     check_count(data.given, limits)
 
 

@@ -1,9 +1,9 @@
-"""Reference of the arm in a direct servo: towards the newest set point, within the limits of the joints."""
+"""References of the arm in a direct servo: towards the newest set point, within the limits of the joints."""
 
 from __future__ import annotations
 
 import numpy as np
-from ruckig import InputParameter, Ruckig, Synchronization, Trajectory
+from ruckig import ControlInterface, InputParameter, Ruckig, Synchronization, Trajectory
 
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.spatial import Floats
@@ -14,12 +14,11 @@ LARGEST_JUMP = 0.1
 """Difference between successive set points, in any joint, above which the servo ends, rad."""
 
 
-class Destination:
-    """A reference that moves to the last set point and stays there. It has no deadman.
+class _Servo:
+    """A reference along time-optimal profiles of bounded jerk. It has no deadman.
 
-    Between set points it is a time-optimal profile of bounded jerk that ends at rest (Berscheid, Kröger, Jerk-limited
-    Real-time Trajectory Generation with Arbitrary Target States, RSS 2021). The arm therefore lags behind a fast
-    stream, and is exact at its end. The real server shapes the last millimetre more slowly.
+    The profiles are those of Berscheid, Kröger, Jerk-limited Real-time Trajectory Generation with Arbitrary Target
+    States, RSS 2021.
 
     Args:
         posture: Posture at the start, at rest, rad, (n,).
@@ -46,20 +45,10 @@ class Destination:
         self._request.max_acceleration = [fraction * settings.brake_acceleration] * joints
         self._request.max_jerk = [settings.brake_jerk] * joints
         self._profile = Trajectory(joints)
-        self._target = posture
         self._sample = np.stack((posture, np.zeros(joints), np.zeros(joints)))
         self._steps = 0
         self._moving = False
         self.halt: str | None = None
-
-    def take(self, target: Floats) -> None:
-        """Take a new set point, rad, (n,), or set `halt` if it is out of range or too far away."""
-        if np.any(target < self._lower) or np.any(target > self._upper):
-            self.halt = "out_of_range"
-        elif np.abs(target - self._target).max() > LARGEST_JUMP:
-            self.halt = "jump"
-        elif not np.array_equal(target, self._target):
-            self._plan(target)
 
     def advance(self) -> Floats:
         """Return the next sample: position rad, velocity rad/s and acceleration rad/s^2, (3, n)."""
@@ -80,9 +69,73 @@ class Destination:
         velocity: Floats = self._sample[1]
         return velocity
 
-    def _plan(self, target: Floats) -> None:
+    def _plan(self) -> None:
+        """Plan the profile to the target of the request, from the present sample."""
         request = self._request
         request.current_position, request.current_velocity, request.current_acceleration = self._sample.tolist()
-        request.target_position = target.tolist()
         self._planner.calculate(request, self._profile)
-        self._target, self._steps, self._moving = target, 0, True
+        self._steps, self._moving = 0, True
+
+
+class Destination(_Servo):
+    """A reference that moves to the last set point and stays there.
+
+    The arm lags behind a fast stream, and is exact at its end. The real server shapes the last millimetre more slowly.
+
+    Args:
+        posture: Posture at the start, at rest, rad, (n,).
+        facts: Geometry and limits of the arm.
+        settings: Acceleration and jerk of its joints.
+        fraction: Fraction of the arm's speeds and accelerations that the servo may use.
+
+    Attributes:
+        target: Last set point, rad, (n,).
+    """
+
+    def __init__(self, posture: Floats, facts: ArmFacts, settings: ArmSettings, fraction: float = 1.0) -> None:
+        super().__init__(posture, facts, settings, fraction)
+        self.target = posture
+
+    def take(self, target: Floats) -> None:
+        """Take a new set point, rad, (n,), or set `halt` if it is out of range or too far away."""
+        if np.any(target < self._lower) or np.any(target > self._upper):
+            self.halt = "out_of_range"
+        elif np.abs(target - self.target).max() > LARGEST_JUMP:
+            self.halt = "jump"
+        elif not np.array_equal(target, self.target):
+            self.target = target
+            self._request.target_position = target.tolist()
+            self._plan()
+
+
+class VelocityDestination(_Servo):
+    """A reference whose joints turn with the last velocities, until a joint could no longer stop within its range.
+
+    Args:
+        posture: Posture at the start, at rest, rad, (n,).
+        facts: Geometry and limits of the arm.
+        settings: Acceleration and jerk of its joints.
+    """
+
+    def __init__(self, posture: Floats, facts: ArmFacts, settings: ArmSettings) -> None:
+        super().__init__(posture, facts, settings)
+        self._request.control_interface = ControlInterface.Velocity
+        self._brake_acceleration = settings.brake_acceleration
+        self._velocities = np.zeros(len(facts.joints))
+
+    def take(self, velocities: Floats) -> None:
+        """Take new velocities, rad/s, (n,), or set `halt` if one is greater than that of its joint."""
+        if np.any(np.abs(velocities) > self._request.max_velocity):
+            self.halt = "too_fast"
+        elif not np.array_equal(velocities, self._velocities):
+            self._velocities = velocities
+            self._request.target_velocity = velocities.tolist()
+            self._plan()
+
+    def advance(self) -> Floats:
+        """Return the next sample as `SetPoint.advance` does; set `halt` if a joint must brake for its range."""
+        sample = super().advance()
+        rest = sample[0] + sample[1] * np.abs(sample[1]) / (2.0 * self._brake_acceleration)
+        if np.any(rest < self._lower) or np.any(rest > self._upper):
+            self.halt = "out_of_range"
+        return sample

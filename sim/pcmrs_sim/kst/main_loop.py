@@ -9,15 +9,15 @@ import numpy as np
 import structlog
 
 from pcmrs.devices.motion.reference import SetPoint
-from pcmrs.errors import DeviceError, PcmrsError
+from pcmrs.errors import DeviceError, PcmrsError, UnreachableError
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import JointTrajectory
-from pcmrs.spatial import Floats
+from pcmrs.spatial import Floats, Transform
 from pcmrs_sim.cell import CellSimulation
-from pcmrs_sim.kst.destination import Destination
+from pcmrs_sim.kst.destination import Destination, VelocityDestination
 from pcmrs_sim.kst.java import numbers, reply
-from pcmrs_sim.kst.moves import joint_move, straight_move
-from pcmrs_sim.kst.readings import Readings, from_xyzabc
+from pcmrs_sim.kst.moves import circular_move, joint_move, servo_posture, straight_move
+from pcmrs_sim.kst.readings import Readings, from_xyzabc, to_xyzabc
 
 DONE, NAK, INTERRUPTED = "done\n", "nak\n", "interrupted\n"
 JOINTS = 7
@@ -34,6 +34,8 @@ QUERIES: dict[str, Callable[[Readings], list[float]]] = {
     "Torques_m_J": Readings.torques,
 }
 """Queries, each with the reading in its reply."""
+NOT_SIMULATED = ("handGuiding", "preciseHandGuiding", "doPTP!")
+"""First letters of lines that the real server processes and this one refuses."""
 
 log = structlog.get_logger(__name__)
 
@@ -44,11 +46,20 @@ class Targets:
 
     Attributes:
         joints: Posture, rad, (7,).
-        pose: Pose of the tool frame in the base: x, y, z in mm and A, B, C in rad, (6,).
+        velocities: Velocities of the joints in a servo, rad/s, (7,).
+        pose: Pose of the tool frame in the base: x, y, z in mm and A, B, C in rad, (6,). A relative motion uses
+            x, y, z.
+        servo_pose: The same in a servo.
+        circle_middle: The same on the way of a circle.
+        circle_end: The same at the end of a circle.
     """
 
     joints: Floats = field(default_factory=lambda: np.zeros(JOINTS))
+    velocities: Floats = field(default_factory=lambda: np.zeros(JOINTS))
     pose: Floats = field(default_factory=lambda: np.zeros(6))
+    servo_pose: Floats = field(default_factory=lambda: np.zeros(6))
+    circle_middle: Floats = field(default_factory=lambda: np.zeros(6))
+    circle_end: Floats = field(default_factory=lambda: np.zeros(6))
 
 
 @dataclass
@@ -58,11 +69,13 @@ class _Motion:
     Attributes:
         reference: Reference of the arm. If the arm follows another one, the motion was interrupted.
         reply: Reply when the arm is at rest.
+        follow: Passes new targets to the reference of a servo; None for a point-to-point motion.
         ending: The motion is being ended.
     """
 
     reference: SetPoint
     reply: str
+    follow: Callable[[], None] | None = None
     ending: bool = False
 
 
@@ -91,27 +104,34 @@ class MainLoop:
             "TFtrans": self._attach_tool,
             "jRelVel": self._set_speed,
             "doPTPinJS": self._move_joints,
+            "doPTPinCSRelEEF": self._move_in_tool,
+            "doPTPinCSRelBase": self._move_in_base,
+            "doPTPinCSCircle1": self._move_on_circle,
             "doPTPinCS": self._move_straight,
             "startDirectServoJoints": self._start_servo,
+            "stDcEEf_": self._start_pose_servo,
+            "stVelDcJoint_": self._start_velocity_servo,
             "startSmartImpedneceJoints": self._start_impedance,
+            **dict.fromkeys(NOT_SIMULATED, self._refuse),
         }
 
     def accepts(self, line: str) -> bool:
         """Return true if the loop knows the request of a line."""
-        return line in QUERIES or _name(line) in self._handlers
+        return line in QUERIES or self._handler(line) is not None
 
     def process_slot(self) -> None:
         """Process the line in the slot, unless the arm moves."""
         if self._motion is not None or not self.slot:
             return
         line, self.slot = self.slot, ""
+        handler = self._handler(line)
         try:
             if self._faults.refusing:
                 raise DeviceError("Its application refuses everything.")
-            if line in QUERIES:
-                self._send(reply(QUERIES[line](self._readings)))
+            if handler is not None:
+                handler(line)
             else:
-                self._handlers[_name(line)](line)
+                self._send(reply(QUERIES[line](self._readings)))
         except (PcmrsError, ValueError) as error:
             log.warning("cabinet_refuses", line=line, reason=str(error))
             self._send(NAK)
@@ -125,7 +145,7 @@ class MainLoop:
             motion.ending, motion.reply = True, ""
             log.warning("cabinet_motion_broken_off", reason=self._arm.stopped)
             self._send(INTERRUPTED if self._arm.stopped == "interrupted" else NAK)
-        servo = isinstance(motion.reference, Destination)
+        servo = motion.follow is not None
         # The end of a servo does not wait until the arm has settled.
         if self._arm.reference.ended if servo else self._arm.at_rest:
             self._motion = None
@@ -135,14 +155,14 @@ class MainLoop:
             self.process_slot()
 
     def update_servo(self) -> None:
-        """Pass the new joint target to the servo, if one runs."""
-        if self._motion is not None and not self._motion.ending and isinstance(self._motion.reference, Destination):
-            self._motion.reference.take(self._targets.joints.copy())
+        """Pass the new targets to the servo, if one runs."""
+        if self._motion is not None and not self._motion.ending and self._motion.follow is not None:
+            self._motion.follow()
 
     def stop_servo(self) -> None:
         """End a servo. A point-to-point motion continues."""
         motion = self._motion
-        if motion is not None and not motion.ending and isinstance(motion.reference, Destination):
+        if motion is not None and not motion.ending and motion.follow is not None:
             motion.ending = True
             self._arm.hold(None)
 
@@ -151,6 +171,13 @@ class MainLoop:
         if self._motion is not None:
             self._arm.hold("link_lost")
             self._motion = None
+
+    def _handler(self, line: str) -> Callable[[str], None] | None:
+        """Return the handler whose name begins the line, as the real server compares; None if there is none."""
+        return next((handler for name, handler in self._handlers.items() if line.startswith(name)), None)
+
+    def _refuse(self, line: str) -> None:
+        raise DeviceError("The virtual cabinet does not simulate this request.", request=line)
 
     def _attach_tool(self, line: str) -> None:
         values = numbers(line)
@@ -169,10 +196,34 @@ class MainLoop:
         self._move(joint_move(self._model, self._arm.reference.position, self._targets.joints, self._speed))
 
     def _move_straight(self, _line: str) -> None:
+        self._move_tool(lambda _start: from_xyzabc(self._targets.pose.tolist()))
+
+    def _move_in_base(self, _line: str) -> None:
+        self._move_tool(lambda start: Transform(start.rotation, start.translation + self._offset()))
+
+    def _move_in_tool(self, _line: str) -> None:
+        self._move_tool(lambda start: start @ Transform(np.eye(3), self._offset()))
+
+    def _offset(self) -> Floats:
+        """Return the way of a relative motion, m, (3,)."""
+        return from_xyzabc(self._targets.pose.tolist()).translation
+
+    def _move_tool(self, goal: Callable[[Transform], Transform]) -> None:
+        """Move the tool frame on a line to the pose that `goal` returns for its present one, both in the base."""
         self._check_ready()
         self._send(DONE)
-        start, goal, tool = self._arm.reference.position, self._targets.pose, self._readings.flange_from_tool
-        self._move(straight_move(self._model, start, from_xyzabc(goal.tolist()), tool, self._speed * 1e-3))
+        start, tool = self._arm.reference.position, self._readings.flange_from_tool
+        base_from_tool = goal(self._model.forward(start) @ tool)
+        self._move(straight_move(self._model, start, base_from_tool, tool, self._speed * 1e-3))
+
+    def _move_on_circle(self, _line: str) -> None:
+        self._check_ready()
+        self._send(DONE)
+        start, tool = self._arm.reference.position, self._readings.flange_from_tool
+        middle, end = (
+            from_xyzabc(values.tolist()) for values in (self._targets.circle_middle, self._targets.circle_end)
+        )
+        self._move(circular_move(self._model, start, middle, end, tool, self._speed * 1e-3))
 
     def _move(self, trajectory: JointTrajectory) -> None:
         self._arm.follow(trajectory)
@@ -183,6 +234,30 @@ class MainLoop:
         self._send(DONE)
         self._targets.joints[:] = self._readings.joints()
         self._follow_targets(1.0, "")
+
+    def _start_pose_servo(self, _line: str) -> None:
+        self._check_ready()
+        self._send(DONE)
+        start, tool = self._arm.reference.position, self._readings.flange_from_tool
+        self._targets.servo_pose[:] = to_xyzabc(self._model.forward(start) @ tool)
+        servo = Destination(start, self._facts, self._settings)
+
+        def follow() -> None:
+            pose = from_xyzabc(self._targets.servo_pose.tolist())
+            try:
+                servo.take(servo_posture(self._model, pose, tool, servo.target))
+            except (DeviceError, UnreachableError) as error:
+                log.warning("cabinet_set_point_refused", reason=error.text)
+                servo.halt = "unreachable"
+
+        self._track(servo, "", follow)
+
+    def _start_velocity_servo(self, _line: str) -> None:
+        self._check_ready()
+        self._send(DONE)
+        self._targets.velocities[:] = 0.0
+        servo = VelocityDestination(self._arm.reference.position, self._facts, self._settings)
+        self._track(servo, "", lambda: servo.take(self._targets.velocities.copy()))
 
     def _start_impedance(self, line: str) -> None:
         """Start a servo with impedance.
@@ -204,15 +279,14 @@ class MainLoop:
 
     def _follow_targets(self, fraction: float, end_reply: str) -> None:
         servo = Destination(self._arm.reference.position, self._facts, self._settings, fraction)
+        self._track(servo, end_reply, lambda: servo.take(self._targets.joints.copy()))
+
+    def _track(self, servo: SetPoint, end_reply: str, follow: Callable[[], None]) -> None:
         self._arm.track(servo)
-        self._motion = _Motion(servo, end_reply)
+        self._motion = _Motion(servo, end_reply, follow)
 
     def _check_ready(self) -> None:
         if self._faults.drives_off is not None:
             raise DeviceError(f"The drives are off: {self._faults.drives_off}.", reason=self._faults.drives_off)
         if not self._arm.reference.ended:
             raise DeviceError("The arm is already moving.")
-
-
-def _name(line: str) -> str:
-    return line.partition("_")[0]

@@ -36,7 +36,7 @@ class Handle:
 
     Attributes:
         srom: The tool definition, bytes.
-        written: A part of the tool definition was written.
+        written: A part of the tool definition was written. A wireless tool without one does not occupy its handle.
         initialized: It was initialized.
         enabled: It was enabled: its tool is tracked.
         body: Body that it tracks; None until it is initialized, or if no body is left.
@@ -51,7 +51,7 @@ class Handle:
     @property
     def status(self) -> int:
         """Bits of the port's status that do not depend on a frame."""
-        return OCCUPIED | INITIALIZED * self.initialized | ENABLED * self.enabled
+        return OCCUPIED * self.written | INITIALIZED * self.initialized | ENABLED * self.enabled
 
 
 class NdiSystem:
@@ -133,6 +133,7 @@ class NdiSystem:
     def _init(self, _: str) -> bytes:
         if not self._plugged():
             raise CommandError(CANNOT_INITIALIZE)
+        self._handles.clear()  # those of an earlier client that did not free them
         self._initialized = True
         return reply("OKAY")
 
@@ -147,8 +148,8 @@ class NdiSystem:
         wanted: dict[str, Callable[[Handle], bool]] = {
             "": lambda _: True,
             "00": lambda _: True,
-            "01": lambda _: False,  # handles to be freed: tools of a wireless system are never unplugged
-            "02": lambda handle: not handle.initialized,
+            "01": lambda handle: not handle.written,  # to be freed: no tool occupies it
+            "02": lambda handle: handle.written and not handle.initialized,
             "03": lambda handle: handle.initialized and not handle.enabled,
             "04": lambda handle: handle.enabled,
         }

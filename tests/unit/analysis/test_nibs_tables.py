@@ -114,6 +114,11 @@ def test_a_dataset_says_that_it_is_simulated(nibs: Path) -> None:
     assert description["GeneratedBy"][0]["Version"] == "9.8.7"
 
 
+def test_validators_are_told_what_is_not_part_of_bids(nibs: Path, emg: Path) -> None:
+    assert (nibs.parents[1] / ".bidsignore").read_text() == "nibs/\n"
+    assert (emg.parents[1] / ".bidsignore").read_text() == "emg/\n"
+
+
 def test_a_session_without_pulses_has_tables_without_rows(tmp_path: Path) -> None:
     write_nibs(nothing(), tmp_path)
     write_meps(nothing(), tmp_path / "derivatives")

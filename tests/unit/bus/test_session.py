@@ -1,10 +1,12 @@
 """Bus: messages, streams and requests over real Zenoh sessions on a separate port."""
 
 import asyncio
+import json
 import sys
 import threading
 import time
 from contextlib import suppress
+from typing import Any
 
 import msgspec
 import pytest
@@ -15,8 +17,9 @@ from pcmrs.bus.bridge import CAPACITY
 from pcmrs.bus.codec import pack
 from pcmrs.devices.link import Link
 from pcmrs.errors import PayloadError, UnknownOutcomeError
-from pcmrs.messages import BodyPose, DeviceReply, DeviceRequest
-from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus, open_pair, plain_session, pose, sync
+from pcmrs.messages import BodyPose, Command, DeviceReply, DeviceRequest, Reason, Verdict
+from pcmrs.testing.waiting import wait_until
+from tests.unit.bus.bus_cells import TIMEOUT, accepted, new_cell, open_bus, open_pair, plain_session, pose, sync
 
 
 async def echo(key: str, request: DeviceRequest) -> DeviceReply:
@@ -248,3 +251,40 @@ async def test_an_event_that_finds_the_queue_full_is_reported() -> None:
             assert lost.empty()
             assert await asyncio.wait_for(lost.get(), TIMEOUT) == "dev/robot/event"
         assert lost.empty(), "it is reported once, until that was heard"
+
+
+async def test_state_and_events_are_sent_as_text_to_who_asks_for_it() -> None:
+    """A command-line client reads the verdict on its put; the binary key stays as it was."""
+    settings = new_cell()
+    async with open_bus(settings) as router:
+        with plain_session(settings) as session:
+            texts = session.declare_subscriber(f"{router.prefix}/json/state/event")
+            packed = session.declare_subscriber(f"{router.prefix}/state/event")
+            verdict = accepted(Command(id="c1", branch="robot", operation="connect", source="bus:eve"))
+            await until_text_matches(router, verdict)
+            text = await asyncio.to_thread(texts.recv)
+            assert str(text.encoding) == "application/json"
+            assert json.loads(text.payload.to_bytes())["decision"] == "accepted"
+            assert (await asyncio.to_thread(packed.recv)).payload.to_bytes() == pack(verdict)
+
+
+async def test_without_a_subscriber_no_text_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    def pack_text(message: Any) -> bytes:
+        raise AssertionError(message)
+
+    monkeypatch.setattr("pcmrs.bus._session.pack_text", pack_text)
+    async with open_pair() as (router, client):
+        events: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
+        client.subscribe("state/event", dict, lambda _, event: events.put_nowait(event))
+        router.publish("state/event", Reason(code="first", text=""))
+        await asyncio.wait_for(events.get(), TIMEOUT)
+        router.publish("state/event", Reason(code="second", text=""))
+        assert (await asyncio.wait_for(events.get(), TIMEOUT))["code"] == "second"
+
+
+async def until_text_matches(router: Bus, verdict: Verdict) -> None:
+    """Publish until the subscription to the text has reached the publisher."""
+    router.publish("state/event", verdict)
+    copies: Any = router._publisher("json/state/event")
+    await wait_until(lambda: copies.matching_status.matching)
+    router.publish("state/event", verdict)

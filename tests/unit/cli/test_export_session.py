@@ -45,3 +45,26 @@ def test_a_folder_that_is_in_use_stays_as_it_is(tmp_path: Path, journal_path: Pa
     ended = run(*words(tmp_path))
     assert ended.exit_code == 4
     assert [file.name for file in (tmp_path / "out").iterdir()] == ["mine.txt"]
+
+
+def rename(journal: Path, name: str) -> None:
+    """Rename a journal with its head and key."""
+    for file in journal.parent.glob(f"{journal.name}*"):
+        file.rename(file.with_name(file.name.replace(journal.name, name)))
+
+
+def test_the_only_journal_needs_no_name_of_its_workflow(tmp_path: Path, journal_path: Path) -> None:
+    rename(journal_path, "biopsy.sqlite")
+    ended = run(*words(tmp_path, "--json"))
+    assert ended.exit_code == 0, ended.stderr
+    assert json.loads(ended.stdout)["rows"] == 12
+
+
+def test_of_several_other_journals_one_has_to_be_named(tmp_path: Path, journal_path: Path) -> None:
+    (tmp_path / "grid.sqlite").write_bytes(journal_path.read_bytes())
+    rename(journal_path, "biopsy.sqlite")
+    ended = run(*words(tmp_path))
+    assert ended.exit_code == 4
+    assert "biopsy, grid" in ended.stderr
+    assert "--set workflow=NAME" in ended.stderr
+    assert not (tmp_path / "out").exists()

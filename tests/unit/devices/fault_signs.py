@@ -237,7 +237,7 @@ SIGNS: Mapping[str, Sign] = {
     "cut_robot": Sign(connecting, lambda _, during: during == ("UnknownOutcomeError", True)),
     "silence_robot": Sign(connecting, lambda _, during: during == ("UnknownOutcomeError", False)),
     "interrupt": Sign(stopped, lambda _, during: during == "interrupted", in_servo),
-    "frame_replies": Sign(framing, lambda before, during: (before, during) == ("mixed", "split")),
+    "frame_replies": Sign(framing, lambda before, during: (before, during) == ("whole", "split")),
     "e_stop": _new_refusal("e_stop"),
     "offset_joint": Sign(positions, lambda before, during: abs(during[2] - before[2] - 0.05) < 1e-3),
     "change_mode": _new_refusal("mode_change"),

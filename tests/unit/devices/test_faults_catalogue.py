@@ -51,7 +51,7 @@ LINES: Mapping[str, tuple[str, str]] = {
     "cut_robot": ("on", "off"),
     "silence_robot": ("on", "off"),
     "interrupt": ("", ""),
-    "frame_replies": ("split", "mixed"),
+    "frame_replies": ("split", "whole"),
     "e_stop": ("on", "off"),
     "offset_joint": ("3 0.05", "3 0"),
     "change_mode": ("on", "off"),

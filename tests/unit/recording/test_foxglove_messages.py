@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
+import math
 from pathlib import Path
 
+import jsonschema
 import pytest
 from foxglove.messages import LogLevel
 
-from pcmrs.messages import DeviceHealth, Epoch, Message, Snapshot
+from pcmrs.messages import BlueprintTag, DeviceHealth, Epoch, Message, Snapshot
 from pcmrs.messages.health import Health
-from pcmrs.messages.setup import ProcedureDataView
-from pcmrs.recording._foxglove_messages import FoxgloveView, joints, json_schema, line, link, pose_in
+from pcmrs.messages.setup import LandmarkShown, ProcedureDataView, StimulationShown
+from pcmrs.recording._foxglove_messages import FoxgloveView, joints, json_bytes, json_schema, line, link, pose_in
+from pcmrs.service.health.report import report
 from pcmrs.spatial import Transform
+from tests.support.health_facts import WELL
 from tests.unit.recording.recording_bench import read_back
 
 
@@ -27,6 +32,25 @@ def test_message_schema_has_no_word_that_foxglove_refuses(kind: type[Message]) -
             shape = field["items"] if field["type"] == "array" else field
             assert shape["type"] in ("boolean", "string", "number", "integer", "object"), field
             schemas += [shape] if shape["type"] == "object" else []
+
+
+TAG = BlueprintTag(id="ratms", version="1", hash="0")
+EMPTY = (
+    Snapshot(sequence=1, branches={"robot": "0"}, flags={}, running=[], latched=False, blueprint=TAG),
+    ProcedureDataView(
+        landmarks=[LandmarkShown(name="nasion", planned=(0.0, 0.1, 0.2))],
+        residual=math.nan,
+        stimulation=StimulationShown(response={"mep": None}),
+    ),
+    report(WELL),
+)
+
+
+@pytest.mark.parametrize("message", EMPTY, ids=lambda message: type(message).__name__)
+def test_a_message_without_values_fits_its_own_schema(message: Message) -> None:
+    shown = json.loads(json_bytes(message))
+    jsonschema.validate(shown, json_schema(type(message)))
+    assert None not in shown.values()
 
 
 @pytest.mark.parametrize("at_ns", [0, 1, 999_999_999, 10**18 + 7])

@@ -120,7 +120,8 @@ async def test_messages_are_in_the_file_as_foxglove_and_as_raw_bytes(tmp_path: P
     assert [joint.velocity for joint in shown["/joints"].joints] == [0.1] * 7
     assert shown["/state"]["branches"] == {"robot": "1"}
     for topic, message in (("/data", GATHERED), ("/epoch", EPOCH), ("/daemon", HEALTH)):
-        assert msgspec.convert(shown[topic], type(message)) == message
+        kind = type(message)  # a field without a value is missing in the file
+        assert msgspec.convert(dict.fromkeys(kind.__struct_fields__) | shown[topic], kind) == message
     assert shown["/target"].frame_id == "image"
     (joined,) = shown["/tf/image"].transforms
     assert (joined.parent_frame_id, joined.child_frame_id) == ("body_ref", "image")

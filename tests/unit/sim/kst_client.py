@@ -22,6 +22,9 @@ class KstClient:
     def send(self, *lines: str) -> None:
         self._writer.write("".join(f"{line}\n" for line in lines).encode())
 
+    def raw(self, data: bytes) -> None:
+        self._writer.write(data)
+
     async def reply(self) -> bytes:
         async with asyncio.timeout(DEADLINE):
             return await self._reader.readline()

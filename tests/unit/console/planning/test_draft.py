@@ -13,7 +13,7 @@ from pcmrs.errors import GeometryError
 from pcmrs.formats.landmarks import read_landmarks
 from pcmrs.formats.mesh import read_mesh
 from pcmrs.registration.triangles import TriangleSurface
-from pcmrs.spatial import rotation_angle
+from pcmrs.spatial import Floats, rotation_angle
 from tests import ROOT
 from tests.unit.console.planning.drafts import RADIUS, direction, draft
 
@@ -106,6 +106,27 @@ def test_phantom_landmarks_are_taken_and_turned_ones_are_refused() -> None:
         assert plan.landmarks == []
         plan.load_landmarks(planned.names, planned.points)
         assert len(plan.landmarks) == len(planned.names)
+
+
+@pytest.mark.parametrize(
+    ("correction", "mistake"),
+    [
+        (np.diag((-1.0, -1.0, 1.0)), "in the other space"),
+        (np.diag((-1.0, 1.0, 1.0)), "mirrored"),
+        (np.eye(3) * 1e3, "1000 times smaller"),
+        (np.eye(3) * 1e-3, "1000 times as large"),
+    ],
+)
+def test_a_mesh_that_was_read_wrongly_is_recognized(correction: Floats, mistake: str) -> None:
+    """The femur has no plane of symmetry; a mirrored head has the same landmarks, but for their names."""
+    mesh = read_mesh(EXAMPLES / "femur_phantom.ply", "m", "RAS")
+    planned = read_landmarks(EXAMPLES / "femoroplasty_plan.json")
+    plan = Draft(surface=TriangleSurface(mesh.vertices, mesh.faces))
+    with pytest.raises(GeometryError, match=f"The landmarks fit a mesh that was read .*{mistake}"):
+        plan.load_landmarks(planned.names, planned.points @ correction)
+    with pytest.raises(GeometryError) as refused:
+        plan.load_landmarks(planned.names, planned.points + 0.2)
+    assert "fit a mesh" not in refused.value.text
 
 
 def test_without_a_surface_nothing_is_placed() -> None:

@@ -29,7 +29,7 @@ KINDS = ("TRANSFORM", "POINT", "STRING", "STATUS", "TDATA")
 
 MATRIX = np.array([[0.0, -1.0, 0.0, 10.5], [1.0, 0.0, 0.0, -20.25], [0.0, 0.0, 1.0, 300.125], [0.0, 0.0, 0.0, 1.0]])
 
-HEAD = {"timestamp": wire.STAMP}
+HEAD: dict[str, Any] = {"timestamp": wire.STAMP}
 
 
 class Ending(asyncio.StreamReader):

@@ -17,12 +17,14 @@ from structlog.testing import capture_logs
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.devices.drivers.plus import open_devices
 from pcmrs.devices.plus import tracker
+from pcmrs.devices.plus.frames import MessageReader
 from pcmrs.devices.plus.messages import matrix_mm
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.protocols import OpenDriver, TrackerDriver
 from pcmrs.messages import BodyPose
 from pcmrs.spatial import Transform, distance
 from pcmrs.testing.clock import SetClock
+from pcmrs.testing.waiting import wait_until
 from tests.support import openigtlink_bytes as wire
 
 DRIVER: OpenDriver = open_devices  # the type checker proves it
@@ -117,6 +119,51 @@ async def test_tracking_data_request_has_a_header_that_brings_metadata() -> None
         assert (coil.valid, reference.valid, pointer.valid) == (True, False, False)
         assert (reference.reason, pointer.reason) == ("missing", "not_sent")
         client.close()
+
+
+class VersionOneServer:
+    """A server of header version 1: it takes the type of data from where version 1 has it, as OpenIGTLink 2 does."""
+
+    def __init__(self) -> None:
+        self.refused: list[bytes] = []
+
+    async def accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        while not reader.at_eof():
+            header = await reader.readexactly(58)
+            version, kind = wire.HEADER.unpack(header)[:2]
+            body = await reader.readexactly(int.from_bytes(header[42:50], "big"))
+            if version == 1 and (kind.rstrip(b"\0"), len(body)) == (b"STT_TDATA", 36):
+                content = wire.tracking_data("T", dict.fromkeys(NAMES, matrix_mm(POSE)))
+                writer.write(wire.message("TDATA", "T", content, time.time()))
+            else:
+                self.refused.append(header)
+
+
+async def test_a_server_of_header_version_1_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracker, "ANSWER_WITHIN", 0.05)
+    old = VersionOneServer()
+    server = await asyncio.start_server(old.accept, "127.0.0.1", 0)
+    async with opened(server.sockets[0].getsockname()[1]) as frames:
+        async with asyncio.timeout(20.0):
+            assert [pose.valid for pose in await anext(frames)] == [True, True, True]
+        assert len(old.refused) == 1
+    server.close()
+
+
+async def test_status_with_header_version_2_is_an_answer() -> None:
+    """PLUS with a quiet tracker sends only its status; asked with version 1, it would leave out that of the tools."""
+    stream = asyncio.StreamReader()
+    stream.feed_data(wire.with_metadata("STATUS", "P", b"\0" * 30, {}))
+    plus = tracker.PlusTracker("127.0.0.1", 1, {"coil": "CoilToTracker"}, 0.02, CLOCK)
+    assert await plus._is_answered(MessageReader(stream, tracker.KINDS))
+
+
+async def test_poses_without_a_time_stamp_are_refused_and_said() -> None:
+    plus = FakePlus()
+    async with plus.serving() as port, open_devices(["tracker"], {"plus": {"port": port}}, CLOCK) as devices:
+        client = await plus.clients.get()
+        client.write(frame(0.0) + frame(0.0))
+        await wait_until(lambda: "no time stamp" in devices["tracker"].trouble)
 
 
 async def test_an_incomplete_frame_does_not_wait_for_the_next_one() -> None:

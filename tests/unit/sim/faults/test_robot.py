@@ -166,7 +166,7 @@ async def test_however_replies_are_framed_they_are_the_same(
     inject(cell, "frame_replies", {"how": framing})
     client.send("jRelVel_0.2_", "jRelVel_0.2_", "getJointsPositions", "jRelVel_0.2_")
     assert [len((await client.reply()).split(b"_")) for _ in range(4)] == [1, 1, 8, 1]
-    inject(cell, "frame_replies", {"how": "mixed"})
+    inject(cell, "frame_replies", {"how": "whole"})
 
 
 async def test_a_collision_pushes_the_arm_away_from_where_it_holds(cell: CellSimulation, client: KstClient) -> None:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from pcmrs.spatial import Floats
 from pcmrs_sim.cell import CellSimulation
-from pcmrs_sim.kst.destination import LARGEST_JUMP, Destination
+from pcmrs_sim.kst.destination import LARGEST_JUMP, Destination, VelocityDestination
 from pcmrs_sim.plant import STEP
 from pcmrs_sim.settings import ArmSettings
 from tests.support.trials import examples
@@ -72,3 +72,27 @@ def test_a_jump_is_measured_from_the_last_set_point() -> None:
         destination.advance()
     assert np.abs(target - destination.position).max() > 2 * LARGEST_JUMP
     assert destination.halt is None
+
+
+def test_a_joint_turns_with_its_velocity_until_it_must_brake() -> None:
+    """It halts where its brake still ends within the range."""
+    destination, velocities = VelocityDestination(HOME, FACTS, SETTINGS), np.zeros(7)
+    velocities[6] = 0.5
+    destination.take(velocities)
+    steps = 0
+    while destination.halt is None:
+        sample = destination.advance().copy()
+        steps += 1
+        assert np.abs(sample[1]).max() <= 0.5 + 1e-9
+    assert destination.halt == "out_of_range"
+    assert sample[1][6] == pytest.approx(0.5)
+    upper = FACTS.joints[6].upper
+    assert 0.0 < upper - sample[0][6] <= 0.5**2 / (2.0 * SETTINGS.brake_acceleration) + 0.5 * STEP
+
+
+def test_a_velocity_beyond_that_of_the_joint_halts() -> None:
+    destination, velocities = VelocityDestination(HOME, FACTS, SETTINGS), np.zeros(7)
+    velocities[2] = -1.01 * FACTS.joints[2].velocity
+    destination.take(velocities)
+    assert destination.halt == "too_fast"
+    assert np.array_equal(destination.advance()[0], HOME)

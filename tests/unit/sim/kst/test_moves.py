@@ -9,7 +9,7 @@ from pcmrs.errors import DeviceError, UnreachableError
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import JointTrajectory
 from pcmrs.spatial import Floats, Transform
-from pcmrs_sim.kst.moves import ACCELERATION, joint_move, straight_move
+from pcmrs_sim.kst.moves import ACCELERATION, circular_move, joint_move, straight_move
 from tests.support.trials import examples
 from tests.unit.sim.simulated_arms import FACTS, HOME
 
@@ -85,3 +85,34 @@ def test_a_line_beyond_the_reach_is_refused() -> None:
     goal = MODEL.forward(HOME) @ TOOL
     with pytest.raises(UnreachableError):
         straight_move(MODEL, HOME, Transform(goal.rotation, np.array((2.0, 0.0, 0.5))), TOOL, 0.05)
+
+
+@pytest.mark.parametrize(("middle", "angle"), [((0.02, 0.02), 180.0), ((0.02, -0.02), 180.0), ((0.04, -0.04), 270.0)])
+def test_the_tool_frame_moves_on_an_arc_at_its_speed(middle: tuple[float, float], angle: float) -> None:
+    start = MODEL.forward(HOME) @ TOOL
+    through, end = ((start @ Transform(np.eye(3), np.array((x, y, 0.0)))) for x, y in (middle, (0.04, 0.0)))
+    end = end @ Transform.from_rotvec(np.zeros(3), (0.0, 0.0, 0.2))
+    motion = circular_move(MODEL, HOME, through, end, TOOL, 0.05)
+    poses = [start.inverse() @ MODEL.forward(posture) @ TOOL for posture in motion.positions]
+    places = np.array([pose.translation for pose in poses])
+    radius = 0.02 / np.sin(np.radians(angle / 2.0))
+    centre = np.array((0.02, np.copysign(1.0, middle[1]) * -radius * np.cos(np.radians(angle / 2.0)), 0.0))
+    assert np.linalg.norm(places - centre, axis=1) == pytest.approx(np.full(len(places), radius), abs=1e-4)
+    assert np.abs(places - (start.inverse() @ through).translation).max(axis=1).min() < 5e-4, "it passes the middle"
+    assert poses[-1].translation == pytest.approx((0.04, 0.0, 0.0), abs=1e-5)
+    assert poses[-1].rotvec == pytest.approx((0.0, 0.0, 0.2), abs=1e-4)
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    assert steps.max() / motion.period <= 0.05 * 1.01
+    assert steps.sum() == pytest.approx(radius * np.radians(angle), rel=1e-2)
+    assert np.all(np.abs(speeds(motion)) <= np.array(MODEL.velocity) * 1.001)
+
+
+@pytest.mark.parametrize(
+    ("middle", "text"), [((0.02, 0.0, 0.0), "on a line"), ((0.02, 1e-5, 0.0), "must be at most 10 m")]
+)
+def test_an_impossible_circle_is_refused(middle: tuple[float, float, float], text: str) -> None:
+    start = MODEL.forward(HOME) @ TOOL
+    through = start @ Transform(np.eye(3), np.array(middle) * (-1.0 if "10 m" in text else 1.0))
+    end = start @ Transform(np.eye(3), np.array((0.04, 0.0, 0.0)))
+    with pytest.raises(DeviceError, match=text):
+        circular_move(MODEL, HOME, through, end, TOOL, 0.05)

@@ -49,6 +49,7 @@ async def segments(framing: Framing, texts: list[str], seed: int = 1) -> list[by
 
 
 async def test_replies_lie_in_segments_as_configured() -> None:
+    assert RobotFaults().framing == "whole", "others are a fault"
     assert await segments("whole", ["done\n", "nak\n"]) == [b"done\n", b"nak\n"]
     assert await segments("merged", ["done\n", "nak\n"]) == [b"done\nnak\n"]
     split = await segments("split", ["done\n"] * 5)
@@ -60,7 +61,7 @@ async def test_replies_lie_in_segments_as_configured() -> None:
 @given(
     seed=st.integers(0, 2**32), texts=st.lists(st.sampled_from(["done\n", "0.5_1.0E-4_\n"]), min_size=60, max_size=80)
 )
-def test_by_default_some_are_split_and_nothing_is_lost(seed: int, texts: list[str]) -> None:
+def test_mixed_replies_lose_nothing(seed: int, texts: list[str]) -> None:
     written = asyncio.run(segments("mixed", texts, seed))
     assert b"".join(written) == "".join(texts).encode()
     assert written == asyncio.run(segments("mixed", texts, seed))

@@ -49,16 +49,50 @@ def test_the_bytes_of_a_session_in_text() -> None:
     assert talk.raw("PHRQ:*********1****") == reply("01")
     assert talk.load(placeholder("coil")) == "02"
     assert talk.load(placeholder("pointer")) == "03"
-    assert talk.ask("PHSR:02") == "01" + "01001"
+    assert talk.ask("PHSR:01") == "01" + "01000"
+    assert talk.ask("PHSR:02") == "00"
     assert talk.ask("PHSR:04") == "02" + "02031" + "03031"
     assert talk.ask("TSTART:") == "OKAY"
     coil = "02" + "+05000-05000+05000-05000" + "-003890+058617-123456" + "+01200"
-    lines = ["01DISABLED" + "00000001" + "00000000", coil + "00000031" + "00000102"]
+    lines = ["01DISABLED" + "00000000" + "00000000", coil + "00000031" + "00000102"]
     lines += ["03MISSING" + "00000031" + "00000102"]
     assert talk.ask("TX:0001") == "03" + "\n".join(lines) + "\n" + "0000"
     assert talk.ask("TSTOP:") == "OKAY"
     assert talk.ask("RESET:0") == "RESET"
     assert talk.ask("PHRQ:*********1****") == "ERROR10"
+
+
+def test_a_client_that_frees_no_handles_can_connect_again() -> None:
+    """The bytes of scikit-surgerynditracker with three tools; it leaves its handles to the next INIT."""
+    talk = Talk()
+    for _ in range(3):
+        assert talk.system.answer(b"INIT:E3A5") == b"OKAYA896\r"
+        assert talk.ask("PHSR:01") == "00"
+        for number in (1, 2, 3):
+            assert talk.ask("PHRQ:*********1****") == f"{number:02X}"
+            assert talk.ask(f"PVWR:{number:02X}0000" + f"{number:02x}" * 64) == "OKAY"
+        assert talk.ask("PHSR:01") == "00"
+        assert talk.ask("PHSR:02") == "03" + "01001" + "02001" + "03001"
+        assert [talk.ask(f"PINIT:{number:02x}") for number in (1, 2, 3)] == ["OKAY"] * 3
+        assert talk.ask("PHSR:02") == "00"
+        assert talk.ask("PHSR:03") == "03" + "01011" + "02011" + "03011"
+        assert [talk.ask(f"PENA:{number:02x}D") for number in (1, 2, 3)] == ["OKAY"] * 3
+        assert talk.ask("PHSR:03") == "00"
+        assert talk.ask("PHSR:04") == talk.ask("PHSR:00") == "03" + "01031" + "02031" + "03031"
+        assert talk.ask("TSTART:") == "OKAY"
+        assert talk.raw("BX:0801")[6] == 3
+        assert talk.ask("TSTOP:") == "OKAY"
+
+
+def test_a_handle_without_a_tool_is_one_to_be_freed() -> None:
+    talk = Talk()
+    talk.ask("INIT:")
+    assert talk.ask("PHRQ:*********1****") == "01"
+    talk.load(placeholder("coil"))
+    assert talk.ask("PHSR:01") == "01" + "01000"
+    assert talk.ask("PHF:01") == "OKAY"
+    assert talk.ask("PHSR:01") == "00"
+    assert talk.ask("PHSR:00") == "01" + "02031"
 
 
 def test_only_commands_with_a_colon_carry_a_crc() -> None:

@@ -26,7 +26,9 @@ async def test_the_interval_also_counts_from_arming_for_the_first_time(bench: St
     await bench.allow()
     await bench.accept("stimulation.arm")
     await bench.bench.until(lambda: bench.states["alignment"] == "1")
-    await bench.refuse("stimulation.fire", "pulse_too_soon")
+    verdict = await bench.refuse("stimulation.fire", "pulse_too_soon")
+    assert verdict.reason is not None
+    assert verdict.reason.text.startswith("No pulse was given yet, so the interval counts from arming")
 
 
 async def test_it_can_be_disarmed_and_a_disarmed_one_gives_no_pulse(armed: StimulationBench) -> None:
