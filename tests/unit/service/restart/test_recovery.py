@@ -25,6 +25,7 @@ from pcmrs.fsm.blueprint import MigrationSpec
 from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.journal import Journal, JournalRow
 from pcmrs.messages import BlueprintTag, DeviceEvent, Reason, Verdict
+from pcmrs.pki import Approval
 from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs.service.restart.recovery import RETRY_AFTER, conclude, keep_journal, migration_for, recover
 from pcmrs.settings import Settings
@@ -368,3 +369,13 @@ async def test_values_of_types_of_an_older_program_are_reported(journal: Journal
     kept = recorder.read_back(NEW)
     with pytest.raises(JournalError, match=r"ratms\.sqlite.*cell\.folder"):
         recorder.previous(kept, PlacementData())
+
+
+async def test_the_approval_of_a_draft_is_journalled(journal: Journal, configured: Settings) -> None:
+    approval = Approval(id="ratms", version="1", hash="ab", by="anna", at=1.0, certificate="c", signature="s")
+    await recover(journal, recorder_of(journal), shipped_workflow("ratms"), configured, approval)
+    rows = [stored.row for stored in journal.reader.read()]
+    assert [row.operation for row in rows] == ["started", "draft_approved"]
+    assert rows[-1].result is not None
+    assert rows[-1].result["text"] == "Drafted by a language model, and approved by anna"
+    assert (rows[-1].result["hash"], rows[-1].result["signature"]) == ("ab", "s")
