@@ -97,7 +97,8 @@ def _foreign(given: dict[str, Any], above: Path = (), kind: str = "StepTable") -
     if isinstance(given.get("refined_by"), dict):
         yield from _foreign(given["refined_by"], (*above, "refined_by"), "RefinementSpec")
     for key, inner in (("alternatives", "AlternativeSpec"), ("reopened_by", "ActionSpec")):
-        for i, action in enumerate(given.get(key) or ()):
+        actions = given.get(key)
+        for i, action in enumerate(actions if isinstance(actions, list) else ()):
             if isinstance(action, dict):
                 yield from _foreign(action, (*above, key, str(i)), inner)
 

@@ -81,7 +81,7 @@ class ModelSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         if address.username or address.password:
             raise ConfigurationError("The address of a model must not hold a password: set PCMRS_MODEL_KEY.")
         if not self.model:
-            raise ConfigurationError("There is no name of a model: set PCMRS_MODEL.")
+            raise ConfigurationError("The name of the model is missing: set PCMRS_MODEL.")
         if key and address.scheme == "http" and not _is_loopback(address.hostname):
             text = f"The key would travel unencrypted to {address.hostname}: use https."
             raise ConfigurationError(text, url=self.url)

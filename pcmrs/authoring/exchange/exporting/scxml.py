@@ -5,7 +5,7 @@ One parallel region per branch, a branch that refines one state of its parent in
 ``done`` is the outcome of an operation that declares none. In an imported workflow events keep their names. A
 transition without target is an operation that is accepted and keeps the state. Checks, steps and roles are not part
 of the chart, activities a comment in it: processors refuse an ``<invoke>`` that they do not know. The provenance of a
-drafted workflow is an element of our own namespace, which `pcmrs fsm import` reads again.
+drafted workflow is an element of `PROVENANCE_NAMESPACE`, which `pcmrs fsm import` reads again.
 """
 
 from __future__ import annotations

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from pcmrs.authoring.drafting.model import ModelError
@@ -68,7 +70,7 @@ async def test_the_server_may_ask_for_a_longer_pause() -> None:
 
 
 @pytest.mark.parametrize(("reply", "limits"), [(silent, {"idle_s": 0.05}), (trickling, {"answer_s": 0.05})])
-async def test_a_server_that_sends_no_answer_is_left(reply: Reply, limits: dict[str, float]) -> None:
+async def test_a_server_that_sends_no_answer_is_left(reply: Reply, limits: dict[str, Any]) -> None:
     with served(reply) as server:
         async with asking(server.url, attempts=2, **limits) as asked:
             with pytest.raises(ModelError, match="after 2 attempts") as raised:
@@ -141,7 +143,7 @@ async def test_tokens_are_estimated_if_the_server_counts_none() -> None:
 @pytest.mark.parametrize(
     "limits", [{"total_tokens": 1000}, {"total_cost": 1.0, "request_price": 1e3, "answer_price": 1e3}]
 )
-async def test_nothing_is_asked_that_could_exceed_a_limit(limits: dict[str, float]) -> None:
+async def test_nothing_is_asked_that_could_exceed_a_limit(limits: dict[str, Any]) -> None:
     """The first question uses 960 tokens; the next one may use 10 of request and 40 of answer."""
     with served(answering("yes", usage=(900, 60))) as server:
         async with asking(server.url, answer_tokens=40, **limits) as asked:

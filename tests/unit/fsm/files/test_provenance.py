@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import msgspec
 import pytest
 
+from pcmrs.authoring.design import design
 from pcmrs.errors import BlueprintError
-from pcmrs.fsm import parse_blueprint
+from pcmrs.fsm import load_blueprint, parse_blueprint
 from pcmrs.fsm.blueprint import ProvenanceSpec
 from pcmrs.fsm.files.dump import blueprint_toml
 from tests.support.shipped import shipped_blueprint
@@ -37,6 +40,13 @@ def test_hash_of_a_workflow_of_people_does_not_know_provenance() -> None:
     blueprint = shipped_blueprint("ratms")
     assert blueprint.provenance is msgspec.UNSET
     assert b"provenance" not in msgspec.json.encode(blueprint)
+
+
+def test_a_workflow_that_extends_a_draft_is_a_draft(tmp_path: Path) -> None:
+    (tmp_path / "drafted.toml").write_text(design(table(*STEPS, provenance=ORIGIN)).text)
+    extending = tmp_path / "more.toml"
+    extending.write_text('extends = "drafted.toml"\nid = "more"\nversion = "1"\n')
+    assert load_blueprint(extending).provenance == ProvenanceSpec(**ORIGIN)
 
 
 def test_a_provenance_with_faults_is_refused() -> None:
