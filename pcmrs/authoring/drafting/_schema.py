@@ -37,6 +37,7 @@ def answer_schema() -> dict[str, Any]:
     for name, definition in definitions.items():
         for key in LEFT_OUT.get(name, ()):
             del definition["properties"][key]
+        definition["description"] = definition["description"].partition("\n\n")[0]
         meanings = _meanings(getattr(tables, name))
         for key, value in definition["properties"].items():
             value.pop("default", None)

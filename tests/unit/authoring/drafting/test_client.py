@@ -69,14 +69,17 @@ async def test_the_server_may_ask_for_a_longer_pause() -> None:
     assert asked.clock.pauses == [7.0, 60.0]
 
 
-@pytest.mark.parametrize(("reply", "limits"), [(silent, {"idle_s": 0.05}), (trickling, {"answer_s": 0.05})])
-async def test_a_server_that_sends_no_answer_is_left(reply: Reply, limits: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    ("reply", "limits", "why"),
+    [(silent, {"idle_s": 0.05}, "silent for too long"), (trickling, {"answer_s": 0.05}, "takes over 0.05 s")],
+)
+async def test_a_server_that_sends_no_answer_is_left(reply: Reply, limits: dict[str, Any], why: str) -> None:
     with served(reply) as server:
         async with asking(server.url, attempts=2, **limits) as asked:
-            with pytest.raises(ModelError, match="after 2 attempts") as raised:
+            with pytest.raises(ModelError, match=f"after 2 attempts: .*{why}") as raised:
                 await asked.client.ask(MESSAGES, {})
     assert raised.value.fields["why"] == "unreachable"
-    assert len(server.requests) == 2
+    assert [why in line for line in asked.lines] == [True], "the second attempt is the last"
 
 
 async def test_an_address_without_server_is_reported() -> None:

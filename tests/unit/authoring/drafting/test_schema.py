@@ -45,6 +45,7 @@ def test_a_model_can_name_no_functions() -> None:
     assert not {"steps", "checks", "payload", "timeout_s"} & set(step)
     assert "Sentence of the protocol" in step["source"]["description"]
     assert not {"version", "provenance", "unresolved"} & set(answer_schema()["properties"])
+    assert "Attributes:" not in json.dumps(answer_schema()), "the texts would name the keys that are left out"
 
 
 @pytest.mark.parametrize(("protocol", "answer"), list(zip(PROTOCOLS, ANSWERS, strict=True)))
