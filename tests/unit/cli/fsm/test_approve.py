@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import pty
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -77,3 +81,19 @@ def test_only_a_sound_drafted_workflow_is_signed(text: str, status: int, word: s
 def test_an_approval_needs_a_file_to_stand_beside(file: str, lab: Path) -> None:
     words = ["fsm", "approve", file, "--identity", str(lab / "anna"), "--yes"]
     assert CliRunner().invoke(main, words).exit_code == 2
+
+
+@pytest.mark.parametrize(("answer", "status"), [(b"n\n", 2), (b"y\n", 0)])
+def test_at_a_terminal_it_shows_what_is_signed_and_asks(answer: bytes, status: int, lab: Path) -> None:
+    command = [sys.executable, "-m", "pcmrs.cli", "fsm", "approve", str(lab / "drafted.toml")]
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(
+        [*command, "--identity", str(lab / "anna")], stdin=theirs, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    ) as process:
+        os.close(theirs)
+        os.write(ours, answer)
+        _, said = process.communicate(timeout=100)
+        os.close(ours)
+    assert process.returncode == status, said
+    assert b"drafted by made on 2026-11-27" in said
+    assert (lab / "drafted.approval.json").exists() == (status == 0)
