@@ -21,7 +21,7 @@ EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
     ),
     "recording": ("foxglove", "mcap", "zstandard"),
     "report": ("jinja2", "matplotlib", "plutoprint", "scipy", "threadpoolctl"),
-    "authoring": ("resvg_py",),
+    "authoring": ("httpx", "resvg_py"),
     "hardware": ("ndicapy", "pyigtl", "pylsl", "serial"),
     "console": ("fastapi", "nicegui", "uvicorn"),
     "imaging": ("fast_simplification", "nibabel", "pydicom", "skimage", "trimesh"),

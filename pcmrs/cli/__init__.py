@@ -51,7 +51,7 @@ COMMANDS = {
         "pcmrs.cli.archive:archive",
         "Copy the journals of many cells to one place, verify it, and answer questions about all of them.",
     ),
-    "fsm": LazyCommand("pcmrs.cli.fsm:fsm", "Design, verify, draw, import, test and compare workflows."),
+    "fsm": LazyCommand("pcmrs.cli.fsm:fsm", "Design, draft, verify, draw, import, test and compare workflows."),
     "faults": LazyCommand(
         LABORATORY, "Inject faults into simulated cells, and check that nothing is lost and nothing moves by itself."
     ),

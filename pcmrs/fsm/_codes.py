@@ -62,6 +62,12 @@ DESIGN = {
     "step_hazard": "A step that reaches the patient or cannot be undone is in a place where that cannot be tracked.",
     "step_refinement": "A step is refined in a contradictory way.",
 }
+DRAFT = {
+    "draft_answer": "A model has answered with something other than a step table.",
+    "draft_code": "A draft names functions, which only its engineers may add.",
+    "draft_source": "A step or requirement of a draft names no sentence of the protocol that it comes from.",
+    "draft_unresolved": "A draft has findings that were not resolved.",
+}
 EXCHANGE = {
     "not_xml": "A file is not well-formed XML.",
     "not_scxml": "An XML file is not SCXML.",
@@ -75,4 +81,4 @@ WARNINGS = {
 }
 """Codes of warnings, which a sound workflow can have."""
 
-CODES = READING | RULES | VERIFICATION | DESIGN | EXCHANGE | WARNINGS
+CODES = READING | RULES | VERIFICATION | DESIGN | DRAFT | EXCHANGE | WARNINGS

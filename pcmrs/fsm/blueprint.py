@@ -21,6 +21,7 @@ __all__ = [
     "OutcomeSpec",
     "ParentSpec",
     "PropertySpec",
+    "ProvenanceSpec",
     "RevocationSpec",
     "SequenceSpec",
 ]
@@ -338,6 +339,22 @@ class MigrationSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fie
     why: Annotated[str, msgspec.Meta(pattern=r"\S")]
 
 
+class ProvenanceSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Origin of a workflow that a language model has drafted: a daemon runs it only if a person has approved it.
+
+    Attributes:
+        model: Name of the model.
+        prompt: SHA-256 of the first request to the model, hexadecimal.
+        protocol: SHA-256 of the protocol's text, hexadecimal.
+        date: Date of the draft, UTC, as ``2026-11-27``.
+    """
+
+    model: str
+    prompt: str
+    protocol: str
+    date: str
+
+
 class Blueprint(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
     """A whole workflow.
 
@@ -348,6 +365,8 @@ class Blueprint(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=
         properties: Promises of the workflow.
         migrations: Older blueprints whose journals may be continued.
         defaults: Changes to the defaults of the configuration, such as limits.
+        provenance: How a language model has drafted it: a daemon runs it only if a person has approved it. Left out if
+            people have written it.
         hash: SHA-256 of its content, hexadecimal, whatever its comments, layout and migrations; filled when it is read.
     """
 
@@ -359,6 +378,8 @@ class Blueprint(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=
     properties: list[PropertySpec] = []
     migrations: list[MigrationSpec] = []
     defaults: dict[str, Any] = {}
+    # Not None: what is unset is not encoded, so the hashes of workflows that people have written stay as they were.
+    provenance: ProvenanceSpec | msgspec.UnsetType = msgspec.UNSET
     hash: str = ""
 
     def find(self, branch: str, operation: str) -> OperationSpec | None:

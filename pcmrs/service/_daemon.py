@@ -40,7 +40,7 @@ from pcmrs.service.processes.recording import start_recording
 from pcmrs.service.publishing import answer_queries, publish_health
 from pcmrs.service.restart.audit import audit
 from pcmrs.service.restart.recorder import JournalRecorder
-from pcmrs.service.restart.recovery import conclude, keep_journal, recover
+from pcmrs.service.restart.recovery import approval_of, conclude, keep_journal, recover
 from pcmrs.service.supervisor import Supervisor
 from pcmrs.service.watches.space import MEGABYTE, SpaceWatch
 from pcmrs.service.watches.stall import StallWatch
@@ -100,8 +100,8 @@ class Daemon:
         """Run the daemon as long as the context lasts; when it is left, motion is held first.
 
         Raises:
-            ConfigurationError: Another daemon runs this cell, a port is taken, there is no such workflow, or the
-                journal is of another version of it.
+            ConfigurationError: Another daemon runs this cell, a port is taken, there is no such workflow, it is a draft
+                that nobody has approved, or the journal is of another version of it.
             BusError: The bus endpoint is taken.
             BlueprintError: The workflow is unsound.
             JournalError: The journal cannot be opened.
@@ -110,6 +110,7 @@ class Daemon:
         """
         settings = self._settings
         workflow = open_workflow(settings.workflow)
+        approval = approval_of(workflow, settings)
         clock, machine = SystemClock(settings.cell.rate), SystemClock()
         manager, metrics = ServiceManager(), MetricsServer(settings.metrics.port)
         session = uuid.uuid4().hex
@@ -128,7 +129,7 @@ class Daemon:
             earlier = journal.reader.last_sequence()
             tag = BlueprintTag(id=blueprint.id, version=blueprint.version, hash=blueprint.hash)
             recorder = JournalRecorder(journal, clock, session, tag)
-            recovered = await recover(journal, recorder, workflow, settings)
+            recovered = await recover(journal, recorder, workflow, settings, approval)
             stack.push_async_callback(conclude, recorder)
             supervisor = Supervisor(machine)
             clocks = Clocks(clock, machine)

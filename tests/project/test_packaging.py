@@ -39,7 +39,7 @@ BASE = HIDE.format(hidden={*OURS, *(module for modules in EXTRAS.values() for mo
 WINDOWS = HIDE.format(hidden={*OURS, *POSIX, *(module for modules in EXTRAS.values() for module in modules)})
 PACKAGES = {
     "coal": "coal", "duckdb": "duckdb", "evdev": "evdev", "fast-simplification": "fast_simplification",
-    "foxglove-sdk": "foxglove", "jinja2": "jinja2", "matplotlib": "matplotlib", "mcap": "mcap",
+    "foxglove-sdk": "foxglove", "httpx": "httpx", "jinja2": "jinja2", "matplotlib": "matplotlib", "mcap": "mcap",
     "ndicapi": "ndicapy", "nibabel": "nibabel", "nicegui": "nicegui", "pin": "pinocchio",
     "plutoprint": "plutoprint", "prometheus-client": "prometheus_client", "psycopg": "psycopg",
     "pyarrow": "pyarrow", "pycdr2": "pycdr2", "pydicom": "pydicom", "pyigtl": "pyigtl", "pylsl": "pylsl",

@@ -12,8 +12,9 @@ from pcmrs.authoring.design._check import Ask, check_table, fill_in, paths_of
 from pcmrs.authoring.design._count import Combinations, Impossible, count_combinations, excess_of
 from pcmrs.authoring.design._grouping import StepGroup, UndesignableError, root_groups
 from pcmrs.authoring.design._hazards import GuardedOrder, hazards_in
+from pcmrs.authoring.design._requirements import properties_of
 from pcmrs.authoring.design._safety import ROBOT, SAFETY, robot_branch, safety_branch
-from pcmrs.authoring.design._table import StepTable
+from pcmrs.authoring.design.tables import StepTable
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.blueprint import Blueprint, Requirement
 from pcmrs.fsm.files.dump import blueprint_toml
@@ -23,7 +24,14 @@ from pcmrs.fsm.files.toml import convert, read_toml
 from pcmrs.fsm.finding import Finding, Path
 from pcmrs.fsm.verify import MAX_JOINT_STATES
 
-__all__ = ["Ask", "Combinations", "Design", "Impossible", "design"]
+__all__ = [
+    "Ask",
+    "Combinations",
+    "Design",
+    "Impossible",
+    "design",
+    "paths_of",
+]
 
 HEAD = "Designed from a step table by `pcmrs fsm design`: change the table, not this file."
 
@@ -89,7 +97,8 @@ def _design(table: StepTable, places: Places, progress: Callable[[int, int], Non
     text = blueprint_toml(_blueprint(table, groups, branches), comment=HEAD)
     examination = examine(text.encode(), origin="blueprint", progress=progress)
     excess = excess_of(examination, len(text.encode()), branches)
-    findings = with_locations([excess] if excess else _at_their_steps(examination.findings, branches), places)
+    placed = [excess] if excess else _at_their_steps(examination.findings, branches, len(table.requirements))
+    findings = with_locations(placed, places)
     return Design("" if findings else text, combinations, findings)
 
 
@@ -111,13 +120,15 @@ def _check_names(branches: Iterable[DesignedBranch]) -> None:
         seen.add(branch.name)
 
 
-def _blueprint(table: StepTable, groups: Sequence[StepGroup], branches: Iterable[DesignedBranch]) -> Blueprint:
+def _blueprint(table: StepTable, groups: Sequence[StepGroup], branches: Sequence[DesignedBranch]) -> Blueprint:
     return Blueprint(
         id=table.id,
         version=table.version,
         title=table.title,
         goal={group.name: [group.order.state(group.order.all)] for group in groups},
         branches={branch.name: branch.spec for branch in branches},
+        properties=list(properties_of(table.requirements, branches)),
+        provenance=table.provenance,
     )
 
 
@@ -136,9 +147,11 @@ def _safety_branches(table: StepTable, groups: Iterable[StepGroup]) -> Iterator[
         yield DesignedBranch(SAFETY, safety_branch(), ("steps",))
 
 
-def _at_their_steps(findings: Iterable[Finding], branches: Iterable[DesignedBranch]) -> list[Finding]:
-    """Return the findings of the blueprint, each at the step that causes it."""
-    origins: dict[Path, Path] = {}
+def _at_their_steps(
+    findings: Iterable[Finding], branches: Iterable[DesignedBranch], requirements: int
+) -> list[Finding]:
+    """Return the findings of the blueprint, each at the step or requirement that causes it."""
+    origins: dict[Path, Path] = {("properties", str(i)): ("requirements", str(i)) for i in range(requirements)}
     for branch in branches:
         path = ("branches", branch.name)
         origins[path] = branch.path

@@ -7,7 +7,7 @@ from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
 from pcmrs.authoring.design._hazards import hazard_of, ways_of
-from pcmrs.authoring.design._table import DECLARATIONS, ActionSpec, StepSpec, StepTable
+from pcmrs.authoring.design.tables import DECLARATIONS, ActionSpec, StepSpec, StepTable
 from pcmrs.fsm.finding import Finding, Path, hint
 
 MAX_STEPS = 256
@@ -34,6 +34,9 @@ def paths_of(steps: Sequence[StepSpec], above: Path = ()) -> Iterator[tuple[Path
 
 def check_table(table: StepTable) -> Iterator[Finding]:
     """Return the findings that do not depend on the grouping of steps into branches."""
+    for i, each in enumerate(table.unresolved):
+        text = f"The draft has an open finding: {each} Correct the table, then remove this line from `unresolved`."
+        yield Finding(code="draft_unresolved", text=text, path=("unresolved", str(i)))
     found = list(paths_of(table.steps))
     if not 1 <= len(found) <= MAX_STEPS:
         text = f"The table has {len(found)} steps; it must have 1 to {MAX_STEPS}."

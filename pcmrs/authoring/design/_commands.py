@@ -8,7 +8,7 @@ from typing import Literal
 
 from pcmrs.authoring.design._grouping import StepGroup
 from pcmrs.authoring.design._hazards import NONE, GuardedOrder, Hazard, hazard_of
-from pcmrs.authoring.design._table import ActionSpec, StepSpec
+from pcmrs.authoring.design.tables import ActionSpec, StepSpec
 from pcmrs.fsm.finding import Finding, Path
 
 REINIT = "reinit"

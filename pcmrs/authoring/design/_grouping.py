@@ -9,7 +9,7 @@ from itertools import count
 from pcmrs.authoring.design._check import MAX_STEPS_OF_A_BRANCH
 from pcmrs.authoring.design._hazards import GuardedOrder, is_hazardous
 from pcmrs.authoring.design._order import MAX_COMBINATIONS, Order, TooManyCombinationsError
-from pcmrs.authoring.design._table import StepSpec
+from pcmrs.authoring.design.tables import StepSpec
 from pcmrs.fsm.finding import Finding, Path
 
 UNNAMED = "procedure"

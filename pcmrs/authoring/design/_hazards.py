@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pcmrs.authoring.design._order import MAX_COMBINATIONS, Order, TooManyCombinationsError
-from pcmrs.authoring.design._table import ActionSpec, StepSpec
+from pcmrs.authoring.design.tables import ActionSpec, StepSpec
 from pcmrs.fsm.blueprint import Motion
 
 

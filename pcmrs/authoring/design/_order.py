@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from pcmrs.authoring.design._table import StepSpec
+from pcmrs.authoring.design.tables import StepSpec
 
 MAX_COMBINATIONS = 4096
 """A branch with more states than this cannot be reviewed."""

@@ -10,7 +10,7 @@ from pcmrs.authoring.design._grouping import StepGroup, UndesignableError, group
 from pcmrs.authoring.design._hazards import hazard_of
 from pcmrs.authoring.design._order import Order
 from pcmrs.authoring.design._safety import CONNECTED, ROBOT, UNCONNECTED
-from pcmrs.authoring.design._table import ActionSpec, RefinementSpec, StepSpec
+from pcmrs.authoring.design.tables import ActionSpec, RefinementSpec, StepSpec
 from pcmrs.fsm.blueprint import Blueprint, BranchSpec, ParentSpec, Requirement, SequenceSpec
 from pcmrs.fsm.files.sequence import DONE, SequenceError, expand
 from pcmrs.fsm.finding import Finding, Path

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 
 SCXML_NAMESPACE = "http://www.w3.org/2005/07/scxml"
+PROVENANCE_NAMESPACE = "urn:pcmrs:provenance"
+"""Namespace of the element with the provenance of a draft; processors ignore elements of other namespaces."""
 HUMP = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 STRANGE = re.compile(r"[^a-z0-9_]")
 

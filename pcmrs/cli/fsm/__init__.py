@@ -1,4 +1,4 @@
-"""`pcmrs fsm`: design, verification, drawing and tests of workflows."""
+"""`pcmrs fsm`: design, drafting, verification, drawing and tests of workflows."""
 
 from __future__ import annotations
 
@@ -10,6 +10,14 @@ COMMANDS = {
     "design": LazyCommand(
         "pcmrs.cli.fsm.design:design",
         "Design a workflow from the critical operations in STEPS, a TOML file or - for standard input.",
+    ),
+    "draft": LazyCommand(
+        "pcmrs.cli.fsm.draft:draft",
+        "Draft the step table of a PROTOCOL, a text file or - for standard input, with a language model.",
+    ),
+    "approve": LazyCommand(
+        "pcmrs.cli.fsm.approve:approve",
+        "Sign the workflow FILE, which a language model has drafted, with your own key.",
     ),
     "verify": LazyCommand(
         "pcmrs.cli.fsm.verify:verify", "Search all joint states of each FILE for violations of a rule or a property."
@@ -40,7 +48,7 @@ COMMANDS = {
 
 @click.group(cls=LazyGroup, commands=COMMANDS, prefix="fsm.")
 def fsm() -> None:
-    """Design, verify, draw, import, test and compare workflows.
+    """Design, draft, verify, draw, import, test and compare workflows.
 
     FILE is a blueprint, the name of an installed workflow such as ratms, or - for standard input. Exit status:
     0 sound or done, 1 unsound or different, 2 unreadable or impossible.

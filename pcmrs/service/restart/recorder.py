@@ -22,6 +22,7 @@ from pcmrs.fsm.blueprint import MigrationSpec
 from pcmrs.journal import Journal, JournalRow, Kind
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Verdict
 from pcmrs.messages.clipping import clipped
+from pcmrs.pki import Approval
 from pcmrs.service.restart.state import ENDED, TAKEN_BACK, InFlightCommand, PersistedState, RestartState
 from pcmrs.workflows.data import PlacementData
 
@@ -171,6 +172,12 @@ class JournalRecorder:
         text = f"Taken up from {migration.version} {migration.hash} because {migration.why}"
         result = {"text": text, **msgspec.to_builtins(migration)}
         await self._append([self._row("event", source=DAEMON, operation="taken_up", result=result)])
+
+    async def record_approval(self, approval: Approval) -> None:
+        """Journal who has approved the drafted workflow, and when."""
+        text = f"Drafted by a language model, and approved by {approval.by}"
+        result = {"text": text, **msgspec.to_builtins(approval)}
+        await self._append([self._row("event", source=DAEMON, operation="draft_approved", result=result)])
 
     async def close_unfinished(self, begun: Iterable[InFlightCommand]) -> list[Verdict]:
         """Journal ``unknown`` for commands that were unfinished when an earlier run ended; return those verdicts."""

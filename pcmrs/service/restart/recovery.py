@@ -19,6 +19,7 @@ from pcmrs.fsm import Blueprint
 from pcmrs.fsm.blueprint import MigrationSpec
 from pcmrs.journal import Journal, JournalReader
 from pcmrs.messages import BlueprintTag, UnknownOutcome
+from pcmrs.pki import Approval, read_approval
 from pcmrs.service.restart.recorder import JournalRecorder
 from pcmrs.settings import Settings
 from pcmrs.workflows import find_workflow
@@ -61,6 +62,22 @@ def _migration(last: BlueprintTag) -> str:
     return tomli_w.dumps({"migrations": [table]})
 
 
+def approval_of(workflow: Workflow[Cell, PlacementData], settings: Settings) -> Approval | None:
+    """Return the approval of a drafted workflow; None for a workflow that people have written.
+
+    Args:
+        workflow: The workflow.
+        settings: The whole configuration.
+
+    Raises:
+        ConfigurationError: A language model has drafted it, and no member of this cell has approved it as it is now.
+    """
+    access, cell = settings.access, settings.cell
+    file = find_workflow(settings.workflow).blueprint
+    members = access.members()
+    return read_approval(workflow.blueprint, file, access.credentials(), members, f"{cell.site}/{cell.name}")
+
+
 log = structlog.get_logger(__name__)
 
 RETRY_AFTER = 1.0
@@ -96,7 +113,11 @@ class Recovered:
 
 
 async def recover(
-    journal: Journal, recorder: JournalRecorder, workflow: Workflow[Cell, PlacementData], settings: Settings
+    journal: Journal,
+    recorder: JournalRecorder,
+    workflow: Workflow[Cell, PlacementData],
+    settings: Settings,
+    approval: Approval | None = None,
 ) -> Recovered:
     """Begin a run of the daemon on its journal: everything is checked before its first row is written.
 
@@ -105,6 +126,7 @@ async def recover(
         recorder: Recorder on the journal.
         workflow: The workflow.
         settings: The whole configuration.
+        approval: Approval of a drafted workflow.
 
     Raises:
         ConfigurationError: The journal is of another version of the workflow, or a calibration cannot be used.
@@ -118,6 +140,8 @@ async def recover(
     start = await recorder.started(msgspec.to_builtins(settings), calibration)
     if migration is not None:
         await recorder.record_migration(migration)
+    if approval is not None:
+        await recorder.record_approval(approval)
     await recorder.close_unfinished(before.begun)
     kept = recorder.kept
     for outcome in kept.unknown:

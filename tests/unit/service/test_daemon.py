@@ -12,11 +12,13 @@ from pathlib import Path
 import pytest
 from structlog.testing import capture_logs
 
+from pcmrs.authoring.design import design
 from pcmrs.errors import BlueprintError, BusError, ConfigurationError
 from pcmrs.service import _daemon as daemon_module
 from pcmrs.service._daemon import Daemon, keep_real_time_policy
 from pcmrs.settings import CellSettings, Settings
 from pcmrs.testing.clock import ManualClock, settle
+from tests.unit.authoring.design.step_tables import step, table
 
 
 def cell(folder: Path, port: int = 0) -> Settings:
@@ -56,6 +58,17 @@ async def test_folder_that_cannot_be_used_is_named(tmp_path: Path) -> None:
 async def test_unknown_workflow_opens_nothing(tmp_path: Path) -> None:
     with pytest.raises((ConfigurationError, BlueprintError), match="no_such_workflow"):
         await start(Settings(workflow="no_such_workflow", cell=CellSettings(folder=str(tmp_path / "cell"))))
+    assert not (tmp_path / "cell").exists()
+
+
+ORIGIN = {"model": "made", "prompt": "ab", "protocol": "cd", "date": "2026-11-27"}
+
+
+async def test_a_draft_without_approval_opens_nothing(tmp_path: Path) -> None:
+    file = tmp_path / "drafted.toml"
+    file.write_text(design(table(step("a"), provenance=ORIGIN)).text)
+    with pytest.raises(ConfigurationError, match="a language model has drafted demo, and it cannot be started"):
+        await start(Settings(workflow=str(file), cell=CellSettings(folder=str(tmp_path / "cell"))))
     assert not (tmp_path / "cell").exists()
 
 

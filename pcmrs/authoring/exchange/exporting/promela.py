@@ -6,11 +6,14 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 
+import msgspec
+
 from pcmrs.authoring.exchange._cubes import Cube, merge
 from pcmrs.errors import BlueprintError
 from pcmrs.fsm.behaviour import operations
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint, Condition, PropertySpec, Requirement
 from pcmrs.fsm.verify.decision import Decider, DecisionCase
+from pcmrs.visible import visible
 
 __all__ = ["promela"]
 
@@ -51,9 +54,19 @@ def promela(blueprint: Blueprint) -> str:
 def _head(blueprint: Blueprint) -> list[str]:
     return [
         f"/* Workflow {blueprint.id} {blueprint.version}: its joint states, for SPIN.",
+        *_origin(blueprint),
         "   spin -a FILE && cc -o pan pan.c && ./pan -noclaim -E    counts them;",
         "   ./pan -E -N CLAIM                                       checks one of the claims below. */",
     ]
+
+
+def _origin(blueprint: Blueprint) -> list[str]:
+    """Return a line of the comment: how a language model has drafted the workflow."""
+    given = blueprint.provenance
+    if given is msgspec.UNSET:
+        return []
+    text = f"Drafted by {given.model} on {given.date}, prompt {given.prompt}, protocol {given.protocol}."
+    return [f"   {visible(text).replace('*/', '* /')}"]
 
 
 def _variables(blueprint: Blueprint) -> Iterator[str]:

@@ -4,7 +4,8 @@ One parallel region per branch, a branch that refines one state of its parent in
 ``branch.state``. Events are ``branch.operation``, or ``branch.operation.outcome`` where it can end in several ways;
 ``done`` is the outcome of an operation that declares none. In an imported workflow events keep their names. A
 transition without target is an operation that is accepted and keeps the state. Checks, steps and roles are not part
-of the chart, activities a comment in it: processors refuse an ``<invoke>`` that they do not know.
+of the chart, activities a comment in it: processors refuse an ``<invoke>`` that they do not know. The provenance of a
+drafted workflow is an element of `PROVENANCE_NAMESPACE`, which `pcmrs fsm import` reads again.
 """
 
 from __future__ import annotations
@@ -12,7 +13,9 @@ from __future__ import annotations
 from collections import defaultdict
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
-from pcmrs.authoring.exchange import SCXML_NAMESPACE
+import msgspec
+
+from pcmrs.authoring.exchange import PROVENANCE_NAMESPACE, SCXML_NAMESPACE
 from pcmrs.authoring.exchange._cubes import Cube
 from pcmrs.authoring.exchange.exporting._nesting import Nesting, nesting_of
 from pcmrs.authoring.exchange.exporting._reactions import Reaction, reactions
@@ -38,6 +41,9 @@ def scxml(blueprint: Blueprint) -> str:
     roots = [name for name in blueprint.branches if name not in writer.nesting.nested]
     root.attrib.update({"version": "1.0", "name": blueprint.id, "datamodel": "ecmascript"})
     root.set("initial", PARALLEL if len(roots) > 1 else roots[0])
+    if blueprint.provenance is not msgspec.UNSET:
+        origin = msgspec.structs.asdict(blueprint.provenance)
+        SubElement(root, "pcmrs:provenance", {"xmlns:pcmrs": PROVENANCE_NAMESPACE, **origin})
     above = SubElement(root, "parallel", id=PARALLEL) if len(roots) > 1 else root
     for name in roots:
         writer.write_branch(above, name)

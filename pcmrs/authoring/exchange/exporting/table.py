@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
+import msgspec
+
 from pcmrs.fsm.blueprint import (
     START_OUTCOME,
     Blueprint,
@@ -24,7 +26,17 @@ def table(blueprint: Blueprint) -> str:
     rows = [row for name, branch in blueprint.branches.items() for row in _branch(name, branch)]
     lines = [COLUMNS, tuple("---" for _ in COLUMNS), *rows]
     text = "\n".join(f"| {' | '.join(line)} |" for line in lines)
-    return f"# {_cell(blueprint.title or blueprint.id)}\n\n{blueprint.id} {blueprint.version}\n\n{text}\n"
+    head = f"# {_cell(blueprint.title or blueprint.id)}\n\n{blueprint.id} {blueprint.version}{_origin(blueprint)}"
+    return f"{head}\n\n{text}\n"
+
+
+def _origin(blueprint: Blueprint) -> str:
+    """Return how a language model has drafted the workflow; nothing for one that people have written."""
+    given = blueprint.provenance
+    if given is msgspec.UNSET:
+        return ""
+    text = f"Drafted by {given.model} on {given.date}, prompt {given.prompt}, protocol {given.protocol}"
+    return f"\n\n{_cell(text)}"
 
 
 def _branch(name: str, branch: BranchSpec) -> Iterator[tuple[str, ...]]:

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from msgspec import UNSET, UnsetType
+
 from pcmrs.authoring.exchange import descriptors
+from pcmrs.fsm.blueprint import ProvenanceSpec
 from pcmrs.fsm.finding import Place
 
 ActiveGroups = tuple[tuple[str, ...], ...]
@@ -48,6 +51,7 @@ class Node:
         above: The state it is in; None for the root.
         children: States in it.
         edges: Transitions out of it, first match first.
+        provenance: Of the root: how a language model has drafted the workflow.
     """
 
     id: str
@@ -60,6 +64,7 @@ class Node:
     above: Node | None = None
     children: list[Node] = field(default_factory=list)
     edges: list[Edge] = field(default_factory=list)
+    provenance: ProvenanceSpec | UnsetType = UNSET
 
     @property
     def display_name(self) -> str:

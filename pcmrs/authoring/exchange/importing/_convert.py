@@ -78,7 +78,14 @@ class _Converter:
         branches = {region.name: self._branch(region) for region in self._regions}
         goal = {r.name: finals for r in self._roots if (finals := [self._names[s] for s in r.states if s.final])}
         name = plain(self._root.display_name) or ROOT_NAME
-        return Blueprint(id=name, version="1.0.0", title=self._root.title, branches=branches, goal=goal)
+        return Blueprint(
+            id=name,
+            version="1.0.0",
+            title=self._root.title,
+            branches=branches,
+            goal=goal,
+            provenance=self._root.provenance,
+        )
 
     def _name_all(self) -> None:
         branches = Names("branches", self._findings)

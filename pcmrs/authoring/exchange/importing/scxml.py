@@ -6,13 +6,15 @@ blueprint holds no code.
 
 from __future__ import annotations
 
-from pcmrs.authoring.exchange import SCXML_NAMESPACE
+import msgspec
+
+from pcmrs.authoring.exchange import PROVENANCE_NAMESPACE, SCXML_NAMESPACE
 from pcmrs.authoring.exchange.importing._chart import Edge, Node
 from pcmrs.authoring.exchange.importing._conditions import read_condition
 from pcmrs.authoring.exchange.importing._markup import Element, read_xml
 from pcmrs.authoring.exchange.importing._reading import Findings
 from pcmrs.authoring.exchange.importing.imported import import_chart
-from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.fsm.blueprint import Blueprint, ProvenanceSpec
 from pcmrs.fsm.finding import Finding, Place, refuse
 
 STATES = frozenset({"state", "parallel", "final"})
@@ -45,11 +47,21 @@ class _Reader:
 
     def read(self, document: Element) -> Node:
         root = Node(document.attributes.get("name", ""), document.place)
+        self._read_provenance(document, root)
         self._read_inside(document, root)
         if any(node.final for node in root.walk()):
             for edge in (edge for node in root.walk() for edge in node.edges if "done" in edge.events):
                 self._refuse("The event done would also be raised by final states: rename it", edge.place)
         return root
+
+    def _read_provenance(self, document: Element, root: Node) -> None:
+        """Read how the workflow was drafted. A draft must not lose this, so what cannot be read is a finding."""
+        for child in document.children:
+            if child.namespace == PROVENANCE_NAMESPACE:
+                try:
+                    root.provenance = msgspec.convert(child.attributes, ProvenanceSpec)
+                except msgspec.ValidationError as error:
+                    self._refuse(f"The provenance of this draft cannot be read ({error}): restore it", child.place)
 
     def _read_inside(self, element: Element, node: Node) -> None:
         node.initial = element.attributes.get("initial", "")

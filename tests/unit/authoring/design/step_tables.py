@@ -11,7 +11,7 @@ import tomli_w
 from pcmrs.authoring.design import design
 from pcmrs.authoring.design._check import paths_of
 from pcmrs.authoring.design._grouping import StepGroup, root_groups
-from pcmrs.authoring.design._table import StepTable
+from pcmrs.authoring.design.tables import StepTable
 from pcmrs.fsm import Blueprint, parse_blueprint
 from pcmrs.fsm.finding import Path
 from tests import ROOT

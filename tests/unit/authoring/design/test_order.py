@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 
 from pcmrs.authoring.design._order import MAX_COMBINATIONS, Order, TooManyCombinationsError
-from pcmrs.authoring.design._table import StepSpec
+from pcmrs.authoring.design.tables import StepSpec
 from pcmrs.fsm import Engine, flags_of
 from tests.support.trials import examples
 from tests.unit.authoring.design.designed_tables import RANDOMS, designed, endings

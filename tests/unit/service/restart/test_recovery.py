@@ -17,7 +17,9 @@ import pytest
 from click.testing import CliRunner
 from structlog.testing import capture_logs
 
+from pcmrs.authoring.design import design
 from pcmrs.cli import main
+from pcmrs.clock import SystemClock
 from pcmrs.dispatcher import Dispatcher, DispatcherListener
 from pcmrs.errors import ConfigurationError, JournalError
 from pcmrs.fsm import Blueprint
@@ -25,12 +27,22 @@ from pcmrs.fsm.blueprint import MigrationSpec
 from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.journal import Journal, JournalRow
 from pcmrs.messages import BlueprintTag, DeviceEvent, Reason, Verdict
+from pcmrs.pki import Approval, Authority, approval_file, approve, read_credentials
 from pcmrs.service.restart.recorder import JournalRecorder
-from pcmrs.service.restart.recovery import RETRY_AFTER, conclude, keep_journal, migration_for, recover
-from pcmrs.settings import Settings
+from pcmrs.service.restart.recovery import (
+    RETRY_AFTER,
+    approval_of,
+    conclude,
+    keep_journal,
+    migration_for,
+    recover,
+)
+from pcmrs.settings import AccessSettings, CellSettings, Settings
 from pcmrs.testing.clock import ManualClock, settle
 from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.opening import open_workflow
 from tests.support.shipped import shipped_workflow
+from tests.unit.authoring.design.step_tables import step, table
 from tests.unit.service.restart.earlier_runs import PLANNED, RATMS, TAG, Flaky, command, recorder_of, write
 
 FAILED = Reason(code=JournalError.code, text="The journal cannot be written: disk full.")
@@ -368,3 +380,34 @@ async def test_values_of_types_of_an_older_program_are_reported(journal: Journal
     kept = recorder.read_back(NEW)
     with pytest.raises(JournalError, match=r"ratms\.sqlite.*cell\.folder"):
         recorder.previous(kept, PlacementData())
+
+
+async def test_the_approval_of_a_draft_is_journalled(journal: Journal, configured: Settings) -> None:
+    approval = Approval(id="ratms", version="1", hash="ab", by="anna", at=1.0, certificate="c", signature="s")
+    await recover(journal, recorder_of(journal), shipped_workflow("ratms"), configured, approval)
+    rows = [stored.row for stored in journal.reader.read()]
+    assert [row.operation for row in rows] == ["started", "draft_approved"]
+    assert rows[-1].result is not None
+    assert rows[-1].result["text"] == "Drafted by a language model, and approved by anna"
+    assert (rows[-1].result["hash"], rows[-1].result["signature"]) == ("ab", "s")
+
+
+@pytest.mark.parametrize("signed", [True, False])
+def test_a_draft_needs_an_approval_by_the_register_of_the_cell(signed: bool, tmp_path: Path) -> None:
+    now, file = SystemClock().wall(), tmp_path / "drafted.toml"
+    origin = {"model": "made", "prompt": "ab", "protocol": "cd", "date": "2026-11-27"}
+    file.write_text(design(table(step("a"), provenance=origin)).text)
+    authority = Authority.init(tmp_path / "pki", "lab", now)
+    for role, name in (("daemon", "cell"), ("operator", "anna")):
+        authority.issue(cast(Any, role), name, now, cells=["lab/cell1"], into=tmp_path)
+    access = AccessSettings(identity=str(tmp_path / "cell"), register=str(tmp_path / "pki" / "register.json"))
+    settings = Settings(workflow=str(file), cell=CellSettings(site="lab", name="cell1"), access=access)
+    workflow = open_workflow(str(file))
+    if signed:
+        approval = approve(workflow.blueprint, read_credentials(tmp_path / "anna", now), now)
+        approval_file(file).write_bytes(msgspec.json.encode(approval))
+        assert approval_of(workflow, settings) == approval
+    else:
+        with pytest.raises(ConfigurationError, match="nobody has approved it"):
+            approval_of(workflow, settings)
+    assert approval_of(shipped_workflow("ratms"), Settings()) is None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from pcmrs.authoring.design._table import DECLARATIONS, ActionSpec, StepSpec
+from pcmrs.authoring.design.tables import DECLARATIONS, ActionSpec, StepSpec
 
 
 @pytest.mark.parametrize("key", DECLARATIONS)

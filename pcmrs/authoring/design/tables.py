@@ -6,13 +6,14 @@ from typing import Literal
 
 import msgspec
 
+from pcmrs.fsm.blueprint import ProvenanceSpec
 from pcmrs.messages.identity import Role
 
 DECLARATIONS = ("moves", "affects_patient", "irreversible", "confirm")
 """Keys that declare the effect of an action on the patient; a missing key is false if another is given."""
 
 
-class ActionSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ActionSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """An action of people; its keys have the same meaning as in an operation of a blueprint.
 
     Attributes:
@@ -55,7 +56,7 @@ class AlternativeSpec(ActionSpec, frozen=True, kw_only=True, forbid_unknown_fiel
     partial: bool = False
 
 
-class RefinementSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class RefinementSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """The parts of a step: a branch one level below; exactly one of `steps` and `points` is given.
 
     Attributes:
@@ -88,6 +89,7 @@ class StepSpec(ActionSpec, frozen=True, kw_only=True, forbid_unknown_fields=True
             Doing a step again always re-opens what depends on it.
         alternatives: Other operations that achieve it.
         refined_by: Its parts.
+        source: Sentence of the protocol that it comes from.
         branch: Name of the branch it belongs to; once for all steps that are connected.
     """
 
@@ -97,6 +99,7 @@ class StepSpec(ActionSpec, frozen=True, kw_only=True, forbid_unknown_fields=True
     reopened_by: list[str | ActionSpec] = []
     alternatives: list[AlternativeSpec] = []
     refined_by: RefinementSpec | None = None
+    source: str = ""
     branch: str = ""
 
     @property
@@ -111,16 +114,60 @@ class StepSpec(ActionSpec, frozen=True, kw_only=True, forbid_unknown_fields=True
         ]
 
 
-class StepTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class RequirementSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """A promise in terms of steps, for the verifier to prove: exactly one of `operation` and `step` is given.
+
+    Attributes:
+        id: Name of the requirement in findings.
+        text: The requirement in the words of its users.
+        source: Sentence of the protocol that it comes from.
+        operation: Whenever this operation of a step runs, or
+        step: whenever this step is achieved,
+        holds: all these steps are achieved, and
+        lacks: none of these.
+    """
+
+    id: str
+    text: str = ""
+    source: str = ""
+    operation: str = ""
+    step: str = ""
+    holds: list[str] = []
+    lacks: list[str] = []
+
+
+class AssumptionSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """An assumption that a draft makes where the protocol says nothing, or something unclear.
+
+    Attributes:
+        text: The assumption.
+        source: Sentence of the protocol that leaves it open; empty for none.
+    """
+
+    text: str
+    source: str = ""
+
+
+class StepTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """A whole procedure.
 
     Attributes:
         id: Name of the workflow.
         version: Its version.
         steps: Its critical operations; the digits of the states are in this order.
+        requirements: Its promises, for the verifier to prove.
+        assumptions: Assumptions of a draft, for its reader.
+        questions: Questions of a draft to the author of the protocol.
+        provenance: How a language model has drafted the table; the blueprint keeps it.
+        unresolved: What is still wrong with a draft. No workflow is designed from it as long as this is not empty.
     """
 
     id: str
     version: str
     title: str = ""
     steps: list[StepSpec]
+    requirements: list[RequirementSpec] = []
+    assumptions: list[AssumptionSpec] = []
+    questions: list[str] = []
+    provenance: ProvenanceSpec | msgspec.UnsetType = msgspec.UNSET
+    unresolved: list[str] = []
