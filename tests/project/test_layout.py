@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -72,6 +73,44 @@ def test_architecture_names_modules_of_dispatcher_and_service() -> None:
         named = set(re.findall(r"`(\w+(?:\.py|/))`", table[0]))
         there = {path.name if path.is_file() else f"{path.name}/" for path in (ROOT / package).iterdir()}
         assert named == there - {"__init__.py", "__pycache__/"}
+
+
+def imported(program: str) -> Iterator[str]:
+    """Yield the modules that a program imports, and `tests.a.b` for each name `b` that it imports from `tests.a`."""
+    for node in ast.walk(ast.parse(program)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield node.module or ""
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+def is_of_laboratory(module: str) -> bool:
+    """Return whether a module is the laboratory or one of its tests."""
+    return re.match(r"(pcmrs_lab|tests\.(unit|system)\.lab)(\.|$)", module) is not None
+
+
+def test_tests_of_the_product_do_not_use_the_laboratory() -> None:
+    own = ("unit/lab", "system/lab", "project", "mutants", "nightly")
+    tests = {path.relative_to(TESTS).as_posix(): path for path in TESTS.rglob("*.py")}
+    others = {name: path for name, path in tests.items() if not name.startswith(own)}
+    using = [name for name, path in others.items() if any(map(is_of_laboratory, imported(path.read_text())))]
+    assert len(others) > 500
+    assert using == []
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("import pcmrs_lab.campaign as campaign", True),
+        ("from tests.unit import lab", True),
+        ("from tests.system.lab.record_golden import record", True),
+        ("from tests.unit.labels import LABELS", False),
+        ("from pcmrs.testing.natlab import nat_lab", False),
+    ],
+)
+def test_an_import_of_the_laboratory_is_found(line: str, expected: bool) -> None:
+    assert any(map(is_of_laboratory, imported(line))) is expected
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -90,7 +90,7 @@ def compared() -> tuple[int, ...]:
     )
 
 
-DEFECTS = ROOT / "tests" / "system" / "exploring" / "defects"
+DEFECTS = ROOT / "tests" / "system" / "lab" / "exploring" / "defects"
 SOUND = r"{}\.toml: sound: (\d+) joint states, (\d+) transitions, (\d+) properties"
 TOUR = "".join(
     rf" {each} +(\d+) +(\d+)"

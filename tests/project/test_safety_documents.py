@@ -42,7 +42,7 @@ def invariants() -> set[str]:
 def mutants() -> set[str]:
     """Names of the guards that are taken out of the product, by the tests and by the explorer's."""
     tables = [tomllib.loads(path.read_text()) for path in (ROOT / "tests" / "mutants" / "listed").rglob("*.toml")]
-    exploring = (ROOT / "tests" / "system" / "exploring").glob("*mutants*.py")
+    exploring = (ROOT / "tests" / "system" / "lab" / "exploring").glob("*mutants*.py")
     found = {name for path in exploring for name in re.findall(r"^def (\w+)\(", path.read_text(), re.MULTILINE)}
     return found | {each["name"] for table in tables for each in table["mutant"]}
 

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
+from pcmrs.testing.needs import ROOT, Need
 from pcmrs_lab.campaign.fault import NotRun
-from pcmrs_lab.campaign.needs import ROOT, Need
 from pcmrs_lab.campaign.sham import is_sham
 
 MOUNTED = Path("/sys/fs/cgroup")

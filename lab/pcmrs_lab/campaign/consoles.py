@@ -17,8 +17,8 @@ from pcmrs.files import SECRET
 from pcmrs.service.processes.child import end_child
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.errors import Unmet
+from pcmrs.testing.needs import module
 from pcmrs_lab.campaign.checks import expect
-from pcmrs_lab.campaign.needs import module
 
 CONSOLE: Final = module("nicegui")
 """Requirement of a console on the machine."""

@@ -11,8 +11,8 @@ import msgspec
 import zenoh
 
 from pcmrs.bus.settings import open_session
-from pcmrs_lab.campaign.network_impairment import NetworkImpairment
-from pcmrs_lab.campaign.proxy import tcp_proxy
+from pcmrs.testing.proxy import tcp_proxy
+from pcmrs_lab.campaign.network_impairment import InjectedImpairment
 from pcmrs_lab.campaign.reachable import ReachableCell, attacker_of
 from pcmrs_lab.campaign.sham import is_sham
 from pcmrs_lab.campaign.tries import record, way_of
@@ -35,7 +35,7 @@ class CountedSession:
         zenoh: Session for messages that are not part of the fault.
     """
 
-    def __init__(self, session: zenoh.Session, impairment: NetworkImpairment, attacker: str) -> None:
+    def __init__(self, session: zenoh.Session, impairment: InjectedImpairment, attacker: str) -> None:
         self.zenoh = session
         self._impairment = impairment
         self._attacker = attacker
@@ -132,8 +132,8 @@ async def counted_session(open_cell: ReachableCell, name: str) -> AsyncIterator[
 
 
 @asynccontextmanager
-async def counting_endpoint(open_cell: ReachableCell) -> AsyncIterator[tuple[str, NetworkImpairment]]:
+async def counting_endpoint(open_cell: ReachableCell) -> AsyncIterator[tuple[str, InjectedImpairment]]:
     """Start a counting proxy in front of a cell; yield the endpoint of the proxy and its counters."""
-    impairment = NetworkImpairment()
+    impairment = InjectedImpairment()
     async with tcp_proxy(open_cell.address, impairment) as (near, proxied):
         yield f"tls/{near}:{proxied}", impairment

@@ -7,6 +7,7 @@ import random
 import shutil
 import tempfile
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -14,13 +15,12 @@ import msgspec
 from pcmrs.clock import Clock
 from pcmrs.journal import Journal, JournalReader, StoredRow
 from pcmrs.testing.errors import Unmet
-from pcmrs.testing.journal import NAME, contents, place
+from pcmrs.testing.journal import NAME, contents, place, row
+from pcmrs.testing.journal_recovery import check_sound, is_recovered, missing_rows
 from pcmrs_lab.campaign.damage import damages
-from pcmrs_lab.campaign.journal_recovery_check import check_sound, is_recovered, missing_rows
 from pcmrs_lab.campaign.power_loss import power_cuts
-from pcmrs_lab.campaign.sham import is_sham
+from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
 from pcmrs_lab.campaign.syscall_trace import trace_journal
-from pcmrs_lab.campaign.writing import row
 
 ROWS = 60
 """Number of rows of the journal that is damaged; some are in the database, some only in the write-ahead log."""
@@ -110,7 +110,7 @@ def cut_and_flip(
                 break
             scratch = Path(name) / "scratch"
             shutil.copytree(whole, scratch)
-            damage.apply(scratch)
+            inject_unless_sham(partial(damage.apply, scratch))
             tally.changed += contents(scratch) != contents(whole)
             tally.judge(f"{whole.name}: {damage}", scratch, rows)
             shutil.rmtree(scratch)

@@ -1,7 +1,4 @@
-"""Damage to a journal: a removed or cut file, a flipped bit, rows without a key, or the format of an older version.
-
-Rows after the last one that the head names are either added without the key or left there by a crash.
-"""
+"""Places at which a campaign damages a journal, and a journal in the format of an older version."""
 
 from __future__ import annotations
 
@@ -11,14 +8,10 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 
-import msgspec
-
-from pcmrs.journal import JournalReader, JournalRow
-from pcmrs.journal.head import head_path
+from pcmrs.journal import JournalReader
 from pcmrs.journal.rows import GENESIS, chain_hash, encode_row
-from pcmrs.journal.schema import HEADLESS, WITHOUT_MAC, statements, version_of
-from pcmrs.journal.writer import JournalWriter
-from pcmrs.testing.journal import HEAD, NAME, contents
+from pcmrs.journal.schema import HEADLESS, statements
+from pcmrs.testing.journal import HEAD, NAME, Damage, contents
 from pcmrs_lab.campaign.sham import is_sham
 
 INSERT = "INSERT INTO journal VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"
@@ -51,83 +44,11 @@ def as_version_1(path: Path) -> int:
     return len(rows)
 
 
-def append_without_key(file: Path, rows: Sequence[JournalRow], *, mac: object = None) -> None:
-    """Append rows to a file of a journal as an attacker does who knows the format.
-
-    The rows are chained, and found by their commands.
-
-    Args:
-        file: Newest file of the journal.
-        rows: Rows to append.
-        mac: Value of the MAC in each row, if the version has MACs.
-    """
-    with closing(sqlite3.connect(file)) as connection, connection:
-        end = "SELECT sequence, hash FROM journal ORDER BY sequence DESC LIMIT 1"
-        sequence, previous = connection.execute(end).fetchone()
-        macs = () if version_of(connection) <= WITHOUT_MAC else (mac,)
-        for row in rows:
-            sequence += 1
-            body = encode_row(row)
-            own = chain_hash(previous, sequence, body)
-            keys = (row.kind, row.source, row.command_id, row.branch, row.wall)
-            values = (sequence, *keys, body, previous, own, *macs)
-            connection.execute(f"INSERT INTO journal VALUES ({', '.join('?' * len(values))})", values)  # noqa: S608  # values are bound
-            previous = own
-
-
-def append_past_head(journal: Path, rows: Sequence[JournalRow]) -> None:
-    """Write rows with the key and restore the old head, as a crash between commit and head update leaves them.
-
-    Args:
-        journal: Database file of the journal.
-        rows: Rows to append.
-    """
-    before = head_path(journal).read_bytes()
-    writer = JournalWriter(journal, durable=False)
-    writer.write([(row, encode_row(row)) for row in rows])
-    writer.close()
-    head_path(journal).write_bytes(before)
-
-
 TAIL = 2048
 """Number of bytes at the end of database and log that are damaged one by one."""
 
 TAILED = (NAME, f"{NAME}-wal", HEAD)
 """Files of which the end is damaged."""
-
-
-class Damage(msgspec.Struct, frozen=True):
-    """Change of one file: it is cut before `place`, or the bit `flip` of the byte there is inverted.
-
-    Attributes:
-        file: Name of the file.
-        place: Offset in the file, bytes; -1 to remove it.
-        flip: Number of a bit, from 0; None for a cut.
-    """
-
-    file: str
-    place: int
-    flip: int | None = None
-
-    def apply(self, folder: Path) -> None:
-        """Change the file in the folder; do nothing in a sham campaign."""
-        if is_sham():
-            return
-        path = folder / self.file
-        content = bytearray(path.read_bytes())
-        if self.flip is not None:
-            content[self.place] ^= 1 << self.flip
-        elif self.place < 0:
-            path.unlink()
-            return
-        else:
-            del content[self.place :]
-        path.write_bytes(content)
-
-    def __str__(self) -> str:
-        if self.flip is not None:
-            return f"{self.file} bit {self.flip} flipped in byte {self.place}"
-        return f"{self.file} removed" if self.place < 0 else f"{self.file} cut at byte {self.place}"
 
 
 def damages(

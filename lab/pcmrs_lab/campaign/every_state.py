@@ -17,8 +17,8 @@ from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Command, Verdict
 from pcmrs.service.restart.recorder import JournalRecorder
+from pcmrs.testing.rehearsal import LeapingClock, ScriptedSteps, scripted
 from pcmrs_lab.campaign.sham import is_sham
-from pcmrs_lab.experiment.tours.rehearsal import LeapingClock, ScriptedSteps, scripted
 
 
 @dataclass

@@ -14,8 +14,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from pcmrs.errors import ConfigurationError, PcmrsError
+from pcmrs.testing.needs import Need
 from pcmrs_lab.campaign.catalogue import FaultClass, catalogue
-from pcmrs_lab.campaign.needs import Need
 from pcmrs_lab.campaign.tries import Try, declared
 
 if TYPE_CHECKING:

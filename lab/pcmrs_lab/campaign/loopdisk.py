@@ -12,8 +12,8 @@ from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from pcmrs.testing.needs import ROOT, Need, program
 from pcmrs_lab.campaign.fault import NotRun
-from pcmrs_lab.campaign.needs import ROOT, Need, program
 from pcmrs_lab.campaign.sham import inject_unless_sham, is_sham
 from pcmrs_lab.campaign.tools import tool
 

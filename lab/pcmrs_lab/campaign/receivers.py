@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from pcmrs.messages import DeviceHealth, JointState
 from pcmrs.testing.errors import Unmet
-from pcmrs_lab.campaign.needs import program
+from pcmrs.testing.needs import program
 from pcmrs_lab.campaign.waiting import until_true
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from pcmrs.testing.needs import program
 from pcmrs_lab.campaign.fault import NotRun
-from pcmrs_lab.campaign.needs import program
 from pcmrs_lab.campaign.tools import require
 
 NEEDS = (program("strace"),)

@@ -8,8 +8,8 @@ from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from pcmrs.testing.needs import ROOT, program
 from pcmrs_lab.campaign.fault import NotRun
-from pcmrs_lab.campaign.needs import ROOT, program
 from pcmrs_lab.campaign.sham import is_sham
 
 NEEDS = (program("strace"), ROOT)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterable, Sequence
 
+from pcmrs.testing.needs import Need
 from pcmrs_lab.campaign.fault import NotRun
-from pcmrs_lab.campaign.needs import Need
 
 
 def require(needs: Iterable[Need]) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from pcmrs.clock import SystemClock
-from pcmrs_lab.campaign.needs import Need
+from pcmrs.testing.needs import Need
 
 SOURCE: Final = Path(__file__).with_suffix(".c")
 COMPILER: Final = "cc"

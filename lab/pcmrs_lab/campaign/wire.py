@@ -10,14 +10,14 @@ from pathlib import Path
 from pcmrs.errors import PcmrsError
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.daemon import DEVICE_KEY, device_key, free_port
+from pcmrs.testing.proxy import tcp_proxy
 from pcmrs_lab.campaign.lab import Lab
-from pcmrs_lab.campaign.network_impairment import NetworkImpairment
+from pcmrs_lab.campaign.network_impairment import InjectedImpairment
 from pcmrs_lab.campaign.outside import WITHOUT_NODES, outside_node
-from pcmrs_lab.campaign.proxy import tcp_proxy
 
 
 @asynccontextmanager
-async def remote_cell(lab: Lab, impairment: NetworkImpairment) -> AsyncIterator[RunningCell]:
+async def remote_cell(lab: Lab, impairment: InjectedImpairment) -> AsyncIterator[RunningCell]:
     """Start a cell whose device node reaches it over an impaired link, as if on another machine.
 
     Args:

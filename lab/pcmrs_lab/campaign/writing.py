@@ -12,8 +12,8 @@ from typing import Final
 
 from pcmrs.errors import JournalError
 from pcmrs.failpoints import arm
-from pcmrs.journal import Journal, JournalRow
-from pcmrs.messages import BlueprintTag
+from pcmrs.journal import Journal
+from pcmrs.testing.journal import row
 
 SEQUENCE = struct.Struct("<Q")
 REFUSED = (1 << 64) - 1
@@ -22,29 +22,6 @@ PARALLEL = 3
 """Number of concurrent writers, like parallel branches."""
 SESSIONS = 2
 """Number of times that a recorded journal is opened."""
-
-TAG = BlueprintTag(id="campaign", version="1", hash="0" * 16)
-
-
-def row(run: str, writer: int, number: int) -> JournalRow:
-    """Return a row that contains its session, writer and number.
-
-    Args:
-        run: Session id.
-        writer: Number of the writer.
-        number: Number of the row.
-    """
-    return JournalRow(
-        kind="event",
-        wall=0.0,
-        monotonic=0.0,
-        boot_id="",
-        session_id=run,
-        blueprint=TAG,
-        source=f"writer{writer}",
-        operation=str(number),
-        arguments={"filling": "x" * (number % 700)},
-    )
 
 
 def write(path: Path, run: str, seed: int, failpoint: str, descriptor: int) -> None:

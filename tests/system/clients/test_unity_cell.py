@@ -20,13 +20,12 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import BodyPose, JointState, PoseMessage, Target
 from pcmrs.spatial import Transform
-from pcmrs.testing.cell import LIGHT, RunningCell
+from pcmrs.testing.arm import stands
+from pcmrs.testing.cell import LIGHT, RunningCell, open_cell
 from pcmrs.testing.daemon import free_port
 from pcmrs.testing.driving import MOVES, plan, until, wait_until_stationary
-from pcmrs_lab.campaign.checks import stands
-from pcmrs_lab.campaign.lab import Lab
-from pcmrs_lab.campaign.network_impairment import NetworkImpairment
-from pcmrs_lab.campaign.proxy import udp_proxy
+from pcmrs.testing.impairment import NetworkImpairment
+from pcmrs.testing.proxy import udp_proxy
 from tests.system.clients.unity_programs import (
     NEEDS_MONO,
     SWAP,
@@ -142,7 +141,7 @@ async def test_a_procedure_is_run_and_seen_by_the_client(programs: Path, tmp_pat
         "gateway.peers.unity.counter=unix_ns",
         'gateway.peers.unity.allow=["plan", "digitize", "register", "robot", "motion"]',
     )
-    async with Lab(1, tmp_path).daemon(*overrides) as cell:
+    async with open_cell(tmp_path / "cell1", ("sim.seed=1", *overrides)) as cell:
         bus = Bus()
         bus.listen(cell.client)
         await over_a_bad_line_every_signed_command_runs_once(programs, cell, key)

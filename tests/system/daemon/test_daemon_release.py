@@ -36,7 +36,6 @@ from pcmrs.testing.driving import (
     until,
 )
 from pcmrs.testing.simulated import CellInSimulatedTime
-from pcmrs_lab.campaign.delays import Delays, Rule
 from pcmrs_sim.deterministic.cell import SimulatedCell
 from tests.system.daemon.daemon_process import (
     PATIENCE,
@@ -105,21 +104,6 @@ async def test_silent_stimulator_stays_latched_and_allows_a_retreat(tmp_path: Pa
             async with asyncio.timeout(PATIENCE):
                 while (await acknowledge(client)).result is not None:  # noqa: ASYNC110
                     await asyncio.sleep(0.2)
-
-
-async def test_daemon_is_ready_only_when_all_actors_can_be_released(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    delays = Delays(tmp_path / "delays")
-    for name, value in delays.install().items():
-        monkeypatch.setenv(name, value)
-    first_beats = Rule("publish", "dev/stimulator/beat", seconds=2.0, times=40)
-    async with delays.delaying(first_beats, ended=False):
-        with running_daemon([*own_settings(tmp_path), *LIGHT, "cell.rate=1"], tmp_path) as daemon:
-            async with daemon.client() as client:
-                connected = await client.call("robot.connect")
-                assert connected.decision == "accepted"
-                assert "still_latched" not in (connected.result or {})
 
 
 def test_device_request_not_from_the_daemon_moves_nothing(tmp_path: Path) -> None:

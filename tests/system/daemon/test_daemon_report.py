@@ -17,9 +17,7 @@ from pcmrs.client import Client
 from pcmrs.messages import Verdict
 from pcmrs.testing.cell import QUICK
 from pcmrs.testing.daemon import own_settings, running_daemon
-from pcmrs.testing.driving import acknowledge
-from pcmrs.testing.plan import example_plan, read_plan
-from pcmrs_lab.experiment.tours.arguments import plan_arguments
+from pcmrs.testing.driving import acknowledge, landmarks, tool_pose
 from tests.unit.report.report_page import Page
 
 PLACEMENTS, REFUSALS = 9, 7
@@ -45,12 +43,11 @@ async def located(client: Client) -> None:
 
 async def treated(client: Client) -> dict[str, Verdict]:
     """Refused without landmarks, placed twice, stopped, acknowledged, brought home."""
-    arguments: dict[str, Any] = plan_arguments(read_plan(example_plan("ratms")))
     found = {"refused": await told(client, "registration.register")}
-    await told(client, "registration.plan_landmarks", arguments["landmarks"])
+    await told(client, "registration.plan_landmarks", landmarks())
     await told(client, "digitization.digitize_all")
     found["registered"] = await told(client, "registration.register")
-    await told(client, "toolplan.plan", arguments["tool_pose"])
+    await told(client, "toolplan.plan", tool_pose())
     await told(client, "robot.connect")
     await located(client)
     for number in range(2):

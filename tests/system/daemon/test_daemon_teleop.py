@@ -15,10 +15,9 @@ from pcmrs.messages.teleop import Twist
 from pcmrs.spatial import Transform
 from pcmrs.teleop._twist_script import TwistScript
 from pcmrs.teleop.session import TeleopSession
-from pcmrs.testing.cell import LIGHT, RunningCell
+from pcmrs.testing.cell import LIGHT, RunningCell, open_cell
 from pcmrs.testing.driving import accept, showing, to_standoff, until
 from pcmrs.workflows.data import as_transform
-from pcmrs_lab.campaign.lab import Lab
 
 PATIENT = (
     *LIGHT,
@@ -60,7 +59,7 @@ async def height(cell: RunningCell) -> float:
 
 
 async def test_a_daemon_is_guided_over_its_bus(tmp_path: Path) -> None:
-    async with Lab(5, tmp_path).daemon(*PATIENT) as cell:
+    async with open_cell(tmp_path / "cell1", ("sim.seed=5", *PATIENT)) as cell:
         await to_standoff(cell.client)
         await by_the_command_line(cell, tmp_path)
         await beside_somebody_else(cell)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from pcmrs_lab.campaign.natlab import NatLab, Place
+from pcmrs.testing.natlab import NatLab, Place
 
 
 def python(lab: NatLab, place: Place, program: str, *arguments: str) -> subprocess.Popen[str]:

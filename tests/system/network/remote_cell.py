@@ -17,7 +17,7 @@ from pcmrs.messages.identity import EVERY_CELL
 from pcmrs.pki import Authority
 from pcmrs.testing.daemon import free_port
 from pcmrs.testing.driving import landmarks, tool_pose
-from pcmrs_lab.campaign.natlab import ROUTER, NatLab, Place, Side, nat_lab
+from pcmrs.testing.natlab import ROUTER, NatLab, Place, Side, nat_lab
 
 PCMRS = [sys.executable, "-m", "pcmrs.cli"]
 SITE, CELL = "lab", "far1"
@@ -38,8 +38,8 @@ RATMS: list[tuple[str, Mapping[str, Any]]] = [
 
 LONG_WAY = """
 import asyncio, sys
-from pcmrs_lab.campaign.proxy import tcp_proxy
-from pcmrs_lab.campaign.network_impairment import NetworkImpairment
+from pcmrs.testing.proxy import tcp_proxy
+from pcmrs.testing.impairment import NetworkImpairment
 
 async def run(host, port, delay, jitter):
     impairment = NetworkImpairment(delay=float(delay), jitter=float(jitter))

@@ -22,7 +22,7 @@ from pcmrs.clock import SystemClock
 from pcmrs.messages import BodyPose, DeviceHealth, JointState, Snapshot
 from pcmrs.pki import read_credentials
 from pcmrs.testing.cell import LIGHT, QUICK
-from pcmrs_lab.campaign.natlab import Side, missing
+from pcmrs.testing.natlab import Side, missing
 from tests.system.network.remote_cell import (
     CELL,
     PATIENCE,

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from pcmrs_lab.campaign.natlab import INSIDE, OUTSIDE, ROUTER, SIDES, NatLab, Place, Side, missing, nat_lab
+from pcmrs.testing.natlab import INSIDE, OUTSIDE, ROUTER, SIDES, NatLab, Place, Side, missing, nat_lab
 from tests.system.network.programs import python, said
 
 PORT = "7449"

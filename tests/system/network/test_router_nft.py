@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from pcmrs_lab.campaign.natlab import OUTSIDE, ROUTER, NatLab, missing, nat_lab
+from pcmrs.testing.natlab import OUTSIDE, ROUTER, NatLab, missing, nat_lab
 from tests import ROOT
 from tests.system.network.programs import python, said
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 import io
 import logging
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import redirect_stderr, redirect_stdout, suppress
+from contextlib import redirect_stdout, suppress
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -15,10 +14,8 @@ import click
 import pyarrow as pa
 import pytest
 from hypothesis import example, given
-from hypothesis import strategies as st
 from msgspec.structs import replace
 
-import pcmrs_lab.cli.faults.run as campaign
 from pcmrs.archive import ArchiveVerification
 from pcmrs.cli import archive, cell, doctor, export_session, journal, journal_replay, playback, recording, register
 from pcmrs.cli.fsm import files, simulate
@@ -36,24 +33,10 @@ from pcmrs.journal import JournalRow
 from pcmrs.messages import BlueprintTag, DeviceEvent, Reason, Snapshot, UnknownOutcome, Verdict
 from pcmrs.replay import ReplayReport
 from pcmrs.service.health.report import report
-from pcmrs_sim.cli import lines
 from tests.support.health_facts import WELL
+from tests.support.hostile_text import FORGING, HOSTILE, check_no_effect, printed
 
 TAG = BlueprintTag(id="ratms", version="1", hash="0")
-PIECES = st.text() | st.sampled_from(
-    [
-        "[/x]",
-        "[bold red]",
-        "[link=https://example.org]x[/link]",
-        ":warning:",
-        "\\[",
-        "\x1b[2J",
-        "\x9b2K",
-        "\n",
-        "\u202e",
-    ]
-)
-HOSTILE = st.lists(PIECES, max_size=4).map("".join)
 
 
 def verdict(text: str) -> Verdict:
@@ -131,11 +114,6 @@ def examined(text: str) -> Examination:
     return cast(Examination, SimpleNamespace(findings=[check]))
 
 
-def campaign_report(text: str) -> Any:
-    fault = SimpleNamespace(id="A1", title=text, seed=1, outcome="failed", seconds=1.0, response=text, reference=text)
-    return SimpleNamespace(sham=False, seeds=[1], seconds=1.0, faults=[fault], summary={})
-
-
 def progress(text: str) -> None:
     with progress_bar() as show:
         show(text, 1, 1)
@@ -162,7 +140,6 @@ PRINTED: dict[str, Callable[[str], None]] = {
             )
         )
     ),
-    "faults run": lambda text: print_table(campaign._tables(campaign_report(text))),
     "fsm findings": lambda text: ended(
         lambda: files.fail_with_findings([Finding(code="x", text=text, commands=(text,))], readable=True)
     ),
@@ -184,14 +161,13 @@ PRINTED: dict[str, Callable[[str], None]] = {
     ),
     "register": lambda text: register._say({"name": text}, [text], as_json=False),
     "register --json": lambda text: register._say({"name": text}, [text], as_json=True),
-    "simulation": lambda text: asyncio.run(lines._try_line(cast(Any, None), f"x{text}")),
     "state": state,
     "status": status,
     "teleop": lambda text: say(report_line(verdict(text))),
     "watch": lambda text: say(cell.event_line(DeviceEvent(device=text, code=text, text=text))),
 }
 """What prints foreign text, by the command."""
-TITLED = ("faults run", "journal replay")
+TITLED = ("journal replay",)
 """Tables whose title wraps, so that their number of lines depends on their width."""
 
 
@@ -203,22 +179,12 @@ def wide() -> Iterator[None]:
         yield
 
 
-def printed(work: Callable[[str], None], text: str) -> list[str]:
-    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as errors:
-        work(text)
-    return (out.getvalue() + errors.getvalue()).split("\n")
-
-
 @pytest.mark.parametrize("command", PRINTED)
 @given(text=HOSTILE)
 @example(text="[/x]")
-@example(text="[link=https://example.org]x[/link]\x1b[2J\nforged: released\u202e\x9b2K")
+@example(text=FORGING)
 def test_foreign_text_has_no_effect_on_a_terminal(command: str, text: str) -> None:
-    shown = printed(PRINTED[command], text)
-    assert all(line.isprintable() for line in shown)
-    assert not [line for line in shown if line.strip(" │┃").startswith("forged")]
-    if command not in TITLED:
-        assert len(shown) == len(printed(PRINTED[command], "x")), "no line is forged"
+    check_no_effect(PRINTED[command], text, titled=command in TITLED)
 
 
 def test_brackets_and_colons_are_shown_as_they_are() -> None:

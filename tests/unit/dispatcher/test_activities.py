@@ -16,7 +16,7 @@ from pcmrs.dispatcher import Activity
 from pcmrs.errors import DeviceError, ReentrancyError, UnknownOutcomeError
 from pcmrs.messages import ActiveActivity, DeviceEvent, Reason, Verdict
 from pcmrs.testing.clock import settle
-from pcmrs_lab.experiment.tours.rehearsal import rehearse
+from pcmrs.testing.rehearsal import rehearse
 from tests.support.trials import examples
 from tests.unit.dispatcher.dispatcher_fakes import Bench, Notes
 from tests.unit.dispatcher.following import FOLLOWING

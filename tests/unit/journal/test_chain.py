@@ -12,7 +12,7 @@ from pcmrs.journal import Journal, JournalReader, verify
 from pcmrs.journal.chain import mac_key, row_mac, stored_row
 from pcmrs.journal.keys import signing_key
 from pcmrs.journal.rows import chain_hash, encode_row
-from pcmrs_lab.campaign.damage import append_without_key
+from pcmrs.testing.journal import append_without_key
 from tests.unit.journal.edited_journal import check_refused, edit, macs, make_index
 from tests.unit.journal.journal_rows import row
 

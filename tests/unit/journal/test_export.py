@@ -11,8 +11,7 @@ from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, copy_journal, export, verify
 from pcmrs.journal.rows import encode_row
 from pcmrs.journal.writer import JournalWriter
-from pcmrs.testing.journal import HEAD, NAME
-from pcmrs_lab.campaign.damage import append_past_head
+from pcmrs.testing.journal import HEAD, NAME, append_past_head
 from tests.unit.journal.edited_journal import macs
 from tests.unit.journal.journal_rows import row
 

@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 
 from pcmrs.testing.errors import Unmet
-from pcmrs.testing.journal import HEAD, NAME, place
-from pcmrs_lab.campaign.damage import Damage
-from pcmrs_lab.campaign.journal_recovery_check import is_recovered
+from pcmrs.testing.journal import HEAD, NAME, Damage, place
+from pcmrs.testing.journal_recovery import is_recovered
 from tests.unit.journal.whole_journal import LOG, Sample, sample
 
 

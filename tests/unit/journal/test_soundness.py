@@ -14,8 +14,7 @@ from pcmrs.journal.head import head_path
 from pcmrs.journal.rows import chain_hash, encode_row
 from pcmrs.journal.schema import WITHOUT_MAC
 from pcmrs.journal.writer import JournalWriter
-from pcmrs.testing.journal import HEAD, NAME, place
-from pcmrs_lab.campaign.damage import append_past_head, append_without_key
+from pcmrs.testing.journal import HEAD, NAME, append_past_head, append_without_key, place
 from tests.unit.journal.edited_journal import alter, check_refused, edit, operations
 from tests.unit.journal.journal_rows import outcome, row
 from tests.unit.journal.whole_journal import Sample

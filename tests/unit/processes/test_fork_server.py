@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from pcmrs.processes import fork_server, forked
+from pcmrs.processes import fork_server
 from pcmrs.processes.fork_server import UNKNOWN_STATUS, ForkServer
 from pcmrs.testing.daemon import command_line
 from tests import ROOT
@@ -127,16 +127,6 @@ async def test_passed_descriptor_keeps_its_number(bench: Bench, lost: bool, monk
         assert process.stdin is not None
         process.stdin.close()
         assert await process.wait() == 0
-
-
-def test_descriptors_may_trade_their_numbers() -> None:
-    (first, into_first), (second, into_second) = os.pipe(), os.pipe()
-    forked._renumber([first, second], [second, first])
-    os.write(into_first, b"1")
-    os.write(into_second, b"2")
-    assert (os.read(second, 1), os.read(first, 1)) == (b"1", b"2")
-    for each in (first, into_first, second, into_second):
-        os.close(each)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The golden journals: recorded by `record_golden.py`, replayed in every run of the tests."""
+"""The golden journals: recorded by `tests/system/lab/record_golden.py`, replayed in every run of the tests."""
 
 from __future__ import annotations
 

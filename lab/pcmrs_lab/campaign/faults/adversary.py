@@ -21,6 +21,7 @@ from pcmrs.gateway.auth.peers import FRESH_FOR
 from pcmrs.gateway.signing import Signer, new_key, read_key
 from pcmrs.gateway.tcp import MOST_OF_A_HOST
 from pcmrs.journal import JournalReader, verify
+from pcmrs.testing.arm import unmoved
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.driving import (
     PATIENCE,
@@ -33,8 +34,8 @@ from pcmrs.testing.driving import (
     tool_pose,
     until,
 )
-from pcmrs_lab.campaign.checks import confirmed, expect, held, refused, refused_at_edge, reported, shape, unmoved
-from pcmrs_lab.campaign.damage import append_past_head, append_without_key
+from pcmrs.testing.journal import append_past_head, append_without_key
+from pcmrs_lab.campaign.checks import confirmed, expect, held, refused, refused_at_edge, reported, shape
 from pcmrs_lab.campaign.datagrams import Raw, raw_socket, refused_all, send_accepted
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.flood import flood

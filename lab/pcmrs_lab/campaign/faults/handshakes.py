@@ -10,10 +10,10 @@ from pathlib import Path
 import pcmrs
 from pcmrs.clock import SystemClock
 from pcmrs.pki import Authority
+from pcmrs.testing.natlab import NEEDS, ROUTER, NatLab, nat_lab
 from pcmrs_lab.campaign.checks import expect
 from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
 from pcmrs_lab.campaign.lab import Lab
-from pcmrs_lab.campaign.natlab import NEEDS, ROUTER, NatLab, nat_lab
 from pcmrs_lab.campaign.sham import is_sham
 from pcmrs_lab.campaign.tries import FLOODING, record
 

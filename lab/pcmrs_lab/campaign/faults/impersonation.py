@@ -28,10 +28,11 @@ from pcmrs.messages import (
     JointState,
     NodeBeat,
 )
+from pcmrs.testing.arm import NO_MOTION, displaced, standing
 from pcmrs.testing.cell import REAL_TIME, RunningCell
 from pcmrs.testing.daemon import device_key
 from pcmrs.testing.driving import PATIENCE, accept, moving, to_retracted, until, wait_until_stationary
-from pcmrs_lab.campaign.checks import NO_MOTION, displaced, expect, standing
+from pcmrs_lab.campaign.checks import expect
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.faults.access import TLS
 from pcmrs_lab.campaign.lab import Lab

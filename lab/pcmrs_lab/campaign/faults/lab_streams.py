@@ -12,11 +12,11 @@ from typing import Final
 import msgspec
 
 from pcmrs.devices.lsl.library import lab_configuration
+from pcmrs.testing.needs import Need
+from pcmrs.testing.networks import NEEDS, Machine, Namespaces, lan
 from pcmrs_lab.campaign.checks import expect
 from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
 from pcmrs_lab.campaign.lab import Lab
-from pcmrs_lab.campaign.needs import Need
-from pcmrs_lab.campaign.networks import NEEDS, Machine, Namespaces, lan
 from pcmrs_lab.campaign.sham import is_sham
 from pcmrs_lab.campaign.tries import UNKNOWN, record
 

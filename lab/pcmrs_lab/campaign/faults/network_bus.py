@@ -7,14 +7,15 @@ import signal
 
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.messages import BodyPose, Snapshot
+from pcmrs.testing.arm import stands
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.daemon import free_port
 from pcmrs.testing.driving import PATIENCE, accept, moving, register, reset_cell, tool_pose, until
-from pcmrs_lab.campaign.checks import expect, held, refused, stands
+from pcmrs_lab.campaign.checks import expect, held, refused
 from pcmrs_lab.campaign.consumer import Manner, consumer
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
-from pcmrs_lab.campaign.network_impairment import NetworkImpairment
+from pcmrs_lab.campaign.network_impairment import InjectedImpairment
 from pcmrs_lab.campaign.sham import inject_unless_sham
 from pcmrs_lab.campaign.waiting import until_ended, until_true
 from pcmrs_lab.campaign.wire import remote_cell
@@ -96,7 +97,7 @@ async def a_consumer_that_does_not_read(lab: Lab) -> Evidence:
 @fault("N12", how=WIRE)
 async def a_wire_of_100_kbit(lab: Lab) -> Evidence:
     """Poses are too old when they arrive: operations that need them are refused for that; status and Stop work."""
-    impairment = NetworkImpairment(seed=lab.seed)
+    impairment = InjectedImpairment(seed=lab.seed)
     async with remote_cell(lab, impairment) as cell:
         await register(cell.client)
         control = await accept(cell.client, "placement.approach")
@@ -137,7 +138,7 @@ async def a_half_open_link(lab: Lab) -> Evidence:
 
 async def _cut_in_motion(lab: Lab, *, towards: bool, back: bool) -> Evidence:
     """Cut the link between node and daemon while the arm moves; `towards` is from node to daemon."""
-    impairment = NetworkImpairment(seed=lab.seed)
+    impairment = InjectedImpairment(seed=lab.seed)
     async with remote_cell(lab, impairment) as cell:
         await register(cell.client)
         clock = asyncio.get_running_loop().time

@@ -17,12 +17,12 @@ from pcmrs.planner import REPEAT_AFTER, Planner, PlannerVerdict
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.driving import PATIENCE, digitize_landmarks, plan, register, state
 from pcmrs.testing.errors import Unmet
+from pcmrs.testing.proxy import udp_proxy
 from pcmrs_lab.campaign.checks import expect
 from pcmrs_lab.campaign.datagrams import raw_socket, refused_all, send_accepted
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
-from pcmrs_lab.campaign.network_impairment import NetworkImpairment
-from pcmrs_lab.campaign.proxy import udp_proxy
+from pcmrs_lab.campaign.network_impairment import InjectedImpairment
 from pcmrs_lab.campaign.syscalls import NEEDS, injected
 from pcmrs_lab.campaign.waiting import until_true
 
@@ -36,14 +36,14 @@ IMPATIENT = 0.4
 @fault("N1", how=PROXY)
 async def datagrams_are_lost(lab: Lab) -> Evidence:
     """A fifth of the datagrams is lost, in both directions."""
-    impairment = NetworkImpairment(seed=lab.seed, loss=0.2)
+    impairment = InjectedImpairment(seed=lab.seed, loss=0.2)
     return await _check_exactly_once(lab, impairment, "lost", lambda sent: {"commands_sent_again": sent.repeated})
 
 
 @fault("N2", how=PROXY)
 async def datagrams_are_doubled(lab: Lab) -> Evidence:
     """Half of the datagrams come twice."""
-    impairment = NetworkImpairment(seed=lab.seed, doubled=0.5)
+    impairment = InjectedImpairment(seed=lab.seed, doubled=0.5)
     return await _check_exactly_once(
         lab,
         impairment,
@@ -55,7 +55,7 @@ async def datagrams_are_doubled(lab: Lab) -> Evidence:
 @fault("N3", how=PROXY)
 async def datagrams_overtake_each_other(lab: Lab) -> Evidence:
     """A series of landmarks in any order is planned whole as sent, or refused with its reason."""
-    impairment = NetworkImpairment(seed=lab.seed, jitter=0.2)
+    impairment = InjectedImpairment(seed=lab.seed, jitter=0.2)
     async with lab.cell() as cell, _proxied(cell, impairment) as planner:
         row = cell.last_row()
         points = [landmark.position for landmark in plan().landmarks]
@@ -107,7 +107,7 @@ async def _out_of_order(cell: RunningCell, planner: Planner) -> int:
 @fault("N4", how=PROXY)
 async def answers_take_half_a_second(lab: Lab) -> Evidence:
     """With half a second each way every command is done once, even if its sender has given up waiting."""
-    impairment = NetworkImpairment(seed=lab.seed, delay=0.5)
+    impairment = InjectedImpairment(seed=lab.seed, delay=0.5)
     async with lab.cell() as cell, _proxied(cell, impairment) as planner:
         control = await cell.planner.command("session_reinitxx", timeout=IMPATIENT)
         row = cell.last_row()
@@ -290,7 +290,7 @@ class _Sent(NamedTuple):
 
 
 async def _check_exactly_once(
-    lab: Lab, impairment: NetworkImpairment, counted: str, measured: Callable[[_Sent], dict[str, int]]
+    lab: Lab, impairment: InjectedImpairment, counted: str, measured: Callable[[_Sent], dict[str, int]]
 ) -> Evidence:
     """Send commands over an impaired link: each is done exactly once, and its verdict comes; then over a good link."""
     async with lab.cell() as cell:
@@ -298,7 +298,7 @@ async def _check_exactly_once(
             sent = await _send_one_by_one(cell, planner)
             await planner.plan_landmarks([landmark.position for landmark in plan().landmarks])
             expect(impairment.counted[counted] > 0, f"Nothing was {counted}: choose another seed.")
-        async with _proxied(cell, NetworkImpairment()) as planner:
+        async with _proxied(cell, InjectedImpairment()) as planner:
             control = await _send_one_by_one(cell, planner)
     return Evidence(
         "every command exactly once",
@@ -322,7 +322,7 @@ async def _send_one_by_one(cell: RunningCell, planner: Planner) -> _Sent:
 
 
 @asynccontextmanager
-async def _proxied(cell: RunningCell, impairment: NetworkImpairment) -> AsyncIterator[Planner]:
+async def _proxied(cell: RunningCell, impairment: InjectedImpairment) -> AsyncIterator[Planner]:
     async with udp_proxy(cell.ready.links["planner"], impairment) as address, await Planner.open(*address) as planner:
         yield planner
 

@@ -22,6 +22,7 @@ from pcmrs.fsm.behaviour import behaviour, joint_of, operations
 from pcmrs.fsm.blueprint import Blueprint
 from pcmrs.fsm.closure import Denial
 from pcmrs.journal import JournalRow
+from pcmrs.testing.arm import stands
 from pcmrs.testing.cell import REAL_TIME, RunningCell
 from pcmrs.testing.driving import (
     MOVES,
@@ -42,7 +43,7 @@ from pcmrs.testing.driving import (
 )
 from pcmrs.testing.errors import Unmet
 from pcmrs.workflows import find_workflow
-from pcmrs_lab.campaign.checks import check_refused, confirmed, expect, refused, shape, stands
+from pcmrs_lab.campaign.checks import check_refused, confirmed, expect, refused, shape
 from pcmrs_lab.campaign.every_state import walk
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab

@@ -8,6 +8,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 from pcmrs.client import Client
+from pcmrs.testing.arm import BRAKING, standing
 from pcmrs.testing.cell import QUICK, REAL_TIME, RunningCell
 from pcmrs.testing.driving import (
     PATIENCE,
@@ -23,7 +24,7 @@ from pcmrs.testing.driving import (
     to_standoff,
     until,
 )
-from pcmrs_lab.campaign.checks import BRAKING, confirmed, expect, held, standing
+from pcmrs_lab.campaign.checks import confirmed, expect, held
 from pcmrs_lab.campaign.delays import Delayed, Place, Rule, delays_of
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab

@@ -15,6 +15,7 @@ import msgspec
 
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.messages import ActToken, DeviceReply, DeviceRequest, NodeBeat, Snapshot
+from pcmrs.testing.arm import BRAKING, standing, stands, tool_position
 from pcmrs.testing.cell import REAL_TIME, RunningCell
 from pcmrs.testing.daemon import free_port
 from pcmrs.testing.driving import (
@@ -34,7 +35,7 @@ from pcmrs.testing.driving import (
 )
 from pcmrs.testing.errors import Unmet
 from pcmrs.threads import descendants
-from pcmrs_lab.campaign.checks import BRAKING, confirmed, expect, held, refused, standing, stands, tool_position
+from pcmrs_lab.campaign.checks import confirmed, expect, held, refused
 from pcmrs_lab.campaign.datagrams import Raw, raw_socket
 from pcmrs_lab.campaign.delays import Rule, delays_of
 from pcmrs_lab.campaign.driving import injected

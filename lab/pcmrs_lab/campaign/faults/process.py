@@ -20,12 +20,13 @@ from pcmrs.journal.schema import HEADLESS
 from pcmrs.journal.verification import verify
 from pcmrs.replay.replay import replay
 from pcmrs.service.watches import stall
+from pcmrs.testing.arm import stands
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.driving import PATIENCE, accept, moving, register, reset_cell, tool_pose, until
 from pcmrs.threads import Threads, descendants
 from pcmrs_lab.campaign import cgroups
 from pcmrs_lab.campaign.cgroups import memory_limit, processor_quota
-from pcmrs_lab.campaign.checks import confirmed, expect, held, stands
+from pcmrs_lab.campaign.checks import confirmed, expect, held
 from pcmrs_lab.campaign.daemonkills import kill_daemons
 from pcmrs_lab.campaign.damage import as_version_1
 from pcmrs_lab.campaign.fault import Evidence, fault

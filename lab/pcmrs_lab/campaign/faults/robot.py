@@ -14,6 +14,7 @@ from pcmrs.bus.commands import Envelope
 from pcmrs.bus.keys import command_key
 from pcmrs.clock import SystemClock
 from pcmrs.messages import JointSetpoint, Verdict
+from pcmrs.testing.arm import stands, tool_position
 from pcmrs.testing.cell import REAL_TIME, RunningCell
 from pcmrs.testing.driving import (
     accept,
@@ -28,7 +29,7 @@ from pcmrs.testing.driving import (
     wait_until_stationary,
 )
 from pcmrs.testing.errors import Unmet
-from pcmrs_lab.campaign.checks import check_refused, confirmed, expect, held, refused, stands, tool_position
+from pcmrs_lab.campaign.checks import check_refused, confirmed, expect, held, refused
 from pcmrs_lab.campaign.driving import FOLLOWED, injected, to_following
 from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
 from pcmrs_lab.campaign.lab import Lab

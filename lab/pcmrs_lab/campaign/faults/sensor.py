@@ -14,10 +14,11 @@ from pcmrs.calibration import Calibration, write_calibration
 from pcmrs.clock import SystemClock
 from pcmrs.devices.ndi.tools import placeholder
 from pcmrs.messages import PoseMessage
+from pcmrs.testing.arm import stands
 from pcmrs.testing.cell import REAL_TIME, RunningCell
 from pcmrs.testing.driving import accept, landmarks, reason_text, state, to_placed, to_standoff, until
 from pcmrs.testing.errors import Unmet
-from pcmrs_lab.campaign.checks import confirmed, expect, held, refused, stands
+from pcmrs_lab.campaign.checks import confirmed, expect, held, refused
 from pcmrs_lab.campaign.driving import FOLLOWED, injected, to_following
 from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
 from pcmrs_lab.campaign.lab import Lab

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from pcmrs.clock import SystemClock
 from pcmrs.pki import Authority
+from pcmrs.testing.needs import module
 from pcmrs_lab.campaign.checks import expect
 from pcmrs_lab.campaign.fault import Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
-from pcmrs_lab.campaign.needs import module
 from pcmrs_lab.campaign.sham import is_sham
 from pcmrs_lab.campaign.tools import ended
 

@@ -13,10 +13,10 @@ from pcmrs.authoring.trial.tour import Tour, TourCommand, plan_tour
 from pcmrs.client import Client
 from pcmrs.errors import ConfigurationError, DeviceError, UnknownOutcomeError
 from pcmrs.fsm.blueprint import Blueprint
+from pcmrs.testing.rehearsal import rehearse
 from pcmrs_lab.experiment.tours.arguments import TourArguments
 from pcmrs_lab.experiment.tours.live import LiveTour, ShowProgress
 from pcmrs_lab.experiment.tours.observer import observing
-from pcmrs_lab.experiment.tours.rehearsal import rehearse
 from pcmrs_lab.experiment.tours.report import Left, TourReport
 
 SUBJECTS = ("engine", "dispatcher, steps outside", "dispatcher, steps at once")

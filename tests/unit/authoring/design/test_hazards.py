@@ -13,7 +13,7 @@ from pcmrs.authoring.trial.tour import TourCommand
 from pcmrs.fsm import Denial, Engine
 from pcmrs.fsm.files.load import read_blueprint
 from pcmrs.messages import Command, Verdict
-from pcmrs_lab.experiment.tours.rehearsal import ScriptedSteps, scripted_dispatcher
+from pcmrs.testing.rehearsal import ScriptedSteps, scripted_dispatcher
 from tests.unit.authoring.design.biopsy_cell import INSERTION, WAY_IN, biopsy_cell, is_accepted, perform
 from tests.unit.authoring.design.hazard_tables import hazard_table
 

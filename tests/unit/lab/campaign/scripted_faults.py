@@ -8,10 +8,10 @@ import pytest
 
 from pcmrs.errors import DeviceError
 from pcmrs.testing.errors import Unmet
+from pcmrs.testing.needs import program
 from pcmrs_lab.campaign import fault as registry
 from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
 from pcmrs_lab.campaign.lab import Lab
-from pcmrs_lab.campaign.needs import program
 from pcmrs_lab.campaign.sham import inject_unless_sham
 from pcmrs_lab.campaign.tries import record
 

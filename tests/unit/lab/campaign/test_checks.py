@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from types import SimpleNamespace
 from typing import Any, cast
 
 import msgspec
@@ -13,18 +12,7 @@ from pcmrs.journal import JournalRow
 from pcmrs.messages import BlueprintTag, Reason, Running, Snapshot, Verdict
 from pcmrs.testing.cell import RunningCell
 from pcmrs.testing.errors import Unmet
-from pcmrs_lab.campaign.checks import (
-    STANDS_WITHIN,
-    confirmed,
-    expect,
-    held,
-    refused,
-    refused_at_edge,
-    reported,
-    standing,
-    stands,
-    unmoved,
-)
+from pcmrs_lab.campaign.checks import confirmed, expect, held, refused, refused_at_edge, reported
 from tests.unit.lab.campaign.faults.operated import OperatedCell, run
 from tests.unit.lab.campaign.faults.scripted_raw import ScriptedRaw
 
@@ -76,20 +64,6 @@ class ScriptedCell:
 
 
 @dataclass
-class ScriptedScene:
-    """A scene whose tool is at these places, one after the other."""
-
-    places: list[tuple[float, float, float]]
-
-    @property
-    def scene(self) -> ScriptedScene:
-        return self
-
-    async def truth(self) -> Any:
-        return SimpleNamespace(tracker_from_coil=SimpleNamespace(position=self.places.pop(0)))
-
-
-@dataclass
 class Recorded:
     verdict: Verdict
 
@@ -127,31 +101,10 @@ async def test_anything_else_does_not(changed: dict[str, Any], word: str) -> Non
         await judge(**changed)
 
 
-@pytest.mark.parametrize("way", [0.0, STANDS_WITHIN / 2])
-async def test_an_arm_that_stays_where_it_was_is_unmoved(way: float) -> None:
-    async with unmoved(cast(RunningCell, ScriptedScene([(0.1, 0.2, 0.3), (0.1 + way, 0.2, 0.3)]))):
-        pass
-
-
-async def test_an_arm_that_went_anywhere_is_not() -> None:
-    with pytest.raises(Unmet, match=r"moved by 1\.00 mm"):
-        async with unmoved(cast(RunningCell, ScriptedScene([(0.1, 0.2, 0.3), (0.1, 0.201, 0.3)]))):
-            pass
-
-
 def test_a_condition_that_does_not_hold_is_unmet() -> None:
     expect(True, "never told")
     with pytest.raises(Unmet, match="It moved"):
         expect(False, "It moved.")
-
-
-def test_an_arm_is_watched_once_its_brakes_have_closed(monkeypatch: pytest.MonkeyPatch) -> None:
-    cell = OperatedCell()
-    cell.scene.places = [(0.0, 0.0, 0.1), (0.0, 0.0, 0.1 + STANDS_WITHIN / 2)]
-    assert run(monkeypatch, stands(cell.as_cell)) == pytest.approx(STANDS_WITHIN / 2)
-    cell.scene.places = [(0.0, 0.0, 0.1), (0.0, 0.0, 0.2)]
-    with pytest.raises(Unmet, match=r"moved by 100\.00 mm"):
-        run(monkeypatch, stands(cell.as_cell))
 
 
 def test_a_held_tool_stays_until_it_is_confirmed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -189,28 +142,6 @@ def test_a_tool_that_may_move_while_latched_is_unmet(monkeypatch: pytest.MonkeyP
 async def _accepted(name: str) -> Verdict:
     branch, _, operation = name.partition(".")
     return altered(branch=branch, operation=operation, decision="accepted", reason=None)
-
-
-@pytest.mark.parametrize(
-    ("restless", "silent", "text"),
-    [(False, False, ""), (True, False, "A joint moved by"), (False, True, "not published")],
-)
-def test_no_joint_moves_while_an_arm_stands(
-    monkeypatch: pytest.MonkeyPatch, restless: bool, silent: bool, text: str
-) -> None:
-    cell = OperatedCell()
-    cell.client.restless, cell.client.silent_joints = restless, silent
-
-    async def look() -> list[float]:
-        async with standing(cell.as_cell) as moved:
-            pass
-        return moved
-
-    if text:
-        with pytest.raises(Unmet, match=text):
-            run(monkeypatch, look())
-    else:
-        assert run(monkeypatch, look()) == [0.0]
 
 
 def test_refusals_of_an_edge_are_counted_by_their_reason(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,7 @@ import zenoh
 from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign import counted_session as counting
 from pcmrs_lab.campaign.counted_session import CountedSession
-from pcmrs_lab.campaign.network_impairment import NetworkImpairment
+from pcmrs_lab.campaign.network_impairment import InjectedImpairment
 from pcmrs_lab.campaign.sham import sham
 from pcmrs_lab.campaign.tries import Try, recorded_tries
 
@@ -24,7 +24,7 @@ class ScriptedSession:
     """A session whose bytes pass a proxy, as many as the daemon lets pass."""
 
     def __init__(self) -> None:
-        self.impairment = NetworkImpairment()
+        self.impairment = InjectedImpairment()
         self.calls: list[str] = []
         self.most = 1 << 20
         self.replies: list[Any] = []

@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from pcmrs.errors import ConfigurationError
+from pcmrs.testing.needs import ROOT
 from pcmrs_lab.campaign import fault as registry
 from pcmrs_lab.campaign.catalogue import CLASSES, FaultClass
 from pcmrs_lab.campaign.fault import DEADLINE, Evidence, fault
 from pcmrs_lab.campaign.lab import Lab
-from pcmrs_lab.campaign.needs import ROOT
 
 SEEN = {"seen": 1}
 NOTHING = [0, 0.0, "", None, False, [], {}, math.nan, math.inf, -math.inf]

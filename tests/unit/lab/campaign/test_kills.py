@@ -14,10 +14,11 @@ from pcmrs.errors import JournalError
 from pcmrs.failpoints import FAILPOINTS
 from pcmrs.journal import Journal
 from pcmrs.testing.clock import ManualClock
+from pcmrs.testing.journal import row
 from pcmrs_lab.campaign import kills
 from pcmrs_lab.campaign.kills import RANDOM, KillReport, Tally, VerifiedPrefix, lost_rows
 from pcmrs_lab.campaign.sham import sham
-from pcmrs_lab.campaign.writing import REFUSED, SEQUENCE, row
+from pcmrs_lab.campaign.writing import REFUSED, SEQUENCE
 
 Ended = tuple[list[int], bool]
 

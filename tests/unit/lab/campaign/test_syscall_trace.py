@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from pcmrs.testing.needs import Need
 from pcmrs_lab.campaign import syscall_trace
 from pcmrs_lab.campaign.fault import NotRun
-from pcmrs_lab.campaign.needs import Need
 from pcmrs_lab.campaign.syscall_trace import trace_journal
 
 

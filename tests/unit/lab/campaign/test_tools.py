@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from pcmrs.testing.needs import Need, program
 from pcmrs_lab.campaign.fault import NotRun
-from pcmrs_lab.campaign.needs import Need, program
 from pcmrs_lab.campaign.tools import ended, require, tool
 
 

@@ -13,7 +13,7 @@ import pytest
 from pcmrs.errors import DeviceError
 from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_lab.campaign import wire
-from pcmrs_lab.campaign.network_impairment import NetworkImpairment
+from pcmrs_lab.campaign.network_impairment import InjectedImpairment
 from pcmrs_lab.campaign.outside import WITHOUT_NODES
 from pcmrs_lab.campaign.wire import remote_cell
 from tests.unit.lab.campaign.scripted_cell import ScriptedCell, ScriptedLab
@@ -36,7 +36,7 @@ class Remote:
         monkeypatch.setattr("asyncio.open_connection", self._dial)
 
     @asynccontextmanager
-    async def _proxy(self, server: tuple[str, int], impairment: NetworkImpairment) -> AsyncIterator[tuple[str, int]]:
+    async def _proxy(self, server: tuple[str, int], impairment: InjectedImpairment) -> AsyncIterator[tuple[str, int]]:
         try:
             yield "127.0.0.2", 4000
         finally:
@@ -73,7 +73,7 @@ def remote(monkeypatch: pytest.MonkeyPatch) -> Remote:
 def test_the_node_dials_the_link_once_the_daemon_listens(remote: Remote, tmp_path: Path) -> None:
     remote.refusals = 3
     lab = ScriptedLab(tmp_path, ScriptedCell())
-    impairment = NetworkImpairment(rate=1000.0)
+    impairment = InjectedImpairment(rate=1000.0)
 
     async def use() -> None:
         async with remote_cell(lab.as_lab, impairment):
@@ -92,7 +92,7 @@ def test_the_node_dials_the_link_once_the_daemon_listens(remote: Remote, tmp_pat
 
 def test_a_cell_that_fails_leaves_no_node(remote: Remote, tmp_path: Path) -> None:
     async def fail() -> None:
-        async with remote_cell(ScriptedLab(tmp_path, ScriptedCell()).as_lab, NetworkImpairment()):
+        async with remote_cell(ScriptedLab(tmp_path, ScriptedCell()).as_lab, InjectedImpairment()):
             await asyncio.sleep(1.0)
             raise DeviceError("The daemon is gone.")
 

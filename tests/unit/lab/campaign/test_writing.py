@@ -14,7 +14,7 @@ import pytest
 from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalReader, JournalRow, journal_files
 from pcmrs_lab.campaign import writing
-from pcmrs_lab.campaign.writing import PARALLEL, REFUSED, SEQUENCE, SESSIONS, row, write
+from pcmrs_lab.campaign.writing import PARALLEL, REFUSED, SEQUENCE, SESSIONS, write
 
 TO = 1009
 """Descriptor of a pipe that nobody has."""
@@ -63,15 +63,6 @@ class ScriptedJournal:
         last = len(self.rows)
         await asyncio.sleep(0)
         return last
-
-
-def test_a_row_tells_who_wrote_it_when() -> None:
-    made = row("run3", 2, 650)
-    assert (made.session_id, made.source, made.operation) == ("run3", "writer2", "650")
-    assert {len(str(row("run3", 0, number).arguments)) for number in (0, 699, 700)} == {
-        len(str(row("run3", 0, 0).arguments)),
-        len(str(row("run3", 0, 699).arguments)),
-    }
 
 
 def test_every_committed_row_is_said_after_it_was(written: Written, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,13 +12,13 @@ import structlog
 
 from pcmrs.journal import Journal
 from pcmrs.messages import Running
+from pcmrs.testing.journal import row
 from pcmrs.testing.loop import run_on_simulated_loop
 from pcmrs_lab.campaign.explore import session as running
 from pcmrs_lab.campaign.explore.operators import PATIENCE
 from pcmrs_lab.campaign.explore.plans import GARBAGE, landmark_commands, pose_commands
 from pcmrs_lab.campaign.explore.script import Act, SessionScript
 from pcmrs_lab.campaign.explore.session import LONGEST_FOLLOWING, ExploredSession, forget_sessions, quiet
-from pcmrs_lab.campaign.writing import row
 from tests.unit.lab.campaign.explore.ratms_views import PLACED, READY, shown
 from tests.unit.lab.campaign.explore.scripted_session import ScriptedCell, now, witness
 

@@ -12,10 +12,10 @@ from typing import Any, cast
 import pytest
 
 from pcmrs.testing.errors import Unmet
+from pcmrs.testing.natlab import NatLab
 from pcmrs_lab.campaign.fault import NotRun
 from pcmrs_lab.campaign.faults import handshakes
 from pcmrs_lab.campaign.faults.handshakes import CONNECTIONS, PORT
-from pcmrs_lab.campaign.natlab import NatLab
 from pcmrs_lab.campaign.sham import sham
 from tests.unit.lab.campaign.faults.operated import OperatedCell, lab_of, proves, run
 

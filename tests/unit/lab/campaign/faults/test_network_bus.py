@@ -15,7 +15,7 @@ from pcmrs.errors import UnknownOutcomeError
 from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.consumer import ConsumerReport, Manner
 from pcmrs_lab.campaign.faults import network_bus
-from pcmrs_lab.campaign.network_impairment import NetworkImpairment
+from pcmrs_lab.campaign.network_impairment import InjectedImpairment
 from tests.unit.lab.campaign.faults.operated import OperatedCell, lab_of, proves, run
 
 IDLE = ConsumerReport(sent=100, received=100, counted=0, was="S")
@@ -35,10 +35,10 @@ class Link:
         monkeypatch.setattr(self.cell.client, "health", self._health)
 
     @asynccontextmanager
-    async def _open(self, _: Any, impairment: NetworkImpairment) -> AsyncIterator[OperatedCell]:
+    async def _open(self, _: Any, impairment: InjectedImpairment) -> AsyncIterator[OperatedCell]:
         cell, holds = self.cell, self.held
 
-        class Watched(NetworkImpairment):
+        class Watched(InjectedImpairment):
             def __setattr__(self, name: str, value: Any) -> None:
                 super().__setattr__(name, value)
                 if name == "back" and holds and cell.client.running:

@@ -17,7 +17,7 @@ from pcmrs.testing.errors import Unmet
 from pcmrs_lab.campaign.fault import Evidence, Injector
 from pcmrs_lab.campaign.faults import network_datagrams
 from pcmrs_lab.campaign.faults.network_datagrams import COMMANDS_SENT, IMPATIENT
-from pcmrs_lab.campaign.network_impairment import NetworkImpairment
+from pcmrs_lab.campaign.network_impairment import InjectedImpairment
 from tests.unit.lab.campaign.faults.operated import OperatedCell, lab_of, proves, run
 from tests.unit.lab.scripted_client import row, verdict
 
@@ -55,14 +55,14 @@ class Sent(OperatedCell):
         self.takes: Callable[[int], float] = lambda _: 0.0
         self.datagrams = 100
         self.commands = 0
-        self.impairments: list[NetworkImpairment] = []
+        self.impairments: list[InjectedImpairment] = []
         self.counts = {"lost": 3, "doubled": 5, "overtaken": 1}
         monkeypatch.setattr(network_datagrams, "_proxied", self._proxied)
         monkeypatch.setattr(self.client, "health", self._health)
         monkeypatch.setattr(self.planner, "command", self.command)
 
     @asynccontextmanager
-    async def _proxied(self, _: Any, impairment: NetworkImpairment) -> AsyncIterator[Any]:
+    async def _proxied(self, _: Any, impairment: InjectedImpairment) -> AsyncIterator[Any]:
         self.impairments.append(impairment)
         if len(self.impairments) == 1:
             impairment.counted.update(self.counts)

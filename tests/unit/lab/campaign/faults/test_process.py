@@ -15,10 +15,10 @@ import pytest
 from pcmrs.errors import BusError
 from pcmrs.journal import Journal
 from pcmrs.testing.errors import Unmet
+from pcmrs.testing.journal import row as written
 from pcmrs_lab.campaign.faults import process
 from pcmrs_lab.campaign.kills import KillReport
 from pcmrs_lab.campaign.sham import sham
-from pcmrs_lab.campaign.writing import row as written
 from tests.unit.lab.campaign.faults.operated import OperatedCell, lab_of, proves, run
 from tests.unit.lab.campaign.scripted_cell import ScriptedLab
 from tests.unit.lab.campaign.scripted_child import ScriptedChild, started

@@ -13,8 +13,8 @@ from pcmrs.dispatcher import Dispatcher, DispatcherListener, ProcedureData, Run
 from pcmrs.errors import RefusalError, UnknownOutcomeError
 from pcmrs.fsm import Blueprint, Closure
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
+from pcmrs.testing.rehearsal import NullRecorder, ScriptedSteps, scripted
 from pcmrs_lab.experiment.tours.arguments import TourArguments
-from pcmrs_lab.experiment.tours.rehearsal import NullRecorder, ScriptedSteps, scripted
 from pcmrs_lab.experiment.tours.report import TourReport
 from pcmrs_lab.experiment.tours.run import tour_live
 from tests.unit.lab.blueprints import ratms

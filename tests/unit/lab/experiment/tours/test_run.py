@@ -10,8 +10,8 @@ import structlog
 
 from pcmrs.errors import BlueprintError, ConfigurationError
 from pcmrs.fsm import Blueprint
+from pcmrs.testing.rehearsal import rehearse
 from pcmrs_lab.experiment.tours import run
-from pcmrs_lab.experiment.tours.rehearsal import rehearse
 from pcmrs_lab.experiment.tours.report import TourReport
 from pcmrs_lab.experiment.tours.run import SUBJECTS, tour_scripted
 from tests.support.altered import with_operation

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from pcmrs_lab.campaign import networks
-from pcmrs_lab.campaign.networks import Namespaces, lan, namespaces
-from tests.unit.lab.campaign.scripted_programs import Programs
+from pcmrs.testing import networks
+from pcmrs.testing.networks import Namespaces, lan, namespaces
+from tests.support.scripted_programs import Programs
 
 
 @pytest.fixture

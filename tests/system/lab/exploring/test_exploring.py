@@ -14,7 +14,7 @@ from pcmrs_lab.campaign.explore.next_step_policy import WITH_STIMULATOR
 from pcmrs_lab.campaign.explore.script import Act, SessionScript, shrink
 from pcmrs_lab.campaign.explore.session import run_session
 from pcmrs_lab.campaign.explore.settings import workflow_of
-from tests.system.exploring.exploring_mutants import MUTANTS, SCRIPTED
+from tests.system.lab.exploring.exploring_mutants import MUTANTS, SCRIPTED
 
 TO_THE_HEAD = [Act(1.0, "go_on", "anna", {"turn": turn}) for turn in (1, 0, 1, 0, 1, 0, 1, 0, 0, 0)]
 """From nothing to the coil at its place."""

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from pcmrs_lab.campaign.network_impairment import NetworkImpairment
-from pcmrs_lab.campaign.proxy import tcp_proxy, udp_proxy
+from pcmrs.testing.impairment import NetworkImpairment
+from pcmrs.testing.proxy import tcp_proxy, udp_proxy
 
 
 class _Echo(asyncio.DatagramProtocol):

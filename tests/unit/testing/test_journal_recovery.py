@@ -10,11 +10,10 @@ from msgspec.structs import replace
 
 from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalReader, StoredRow
+from pcmrs.testing import journal_recovery as checking
 from pcmrs.testing.errors import Unmet
-from pcmrs.testing.journal import HEAD, KEY, NAME, PUBLIC_KEY, contents, place
-from pcmrs_lab.campaign import journal_recovery_check as checking
-from pcmrs_lab.campaign.journal_recovery_check import check_sound, is_recovered, missing_rows
-from pcmrs_lab.campaign.writing import row
+from pcmrs.testing.journal import HEAD, KEY, NAME, PUBLIC_KEY, contents, place, row
+from pcmrs.testing.journal_recovery import check_sound, is_recovered, missing_rows
 
 Written = tuple[dict[str, bytes], list[StoredRow]]
 

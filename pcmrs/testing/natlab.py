@@ -14,16 +14,22 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Final, Literal
 
-from pcmrs_lab.campaign.needs import ROOT, Need, program
-from pcmrs_lab.campaign.networks import Namespaces, ip, namespaces, run_quietly
+from pcmrs.testing.needs import ROOT, Need, program
+from pcmrs.testing.networks import Namespaces, ip, namespaces, run_quietly
+
+__all__ = ["GATEWAY", "INSIDE", "NEEDS", "OUTSIDE", "ROUTER", "SIDES", "NatLab", "Place", "Side", "missing", "nat_lab"]
 
 Side = Literal["cell", "remote"]
+"""Site behind a NAT."""
 Place = Literal["cell", "remote", "router"]
+"""Place at which a process runs: a site, or the router between them."""
 
 SIDES: Final[tuple[Side, ...]] = ("cell", "remote")
+"""Both sites."""
 INSIDE: Final = "192.168.1.2"
 """Address of the cell, and of the remote, each behind its NAT."""
 GATEWAY: Final = "192.168.1.1"
+"""Address of each NAT on its inner network."""
 ROUTER: Final[dict[Side, str]] = {"cell": "198.51.100.1", "remote": "203.0.113.1"}
 """Address of the router as each side dials it."""
 OUTSIDE: Final[dict[Side, str]] = {"cell": "198.51.100.2", "remote": "203.0.113.2"}
@@ -58,6 +64,7 @@ def _namespaces() -> bool:
 
 
 NEEDS: Final = (ROOT, program("ip"), program("nft"), Need("network namespaces with NAT and loss", _namespaces))
+"""Requirements of `nat_lab` on this machine."""
 
 
 def missing() -> str:

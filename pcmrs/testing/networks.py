@@ -11,7 +11,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any, Final, Generic, Literal, TypeVar
 
-from pcmrs_lab.campaign.needs import ROOT, Need, program
+from pcmrs.testing.needs import ROOT, Need, program
+
+__all__ = ["ADDRESSES", "NEEDS", "Machine", "Namespaces", "ip", "lan", "namespaces", "run_quietly"]
 
 PlaceName = TypeVar("PlaceName", bound=str)
 
@@ -113,7 +115,9 @@ def _end(process: subprocess.Popen[str]) -> None:
 
 
 Machine = Literal["cell", "other"]
+"""Machine of `lan`: that of the cell, and another one."""
 ADDRESSES: Final[dict[Machine, str]] = {"cell": "192.168.1.1", "other": "192.168.1.2"}
+"""Address of each machine of `lan`."""
 
 
 def _is_permitted() -> bool:
@@ -126,6 +130,7 @@ def _is_permitted() -> bool:
 
 
 NEEDS: Final = (ROOT, program("ip"), Need("network namespaces", _is_permitted))
+"""Requirements of `lan` on this machine."""
 
 
 @contextmanager

@@ -6,7 +6,7 @@ import pytest
 
 from pcmrs_lab.campaign.catalogue import choose
 from pcmrs_lab.campaign.run import run_campaign
-from tests.system.campaign.answered import check_answered
+from tests.system.lab.campaign.answered import check_answered
 
 QUICK = ("N5", "A7")
 """On one daemon, in seconds."""

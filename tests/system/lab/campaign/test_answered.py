@@ -8,14 +8,14 @@ from pcmrs_lab.campaign import fault as registry
 from pcmrs_lab.campaign.catalogue import choose
 from pcmrs_lab.campaign.report import FaultResult
 from pcmrs_lab.campaign.run import run_campaign
-from tests.system.campaign.answered import check_answered
+from tests.system.lab.campaign.answered import check_answered
 from tests.unit.lab.campaign.scripted_faults import register
 
 
 @pytest.fixture(autouse=True)
 def _scripted(monkeypatch: pytest.MonkeyPatch) -> None:
     register(monkeypatch)
-    monkeypatch.setattr("tests.system.campaign.answered.injections", lambda: registry.REGISTERED)
+    monkeypatch.setattr("tests.system.lab.campaign.answered.injections", lambda: registry.REGISTERED)
 
 
 async def results(*ids: str) -> list[FaultResult]:

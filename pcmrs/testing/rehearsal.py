@@ -18,6 +18,8 @@ from pcmrs.fsm.behaviour import Joint, joint_of
 from pcmrs.fsm.blueprint import START_OUTCOME, Blueprint
 from pcmrs.messages import Command, DeviceEvent, Verdict
 
+__all__ = ["LeapingClock", "ScriptedSteps", "rehearse", "scripted", "scripted_dispatcher"]
+
 AHEAD = 3600.0
 """Offset of the arrival of commands into the future, s of the event loop: no command is too late on a busy machine."""
 

@@ -1,6 +1,6 @@
 """Puts defects back, one at a time, and explores until each is found and shrunk; see docs/explore.md.
 
-.venv/bin/python -m tests.system.exploring.search_defects [NAME ...] [--minutes 10] [--jobs 2] [--seed 1] [--write]
+.venv/bin/python -m tests.system.lab.exploring.search_defects [NAME ...] [--minutes 10] [--jobs 2] [--seed 1] [--write]
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pcmrs_lab.campaign.explore.generate import draw_script
 from pcmrs_lab.campaign.explore.script import SessionScript, shrink, write_script
 from pcmrs_lab.campaign.explore.session import run_session
 from pcmrs_lab.campaign.explore.settings import workflow_of
-from tests.system.exploring.defects import DEFECTS, Defect
+from tests.system.lab.exploring.defects import DEFECTS, Defect
 
 MOST_ACTS = 12
 """A script that is longer than this explains nothing."""

@@ -1,4 +1,4 @@
-"""Requirements of a fault on the machine: programs, rights, kernel features."""
+"""Requirements of a test on the machine: programs, rights, kernel features."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
+
+__all__ = ["ROOT", "Need", "module", "program"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +25,7 @@ class Need:
 
 
 ROOT = Need("root", lambda: os.geteuid() == 0)
+"""Requirement of the rights of root."""
 
 
 def program(name: str) -> Need:
@@ -31,5 +34,5 @@ def program(name: str) -> Need:
 
 
 def module(name: str) -> Need:
-    """A Python module that is installed."""
+    """Return the requirement of an installed Python module."""
     return Need(name, lambda: find_spec(name) is not None)

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from pcmrs.testing.needs import Need
 from pcmrs.threads import Threads
 from pcmrs_lab.campaign import cgroups, loopdisk, syscalls
 from pcmrs_lab.campaign.cgroups import processor_quota
 from pcmrs_lab.campaign.fault import NotRun
 from pcmrs_lab.campaign.loopdisk import loop_disk
-from pcmrs_lab.campaign.needs import Need
 from pcmrs_lab.campaign.syscalls import injected
 from pcmrs_lab.campaign.tools import require
 

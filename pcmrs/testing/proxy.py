@@ -9,7 +9,9 @@ from functools import partial
 from typing import Any, Literal, cast
 
 from pcmrs.clock import SystemClock
-from pcmrs_lab.campaign.network_impairment import NetworkImpairment
+from pcmrs.testing.impairment import NetworkImpairment
+
+__all__ = ["tcp_proxy", "udp_proxy"]
 
 Address = tuple[str, int]
 Direction = Literal["towards", "back"]

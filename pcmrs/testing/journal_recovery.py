@@ -10,8 +10,9 @@ from pathlib import Path
 from pcmrs.errors import JournalError
 from pcmrs.journal import Journal, JournalReader, StoredRow, verify
 from pcmrs.testing.errors import Unmet
-from pcmrs.testing.journal import KEY, PUBLIC_KEY, contents
-from pcmrs_lab.campaign.writing import row
+from pcmrs.testing.journal import KEY, PUBLIC_KEY, contents, row
+
+__all__ = ["check_sound", "is_recovered", "missing_rows"]
 
 
 def is_recovered(path: Path, rows: Sequence[StoredRow]) -> bool:

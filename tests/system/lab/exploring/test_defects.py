@@ -6,8 +6,8 @@ import pytest
 
 from pcmrs_lab.campaign.explore.script import read_script
 from pcmrs_lab.campaign.explore.session import run_session
-from tests.system.exploring.defects import DEFECTS, FOLDER, Defect
-from tests.system.exploring.search_defects import MOST_ACTS
+from tests.system.lab.exploring.defects import DEFECTS, FOLDER, Defect
+from tests.system.lab.exploring.search_defects import MOST_ACTS
 
 BY_NAME = pytest.mark.parametrize("defect", DEFECTS.values(), ids=DEFECTS)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pcmrs_lab.campaign.needs import ROOT, module, program
+from pcmrs.testing.needs import ROOT, module, program
 
 
 def test_a_program_is_found_on_the_present_search_path(monkeypatch: pytest.MonkeyPatch) -> None:

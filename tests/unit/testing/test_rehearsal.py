@@ -13,10 +13,11 @@ import structlog
 
 from pcmrs.authoring.trial.coverage import Deviation
 from pcmrs.authoring.trial.tour import Tour, TourCommand, plan_tour
-from pcmrs.fsm import Blueprint
-from pcmrs_lab.experiment.tours.rehearsal import LeapingClock, rehearse
+from pcmrs.fsm import Blueprint, parse_blueprint
+from pcmrs.testing.rehearsal import LeapingClock, rehearse
 from tests.support.altered import with_operation
-from tests.unit.lab.blueprints import ratms, small
+from tests.support.shipped import shipped_blueprint
+from tests.unit.fsm.rules.small_workflow import SMALL
 
 Judged = tuple[TourCommand, Deviation | None]
 
@@ -29,8 +30,13 @@ def steps_that_raise_are_not_logged() -> Iterator[None]:
 
 
 @cache
+def small() -> Blueprint:
+    return parse_blueprint(SMALL.encode())
+
+
+@cache
 def tour() -> Tour:
-    return plan_tour(ratms())
+    return plan_tour(shipped_blueprint("ratms"))
 
 
 async def rehearsed(blueprint: Blueprint, *, outside: bool = True) -> list[Judged]:
@@ -39,7 +45,7 @@ async def rehearsed(blueprint: Blueprint, *, outside: bool = True) -> list[Judge
 
 @pytest.mark.parametrize("outside", [True, False])
 async def test_the_dispatcher_does_as_the_tour_says(outside: bool) -> None:
-    done = await rehearsed(ratms(), outside=outside)
+    done = await rehearsed(shipped_blueprint("ratms"), outside=outside)
     assert [deviation for _, deviation in done if deviation is not None] == []
     assert {move for move, _ in done} == set(tour().wanted)
 
@@ -65,7 +71,7 @@ async def test_nothing_is_too_late_however_busy_the_machine_is(monkeypatch: pyte
 async def test_a_dispatcher_that_runs_something_else_deviates(
     branch: str, operation: str, fields: dict[str, Any]
 ) -> None:
-    other = with_operation(ratms(), branch, operation, **fields)
+    other = with_operation(shipped_blueprint("ratms"), branch, operation, **fields)
     async with aclosing(cast(AsyncGenerator[Judged, None], rehearse(other, tour(), outside=True))) as judged:
         first = await anext(deviation async for _, deviation in judged if deviation is not None)
     assert first.command.startswith(f"{branch}.{operation}:")

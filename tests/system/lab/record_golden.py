@@ -1,6 +1,6 @@
 """Records the golden journals anew: real daemons on simulated devices, one for each workflow. Run by hand.
 
-    python -m tests.unit.replay.record_golden [WORKFLOW ...]
+    python -m tests.system.lab.record_golden [WORKFLOW ...]
 
 Each is led to the patient, refused, stopped, flooded, robbed of its drives in a motion, killed in another (kill -9),
 started again, toured at random for a while, and ended in order. What is written is the export of its journal without

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import pytest
 
-from pcmrs_lab.campaign import natlab
-from pcmrs_lab.campaign.natlab import NAT, NatLab, nat_lab
-from pcmrs_lab.campaign.needs import Need
-from tests.unit.lab.campaign.scripted_programs import Programs
+from pcmrs.testing import natlab
+from pcmrs.testing.natlab import NAT, NatLab, nat_lab
+from pcmrs.testing.needs import Need
+from tests.support.scripted_programs import Programs
 
 
 @pytest.fixture
