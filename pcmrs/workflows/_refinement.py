@@ -99,7 +99,7 @@ def surface_refines(run: Run) -> None:
         "sigma_surface": settings.surface_sigma_mm / 1000.0,
         "target": report["target"]["position"],
         "trim": settings.surface_trim,
-        "offsets": settings.offset_priors(),
+        "offsets": settings.offset_priors(run.cell.settings.tool),
     }
     try:
         refined = refine_with_surface(fit.fixed_from_moving, **measured)
@@ -119,7 +119,7 @@ def surface_refines(run: Run) -> None:
         "points": len(data.surface),
         "inliers": int(refined.inliers.sum()),
         "surface_rms": refined.rms,
-        "offsets": msgspec.to_builtins(refined.offsets),
+        "offsets": [msgspec.to_builtins(offset) for offset in refined.offsets],
         "coverage": _coverage_values(coverage),
     }
     run.prepared = fit, refined

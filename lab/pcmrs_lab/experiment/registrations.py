@@ -212,7 +212,7 @@ def _row(
             return float(np.linalg.norm(found @ phantom.target - truth @ phantom.target))
 
         landmarks.true.append(error(started))
-        for found, offsets in ((refined, phantom.settings.offset_priors()), (bare, ())):
+        for found, offsets in ((refined, phantom.settings.offset_priors("coil")), (bare, ())):
             try:
                 registration, predicted, estimate = phantom.refine(session, offsets)
             except RefusalError as refusal:

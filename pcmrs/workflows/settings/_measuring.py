@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
 
+from pcmrs.calibration import ToolType
 from pcmrs.workflows.settings._values import PoseSetting, Positive
 
 if TYPE_CHECKING:
@@ -56,7 +57,8 @@ class RegistrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
         surface_sigma_mm: Noise of a point touched on the skin along its normal, including the mesh's error, mm.
         surface_trim: Share of these points that is used.
         surface_offsets: Common offsets of these points along the normal that are estimated: none (on bare bone), one
-            for all points, one for the hair, one for the face, or one for each of the two.
+            for all points, one for the hair, one for the face, or one for each of the two. By tool: one for each if
+            the tool is a coil, which is placed on a head, otherwise none.
         surface_hair_mm: Expected offset of points in the hair, or of all points if there is one offset, outwards, mm.
         surface_hair_sigma_mm: Standard deviation of this expectation, mm.
         surface_face_mm: Expected offset of points on the bare face, outwards, mm.
@@ -84,7 +86,7 @@ class RegistrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
     touch_timeout_s: Positive = 30.0
     surface_sigma_mm: Positive = 0.7
     surface_trim: Annotated[float, msgspec.Meta(ge=0.5, le=1.0)] = 0.9
-    surface_offsets: Literal["none", "everywhere", "hair", "face", "hair_and_face"] = "hair_and_face"
+    surface_offsets: Literal["by_tool", "none", "everywhere", "hair", "face", "hair_and_face"] = "by_tool"
     surface_hair_mm: float = 2.0
     surface_hair_sigma_mm: Positive = 3.0
     surface_face_mm: float = 0.0
@@ -104,14 +106,19 @@ class RegistrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
                     f"{self.surface_offset_limit_mm:g}"
                 )
 
-    def offset_priors(self) -> tuple[OffsetPrior, ...]:
-        """Return the priors of the offsets that `surface_offsets` names."""
+    def offset_priors(self, tool: ToolType) -> tuple[OffsetPrior, ...]:
+        """Return the priors of the offsets that `surface_offsets` names.
+
+        Args:
+            tool: Type of the tool that the workflow places.
+        """
         from pcmrs.registration.surface import OffsetPrior  # loads numpy, which clients that read settings do without
 
         limit = self.surface_offset_limit_mm / 1000.0
         hair = self.surface_hair_mm / 1000.0, self.surface_hair_sigma_mm / 1000.0, limit
         face = self.surface_face_mm / 1000.0, self.surface_face_sigma_mm / 1000.0, limit
-        match self.surface_offsets:
+        by_tool = "hair_and_face" if tool == "coil" else "none"
+        match by_tool if self.surface_offsets == "by_tool" else self.surface_offsets:
             case "none":
                 return ()
             case "everywhere":
@@ -120,7 +127,7 @@ class RegistrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
                 return (OffsetPrior("hair", *hair),)
             case "face":
                 return (OffsetPrior("face", *face),)
-            case "hair_and_face":
+            case _:
                 return OffsetPrior("hair", *hair), OffsetPrior("face", *face)
 
 

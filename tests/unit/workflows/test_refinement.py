@@ -286,6 +286,7 @@ async def test_a_bone_is_refined_as_a_head_is() -> None:
         told = (await bench.accept("registration.refine")).result
         assert told is not None
         assert told["tre"] < told["tre_before"]
+        assert told["offsets"] == [], "bare bone has no hair"
 
 
 async def test_refinement_needs_a_surface_that_is_configured_or_named() -> None:
