@@ -32,6 +32,7 @@ from pcmrs.spatial import Floats, Transform
 
 Mask = npt.NDArray[np.bool_]
 OffsetRegion = Literal["everywhere", "hair", "face"]
+"""Region of points that have one offset."""
 MOTION = 6
 """Number of unknowns of the motion, which come before the offsets."""
 

@@ -30,6 +30,7 @@ from pcmrs.spatial import Floats, Transform
 __all__ = ["MORE_POINTS", "REGIONS", "Region", "RegionCoverage", "SurfaceCoverage", "surface_coverage"]
 
 Region = Literal["front", "back", "left", "right", "top"]
+"""Name of a region of the surface."""
 REGIONS: dict[Region, tuple[float, float, float]] = {
     "front": (0.0, 1.0, 0.0),
     "back": (0.0, -1.0, 0.0),

@@ -31,7 +31,7 @@ from pcmrs.registration._surface_fit import (
 from pcmrs.registration.rigid import motion_jacobians
 from pcmrs.spatial import Floats, Transform
 
-__all__ = ["OffsetPrior", "OffsetRegion", "SurfaceOffset", "SurfaceRefinement", "refine_with_surface"]
+__all__ = ["OffsetPrior", "SurfaceOffset", "SurfaceRefinement", "refine_with_surface"]
 
 MAX_ITERATIONS = 100
 CONVERGED = 1e-6

@@ -32,7 +32,8 @@ def within(head: TouchedHead, region: Region, count: int) -> Floats:
     others = np.array([*REGIONS.values(), (0.0, 0.0, -1.0)])
     inside = directions[np.argmax(normals @ others.T, axis=1) == list(REGIONS).index(region)]
     chosen = np.random.default_rng(0).choice(len(inside), count, replace=False)
-    return inside[chosen]
+    found: Floats = inside[chosen]
+    return found
 
 
 @pytest.mark.parametrize("name", HEADS)
