@@ -62,6 +62,10 @@ COMMANDS = {
         "pcmrs.cli.register:register",
         "Register the landmarks in DIGITIZED (body_ref) to those in PLAN (image), and check the result.",
     ),
+    "coverage": LazyCommand(
+        "pcmrs.cli.coverage:coverage",
+        "Print how many points of the surface were touched where, and where more of them would lower the TRE most.",
+    ),
     "skin": LazyCommand(
         "pcmrs.cli.skin:skin",
         "Extract the outer surface of the body in VOLUME: a NIfTI file, or a folder with one DICOM series.",

@@ -86,6 +86,26 @@ def check_step(motion: Transform, covariance: Floats) -> None:
         raise RefusalError("surface_step_too_large", text, step=squared, limit=MAX_STEP)
 
 
+def check_offset(region: str, value: float, deviation: float, limit: float) -> None:
+    """Raise an error if the touched points of a region have an offset that neither hair nor a light hand explains.
+
+    Args:
+        region: Region of the points.
+        value: Estimated offset, outwards, m.
+        deviation: Standard deviation of `value`, m.
+        limit: Largest plausible offset in either direction, m.
+    """
+    if not abs(value) <= limit:
+        place = {"hair": "in the hair", "face": "on the face"}.get(region, "of the surface")
+        side = "outside" if value > 0.0 else "inside"
+        text = (
+            f"The touched points {place} are {abs(value) * 1000:.3g} ± {deviation * 1000:.2g} mm {side} the mesh, "
+            f"limit {limit * 1000:.3g} mm; check the mesh, part the hair, and touch again."
+        )
+        fields = {"region": region, "offset": value, "deviation": deviation, "limit": limit}
+        raise RefusalError("surface_offset_too_large", text, **fields)
+
+
 def check_fit(rms: float, explained: float) -> None:
     """Raise an error if the points do not fit the surface at its best place.
 

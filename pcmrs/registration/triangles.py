@@ -47,9 +47,27 @@ class TriangleSurface:
 
         Each is the distance to a near triangle, so never less than the distance to the nearest one.
         """
-        _, near = self._tree.query(points)
-        found: Floats = np.linalg.norm(closest_on_triangles(points, self._corners[near]) - points, axis=1)
+        found: Floats = np.linalg.norm(self.near(points)[0] - points, axis=1)
         return found
+
+    def near(self, points: Floats) -> tuple[Floats, Floats]:
+        """Return near points of the surface and its outward unit normals there, (K, 3) each, in one query per point.
+
+        They are on the triangle whose middle is nearest, which is the nearest triangle or one beside it. That is enough
+        for a direction, and takes no memory for points that are far away.
+
+        Args:
+            points: Points, m, (K, 3).
+        """
+        _, nearest = self._tree.query(points)
+        triangles = np.asarray(nearest, dtype=np.int64)
+        found = closest_on_triangles(points, self._corners[triangles])
+        return found, self._normals(found, triangles)
+
+    def facets(self) -> tuple[Floats, Floats, Floats]:
+        """Return the middles of all triangles, m, (F, 3), their outward unit normals, (F, 3), and areas, m^2, (F,)."""
+        crosses = np.cross(self._corners[:, 1] - self._corners[:, 0], self._corners[:, 2] - self._corners[:, 0]) / 2.0
+        return self._corners.mean(axis=1), _unit(crosses), np.linalg.norm(crosses, axis=1)
 
     def closest(self, points: Floats) -> tuple[Floats, Floats]:
         """Return the nearest points of the surface, and its unit normals there, interpolated between the corners.

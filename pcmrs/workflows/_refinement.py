@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import PureWindowsPath
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -12,6 +12,7 @@ from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import ConfigurationError, RefusalError
 from pcmrs.formats.mesh import Mesh
+from pcmrs.registration.coverage import SurfaceCoverage, surface_coverage
 from pcmrs.registration.surface import refine_with_surface
 from pcmrs.workflows._registering import activate_registration, judge_landmarks
 from pcmrs.workflows._touching import touch
@@ -22,6 +23,9 @@ from pcmrs.workflows.reference import check_reference
 from pcmrs.workflows.surface import read_surface
 
 Run = AnyRun[Cell, PlacementData]
+
+HELPED_BY_POINTS = ("too_few_surface_points", "surface_flat", "tre_not_lowered")
+"""Refusals of a refinement after which more points in the right region help."""
 
 
 class SurfacePoints(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -85,19 +89,28 @@ def surface_refines(run: Run) -> None:
     fit, report = judge_landmarks(run)
     data, settings = run.data, run.cell.settings.registration
     mesh = _surface(run)
-    landmarks = np.array([landmark.position for landmark in data.landmarks])
-    refined = refine_with_surface(
-        fit.fixed_from_moving,
-        landmarks,
-        data.complete_digitization(),
-        report["sigma"],
-        mesh.vertices,
-        mesh.faces,
-        np.array(data.surface).reshape(-1, 3),
-        settings.surface_sigma_mm / 1000.0,
-        report["target"]["position"],
-        settings.surface_trim,
-    )
+    measured: dict[str, Any] = {
+        "landmarks_image": np.array([landmark.position for landmark in data.landmarks]),
+        "landmarks_body_ref": data.complete_digitization(),
+        "sigma": report["sigma"],
+        "vertices": mesh.vertices,
+        "faces": mesh.faces,
+        "points_body_ref": np.array(data.surface).reshape(-1, 3),
+        "sigma_surface": settings.surface_sigma_mm / 1000.0,
+        "target": report["target"]["position"],
+        "trim": settings.surface_trim,
+        "offsets": settings.offset_priors(run.cell.settings.tool),
+    }
+    try:
+        refined = refine_with_surface(fit.fixed_from_moving, **measured)
+    except RefusalError as error:
+        if error.refusal_code not in HELPED_BY_POINTS:
+            raise
+        coverage = surface_coverage(fit.fixed_from_moving, **measured)
+        text = f"{error.text} What lowers the predicted TRE most: {coverage.advice}."
+        fields = error.fields | {"coverage": _coverage_values(coverage)}
+        raise RefusalError(error.refusal_code, text, **fields) from None
+    coverage = surface_coverage(refined.body_ref_from_image, **measured)
     run.result |= {
         "landmarks": report,
         "tre_before": refined.tre_before,
@@ -106,8 +119,16 @@ def surface_refines(run: Run) -> None:
         "points": len(data.surface),
         "inliers": int(refined.inliers.sum()),
         "surface_rms": refined.rms,
+        "offsets": [msgspec.to_builtins(offset) for offset in refined.offsets],
+        "coverage": _coverage_values(coverage),
     }
     run.prepared = fit, refined
+
+
+def _coverage_values(coverage: SurfaceCoverage) -> dict[str, Any]:
+    """Return the coverage as values of a result, lengths in m."""
+    values: dict[str, Any] = msgspec.to_builtins(coverage)
+    return values | {"advice": coverage.advice}
 
 
 def keep_refined_registration(run: Run) -> None:

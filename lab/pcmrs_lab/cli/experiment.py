@@ -206,6 +206,32 @@ def hotspots(subjects: int, seed: int, intensity: float, plot: Path | None, as_j
         save_png(hotspots_figure(report, searched, mesh), plot)
 
 
+@experiment.command()
+@click.option("--runs", type=click.IntRange(min=1), default=1000, show_default=True, help="Number of runs of each row.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the touches.")
+@plot_option
+@json_option
+@readable_errors
+def registrations(runs: int, seed: int, plot: Path | None, as_json: bool) -> None:
+    """Register a head by landmarks and points of its skin: true against predicted error, without a daemon.
+
+    Rows change the number of points, their region, their noise, the hair and the share of outliers. Beside it are the
+    refinement that takes hair for skin, and plain ICP of trimesh.
+
+    Example: pcmrs experiment registrations --runs 1000 --seed 1 --plot registrations.png
+    """
+    from pcmrs.analysis.plots import save_png
+    from pcmrs_lab.cli.registration_tables import registration_table
+    from pcmrs_lab.experiment.registration_plot import registrations_figure
+    from pcmrs_lab.experiment.registrations import run_registrations
+
+    with progress_bar() as progress:
+        report = run_registrations(runs, seed, progress)
+    print_report(report, registration_table(report), as_json=as_json)
+    if plot is not None:
+        save_png(registrations_figure(report), plot)
+
+
 @click.command()
 @experiment_options("ratms")
 @readable_errors

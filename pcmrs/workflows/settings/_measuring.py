@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
 
+from pcmrs.calibration import ToolType
 from pcmrs.workflows.settings._values import PoseSetting, Positive
+
+if TYPE_CHECKING:
+    from pcmrs.registration.surface import OffsetPrior
 
 
 class CalibrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -52,12 +56,24 @@ class RegistrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
         touch_timeout_s: Longest wait for a touch, s.
         surface_sigma_mm: Noise of a point touched on the skin along its normal, including the mesh's error, mm.
         surface_trim: Share of these points that is used.
+        surface_offsets: Common offsets of these points along the normal that are estimated: none (on bare bone), one
+            for all points, one for the hair, one for the face, or one for each of the two. By tool: one for each if
+            the tool is a coil, which is placed on a head, otherwise none.
+        surface_hair_mm: Expected offset of points in the hair, or of all points if there is one offset, outwards, mm.
+        surface_hair_sigma_mm: Standard deviation of this expectation, mm.
+        surface_face_mm: Expected offset of points on the bare face, outwards, mm.
+        surface_face_sigma_mm: Standard deviation of this expectation, mm.
+        surface_offset_limit_mm: Largest accepted estimate of an offset in either direction, mm: beyond it, the mesh is
+            wrong or the hair has to be parted.
         retouch_sigma_mm: Noise of a second touch of one landmark, standard deviation per axis, mm: the part of
             `sigma_mm` that is not the fixed error of the plan (femur: 0.52).
         reference_limit_mm: Largest shift of the reference against the witness, mm: far above the effect of the
             tracker's jitter and bias, and below what matters at a target.
         reference_limit_deg: Largest rotation of the reference against the witness, deg.
         reference_frames: Number of successive frames that must show the shift.
+
+    Raises:
+        ValueError: An expected offset is beyond the limit of an estimated one.
     """
 
     residual_limit_mm: Positive = 4.0
@@ -70,10 +86,49 @@ class RegistrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
     touch_timeout_s: Positive = 30.0
     surface_sigma_mm: Positive = 0.7
     surface_trim: Annotated[float, msgspec.Meta(ge=0.5, le=1.0)] = 0.9
+    surface_offsets: Literal["by_tool", "none", "everywhere", "hair", "face", "hair_and_face"] = "by_tool"
+    surface_hair_mm: float = 2.0
+    surface_hair_sigma_mm: Positive = 3.0
+    surface_face_mm: float = 0.0
+    surface_face_sigma_mm: Positive = 1.0
+    surface_offset_limit_mm: Positive = 8.0
     retouch_sigma_mm: Positive = 0.95
     reference_limit_mm: Positive = 1.5
     reference_limit_deg: Positive = 1.0
     reference_frames: Annotated[int, msgspec.Meta(ge=2)] = 6
+
+    def __post_init__(self) -> None:
+        for region in ("hair", "face"):
+            expected = getattr(self, f"surface_{region}_mm")
+            if not abs(expected) <= self.surface_offset_limit_mm:
+                raise ValueError(
+                    f"registration.surface_{region}_mm is {expected:g}, beyond surface_offset_limit_mm, which is "
+                    f"{self.surface_offset_limit_mm:g}"
+                )
+
+    def offset_priors(self, tool: ToolType) -> tuple[OffsetPrior, ...]:
+        """Return the priors of the offsets that `surface_offsets` names.
+
+        Args:
+            tool: Type of the tool that the workflow places.
+        """
+        from pcmrs.registration.surface import OffsetPrior  # loads numpy, which clients that read settings do without
+
+        limit = self.surface_offset_limit_mm / 1000.0
+        hair = self.surface_hair_mm / 1000.0, self.surface_hair_sigma_mm / 1000.0, limit
+        face = self.surface_face_mm / 1000.0, self.surface_face_sigma_mm / 1000.0, limit
+        by_tool = "hair_and_face" if tool == "coil" else "none"
+        match by_tool if self.surface_offsets == "by_tool" else self.surface_offsets:
+            case "none":
+                return ()
+            case "everywhere":
+                return (OffsetPrior("everywhere", *hair),)
+            case "hair":
+                return (OffsetPrior("hair", *hair),)
+            case "face":
+                return (OffsetPrior("face", *face),)
+            case _:
+                return OffsetPrior("hair", *hair), OffsetPrior("face", *face)
 
 
 class VolumeSlice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

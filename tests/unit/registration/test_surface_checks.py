@@ -43,6 +43,10 @@ CASES: dict[str, tuple[Callable[[], None], Callable[[], None]]] = {
         lambda: checks.check_curvature(normals_within(CAP / 4.0)),
     ),
     "surface_step_too_large": (step(4.7), step(4.8)),
+    "surface_offset_too_large": (
+        lambda: checks.check_offset("hair", 0.008, 0.0001, 0.008),
+        lambda: checks.check_offset("hair", 0.00801, 0.0001, 0.008),
+    ),
     "surface_misfit": (lambda: checks.check_fit(0.002, 0.001), lambda: checks.check_fit(0.00201, 0.001)),
     "tre_not_lowered": (lambda: checks.check_gain(0.002, 0.00195), lambda: checks.check_gain(0.002, 0.00197)),
 }
@@ -58,12 +62,23 @@ def test_each_check_refuses_just_beyond_its_limit(code: str) -> None:
     assert refused.value.fields
 
 
+@pytest.mark.parametrize(
+    ("region", "value", "words"),
+    [("hair", 0.009, "in the hair are 9 ± 0.2 mm outside"), ("face", -0.0085, "on the face are 8.5 ± 0.2 mm inside")],
+)
+def test_offset_is_refused_with_place_side_and_deviation(region: str, value: float, words: str) -> None:
+    with pytest.raises(RefusalError, match=words):
+        checks.check_offset(region, value, 0.0002, 0.008)
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_values_that_are_no_numbers_pass_no_check(bad: float) -> None:
     with pytest.raises(RefusalError, match="check that the mesh is this patient's"):
         checks.check_near(np.full(5, bad), np.full(5, 0.001))
     with pytest.raises(RefusalError, match="keep the landmarks' registration"):
         checks.check_gain(0.002, bad)
+    with pytest.raises(RefusalError, match="part the hair"):
+        checks.check_offset("everywhere", bad, 0.001, 0.008)
 
 
 def test_half_of_the_points_decide_whether_the_start_is_near() -> None:

@@ -58,6 +58,9 @@ def test_the_nearest_triangle_of_uneven_ones_is_found(seed: int) -> None:
     np.testing.assert_allclose(distances, all_of_them, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
     assert (surface.distance_bounds(points) >= distances - 1e-12).all()
+    near, turned = surface.near(points)
+    np.testing.assert_allclose(np.linalg.norm(near - points, axis=1), surface.distance_bounds(points))
+    np.testing.assert_allclose(np.linalg.norm(turned, axis=1), 1.0)
 
 
 def test_a_lattice_of_points_is_nowhere_nearer() -> None:
@@ -76,3 +79,13 @@ def test_triangles_without_area_are_left_out() -> None:
     found, normals = surface.closest(np.array([(0.2, 0.2, 0.6)]))
     np.testing.assert_allclose(found, [(0.2, 0.2, 0.0)])
     np.testing.assert_allclose(normals, [(0.0, 0.0, 1.0)])
+
+
+def test_facets_of_a_closed_surface_add_up() -> None:
+    """The areas are those of a tetrahedron, and the areas times normals cancel (divergence theorem)."""
+    vertices = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)])
+    faces = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
+    middles, normals, areas = TriangleSurface(vertices, faces).facets()
+    np.testing.assert_allclose(areas, [0.5, 0.5, 0.5, np.sqrt(3.0) / 2.0])
+    np.testing.assert_allclose(areas @ normals, 0.0, atol=1e-12)
+    assert np.sum(areas * np.sum(middles * normals, axis=1)) / 3.0 > 0.0

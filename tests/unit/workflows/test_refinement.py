@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import pytest_asyncio
 
+from pcmrs.messages import Command
 from pcmrs.spatial import distance
 from pcmrs.workflows.data import as_transform
 from pcmrs_sim import head
@@ -153,6 +154,44 @@ async def test_useless_refinement_is_refused_with_both_values(
 
 
 @UNCHANGED
+async def test_offsets_and_coverage_are_reported(shared_touched: WorkflowBench) -> None:
+    """A dry run has them, too, so that a display can follow the touches."""
+    command = Command(id="dry", branch="registration", operation="refine", source="test:user", arguments={})
+    told = (await shared_touched.dispatcher.dry_run(command)).result
+    hair, face = told["offsets"]
+    assert (hair["region"], face["region"]) == ("hair", "face")
+    assert hair["points"] + face["points"] == told["inliers"]
+    for offset in (hair, face):
+        assert abs(offset["value"]) < 3.0 * offset["deviation"] < 0.004
+    coverage = told["coverage"]
+    assert sum(each["points"] for each in coverage["regions"]) <= ENOUGH
+    assert coverage["tre"] == pytest.approx(told["tre"], rel=0.15)
+    assert coverage["regions"][0]["tre"] < coverage["tre"]
+    assert coverage["advice"].startswith("20 points ")
+
+
+@UNCHANGED
+async def test_a_refusal_says_which_points_would_help(shared_digitized: WorkflowBench) -> None:
+    verdict = await shared_digitized.refuse("registration.refine", "too_few_surface_points")
+    assert verdict.reason is not None
+    coverage = verdict.reason.fields["coverage"]
+    assert coverage["advice"] in verdict.reason.text
+    assert coverage["regions"][0]["tre"] < coverage["tre"]
+
+
+@UNCHANGED
+async def test_an_offset_out_of_range_is_refused_with_it(
+    shared_touched: WorkflowBench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine = shared_touched.cell.settings
+    narrow = msgspec.structs.replace(mine.registration, surface_hair_mm=0.0, surface_offset_limit_mm=1e-6)
+    monkeypatch.setattr(shared_touched.cell, "settings", msgspec.structs.replace(mine, registration=narrow))
+    verdict = await shared_touched.refuse("registration.refine", "surface_offset_too_large")
+    assert verdict.reason is not None
+    assert abs(verdict.reason.fields["offset"]) > verdict.reason.fields["limit"]
+
+
+@UNCHANGED
 @pytest.mark.parametrize("name", ["no_such.ply", "", "/", "../../../etc/passwd", "C:\\skins\\"])
 async def test_an_unknown_surface_is_refused(shared_digitized: WorkflowBench, name: str) -> None:
     await shared_digitized.refuse("registration.refine", "unknown_surface", surface=name)
@@ -247,6 +286,7 @@ async def test_a_bone_is_refined_as_a_head_is() -> None:
         told = (await bench.accept("registration.refine")).result
         assert told is not None
         assert told["tre"] < told["tre_before"]
+        assert told["offsets"] == [], "bare bone has no hair"
 
 
 async def test_refinement_needs_a_surface_that_is_configured_or_named() -> None:
