@@ -69,12 +69,12 @@ class DaskPool:
                     break
                 number, content = request
                 future = self._client.submit(run_request, content, pure=False, retries=RETRIES)
-                numbers[future.key] = number
+                numbers[str(future.key)] = number
                 running.add(future)
             if not numbers:
                 return
             done = next(running)
-            yield numbers.pop(done.key), _reply(done)
+            yield numbers.pop(str(done.key)), _reply(done)
 
     def _most(self) -> int:
         if self._workers is not None:
@@ -109,7 +109,7 @@ def local_pool(workers: int) -> Iterator[DaskPool]:
             host="127.0.0.1",
             dashboard_address="127.0.0.1:0",
             security=True,
-            silence_logs=logging.ERROR,
+            silence_logs=logging.CRITICAL,
             memory_limit=None,
         )
         client = Client(cluster, set_as_default=False)

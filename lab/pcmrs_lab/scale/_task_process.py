@@ -95,8 +95,7 @@ def answer(request: TaskRequest) -> TaskReply:
 def main() -> None:
     """Answer requests until standard input ends, and then end within `END_TIME`, whatever is running."""
     requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    os.dup2(nothing, 0)
+    os.dup2(os.open(os.devnull, os.O_RDWR), 0)
     os.dup2(2, 1)  # what a task prints is no reply
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
@@ -117,6 +116,7 @@ def _read(requests: IO[bytes], waiting: SimpleQueue[bytes]) -> None:
     last = threading.Timer(END_TIME, os.killpg, (os.getpgid(0), signal.SIGKILL))
     last.daemon = True
     last.start()
+    os.dup2(0, 2)  # nobody waits for what an interrupted task complains about
     os.kill(os.getpid(), signal.SIGINT)
 
 

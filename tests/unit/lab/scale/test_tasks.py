@@ -10,9 +10,14 @@ from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
 
+import dask
 import pytest
+from distributed import LocalCluster
+from distributed.security import Security
 
 from pcmrs.errors import ConfigurationError
+from pcmrs.testing.daemon import free_port
+from pcmrs_lab.scale import _dask
 from pcmrs_lab.scale.tasks import HERE, TaskFailedError, Workers, run_tasks
 from tests.unit.lab.scale.drawing import Drawn, DrawTask, draw, fail, started
 
@@ -146,6 +151,32 @@ def test_no_tasks_have_no_results() -> None:
 def test_unencrypted_addresses_elsewhere_are_refused(address: str) -> None:
     with pytest.raises(ConfigurationError, match="tls://HOST:PORT"):
         list(run_tasks(draw, [], Workers(cluster=address), 1))
+
+
+@pytest.mark.parametrize("encrypted", [False, True])
+def test_a_cluster_finds_what_this_process_finds(encrypted: bool, folder: Path) -> None:
+    """On loopback addresses, or with the certificates of Dask's own configuration."""
+    keys = Security.temporary()
+    (folder / "cert.pem").write_text(keys.tls_ca_file)
+    (folder / "key.pem").write_text(keys.tls_client_key)
+    own = {"cert": str(folder / "cert.pem"), "key": str(folder / "key.pem")}
+    files = {"ca-file": own["cert"], "client.cert": own["cert"], "client.key": own["key"]}
+    tls = {f"distributed.comm.tls.{name}": file for name, file in files.items()} if encrypted else {}
+    security = keys if encrypted else Security()
+    pages = {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
+    with (
+        dask.config.set(tls | pages),
+        LocalCluster(n_workers=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", security=security) as cluster,
+    ):
+        address = cluster.scheduler_address
+        assert address.startswith("tls://" if encrypted else "tcp://127.0.0.1:")
+        assert results(folder, range(5), Workers(cluster=address)) == results(folder, range(5), HERE)
+
+
+def test_a_cluster_that_does_not_answer_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_dask, "CONNECT_TIME", 0.2)
+    with pytest.raises(ConfigurationError, match=r"No Dask scheduler answers at tcp://127\.0\.0\.1:"):
+        list(run_tasks(draw, [], Workers(cluster=f"tcp://127.0.0.1:{free_port()}"), 1))
 
 
 def test_tls_without_certificates_is_refused() -> None:
