@@ -35,10 +35,13 @@ def experiment() -> None:
 @click.option(
     "--seeds", default=1, show_default=True, type=click.IntRange(min=1), help="Number of seeds, from --seed on."
 )
+@workers_options(1)
 @plot_option
 @json_option
 @readable_errors
-def placements(options: ExperimentOptions, trials: int, seeds: int, plot: Path | None, as_json: bool) -> None:
+def placements(
+    options: ExperimentOptions, trials: int, seeds: int, workers: Workers, plot: Path | None, as_json: bool
+) -> None:
     """Place the tool at planned poses, measure it, and compare with the paper's errors.
 
     Example: pcmrs experiment placements --seeds 10 --report placements.json --plot placements.png
@@ -46,13 +49,16 @@ def placements(options: ExperimentOptions, trials: int, seeds: int, plot: Path |
     With --drivers virtual the daemon uses the drivers of real devices, kst and ndi, over TCP. A virtual cabinet and a
     virtual tracker, which share the simulated cell, answer them. This runs in real time.
 
-    Each of several seeds runs on its own daemon, one after the other. Exit status 1: a command was refused, such as a
-    registration.
+    Each of several seeds runs on its own daemon. Exit status 1: a command was refused, such as a registration.
     """
+    if workers != HERE and seeds == 1:
+        raise click.UsageError(
+            "--workers, --cluster and --finished are for many seeds: give their number with --seeds."
+        )
     if seeds == 1:
         _plot([_placements(options, trials, as_json=as_json)], plot)
     else:
-        _placements_of_seeds(options, trials, seeds, plot, as_json=as_json)
+        _placements_of_seeds(options, trials, seeds, workers, plot, as_json=as_json)
 
 
 @experiment.command()
@@ -245,13 +251,13 @@ def _placements(options: ExperimentOptions, trials: int, *, as_json: bool) -> Pl
 
 
 def _placements_of_seeds(
-    options: ExperimentOptions, trials: int, seeds: int, plot: Path | None, *, as_json: bool
+    options: ExperimentOptions, trials: int, seeds: int, workers: Workers, plot: Path | None, *, as_json: bool
 ) -> None:
     from pcmrs_lab.cli.experiment_tables import seeds_tables
     from pcmrs_lab.experiment.placement_seeds import run_seeds
 
     with progress_bar() as progress:
-        report = run(run_seeds(options.setup(options.workflow or "ratms", progress), trials, seeds))
+        report = run_seeds(options.setup(options.workflow or "ratms", progress), trials, seeds, workers)
     _show(report, seeds_tables(report), options, as_json=as_json)
     _plot(report.reports, plot)
     if len(report.reports) < seeds:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -32,7 +33,7 @@ class _Line(msgspec.Struct, frozen=True):
 class FinishedTasks:
     """Finished tasks of one function and one version of the code; those of others stay in the file.
 
-    Each is on the disk when `add` returns. A line that was being written when the machine failed is removed.
+    They are on the disk when `add` returns. A line that was being written when the machine failed is removed.
 
     Args:
         path: File, JSON lines; created if it is missing.
@@ -66,15 +67,16 @@ class FinishedTasks:
         """Return the result of a task; None if it is not finished."""
         return self._results.get(task)
 
-    def add(self, task: bytes, result: bytes) -> None:
-        """Append a finished task, and wait until it is on the disk.
+    def add(self, tasks: Iterable[bytes], results: Iterable[bytes]) -> None:
+        """Append finished tasks, and wait until they are on the disk.
 
         Args:
-            task: The task, as JSON.
-            result: Its result, MessagePack.
+            tasks: Tasks, as JSON.
+            results: Their results, MessagePack.
         """
-        line = _Line(self._function, self._version, msgspec.Raw(task), result)
-        self._file.write(msgspec.json.encode(line) + b"\n")
+        for task, result in zip(tasks, results, strict=True):
+            line = _Line(self._function, self._version, msgspec.Raw(task), result)
+            self._file.write(msgspec.json.encode(line) + b"\n")
         self._file.flush()
         os.fsync(self._file.fileno())
 

@@ -78,9 +78,9 @@ def run_tasks(
         if workers.cluster or workers.number > 1:
             running = _on_dask(called.name, requests, stack.enter_context(_pool(workers)))
         for request, results in running:
+            if file is not None:
+                file.add([called.encode(task) for task in request], results)
             for task, result in zip(request, results, strict=True):
-                if file is not None:
-                    file.add(called.encode(task), result)
                 yield task, called.decode(result)
             yield from ((task, called.decode(result)) for task, result in known)
             known.clear()

@@ -14,8 +14,7 @@ from pcmrs_lab.scale._finished import FinishedTasks
 def path(tmp_path: Path) -> Path:
     path = tmp_path / "finished.jsonl"
     with FinishedTasks(path, "m:f", "v1") as file:
-        file.add(b'{"seed":1}', b"\xff one")
-        file.add(b'{"seed":2}', b"two")
+        file.add([b'{"seed":1}', b'{"seed":2}'], [b"\xff one", b"two"])
     return path
 
 
@@ -32,7 +31,7 @@ def test_a_finished_task_is_found_again(path: Path) -> None:
 def test_other_code_or_function_finds_nothing_and_keeps_all(path: Path, function: str, version: str) -> None:
     with FinishedTasks(path, function, version) as file:
         assert file.get(b'{"seed":1}') is None
-        file.add(b'{"seed":1}', b"other")
+        file.add([b'{"seed":1}'], [b"other"])
     with FinishedTasks(path, "m:f", "v1") as file:
         assert file.get(b'{"seed":1}') == b"\xff one"
 
@@ -43,7 +42,7 @@ def test_a_line_that_was_being_written_is_removed(path: Path, cut: int) -> None:
     path.write_bytes(whole[:-cut])
     with FinishedTasks(path, "m:f", "v1") as file:
         assert (file.get(b'{"seed":1}'), file.get(b'{"seed":2}')) == (b"\xff one", None)
-        file.add(b'{"seed":2}', b"two")
+        file.add([b'{"seed":2}'], [b"two"])
     assert path.read_bytes() == whole
 
 
