@@ -94,7 +94,7 @@ def _timed(commands: list[list[str]]) -> float:
     processes = [subprocess.Popen(command, stdout=subprocess.DEVNULL) for command in commands]
     for process in processes:
         if process.wait() != 0:
-            raise SystemExit(f"{process.args} has failed.")
+            raise SystemExit(f"{process.args!r} has failed.")
     return time.monotonic() - started
 
 

@@ -163,7 +163,7 @@ def test_a_cluster_finds_what_this_process_finds(encrypted: bool, folder: Path) 
     files = {"ca-file": own["cert"], "client.cert": own["cert"], "client.key": own["key"]}
     tls = {f"distributed.comm.tls.{name}": file for name, file in files.items()} if encrypted else {}
     security = keys if encrypted else Security()
-    pages = {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
+    pages: dict[str, object] = {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
     with (
         dask.config.set(tls | pages),
         LocalCluster(n_workers=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", security=security) as cluster,
