@@ -217,7 +217,7 @@ PARTS: dict[str, tuple[list[str], Reader]] = {
     "kinematics": (["kinematics.py", "--arms", "iiwa14", "panda", "ur5", "--targets", "1000"], from_kinematics),
     "archive": (["archive.py", "--sessions", "100", "--rows", "10000"], from_archive),
     "explore": (
-        ["-m", "pcmrs.cli", "faults", "explore", "--jobs", "1", "--sessions", "24", "--seed", "1"],
+        ["-m", "pcmrs.cli", "faults", "explore", "--workers", "1", "--sessions", "24", "--seed", "1"],
         from_explore,
     ),
 }

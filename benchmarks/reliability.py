@@ -40,7 +40,7 @@ def main() -> None:
     parser.add_argument("--sessions-minutes", type=float, default=60.0, help="minutes of simulated sessions")
     parser.add_argument("--stops", type=int, default=1_000, help="Stops under a flood, and as many without")
     parser.add_argument("--datagrams", type=int, default=1_000_000, help="fuzzed datagrams")
-    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--workers", type=int, default=2, help="processes of sessions and catalogue")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     found: dict[str, Any] = {"machine": platform.platform(), "python": platform.python_version(), "simulated": True}
@@ -56,14 +56,14 @@ def _parts(options: argparse.Namespace) -> dict[str, Callable[[], dict[str, Any]
     """Return the measurements in order."""
     kills = ("kill", "--times", options.kills, "--daemons", options.daemons)
     power = ("cut", "--cuts", 0, "--flips", 0, "--power", options.power)
-    sessions = ("explore", "--sessions", 1_000_000, "--minutes", options.sessions_minutes, "--jobs", options.jobs)
+    sessions = ("explore", "--sessions", 1_000_000, "--minutes", options.sessions_minutes, "--workers", options.workers)
     parts: dict[str, tuple[float, Callable[[], dict[str, Any]]]] = {
         "kills": (options.kills + options.daemons, lambda: _faults(*kills)),
         "power cuts": (options.power, lambda: _faults(*power)),
         "Stop": (options.stops, lambda: asyncio.run(_stops(options.stops))),
         "fuzzed datagrams": (options.datagrams, lambda: _faults("fuzz", "--datagrams", options.datagrams)),
         "simulated sessions": (options.sessions_minutes, lambda: _faults(*sessions)),
-        "catalogue": (options.seeds, lambda: _catalogue(options.seeds, options.jobs)),
+        "catalogue": (options.seeds, lambda: _catalogue(options.seeds, options.workers)),
     }
     return {name: measure for name, (amount, measure) in parts.items() if amount}
 
@@ -79,9 +79,9 @@ def _faults(*words: object, seeds: int = SEED) -> dict[str, Any]:
         return {"status": run.returncode, "error": run.stderr[-500:]}
 
 
-def _catalogue(seeds: int, jobs: int) -> dict[str, Any]:
+def _catalogue(seeds: int, workers: int) -> dict[str, Any]:
     """Return the results of all faults."""
-    report = _faults("run", "--jobs", jobs, seeds=seeds)
+    report = _faults("run", "--workers", workers, seeds=seeds)
     results = report.get("faults", [])
     rest = {f"{each['id']} seed {each['seed']}": each["response"] for each in results if each["outcome"] != "passed"}
     counts = Counter[str](each["outcome"] for each in results)

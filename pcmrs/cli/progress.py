@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
 
 from pcmrs.cli.tables import Terminal
 from pcmrs.clock import SystemClock
@@ -17,6 +17,10 @@ LONG = 20_000
 
 LINE_PERIOD = 10.0
 """Time between two lines without a terminal, s of the machine."""
+
+
+SPEED_PERIOD = 600.0
+"""Period over which the speed is estimated for the remaining time, s of the machine: a fault takes half a minute."""
 
 
 @contextmanager
@@ -32,8 +36,9 @@ def progress_bar(*, beyond: int = 0, transient: bool = False) -> Iterator[Callab
     """
     console = Terminal(stderr=True)
     # A string as a column is escaped by the terminal; a TextColumn is not.
-    columns = ("{task.description:<40}", BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    bar = Progress(*columns, console=console, transient=transient)
+    times = (TimeElapsedColumn(), "left", TimeRemainingColumn())
+    columns = ("{task.description:<40}", BarColumn(), MofNCompleteColumn(), *times)
+    bar = Progress(*columns, console=console, transient=transient, speed_estimate_period=SPEED_PERIOD)
     task = bar.add_task("", total=None)
     clock, last = SystemClock(), -math.inf
     with ExitStack() as shown:

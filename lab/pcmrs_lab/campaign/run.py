@@ -1,16 +1,18 @@
-"""Runs a campaign: every fault with every seed, each with a deadline, several at a time."""
+"""Runs a campaign: every fault with every seed, each with a deadline, on one or more workers."""
 
 from __future__ import annotations
 
-import asyncio
+import logging
 import tempfile
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
+import structlog
 
 import pcmrs
+from pcmrs.cli.running import run
 from pcmrs.clock import Clock, SystemClock
 from pcmrs.errors import PcmrsError
 from pcmrs.testing.errors import Unmet
@@ -23,17 +25,31 @@ from pcmrs_lab.campaign.sham import is_sham as in_sham
 from pcmrs_lab.campaign.sham import sham
 from pcmrs_lab.campaign.tools import require
 from pcmrs_lab.campaign.tries import difference, listed, recorded_tries
+from pcmrs_lab.scale.tasks import HERE, ShowProgress, Workers, run_tasks
 
 NO_INJECTION = "this version has no injection for it"
+FAULTS_AT_ONCE = 4
+"""Number of faults in one request: they share a daemon while they need the same settings."""
 
-ShowProgress = Callable[[str, int, int], None]
-"""Called with the current fault, and with how many of how many faults are done."""
+
+class FaultTask(msgspec.Struct, frozen=True):
+    """Fault to inject.
+
+    Attributes:
+        id: Row of the catalogue.
+        seed: Seed of everything that is random.
+        is_sham: True if no fault is injected.
+    """
+
+    id: str
+    seed: int
+    is_sham: bool
 
 
-async def run_campaign(
+def run_campaign(
     rows: Sequence[CatalogueRow],
     seeds: Sequence[int],
-    jobs: int = 1,
+    workers: Workers = HERE,
     progress: ShowProgress = lambda *_: None,
     *,
     is_sham: bool = False,
@@ -43,43 +59,61 @@ async def run_campaign(
     Args:
         rows: Rows of the catalogue.
         seeds: Seeds of everything that is random.
-        jobs: Number of faults at a time, each with separate daemons.
-        progress: Called before each fault.
+        workers: Where the faults are injected, each worker into separate daemons.
+        progress: Called after each fault.
         is_sham: True if no fault is injected; an injection has passed if it detects that.
 
     Returns:
         Report of all results.
+
+    Raises:
+        ConfigurationError: The workers cannot be used.
     """
     clock = SystemClock()
     started = clock.monotonic()
-    waiting = [(row, seed) for seed in seeds for row in rows]
-    total, results = len(waiting), list[FaultResult]()
-    waiting.reverse()
-
-    async def work() -> None:
-        with tempfile.TemporaryDirectory(prefix="pcmrs-faults-", ignore_cleanup_errors=True) as name:
-            pool = Pool(Path(name))
-            try:
-                while waiting:
-                    row, seed = waiting.pop()
-                    progress(f"{row.id} {row.title}"[:40], len(results), total)
-                    results.append(await run_fault(row, seed, Path(name), pool, clock, is_sham=is_sham))
-            finally:
-                await pool.close()
-
-    await asyncio.gather(*(work() for _ in range(min(jobs, total))))
-    progress("done", total, total)
-    order = {(row.id, seed): number for number, (row, seed) in enumerate((r, s) for r in rows for s in seeds)}
-    results.sort(key=lambda result: order[result.id, result.seed])
+    tasks = [FaultTask(row.id, seed, is_sham) for seed in seeds for row in rows]
+    results: dict[tuple[str, int], FaultResult] = {}
+    for task, result in run_tasks(inject_faults, tasks, workers, FAULTS_AT_ONCE):
+        results[task.id, task.seed] = result
+        progress(f"{result.id} {result.title}"[:40], len(results), len(tasks))
+    in_order = [results[row.id, seed] for row in rows for seed in seeds]
     return CampaignReport(
         simulated=True,
         version=pcmrs.__version__,
         seeds=list(seeds),
         seconds=clock.monotonic() - started,
-        faults=results,
-        summary=summarize(results),
+        faults=in_order,
+        summary=summarize(in_order),
         sham=is_sham,
     )
+
+
+def inject_faults(tasks: list[FaultTask]) -> list[FaultResult]:
+    """Inject faults one after the other, and return their results.
+
+    Args:
+        tasks: Faults.
+    """
+    before = structlog.get_config()
+    # Errors of steps are expected here, since faults cause them.
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
+    try:
+        return run(_inject_all(tasks))
+    finally:
+        structlog.configure(**before)
+
+
+async def _inject_all(tasks: list[FaultTask]) -> list[FaultResult]:
+    clock = SystemClock()
+    with tempfile.TemporaryDirectory(prefix="pcmrs-faults-", ignore_cleanup_errors=True) as name:
+        folder, pool = Path(name), Pool(Path(name))
+        try:
+            return [
+                await run_fault(catalogue()[each.id], each.seed, folder, pool, clock, is_sham=each.is_sham)
+                for each in tasks
+            ]
+        finally:
+            await pool.close()
 
 
 async def run_fault(
@@ -96,8 +130,8 @@ async def run_fault(
         is_sham: True if no fault is injected.
     """
     known = injections().get(row.id, [])
-    run = _run_sham if is_sham else run_injection
-    parts = [await run(injection, seed, folder, pool, clock) for injection in known]
+    inject = _run_sham if is_sham else run_injection
+    parts = [await inject(injection, seed, folder, pool, clock) for injection in known]
     return result_of(row, seed, parts or [InjectionResult("", "", "not_run", NO_INJECTION, 0.0)])
 
 
@@ -140,12 +174,12 @@ async def run_injection(injection: Injection, seed: int, folder: Path, pool: Poo
 
 async def _run_sham(injection: Injection, seed: int, folder: Path, pool: Pool, clock: Clock) -> InjectionResult:
     """Run a row without its fault; it has passed if it detected that its fault was not injected."""
-    with sham() as run:
+    with sham() as injecting:
         part = await run_injection(injection, seed, folder, pool, clock)
     if part.outcome == "not_run":
         return part
     found = part.outcome == "not_proved" or part.details.get("error") == Unmet.code
-    if found and run.reached:
+    if found and injecting.reached:
         return msgspec.structs.replace(part, outcome="passed")
     before = "Before its fault" if found else "Without its fault"
     outcome = "failed" if found else part.outcome

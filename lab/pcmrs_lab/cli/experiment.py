@@ -16,6 +16,8 @@ from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
 from pcmrs.cli.tables import print_report, save_svg
 from pcmrs.cli.values import Finite
 from pcmrs_lab.cli.experiment_options import ExperimentOptions, experiment_options
+from pcmrs_lab.cli.workers_options import workers_options
+from pcmrs_lab.scale.tasks import HERE, Workers
 
 if TYPE_CHECKING:
     # For annotations only: --help must not load the experiments.
@@ -33,10 +35,13 @@ def experiment() -> None:
 @click.option(
     "--seeds", default=1, show_default=True, type=click.IntRange(min=1), help="Number of seeds, from --seed on."
 )
+@workers_options(1)
 @plot_option
 @json_option
 @readable_errors
-def placements(options: ExperimentOptions, trials: int, seeds: int, plot: Path | None, as_json: bool) -> None:
+def placements(
+    options: ExperimentOptions, trials: int, seeds: int, workers: Workers, plot: Path | None, as_json: bool
+) -> None:
     """Place the tool at planned poses, measure it, and compare with the paper's errors.
 
     Example: pcmrs experiment placements --seeds 10 --report placements.json --plot placements.png
@@ -44,13 +49,16 @@ def placements(options: ExperimentOptions, trials: int, seeds: int, plot: Path |
     With --drivers virtual the daemon uses the drivers of real devices, kst and ndi, over TCP. A virtual cabinet and a
     virtual tracker, which share the simulated cell, answer them. This runs in real time.
 
-    Each of several seeds runs on its own daemon, one after the other. Exit status 1: a command was refused, such as a
-    registration.
+    Each of several seeds runs on its own daemon. Exit status 1: a command was refused, such as a registration.
     """
+    if workers != HERE and seeds == 1:
+        raise click.UsageError(
+            "--workers, --cluster and --finished are for many seeds: give their number with --seeds."
+        )
     if seeds == 1:
         _plot([_placements(options, trials, as_json=as_json)], plot)
     else:
-        _placements_of_seeds(options, trials, seeds, plot, as_json=as_json)
+        _placements_of_seeds(options, trials, seeds, workers, plot, as_json=as_json)
 
 
 @experiment.command()
@@ -60,10 +68,11 @@ def placements(options: ExperimentOptions, trials: int, seeds: int, plot: Path |
     type=click.IntRange(min=1),
     help="Instead, judge simulated touches of every row this number of times, without a daemon.",
 )
+@workers_options(1)
 @plot_option
 @json_option
 @readable_errors
-def failures(options: ExperimentOptions, runs: int | None, plot: Path | None, as_json: bool) -> None:
+def failures(options: ExperimentOptions, runs: int | None, workers: Workers, plot: Path | None, as_json: bool) -> None:
     """Inject the paper's operator errors; each must be rejected in the state that the paper reports.
 
     Exit status 1: a run did not end as published. --runs prints the false accept and false reject rates of each gate
@@ -77,11 +86,13 @@ def failures(options: ExperimentOptions, runs: int | None, plot: Path | None, as
         raise click.UsageError("--plan is the plan of one workflow: name it with --workflow.")
     if plot is not None and runs is None:
         raise click.UsageError("--plot draws the rates of many runs: give their number with --runs.")
+    if workers != HERE and runs is None:
+        raise click.UsageError("--workers, --cluster and --finished are for many runs: give their number with --runs.")
     workflows = list(PUBLISHED) if options.workflow is None else [options.workflow]
     if runs is None:
         _failures(options, workflows, as_json=as_json)
     else:
-        _failure_rates(options, workflows, runs, plot, as_json=as_json)
+        _failure_rates(options, workflows, runs, workers, plot, as_json=as_json)
 
 
 def _failures(options: ExperimentOptions, workflows: list[str], *, as_json: bool) -> None:
@@ -96,7 +107,13 @@ def _failures(options: ExperimentOptions, workflows: list[str], *, as_json: bool
 
 
 def _failure_rates(
-    options: ExperimentOptions, workflows: list[str], runs: int, plot: Path | None, *, as_json: bool
+    options: ExperimentOptions,
+    workflows: list[str],
+    runs: int,
+    workers: Workers,
+    plot: Path | None,
+    *,
+    as_json: bool,
 ) -> None:
     from pcmrs.analysis.plots import save_png
     from pcmrs_lab.cli.experiment_tables import monte_carlo_tables
@@ -104,7 +121,7 @@ def _failure_rates(
     from pcmrs_lab.experiment.plots import monte_carlo_figure
 
     with progress_bar() as progress:
-        report = run_monte_carlo([options.setup(workflow, progress) for workflow in workflows], runs)
+        report = run_monte_carlo([options.setup(workflow, progress) for workflow in workflows], runs, workers)
     _show(report, monte_carlo_tables(report), options, as_json=as_json)
     if plot is not None:
         save_png(monte_carlo_figure(report), plot)
@@ -154,10 +171,11 @@ def following(options: ExperimentOptions, duration: float, plot: Path | None, as
     show_default=True,
     help="Maximum likelihood ends when the 95 % interval is narrower than this share of the threshold.",
 )
+@workers_options(1)
 @plot_option
 @json_option
 @readable_errors
-def thresholds(subjects: int, seed: int, interval: float, plot: Path | None, as_json: bool) -> None:
+def thresholds(subjects: int, seed: int, interval: float, workers: Workers, plot: Path | None, as_json: bool) -> None:
     """Estimate the motor thresholds of simulated subjects: pulses and errors of every method, without a daemon.
 
     Example: pcmrs experiment thresholds --subjects 1000 --seed 1 --plot thresholds.png
@@ -168,7 +186,7 @@ def thresholds(subjects: int, seed: int, interval: float, plot: Path | None, as_
     from pcmrs_lab.experiment.thresholds import run_thresholds
 
     with progress_bar() as progress:
-        report, hunted = run_thresholds(subjects, seed, interval, progress)
+        report, hunted = run_thresholds(subjects, seed, interval, progress, workers)
     print_report(report, threshold_table(report), as_json=as_json)
     if plot is not None:
         save_png(thresholds_figure(report, hunted), plot)
@@ -259,13 +277,13 @@ def _placements(options: ExperimentOptions, trials: int, *, as_json: bool) -> Pl
 
 
 def _placements_of_seeds(
-    options: ExperimentOptions, trials: int, seeds: int, plot: Path | None, *, as_json: bool
+    options: ExperimentOptions, trials: int, seeds: int, workers: Workers, plot: Path | None, *, as_json: bool
 ) -> None:
     from pcmrs_lab.cli.experiment_tables import seeds_tables
     from pcmrs_lab.experiment.placement_seeds import run_seeds
 
     with progress_bar() as progress:
-        report = run(run_seeds(options.setup(options.workflow or "ratms", progress), trials, seeds))
+        report = run_seeds(options.setup(options.workflow or "ratms", progress), trials, seeds, workers)
     _show(report, seeds_tables(report), options, as_json=as_json)
     _plot(report.reports, plot)
     if len(report.reports) < seeds:

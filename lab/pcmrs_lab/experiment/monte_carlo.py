@@ -8,7 +8,7 @@ out.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import msgspec
 import numpy as np
@@ -23,12 +23,51 @@ from pcmrs.spatial import Floats, Transform
 from pcmrs.testing.plan import Plan
 from pcmrs_lab.experiment.published import FailureRun, published
 from pcmrs_lab.experiment.setup import ExperimentSetup
+from pcmrs_lab.scale.tasks import HERE, Workers, run_tasks
 
 ALL_GATES = "verdict"
 FIXED_LIMIT = "fixed_limit"
 GATES = ("wrong_unit", "mirrored", "swapped_landmarks", "landmark_outlier", "residual_too_large", "tre_too_large")
 OFFSET = "large_digitization_error"
-PROGRESS_EVERY = 20
+RUNS_AT_ONCE = 1000
+"""Number of runs of a row that one generator draws, so that many runs of a row need not run one after the other.
+
+It is fixed, and not a share of the workers, because it decides the results.
+"""
+
+
+class TouchesTask(msgspec.Struct, frozen=True):
+    """Runs of one row to simulate and judge.
+
+    Attributes:
+        row: Row of the published table.
+        seed: Seed of the experiment.
+        block: Number of the block of runs of this row.
+        runs: Number of runs.
+    """
+
+    row: FailureRun
+    plan: Plan
+    noise: NoiseUsed
+    seed: int
+    block: int
+    runs: int
+
+
+class JudgedTouches(msgspec.Struct, frozen=True):
+    """Verdicts on the runs of one task.
+
+    Attributes:
+        refused: Number of runs that any gate refuses.
+        refused_by: Number of runs that each gate refuses, and that a fixed residual limit alone would refuse.
+        named: Number of runs in which the displaced landmark is the suspect.
+        residuals_mm: Residuals of the runs with a registration, mm.
+    """
+
+    refused: int
+    refused_by: dict[str, int]
+    named: int
+    residuals_mm: list[float]
 
 
 class RowRates(msgspec.Struct, frozen=True):
@@ -102,26 +141,36 @@ class MonteCarloReport(msgspec.Struct, frozen=True):
     rates: list[GateRates]
 
 
-def run_monte_carlo(setups: Sequence[ExperimentSetup], runs: int) -> MonteCarloReport:
+def run_monte_carlo(setups: Sequence[ExperimentSetup], runs: int, workers: Workers = HERE) -> MonteCarloReport:
     """Judge every published row `runs` times with simulated touches; equal seeds give equal results.
 
     Args:
         setups: One setup for each workflow, otherwise equal; at least one.
         runs: Number of runs of each row.
+        workers: Where the rows are judged.
 
     Returns:
         Rows and rates.
 
     Raises:
-        ConfigurationError: A workflow is not among the published ones, or the settings cannot be used.
+        ConfigurationError: A workflow is not among the published ones, or the settings or workers cannot be used.
     """
     noise = {setup.workflow: _noise(setup) for setup in setups}
-    rows: list[RowRates] = []
-    total = sum(len(published(setup.workflow).failures) for setup in setups)
-    for setup in setups:
-        for run in published(setup.workflow).failures:
-            rows.append(_row(setup, run, noise[setup.workflow], runs, (len(rows), total)))
-    setups[0].progress("done", runs * total, runs * total)
+    table = [(setup, row) for setup in setups for row in published(setup.workflow).failures]
+    tasks = [
+        TouchesTask(row, setup.plan, noise[setup.workflow], setup.seed, block, min(RUNS_AT_ONCE, runs - first))
+        for setup, row in table
+        if not _by_construction(row)
+        for block, first in enumerate(range(0, runs, RUNS_AT_ONCE))
+    ]
+    judged: dict[int, dict[int, JudgedTouches]] = {row.run: {} for _, row in table}
+    done, total = 0, sum(task.runs for task in tasks)
+    for task, found in run_tasks(judge_touches, tasks, workers, 1):
+        judged[task.row.run][task.block] = found
+        done += task.runs
+        setups[0].progress(f"run {task.row.run}: {task.row.injection.replace('_', ' ')}", done, total)
+    setups[0].progress("done", total, total)
+    rows = [_row(setup.workflow, row, runs, judged[row.run]) for setup, row in table]
     rows.sort(key=lambda row: row.run)
     return MonteCarloReport(
         experiment="failures_monte_carlo",
@@ -133,6 +182,15 @@ def run_monte_carlo(setups: Sequence[ExperimentSetup], runs: int) -> MonteCarloR
         rows=rows,
         rates=[rates for setup in setups for rates in _rates(setup.workflow, rows)],
     )
+
+
+def judge_touches(tasks: list[TouchesTask]) -> list[JudgedTouches]:
+    """Simulate and judge the runs of each task.
+
+    Args:
+        tasks: Runs.
+    """
+    return [_judge_all(task) for task in tasks]
 
 
 def _noise(setup: ExperimentSetup) -> NoiseUsed:
@@ -160,46 +218,55 @@ def _touch_errors_mm(settings: Settings) -> tuple[float, float]:
     )
 
 
-def _row(setup: ExperimentSetup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[int, int]) -> RowRates:
-    displaced = run.injection == OFFSET
-    by_construction = not displaced and run.injection != "none"
-    verdicts = [] if by_construction else list(_verdicts(setup, run, noise, runs, at))
-    refused_by = Counter(gate.name for verdict in verdicts for gate in verdict.gates if not gate.accepted)
-    refused_by[FIXED_LIMIT] = sum(_exceeds_fixed_limit(verdict, noise) for verdict in verdicts)
-    residuals_mm = [verdict.registration.residual * 1e3 for verdict in verdicts if verdict.registration is not None]
+def _by_construction(row: FailureRun) -> bool:
+    return row.injection not in (OFFSET, "none")
+
+
+def _row(workflow: str, run: FailureRun, runs: int, blocks: Mapping[int, JudgedTouches]) -> RowRates:
+    by_construction = _by_construction(run)
+    judged = [blocks[number] for number in sorted(blocks)]
+    residuals_mm = [residual for each in judged for residual in each.residuals_mm]
+    names = () if by_construction else (*GATES, FIXED_LIMIT)
     return RowRates(
         run=run.run,
-        workflow=setup.workflow,
+        workflow=workflow,
         injection=run.injection,
         landmark=run.landmark,
         by_construction=by_construction,
         runs=runs,
-        refused=runs if by_construction else sum(not verdict.accepted for verdict in verdicts),
-        refused_by={} if by_construction else {name: refused_by[name] for name in (*GATES, FIXED_LIMIT)},
-        named=sum(v.suspect == (run.landmark or 0) - 1 for v in verdicts) if displaced else None,
+        refused=runs if by_construction else sum(each.refused for each in judged),
+        refused_by={name: sum(each.refused_by[name] for each in judged) for name in names},
+        named=sum(each.named for each in judged) if run.injection == OFFSET else None,
         residual_mm=summarize(residuals_mm) if residuals_mm else None,
         published_residual_mm=run.residual_mm,
     )
 
 
-def _verdicts(
-    setup: ExperimentSetup, run: FailureRun, noise: NoiseUsed, runs: int, at: tuple[int, int]
-) -> Iterator[RegistrationVerdict]:
-    rng = np.random.default_rng((setup.seed, run.run))
+def _judge_all(task: TouchesTask) -> JudgedTouches:
+    verdicts = list(_verdicts(task))
+    refused_by = Counter(gate.name for verdict in verdicts for gate in verdict.gates if not gate.accepted)
+    refused_by[FIXED_LIMIT] = sum(_exceeds_fixed_limit(verdict, task.noise) for verdict in verdicts)
+    return JudgedTouches(
+        refused=sum(not verdict.accepted for verdict in verdicts),
+        refused_by={name: refused_by[name] for name in (*GATES, FIXED_LIMIT)},
+        named=sum(verdict.suspect == (task.row.landmark or 0) - 1 for verdict in verdicts),
+        residuals_mm=[each.registration.residual * 1e3 for each in verdicts if each.registration is not None],
+    )
+
+
+def _verdicts(task: TouchesTask) -> Iterator[RegistrationVerdict]:
+    rng, noise = np.random.default_rng((task.seed, task.row.run, task.block)), task.noise
     limits = RegistrationLimits(
         residual=noise.residual_limit_mm / 1e3,
         sigma=noise.sigma_mm / 1e3,
         tre=noise.tre_limit_mm / 1e3,
         false_alarm=noise.false_alarm,
     )
-    planned = np.array([landmark.position for landmark in setup.plan.landmarks])
-    names = [landmark.name for landmark in setup.plan.landmarks]
-    done, rows = at
-    for number in range(runs):
-        if number % PROGRESS_EVERY == 0:
-            setup.progress(f"run {run.run}: {run.injection.replace('_', ' ')}", runs * done + number, runs * rows)
-        digitized = _touched(rng, setup.plan, run, noise)
-        yield judge(planned, digitized, limits, names=names, target=setup.plan.poses[0].position)
+    planned = np.array([landmark.position for landmark in task.plan.landmarks])
+    names = [landmark.name for landmark in task.plan.landmarks]
+    for _ in range(task.runs):
+        digitized = _touched(rng, task.plan, task.row, noise)
+        yield judge(planned, digitized, limits, names=names, target=task.plan.poses[0].position)
 
 
 def _touched(rng: np.random.Generator, plan: Plan, run: FailureRun, noise: NoiseUsed) -> Floats:

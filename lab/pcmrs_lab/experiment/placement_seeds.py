@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import msgspec
 
+from pcmrs.cli.running import run
 from pcmrs.errors import CommandRefusedError
+from pcmrs.testing.plan import Plan
 from pcmrs_lab.experiment.placements import PlacementReport, PlacementSummary, run_placements, summary_of
-from pcmrs_lab.experiment.setup import ExperimentSetup
+from pcmrs_lab.experiment.setup import Drivers, ExperimentSetup
+from pcmrs_lab.scale.tasks import HERE, Workers, run_tasks
 
 
 class SeedRun(msgspec.Struct, frozen=True):
@@ -40,23 +41,52 @@ class SeedsReport(msgspec.Struct, frozen=True):
         return [run.report for run in self.runs if run.report is not None]
 
 
-async def run_seeds(setup: ExperimentSetup, trials: int, seeds: int) -> SeedsReport:
-    """Repeat the experiment, each time on its own daemon, one after the other.
+class PlacementTask(msgspec.Struct, frozen=True):
+    """Experiment with one seed.
+
+    Attributes:
+        plan: Landmarks and poses.
+        workflow: Name of the workflow.
+        seed: Seed of the simulated errors.
+        rate: Seconds of the simulated cell per second of the machine.
+        drivers: Devices of the daemon.
+        overrides: Further settings of the daemon.
+        trials: Number of placements.
+    """
+
+    plan: Plan
+    workflow: str
+    seed: int
+    rate: float
+    drivers: Drivers
+    overrides: list[str]
+    trials: int
+
+
+def run_seeds(setup: ExperimentSetup, trials: int, seeds: int, workers: Workers = HERE) -> SeedsReport:
+    """Repeat the experiment, each time on its own daemon.
 
     Args:
         setup: Setup; its seed is the first.
         trials: Number of placements with each seed.
         seeds: Number of seeds.
+        workers: Where the daemons run, one at a time on each.
 
     Returns:
         Results of all seeds.
 
     Raises:
-        ConfigurationError: As for `run_placements`.
+        ConfigurationError: As for `run_placements`, or the workers cannot be used.
         DeviceError: A daemon did not start.
     """
-    runs = [await _run(setup, trials, index, seeds) for index in range(seeds)]
-    done = [trial for run in runs if run.report is not None for trial in run.report.trials]
+    common = (setup.rate, setup.drivers, list(setup.overrides), trials)
+    tasks = [PlacementTask(setup.plan, setup.workflow, setup.seed + index, *common) for index in range(seeds)]
+    found: dict[int, SeedRun] = {}
+    for task, run_of_seed in run_tasks(place_with_seeds, tasks, workers, 1):
+        found[task.seed] = run_of_seed
+        setup.progress(f"seed {task.seed}", len(found), seeds)
+    runs = [found[task.seed] for task in tasks]
+    done = [trial for each in runs if each.report is not None for trial in each.report.trials]
     return SeedsReport(
         experiment="placements",
         workflow=setup.workflow,
@@ -68,13 +98,19 @@ async def run_seeds(setup: ExperimentSetup, trials: int, seeds: int) -> SeedsRep
     )
 
 
-async def _run(setup: ExperimentSetup, trials: int, index: int, seeds: int) -> SeedRun:
-    seed = setup.seed + index
+def place_with_seeds(tasks: list[PlacementTask]) -> list[SeedRun]:
+    """Run the experiment with each seed, one after the other.
 
-    def progress(text: str, done: int, total: int) -> None:
-        setup.progress(f"seed {seed}: {text}", index * total + done, seeds * total)
+    Args:
+        tasks: Experiments.
+    """
+    return [run(_place_with_seed(task)) for task in tasks]
 
+
+async def _place_with_seed(task: PlacementTask) -> SeedRun:
+    common = (task.rate, task.drivers, task.overrides, lambda _text, _done, _total: None)
     try:
-        return SeedRun(seed, await run_placements(replace(setup, seed=seed, progress=progress), trials), None)
+        setup = ExperimentSetup(task.plan, task.workflow, task.seed, *common)
+        return SeedRun(task.seed, await run_placements(setup, task.trials), None)
     except CommandRefusedError as error:
-        return SeedRun(seed, None, error.text)
+        return SeedRun(task.seed, None, error.text)

@@ -8,13 +8,12 @@ elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import msgspec
 import numpy as np
 
 from pcmrs.tms.settings import ThresholdMethod, ThresholdSettings
 from pcmrs.tms.threshold import MotorThresholdEstimator
+from pcmrs_lab.scale.tasks import HERE, ShowProgress, Workers, run_tasks
 from pcmrs_sim.tms.recruitment import RESPONSE, Recruitment, draw
 
 METHODS = {
@@ -23,7 +22,22 @@ METHODS = {
     "relative_frequency": "relative frequency, 5 of 10",
 }
 
-PROGRESS_EVERY = 10
+SUBJECTS_AT_ONCE = 10
+"""Number of subjects in one request."""
+
+
+class ThresholdTask(msgspec.Struct, frozen=True):
+    """Subject whose threshold every method estimates.
+
+    Attributes:
+        seed: Seed of the experiment.
+        subject: Number of the subject, from 0.
+        interval: Width of the interval at which maximum likelihood ends, share of the threshold.
+    """
+
+    seed: int
+    subject: int
+    interval: float
 
 
 class ThresholdResult(msgspec.Struct, frozen=True):
@@ -90,7 +104,7 @@ class ThresholdReport(msgspec.Struct, frozen=True):
 
 
 def run_thresholds(
-    subjects: int, seed: int, interval: float, progress: Callable[[str, int, int], None]
+    subjects: int, seed: int, interval: float, progress: ShowProgress, workers: Workers = HERE
 ) -> tuple[ThresholdReport, dict[str, list[ThresholdResult]]]:
     """Estimate every subject's threshold with every method; equal seeds give equal results.
 
@@ -99,18 +113,20 @@ def run_thresholds(
         seed: Seed of subjects and of their variability.
         interval: Width of the interval at which maximum likelihood ends, share of the threshold.
         progress: Called with the number of finished subjects.
+        workers: Where the thresholds are estimated.
 
     Returns:
         Report, and the results of all subjects by method.
+
+    Raises:
+        ConfigurationError: The workers cannot be used.
     """
-    hunted: dict[str, list[ThresholdResult]] = {method: [] for method in METHODS}
-    for number in range(subjects):
-        if number % PROGRESS_EVERY == 0:
-            progress("motor thresholds", number, subjects)
-        subject = draw(np.random.default_rng((seed, number)))
-        for index, method in enumerate(METHODS):
-            hunted[method].append(_estimate(subject, method, interval, np.random.default_rng((seed, number, index))))
-    progress("done", subjects, subjects)
+    tasks = [ThresholdTask(seed, number, interval) for number in range(subjects)]
+    found: dict[int, dict[str, ThresholdResult]] = {}
+    for task, result in run_tasks(estimate_thresholds, tasks, workers, SUBJECTS_AT_ONCE):
+        found[task.subject] = result
+        progress("motor thresholds", len(found), subjects)
+    hunted = {method: [found[number][method] for number in range(subjects)] for method in METHODS}
     report = ThresholdReport(
         experiment="thresholds",
         seed=seed,
@@ -121,6 +137,23 @@ def run_thresholds(
         methods=[_result(method, found) for method, found in hunted.items()],
     )
     return report, hunted
+
+
+def estimate_thresholds(tasks: list[ThresholdTask]) -> list[dict[str, ThresholdResult]]:
+    """Estimate the threshold of each subject, and return the results by method.
+
+    Args:
+        tasks: Subjects.
+    """
+    return [_estimate_all(task) for task in tasks]
+
+
+def _estimate_all(task: ThresholdTask) -> dict[str, ThresholdResult]:
+    subject = draw(np.random.default_rng((task.seed, task.subject)))
+    return {
+        method: _estimate(subject, method, task.interval, np.random.default_rng((task.seed, task.subject, index)))
+        for index, method in enumerate(METHODS)
+    }
 
 
 def _estimate(subject: Recruitment, method: str, interval: float, rng: np.random.Generator) -> ThresholdResult:

@@ -2,29 +2,38 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
+import math
 from collections import Counter
-from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
-from itertools import count, islice
+from itertools import count, islice, takewhile
 
 import msgspec
 
-from pcmrs.clock import Clock, SystemClock
+from pcmrs.clock import SystemClock
 from pcmrs_lab.campaign.explore.faults import FAULTS
 from pcmrs_lab.campaign.explore.generate import draw_script
 from pcmrs_lab.campaign.explore.script import Act, Physics, SessionScript, shrink
-from pcmrs_lab.campaign.explore.session import ExplorationResult, forget_sessions, run_session
+from pcmrs_lab.campaign.explore.session import ExplorationResult, run_session
 from pcmrs_lab.campaign.explore.settings import workflow_of
+from pcmrs_lab.scale.tasks import HERE, ShowProgress, Workers, run_tasks
 
 AT_A_TIME = 4
-"""Number of sessions that a process is given at once."""
+"""Number of sessions in one request: each takes some tenths of a second."""
 MOST_SHRUNK = 3
 """Number of violations that are shrunk; the others are reported with their seeds."""
 
-ShowProgress = Callable[[str, int, int], None]
+
+class SessionTask(msgspec.Struct, frozen=True):
+    """Session to run.
+
+    Attributes:
+        workflow: Name of the workflow.
+        physics: Physics of the simulated arm.
+        seed: Seed of the session.
+    """
+
+    workflow: str
+    physics: Physics
+    seed: int
 
 
 class Broken(msgspec.Struct, frozen=True):
@@ -89,7 +98,7 @@ def explore(
     sessions: int | None,
     *,
     minutes: float | None = None,
-    jobs: int = 1,
+    workers: Workers = HERE,
     physics: Physics = "kinematic",
     progress: ShowProgress = lambda *_: None,
 ) -> Explored:
@@ -100,87 +109,43 @@ def explore(
         seed: Seed of the first session.
         sessions: Number of sessions; None for as many as fit.
         minutes: Time after which no more are started, min; None for no limit.
-        jobs: Number of processes.
+        workers: Where the sessions run.
         physics: Physics of the simulated arm.
-        progress: Called after each batch of sessions.
+        progress: Called after each session.
 
     Returns:
         Result.
 
     Raises:
-        ConfigurationError: The workflow is unknown.
+        ConfigurationError: The workflow is unknown, or the workers cannot be used.
     """
     clock = SystemClock()
     workflow_of(workflow)  # an unknown workflow is refused before any session is started
     started, found = clock.monotonic(), list[ExplorationResult]()
-    seeds = islice(count(seed), sessions)
-    for batch in _run_all(workflow, physics, seeds, jobs, clock, None if minutes is None else started + 60.0 * minutes):
-        found += batch
-        progress(f"{sum(bool(each.invariant) for each in found)} broken", len(found), sessions or len(found))
+    end = math.inf if minutes is None else started + 60.0 * minutes
+    seeds = takewhile(lambda _: clock.monotonic() < end, islice(count(seed), sessions))
+    tasks = (SessionTask(workflow, physics, each) for each in seeds)
+    broken = 0
+    for _, result in run_tasks(run_sessions, tasks, workers, AT_A_TIME):
+        found.append(result)
+        broken += bool(result.invariant)
+        progress(f"{broken} broken", len(found), sessions or len(found))
     seconds = clock.monotonic() - started
     found.sort(key=lambda each: each.seed)
     return _report(workflow, physics, seed, found, seconds)
 
 
-def run_seeds(workflow: str, physics: Physics, seeds: list[int]) -> list[ExplorationResult]:
-    """Run the sessions of some seeds one after the other, and return their results.
+def run_sessions(tasks: list[SessionTask]) -> list[ExplorationResult]:
+    """Run sessions one after the other, and return their results.
 
     Args:
-        workflow: Name of the workflow.
-        physics: Physics of the simulated arm.
-        seeds: Seeds of the sessions.
+        tasks: Sessions.
     """
-    blueprint = workflow_of(workflow).blueprint
-    return [run_session(draw_script(blueprint, workflow, seed, physics)) for seed in seeds]
+    return [run_session(_script_of(task)) for task in tasks]
 
 
-def _run_all(
-    workflow: str, physics: Physics, seeds: Iterator[int], jobs: int, clock: Clock, end: float | None
-) -> Iterator[list[ExplorationResult]]:
-    def more() -> list[int]:
-        return [] if end is not None and clock.monotonic() >= end else list(islice(seeds, AT_A_TIME))
-
-    if jobs == 1:
-        while batch := more():
-            yield run_seeds(workflow, physics, batch)
-        return
-    with _processes(jobs) as pool:
-        running: set[Future[list[ExplorationResult]]] = set()
-        while True:
-            with _ctrl_c_blocked():  # new processes inherit the mask
-                while len(running) < 2 * jobs and (batch := more()):
-                    running.add(pool.submit(run_seeds, workflow, physics, batch))
-            if not running:
-                return
-            done, running = wait(running, return_when=FIRST_COMPLETED)
-            for each in done:
-                yield each.result()
-
-
-@contextmanager
-def _processes(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """Start a pool of processes that end at once, and leave nothing behind, when this one is interrupted."""
-    others = multiprocessing.active_children()
-    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        try:
-            yield pool
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in multiprocessing.active_children():
-                if process not in others:
-                    process.kill()
-                    process.join()
-                    forget_sessions(process.pid)
-            raise
-
-
-@contextmanager
-def _ctrl_c_blocked() -> Iterator[None]:
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+def _script_of(task: SessionTask) -> SessionScript:
+    return draw_script(workflow_of(task.workflow).blueprint, task.workflow, task.seed, task.physics)
 
 
 def _report(workflow: str, physics: Physics, seed: int, found: list[ExplorationResult], seconds: float) -> Explored:
@@ -206,7 +171,7 @@ def _report(workflow: str, physics: Physics, seed: int, found: list[ExplorationR
 
 
 def _broken(workflow: str, physics: Physics, found: ExplorationResult, shrunk: bool) -> Broken:
-    script = draw_script(workflow_of(workflow).blueprint, workflow, found.seed, physics)
+    script = _script_of(SessionTask(workflow, physics, found.seed))
     shorter = shrink(script, lambda each: run_session(each).invariant == found.invariant) if shrunk else script
     return Broken(found.seed, found.invariant, found.text, found.at, len(script.acts), shorter)
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import os
-import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -86,7 +84,7 @@ def run_session(script: SessionScript, *, seconds: float = 0.0) -> ExplorationRe
     """
     started = process_time()
     with (
-        tempfile.TemporaryDirectory(prefix=_prefix(os.getpid()), dir=_memory()) as folder,
+        tempfile.TemporaryDirectory(prefix="pcmrs-explore-", dir=_memory()) as folder,
         seeded_entropy(script.seed),
         quiet(),
     ):
@@ -261,16 +259,6 @@ def _digest(path: Path) -> tuple[str, int]:
     with JournalReader(path) as journal:
         last = next(iter(journal.read(last=1)), None)
     return ("", 0) if last is None else (last.hash.hex(), last.sequence)
-
-
-def forget_sessions(pid: int | None) -> None:
-    """Remove the files of a process that was killed in a session."""
-    for left in Path(_memory()).glob(f"{_prefix(pid)}*"):
-        shutil.rmtree(left, ignore_errors=True)
-
-
-def _prefix(pid: int | None) -> str:
-    return f"pcmrs-explore-{pid}-"
 
 
 def _memory() -> str:

@@ -13,6 +13,7 @@ from pcmrs.cli.progress import progress_bar
 from pcmrs.cli.running import EXIT_REJECTED, readable_errors
 from pcmrs.cli.tables import print_report, styled
 from pcmrs_lab.cli.faults.options import minutes_option, output_option, seed_option
+from pcmrs_lab.cli.workers_options import workers_options
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -20,13 +21,14 @@ if TYPE_CHECKING:
     from pcmrs_lab.campaign.explore.exploring import Explored
     from pcmrs_lab.campaign.explore.script import Physics
     from pcmrs_lab.campaign.explore.session import ExplorationResult
+    from pcmrs_lab.scale.tasks import Workers
 
 
 @click.command("explore")
 @click.option("--sessions", type=click.IntRange(min=1), help="Number of sessions; 500 unless --minutes is given.")
 @seed_option
 @minutes_option
-@click.option("--jobs", type=click.IntRange(1, 64), default=2, show_default=True, help="Number of processes.")
+@workers_options(2)
 @click.option("--workflow", default="ratms", show_default=True, help="Name of a workflow.")
 @click.option(
     "--physics",
@@ -48,7 +50,7 @@ def explore(
     sessions: int | None,
     seed: int,
     minutes: float | None,
-    jobs: int,
+    workers: Workers,
     workflow: str,
     physics: Physics,
     script_file: Path | None,
@@ -73,7 +75,9 @@ def explore(
         sys.exit(EXIT_REJECTED if found.invariant else 0)
     many = sessions if sessions is not None or minutes is not None else 500
     with progress_bar() as progress:
-        report = exploring.explore(workflow, seed, many, minutes=minutes, jobs=jobs, physics=physics, progress=progress)
+        report = exploring.explore(
+            workflow, seed, many, minutes=minutes, workers=workers, physics=physics, progress=progress
+        )
     if folder is not None:
         for broken in report.broken:
             write_script(broken.script, folder / f"{workflow}-{broken.seed}-{broken.invariant}.json")

@@ -10,14 +10,16 @@ import click
 
 from pcmrs.cli.options import json_option
 from pcmrs.cli.progress import progress_bar
-from pcmrs.cli.running import EXIT_REJECTED, readable_errors, run
+from pcmrs.cli.running import EXIT_REJECTED, readable_errors
 from pcmrs.cli.tables import print_report, styled
 from pcmrs_lab.cli.faults.options import PartOf, choosing, chosen, output_option
+from pcmrs_lab.cli.workers_options import workers_options
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from pcmrs_lab.campaign.report import CampaignReport
+    from pcmrs_lab.scale.tasks import Workers
 
 COLOURS = {"passed": "green", "failed": "bold red", "not_proved": "bold red", "not_run": "dim"}
 
@@ -33,7 +35,7 @@ COLOURS = {"passed": "green", "failed": "bold red", "not_proved": "bold red", "n
     show_default=True,
     help="Seed of everything random; may be repeated: every fault is injected with each.",
 )
-@click.option("--jobs", type=click.IntRange(1, 16), default=1, show_default=True, help="Number of faults at a time.")
+@workers_options(1)
 @click.option("--sham", "is_sham", is_flag=True, help="Inject no fault: every row must detect that, or it fails.")
 @click.option(
     "--part",
@@ -49,7 +51,7 @@ def run_(
     classes: tuple[str, ...],
     ids: tuple[str, ...],
     seeds: tuple[int, ...],
-    jobs: int,
+    workers: Workers,
     is_sham: bool,
     part: tuple[int, int],
     folder: Path | None,
@@ -62,19 +64,13 @@ def run_(
 
     Example: pcmrs faults run --class sensor --seed 1 --seed 2 -o report
     """
-    import logging
-
-    import structlog
-
     from pcmrs_lab.campaign.report import write_report
     from pcmrs_lab.campaign.run import run_campaign
 
-    # Errors of steps are expected here, since faults cause them.
-    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
     (number, parts), distinct = part, list(dict.fromkeys(seeds))
     rows = chosen(classes, ids)[number - 1 :: parts]
     with progress_bar() as progress:
-        report = run(run_campaign(rows, distinct, jobs, progress, is_sham=is_sham))
+        report = run_campaign(rows, distinct, workers, progress, is_sham=is_sham)
     if folder is not None:
         write_report(report, folder)
     print_report(report, _tables(report), as_json=as_json)

@@ -18,19 +18,19 @@ def _scripted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tests.system.lab.campaign.answered.injections", lambda: registry.REGISTERED)
 
 
-async def results(*ids: str) -> list[FaultResult]:
-    return (await run_campaign(choose(ids=ids), [1])).faults
+def results(*ids: str) -> list[FaultResult]:
+    return (run_campaign(choose(ids=ids), [1])).faults
 
 
 @pytest.mark.parametrize("fault_id", ["S2", "S3", "S5", "S6", "S7", "S8", "S9"])
-async def test_a_test_passes_for_no_fault_that_failed_or_was_not_run(fault_id: str) -> None:
+def test_a_test_passes_for_no_fault_that_failed_or_was_not_run(fault_id: str) -> None:
     with pytest.raises(AssertionError, match=fault_id):
-        check_answered(await results(fault_id))
+        check_answered(results(fault_id))
 
 
-async def test_test_is_skipped_only_for_a_missing_need() -> None:
-    check_answered(await results("S1"))
+def test_test_is_skipped_only_for_a_missing_need() -> None:
+    check_answered(results("S1"))
     with pytest.raises(pytest.skip.Exception, match="S4 missing: no no-such-tool-anywhere"):
-        check_answered(await results("S1", "S4"))
+        check_answered(results("S1", "S4"))
     with pytest.raises(AssertionError, match="S2"):
-        check_answered(await results("S2", "S4"))
+        check_answered(results("S2", "S4"))

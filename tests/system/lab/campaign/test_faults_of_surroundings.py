@@ -13,5 +13,5 @@ QUICK = ("N5", "A7")
 
 
 @pytest.mark.nightly
-async def test_datagrams_at_the_socket_do_no_harm() -> None:
-    check_answered((await run_campaign(choose((), QUICK), [0])).faults)
+def test_datagrams_at_the_socket_do_no_harm() -> None:
+    check_answered((run_campaign(choose((), QUICK), [0])).faults)

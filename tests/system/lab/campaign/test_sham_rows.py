@@ -23,8 +23,8 @@ SOON = 3.0
 
 
 @pytest.mark.timeout(300)
-async def test_no_row_passes_without_its_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_row_passes_without_its_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(datagrams, "until_true", partial(until_true, within=SOON))
-    report = await run_campaign([catalogue()[row] for row in NINE], [1], is_sham=True)
+    report = run_campaign([catalogue()[row] for row in NINE], [1], is_sham=True)
     passed = [found.id for found in report.faults if found.outcome == "passed"]
     assert passed == list(NINE), [(found.id, found.response) for found in report.faults if found.outcome != "passed"]

@@ -8,12 +8,13 @@ import sys
 
 import pytest
 
-from pcmrs_lab.campaign.explore.exploring import explore, run_seeds
+from pcmrs_lab.campaign.explore.exploring import SessionTask, explore, run_sessions
 from pcmrs_lab.campaign.explore.generate import draw_script
 from pcmrs_lab.campaign.explore.next_step_policy import WITH_STIMULATOR
 from pcmrs_lab.campaign.explore.script import Act, SessionScript, shrink
 from pcmrs_lab.campaign.explore.session import run_session
 from pcmrs_lab.campaign.explore.settings import workflow_of
+from pcmrs_lab.scale.tasks import Workers
 from tests.system.lab.exploring.exploring_mutants import MUTANTS, SCRIPTED
 
 TO_THE_HEAD = [Act(1.0, "go_on", "anna", {"turn": turn}) for turn in (1, 0, 1, 0, 1, 0, 1, 0, 0, 0)]
@@ -43,10 +44,10 @@ FINDING: dict[str, list[Act]] = {
 
 def test_session_holds_and_its_seed_fixes_its_journal() -> None:
     """Also in another process, where sets and dictionaries of text are walked through in another order."""
-    found = run_seeds("ratms", "kinematic", [3])[0]
+    found = run_sessions([SessionTask("ratms", "kinematic", 3)])[0]
     assert (found.invariant, found.text) == ("", "")
-    code = "from pcmrs_lab.campaign.explore.exploring import run_seeds; "
-    code += "print(run_seeds('ratms', 'kinematic', [3])[0].digest)"
+    code = "from pcmrs_lab.campaign.explore.exploring import SessionTask, run_sessions; "
+    code += "print(run_sessions([SessionTask('ratms', 'kinematic', 3)])[0].digest)"
     environment = {**os.environ, "PYTHONHASHSEED": "4711"}
     other = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert other.stdout.strip() == found.digest
@@ -140,7 +141,7 @@ def test_exploring_finds_and_shrinks_every_mutant(name: str, monkeypatch: pytest
 @pytest.mark.parametrize("first", range(1001, 1021, 5))
 @pytest.mark.nightly
 def test_sessions_hold(first: int) -> None:
-    found = run_seeds("ratms", "kinematic", list(range(first, first + 5)))
+    found = run_sessions([SessionTask("ratms", "kinematic", seed) for seed in range(first, first + 5)])
     assert {each.seed: (each.invariant, each.text) for each in found if each.invariant} == {}
 
 
@@ -148,18 +149,18 @@ def test_sessions_hold(first: int) -> None:
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("workflow", ["femoroplasty", "grid_mapping", "ratms_threshold"])
 def test_sessions_of_other_workflows_hold(workflow: str) -> None:
-    assert explore(workflow, 1, 50, jobs=2).broken == []
+    assert explore(workflow, 1, 50, workers=Workers(2)).broken == []
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(3600)
 def test_sessions_with_a_heavy_arm_hold() -> None:
-    assert explore("ratms", 1, 10, jobs=2, physics="mujoco").broken == []
+    assert explore("ratms", 1, 10, workers=Workers(2), physics="mujoco").broken == []
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(7200)
 def test_500_sessions_hold_and_reach_every_fault() -> None:
-    report = explore("ratms", 1, 500, jobs=2)
+    report = explore("ratms", 1, 500, workers=Workers(2))
     assert report.broken == []
     assert report.not_reached == []

@@ -18,7 +18,7 @@ from pcmrs_lab.campaign.explore import session as running
 from pcmrs_lab.campaign.explore.operators import PATIENCE
 from pcmrs_lab.campaign.explore.plans import GARBAGE, landmark_commands, pose_commands
 from pcmrs_lab.campaign.explore.script import Act, SessionScript
-from pcmrs_lab.campaign.explore.session import LONGEST_FOLLOWING, ExploredSession, forget_sessions, quiet
+from pcmrs_lab.campaign.explore.session import LONGEST_FOLLOWING, ExploredSession, quiet
 from tests.unit.lab.campaign.explore.ratms_views import PLACED, READY, shown
 from tests.unit.lab.campaign.explore.scripted_session import ScriptedCell, now, witness
 
@@ -246,16 +246,6 @@ async def test_the_last_row_tells_journals_apart(tmp_path: Path) -> None:
     await journal.close()
     assert rows == 2
     assert len(bytes.fromhex(digest)) == 32
-
-
-def test_nothing_of_a_killed_process_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(running, "_memory", lambda: str(tmp_path))
-    for pid in (12, 123):
-        folder = tmp_path / f"{running._prefix(pid)}abc"
-        folder.mkdir()
-        (folder / "journal.sqlite").write_bytes(b"x")
-    forget_sessions(12)
-    assert [path.name for path in tmp_path.iterdir()] == ["pcmrs-explore-123-abc"]
 
 
 def test_logs_are_dropped_during_a_session_only(capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,6 +16,7 @@ from pcmrs_lab.campaign.explore.exploring import Broken, Explored
 from pcmrs_lab.campaign.explore.faults import FAULTS
 from pcmrs_lab.campaign.explore.script import Act, SessionScript, read_script, write_script
 from pcmrs_lab.campaign.explore.session import ExplorationResult
+from pcmrs_lab.scale.tasks import Workers
 
 SCRIPT = SessionScript(7, acts=[Act(0.5, "stop", "ben"), Act(1.0, "fault:e_stop", "", {"on": True})])
 BROKEN = Broken(7, "stop_holds", "The arm moves at [0.2] rad/s.", 3.25, 20, SCRIPT)
@@ -52,7 +53,7 @@ def test_500_sessions_are_run_unless_time_or_number_is_given(
     asked: list[dict[str, Any]], words: tuple[str, ...], sessions: int | None, minutes: float | None
 ) -> None:
     assert run(*words).exit_code == 0
-    assert (asked[0]["sessions"], asked[0]["minutes"], asked[0]["jobs"]) == (sessions, minutes, 2)
+    assert (asked[0]["sessions"], asked[0]["minutes"], asked[0]["workers"]) == (sessions, minutes, Workers(2))
 
 
 def test_faults_that_were_never_injected_are_marked(asked: list[dict[str, Any]]) -> None:
@@ -96,7 +97,7 @@ def test_a_file_that_is_no_script_has_its_own_exit_status(tmp_path: Path) -> Non
     assert "is not a script of a session" in " ".join(ended.stderr.split())
 
 
-@pytest.mark.parametrize("words", [("--jobs", "0"), ("--jobs", "65"), ("--sessions", "0"), ("--physics", "real")])
+@pytest.mark.parametrize("words", [("--workers", "0"), ("--workers", "65"), ("--sessions", "0"), ("--physics", "real")])
 def test_impossible_requests_are_usage_errors(asked: list[dict[str, Any]], words: tuple[str, ...]) -> None:
     assert run(*words).exit_code == 2
     assert asked == []

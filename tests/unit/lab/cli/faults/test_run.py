@@ -58,7 +58,7 @@ def test_report_is_written_as_json_and_as_self_contained_page(tmp_path: Path) ->
         (("--id", "Z1"), 2),
         (("--class", "weather"), 2),
         (("--seed", "-1"), 2),
-        (("--jobs", "0"), 2),
+        (("--workers", "0"), 2),
         (("--part", "3/2"), 2),
         (("--part", "0/2"), 2),
         (("--id", "S1", "--sham"), 1),
