@@ -25,7 +25,7 @@ class CellZones:
 
     Args:
         facts: Facts of the arm.
-        flange_from_coil: Pose of the tool on the flange.
+        flange_from_tool_tip: Pose of the tool's contact point on the flange.
         settings: Settings of the procedure.
         surface: Surface of the body; None without a body to keep away from.
 
@@ -41,14 +41,14 @@ class CellZones:
     """
 
     def __init__(
-        self, facts: ArmFacts, flange_from_coil: Transform, settings: ProcedureSettings, surface: Mesh | None
+        self, facts: ArmFacts, flange_from_tool_tip: Transform, settings: ProcedureSettings, surface: Mesh | None
     ) -> None:
         zones = settings.zones
         self._facts = facts
-        self._tool_reach = _tool_reach(flange_from_coil, zones.tool)
+        self._tool_reach = _tool_reach(flange_from_tool_tip, zones.tool)
         self.model = ZoneModel(
             facts,
-            flange_from_coil,
+            flange_from_tool_tip,
             ToolShape(zones.tool.radius, zones.tool.half_length),
             _zones(settings, surface),
             link_margin=zones.link_margin,
