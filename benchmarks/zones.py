@@ -19,6 +19,7 @@ from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.straight import straight_motion
 from pcmrs.spatial import Floats, Transform
+from pcmrs.workflows.mounting import Mounting
 from pcmrs.workflows.settings import ProcedureSettings
 from pcmrs.workflows.surface import read_surface
 from pcmrs.workflows.zones import CellZones
@@ -86,8 +87,9 @@ def timed_corrections(zones: CellZones, settings: ProcedureSettings, flange_from
 def main(steps: int) -> None:
     """Measure and print."""
     settings = msgspec.convert({"body": {"surface": "head_phantom.ply"}}, ProcedureSettings)
-    flange_from_tool_tip = Transform.from_quat_wxyz((0.0, 0.0, 0.15), (0.0, 1.0, 0.0, 0.0))
-    zones = CellZones(IIWA14_R820, flange_from_tool_tip, settings, read_surface(settings))
+    mounting = Mounting.read(settings.calibration)
+    flange_from_tool_tip = mounting.flange_from_tool_tip
+    zones = CellZones(IIWA14_R820, mounting, settings, read_surface(settings))
     zones.place_body(BASE_FROM_IMAGE)
     zones.model.set_sight_lines(TRACKER, BODY_REF)
     home, at_head = np.array(IIWA14_R820.home), np.array(AT_HEAD)

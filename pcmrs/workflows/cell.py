@@ -95,7 +95,7 @@ class Cell:
     def __post_init__(self) -> None:
         self.mounting = Mounting.read(self.settings.calibration)
         self.flange_from_tool_tip = self.mounting.flange_from_tool_tip
-        self.zones = CellZones(self.arm.facts, self.flange_from_tool_tip, self.settings, self.surface)
+        self.zones = CellZones(self.arm.facts, self.mounting, self.settings, self.surface)
 
     @property
     def pointer_from_tip(self) -> Transform:

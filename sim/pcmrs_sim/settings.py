@@ -149,7 +149,7 @@ class GeometrySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     world_from_image: ConfiguredPose | None = None
     body_ref_from_image: ConfiguredPose | None = None
     flange_from_tool_tip: ConfiguredPose = ConfiguredPose((0.0, 0.0, 0.15), (0.0, 1.0, 0.0, 0.0))
-    tool_marker_from_tool_tip: ConfiguredPose = ConfiguredPose((-0.06, 0.03, -0.06), (0.8, 0.4, 0.2, 0.4))
+    tool_marker_from_tool_tip: ConfiguredPose = ConfiguredPose((0.06, 0.03, -0.06), (0.8, 0.4, 0.2, 0.4))
     pointer_from_tip: ConfiguredPose = ConfiguredPose((0.0, 0.0, -0.15))
 
 

@@ -8,9 +8,9 @@ import msgspec
 
 from pcmrs.workflows.settings._values import PoseSetting, Positive
 
-SIMULATED_FLANGE_FROM_TOOL_MARKER = PoseSetting((0.012, -0.0084, 0.0612), (0.4, 0.8, 0.4, -0.2))
+SIMULATED_FLANGE_FROM_TOOL_MARKER = PoseSetting((-0.06, -0.066, 0.138), (0.4, 0.8, 0.4, -0.2))
 """Marker body of the simulated tool on the flange."""
-SIMULATED_TOOL_MARKER_FROM_TOOL_TIP = PoseSetting((-0.06, 0.03, -0.06), (0.8, 0.4, 0.2, 0.4))
+SIMULATED_TOOL_MARKER_FROM_TOOL_TIP = PoseSetting((0.06, 0.03, -0.06), (0.8, 0.4, 0.2, 0.4))
 """Contact point of the simulated tool in its marker body: 90 mm away, and rotated about all axes."""
 
 

@@ -251,7 +251,7 @@ async def wrong_calibration(lab: Lab) -> Evidence:
     other = settings[-1] if is_sham() else 'procedure.calibration.tool_serial="18"'
     foreign = await _digitize_with(lab, (*files, other), "calibration_foreign")
     before = file.read_text()
-    inject_unless_sham(lambda: file.write_text(before.replace("0.0612", "0.0712")))
+    inject_unless_sham(lambda: file.write_text(before.replace("0.138", "0.148")))
     changed = await _digitize_with(lab, settings, "calibration_changed")
     return Evidence(
         f"digitizing refused: {foreign}, {changed}",
