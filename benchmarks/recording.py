@@ -30,13 +30,13 @@ from pcmrs.bus.settings import open_session
 from pcmrs.clock import SystemClock
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BlueprintTag, BodyPose, DeviceEvent, JointState, Snapshot
-from pcmrs.recording.frame_tree import Mounting
 from pcmrs.recording.series import Limits, files_of
 from pcmrs.recording.subscriber import Subscriber
 from pcmrs.recording.topics import TOPICS
 from pcmrs.recording.views import RecordingViews
 from pcmrs.recording.writer import RecordingPlan, RecordingWriter
 from pcmrs.testing.daemon import free_port
+from pcmrs.workflows.mounting import Mounting
 from pcmrs.workflows.settings import CalibrationSettings
 
 ARM = ARMS["iiwa14"]

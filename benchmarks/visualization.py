@@ -121,10 +121,16 @@ class Clients:
 
 
 class Exposures:
-    """Exposure time of each pose message."""
+    """Exposure time of each pose message.
 
-    def __init__(self, body_ref_from_image: Transform) -> None:
+    Args:
+        body_ref_from_image: Registration.
+        tool_marker_from_tool_tip: Contact point of the tool in its marker body.
+    """
+
+    def __init__(self, body_ref_from_image: Transform, tool_marker_from_tool_tip: Transform) -> None:
         self._body_ref_from_image = body_ref_from_image
+        self._tool_marker_from_tool_tip = tool_marker_from_tool_tip
         self._seen: dict[int, dict[str, BodyPose]] = {}
         self.captured: dict[str, float] = {}
 
@@ -136,8 +142,9 @@ class Exposures:
         frame[pose.body] = pose
         if len(frame) == 2:
             tracker_from_image = as_transform(frame["body_ref"]) @ self._body_ref_from_image
-            image_from_coil = tracker_from_image.inverse() @ as_transform(frame["coil"])
-            for text in (pose_message(image_from_coil), unity_message("crnt_", image_from_coil)):
+            tracker_from_tool_tip = as_transform(frame["coil"]) @ self._tool_marker_from_tool_tip
+            image_from_tool_tip = tracker_from_image.inverse() @ tracker_from_tool_tip
+            for text in (pose_message(image_from_tool_tip), unity_message("crnt_", image_from_tool_tip)):
                 self.captured[text] = frame["coil"].captured
             del self._seen[pose.frame_number]
 
@@ -198,7 +205,8 @@ async def measure(rate: float, seconds: float, tracker_hz: float) -> dict[str, d
         async with registered_cell(Path(name), rate, tracker_hz, clients.ports) as cell:
             registered = (await cell.client.gathered()).body_ref_from_image
             assert registered is not None
-            exposures = Exposures(as_transform(registered))
+            tip = as_transform((await cell.client.setup()).tool_marker_from_tool_tip)
+            exposures = Exposures(as_transform(registered), tip)
             cell.client.listen("state/pose/*", BodyPose, exposures.take)
             bare.start()
             started = time.monotonic()

@@ -19,6 +19,7 @@ from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.straight import straight_motion
 from pcmrs.spatial import Floats, Transform
+from pcmrs.workflows.mounting import Mounting
 from pcmrs.workflows.settings import ProcedureSettings
 from pcmrs.workflows.surface import read_surface
 from pcmrs.workflows.zones import CellZones
@@ -47,13 +48,13 @@ def timed(zones: CellZones, posture: Floats) -> float:
     return (time.perf_counter() - begin) * 1e6
 
 
-def timed_corrections(zones: CellZones, settings: ProcedureSettings, flange_from_coil: Transform) -> Floats:
+def timed_corrections(zones: CellZones, settings: ProcedureSettings, flange_from_tool_tip: Transform) -> Floats:
     """Return the times to plan the longest plausible corrections at the head, in random directions, ms.
 
     Args:
         zones: Zones of the cell.
         settings: Settings of the procedure.
-        flange_from_coil: Pose of the coil in the flange frame.
+        flange_from_tool_tip: Pose of the tool's contact point in the flange frame.
     """
     arm, motion, rng, times = ArmModel(IIWA14_R820), settings.motion, np.random.default_rng(2), []
     limits = MotionLimits(
@@ -77,7 +78,8 @@ def timed_corrections(zones: CellZones, settings: ProcedureSettings, flange_from
         shift = LONGEST_CORRECTION * direction / np.linalg.norm(direction)
         goal = Transform(here.rotation, here.translation + shift)
         begin = time.perf_counter()
-        straight_motion(arm, AT_HEAD, goal, limits, flange_from_tool=flange_from_coil, speed_limit_at=speed_limit_at)
+        tool = flange_from_tool_tip
+        straight_motion(arm, AT_HEAD, goal, limits, flange_from_tool=tool, speed_limit_at=speed_limit_at)
         times.append((time.perf_counter() - begin) * 1e3)
     return np.array(times)
 
@@ -85,8 +87,9 @@ def timed_corrections(zones: CellZones, settings: ProcedureSettings, flange_from
 def main(steps: int) -> None:
     """Measure and print."""
     settings = msgspec.convert({"body": {"surface": "head_phantom.ply"}}, ProcedureSettings)
-    flange_from_coil = Transform.from_quat_wxyz((0.0, 0.0, 0.15), (0.0, 1.0, 0.0, 0.0))
-    zones = CellZones(IIWA14_R820, flange_from_coil, settings, read_surface(settings))
+    mounting = Mounting.read(settings.calibration)
+    flange_from_tool_tip = mounting.flange_from_tool_tip
+    zones = CellZones(IIWA14_R820, mounting, settings, read_surface(settings))
     zones.place_body(BASE_FROM_IMAGE)
     zones.model.set_sight_lines(TRACKER, BODY_REF)
     home, at_head = np.array(IIWA14_R820.home), np.array(AT_HEAD)
@@ -105,7 +108,7 @@ def main(steps: int) -> None:
     begin = time.perf_counter()
     looks = len(zones.sample_clearance(along[:: max(1, steps // 1000)]).postures)
     print(f"{'a whole approach':20s} {looks} looks in {(time.perf_counter() - begin) * 1e3:.1f} ms")
-    p50, most = np.percentile(timed_corrections(zones, settings, flange_from_coil), (50, 100))
+    p50, most = np.percentile(timed_corrections(zones, settings, flange_from_tool_tip), (50, 100))
     print(f"{'a correction':20s} p50 {p50:6.1f} ms   max {most:6.1f} ms")
 
 

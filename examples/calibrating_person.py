@@ -1,6 +1,6 @@
 """Simulate the person in `pcmrs calibrate pivot|hand-eye --live` on the simulated cell.
 
-`sim.geometry.flange_from_coil` is the true tool; the simulation reports the true tip.
+`sim.geometry` has the true poses of the tool; the simulation reports the true tip of the pointer.
 """
 
 from __future__ import annotations

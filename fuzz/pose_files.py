@@ -9,22 +9,26 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from fuzz.running import UploadedFile, instrumented, run
 
 with instrumented("pcmrs.formats", "pcmrs.calibration", "yaml"):
     from pcmrs.calibration import read_calibration
-    from pcmrs.calibration.poses import HAND_EYE, read_poses
+    from pcmrs.calibration.poses import HAND_EYE, read_poses, read_touches
     from pcmrs.errors import FileFormatError
     from pcmrs.formats.pose_file import read_placements
     from pcmrs.formats.pose_log import read_pose_log
 
 read_hand_eye = partial(read_poses, names=HAND_EYE)
+read_touched = partial(read_touches, tip_in_pointer=np.array((0.0, 0.0, -0.15)))
 READERS: dict[str, Callable[[Path], object]] = {
     "placement.yaml": read_placements,
     "log.csv": read_pose_log,
     "poses.csv": read_hand_eye,
     "poses.json": read_hand_eye,
     "calibration.toml": read_calibration,
+    "touches.csv": read_touched,
 }
 FILE = UploadedFile(*READERS)
 

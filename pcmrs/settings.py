@@ -345,6 +345,7 @@ def _resolve_paths(values: dict[str, Any], folder: Path) -> None:
         (values, "workflow", ".toml"),
         (values.get("robot"), "model", ".urdf"),
         (calibration, "tool_file", ".toml"),
+        (calibration, "tip_file", ".toml"),
         (calibration, "pointer_file", ".toml"),
         (access, "identity", ""),
         (access, "register", ""),

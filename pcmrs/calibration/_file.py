@@ -7,7 +7,7 @@ import math
 import tomllib
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import msgspec
 import tomli_w
@@ -17,13 +17,28 @@ from pcmrs.formats.reading import read_text, refuse
 from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Transform
 
-Kind = Literal["tool", "pointer"]
-"""Kind of calibration: of a tool on the flange, or of the tip of a pointer."""
+Kind = Literal["tool", "tip", "pointer"]
+"""Kind of calibration: marker body of a tool on the flange, contact point of a tool in its marker body, or tip of a
+pointer."""
+KINDS: tuple[Kind, ...] = get_args(Kind)
+"""All kinds."""
 ToolType = Literal["coil", "drill_guide"]
 """Type of a calibrated tool."""
 
-TRANSFORM: dict[Kind, str] = {"tool": "flange_from_coil", "pointer": "pointer_from_tip"}
+TRANSFORM: dict[Kind, str] = {
+    "tool": "flange_from_tool_marker",
+    "tip": "tool_marker_from_tool_tip",
+    "pointer": "pointer_from_tip",
+}
 """Transform that a calibration of each kind must hold; the frames are those of `pcmrs.spatial.Frame`."""
+COMMAND: dict[Kind, str] = {
+    "tool": "pcmrs calibrate hand-eye",
+    "tip": "pcmrs calibrate tip",
+    "pointer": "pcmrs calibrate pivot",
+}
+"""Command that makes a calibration of each kind."""
+MARKER_AS_TOOL = "flange_from_coil"
+"""Transform of a tool in earlier files, which did not distinguish its marker body from its contact point."""
 
 HEADER = "# A calibration of PCMRS. The hash covers every value: what is changed by hand is refused; calibrate again.\n"
 
@@ -33,12 +48,12 @@ Count = Annotated[int, msgspec.Meta(ge=1)]
 
 
 class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Calibration of one tool or pointer.
+    """One calibration of a tool or pointer.
 
     Attributes:
         schema: Version of the file format.
-        kind: ``tool`` or ``pointer``.
-        type: Type of a tool; empty for a pointer.
+        kind: ``tool``, ``tip`` or ``pointer``.
+        type: Type of the tool; empty for a pointer.
         name: Name of the tool or pointer.
         serial: Serial number of the tool or pointer; empty if it has none.
         version: Number that grows with every calibration of the same tool or pointer.
@@ -46,8 +61,10 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         method: Method of the calibration, for people.
         date: Date and time of the calibration.
         valid_days: Number of days for which it may be used.
-        error_mm: Root mean square residual of the positions of the calibration poses, mm.
-        error_deg: Root mean square residual of their rotations, deg; 0 for a pointer, which is a point.
+        error_mm: Root mean square residual of the positions of the calibration poses, mm; of a tip the rms error of its
+            contact point, which the predicted error at the target includes.
+        error_deg: Root mean square residual of their rotations, deg; of a tip the rms error of its axes; 0 for a
+            pointer, which is a point.
         transforms: ``a_from_b`` by name; the one named in `TRANSFORM` is required.
         sha256: Hash of all other values, as stored in the file; empty before the file is written.
 
@@ -71,12 +88,18 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     sha256: str = ""
 
     def __post_init__(self) -> None:
-        if (self.kind == "tool") != bool(self.type):
-            raise ValueError(f"a {self.kind} of type {self.type!r}: a tool has a type, and nothing else")
+        if (self.kind != "pointer") != bool(self.type):
+            raise ValueError(f"a {self.kind} of type {self.type!r}: a tool and its tip have a type, a pointer has none")
         if not (math.isfinite(self.error_mm) and math.isfinite(self.error_deg)):
             raise ValueError("error_mm and error_deg must be finite")
         if TRANSFORM[self.kind] not in self.transforms:
-            raise ValueError(f"a {self.kind} needs transforms.{TRANSFORM[self.kind]}")
+            text = f"a {self.kind} needs transforms.{TRANSFORM[self.kind]}: make it with `{COMMAND[self.kind]}`"
+            if MARKER_AS_TOOL in self.transforms:
+                text = (
+                    f"transforms.{MARKER_AS_TOOL} took the marker body of the tool for its contact point: calibrate "
+                    f"both, with `{COMMAND['tool']}` and `{COMMAND['tip']}`"
+                )
+            raise ValueError(text)
         for name, pose in self.transforms.items():
             try:
                 Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
@@ -84,7 +107,7 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
                 raise ValueError(f"transforms.{name}: {error.text}") from None
 
     def transform(self) -> Transform:
-        """Return ``flange_from_coil`` of a tool, ``pointer_from_tip`` of a pointer."""
+        """Return the transform of `TRANSFORM`: for example ``tool_marker_from_tool_tip`` of a tip."""
         pose = self.transforms[TRANSFORM[self.kind]]
         return Transform.from_quat_wxyz(pose.position, pose.quat_wxyz)
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
-from pcmrs.calibration._file import Calibration, ToolType
+from pcmrs.calibration._file import COMMAND, Calibration, ToolType
 from pcmrs.errors import RefusalError
 
 CLOCK_TOLERANCE = timedelta(hours=1)
 """Limit for dates in the future. A later date means that the clock of this or of the calibrating machine is wrong."""
-
-COMMAND = {"tool": "pcmrs calibrate hand-eye", "pointer": "pcmrs calibrate pivot"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +56,7 @@ def _check_unchanged(calibration: Calibration) -> None:
 def _check_matches(calibration: Calibration, expected: ExpectedCalibration) -> None:
     fields = {
         "cell": (calibration.cell, expected.cell if calibration.cell else ""),
-        "type": (calibration.type, expected.tool_type if calibration.kind == "tool" else ""),
+        "type": (calibration.type, "" if calibration.kind == "pointer" else expected.tool_type),
         "serial": (calibration.serial, expected.serial or calibration.serial),
     }
     for field, (found, needed) in fields.items():

@@ -151,10 +151,10 @@ async def _record(
     from pcmrs.clock import SystemClock
     from pcmrs.kinematics.urdf_arms import find_arm
     from pcmrs.node import when_input_ends
-    from pcmrs.recording.frame_tree import Mounting
     from pcmrs.recording.subscriber import Subscriber
     from pcmrs.recording.views import RecordingViews
     from pcmrs.recording.writer import RecordingWriter
+    from pcmrs.workflows.mounting import Mounting
 
     loop, ended, clock = asyncio.get_running_loop(), asyncio.Event(), SystemClock()
     for number in (signal.SIGTERM, signal.SIGINT):

@@ -39,9 +39,9 @@ def ros2(file: Path | None, overrides: tuple[str, ...], as_json: bool) -> None:
         text += "install the extra ros2 (docs/supply.md)."
         raise ConfigurationError(text, package=error.name) from None
     from pcmrs.kinematics.urdf_arms import find_arm
-    from pcmrs.recording.frame_tree import Mounting
     from pcmrs.ros2.topics import namespace
     from pcmrs.settings import read_settings
+    from pcmrs.workflows.mounting import Mounting
 
     settings = read_settings(file, overrides)
     cell = settings.cell

@@ -8,7 +8,7 @@ from nicegui.elements.scene.scene_object3d import Object3D
 
 from pcmrs.console._body import BodyView
 from pcmrs.console._cell_view_model import CellViewModel
-from pcmrs.console._geometry import TrackerLocator, along
+from pcmrs.console._geometry import TrackerLocator, along, tool_tip
 from pcmrs.console._residuals import gradient
 from pcmrs.console._scene import ARM, BACKGROUND, BOX, MEASURED, PLANNED, fit, put, show, tool
 from pcmrs.console._surfaces import Surfaces
@@ -85,14 +85,15 @@ class CellPanel:
         self._seen.follow(view)
         if view.joints is None:
             return
-        coil, body_ref = view.poses.get("coil"), view.poses.get("body_ref")
-        frames = self._locator.see(view.joints.positions, coil, moving=view.joints.moving)
+        measured, body_ref = tool_tip(self._setup, view.poses.get("coil")), view.poses.get("body_ref")
+        frames = self._locator.see(view.joints.positions, measured, moving=view.joints.moving)
         for link, frame in zip(self._links, frames, strict=False):
             put(link, frame)
         for box in self._boxes:
             box.visible(self._wanted["zones"].value)
         self._tracking.follow(view, self._locator, wanted=self._wanted["tracker"].value)
-        show(self._measured, self._locator.in_base(coil))
+        base_from_tracker = self._locator.base_from_tracker
+        show(self._measured, None if measured is None or base_from_tracker is None else base_from_tracker @ measured)
         image = self._body.follow(self._locator.in_base(body_ref), zone=self._wanted["zones"].value)
         plan = view.data.plan
         show(self._planned, None if image is None or plan is None else image @ as_transform(plan))

@@ -139,20 +139,22 @@ class TrackerLocator:
 
     def __init__(self, setup: Setup) -> None:
         self.arm = ArmFrames(setup.arm)
-        self._flange_from_coil = as_transform(setup.flange_from_coil)
+        self._flange_from_tool_tip = as_transform(setup.flange_from_coil)
         self.base_from_tracker: Transform | None = None
 
-    def see(self, positions: npt.ArrayLike, coil: BodyPose | None, *, moving: bool) -> list[Transform]:
+    def see(
+        self, positions: npt.ArrayLike, tracker_from_tool_tip: Transform | None, *, moving: bool
+    ) -> list[Transform]:
         """Take the present joints and pose of the tool, and return `ArmFrames.frames`.
 
         Args:
             positions: Joint positions, rad, (n,).
-            coil: Pose of the tool in the tracker; None if it is not seen.
+            tracker_from_tool_tip: Pose of the tool's contact point; None if the tool is not seen.
             moving: The arm moves, so that joints and pose are of different moments.
         """
         frames = self.arm.frames(positions)
-        if coil is not None and coil.valid and not moving:
-            self._update_tracker_pose(frames[-1] @ self._flange_from_coil @ as_transform(coil).inverse())
+        if tracker_from_tool_tip is not None and not moving:
+            self._update_tracker_pose(frames[-1] @ self._flange_from_tool_tip @ tracker_from_tool_tip.inverse())
         return frames
 
     def _update_tracker_pose(self, found: Transform) -> None:
@@ -174,22 +176,34 @@ class TrackerLocator:
         return self.base_from_tracker @ as_transform(body)
 
 
+def tool_tip(setup: Setup, marker: BodyPose | None) -> Transform | None:
+    """Return ``tracker_from_tool_tip``; None while the tool is not seen.
+
+    Args:
+        setup: Setup of the cell.
+        marker: Pose of the tool's marker body in the tracker.
+    """
+    if marker is None or not marker.valid:
+        return None
+    return as_transform(marker) @ as_transform(setup.tool_marker_from_tool_tip)
+
+
 def placement_deviation(
-    data: ProcedureDataView, coil: BodyPose | None, body_ref: BodyPose | None
+    data: ProcedureDataView, tracker_from_tool_tip: Transform | None, body_ref: BodyPose | None
 ) -> PlacementDeviation | None:
     """Return the deviation of the tool from its plan, as the tracker sees it; None while unknown.
 
     Args:
         data: Data of the procedure, with plan and registration.
-        coil: Pose of the tool in the tracker.
+        tracker_from_tool_tip: Pose of the tool's contact point; None if the tool is not seen.
         body_ref: Pose of the reference in the tracker.
     """
     if data.plan is None or data.body_ref_from_image is None:
         return None
-    if coil is None or body_ref is None or not (coil.valid and body_ref.valid):
+    if tracker_from_tool_tip is None or body_ref is None or not body_ref.valid:
         return None
     tracker_from_planned = as_transform(body_ref) @ as_transform(data.body_ref_from_image) @ as_transform(data.plan)
-    planned_from_measured = tracker_from_planned.inverse() @ as_transform(coil)
+    planned_from_measured = tracker_from_planned.inverse() @ tracker_from_tool_tip
     x, y, z = (1000.0 * planned_from_measured.translation).tolist()
     away = 1000.0 * distance(planned_from_measured, Transform.identity())
     angle = np.degrees(rotation_angle(planned_from_measured, Transform.identity()))

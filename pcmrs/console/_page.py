@@ -11,7 +11,7 @@ from pcmrs.console._cell_view_model import CellViewModel
 from pcmrs.console._chart import ChartPanel
 from pcmrs.console._choices import Choice, Choices, latch_of
 from pcmrs.console._command_sender import CommandSender
-from pcmrs.console._geometry import placement_deviation
+from pcmrs.console._geometry import placement_deviation, tool_tip
 from pcmrs.console._live_feed import LiveFeed
 from pcmrs.console._playback_bar import PlaybackBar, choose_recording
 from pcmrs.console._recordings import Recordings
@@ -164,7 +164,8 @@ class Page:
 
     def _refresh(self) -> None:
         feed, view = self._feed, self._view
-        found = placement_deviation(view.data, view.poses.get("coil"), view.poses.get("body_ref"))
+        measured = tool_tip(self._setup, view.poses.get("coil"))
+        found = placement_deviation(view.data, measured, view.poses.get("body_ref"))
         self._error.set_text(
             self._texts("unknown") if found is None else f"{found.mm[0]:.2f} mm   {found.degrees:.2f}°"
         )

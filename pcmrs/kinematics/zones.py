@@ -84,8 +84,8 @@ class ZoneModel:
 
     Every link except the fixed base keeps out of every zone and away from every link that is not its neighbour. Two
     links are neighbours if they are no farther apart than the radius of a link in the zero posture, or do not move
-    against each other. The tracker's lines of sight, from its origin to the tool and to the body, are zones once
-    `set_sight_lines` has placed them. The tool and its mount may cut the line to the tool, which carries the markers.
+    against each other. The tracker's lines of sight, from its origin to the marker bodies of tool and body, are zones
+    once `set_sight_lines` has placed them. The tool and its mount may cut the line to the tool's own marker body.
 
     Args:
         facts: Facts of the arm.
@@ -94,6 +94,7 @@ class ZoneModel:
         zones: Zones to keep out of; they are far away until they are placed.
         link_margin: Least distance of links from each other, m.
         sight_radius: Least distance of every link from the tracker's lines of sight, m.
+        marker_in_flange: Origin of the tool's marker body in the flange, m, (3,).
 
     Attributes:
         links: Names of the links from the base to the tool.
@@ -110,12 +111,14 @@ class ZoneModel:
         *,
         link_margin: float,
         sight_radius: float,
+        marker_in_flange: npt.ArrayLike,
     ) -> None:
         self._joints = len(facts.joints)
         self._model = pinocchio.buildModelFromXML(urdf(facts))
         self._data = self._model.createData()
         self._geometry = pinocchio.GeometryModel()
         self._last_from_tool = se3(facts.joint_from_flange @ flange_from_tool)
+        self._marker_in_last = facts.joint_from_flange @ np.asarray(marker_in_flange, dtype=float)
         self._tracker: Floats | None = None
         self._number: dict[str, int] = {}
         self._spheres: dict[str, tuple[Floats, float]] = {}
@@ -168,8 +171,8 @@ class ZoneModel:
         """
         pinocchio.forwardKinematics(self._model, self._data, joint_array(q, self._joints))
         if self._tracker is not None:
-            base_from_tool = self._data.oMi[self._joints] * self._last_from_tool
-            self._place_sight_line(SIGHT_OF_TOOL, self._tracker, base_from_tool.translation)
+            marker = self._data.oMi[self._joints].act(self._marker_in_last)
+            self._place_sight_line(SIGHT_OF_TOOL, self._tracker, marker)
         pinocchio.updateGeometryPlacements(self._model, self._data, self._geometry, self._distances)
         pinocchio.computeDistances(self._geometry, self._distances)
         return np.array([found.min_distance for found in self._results])

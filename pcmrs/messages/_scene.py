@@ -12,7 +12,7 @@ class SceneTruth(Message, frozen=True, kw_only=True, omit_defaults=False):
     The true pose of a planned tool is ``tracker_from_body_ref @ body_ref_from_image @ image_from_coil``.
 
     Attributes:
-        tracker_from_coil: True pose of the tool.
+        tracker_from_coil: True pose of the tool's contact point.
         tracker_from_body_ref: True pose of the reference on the body.
         body_ref_from_image: True registration.
         time: Time of the cell at which all values hold, s.

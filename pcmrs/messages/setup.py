@@ -89,7 +89,8 @@ class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
         lease_required: True if a user has to hold the cell before any change of it.
         blueprint: Workflow as TOML.
         arm: The arm.
-        flange_from_coil: Pose of the tool on the arm.
+        flange_from_coil: Pose of the tool's contact point on the arm.
+        tool_marker_from_tool_tip: Pose of the tool's contact point in its marker body, which the tracker sees.
         tool_radius: Radius of the tool, a disc or rod about its z axis, m.
         tool_half_length: Half of the tool's length along its z axis, m.
         boxes: Fixed boxes that the arm keeps out of.
@@ -110,6 +111,7 @@ class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
     blueprint: str
     arm: ArmShown
     flange_from_coil: PoseMessage
+    tool_marker_from_tool_tip: PoseMessage
     tool_radius: float
     tool_half_length: float
     boxes: list[BoxShown]

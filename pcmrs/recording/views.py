@@ -15,9 +15,10 @@ from pcmrs.messages.health import Health
 from pcmrs.messages.setup import ProcedureDataView
 from pcmrs.recording import _foxglove_messages
 from pcmrs.recording._foxglove_messages import FoxgloveView
-from pcmrs.recording.frame_tree import FrameLink, FrameTree, Mounting
+from pcmrs.recording.frame_tree import FrameLink, FrameTree, fixed_links
 from pcmrs.recording.subscriber import RawSample
 from pcmrs.spatial import Frame, Transform
+from pcmrs.workflows.mounting import Mounting
 
 T = TypeVar("T")
 Shown = tuple[str, FoxgloveView]
@@ -30,7 +31,7 @@ TF_BODIES, TF_IMAGE = "/tf/bodies", "/tf/image"
 
 _SECOND = 1_000_000_000
 BASE_PERIOD_NS = _SECOND
-"""Period of the base of a robot that stands, ns: it is computed from each pose of the coil, and changes little."""
+"""Period of the base of a robot that stands, ns: it is computed from each pose of the tool, and changes little."""
 _LEVELS = {"accepted": LogLevel.Info, "rejected": LogLevel.Warning}
 
 
@@ -46,7 +47,7 @@ class RecordingViews:
     def __init__(self, arm: ArmFacts, mounting: Mounting, rate: float) -> None:
         self._names = [joint.name for joint in arm.joints]
         self._frames = FrameTree(arm, mounting)
-        self._fixed = mounting.links()
+        self._fixed = fixed_links(mounting)
         self._rate = rate
         self._latest: dict[str, tuple[str, Any]] = {}
         self._base_due_ns = 0
@@ -96,9 +97,9 @@ class RecordingViews:
         captured_ns = at_ns - self._age_ns(pose.sent - pose.captured)
         tracker_from_body = _transform(pose)
         yield TF_BODIES, _foxglove_messages.link(Frame.TRACKER, pose.body, tracker_from_body, captured_ns)
-        if pose.body != Frame.COIL or at_ns < self._base_due_ns:
+        if pose.body != Frame.TOOL_MARKER or at_ns < self._base_due_ns:
             return
-        base = self._frames.coil(tracker_from_body)
+        base = self._frames.tool(tracker_from_body)
         if base is not None:
             self._base_due_ns = at_ns + BASE_PERIOD_NS
             yield self._stored("base", TF_BASE, lambda at: self._linked(base, at), captured_ns)
@@ -135,7 +136,7 @@ class RecordingViews:
         self._latest.pop("target", None)
         if target.body_ref_from_image is not None:
             body_ref_from_image = _transform(target.body_ref_from_image)
-            link = Frame.BODY_REF, Frame.IMAGE, body_ref_from_image
+            link = Frame.REFERENCE, Frame.IMAGE, body_ref_from_image
             yield self._stored("image", TF_IMAGE, lambda at: _foxglove_messages.link(*link, at), at_ns)
         if target.pose is not None:
             image_from_coil = _transform(target.pose)

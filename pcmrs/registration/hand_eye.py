@@ -1,8 +1,8 @@
 """Hand-eye and robot-world calibration in one solution: marker body on the flange, tracker in the robot's base.
 
-It solves ``A_i X = Y B_i`` with A = base_from_flange, X = flange_from_coil, Y = base_from_tracker and B =
-tracker_from_coil. The closed form is that of M. Shah, Solving the Robot-World/Hand-Eye Calibration Problem Using the
-Kronecker Product, Journal of Mechanisms and Robotics 5 (2013). Gauss-Newton steps follow, with rotations and
+It solves ``A_i X = Y B_i`` with A = base_from_flange, X = flange_from_tool_marker, Y = base_from_tracker and B =
+tracker_from_tool_marker. The closed form is that of M. Shah, Solving the Robot-World/Hand-Eye Calibration Problem Using
+the Kronecker Product, Journal of Mechanisms and Robotics 5 (2013). Gauss-Newton steps follow, with rotations and
 translations each weighted by their own scatter: far from the tracker, its positions determine the rotation of Y better
 than its rotations do.
 """
@@ -38,19 +38,19 @@ class HandEyeCalibration:
     """Poses of the marker body on the flange and of the tracker in the robot's base.
 
     Attributes:
-        flange_from_coil: X, the pose of the marker body on the flange.
+        flange_from_tool_marker: X, the pose of the marker body on the flange.
         base_from_tracker: Y, valid until the tracker or the robot is moved.
         rms: Root mean square of `distances` over the good poses, m.
         rms_angle: Root mean square of `angles` over the good poses, rad.
         distances: Distance between A X and Y B at every pose, including the bad ones, m, (N,).
         angles: Angle between A X and Y B at every pose, including the bad ones, rad, (N,).
-        covariance: Covariance of `flange_from_coil` as far as the scatter of the poses shows it: rotation vector in
-            the coil's frame (rad), then translation in the flange's frame (m), (6, 6).
+        covariance: Covariance of `flange_from_tool_marker` as far as the scatter of the poses shows it: rotation vector
+            in the frame of the marker body (rad), then translation in the flange's frame (m), (6, 6).
         bad: Indices of the poses that do not fit the others and were left out.
         singular_values: Singular values of `pcmrs.registration.pose_sets.RotationSpread`, (3,).
     """
 
-    flange_from_coil: Transform
+    flange_from_tool_marker: Transform
     base_from_tracker: Transform
     rms: float
     rms_angle: float
@@ -78,21 +78,21 @@ class _Fit:
 
 
 def calibrate_hand_eye(
-    base_from_flange: Sequence[Transform], tracker_from_coil: Sequence[Transform]
+    base_from_flange: Sequence[Transform], tracker_from_tool_marker: Sequence[Transform]
 ) -> HandEyeCalibration:
-    """Return the X and Y for which ``base_from_flange @ X`` and ``Y @ tracker_from_coil`` differ least.
+    """Return the X and Y for which ``base_from_flange @ X`` and ``Y @ tracker_from_tool_marker`` differ least.
 
     Args:
         base_from_flange: Poses of the flange computed from the joints, with the arm at rest, (N,).
-        tracker_from_coil: Poses of the marker body measured at the same times, (N,). The tracker and the robot's base
-            must not move.
+        tracker_from_tool_marker: Poses of the marker body measured at the same times, (N,). The tracker and the robot's
+            base must not move.
 
     Raises:
         GeometryError: The numbers of poses differ.
         DegenerateMotionError: There are fewer than `MIN_POSES` poses, or the flange was turned about one axis only.
         RefusalError: ``too_many_bad_poses``.
     """
-    a, b = list(base_from_flange), list(tracker_from_coil)
+    a, b = list(base_from_flange), list(tracker_from_tool_marker)
     if len(a) != len(b):
         text = f"There are {len(a)} poses of the flange but {len(b)} of the tool; give them in pairs."
         raise GeometryError(text, flange=len(a), tool=len(b))
@@ -107,7 +107,7 @@ def calibrate_hand_eye(
     differences = _differences(fit.x, fit.y, a, b)
     angles, distances = np.linalg.norm(differences, axis=2).T
     return HandEyeCalibration(
-        flange_from_coil=fit.x,
+        flange_from_tool_marker=fit.x,
         base_from_tracker=fit.y,
         rms=float(np.sqrt(np.mean(distances[good] ** 2))),
         rms_angle=float(np.sqrt(np.mean(angles[good] ** 2))),

@@ -7,6 +7,7 @@ from typing import Any
 
 from pcmrs.journal import JournalRow
 from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.mounting import Mounting
 from pcmrs.workflows.settings import ProcedureSettings
 
 
@@ -32,8 +33,8 @@ class ReplayCell(Cell):
     def __init__(self, settings: ProcedureSettings, calibration: str | None) -> None:
         poses = settings.calibration
         known: dict[str, Any] = {"settings": settings}
-        if not (poses.tool_file or poses.pointer_file):  # the journal does not contain these files
-            known |= {"tool_calibration": None, "pointer_calibration": None}
+        if not (poses.tool_file or poses.tip_file or poses.pointer_file):  # the journal does not contain these files
+            known["mounting"] = Mounting.read(poses)
         if calibration is not None:
             known["calibration_id"] = calibration
         self._known = known

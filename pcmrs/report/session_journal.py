@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from pcmrs.analysis.placements import PlacementTrial
+from pcmrs.calibration import KINDS
 from pcmrs.errors import FileFormatError, GeometryError, JournalError
 from pcmrs.formats.pose_file import Placement
 from pcmrs.journal import JournalReader, JournalRow, StoredRow
@@ -170,7 +171,7 @@ def find_session(sessions: Sequence[str], start: str | None, path: Path) -> int:
 def configured_calibrations(settings: Mapping[str, Any]) -> dict[str, str]:
     """Return the paths of the calibration files that settings name, by kind: ``tool`` and ``pointer``."""
     calibration = settings.get("procedure", {}).get("calibration", {})
-    return {kind: str(file) for kind in ("tool", "pointer") if (file := calibration.get(f"{kind}_file"))}
+    return {kind: str(file) for kind in KINDS if (file := calibration.get(f"{kind}_file"))}
 
 
 def operation_name(row: JournalRow) -> str:

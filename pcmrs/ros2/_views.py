@@ -9,11 +9,12 @@ from pycdr2 import IdlStruct
 
 from pcmrs.clock import Clock
 from pcmrs.messages import BodyPose, JointState, PoseMessage, Snapshot, Target
-from pcmrs.recording.frame_tree import FrameLink, FrameTree, Mounting
+from pcmrs.recording.frame_tree import FrameLink, FrameTree, fixed_links
 from pcmrs.ros2 import cdr
 from pcmrs.ros2._poses import Stamps
 from pcmrs.ros2.topics import JOINT_STATES, STATE, TF, TF_STATIC, Topic, pose_topic
 from pcmrs.spatial import Frame, Transform
+from pcmrs.workflows.mounting import Mounting
 
 RosMessage = tuple[Topic, IdlStruct]
 
@@ -22,7 +23,7 @@ class Views:
     """Translates received messages.
 
     The tracker is the root of all frames: the bodies that it sees, and the arm by its base, computed whenever the arm
-    stands and the coil is seen; see `pcmrs.recording.frame_tree`. The arm's frames are sent with its joints, the image
+    stands and the tool is seen; see `pcmrs.recording.frame_tree`. The arm's frames are sent with its joints, the image
     with the reference, while there is a registration: an unknown pose is not sent, so that it grows old in ROS.
 
     Args:
@@ -45,7 +46,7 @@ class Views:
     def fixed(self) -> RosMessage:
         """Return the poses that never change."""
         at = self._clock.wall()
-        return TF_STATIC, cdr.TFMessage([cdr.link(*link, at) for link in self._mounting.links()])
+        return TF_STATIC, cdr.TFMessage([cdr.link(*link, at) for link in fixed_links(self._mounting)])
 
     def joints(self, state: JointState) -> Iterator[RosMessage]:
         """Return the joints and frames of the arm.
@@ -70,11 +71,11 @@ class Views:
         if not pose.valid:
             return
         tracker_from_body = _transform(pose)
-        if pose.body == Frame.COIL:
-            self._base = self._chain.coil(tracker_from_body) or self._base
+        if pose.body == Frame.TOOL_MARKER:
+            self._base = self._chain.tool(tracker_from_body) or self._base
         links = [cdr.link(Frame.TRACKER, pose.body, tracker_from_body, at)]
-        if pose.body == Frame.BODY_REF and self._body_ref_from_image is not None:
-            links.append(cdr.link(Frame.BODY_REF, Frame.IMAGE, self._body_ref_from_image, at))
+        if pose.body == Frame.REFERENCE and self._body_ref_from_image is not None:
+            links.append(cdr.link(Frame.REFERENCE, Frame.IMAGE, self._body_ref_from_image, at))
         yield pose_topic(pose.body), cdr.pose_stamped(Frame.TRACKER, tracker_from_body, at)
         yield TF, cdr.TFMessage(links)
 

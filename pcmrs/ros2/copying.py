@@ -13,9 +13,10 @@ from pcmrs.clock import SystemClock
 from pcmrs.errors import GeometryError
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.messages import BodyPose, JointState, Snapshot, Target
-from pcmrs.recording.frame_tree import FrameTree, Mounting
+from pcmrs.recording.frame_tree import FrameTree
 from pcmrs.ros2._views import RosMessage, Views
 from pcmrs.ros2.topics import TOPICS, Topic
+from pcmrs.workflows.mounting import Mounting
 
 log = structlog.get_logger(__name__)
 

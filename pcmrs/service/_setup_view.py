@@ -46,7 +46,8 @@ def setup_of(cell: Cell, settings: Settings, blueprint: Blueprint) -> Setup:
             flange=as_message(facts.joint_from_flange),
             link_radius=facts.link_radius,
         ),
-        flange_from_coil=as_message(cell.flange_from_coil),
+        flange_from_coil=as_message(cell.flange_from_tool_tip),
+        tool_marker_from_tool_tip=as_message(cell.mounting.tool_marker_from_tool_tip),
         tool_radius=procedure.zones.tool.radius,
         tool_half_length=procedure.zones.tool.half_length,
         boxes=[

@@ -66,9 +66,8 @@ class GatewayAdapter:
         return self._cell.arm.forward(joints) if joints is not None else None
 
     def tool_in_image(self) -> Transform | None:
-        image_from_tracker = self._image_from_tracker()
-        coil = self._seen("coil")
-        return image_from_tracker @ coil if image_from_tracker is not None and coil is not None else None
+        image_from_tracker, tool = self._image_from_tracker(), self._seen_tool()
+        return image_from_tracker @ tool if image_from_tracker is not None and tool is not None else None
 
     def target_in_image(self) -> Transform | None:
         plan = self._dispatcher.procedure.data.plan
@@ -86,11 +85,11 @@ class GatewayAdapter:
         return as_transform(registered.body_ref_from_image) if registered is not None else None
 
     def seen(self) -> dict[str, Transform]:
-        found = {body: self._seen(body) for body in ("coil", "pointer", "body_ref")}
+        found = {"coil": self._seen_tool(), "pointer": self._seen("pointer"), "body_ref": self._seen("body_ref")}
         return {body: pose for body, pose in found.items() if pose is not None}
 
     def tracked(self) -> dict[str, Transform] | None:
-        body, tool = self._seen("body_ref"), self._seen("coil")
+        body, tool = self._seen("body_ref"), self._seen_tool()
         if body is None or tool is None:
             return None
         return {"body_from_tool": body.inverse() @ tool, "tracker_from_body": body, "tracker_from_tool": tool}
@@ -100,6 +99,11 @@ class GatewayAdapter:
         if body is None or body_from_image is None:
             return None
         return (body @ body_from_image).inverse()
+
+    def _seen_tool(self) -> Transform | None:
+        """Return ``tracker_from_tool_tip``; None while the tool is not seen."""
+        marker = self._seen("coil")
+        return None if marker is None else self._cell.mounting.tool_tip(marker)
 
     def _seen(self, body: str) -> Transform | None:
         try:

@@ -21,7 +21,7 @@ from pcmrs.devices.standstill import Standstill
 from pcmrs.dispatcher import Dispatcher, DispatcherListener, Recorder, Workflow
 from pcmrs.dispatcher.decisions import Rejections
 from pcmrs.dispatcher.execution import MotionChecker
-from pcmrs.errors import DeviceError
+from pcmrs.errors import ConfigurationError, DeviceError
 from pcmrs.fsm import Blueprint
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
@@ -42,7 +42,7 @@ from pcmrs.service.watches.lease import LeaseWatch
 from pcmrs.service.watches.readiness import DeviceReadiness, awaited
 from pcmrs.service.watches.reference import ReferenceWatch
 from pcmrs.service.watches.robot import RobotWatch
-from pcmrs.settings import DWELL, Settings
+from pcmrs.settings import DWELL, SIMULATED, Settings
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.settings import TrackingSettings
@@ -278,10 +278,12 @@ def open_cell(settings: Settings, blueprint: Blueprint, link: Link, clocks: Cloc
         session: Id of this run of the daemon.
 
     Raises:
-        ConfigurationError: A calibration cannot be used, or the body's surface is missing or another patient's.
+        ConfigurationError: A calibration is missing or cannot be used, or the body's surface is missing or another
+            patient's.
         FileFormatError: The surface is not a mesh.
     """
     procedure, machine = settings.procedure.in_cell_time(settings.cell.rate), clocks.machine
+    _check_tool(settings, blueprint)
     cell = Cell(
         name=f"{settings.cell.site}/{settings.cell.name}",
         # Waits for answers use the machine's clock: a fast simulation may fall behind its own.
@@ -300,6 +302,16 @@ def open_cell(settings: Settings, blueprint: Blueprint, link: Link, clocks: Cloc
         cell.pointer = DwellPointer(cell.poses, clocks.cell, cell.pointer_from_tip, settings.pointer.dwell)
     log.info("calibration", **cell.calibrations(), id=cell.calibration_id)
     return cell
+
+
+def _check_tool(settings: Settings, blueprint: Blueprint) -> None:
+    """Refuse to place a real tool by the poses of the simulated one. Raises `ConfigurationError`."""
+    if blueprint.uses_robot and settings.scene.driver != SIMULATED and settings.procedure.calibration.of_simulated_tool:
+        text = (
+            "procedure.calibration does not say where the tool is: give tool_file, which `pcmrs calibrate hand-eye` "
+            "makes, and tip_file, which `pcmrs calibrate tip` makes (docs/calibration.md)."
+        )
+        raise ConfigurationError(text)
 
 
 def _pose_limits(tracking: TrackingSettings) -> PoseLimits:

@@ -136,7 +136,7 @@ def _rounded(value: float | None) -> float | None:
 
 
 def desired_in_body_ref(cell: Cell, data: PlacementData) -> Transform | None:
-    """Return ``body_ref_from_coil`` as planned and nudged; None if there is no registration or plan.
+    """Return ``body_ref_from_tool_tip`` as planned and nudged; None if there is no registration or plan.
 
     Args:
         cell: Cell with the settings.
@@ -147,15 +147,16 @@ def desired_in_body_ref(cell: Cell, data: PlacementData) -> Transform | None:
     return as_transform(data.registered.body_ref_from_image) @ target_pose(data, cell.settings.placement.confirm_offset)
 
 
-def measured_from_desired(frame: TrackerFrame, body_ref_from_coil: Transform) -> Transform:
+def measured_from_desired(cell: Cell, frame: TrackerFrame, body_ref_from_tool_tip: Transform) -> Transform:
     """Return the error of the tool's pose in a frame, along its own axes.
 
     Args:
+        cell: Cell with the calibration of the tool.
         frame: Frame of the tracker.
-        body_ref_from_coil: Desired pose of the tool.
+        body_ref_from_tool_tip: Desired pose of the tool.
     """
-    tracker_from_desired = frame["body_ref"].tracker_from_body @ body_ref_from_coil
-    return frame["coil"].tracker_from_body.inverse() @ tracker_from_desired
+    tracker_from_desired = frame["body_ref"].tracker_from_body @ body_ref_from_tool_tip
+    return cell.mounting.tool_tip(frame["coil"].tracker_from_body).inverse() @ tracker_from_desired
 
 
 async def watch_alignment(act: Activity) -> None:
@@ -166,7 +167,7 @@ async def watch_alignment(act: Activity) -> None:
             number = frame["coil"].frame_number
             desired = desired_in_body_ref(act.cell, act.data)
             if desired is not None:
-                watch.take(frame, measured_from_desired(frame, desired))
+                watch.take(frame, measured_from_desired(act.cell, frame, desired))
         watch.evaluate()
         await act.clock.sleep(max(MIN_PAUSE, act.cell.settings.alignment.off_time / CHECKS_PER_LOSS))
 

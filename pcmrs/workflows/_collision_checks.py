@@ -106,7 +106,7 @@ def check_towards(cell: Cell, data: PlacementData, trajectory: JointTrajectory, 
     """
     update_collision_scene(cell, data)
     sampled = cell.zones.sample_clearance(trajectory.positions)
-    points = np.array([cell.arm.forward(q) @ cell.flange_from_coil.translation for q in sampled.postures])
+    points = np.array([cell.arm.forward(q) @ cell.flange_from_tool_tip.translation for q in sampled.postures])
     limits = cell.zones.limits_towards(base_from_target, points)
     _refuse(sampled.first_violation(cell.zones.model, limits), OTHER_PATH_ADVICE)
     _check_inside_cone(cell, sampled.postures, points, base_from_target)
@@ -191,19 +191,19 @@ def plan_joint_path(run: AnyRun[Cell, P], start: npt.ArrayLike, goal: npt.ArrayL
     """
     cell = run.cell
     update_collision_scene(cell, run.data)
-    limits, coil, speed_limit_at = cell.motion_limits(), cell.flange_from_coil, _speed_limits(cell)
+    limits, coil, speed_limit_at = cell.motion_limits(), cell.flange_from_tool_tip, _speed_limits(cell)
     return joint_motion(cell.arm, start, goal, limits, flange_from_tool=coil, speed_limit_at=speed_limit_at)
 
 
 def plan_linear_path(
-    run: AnyRun[Cell, P], start: npt.ArrayLike, base_from_coil: Transform, *, near: bool = False
+    run: AnyRun[Cell, P], start: npt.ArrayLike, base_from_tool_tip: Transform, *, near: bool = False
 ) -> JointTrajectory:
     """Plan a straight motion of the tool from rest to rest, slower near the body.
 
     Args:
         run: Present operation.
         start: Joint positions at the start, rad, (n,).
-        base_from_coil: Pose of the tool at the end, in the robot's base.
+        base_from_tool_tip: Pose of the tool at the end, in the robot's base.
         near: True if the whole motion must be slow.
 
     Raises:
@@ -214,7 +214,7 @@ def plan_linear_path(
     limits, motion = cell.motion_limits(), cell.settings.motion
     if near:
         limits = replace(limits, linear_velocity=min(limits.linear_velocity, motion.near_velocity))
-    goal, coil = cell.flange_for(base_from_coil), cell.flange_from_coil
+    goal, coil = cell.flange_for(base_from_tool_tip), cell.flange_from_tool_tip
     return straight_motion(cell.arm, start, goal, limits, flange_from_tool=coil, speed_limit_at=_speed_limits(cell))
 
 

@@ -29,11 +29,10 @@ def calibration_valid(run: Run) -> None:
     """
     cell, settings = run.cell, run.cell.settings
     run.result["calibration"] = cell.calibrations()
-    serials = {"tool": settings.calibration.tool_serial, "pointer": settings.calibration.pointer_serial}
-    for calibration in (cell.tool_calibration, cell.pointer_calibration):
-        if calibration is not None:
-            expected = ExpectedCalibration(cell.name, settings.tool, serials[calibration.kind])
-            check_valid(calibration, expected, run.clock.wall())
+    tool, pointer = settings.calibration.tool_serial, settings.calibration.pointer_serial
+    serials = {"tool": tool, "tip": tool, "pointer": pointer}
+    for kind, calibration in cell.mounting.files.items():
+        check_valid(calibration, ExpectedCalibration(cell.name, settings.tool, serials[kind]), run.clock.wall())
 
 
 async def connect_robot(run: Run) -> None:

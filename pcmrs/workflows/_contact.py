@@ -50,15 +50,15 @@ def press_possible(run: Run) -> None:
     check_at_present_plan(run.data)
     cell, contact = run.cell, run.cell.settings.contact
     base_from_target = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE) @ planned_pose(run.data)
-    base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
-    travel = _allowed_travel(cell, float((base_from_target.inverse() @ base_from_coil.translation)[2]))
+    base_from_tool_tip = cell.arm.forward(cell.posture()) @ cell.flange_from_tool_tip
+    travel = _allowed_travel(cell, float((base_from_target.inverse() @ base_from_tool_tip.translation)[2]))
     # The travel becomes a nudge afterwards, so its sum is checked in advance.
     check_nudges(run, _nudged_by(run.data, travel), run.data.nudge_rotation_zyx)
-    path = plan_linear_path(run, cell.posture(), base_from_coil @ along_axis(-travel), near=True)
+    path = plan_linear_path(run, cell.posture(), base_from_tool_tip @ along_axis(-travel), near=True)
     check_towards(cell, run.data, path, base_from_target)
     request = PressRequest(
         force=contact.force if run.payload.force is None else run.payload.force,
-        direction_in_flange=as_point(-cell.flange_from_coil.rotation[:, 2]),
+        direction_in_flange=as_point(-cell.flange_from_tool_tip.rotation[:, 2]),
         travel=travel,
         speed=contact.speed,
         timeout=contact.timeout,
@@ -109,8 +109,8 @@ def _nudged_by(data: PlacementData, travel: float) -> Point:
 
 def _travel(cell: Cell, path: JointTrajectory, ended: MotionResult) -> float:
     """Return the travel of the tool along its axis towards the body, computed from the joints, m."""
-    before = cell.arm.forward(path.positions[0]) @ cell.flange_from_coil
-    after = cell.arm.forward(ended.positions) @ cell.flange_from_coil
+    before = cell.arm.forward(path.positions[0]) @ cell.flange_from_tool_tip
+    after = cell.arm.forward(ended.positions) @ cell.flange_from_tool_tip
     return -float((before.inverse() @ after.translation)[2])
 
 

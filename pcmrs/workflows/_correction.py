@@ -30,11 +30,11 @@ class CorrectionLine:
 
     Attributes:
         start: Commanded joint positions at its start, rad, (n,).
-        base_from_coil: Pose of the tool to command at its end, in the robot's base.
+        base_from_tool_tip: Pose of the tool to command at its end, in the robot's base.
     """
 
     start: Floats
-    base_from_coil: Transform
+    base_from_tool_tip: Transform
 
 
 async def correct_from_tracker(run: Run) -> None:
@@ -59,7 +59,7 @@ async def correct_from_tracker(run: Run) -> None:
         check_correctable(measured_from_desired, limits)
         if _converged(rounds, limits):
             return
-        goal = cell.arm.forward(commanded) @ cell.flange_from_coil @ measured_from_desired
+        goal = cell.arm.forward(commanded) @ cell.flange_from_tool_tip @ measured_from_desired
         run.prepared = CorrectionLine(commanded, goal)
         await run.plan(correction_possible, within=CORRECTION_TIME)
         await follow(run, run.prepared)
@@ -69,7 +69,7 @@ async def correct_from_tracker(run: Run) -> None:
 def correction_possible(run: Run) -> None:
     """Plan the line of one correction, which `run.prepared` holds."""
     line: CorrectionLine = run.prepared
-    run.prepared = plan_linear_path(run, line.start, line.base_from_coil, near=True)
+    run.prepared = plan_linear_path(run, line.start, line.base_from_tool_tip, near=True)
 
 
 def check_correctable(measured_from_desired: Transform, limits: PlacementSettings) -> None:

@@ -71,12 +71,12 @@ class BodyFollower:
         graph = cell.frames(data)
         update_collision_scene(cell, data)
         self._base_from_tracker = graph.get(Frame.ROBOT_BASE, Frame.TRACKER)
-        self._base_from_coil = graph.get(Frame.ROBOT_BASE, Frame.COIL)
-        self._start = graph.get(Frame.TRACKER, Frame.BODY_REF).translation
+        self._base_from_tool_tip = graph.get(Frame.ROBOT_BASE, Frame.TOOL_TIP)
+        self._start = graph.get(Frame.TRACKER, Frame.REFERENCE).translation
         self._body = BodyTrack(self._settings)
         for frame in frames:
             self._body.take(frame)
-            check_correctable(measured_from_desired(frame, desired), cell.settings.placement)
+            check_correctable(measured_from_desired(cell, frame, desired), cell.settings.placement)
         self._correction = Transform.identity()
         self._velocity: Floats = np.zeros(6)
         self._lagging = False
@@ -92,7 +92,7 @@ class BodyFollower:
             RefusalError: The body or the tool jumped, or the arm's error is implausibly large.
         """
         elapsed = self._body.take(frame)
-        error = measured_from_desired(frame, self._desired)
+        error = measured_from_desired(self._cell, frame, self._desired)
         self._check_offset(error, elapsed)
         if not self._lagging:  # the error of a tool at its speed limit is lag, not an error of the arm
             gain = elapsed / self._settings.correction_time
@@ -145,24 +145,24 @@ class BodyFollower:
             raise RefusalError("body_moved_far", text, moved=self.moved, limit=self._settings.range)
 
     def _goal(self, base_from_body_ref: Transform) -> Transform:
-        """Return the ``base_from_coil`` to command so that the tool is at its place on the body."""
+        """Return the ``base_from_tool_tip`` to command so that the tool is at its place on the body."""
         return base_from_body_ref @ self._desired @ self._correction
 
     def _move_tool(self, earlier: Transform, goal: Transform, elapsed: float) -> None:
         """Move the tool with the body, and smoothly to its place there, within the limits of its motion."""
         settings = self._settings
         with_body = _twist(earlier.inverse() @ goal) / elapsed
-        catching_up = _twist(self._base_from_coil.inverse() @ earlier) / max(settings.smoothing_time, elapsed)
+        catching_up = _twist(self._base_from_tool_tip.inverse() @ earlier) / max(settings.smoothing_time, elapsed)
         requested = with_body + catching_up
         limited = limit_twist(requested, settings.linear_velocity, settings.angular_velocity)
         max_change = settings.linear_acceleration * elapsed, settings.angular_acceleration * elapsed
         self._velocity = self._velocity + limit_twist(limited - self._velocity, *max_change)
         self._lagging = not np.allclose(self._velocity, requested)
         step = self._velocity * elapsed
-        self._base_from_coil = self._base_from_coil @ Transform.from_rotvec(step[:3], step[3:])
+        self._base_from_tool_tip = self._base_from_tool_tip @ Transform.from_rotvec(step[:3], step[3:])
 
     def _track(self) -> Floats:
-        return track(self._cell.arm, self._cell.flange_for(self._base_from_coil), self.positions)
+        return track(self._cell.arm, self._cell.flange_for(self._base_from_tool_tip), self.positions)
 
     def _keep_out(self, base_from_body_ref: Transform) -> None:
         """Place the zones that move with the body. Raises `RefusalError` if the arm would be too near to a zone."""
@@ -180,9 +180,9 @@ def _twist(transform: Transform) -> Floats:
 def follow_possible(run: Run) -> None:
     """Plan the straight path to the body's present place, and refuse one that is too long for a small correction."""
     cell = run.cell
-    image_from_coil = cell.frames(run.data).get(Frame.IMAGE, Frame.COIL)
+    image_from_tool_tip = cell.frames(run.data).get(Frame.IMAGE, Frame.TOOL_TIP)
     desired = target_pose(run.data, cell.settings.placement.confirm_offset)
-    check_correctable(image_from_coil.inverse() @ desired, cell.settings.placement)
+    check_correctable(image_from_tool_tip.inverse() @ desired, cell.settings.placement)
     confirm_possible(run)
 
 

@@ -127,7 +127,7 @@ class GuidedTool:
         self._cell, self._settings = cell, cell.settings.teleoperation
         self._limits = PlanLimits(self._settings)
         self.positions = cell.posture()
-        self._base_from_tool = cell.arm.forward(self.positions) @ cell.flange_from_coil
+        self._base_from_tool = cell.arm.forward(self.positions) @ cell.flange_from_tool_tip
         # Pairs that may touch the body are limited by their distances at the planned contact, which the arm must be
         # able to reach from here.
         contact = track(cell.arm, cell.flange_for(base_from_plan), self.positions)
@@ -145,7 +145,7 @@ class GuidedTool:
     def begin(self) -> None:
         """Start from the present posture of the arm."""
         self.positions = self._cell.posture()
-        self._base_from_tool = self._cell.arm.forward(self.positions) @ self._cell.flange_from_coil
+        self._base_from_tool = self._cell.arm.forward(self.positions) @ self._cell.flange_from_tool_tip
         self._velocity = np.zeros(6)
 
     def set_plan(self, base_from_plan: Transform) -> None:

@@ -91,8 +91,8 @@ def placement_errors(measured: Transform, expected: Transform, offset: float = 0
     """Return a measured pose and its errors against the expected one, as a result.
 
     Args:
-        measured: Measured ``image_from_coil``.
-        expected: Expected ``image_from_coil``.
+        measured: Measured ``image_from_tool_tip``.
+        expected: Expected ``image_from_tool_tip``.
         offset: Expected distance from it along the tool's +z axis, m.
     """
     error = measured.rotation.T @ (measured.translation - expected.translation) - np.array([0.0, 0.0, offset])
@@ -110,7 +110,7 @@ async def find_where_retreat_ended(run: Run) -> None:
 
 
 async def measure_coil(run: AnyRun[Cell, P]) -> Transform:
-    """Return ``image_from_coil`` as the mean of new tracker frames, with the arm at rest.
+    """Return ``image_from_tool_tip`` as the mean of new tracker frames, with the arm at rest.
 
     Raises:
         RefusalError: There is no registration, or tool and body are not seen.
@@ -121,7 +121,8 @@ async def measure_coil(run: AnyRun[Cell, P]) -> Transform:
         raise RefusalError("not_registered", "There is no registration, so the tool cannot be measured in the image.")
     frames = await cell.poses.collect(["coil", "body_ref"], placement.frames, timeout=MEASURING_TIME)
     image_from_body_ref = as_transform(registered.body_ref_from_image).inverse()
-    return mean_transform([image_from_body_ref @ frame["body_ref"].inverse() @ frame["coil"] for frame in frames])
+    tips = [frame["body_ref"].inverse() @ cell.mounting.tool_tip(frame["coil"]) for frame in frames]
+    return mean_transform([image_from_body_ref @ body_ref_from_tool_tip for body_ref_from_tool_tip in tips])
 
 
 async def follow(run: Run, trajectory: JointTrajectory) -> None:
@@ -152,7 +153,7 @@ def _at_standoff(run: Run) -> bool:
     if not in_force or not at_present_plan(data):
         return False
     try:
-        measured = run.cell.frames(data).get(Frame.IMAGE, Frame.COIL)
+        measured = run.cell.frames(data).get(Frame.IMAGE, Frame.TOOL_TIP)
     except RefusalError:
         return False
     return (

@@ -74,8 +74,8 @@ def distance_from_body(cell: Cell, data: PlacementData) -> float:
     Raises:
         RefusalError: Tool and body are not seen together.
     """
-    base_from_coil = cell.frames(data).get(Frame.ROBOT_BASE, Frame.COIL)
-    offsets = [base_from_coil.translation - centre for centre in _body_centres(cell, data)]
+    base_from_tool_tip = cell.frames(data).get(Frame.ROBOT_BASE, Frame.TOOL_TIP)
+    offsets = [base_from_tool_tip.translation - centre for centre in _body_centres(cell, data)]
     return float(min(np.linalg.norm(offset) for offset in offsets))
 
 
@@ -89,15 +89,15 @@ def distance_until_clear(cell: Cell, data: PlacementData) -> float:
     Raises:
         RefusalError: See `body_centre`.
     """
-    base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
+    base_from_tool_tip = cell.arm.forward(cell.posture()) @ cell.flange_from_tool_tip
     radius = cell.settings.placement.clearance + CLEARANCE_RESERVE
-    return max(_distance_until_clear(base_from_coil, centre, radius) for centre in _body_centres(cell, data))
+    return max(_distance_until_clear(base_from_tool_tip, centre, radius) for centre in _body_centres(cell, data))
 
 
-def _distance_until_clear(base_from_coil: Transform, centre: Floats, radius: float) -> float:
+def _distance_until_clear(base_from_tool_tip: Transform, centre: Floats, radius: float) -> float:
     """Return the distance along +z until the coil is `radius` from a point, m."""
-    offset = base_from_coil.translation - centre
-    outwards = float(offset @ base_from_coil.rotation[:, 2])
+    offset = base_from_tool_tip.translation - centre
+    outwards = float(offset @ base_from_tool_tip.rotation[:, 2])
     # The root of |offset + length z| = radius that lies ahead.
     inside = radius**2 - float(offset @ offset)
     return max(0.0, -outwards + math.sqrt(outwards**2 + inside)) if inside > 0.0 else 0.0
@@ -133,7 +133,7 @@ def _body_distances(cell: Cell, trajectory: JointTrajectory, centre: Floats) -> 
         centre: Point in the robot's base, m, (3,).
     """
     samples = [*trajectory.positions[::SAMPLE_STRIDE], trajectory.positions[-1]]
-    coils = [(cell.arm.forward(q) @ cell.flange_from_coil).translation for q in samples]
+    coils = [(cell.arm.forward(q) @ cell.flange_from_tool_tip).translation for q in samples]
     return np.asarray(np.linalg.norm(np.array(coils) - centre, axis=1))
 
 
@@ -189,5 +189,5 @@ def check_passes_clear(cell: Cell, trajectory: JointTrajectory, data: PlacementD
 
 
 def along_axis(distance: float) -> Transform:
-    """Return ``coil_from_shifted`` of a shift along the tool's +z axis, away from the body, m."""
+    """Return ``tool_tip_from_shifted`` of a shift along the tool's +z axis, away from the body, m."""
     return Transform(np.eye(3), np.array([0.0, 0.0, distance]))

@@ -140,14 +140,14 @@ def initial_grows_distance(run: Run) -> None:
 
 
 def planned_pose(data: PlacementData) -> Transform:
-    """Return ``image_from_coil`` of the plan in force. Raises `RefusalError` if there is none."""
+    """Return ``image_from_tool_tip`` of the plan in force. Raises `RefusalError` if there is none."""
     if data.plan is None:
         raise RefusalError("no_plan", "No tool pose is planned: plan one first.")
     return as_transform(data.plan)
 
 
 def target_pose(data: PlacementData, height: float) -> Transform:
-    """Return ``image_from_coil`` of the plan with all nudges, shifted along the tool's axis.
+    """Return ``image_from_tool_tip`` of the plan with all nudges, shifted along the tool's axis.
 
     Args:
         data: Data of the procedure.
@@ -161,7 +161,7 @@ def target_pose(data: PlacementData, height: float) -> Transform:
 
 @lru_cache(maxsize=64)
 def nudge_transform(translation: Point, rotation_zyx: Point) -> Transform:
-    """Return ``coil_from_nudged`` of a nudge.
+    """Return ``tool_tip_from_nudged`` of a nudge.
 
     Args:
         translation: Translation, m.
@@ -190,16 +190,16 @@ def _plan_approach(run: Run, posture: Floats) -> JointTrajectory:
     return path
 
 
-def _plan_straight_to(run: Run, image_from_coil: Transform) -> JointTrajectory:
+def _plan_straight_to(run: Run, image_from_tool_tip: Transform) -> JointTrajectory:
     """Plan the straight path of the coil from its present pose to a pose in the image."""
     base_from_image = run.cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE)
     base_from_target = base_from_image @ planned_pose(run.data)
-    return _plan_line(run, run.cell.posture(), base_from_image @ image_from_coil, base_from_target)
+    return _plan_line(run, run.cell.posture(), base_from_image @ image_from_tool_tip, base_from_target)
 
 
-def _plan_line(run: Run, start: Floats, base_from_coil: Transform, base_from_target: Transform) -> JointTrajectory:
+def _plan_line(run: Run, start: Floats, base_from_tool_tip: Transform, base_from_target: Transform) -> JointTrajectory:
     """Plan the straight path of the coil from joint positions to a pose near the target of the plan."""
-    path = plan_linear_path(run, start, base_from_coil, near=True)
+    path = plan_linear_path(run, start, base_from_tool_tip, near=True)
     check_towards(run.cell, run.data, path, base_from_target)
     return path
 
@@ -250,8 +250,8 @@ def _append_way_home(run: Run, straight: JointTrajectory, *, checked_later: bool
 def _plan_straight_away(run: Run, length: float) -> JointTrajectory:
     """Plan a straight path along the tool's +z axis. Raises `UnreachableError` if the arm cannot follow it."""
     cell = run.cell
-    base_from_coil = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
-    return plan_linear_path(run, cell.posture(), base_from_coil @ along_axis(length))
+    base_from_tool_tip = cell.arm.forward(cell.posture()) @ cell.flange_from_tool_tip
+    return plan_linear_path(run, cell.posture(), base_from_tool_tip @ along_axis(length))
 
 
 def _retreat_length(run: Run) -> float:
@@ -267,7 +267,7 @@ def _distance_to_standoff(run: Run) -> float | None:
     placement, data = run.cell.settings.placement, run.data
     if data.plan is None or data.registered is None or not at_present_plan(data):
         return None
-    x, y, height = (planned_pose(data).inverse() @ run.cell.image_from_coil(data)).translation
+    x, y, height = (planned_pose(data).inverse() @ run.cell.image_from_tool_tip(data)).translation
     tolerance = placement.standoff_tolerance_mm / 1000.0
     if math.hypot(x, y) > tolerance or height > placement.standoff + tolerance:
         return None

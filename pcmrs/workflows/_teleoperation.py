@@ -55,7 +55,7 @@ class GuidanceSession:
         update_collision_scene(cell, act.data)
         graph = cell.frames(act.data)
         self._base_from_tracker = graph.get(Frame.ROBOT_BASE, Frame.TRACKER)
-        base_from_body_ref = graph.get(Frame.ROBOT_BASE, Frame.BODY_REF)
+        base_from_body_ref = graph.get(Frame.ROBOT_BASE, Frame.REFERENCE)
         self.guide = GuidedTool(cell, base_from_body_ref @ self._body_ref_from_plan)
         self._body = BodyTrack(cell.settings.following)
         self._frame_number = 0
@@ -149,7 +149,7 @@ class GuidanceSession:
 
 
 def planned_in_body_ref(cell: Cell, data: PlacementData) -> Transform:
-    """Return ``body_ref_from_coil`` as planned and nudged.
+    """Return ``body_ref_from_tool_tip`` as planned and nudged.
 
     Args:
         cell: Cell with the settings.
@@ -170,7 +170,7 @@ def guide_possible(run: Run) -> None:
     cell = run.cell
     body_ref_from_plan = planned_in_body_ref(cell, run.data)
     update_collision_scene(cell, run.data)
-    GuidedTool(cell, cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.BODY_REF) @ body_ref_from_plan)
+    GuidedTool(cell, cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.REFERENCE) @ body_ref_from_plan)
 
 
 async def see_tool_and_body(run: Run) -> None:

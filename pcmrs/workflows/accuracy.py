@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
+import math
 from collections.abc import Sequence
 
-import msgspec
 import numpy as np
 
 from pcmrs.errors import RefusalError
@@ -23,9 +22,7 @@ landmark. An estimate that is small by chance would refuse good landmarks."""
 
 def pointer_id(cell: Cell) -> str:
     """Return a short hash of the pointer's calibration, because the noise belongs to a pointer."""
-    calibration = cell.pointer_calibration
-    used = cell.settings.calibration.pointer_from_tip if calibration is None else calibration.content_hash()
-    return hashlib.sha256(msgspec.json.encode(used)).hexdigest()[:16]
+    return cell.mounting.pointer_identity
 
 
 def active_noise_sigma(cell: Cell, data: PlacementData) -> float:
@@ -119,7 +116,9 @@ def tre_over(
 
 
 def check_tre(cell: Cell, data: PlacementData, target: Floats) -> float | None:
-    """Refuse a target at which the registration in force is not accurate enough.
+    """Refuse a target at which registration and tool together are not accurate enough.
+
+    The errors of the registration and of the calibrated contact point are independent, so that their squares add.
 
     Args:
         cell: Cell with the pointer and the settings.
@@ -127,19 +126,22 @@ def check_tre(cell: Cell, data: PlacementData, target: Floats) -> float | None:
         target: Target in the image, m, (3,).
 
     Returns:
-        Predicted rms error at the target, m; None without a registration, because then there is nothing to predict.
+        Predicted rms error of the contact point at the target, m; None without a registration, because then there is
+        nothing to predict.
 
     Raises:
         RefusalError: ``tre_too_large``.
     """
     if data.registered is None:
         return None
-    tre, limit = tre_at(cell, data, data.registered, target), cell.settings.registration.tre_limit_mm / 1000.0
+    registration, tip = tre_at(cell, data, data.registered, target), cell.mounting.tip_error
+    tre, limit = math.hypot(registration, tip), cell.settings.registration.tre_limit_mm / 1000.0
     if not tre <= limit:
         text = (
-            f"The predicted target registration error is {tre * 1e3:.2f} mm rms at the planned pose; the limit is "
-            f"{limit * 1e3:.2f} mm. Plan more landmarks, or some farther apart and around the target, or refine the "
-            "registration by the surface."
+            f"The predicted error at the planned pose is {tre * 1e3:.2f} mm rms: {registration * 1e3:.2f} mm by the "
+            f"registration, {tip * 1e3:.2f} mm by the tool's contact point; the limit is {limit * 1e3:.2f} mm. Plan "
+            "more landmarks, or some farther apart and around the target, or refine the registration by the surface, "
+            "or calibrate the contact point again."
         )
-        raise RefusalError("tre_too_large", text, tre=tre, limit=limit)
+        raise RefusalError("tre_too_large", text, tre=tre, limit=limit, tip=tip)
     return tre

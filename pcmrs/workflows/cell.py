@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import math
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 
-import msgspec
 import numpy as np
 import structlog
 
-from pcmrs.calibration import Calibration, Kind, read_calibration
+from pcmrs.calibration import KINDS
 from pcmrs.clock import Clock
 from pcmrs.devices.poses import PoseFeed
 from pcmrs.devices.protocols import Emg, LatchingRobot, LatchingStimulator, Pointer
-from pcmrs.errors import ConfigurationError, FileFormatError, PcmrsError, RefusalError
+from pcmrs.errors import PcmrsError, RefusalError
 from pcmrs.formats.mesh import Mesh
 from pcmrs.kinematics.limits import MotionLimits
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import JointState
 from pcmrs.spatial import Floats, Frame, FrameGraph, Transform
 from pcmrs.workflows.data import PlacementData, Registered, as_transform
+from pcmrs.workflows.mounting import Mounting
 from pcmrs.workflows.settings import ProcedureSettings
 from pcmrs.workflows.teleop_port import TeleopPort
 from pcmrs.workflows.zones import CellZones
@@ -63,11 +61,10 @@ class Cell:
         stimulator: Stimulator; None if none is configured.
         emg: Electromyograph; None if none is configured.
         teleop: Port for the set points of teleoperators.
-        flange_from_coil: Pose of the tool's marker body on the flange.
-        pointer_from_tip: Pose of the tip in the pointer's marker body.
+        mounting: Calibrated poses of tool and pointer. `Mounting.tool_tip` is the only place where the pose of a marker
+            body becomes that of the tool: all other poses of the tool in the workflows are those of its contact point.
+        flange_from_tool_tip: Pose of the tool's contact point on the flange.
         zones: Zones that the arm keeps out of.
-        tool_calibration: Calibration file of the tool; None if the configuration gives the poses.
-        pointer_calibration: Calibration file of the pointer; None if the configuration gives the pose.
     """
 
     robot: LatchingRobot
@@ -91,36 +88,29 @@ class Cell:
     stimulator: LatchingStimulator | None = None
     emg: Emg | None = None
     teleop: TeleopPort = field(default_factory=TeleopPort)
-    flange_from_coil: Transform = field(init=False)
-    pointer_from_tip: Transform = field(init=False)
+    mounting: Mounting = field(init=False)
+    flange_from_tool_tip: Transform = field(init=False)
     zones: CellZones = field(init=False)
 
     def __post_init__(self) -> None:
-        calibration = self.settings.calibration
-        self.flange_from_tool = calibration.flange_from_tool.transform()
-        self.tool_from_coil = calibration.tool_from_coil.transform()
-        self.flange_from_coil = self.flange_from_tool @ self.tool_from_coil
-        self.pointer_from_tip = calibration.pointer_from_tip.transform()
-        self.tool_calibration = _calibration("tool", calibration.tool_file)
-        self.pointer_calibration = _calibration("pointer", calibration.pointer_file)
-        if self.tool_calibration is not None:
-            # A calibration file measures the coil on the flange. The mount stays as configured, and the coil in the
-            # mount follows.
-            self.flange_from_coil = self.tool_calibration.transform()
-            self.tool_from_coil = self.flange_from_tool.inverse() @ self.flange_from_coil
-        if self.pointer_calibration is not None:
-            self.pointer_from_tip = self.pointer_calibration.transform()
-        self.zones = CellZones(self.arm.facts, self.flange_from_coil, self.settings, self.surface)
+        self.mounting = Mounting.read(self.settings.calibration)
+        self.flange_from_tool_tip = self.mounting.flange_from_tool_tip
+        self.zones = CellZones(self.arm.facts, self.mounting, self.settings, self.surface)
+
+    @property
+    def pointer_from_tip(self) -> Transform:
+        """Pose of the tip in the pointer's marker body."""
+        return self.mounting.pointer_from_tip
 
     @property
     def calibration_id(self) -> str:
         """Short hash of the calibrations in use. Registrations with another hash are not comparable."""
-        return _identity(self.tool_calibration, self.pointer_calibration, self.settings)
+        return self.mounting.identity
 
     def calibrations(self) -> dict[str, str]:
         """Return the title of each calibration file in use, or ``explicit`` for poses of the configuration."""
-        found = {"tool": self.tool_calibration, "pointer": self.pointer_calibration}
-        return {kind: "explicit" if used is None else used.title() for kind, used in found.items()}
+        files = self.mounting.files
+        return {kind: files[kind].title() if kind in files else "explicit" for kind in KINDS}
 
     def posture(self) -> Floats:
         """Return the measured joints at rest, rad, (n,).
@@ -210,7 +200,7 @@ class Cell:
         )
 
     def frames(self, data: PlacementData) -> FrameGraph:
-        """Return the chain robot_base – flange – tool – coil – tracker – body_ref – image, with the arm at rest.
+        """Return the frames from the robot's base over the tool to tracker, reference and image, with the arm at rest.
 
         Raises:
             RefusalError: Tool and body are not seen together, or the joints are not known.
@@ -220,14 +210,13 @@ class Cell:
         tracked = self.poses.recent(["coil", "body_ref"], count, since=self.resting_since)
         graph = FrameGraph()
         graph.set(Frame.ROBOT_BASE, Frame.FLANGE, self.arm.forward(self.posture()))
-        graph.set(Frame.FLANGE, Frame.TOOL, self.flange_from_tool)
-        graph.set(Frame.TOOL, Frame.COIL, self.tool_from_coil)
-        graph.set(Frame.TRACKER, Frame.COIL, tracked["coil"])
-        graph.set(Frame.TRACKER, Frame.BODY_REF, tracked["body_ref"])
+        graph.set(Frame.FLANGE, Frame.TOOL_TIP, self.flange_from_tool_tip)
+        graph.set(Frame.TRACKER, Frame.TOOL_TIP, self.mounting.tool_tip(tracked["coil"]))
+        graph.set(Frame.TRACKER, Frame.REFERENCE, tracked["body_ref"])
         if data.registered is not None:
-            graph.set(Frame.BODY_REF, Frame.IMAGE, as_transform(data.registered.body_ref_from_image))
+            graph.set(Frame.REFERENCE, Frame.IMAGE, as_transform(data.registered.body_ref_from_image))
             self.remember_registered(data.registered)
-        self.base_from_body_ref = graph.get(Frame.ROBOT_BASE, Frame.BODY_REF)
+        self.base_from_body_ref = graph.get(Frame.ROBOT_BASE, Frame.REFERENCE)
         self.base_from_tracker = graph.get(Frame.ROBOT_BASE, Frame.TRACKER)
         return graph
 
@@ -236,7 +225,7 @@ class Cell:
         self.body_ref_from_image = as_transform(registered.body_ref_from_image)
         self.middle_in_body_ref = registered.middle_in_body_ref()
 
-    def image_from_coil(self, data: PlacementData) -> Transform:
+    def image_from_tool_tip(self, data: PlacementData) -> Transform:
         """Return the pose of the tool in the image.
 
         It is measured by the tracker, or computed from the joints and the last seen pose of the body.
@@ -245,16 +234,16 @@ class Cell:
             RefusalError: There is no registration, or the body has never been seen.
         """
         try:
-            return self.frames(data).get(Frame.IMAGE, Frame.COIL)
+            return self.frames(data).get(Frame.IMAGE, Frame.TOOL_TIP)
         except RefusalError:
             if data.registered is None or self.base_from_body_ref is None:
                 raise
         base_from_image = self.base_from_body_ref @ as_transform(data.registered.body_ref_from_image)
-        return base_from_image.inverse() @ self.arm.forward(self.posture()) @ self.flange_from_coil
+        return base_from_image.inverse() @ self.arm.forward(self.posture()) @ self.flange_from_tool_tip
 
-    def flange_for(self, robot_base_from_coil: Transform) -> Transform:
-        """Return the ``robot_base_from_flange`` that brings the coil to a pose."""
-        return robot_base_from_coil @ self.flange_from_coil.inverse()
+    def flange_for(self, robot_base_from_tool_tip: Transform) -> Transform:
+        """Return the ``robot_base_from_flange`` that brings the tool's contact point to a pose."""
+        return robot_base_from_tool_tip @ self.flange_from_tool_tip.inverse()
 
 
 def calibration_id_of(settings: ProcedureSettings) -> str:
@@ -263,29 +252,4 @@ def calibration_id_of(settings: ProcedureSettings) -> str:
     Raises:
         ConfigurationError: A calibration file cannot be read.
     """
-    files = settings.calibration
-    return _identity(_calibration("tool", files.tool_file), _calibration("pointer", files.pointer_file), settings)
-
-
-def _identity(tool: Calibration | None, pointer: Calibration | None, settings: ProcedureSettings) -> str:
-    explicit = settings.calibration
-    # The hash covers values, not paths: a renamed file does not invalidate registrations.
-    used = (
-        tool.content_hash() if tool is not None else (explicit.flange_from_tool, explicit.tool_from_coil),
-        pointer.content_hash() if pointer is not None else explicit.pointer_from_tip,
-    )
-    return hashlib.sha256(msgspec.json.encode(used)).hexdigest()[:16]
-
-
-def _calibration(kind: Kind, file: str) -> Calibration | None:
-    """Return the calibration in a configured file; None without a file. Raises `ConfigurationError`."""
-    if not file:
-        return None
-    key = f"procedure.calibration.{kind}_file"
-    try:
-        found = read_calibration(Path(file))
-    except FileFormatError as error:
-        raise ConfigurationError(f"{key}: {error.text}", **error.fields) from None
-    if found.kind != kind:
-        raise ConfigurationError(f"{key}: {file} is the calibration of a {found.kind}.", file=file)
-    return found
+    return Mounting.read(settings.calibration).identity

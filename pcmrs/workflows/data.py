@@ -107,7 +107,7 @@ class Planned(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         id: Identifier of the plan.
-        image_from_coil: Planned pose.
+        image_from_coil: Planned pose of the tool's contact point.
         patient: Name of the patient.
         calibration: `Cell.calibration_id` at that time.
         reference: ``body_ref_from_witness`` of the digitization at that time; None if there was none.
@@ -134,7 +134,7 @@ class PlacementData(ProcedureData, frozen=True, kw_only=True):
         registered: Registration in force.
         previous: Last accepted registration, in force or not.
         noise: Noise estimated from the residuals of accepted registrations, by pointer.
-        plan: ``image_from_coil`` of the accepted tool plan.
+        plan: ``image_from_tool_tip`` of the accepted tool plan.
         previous_plan: Last accepted tool plan, in force or not.
         nudge_translation: Sum of nudges since the approach, m, in the tool frame.
         nudge_rotation_zyx: Sum of rotations about z, y, x since the approach, rad.

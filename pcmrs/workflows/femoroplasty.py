@@ -37,7 +37,7 @@ class Data(PlacementData, frozen=True, kw_only=True):
     """Data of a femoroplasty.
 
     Attributes:
-        hole: ``image_from_coil`` measured when the drill entered; None before that.
+        hole: ``image_from_tool_tip`` measured when the drill entered; None before that.
     """
 
     hole: PoseMessage | None = None
@@ -69,7 +69,7 @@ class Confirmation(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def guide_pose(entry: Floats, target: Floats) -> Transform:
-    """Return ``image_from_coil`` of a guide at the entry of a trajectory.
+    """Return ``image_from_tool_tip`` of a guide at the entry of a trajectory.
 
     The origin is the entry. +z points from the target to the entry, away from the body. +y is as superior as possible
     (anterior if the trajectory itself is superior), because a guide is symmetric about its axis.

@@ -34,7 +34,7 @@ elbow."""
 
 
 class ToolPose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Arguments of `plan`: ``image_from_coil``, whose +z axis points away from the body.
+    """Arguments of `plan`: ``image_from_tool_tip``, whose +z axis points away from the body.
 
     Attributes:
         position: Position in the image, m.
@@ -51,7 +51,7 @@ def plan_reachable(run: Run) -> None:
 
 
 def pose_of(requested: ToolPose) -> Transform:
-    """Return the requested ``image_from_coil``.
+    """Return the requested ``image_from_tool_tip``.
 
     Raises:
         GeometryError: The pose is invalid.
@@ -67,7 +67,7 @@ def accept_pose(run: AnyRun[Cell, P], pose: Transform) -> None:
 
     Args:
         run: Present operation.
-        pose: Planned ``image_from_coil``.
+        pose: Planned ``image_from_tool_tip``.
 
     Raises:
         RefusalError: The registration is not accurate enough, or every posture found is in a zone.
@@ -83,7 +83,7 @@ def accept_pose(run: AnyRun[Cell, P], pose: Transform) -> None:
     run.prepared = pose
 
 
-def standoff_postures(run: AnyRun[Cell, P], image_from_coil: Transform) -> Iterator[Floats]:
+def standoff_postures(run: AnyRun[Cell, P], image_from_tool_tip: Transform) -> Iterator[Floats]:
     """Yield joint positions at the standoff of a planned pose, rad, (n,), that keep out of the zones.
 
     They keep out of the zones at the standoff and at the target.
@@ -93,17 +93,17 @@ def standoff_postures(run: AnyRun[Cell, P], image_from_coil: Transform) -> Itera
 
     Args:
         run: Present operation.
-        image_from_coil: Planned pose.
+        image_from_tool_tip: Planned pose.
 
     Raises:
         UnreachableError: Standoff or target cannot be reached within the joint limits.
         RefusalError: Tool or body are not seen, or every posture found is in a zone.
     """
     cell, placement = run.cell, run.cell.settings.placement
-    base_from_coil = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE) @ image_from_coil
+    base_from_tool_tip = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE) @ image_from_tool_tip
     update_collision_scene(cell, run.data)
-    standoff = cell.flange_for(base_from_coil @ along_axis(placement.standoff))
-    target = cell.flange_for(base_from_coil @ along_axis(placement.confirm_offset))
+    standoff = cell.flange_for(base_from_tool_tip @ along_axis(placement.standoff))
+    target = cell.flange_for(base_from_tool_tip @ along_axis(placement.confirm_offset))
     body = _body_sphere(cell)
     found: list[Floats] = []
     refused: list[PcmrsError] = []

@@ -15,6 +15,7 @@ from pcmrs.kinematics.cone import ApproachCone
 from pcmrs.kinematics.sampled_clearance import BOUND, SampledClearance, sample_clearance
 from pcmrs.kinematics.zones import SIGHT_OF_BODY, SIGHT_OF_TOOL, ToolShape, Zone, ZoneModel
 from pcmrs.spatial import Floats, Transform
+from pcmrs.workflows.mounting import Mounting
 from pcmrs.workflows.settings import ProcedureSettings, ToolSettings, ZoneSettings
 
 BODY = "body"
@@ -25,7 +26,7 @@ class CellZones:
 
     Args:
         facts: Facts of the arm.
-        flange_from_coil: Pose of the tool on the flange.
+        mounting: Calibrated poses of the tool.
         settings: Settings of the procedure.
         surface: Surface of the body; None without a body to keep away from.
 
@@ -40,19 +41,19 @@ class CellZones:
         GeometryError: The surface has no volume.
     """
 
-    def __init__(
-        self, facts: ArmFacts, flange_from_coil: Transform, settings: ProcedureSettings, surface: Mesh | None
-    ) -> None:
-        zones = settings.zones
+    def __init__(self, facts: ArmFacts, mounting: Mounting, settings: ProcedureSettings, surface: Mesh | None) -> None:
+        zones, flange_from_tool_tip = settings.zones, mounting.flange_from_tool_tip
         self._facts = facts
-        self._tool_reach = _tool_reach(flange_from_coil, zones.tool)
+        self._tool_reach = _tool_reach(flange_from_tool_tip, zones.tool)
         self.model = ZoneModel(
             facts,
-            flange_from_coil,
+            flange_from_tool_tip,
             ToolShape(zones.tool.radius, zones.tool.half_length),
             _zones(settings, surface),
             link_margin=zones.link_margin,
             sight_radius=zones.sight_radius,
+            # The tracker sees the marker body, 9 cm from the contact point.
+            marker_in_flange=mounting.flange_from_tool_marker.translation,
         )
         for fixed in zones.boxes:
             self.model.place(fixed.name, Transform.identity())

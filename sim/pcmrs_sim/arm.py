@@ -51,19 +51,19 @@ class Arm(Follower):
     stride = 1
 
     def __init__(self, facts: ArmFacts, settings: SimSettings, force: ForceSettings, phantom: Phantom) -> None:
-        own, flange_from_coil = settings.arm, settings.geometry.flange_from_coil.transform
+        own, flange_from_tool_tip = settings.arm, settings.geometry.flange_from_tool_tip.transform
         true_facts = displaced(facts, own.geometry_error_mm * 1e-3, settings.seed)
         rng = np.random.default_rng(settings.seed)
         home = np.array(own.home or facts.home)
-        self.sensor = ForceSensor(flange_from_coil.rotation[:, 2], own, STEP, rng)
+        self.sensor = ForceSensor(flange_from_tool_tip.rotation[:, 2], own, STEP, rng)
         limits = brake_limits(facts, own.brake_acceleration, own.brake_jerk)
         super().__init__(ArmModel(facts), limits, force, self.sensor, home, STEP)
         self._true_model = ArmModel(true_facts)
-        self._plant = plant_model(true_facts, own, flange_from_coil, phantom)
+        self._plant = plant_model(true_facts, own, flange_from_tool_tip, phantom)
         self._data = mujoco.MjData(self._plant)
         self._data.qpos[:] = home
         self._controller = ImpedanceController(
-            nominal_model(facts, own, flange_from_coil, phantom, rng), facts, own, home
+            nominal_model(facts, own, flange_from_tool_tip, phantom, rng), facts, own, home
         )
         self.contact = Contact(self._plant, phantom, settings.contact, STEP)
         self.disturbance = PlantDisturbance(self._plant)

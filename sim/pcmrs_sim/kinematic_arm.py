@@ -41,7 +41,7 @@ class KinematicArm(Follower):
 
     def __init__(self, facts: ArmFacts, settings: SimSettings, force: ForceSettings, phantom: Phantom) -> None:
         own = settings.arm
-        self._flange_from_tool = settings.geometry.flange_from_coil.transform
+        self._flange_from_tool = settings.geometry.flange_from_tool_tip.transform
         self.sensor = TrueForce(self._flange_from_tool.rotation[:, 2])
         home = np.array(own.home or facts.home)
         limits = brake_limits(facts, own.brake_acceleration, own.brake_jerk)

@@ -53,7 +53,7 @@ class SimScene:
     @property
     def tool(self) -> Transform:
         """True pose of the tool in the tracker frame; its +z points away from the body."""
-        return self._world.tracker_from_coil()
+        return self._world.tracker_from_tool_tip()
 
     def is_near_body(self, within: float) -> bool:
         """Return whether the body is in front of the face of the tool, within a distance, m."""

@@ -138,14 +138,18 @@ class GeometrySettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         world_from_image: Pose of the patient; absent for the default of the phantom.
         body_ref_from_image: Pose of the image in the patient's marker body: the true registration, which the product
             does not know. Absent for the default of the phantom.
-        flange_from_coil: Pose of the tool on the flange; its +z points away from the patient, back along the arm.
+        flange_from_tool_tip: Contact point and axes of the tool on the flange; +z points away from the patient, back
+            along the arm.
+        tool_marker_from_tool_tip: Contact point and axes of the tool in its marker body, which the tracker sees: 90 mm
+            away, and rotated about all axes.
         pointer_from_tip: Pose of the tip in the pointer's marker body.
     """
 
     world_from_tracker: ConfiguredPose = ConfiguredPose((1.35, -0.5, 0.6), (0.744115, 0.434873, 0.255881, 0.43784))
     world_from_image: ConfiguredPose | None = None
     body_ref_from_image: ConfiguredPose | None = None
-    flange_from_coil: ConfiguredPose = ConfiguredPose((0.0, 0.0, 0.15), (0.0, 1.0, 0.0, 0.0))
+    flange_from_tool_tip: ConfiguredPose = ConfiguredPose((0.0, 0.0, 0.15), (0.0, 1.0, 0.0, 0.0))
+    tool_marker_from_tool_tip: ConfiguredPose = ConfiguredPose((0.06, 0.03, -0.06), (0.8, 0.4, 0.2, 0.4))
     pointer_from_tip: ConfiguredPose = ConfiguredPose((0.0, 0.0, -0.15))
 
 

@@ -58,7 +58,8 @@ class World:
         self.time = time
         self._world_from_tracker = geometry.world_from_tracker.transform
         self._tracker_from_world = self._world_from_tracker.inverse()
-        self._flange_from_coil = geometry.flange_from_coil.transform
+        self._flange_from_tool_tip = geometry.flange_from_tool_tip.transform
+        self._tool_tip_from_tool_marker = geometry.tool_marker_from_tool_tip.transform.inverse()
         self.body_ref_from_image = _pose(geometry.body_ref_from_image, phantom.body_ref_from_image)
         self._witness_from_image = BODY_REF_FROM_WITNESS.inverse() @ self.body_ref_from_image
         self.image_from_pointer: Transform | None = None
@@ -68,7 +69,7 @@ class World:
         make = KinematicArm if settings.arm.physics == "kinematic" else Arm
         self.arm: Arm | KinematicArm = make(facts, settings, force, phantom)
         self._flange: Transform | None = None
-        self._coil = self.tracker_from_coil()
+        self._update_tool()
         self._bodies: dict[str, tuple[Transform, Transform, Transform]] = {}
         self._motion, self._motion_start = HeadMotion(), time
         self._set_start_pose(self._tracker_from_world @ _pose(geometry.world_from_image, phantom.world_from_image))
@@ -119,21 +120,26 @@ class World:
             intensity: Percent of the maximum stimulator output.
             time: Time of the pulse on the cell's clock, s.
         """
-        image_from_coil = self.tracker_from_image.inverse() @ self.tracker_from_coil()
+        image_from_coil = self.tracker_from_image.inverse() @ self.tracker_from_tool_tip()
         self.muscle.stimulate(number, time, image_from_coil, intensity)
         for listener in self.pulse_listeners:
             listener(number, intensity, time)
 
-    def tracker_from_coil(self) -> Transform:
-        """Return the true pose of the tool's marker body; the same object as long as the arm stands still."""
+    def tracker_from_tool_tip(self) -> Transform:
+        """Return the true pose of the tool's contact point; the same object as long as the arm stands still."""
+        self._update_tool()
+        return self._tool_tip
+
+    def _update_tool(self) -> None:
+        """Compute contact point and marker body of the tool, if the arm has moved."""
         flange = self.arm.base_from_flange()
         if flange is not self._flange:  # the arm returns the same object while it stands, so identity is enough
-            self._flange, self._coil = flange, self._tracker_from_world @ flange @ self._flange_from_coil
-        return self._coil
+            self._flange, self._tool_tip = flange, self._tracker_from_world @ flange @ self._flange_from_tool_tip
+            self._tool_marker = self._tool_tip @ self._tool_tip_from_tool_marker
 
     def is_near_body(self, within: float) -> bool:
         """Return whether the body is in front of the face of the tool, within a distance, m."""
-        image_from_tool = self.tracker_from_image.inverse() @ self.tracker_from_coil()
+        image_from_tool = self.tracker_from_image.inverse() @ self.tracker_from_tool_tip()
         axis = image_from_tool.rotation[:, 2]
         origin = image_from_tool.translation - within * axis
         return self.phantom.solid.touch(origin, axis, self.phantom.tool_radius) is not None
@@ -145,7 +151,8 @@ class World:
     def tracker_from(self, body: str) -> Transform | None:
         """Return the true pose of a tracked body; None if it is outside the tracker's view."""
         if body == "coil":
-            return self.tracker_from_coil()
+            self._update_tool()
+            return self._tool_marker
         if body == "body_ref":
             return self.tracker_from_body_ref()
         if body == "witness":
@@ -159,7 +166,7 @@ class World:
         subject = self.muscle.subject
         known = subject if isinstance(subject, Subject) else None
         return SceneTruth(
-            tracker_from_coil=_message(self.tracker_from_coil()),
+            tracker_from_coil=_message(self.tracker_from_tool_tip()),
             tracker_from_body_ref=_message(self.tracker_from_body_ref()),
             body_ref_from_image=_message(self.body_ref_from_image),
             time=self.time,

@@ -50,15 +50,23 @@ class PlacementErrorMonitor:
     Args:
         client: Client of the daemon.
         scene: Ground truth of the simulation.
-        body_ref_from_coil: Pose of the coil in the body frame as registered and planned.
+        body_ref_from_tool_tip: Pose of the tool in the body frame as registered and planned.
+        tool_marker_from_tool_tip: Contact point of the tool in its marker body.
         rate: Seconds of the cell per second of the machine.
     """
 
-    def __init__(self, client: Client, scene: RemoteScene, body_ref_from_coil: Transform, rate: float) -> None:
+    def __init__(
+        self,
+        client: Client,
+        scene: RemoteScene,
+        body_ref_from_tool_tip: Transform,
+        tool_marker_from_tool_tip: Transform,
+        rate: float,
+    ) -> None:
         self.snapshot: Snapshot | None = None
         self._changed = asyncio.Event()
         self._scene = scene
-        self._desired = body_ref_from_coil
+        self._desired, self._tool_marker_from_tool_tip = body_ref_from_tool_tip, tool_marker_from_tool_tip
         self._clock, self._rate = SystemClock(), rate
         self._frames: deque[BodyPose] = deque(maxlen=HISTORY)
         self._series: ErrorSeries | None = None
@@ -123,7 +131,8 @@ class PlacementErrorMonitor:
             self._frames.append(pose)
             return
         coil, body_ref = (pose, other) if pose.body == "coil" else (other, pose)
-        error = distance(_transform(body_ref) @ self._desired, _transform(coil))
+        tracker_from_tool_tip = _transform(coil) @ self._tool_marker_from_tool_tip
+        error = distance(_transform(body_ref) @ self._desired, tracker_from_tool_tip)
         self._series.measured_mm.append(error * 1000.0)
 
 

@@ -235,4 +235,6 @@ async def _placed(bench: ExperimentBench, setup: ExperimentSetup) -> PlacementEr
     await once_seen(lambda: planner.plan_pose(pose.position, pose.quat_xyzw))
     body_ref_from_image = as_transform(registered(bench).body_ref_from_image)
     planned = Transform.from_quat_xyzw(pose.position, pose.quat_xyzw)
-    return PlacementErrorMonitor(bench.client, bench.scene, body_ref_from_image @ planned, setup.rate)
+    tool_marker_from_tool_tip = as_transform((await bench.client.setup()).tool_marker_from_tool_tip)
+    desired = body_ref_from_image @ planned
+    return PlacementErrorMonitor(bench.client, bench.scene, desired, tool_marker_from_tool_tip, setup.rate)

@@ -1,4 +1,4 @@
-"""`pcmrs calibrate`: the tip of the pointer, and the tool on the flange."""
+"""`pcmrs calibrate`: the tip of the pointer, the tool on the flange, and the contact point of the tool."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ COMMANDS = {
     ),
     "hand-eye": LazyCommand(
         "pcmrs.cli.calibrate.hand_eye:hand_eye",
-        "Find the tool on the flange from postures of the arm in which the tracker sees the tool.",
+        "Find the tool's marker body on the flange from postures of the arm in which the tracker sees it.",
+    ),
+    "tip": LazyCommand(
+        "pcmrs.cli.calibrate.tip:tip",
+        "Find the contact point and the axes of the tool in its marker body, which the tracker sees.",
     ),
 }
 

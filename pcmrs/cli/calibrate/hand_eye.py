@@ -1,4 +1,4 @@
-"""`pcmrs calibrate hand-eye`: the tool on the flange, and the tracker beside the robot."""
+"""`pcmrs calibrate hand-eye`: the tool's marker body on the flange, and the tracker beside the robot."""
 
 from __future__ import annotations
 
@@ -32,11 +32,12 @@ POSES = 15
 @click.option("--limit-deg", type=POSITIVE, default=0.5, show_default=True, help="Largest rms rotation residual.")
 @readable_errors
 def hand_eye(request: CalibrationRequest, tool: ToolType, robot: str, limit_mm: float, limit_deg: float) -> None:
-    """Find the tool on the flange from postures of the arm in which the tracker sees the tool.
+    """Find the tool's marker body on the flange from postures of the arm in which the tracker sees it.
 
-    FILE is CSV with base_from_flange_x_m, …_y_m, …_z_m, …_qx, …_qy, …_qz, …_qw and the same for tracker_from_coil (or
-    _mm), or JSON with the same names. With --live, move the arm to other postures, by hand or by pcmrs call: every
-    posture in which it rests is used while the tracker sees the tool and the reference, until the bar is full.
+    FILE is CSV with base_from_flange_x_m, …_y_m, …_z_m, …_qx, …_qy, …_qz, …_qw and the same for
+    tracker_from_tool_marker (or _mm), or JSON with the same names. With --live, move the arm to other postures, by
+    hand or by pcmrs call: every posture in which it rests is used while the tracker sees the tool and the reference,
+    until the bar is full.
 
     Example: pcmrs calibrate hand-eye poses.csv --name MC-B70 --type coil -o coil.toml
     """
@@ -75,7 +76,10 @@ def _solve(
         rms={"mm": found.rms * 1000.0, "deg": float(np.degrees(found.rms_angle))},
         bad=found.bad,
         limits=limits,
-        transforms={"flange_from_coil": found.flange_from_coil, "base_from_tracker": found.base_from_tracker},
+        transforms={
+            "flange_from_tool_marker": found.flange_from_tool_marker,
+            "base_from_tracker": found.base_from_tracker,
+        },
     )
 
 
@@ -84,7 +88,7 @@ def _values(found: HandEyeCalibration) -> dict[str, object]:
         **{
             name: {"position": pose.translation.tolist(), "quat_wxyz": pose.quat_wxyz.tolist()}
             for name, pose in (
-                ("flange_from_coil", found.flange_from_coil),
+                ("flange_from_tool_marker", found.flange_from_tool_marker),
                 ("base_from_tracker", found.base_from_tracker),
             )
         },
@@ -102,14 +106,14 @@ def _values(found: HandEyeCalibration) -> dict[str, object]:
 def _summary(found: HandEyeCalibration) -> list[str]:
     at = "  ".join(
         f"{value * 1000:.3f} ± {sd * 1000:.3f}"
-        for value, sd in zip(found.flange_from_coil.translation, found.deviations[3:], strict=True)
+        for value, sd in zip(found.flange_from_tool_marker.translation, found.deviations[3:], strict=True)
     )
-    quat = " ".join(f"{value:.6f}" for value in found.flange_from_coil.quat_wxyz)
+    quat = " ".join(f"{value:.6f}" for value in found.flange_from_tool_marker.quat_wxyz)
     turn = "  ".join(f"{np.degrees(sd):.4f}" for sd in found.deviations[:3])
     tracker = " ".join(f"{value * 1000:.2f}" for value in found.base_from_tracker.translation)
     turned = ", ".join(f"{np.degrees(value):.1f}°" for value in found.singular_values)
     return [
-        f"coil on the flange, x y z in mm, ± 1 sd: {at}",
+        f"marker body on the flange, x y z in mm, ± 1 sd: {at}",
         f"its quaternion w x y z: {quat}; sd about x y z in °: {turn}",
         f"tracker in the robot's base, x y z in mm: {tracker}",
         f"rms rotation of the flange about its axes: {turned}",

@@ -65,7 +65,7 @@ async def pivot_poses(address: CellAddress, live: LiveOptions) -> list[Transform
 async def hand_eye_poses(
     address: CellAddress, live: LiveOptions, robot: str
 ) -> tuple[list[Transform], list[Transform]]:
-    """Return ``base_from_flange`` and ``tracker_from_coil`` wherever the arm rests.
+    """Return ``base_from_flange`` and ``tracker_from_tool_marker`` wherever the arm rests.
 
     Args:
         address: The cell.

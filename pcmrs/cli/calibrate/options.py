@@ -1,4 +1,4 @@
-"""Options that both calibrations share."""
+"""Options that all calibrations share."""
 
 from __future__ import annotations
 
@@ -48,14 +48,20 @@ class LiveOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class CalibrationRequest:
-    """Poses of a file, or poses to gather on the cell at an address, with all other shared options."""
+class ResultOptions:
+    """Options of what happens with the result of a calibration, and the cell that it is made for."""
 
-    source: Path | LiveOptions
     address: CellAddress
     label: CalibrationLabel
     plot: Path | None
     as_json: bool
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationRequest(ResultOptions):
+    """Poses of a file, or poses to gather on the cell at an address, with all other shared options."""
+
+    source: Path | LiveOptions
 
 
 def calibration_options(count: int, fewest: int) -> Option:
@@ -77,6 +83,19 @@ def calibration_options(count: int, fewest: int) -> Option:
         return command
 
     return decorate
+
+
+def result_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of a calibration's result; the command gets them as `options`."""
+
+    @functools.wraps(function)
+    def with_options(**given: Any) -> Any:
+        return function(options=ResultOptions(*_result_options(given)), **given)
+
+    command: Callable[..., Any] = plot_option(json_option(with_options))
+    for option in (*_file_options(), address_options):
+        command = option(command)
+    return command
 
 
 _file: Option = click.argument("file", type=click.Path(path_type=Path), required=False)
@@ -111,12 +130,18 @@ def _live_options(count: int, fewest: int) -> tuple[Option, ...]:
 
 def _request(given: dict[str, Any]) -> CalibrationRequest:
     """Remove the shared options from the given ones, and return them."""
-    file, live, address = given.pop("file"), given.pop("live"), given.pop("address")
+    file, live = given.pop("file"), given.pop("live")
     if live == (file is not None):
         raise click.UsageError("give either a FILE of poses or --live.")
     if not live:
         refuse_given(("poses", "seconds", "keep", "robot"), "is for --live only: here the poses are those of FILE.")
     gather = LiveOptions(given.pop("poses"), given.pop("seconds"), given.pop("keep"))
+    return CalibrationRequest(*_result_options(given), source=gather if file is None else file)
+
+
+def _result_options(given: dict[str, Any]) -> tuple[CellAddress, CalibrationLabel, Path | None, bool]:
+    """Remove the options of the result from the given ones, and return them."""
+    address = given.pop("address")
     cell = "" if given.pop("any_cell") else f"{address.site}/{address.cell}"
     label = CalibrationLabel(given.pop("name"), given.pop("serial"), cell, given.pop("valid_days"), given.pop("output"))
-    return CalibrationRequest(gather if file is None else file, address, label, given.pop("plot"), given.pop("as_json"))
+    return address, label, given.pop("plot"), given.pop("as_json")

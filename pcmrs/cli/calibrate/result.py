@@ -20,12 +20,12 @@ from rich.table import Table
 
 from pcmrs.analysis.plots import BLUE, ORANGE, new_figure, save_png
 from pcmrs.calibration import Calibration, Kind, ToolType, next_version, write_calibration
-from pcmrs.cli.calibrate.options import CalibrationLabel, CalibrationRequest
+from pcmrs.cli.calibrate.options import CalibrationLabel, ResultOptions
 from pcmrs.cli.printing import say
 from pcmrs.cli.running import EXIT_REJECTED
 from pcmrs.cli.tables import Terminal
 from pcmrs.clock import SystemClock
-from pcmrs.errors import DegenerateMotionError, RefusalError
+from pcmrs.errors import DegenerateMotionError, DegeneratePointsError, MirroredPointsError, PcmrsError, RefusalError
 from pcmrs.messages import PoseMessage
 from pcmrs.spatial import Floats, Transform
 
@@ -64,11 +64,12 @@ class CalibrationResult:
         method: Method, for the file.
         values: Values for ``--json``, SI.
         summary: Lines for people.
-        residuals: Residuals of every pose, by unit: ``mm``, and ``deg`` if it has any.
+        residuals: Residuals of every pose, by unit: ``mm``, and ``deg`` if it has any; empty for given values.
         rms: Root mean square of the poses that fit, by unit.
         bad: Indices of the poses that do not fit.
         limits: Limits of the rms, by unit.
         transforms: Transforms for the file, by name.
+        errors: Errors for the file, by unit; None for those of the residuals.
     """
 
     kind: Kind
@@ -81,6 +82,7 @@ class CalibrationResult:
     bad: tuple[int, ...]
     limits: dict[str, float]
     transforms: dict[str, Transform]
+    errors: dict[str, float] | None = None
 
     def check_limits(self) -> None:
         """Refuse residuals over their limits.
@@ -104,6 +106,7 @@ class CalibrationResult:
             label: Name and validity of the calibrated part.
             version: Number of the version.
         """
+        errors = self.rms if self.errors is None else self.errors
         return Calibration(
             kind=self.kind,
             type=self.tool or "",
@@ -114,8 +117,8 @@ class CalibrationResult:
             method=self.method,
             date=datetime.fromtimestamp(int(SystemClock().wall()), UTC),
             valid_days=label.valid_days,
-            error_mm=self.rms["mm"],
-            error_deg=self.rms.get("deg", 0.0),
+            error_mm=errors["mm"],
+            error_deg=errors.get("deg", 0.0),
             transforms={name: _message(transform) for name, transform in self.transforms.items()},
         )
 
@@ -129,7 +132,7 @@ MOST_ROWS = 200
 """Limit of poses that are listed one by one."""
 
 
-def conclude(request: CalibrationRequest, solve: Callable[[], CalibrationResult]) -> None:
+def conclude(request: ResultOptions, solve: Callable[[], CalibrationResult]) -> None:
     """Solve, show, draw and write a calibration, and end the command: exit status 0 usable, 1 refused.
 
     Args:
@@ -138,9 +141,9 @@ def conclude(request: CalibrationRequest, solve: Callable[[], CalibrationResult]
     """
     try:
         result = solve()
-    except (DegenerateMotionError, RefusalError) as error:
+    except (DegenerateMotionError, DegeneratePointsError, MirroredPointsError, RefusalError) as error:
         _end_refused(request, error, {})
-    if request.plot is not None:
+    if request.plot is not None and result.residuals:
         _draw_residuals(result, request.plot)
     try:
         result.check_limits()
@@ -163,9 +166,7 @@ def _write(label: CalibrationLabel, output: Path, result: CalibrationResult) -> 
     return {"file": str(output), "version": written.version, "sha256": written.sha256}
 
 
-def _end_refused(
-    request: CalibrationRequest, error: DegenerateMotionError | RefusalError, values: dict[str, Any]
-) -> NoReturn:
+def _end_refused(request: ResultOptions, error: PcmrsError, values: dict[str, Any]) -> NoReturn:
     code = error.refusal_code if isinstance(error, RefusalError) else error.code
     if request.as_json:
         reason = {"code": code, "text": error.text, "fields": error.fields}
@@ -177,6 +178,8 @@ def _end_refused(
 def _show(result: CalibrationResult) -> None:
     for line in result.summary:
         say(line)
+    if not result.residuals:
+        return
     count = len(result.residuals["mm"])
     over = ", ".join(f"{value:.3f} {unit} (limit {result.limits[unit]:g})" for unit, value in result.rms.items())
     say(f"rms residual {over} over {count - len(result.bad)} of {count} poses")

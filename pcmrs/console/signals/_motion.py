@@ -11,6 +11,7 @@ from pcmrs.console._cell_view_model import CellViewModel
 from pcmrs.console._colours import BLUE, VERMILION
 from pcmrs.console.signals._traces import SHOWN, Moment, Traces
 from pcmrs.console.texts import Texts
+from pcmrs.messages.setup import Setup
 
 
 class MotionPanel:
@@ -18,11 +19,12 @@ class MotionPanel:
 
     Args:
         view: State of the cell to show.
+        setup: Setup of the cell.
         texts: Texts in the language of the page.
     """
 
-    def __init__(self, view: CellViewModel, texts: Texts) -> None:
-        self._view, self._texts, self._traces = view, texts, Traces()
+    def __init__(self, view: CellViewModel, setup: Setup, texts: Texts) -> None:
+        self._view, self._texts, self._traces = view, texts, Traces(setup)
         self._ages = ui.column().classes("w-full gap-0").props('data-testid="ages"')
         self._joints = ui.label().classes("text-body2").props('data-testid="joints"')
         self._force = ui.label().classes("text-body2").props('data-testid="force"')

@@ -7,8 +7,9 @@ from math import radians
 from typing import NamedTuple
 
 from pcmrs.console._cell_view_model import CellViewModel
-from pcmrs.console._geometry import placement_deviation
+from pcmrs.console._geometry import placement_deviation, tool_tip
 from pcmrs.messages import BodyPose
+from pcmrs.messages.setup import Setup
 from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.workflows.data import as_transform
 
@@ -31,19 +32,24 @@ class Moment(NamedTuple):
 
 
 class Traces:
-    """Deviations at each stored moment."""
+    """Deviations at each stored moment.
 
-    def __init__(self) -> None:
+    Args:
+        setup: Setup of the cell.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
         self.moments: deque[Moment] = deque()
         self._reference: Transform | None = None
 
     def look(self, view: CellViewModel) -> None:
         """Add the present moment; restart if time has gone back, as in a replay."""
-        coil, body_ref = view.poses.get("coil"), view.poses.get("body_ref")
+        measured, body_ref = tool_tip(self._setup, view.poses.get("coil")), view.poses.get("body_ref")
         if self.moments and view.now < self.moments[-1].at:
             self.moments.clear()
             self._reference = None
-        found = placement_deviation(view.data, coil, body_ref)
+        found = placement_deviation(view.data, measured, body_ref)
         tool = None if found is None else (found.mm[0] / 1000.0, radians(found.degrees))
         self.moments.append(Moment(view.now, tool, self._moved(body_ref)))
         while self.moments[0].at < view.now - SHOWN:

@@ -31,7 +31,7 @@ class SignalsPanel:
 
     def __init__(self, view: CellViewModel, setup: Setup, texts: Texts, is_open: Callable[[], bool]) -> None:
         self._view, self._is_open = view, is_open
-        self._motion = MotionPanel(view, texts)
+        self._motion = MotionPanel(view, setup, texts)
         self._muscle = MusclePanel(view, setup, texts)
         self._health = HealthPanel(texts)
         ui.timer(PERIOD, self._motion.look)

@@ -7,6 +7,8 @@ import msgspec
 from pcmrs.calibration import ToolType
 from pcmrs.workflows.settings._measuring import (
     LONGEST_UNSEEN,
+    SIMULATED_FLANGE_FROM_TOOL_MARKER,
+    SIMULATED_TOOL_MARKER_FROM_TOOL_TIP,
     CalibrationSettings,
     RegistrationSettings,
     TrackingSettings,
@@ -25,6 +27,8 @@ from pcmrs.workflows.settings._values import PoseSetting, Positive
 from pcmrs.workflows.settings._zones import TABLE, BodySettings, BoxSettings, ToolSettings, ZoneSettings
 
 __all__ = [
+    "SIMULATED_FLANGE_FROM_TOOL_MARKER",
+    "SIMULATED_TOOL_MARKER_FROM_TOOL_TIP",
     "TABLE",
     "AlignmentSettings",
     "BodySettings",

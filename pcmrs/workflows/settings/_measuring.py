@@ -12,30 +12,67 @@ from pcmrs.workflows.settings._values import PoseSetting, Positive
 if TYPE_CHECKING:
     from pcmrs.registration.surface import OffsetPrior
 
+SIMULATED_FLANGE_FROM_TOOL_MARKER = PoseSetting((-0.06, -0.066, 0.138), (0.4, 0.8, 0.4, -0.2))
+"""Marker body of the simulated tool on the flange."""
+SIMULATED_TOOL_MARKER_FROM_TOOL_TIP = PoseSetting((0.06, 0.03, -0.06), (0.8, 0.4, 0.2, 0.4))
+"""Contact point of the simulated tool in its marker body: 90 mm away, and rotated about all axes."""
+
 
 class CalibrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Calibrations made before the procedure, as files of `pcmrs calibrate` or as poses.
 
+    The tool needs two: its marker body on the flange, and its contact point in the marker body. If neither is given,
+    the poses are those of the simulated tool.
+
     Attributes:
-        tool_file: Calibration file of the tool. If empty, `flange_from_tool` and `tool_from_coil` are used.
+        tool_file: Calibration file of the marker body on the flange. If empty, `flange_from_tool_marker` is used.
+        tip_file: Calibration file of the contact point. If empty, `tool_marker_from_tool_tip` is used.
         pointer_file: Calibration file of the pointer. If empty, `pointer_from_tip` is used.
-        tool_serial: Serial number of the mounted tool. The file of another one is refused. Empty for any.
+        tool_serial: Serial number of the mounted tool. The files of another one are refused. Empty for any.
         pointer_serial: Serial number of the pointer. The file of another one is refused. Empty for any.
         reference_serial: Serial number of the marker body on the patient. Digitizations, registrations and plans made
             with another one cannot be reused.
-        flange_from_tool: Pose of the tool's mount on the flange, m and quaternion.
-        tool_from_coil: Pose of the coil in its mount, m and quaternion. The coil's +z axis points away from the body.
+        flange_from_tool_marker: Pose of the tool's marker body on the flange, m and quaternion.
+        tool_marker_from_tool_tip: Contact point and axes of the tool in its marker body, m and quaternion. The +z axis
+            points away from the body. Give the identity explicitly if marker body and contact point coincide.
         pointer_from_tip: Pose of the tip in the pointer's marker body, m and quaternion.
+
+    Raises:
+        ValueError: Only one of marker body and contact point is given, or one of them twice.
     """
 
     tool_file: str = ""
+    tip_file: str = ""
     pointer_file: str = ""
     tool_serial: str = ""
     pointer_serial: str = ""
     reference_serial: str = ""
-    flange_from_tool: PoseSetting = PoseSetting((0.0, 0.0, 0.10))
-    tool_from_coil: PoseSetting = PoseSetting((0.0, 0.0, 0.05), (0.0, 1.0, 0.0, 0.0))
+    flange_from_tool_marker: PoseSetting | None = None
+    tool_marker_from_tool_tip: PoseSetting | None = None
     pointer_from_tip: PoseSetting = PoseSetting((0.0, 0.0, -0.15))
+
+    def __post_init__(self) -> None:
+        marker = bool(self.tool_file) + (self.flange_from_tool_marker is not None)
+        tip = bool(self.tip_file) + (self.tool_marker_from_tool_tip is not None)
+        if marker > 1:
+            raise ValueError("tool_file and flange_from_tool_marker are both given: give one of them")
+        if tip > 1:
+            raise ValueError("tip_file and tool_marker_from_tool_tip are both given: give one of them")
+        if marker and not tip:
+            raise ValueError(
+                "the marker body of the tool is given, but not its contact point: make tip_file with `pcmrs calibrate "
+                "tip`, or give tool_marker_from_tool_tip; the identity must be given, too"
+            )
+        if tip and not marker:
+            raise ValueError(
+                "the contact point of the tool is given, but not its marker body on the flange: make tool_file with "
+                "`pcmrs calibrate hand-eye`, or give flange_from_tool_marker"
+            )
+
+    @property
+    def of_simulated_tool(self) -> bool:
+        """True if nothing is given for the tool, so that the poses of the simulated one are used."""
+        return not self.tool_file and self.flange_from_tool_marker is None
 
 
 class RegistrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

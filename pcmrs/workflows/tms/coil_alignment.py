@@ -59,7 +59,7 @@ def check_coil_alignment(cell: Cell, data: Data) -> CoilAlignment:
     if desired is None or data.registered is None:
         raise RefusalError("no_plan", "There is no registration or no plan: both are needed for a pulse.")
     frames = _fresh_frames(cell, settings)
-    error_mm, error_deg = size_mm_deg(measured_from_desired(frames[-1], desired))
+    error_mm, error_deg = size_mm_deg(measured_from_desired(cell, frames[-1], desired))
     # Negated comparisons here and below refuse nan, too.
     if not (error_mm <= settings.tolerance_mm and error_deg <= settings.tolerance_deg):
         text = (
@@ -76,7 +76,8 @@ def check_coil_alignment(cell: Cell, data: Data) -> CoilAlignment:
         raise RefusalError("head_moves", text, speed=speed, limit=settings.body_speed)
     coil, body_ref = (frames[-1][body].tracker_from_body for body in BODIES)
     image_from_body_ref = as_transform(data.registered.body_ref_from_image).inverse()
-    return CoilAlignment(image_from_body_ref @ body_ref.inverse() @ coil, error_mm, error_deg, speed)
+    image_from_coil = image_from_body_ref @ body_ref.inverse() @ cell.mounting.tool_tip(coil)
+    return CoilAlignment(image_from_coil, error_mm, error_deg, speed)
 
 
 def _fresh_frames(cell: Cell, settings: StimulationSettings) -> list[TrackerFrame]:

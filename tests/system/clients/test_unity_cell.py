@@ -26,6 +26,7 @@ from pcmrs.testing.daemon import free_port
 from pcmrs.testing.driving import MOVES, plan, until, wait_until_stationary
 from pcmrs.testing.impairment import NetworkImpairment
 from pcmrs.testing.proxy import udp_proxy
+from pcmrs.workflows.settings import SIMULATED_TOOL_MARKER_FROM_TOOL_TIP
 from tests.system.clients.unity_programs import (
     NEEDS_MONO,
     SWAP,
@@ -85,8 +86,12 @@ class Bus:
         return (self.bodies["body_ref"] @ _transform(self.target.body_ref_from_image)).inverse()
 
     @property
-    def image_from_coil(self) -> Transform:
-        return self.image_from_tracker @ self.bodies["coil"]
+    def tracker_from_tool_tip(self) -> Transform:
+        return self.bodies["coil"] @ SIMULATED_TOOL_MARKER_FROM_TOOL_TIP.transform()
+
+    @property
+    def image_from_tool_tip(self) -> Transform:
+        return self.image_from_tracker @ self.tracker_from_tool_tip
 
     def _take_body(self, pose: BodyPose) -> None:
         if pose.valid:
@@ -214,10 +219,10 @@ async def all_poses_are_told(bus: Bus, probe: CellProbe) -> None:
     await told(probe, "pose Target", lambda: TARGET, WIRE)
     await told(probe, "pose Target", lambda: _transform(bus.target.pose), WIRE)
     await told(probe, "pose Registration", lambda: _transform(bus.target.body_ref_from_image), WIRE)
-    await told(probe, "pose Tool", lambda: bus.image_from_coil)
-    await told(probe, "tracked CoilToTracker", lambda: bus.bodies["coil"])
+    await told(probe, "pose Tool", lambda: bus.image_from_tool_tip)
+    await told(probe, "tracked CoilToTracker", lambda: bus.tracker_from_tool_tip)
     await told(probe, "tracked ReferenceToTracker", lambda: bus.bodies["body_ref"])
-    await told(probe, "tracked CoilToImage", lambda: bus.image_from_coil)
+    await told(probe, "tracked CoilToImage", lambda: bus.image_from_tool_tip)
     await told(probe, "tracked TargetToImage", lambda: TARGET, WIRE)
     arm = ArmModel(find_arm("iiwa14"))
     await told(probe, "tracked FlangeToBase", lambda: arm.forward(bus.joints))
@@ -229,7 +234,7 @@ async def the_tool_is_nudged(bus: Bus, probe: CellProbe) -> None:
     """It moves along its own axes, and turns about them, as somebody in the scene meant."""
     along = Transform.from_rotvec((0.002, -0.001, 0.003), (0.0, 0.0, 0.0))
     about = Transform.from_rotvec((0.0, 0.0, 0.0), (0.01, -0.02, 0.03))
-    before = bus.image_from_coil
+    before = bus.image_from_tool_tip
     await probe.demand("move", *mirrored_numbers(along)[:3])
     await told(probe, "pose Tool", lambda: before @ along, NUDGED)
     await probe.demand("turn", *mirrored_numbers(about)[3:])
@@ -242,7 +247,7 @@ async def the_visualization_is_told(programs: Path, bus: Bus, port: int) -> None
         probe.ask(f"receive {port}")
         async with asyncio.timeout(5.0):
             numbers = None
-            while numbers is None or not is_near(numbers, bus.image_from_coil, MEASURED):
+            while numbers is None or not is_near(numbers, bus.image_from_tool_tip, MEASURED):
                 await asyncio.sleep(0.02)
                 numbers = probe.ask("newest VisualizedTool")["numbers"]
 

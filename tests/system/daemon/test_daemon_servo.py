@@ -25,7 +25,7 @@ GAP = 0.005
 
 def head_before_tool() -> Transform:
     """``world_from_image`` with the crown of the head `GAP` before the tool of the arm at home."""
-    tool = ArmModel(ARM).forward(ARM.home) @ GEOMETRY.flange_from_coil.transform
+    tool = ArmModel(ARM).forward(ARM.home) @ GEOMETRY.flange_from_tool_tip.transform
     return tool @ Transform(np.eye(3), np.array([0.0, 0.0, -GAP]) - surface_point((0.0, 0.0, 1.0)))
 
 

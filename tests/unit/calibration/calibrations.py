@@ -26,7 +26,7 @@ def a_tool(**given: Any) -> Calibration:
         "date": DATE,
         "valid_days": 100,
         "error_mm": 0.3,
-        "transforms": {"flange_from_coil": pose},
+        "transforms": {"flange_from_tool_marker": pose},
     }
     return hashed(Calibration(**(values | given)))
 

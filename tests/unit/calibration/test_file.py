@@ -35,7 +35,7 @@ def test_the_hash_survives_any_value(tmp_path_factory: pytest.TempPathFactory, p
     pose = {"position": position, "quat_wxyz": (0.6, 0.0, 0.8, 0.0)}
     table = msgspec.to_builtins(a_tool(), builtin_types=(datetime,)) | {
         "serial": serial,
-        "transforms": {"flange_from_coil": pose},
+        "transforms": {"flange_from_tool_marker": pose},
     }
     read = read_calibration(_written(file, msgspec.convert(table, Calibration)))
     assert read.sha256 == read.content_hash()
@@ -75,8 +75,9 @@ def test_a_changed_value_does_not_give_the_hash(tmp_path: Path, before: str, aft
         (("valid_days = 100", "valid_days = 0"), "valid_days"),
         (("error_mm = 0.3", "error_mm = nan"), "error_mm"),
         (("+00:00", ""), "date"),
-        (("flange_from_coil", "flange_from_tool"), "flange_from_coil"),
-        (("0.15", "inf"), "flange_from_coil"),
+        (("flange_from_tool_marker", "flange_from_tool"), "flange_from_tool_marker.*pcmrs calibrate hand-eye"),
+        (("flange_from_tool_marker", "flange_from_coil"), "took the marker body.*pcmrs calibrate tip"),
+        (("0.15", "inf"), "flange_from_tool_marker"),
         (('serial = "17"', "colour = 5"), "colour"),
         (("schema = 1", "schema = "), "not TOML"),
         (("version = 1", f"version = {'1' * 5000}"), "not TOML"),

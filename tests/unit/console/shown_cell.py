@@ -10,7 +10,8 @@ from pcmrs.messages.setup import ArmShown, Setup
 from pcmrs.spatial import Transform
 from pcmrs.workflows.data import as_message
 
-FLANGE_FROM_COIL = Transform.from_rotvec((0.0, 0.01, 0.15), (3.1, 0.1, 0.0))
+FLANGE_FROM_TOOL_TIP = Transform.from_rotvec((0.0, 0.01, 0.15), (3.1, 0.1, 0.0))
+TOOL_MARKER_FROM_TOOL_TIP = Transform.from_rotvec((0.05, -0.03, 0.07), (0.4, 0.8, -0.6))
 
 
 def shown(name: str) -> ArmShown:
@@ -26,7 +27,9 @@ def shown(name: str) -> ArmShown:
 def setup() -> Setup:
     return Setup(
         user="local", role="operator", lease_required=False, blueprint="", arm=shown("iiwa14"),
-        flange_from_coil=as_message(FLANGE_FROM_COIL), tool_radius=0.05, tool_half_length=0.01, boxes=[], surface=None,
+        flange_from_coil=as_message(FLANGE_FROM_TOOL_TIP),
+        tool_marker_from_tool_tip=as_message(TOOL_MARKER_FROM_TOOL_TIP),
+        tool_radius=0.05, tool_half_length=0.01, boxes=[], surface=None,
         patient="", operator="", residual_limit=0.004, drivers={},
     )  # fmt: skip
 

@@ -10,14 +10,14 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.console._geometry import ArmFrames, TrackerLocator, as_stl, as_zone, placement_deviation, residuals
+from pcmrs.console._geometry import ArmFrames, TrackerLocator, as_stl, as_zone, placement_deviation, residuals, tool_tip
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import PoseMessage
 from pcmrs.messages.setup import LandmarkShown, ProcedureDataView
 from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.workflows.data import as_message
-from tests.unit.console.shown_cell import FLANGE_FROM_COIL, body, setup, shown, some_pose
+from tests.unit.console.shown_cell import FLANGE_FROM_TOOL_TIP, TOOL_MARKER_FROM_TOOL_TIP, body, setup, shown, some_pose
 
 
 @pytest.mark.parametrize("name", ["iiwa14", "iiwa7", "panda", "ur5"])
@@ -39,13 +39,13 @@ def test_the_flange_is_where_the_kinematics_have_it(name: str) -> None:
 def test_tool_and_body_are_shown_by_one_tracker(seed: int) -> None:
     locator, q = TrackerLocator(setup()), np.random.default_rng(seed).uniform(-1.5, 1.5, 7)
     base_from_tracker, base_from_body = some_pose(seed), some_pose(seed + 1)
-    base_from_coil = locator.arm.frames(q)[-1] @ FLANGE_FROM_COIL
-    coil = body("coil", base_from_tracker.inverse() @ base_from_coil)
+    base_from_tool_tip = locator.arm.frames(q)[-1] @ FLANGE_FROM_TOOL_TIP
+    tool = base_from_tracker.inverse() @ base_from_tool_tip
     ref = body("body_ref", base_from_tracker.inverse() @ base_from_body)
     assert locator.in_base(ref) is None, "nobody knows yet where the tracker is"
-    locator.see(q, coil, moving=True)
+    locator.see(q, tool, moving=True)
     assert locator.in_base(ref) is None, "in motion joints and tracker do not speak of one moment"
-    locator.see(q, coil, moving=False)
+    locator.see(q, tool, moving=False)
     found = locator.in_base(ref)
     assert found is not None
     assert distance(found, base_from_body) < 1e-6
@@ -54,12 +54,12 @@ def test_tool_and_body_are_shown_by_one_tracker(seed: int) -> None:
 
 def test_tracker_noise_is_smoothed_and_motion_followed_at_once() -> None:
     locator, q, random = TrackerLocator(setup()), np.zeros(7), np.random.default_rng(1)
-    base_from_coil = locator.arm.frames(q)[-1] @ FLANGE_FROM_COIL
+    base_from_tool_tip = locator.arm.frames(q)[-1] @ FLANGE_FROM_TOOL_TIP
     for base_from_tracker in (some_pose(1), some_pose(2)):
         errors = []
         for _ in range(400):
             noise = Transform.from_rotvec(random.normal(0.0, 5e-5, 3), random.normal(0.0, 7e-4, 3))
-            locator.see(q, body("coil", base_from_tracker.inverse() @ base_from_coil @ noise), moving=False)
+            locator.see(q, base_from_tracker.inverse() @ base_from_tool_tip @ noise, moving=False)
             assert locator.base_from_tracker is not None
             errors.append(distance(locator.base_from_tracker, base_from_tracker))
         assert max(errors) < 0.02
@@ -70,18 +70,17 @@ def test_tracker_noise_is_smoothed_and_motion_followed_at_once() -> None:
 def test_the_error_is_the_measured_pose_in_the_planned_one(seed: int) -> None:
     image_from_plan, body_from_image, tracker_from_body = (some_pose(seed + each) for each in range(3))
     planned_from_measured = Transform.from_rotvec((0.001, -0.002, 0.002), (0.0, 0.0, 0.01))
-    tracker_from_coil = tracker_from_body @ body_from_image @ image_from_plan @ planned_from_measured
+    tracker_from_tool_tip = tracker_from_body @ body_from_image @ image_from_plan @ planned_from_measured
     data = ProcedureDataView(
         landmarks=[], body_ref_from_image=as_message(body_from_image), plan=as_message(image_from_plan)
     )
-    found = placement_deviation(data, body("coil", tracker_from_coil), body("body_ref", tracker_from_body))
+    marker = tracker_from_tool_tip @ TOOL_MARKER_FROM_TOOL_TIP.inverse()
+    found = placement_deviation(data, tool_tip(setup(), body("coil", marker)), body("body_ref", tracker_from_body))
     assert found is not None
     assert found.mm == pytest.approx((3.0, 1.0, -2.0, 2.0), abs=1e-6)
     assert found.degrees == pytest.approx(np.degrees(0.01), abs=1e-6)
-    assert (
-        placement_deviation(data, body("coil", tracker_from_coil, valid=False), body("body_ref", tracker_from_body))
-        is None
-    )
+    assert tool_tip(setup(), body("coil", marker, valid=False)) is None
+    assert placement_deviation(data, None, body("body_ref", tracker_from_body)) is None
     assert placement_deviation(ProcedureDataView(landmarks=[]), None, None) is None
 
 

@@ -12,7 +12,7 @@ from pcmrs.console._tracking import MAX_AGE, TrackingView, VisibilityRow, edges
 from pcmrs.messages.setup import SliceShown
 from pcmrs.spatial import Transform
 from tests.unit.console.detached_page import ENGLISH, DetachedPage, ShownCell
-from tests.unit.console.shown_cell import FLANGE_FROM_COIL, body, setup, some_pose
+from tests.unit.console.shown_cell import FLANGE_FROM_TOOL_TIP, body, setup, some_pose
 
 VOLUME = [SliceShown(distance=1.0, width=0.4, height=0.2), SliceShown(distance=2.0, width=0.8, height=0.6)]
 
@@ -50,14 +50,14 @@ def test_a_line_of_sight_leads_from_the_tracker_to_the_body(page: DetachedPage) 
     with ui.scene() as scene:
         tracking = TrackingView(scene, replace(setup(), volume=VOLUME))
     base_from_tracker, base_from_ref = some_pose(1), some_pose(2)
-    coil = body("coil", base_from_tracker.inverse() @ locator.arm.frames([0.0] * 7)[-1] @ FLANGE_FROM_COIL)
+    tool = base_from_tracker.inverse() @ locator.arm.frames([0.0] * 7)[-1] @ FLANGE_FROM_TOOL_TIP
     view.poses["body_ref"] = body("body_ref", base_from_tracker.inverse() @ base_from_ref)
     view.received["body_ref"] = 0.0
     tracking.follow(view, locator, wanted=True)
     (tracker,), (sight,) = page.shapes()["tracker"], page.shapes()["sight of body_ref"]
     assert not tracker.visible_, "nobody knows yet where it is"
     assert not sight.visible_
-    locator.see([0.0] * 7, coil, moving=False)
+    locator.see([0.0] * 7, tool, moving=False)
     tracking.follow(view, locator, wanted=True)
     assert tracker.visible_
     middle = (base_from_tracker.translation + base_from_ref.translation) / 2.0

@@ -28,7 +28,7 @@ from pcmrs_sim.settings import ArmSettings, ConfiguredPose, GeometrySettings, Si
 
 FACTS = ARMS["iiwa14"]
 HOME = np.array(FACTS.home)
-FLANGE_FROM_TOOL = GeometrySettings().flange_from_coil.transform
+FLANGE_FROM_TOOL = GeometrySettings().flange_from_tool_tip.transform
 LOOP_OF_DRIVER: dict[str, Callable[[], asyncio.AbstractEventLoop]] = {
     "sim": SimulatedLoop,
     "kst": asyncio.new_event_loop,

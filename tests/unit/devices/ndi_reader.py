@@ -13,6 +13,7 @@ from pcmrs.clock import SystemClock
 from pcmrs.devices.drivers.ndi import NdiTracker, open_devices
 from pcmrs.devices.ndi.process import MODULE
 from pcmrs.messages import BodyPose
+from pcmrs.spatial import Transform
 from pcmrs_sim.cell import CellSimulation, running_cell
 from pcmrs_sim.ndi.server import serve_ndi
 
@@ -44,6 +45,13 @@ def readers() -> list[int]:
                 continue
             if MODULE.encode() in command and int(parent) == os.getpid():
                 found.append(int(entry.name))
+    return found
+
+
+def true_marker(cell: CellSimulation) -> Transform:
+    """Where the marker body of the tool truly is in the tracker."""
+    found = cell.world.tracker_from("coil")
+    assert found is not None
     return found
 
 

@@ -219,4 +219,6 @@ async def healthy(cell: CellSimulation) -> None:
     poses = {pose.body: pose for pose in frame}
     assert poses["coil"].valid
     assert poses["body_ref"].valid
-    assert np.linalg.norm(poses["coil"].position - cell.world.tracker_from_coil().translation) < 1e-3
+    true = cell.world.tracker_from("coil")
+    assert true is not None
+    assert np.linalg.norm(poses["coil"].position - true.translation) < 1e-3

@@ -113,7 +113,8 @@ async def test_frames_advance_and_hold_all_bodies(seen: tuple[Frames, CellSimula
 
 async def test_poses_agree_with_the_truth_within_the_tracker_errors(seen: tuple[Frames, CellSimulation]) -> None:
     frames, cell = seen
-    truth = cell.world.tracker_from_coil()
+    truth = cell.world.tracker_from("coil")
+    assert truth is not None
     errors = [_transform(frame["coil"]) for frame in await frames.take(60)]
     # A bias of 0.10 mm and 0.03 deg rms over all places, and jitter of 0.03 mm and 0.02 deg per axis.
     offset = np.mean([pose.translation - truth.translation for pose in errors], axis=0)

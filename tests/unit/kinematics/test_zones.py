@@ -9,7 +9,16 @@ from hypothesis import given
 from pcmrs.kinematics.zones import MOUNT_RADIUS, SIGHT_OF_BODY, SIGHT_OF_TOOL
 from pcmrs.spatial import Floats, Transform
 from tests.support.trials import examples
-from tests.unit.kinematics.zone_cell import ARM, CORNERS, FACTS, FLANGE_FROM_TOOL, SIGHT, seeds, zone_model
+from tests.unit.kinematics.zone_cell import (
+    ARM,
+    CORNERS,
+    FACTS,
+    FLANGE_FROM_TOOL,
+    MARKER_IN_FLANGE,
+    SIGHT,
+    seeds,
+    zone_model,
+)
 
 
 def link_ends(q: Floats) -> dict[str, tuple[Floats, Floats]]:
@@ -105,13 +114,13 @@ def test_overlapping_bodies_have_a_negative_distance() -> None:
 
 @examples(20)
 @given(seeds)
-def test_the_lines_of_sight_end_at_tool_and_reference(seed: int) -> None:
+def test_lines_of_sight_end_at_both_marker_bodies(seed: int) -> None:
     rng, q, model = np.random.default_rng(seed), random_posture(seed), zone_model()
     tracker, body_ref = rng.uniform(-1.5, 1.5, (2, 3))
     model.set_sight_lines(tracker, body_ref)
     ends = link_ends(q)
-    tool = (ARM.forward(q) @ FLANGE_FROM_TOOL).translation
-    sights = {SIGHT_OF_TOOL: (tracker, tool), SIGHT_OF_BODY: (tracker, body_ref)}
+    marker = ARM.forward(q) @ MARKER_IN_FLANGE
+    sights = {SIGHT_OF_TOOL: (tracker, marker), SIGHT_OF_BODY: (tracker, body_ref)}
     found = dict(zip(model.pairs, model.distances(q), strict=True))
     for (link, zone), distance in found.items():
         if zone in sights and link in ends and distance > 0.0:

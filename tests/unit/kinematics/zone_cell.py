@@ -23,6 +23,8 @@ CORNERS = np.array(list(product((-0.1, 0.1), repeat=3)))
 """Of a cube with edges of 0.2 m about its origin."""
 
 SIGHT = 0.004
+MARKER_IN_FLANGE = np.array((0.03, -0.02, 0.06))
+"""Marker body of the tool, not at its contact point."""
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -33,4 +35,6 @@ def zone_model(*, margin: float = 0.03) -> ZoneModel:
         Zone("table", box((2.0, 2.0, 0.1), Transform.identity()), 0.02),
     ]
     tool = ToolShape(radius=0.05, half_length=0.01)
-    return ZoneModel(FACTS, FLANGE_FROM_TOOL, tool, zones, link_margin=0.01, sight_radius=SIGHT)
+    return ZoneModel(
+        FACTS, FLANGE_FROM_TOOL, tool, zones, link_margin=0.01, sight_radius=SIGHT, marker_in_flange=MARKER_IN_FLANGE
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
+from types import SimpleNamespace
 from typing import Any, cast
 
 import msgspec
@@ -12,6 +13,8 @@ from pcmrs.client import Client
 from pcmrs.errors import UnknownOutcomeError
 from pcmrs.journal import JournalRow
 from pcmrs.messages import BlueprintTag, Decision, Reason, Running, Snapshot, StopState, Verdict
+from pcmrs.workflows.data import as_message
+from pcmrs.workflows.settings import SIMULATED_TOOL_MARKER_FROM_TOOL_TIP
 from tests.support.health_facts import WELL
 
 TAG = BlueprintTag(id="ratms", version="1", hash="ab" * 32)
@@ -68,6 +71,10 @@ class ScriptedClient:
         self.silent = False
         self.stop_state = StopState()
         self.sequence = 1
+
+    async def setup(self) -> Any:
+        """Of a cell with the simulated tool."""
+        return SimpleNamespace(tool_marker_from_tool_tip=as_message(SIMULATED_TOOL_MARKER_FROM_TOOL_TIP.transform()))
 
     @property
     def asked(self) -> list[str]:

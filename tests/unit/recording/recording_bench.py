@@ -23,7 +23,6 @@ from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose, JointState
 from pcmrs.recording._foxglove_messages import FoxgloveView
 from pcmrs.recording.file import RecordingFile, Topics
-from pcmrs.recording.frame_tree import Mounting
 from pcmrs.recording.series import Limits, files_of
 from pcmrs.recording.subscriber import RawSample, Subscriber
 from pcmrs.recording.topics import TOPICS
@@ -31,6 +30,7 @@ from pcmrs.recording.views import RecordingViews
 from pcmrs.recording.writer import PERIOD, RecordingPlan, RecordingReport, RecordingWriter
 from pcmrs.testing.daemon import free_port
 from pcmrs.testing.waiting import wait_until
+from pcmrs.workflows.mounting import Mounting
 from pcmrs.workflows.settings import CalibrationSettings
 
 TIMEOUT = 20.0

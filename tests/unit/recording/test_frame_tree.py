@@ -2,35 +2,29 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from pcmrs.calibration import write_calibration
-from pcmrs.errors import FileFormatError, GeometryError
+from pcmrs.errors import GeometryError
 from pcmrs.kinematics.model import ArmModel
-from pcmrs.messages import PoseMessage
-from pcmrs.recording.frame_tree import FrameTree, Mounting
+from pcmrs.recording.frame_tree import FrameTree, fixed_links
 from pcmrs.spatial import Transform
-from pcmrs.workflows.settings import CalibrationSettings
-from tests.unit.calibration.calibrations import a_pointer, a_tool
 from tests.unit.recording.recording_bench import ARM, MOUNTING, joints
 
 
 def test_frame_tree_joins_tracked_bodies_and_the_joints() -> None:
-    """The coil by the joints must lie where the tracker saw it, when the arm stood: that is what joins the two."""
+    """The marker body by the joints must lie where the tracker saw it, when the arm stood: that joins the two."""
 
     home = np.array(ARM.home)
     seen = Transform.from_quat_wxyz((0.1, 0.2, 1.5), (0.5, 0.5, -0.5, 0.5))
     chain = FrameTree(ARM, MOUNTING)
-    assert chain.coil(seen) is None  # the joints are not known yet
+    assert chain.tool(seen) is None  # the joints are not known yet
     chain.joints(joints(moving=True))
-    assert chain.coil(seen) is None
+    assert chain.tool(seen) is None
     _, _, base_from_flange = chain.joints(joints())
-    base = chain.coil(seen)
+    base = chain.tool(seen)
     assert base is not None
-    links = {child: (parent, transform) for parent, child, transform in [*MOUNTING.links(), base]}
+    links = {child: (parent, transform) for parent, child, transform in [*fixed_links(MOUNTING), base]}
     links["flange"] = ("robot_base", base_from_flange)
     found, frame = Transform.identity(), "coil_by_robot"
     while frame != "tracker":
@@ -40,25 +34,15 @@ def test_frame_tree_joins_tracked_bodies_and_the_joints() -> None:
     np.testing.assert_allclose(base_from_flange.matrix, ArmModel(ARM).forward(home).matrix, atol=1e-12)
 
 
-def test_a_calibration_file_moves_the_coil_and_not_the_mount(tmp_path: Path) -> None:
-    pose = PoseMessage(position=(0.002, 0.0, 0.16), quat_wxyz=(0.0, 1.0, 0.0, 0.0))
-    tip = PoseMessage(position=(0.0, 0.001, -0.15), quat_wxyz=(1.0, 0.0, 0.0, 0.0))
-    write_calibration(tmp_path / "tool.toml", a_tool(transforms={"flange_from_coil": pose}))
-    write_calibration(tmp_path / "pointer.toml", a_pointer(transforms={"pointer_from_tip": tip}))
-    files = CalibrationSettings(tool_file=str(tmp_path / "tool.toml"), pointer_file=str(tmp_path / "pointer.toml"))
-    mounting = Mounting.read(files)
-    assert mounting.flange_from_coil.translation.tolist() == [0.002, 0.0, 0.16]
-    assert mounting.pointer_from_tip.translation.tolist() == [0.0, 0.001, -0.15]
-    np.testing.assert_array_equal(mounting.flange_from_tool.matrix, MOUNTING.flange_from_tool.matrix)
-    links = {child: transform for _, child, transform in mounting.links()}
-    np.testing.assert_allclose(
-        (links["tool"] @ links["coil_by_robot"]).matrix, mounting.flange_from_coil.matrix, atol=1e-12
-    )
-
-
-def test_an_unreadable_calibration_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileFormatError, match="cannot be read"):
-        Mounting.read(CalibrationSettings(tool_file=str(tmp_path / "none.toml")))
+def test_tip_hangs_at_the_tracked_marker_by_its_calibration() -> None:
+    links = {child: (parent, transform) for parent, child, transform in fixed_links(MOUNTING)}
+    assert {child: parent for child, (parent, _) in links.items()} == {
+        "coil_by_robot": "flange",
+        "tool_tip": "coil",
+        "pointer_tip": "pointer",
+    }
+    tip = links["coil_by_robot"][1] @ links["tool_tip"][1]
+    np.testing.assert_allclose(tip.matrix, MOUNTING.flange_from_tool_tip.matrix, atol=1e-12)
 
 
 def test_joints_of_another_arm_are_refused() -> None:

@@ -57,8 +57,8 @@ def spoiled(tool: list[Transform], bad: list[int], by: Transform) -> list[Transf
 
 def errors(found: HandEyeCalibration) -> Floats:
     """Of X in the convention of the covariance, (6,)."""
-    turn = Rotation.from_matrix(X.rotation.T @ found.flange_from_coil.rotation).as_rotvec()
-    return np.concatenate((turn, found.flange_from_coil.translation - X.translation))
+    turn = Rotation.from_matrix(X.rotation.T @ found.flange_from_tool_marker.rotation).as_rotvec()
+    return np.concatenate((turn, found.flange_from_tool_marker.translation - X.translation))
 
 
 @given(triple, triple, triple, triple, st.integers(0, 2**16), st.integers(MIN_POSES, 20))
@@ -70,7 +70,7 @@ def test_exact_poses_give_both_transforms_back(
     if np.linalg.svd(np.array([pose.rotation - flange[0].rotation for pose in flange]).reshape(-1, 3))[1][2] < 0.5:
         return  # drawn nearly degenerate
     found = calibrate_hand_eye(flange, seen(flange, x, y))
-    for calibrated, true in ((found.flange_from_coil, x), (found.base_from_tracker, y)):
+    for calibrated, true in ((found.flange_from_tool_marker, x), (found.base_from_tracker, y)):
         assert distance(calibrated, true) < 1e-8
         assert rotation_angle(calibrated, true) < 1e-8
     assert found.bad == ()
@@ -102,7 +102,7 @@ def test_weights_beat_the_closed_form_if_rotations_are_noisy(runs: int) -> None:
         flange = postures(rng, 20)
         tool = [noisy(rng, pose, (3.5e-4, 3e-5)) for pose in seen(flange)]
         found, (shah, _) = calibrate_hand_eye(flange, tool), closed_form(flange, tool)
-        refined.append(rotation_angle(found.flange_from_coil, X))
+        refined.append(rotation_angle(found.flange_from_tool_marker, X))
         closed.append(rotation_angle(shah, X))
     assert np.mean(np.square(refined)) < 0.7 * np.mean(np.square(closed))
 
@@ -116,8 +116,8 @@ def test_bad_poses_are_named_and_left_out(count: int, bad: list[int], by: Transf
     flange, tool = measured(np.random.default_rng(4), count)
     found = calibrate_hand_eye(flange, spoiled(tool, bad, by))
     assert found.bad == tuple(bad)
-    assert distance(found.flange_from_coil, X) < 2e-3
-    assert rotation_angle(found.flange_from_coil, X) < 1e-3
+    assert distance(found.flange_from_tool_marker, X) < 2e-3
+    assert rotation_angle(found.flange_from_tool_marker, X) < 1e-3
     assert found.distances.shape == found.angles.shape == (count,)
 
 

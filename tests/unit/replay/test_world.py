@@ -12,7 +12,7 @@ from tests.unit.replay.rows import event
 SETTINGS = ProcedureSettings(patient="P-17")
 
 
-@pytest.mark.parametrize("name", ["robot", "poses", "clock", "joints", "image_from_coil", "zones", "stimulator"])
+@pytest.mark.parametrize("name", ["robot", "poses", "clock", "joints", "image_from_tool_tip", "zones", "stimulator"])
 def test_what_was_measured_is_not_known(name: str) -> None:
     with pytest.raises(NotJournalledError, match=name):
         getattr(ReplayCell(SETTINGS, "c0ffee"), name)
@@ -23,13 +23,13 @@ def test_settings_and_identity_of_calibrations_are_known() -> None:
     cell = ReplayCell(SETTINGS, "c0ffee")
     assert cell.settings.patient == "P-17"
     assert cell.calibration_id == "c0ffee"
-    assert cell.calibrations() == {"tool": "explicit", "pointer": "explicit"}
+    assert cell.calibrations() == {"tool": "explicit", "tip": "explicit", "pointer": "explicit"}
 
 
 def test_identity_that_was_not_journalled_follows_from_the_poses() -> None:
     other = ProcedureSettings(calibration=CalibrationSettings(reference_serial="R-2"))
     assert ReplayCell(SETTINGS, None).calibration_id == ReplayCell(other, None).calibration_id
-    with_file = ProcedureSettings(calibration=CalibrationSettings(tool_file="tool.toml"))
+    with_file = ProcedureSettings(calibration=CalibrationSettings(tool_file="tool.toml", tip_file="tip.toml"))
     with pytest.raises(NotJournalledError):
         _ = ReplayCell(with_file, None).calibration_id
     assert ReplayCell(with_file, "c0ffee").calibration_id == "c0ffee"

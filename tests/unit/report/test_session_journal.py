@@ -114,8 +114,11 @@ def test_no_or_several_sessions_are_an_error(sessions: list[str], start: str | N
 
 
 def test_only_configured_calibrations_are_listed() -> None:
-    calibration = {"tool_file": "/cal/tool.toml", "pointer_file": ""}
-    assert configured_calibrations({"procedure": {"calibration": calibration}}) == {"tool": "/cal/tool.toml"}
+    calibration = {"tool_file": "/cal/tool.toml", "tip_file": "/cal/tip.toml", "pointer_file": ""}
+    assert configured_calibrations({"procedure": {"calibration": calibration}}) == {
+        "tool": "/cal/tool.toml",
+        "tip": "/cal/tip.toml",
+    }
     assert configured_calibrations({}) == {}
 
 

@@ -14,11 +14,11 @@ from pcmrs.bus import Bus, BusSettings
 from pcmrs.clock import SystemClock
 from pcmrs.kinematics.urdf_arms import find_arm
 from pcmrs.messages import BodyPose, JointState
-from pcmrs.recording.frame_tree import Mounting
 from pcmrs.ros2 import cdr
 from pcmrs.ros2.copying import copy_for_ros2
 from pcmrs.spatial import Transform
 from pcmrs.testing.waiting import wait_until
+from pcmrs.workflows.mounting import Mounting
 from pcmrs.workflows.settings import CalibrationSettings
 from tests.unit.bus.bus_cells import TIMEOUT, new_cell, open_bus, plain_session
 

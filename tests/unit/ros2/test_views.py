@@ -66,7 +66,7 @@ async def test_the_arm_hangs_from_the_tracker_where_the_coil_was_seen() -> None:
             each.child_frame_id: rigid(each.transform)
             for each in cdr.TFMessage.deserialize(ear.heard["tf_static"][0]).transforms
         }
-        by_joints = links["robot_base"][1] @ links["flange"][1] @ static["tool"] @ static["coil_by_robot"]
+        by_joints = links["robot_base"][1] @ links["flange"][1] @ static["coil_by_robot"]
         assert distance(by_joints, COIL) < 1e-9
 
 

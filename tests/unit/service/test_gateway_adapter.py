@@ -12,6 +12,8 @@ from pcmrs.messages import BodyPose, JointState
 from pcmrs.service.gateway_adapter import GatewayAdapter
 from pcmrs.spatial import Transform, distance
 from pcmrs.testing.clock import ManualClock
+from pcmrs.workflows.mounting import Mounting
+from pcmrs.workflows.settings import CalibrationSettings
 
 SEEN = {
     "body_ref": Transform.from_rotvec([0.1, 0.2, 1.3], [0.1, 0.0, 0.2]),
@@ -19,6 +21,7 @@ SEEN = {
 }
 
 
+MOUNTING = Mounting.read(CalibrationSettings())
 MAX_AGE = 0.2
 
 
@@ -44,13 +47,16 @@ def show(feed: PoseFeed, clock: ManualClock, number: int, *bodies: str) -> None:
 async def test_a_log_of_poses_has_a_gap_while_tool_or_body_is_not_seen(hidden: str) -> None:
     clock = ManualClock()
     feed = PoseFeed(clock, MAX_AGE)
-    core = GatewayAdapter(cast(Any, None), cast(Any, SimpleNamespace(poses=feed)), cast(Any, None))
+    cell = SimpleNamespace(poses=feed, mounting=MOUNTING)
+    core = GatewayAdapter(cast(Any, None), cast(Any, cell), cast(Any, None))
     assert core.tracked() is None
     show(feed, clock, 1, *SEEN)
     tracked = core.tracked()
     assert tracked is not None
-    assert distance(tracked["tracker_from_body"] @ tracked["body_from_tool"], SEEN["coil"]) < 1e-9
-    assert distance(tracked["tracker_from_tool"], SEEN["coil"]) < 1e-9
+    tip = SEEN["coil"] @ MOUNTING.tool_marker_from_tool_tip
+    assert distance(tracked["tracker_from_body"] @ tracked["body_from_tool"], tip) < 1e-9
+    assert distance(tracked["tracker_from_tool"], tip) < 1e-9
+    assert distance(core.seen()["coil"], tip) < 1e-9
     await clock.advance(MAX_AGE + 0.01)
     show(feed, clock, 2, *(SEEN.keys() - {hidden}))
     assert core.tracked() is None, "an old pose is none"

@@ -8,11 +8,12 @@ from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 
 from pcmrs.devices.node import DAEMON_BEAT
 from pcmrs.devices.standstill import MOVED, THRESHOLD
-from pcmrs.errors import DeviceError, SupervisionError
+from pcmrs.errors import ConfigurationError, DeviceError, SupervisionError
 from pcmrs.messages import (
     BodyPose,
     Command,
@@ -26,7 +27,7 @@ from pcmrs.messages import (
     NodeBeat,
     StimulatorState,
 )
-from pcmrs.service.procedure import Clocks, RunningProcedure
+from pcmrs.service.procedure import Clocks, RunningProcedure, open_cell
 from pcmrs.service.publishing import Publishing
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 from pcmrs.settings import read_settings
@@ -140,6 +141,18 @@ class Bench:
         )
         verdict = await self.procedure.dispatcher.submit(command)
         assert verdict.decision == "accepted", verdict.reason
+
+
+def test_a_real_tool_is_not_placed_by_simulated_poses() -> None:
+    """Nor by the identity, unless the configuration says so."""
+    blueprint, clocks = shipped_workflow("ratms").blueprint, Clocks(ManualClock(), ManualClock())
+    real = ["scene.driver=none"]
+    with pytest.raises(ConfigurationError, match="pcmrs calibrate tip"):
+        open_cell(read_settings(None, real), blueprint, FakeLink(), clocks, "s")
+    for pose in ("flange_from_tool_marker", "tool_marker_from_tool_tip"):
+        real.append(f"procedure.calibration.{pose}.position=[0.0, 0.0, 0.0]")
+    cell = open_cell(read_settings(None, real), blueprint, FakeLink(), clocks, "s")
+    np.testing.assert_array_equal(cell.flange_from_tool_tip.matrix, np.eye(4))
 
 
 async def test_it_beats_and_records_when_each_node_was_heard() -> None:

@@ -36,7 +36,9 @@ def test_setup_is_that_of_the_cell_in_metres() -> None:
         assert parse_blueprint(shown.blueprint.encode(), origin="shown").hash == blueprint.hash
         assert len(shown.arm.joints) == len(bench.cell.posture())
         mounted = as_transform(shown.flange_from_coil).matrix
-        np.testing.assert_allclose(mounted, bench.cell.flange_from_coil.matrix, atol=1e-12)
+        np.testing.assert_allclose(mounted, bench.cell.flange_from_tool_tip.matrix, atol=1e-12)
+        tip = as_transform(shown.tool_marker_from_tool_tip).matrix
+        np.testing.assert_allclose(tip, bench.cell.mounting.tool_marker_from_tool_tip.matrix, atol=1e-12)
         assert shown.drivers == dict.fromkeys(Settings().drivers()["sim"], "sim")
         assert (shown.role, shown.lease_required) == ("viewer", False), "until a client says who it is"
         assert shown.surface is not None

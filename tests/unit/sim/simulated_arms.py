@@ -45,6 +45,6 @@ def body_before_tool(gap: float, settings: SimSettings | None = None) -> Transfo
     """``world_from_image`` with the crown of the head `gap` (m) before the face of the arm's tool, upright on it."""
     settings = settings or SimSettings()
     true_facts = displaced(FACTS, settings.arm.geometry_error_mm * 1e-3, settings.seed)
-    tool = ArmModel(true_facts).forward(HOME) @ settings.geometry.flange_from_coil.transform
+    tool = ArmModel(true_facts).forward(HOME) @ settings.geometry.flange_from_tool_tip.transform
     crown = surface_point((0.0, 0.0, 1.0))
     return tool @ Transform(np.eye(3), np.array([0.0, 0.0, -gap])) @ Transform(np.eye(3), -crown)

@@ -107,7 +107,7 @@ def test_refused_trajectories_change_nothing(text: str) -> None:
 def test_true_flange_agrees_with_mujoco_and_differs_from_model() -> None:
     arm, model = make_arm(SimSettings(seed=4)), ArmModel(FACTS)
     true = arm.base_from_flange()
-    tool = true @ SimSettings().geometry.flange_from_coil.transform
+    tool = true @ SimSettings().geometry.flange_from_tool_tip.transform
     assert np.allclose(arm._data.body("tool").xpos, tool.translation, atol=1e-6)
     assert 1e-4 < distance(true, model.forward(arm.positions)) < 3e-3
     exact = make_arm(SimSettings(arm=ArmSettings(geometry_error_mm=0.0)))
@@ -126,7 +126,7 @@ def test_the_force_limit_also_guards_a_standing_arm() -> None:
     assert arm.contact.force < 8.0
 
 
-INWARD = -GeometrySettings().flange_from_coil.transform.rotation[:, 2]
+INWARD = -GeometrySettings().flange_from_tool_tip.transform.rotation[:, 2]
 REQUEST = PressRequest(
     force=3.0,
     direction_in_flange=(float(INWARD[0]), float(INWARD[1]), float(INWARD[2])),

@@ -9,11 +9,11 @@ from pcmrs_sim import head
 from pcmrs_sim.settings import GeometrySettings, SimSettings
 from tests.unit.sim.simulated_arms import body_before_tool, make_arm
 
-FLANGE_FROM_COIL = GeometrySettings().flange_from_coil.transform
+FLANGE_FROM_TOOL_TIP = GeometrySettings().flange_from_tool_tip.transform
 
 
 def tool_of(arm: Any) -> Transform:
-    tool: Transform = arm.base_from_flange() @ FLANGE_FROM_COIL
+    tool: Transform = arm.base_from_flange() @ FLANGE_FROM_TOOL_TIP
     return tool
 
 
@@ -27,7 +27,7 @@ def test_in_rest_the_force_is_stiffness_times_depth(depth: float) -> None:
     reached = (head.surface_point((0.0, 0.0, 1.0)) - tool.translation)[2]
     assert reached == pytest.approx(depth, abs=5e-5), "the integral action holds the arm against it"
     assert arm.contact.force == pytest.approx(SimSettings().contact.stiffness * reached, abs=0.02)
-    assert arm.sensor.flange_force == pytest.approx(FLANGE_FROM_COIL.rotation[:, 2] * arm.contact.force, abs=0.3)
+    assert arm.sensor.flange_force == pytest.approx(FLANGE_FROM_TOOL_TIP.rotation[:, 2] * arm.contact.force, abs=0.3)
 
 
 @pytest.mark.parametrize("gap", [0.0005, 0.05])

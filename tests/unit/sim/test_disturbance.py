@@ -48,7 +48,7 @@ def test_without_offset_the_commanded_sample_is_followed() -> None:
 @pytest.mark.parametrize("push", [20.0, -20.0])
 def test_a_push_is_the_transposed_jacobian_times_the_force(push: float) -> None:
     """The force is along the tool's +z, at its marker body."""
-    model = plant_model(FACTS, ArmSettings(), GeometrySettings().flange_from_coil.transform, HEAD)
+    model = plant_model(FACTS, ArmSettings(), GeometrySettings().flange_from_tool_tip.transform, HEAD)
     data = mujoco.MjData(model)
     data.qpos[:] = HOME
     mujoco.mj_forward(model, data)

@@ -15,7 +15,8 @@ SETTINGS = ArmSettings()
 STIFFNESS = np.array(FACTS.stiffness)
 REST = np.zeros(7)
 ERROR = np.array((0.01, -0.02, 0.0, 0.005, 0.0, 0.01, -0.01))
-MODEL = nominal_model(FACTS, SETTINGS, GeometrySettings().flange_from_coil.transform, HEAD, np.random.default_rng(1))
+FLANGE_FROM_TOOL_TIP = GeometrySettings().flange_from_tool_tip.transform
+MODEL = nominal_model(FACTS, SETTINGS, FLANGE_FROM_TOOL_TIP, HEAD, np.random.default_rng(1))
 
 
 def controller(settings: ArmSettings = SETTINGS) -> ImpedanceController:

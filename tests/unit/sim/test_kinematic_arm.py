@@ -61,7 +61,7 @@ def test_a_standing_arm_returns_the_same_flange() -> None:
 def test_the_force_is_stiffness_times_depth(depth: float) -> None:
     settings = SimSettings()
     arm = kinematic(settings)
-    tool = arm.base_from_flange() @ settings.geometry.flange_from_coil.transform
+    tool = arm.base_from_flange() @ settings.geometry.flange_from_tool_tip.transform
     arm.contact.place(tool @ Transform(np.eye(3), np.array([0.0, 0.0, depth]) - surface_point((0.0, 0.0, 1.0))))
     arm.step(10)
     assert arm.contact.force == pytest.approx(settings.contact.stiffness * depth, rel=1e-6)

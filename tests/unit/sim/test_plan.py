@@ -67,7 +67,7 @@ def test_every_pose_is_reachable_and_the_way_home_leads_away(phantom: Phantom, p
     arm = ArmModel(ARMS["iiwa14"])
     home = np.array(arm.facts.home)
     world_from_image = phantom.world_from_image
-    flange_from_tool = settings.geometry.flange_from_coil.transform
+    flange_from_tool = settings.geometry.flange_from_tool_tip.transform
     middle = world_from_image @ phantom.inside
 
     def posture(offset: float, seed: Floats) -> Floats:
@@ -104,11 +104,11 @@ def test_example_poses_are_reachable_and_the_way_home_leads_away(name: str, body
 
 
 def posture(arm: ArmModel, phantom: Phantom, pose: Transform, offset: float, seed: Floats) -> Floats:
-    flange_from_tool = SimSettings().geometry.flange_from_coil.transform
+    flange_from_tool = SimSettings().geometry.flange_from_tool_tip.transform
     tool_from_offset = Transform.from_rotvec((0.0, 0.0, offset), (0.0, 0.0, 0.0))
     return inverse(arm, phantom.world_from_image @ pose @ tool_from_offset @ flange_from_tool.inverse(), seed)
 
 
 def distance_from_middle(arm: ArmModel, phantom: Phantom, q: Floats) -> float:
-    tool = arm.forward(q) @ SimSettings().geometry.flange_from_coil.transform
+    tool = arm.forward(q) @ SimSettings().geometry.flange_from_tool_tip.transform
     return float(np.linalg.norm(tool.translation - phantom.world_from_image @ phantom.inside))

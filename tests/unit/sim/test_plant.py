@@ -21,7 +21,7 @@ ABOVE = 0.05  # m
 
 def depth(phantom: Phantom, point: Floats, outwards: Floats) -> float:
     """How deep below a point of the image, m, a ray from `ABOVE` it meets the scene."""
-    model = plant_model(ARMS["iiwa14"], ArmSettings(), GeometrySettings().flange_from_coil.transform, phantom)
+    model = plant_model(ARMS["iiwa14"], ArmSettings(), GeometrySettings().flange_from_tool_tip.transform, phantom)
     data = mujoco.MjData(model)
     data.qpos[:] = ARMS["iiwa14"].home
     mujoco.mj_forward(model, data)

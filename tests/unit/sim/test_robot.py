@@ -23,13 +23,13 @@ from pcmrs_sim.settings import GeometrySettings, SimSettings
 from tests.unit.sim.cell_readings import Devices
 from tests.unit.sim.simulated_arms import FACTS, HOME, body_before_tool, smooth
 
-FLANGE_FROM_COIL = GeometrySettings().flange_from_coil.transform
+FLANGE_FROM_TOOL_TIP = GeometrySettings().flange_from_tool_tip.transform
 
 
 def towards_head(way: float) -> Floats:
     """A posture with the tool `way` (m) farther along its axis, from home."""
     model = ArmModel(FACTS)
-    direction = -(model.forward(HOME) @ FLANGE_FROM_COIL).rotation[:, 2]
+    direction = -(model.forward(HOME) @ FLANGE_FROM_TOOL_TIP).rotation[:, 2]
     posture: Floats = HOME + np.linalg.pinv(model.jacobian(HOME)) @ np.concatenate((way * direction, np.zeros(3)))
     return posture
 
@@ -92,7 +92,7 @@ async def test_a_touch_below_the_limit_is_nothing_to_report(clock: Clock) -> Non
     assert events == []
 
 
-INWARD = -GeometrySettings().flange_from_coil.transform.rotation[:, 2]
+INWARD = -GeometrySettings().flange_from_tool_tip.transform.rotation[:, 2]
 REQUEST = PressRequest(
     force=3.0,
     direction_in_flange=(float(INWARD[0]), float(INWARD[1]), float(INWARD[2])),

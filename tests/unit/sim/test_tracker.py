@@ -8,6 +8,7 @@ from pcmrs.errors import DeviceError
 from pcmrs.spatial import distance
 from pcmrs_sim.cell import BATCH
 from pcmrs_sim.plant import STEP
+from pcmrs_sim.settings import GeometrySettings
 from tests.unit.sim.cell_readings import Devices, next_frames, transform
 
 
@@ -32,8 +33,10 @@ async def test_a_moved_body_is_seen_only_after_the_latency(cell: Devices, clock:
     assert seen[True] == pytest.approx(0.01, abs=1e-3)
 
 
-async def test_measured_coil_is_near_the_truth(cell: Devices) -> None:
-    truth = transform((await cell["scene"].truth()).tracker_from_coil)
+async def test_measured_marker_is_near_the_truth(cell: Devices) -> None:
+    """The marker body is what the tracker sees; the truth is told of the contact point."""
+    tool_tip_from_tool_marker = GeometrySettings().tool_marker_from_tool_tip.transform.inverse()
+    truth = transform((await cell["scene"].truth()).tracker_from_coil) @ tool_tip_from_tool_marker
     for coil, _, _, _ in await next_frames(cell, 20):
         assert distance(transform(coil), truth) < 1e-3
 

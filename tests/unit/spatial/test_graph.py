@@ -28,33 +28,33 @@ def test_every_pair_of_a_random_tree_agrees_with_its_poses(frames: list[Frame], 
 
 def test_a_second_path_is_refused_and_changes_nothing() -> None:
     graph = FrameGraph()
-    graph.set(Frame.TOOL, Frame.COIL, A)
-    graph.set(Frame.TRACKER, Frame.COIL, A)
-    with pytest.raises(GeometryError, match="tool - coil - tracker"):
-        graph.set(Frame.TOOL, Frame.TRACKER, A)
+    graph.set(Frame.TOOL_TIP, Frame.TOOL_MARKER, A)
+    graph.set(Frame.TRACKER, Frame.TOOL_MARKER, A)
+    with pytest.raises(GeometryError, match="tool_tip - coil - tracker"):
+        graph.set(Frame.TOOL_TIP, Frame.TRACKER, A)
     with pytest.raises(GeometryError, match="cycle"):
-        graph.set(Frame.TOOL, Frame.TOOL, A)
-    np.testing.assert_allclose(graph.get(Frame.TOOL, Frame.TRACKER).matrix, np.eye(4), atol=1e-15)
+        graph.set(Frame.TOOL_TIP, Frame.TOOL_TIP, A)
+    np.testing.assert_allclose(graph.get(Frame.TOOL_TIP, Frame.TRACKER).matrix, np.eye(4), atol=1e-15)
 
 
 def test_a_transform_is_replaced_from_either_side() -> None:
     graph = FrameGraph()
-    graph.set(Frame.TOOL, Frame.COIL, Transform.identity())
-    graph.set(Frame.COIL, Frame.TOOL, A)
-    np.testing.assert_allclose(graph.get(Frame.TOOL, Frame.COIL).matrix, A.inverse().matrix, atol=1e-15)
+    graph.set(Frame.TOOL_TIP, Frame.TOOL_MARKER, Transform.identity())
+    graph.set(Frame.TOOL_MARKER, Frame.TOOL_TIP, A)
+    np.testing.assert_allclose(graph.get(Frame.TOOL_TIP, Frame.TOOL_MARKER).matrix, A.inverse().matrix, atol=1e-15)
 
 
 def test_frames_without_a_connection_are_named() -> None:
     graph = FrameGraph()
-    graph.set(Frame.TRACKER, Frame.BODY_REF, A)
-    graph.set(Frame.BODY_REF, Frame.IMAGE, A)
-    graph.clear(Frame.IMAGE, Frame.BODY_REF)
+    graph.set(Frame.TRACKER, Frame.REFERENCE, A)
+    graph.set(Frame.REFERENCE, Frame.IMAGE, A)
+    graph.clear(Frame.IMAGE, Frame.REFERENCE)
     graph.clear(Frame.IMAGE, Frame.WORLD)
     with pytest.raises(MissingTransformError, match="tracker and image") as caught:
         graph.get(Frame.TRACKER, Frame.IMAGE)
     assert caught.value.fields == {"target": "tracker", "source": "image"}
-    assert graph.get(Frame.TRACKER, Frame.BODY_REF) is not None
+    assert graph.get(Frame.TRACKER, Frame.REFERENCE) is not None
 
 
 def test_a_frame_in_itself_is_the_identity() -> None:
-    np.testing.assert_array_equal(FrameGraph().get(Frame.COIL, Frame.COIL).matrix, np.eye(4))
+    np.testing.assert_array_equal(FrameGraph().get(Frame.TOOL_MARKER, Frame.TOOL_MARKER).matrix, np.eye(4))

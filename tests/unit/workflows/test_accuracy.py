@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from pcmrs.calibration import read_calibration
 from pcmrs.errors import RefusalError
 from pcmrs.registration import NoiseEstimate
 from pcmrs.spatial import Transform
 from pcmrs.workflows.accuracy import active_noise_sigma, check_tre, pointer_id, tre_over
 from pcmrs.workflows.data import PlacementData
+from tests.unit.workflows.calibration_files import write
 from tests.unit.workflows.workflow_bench import WorkflowBench
 
 
@@ -50,3 +55,18 @@ async def test_a_far_target_is_refused_with_error_and_limit(bench: WorkflowBench
         check_tre(bench.cell, bench.data, far)
     assert refused.value.refusal_code == "tre_too_large"
     assert refused.value.fields["tre"] > refused.value.fields["limit"] == pytest.approx(0.004)
+
+
+async def test_error_of_the_contact_point_adds_to_the_registration(bench: WorkflowBench, tmp_path: Path) -> None:
+    await bench.register()
+    alone, mounting = check_tre(bench.cell, bench.data, np.zeros(3)), bench.cell.mounting
+    assert alone is not None
+    for tip_mm in (1.0, 5.0):
+        tip = read_calibration(Path(write(tmp_path, "tip", error_mm=tip_mm)))
+        bench.cell.mounting = replace(mounting, files={**mounting.files, "tip": tip})
+        if tip_mm == 1.0:
+            assert check_tre(bench.cell, bench.data, np.zeros(3)) == pytest.approx(np.hypot(alone, 1e-3))
+    with pytest.raises(RefusalError, match=r"5\.00 mm by the tool's contact point") as refused:
+        check_tre(bench.cell, bench.data, np.zeros(3))
+    assert refused.value.refusal_code == "tre_too_large"
+    assert refused.value.fields["tip"] == pytest.approx(5e-3)

@@ -87,8 +87,8 @@ async def test_the_tool_keeps_off_the_body_away_from_its_target(tmp_path: Path) 
         assert cell.base_from_body_ref is not None
         assert cell.body_ref_from_image is not None
         base_from_image = cell.base_from_body_ref @ cell.body_ref_from_image
-        spike = (
-            base_from_image.inverse() @ cell.arm.forward(halfway) @ cell.flange_from_coil @ np.array((0.0, 0.0, 3e-3))
+        spike = (base_from_image.inverse() @ cell.arm.forward(halfway) @ cell.flange_from_tool_tip) @ np.array(
+            (0.0, 0.0, 3e-3)
         )
     head = read_surface(settings_with(surface="head_phantom.ply"))
     assert head is not None
@@ -155,7 +155,7 @@ async def test_near_the_body_every_way_is_slow_and_elsewhere_it_is_not(operation
         await (bench.to_standoff() if operation == "placement.home" else bench.register())
         postures = np.array(await recorded(bench, operation))
         flanges = [bench.cell.arm.forward(q) for q in postures]
-        points = np.array([(each.translation, each @ bench.cell.flange_from_coil.translation) for each in flanges])
+        points = np.array([(each.translation, each @ bench.cell.flange_from_tool_tip.translation) for each in flanges])
         speeds = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1) * STATE_RATE_HZ
         near = bench.cell.zones.near_body(postures, 0.1)
         slow = near[1:] & near[:-1]

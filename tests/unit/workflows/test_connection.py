@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -33,10 +34,10 @@ WITH_A_COIL = {"placement.press", "placement.follow", "placement.guide"}
 
 
 def _let_expire(bench: WorkflowBench) -> None:
-    calibration = bench.cell.tool_calibration
-    assert calibration is not None
-    old = msgspec.structs.replace(calibration, date=TODAY - timedelta(days=40))
-    bench.cell.tool_calibration = msgspec.structs.replace(old, sha256=old.content_hash())
+    mounting = bench.cell.mounting
+    old = msgspec.structs.replace(mounting.files["tool"], date=TODAY - timedelta(days=40))
+    expired = msgspec.structs.replace(old, sha256=old.content_hash())
+    bench.cell.mounting = replace(mounting, files={**mounting.files, "tool": expired})
 
 
 async def test_locating_tells_near_from_clear() -> None:

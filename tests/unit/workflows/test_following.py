@@ -45,8 +45,8 @@ async def true_error(bench: WorkflowBench) -> float:
     truth = await bench.scene.truth()
     assert bench.data.registered is not None
     assert bench.data.plan is not None
-    body_ref_from_coil = as_transform(bench.data.registered.body_ref_from_image) @ as_transform(bench.data.plan)
-    desired = as_transform(truth.tracker_from_body_ref) @ body_ref_from_coil
+    body_ref_from_tool_tip = as_transform(bench.data.registered.body_ref_from_image) @ as_transform(bench.data.plan)
+    desired = as_transform(truth.tracker_from_body_ref) @ body_ref_from_tool_tip
     return distance(desired, as_transform(truth.tracker_from_coil))
 
 

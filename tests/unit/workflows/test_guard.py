@@ -55,7 +55,7 @@ async def test_an_approach_is_held_where_the_body_comes_to_the_tool(bench: Workf
         assert cell.base_from_body_ref is not None
         assert cell.body_ref_from_image is not None
         middle = cell.base_from_body_ref @ cell.body_ref_from_image @ CENTRE
-        point = cell.arm.forward(cell.posture()) @ cell.flange_from_coil @ np.array((0.0, 0.0, -SEMI_AXES[2]))
+        point = cell.arm.forward(cell.posture()) @ cell.flange_from_tool_tip @ np.array((0.0, 0.0, -SEMI_AXES[2]))
         await move_body(bench, cell.base_from_tracker.rotation.T @ (point - middle))
         verdict = await approach
     told = reason(verdict)

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given
 from hypothesis import strategies as st
 
+from pcmrs.workflows.mounting import Mounting
 from pcmrs.workflows.settings import PoseSetting
 from tests.support.trials import examples
 from tests.unit.workflows.workflow_bench import LANDMARKS, POSES, WorkflowBench, open_bench
@@ -171,9 +172,10 @@ async def test_previous_registration_needs_the_patient_and_calibration(bench: Wo
     await bench.refuse("registration.use_previous", "other_patient")
     pointer = msgspec.structs.replace(mine.calibration.pointer_from_tip, position=(0.0, 0.0, -0.2))
     other = msgspec.structs.replace(mine.calibration, pointer_from_tip=pointer)
-    bench.cell.settings = msgspec.structs.replace(mine, calibration=other)
-    await bench.refuse("registration.use_previous", "other_calibration")
+    mounting, bench.cell.mounting = bench.cell.mounting, Mounting.read(other)
     bench.cell.settings = mine
+    await bench.refuse("registration.use_previous", "other_calibration")
+    bench.cell.mounting = mounting
     verdict = await bench.accept("registration.use_previous")
     told = {"residual": registered.residual, "witness": True, "calibration": bench.cell.calibrations()}
     assert verdict.result == told
@@ -216,9 +218,10 @@ async def test_previous_digitization_needs_the_patient_and_calibration(bench: Wo
     bench.cell.settings = msgspec.structs.replace(mine, patient="somebody else")
     await bench.refuse("digitization.reuse_previous", "other_patient")
     other_tip = msgspec.structs.replace(mine.calibration, pointer_from_tip=PoseSetting((0.0, 0.0, -0.2)))
-    bench.cell.settings = msgspec.structs.replace(mine, calibration=other_tip)
-    await bench.refuse("digitization.reuse_previous", "other_calibration")
+    mounting, bench.cell.mounting = bench.cell.mounting, Mounting.read(other_tip)
     bench.cell.settings = mine
+    await bench.refuse("digitization.reuse_previous", "other_calibration")
+    bench.cell.mounting = mounting
     await bench.accept("digitization.reuse_previous")
     assert bench.states["registration"] == "110"
 
@@ -228,7 +231,7 @@ async def test_nothing_of_another_patient_is_taken_back() -> None:
     async with open_bench() as bench:
         await bench.register()
         await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
-        before = bench.cell.settings
+        before, mounting = bench.cell.settings, bench.cell.mounting
         other = msgspec.structs.replace
         changed: dict[str, dict[str, Any]] = {
             "other_patient": {"patient": "somebody else"},
@@ -239,8 +242,9 @@ async def test_nothing_of_another_patient_is_taken_back() -> None:
         }
         for code, changes in changed.items():
             change(bench, **changes)
+            bench.cell.mounting = Mounting.read(bench.cell.settings.calibration)
             for name in ("registration.use_previous", "digitization.reuse_previous", "toolplan.use_previous"):
                 await bench.refuse(name, code)
-            bench.cell.settings = before
+            bench.cell.settings, bench.cell.mounting = before, mounting
         for name in ("digitization.reuse_previous", "registration.use_previous", "toolplan.use_previous"):
             await bench.accept(name)

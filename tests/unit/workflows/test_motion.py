@@ -20,9 +20,9 @@ async def test_confirm_keeps_the_nudge_at_the_standoff(bench: WorkflowBench) -> 
     planned, measured = (np.array(verdict.result[pose]["position"]) for pose in ("planned", "measured"))
     assert np.linalg.norm(measured - planned) == pytest.approx(0.005, abs=0.0005)
     assert verdict.result["translation_error"] < 0.0005
-    before = bench.cell.image_from_coil(bench.data)
+    before = bench.cell.image_from_tool_tip(bench.data)
     await bench.accept("placement.nudge", translation=[0.0, 0.001, 0.0])
-    assert distance(bench.cell.image_from_coil(bench.data), before) == pytest.approx(0.001, abs=0.0005)
+    assert distance(bench.cell.image_from_tool_tip(bench.data), before) == pytest.approx(0.001, abs=0.0005)
 
 
 async def test_a_retreat_that_the_tracker_does_not_see_is_held(bench: WorkflowBench) -> None:

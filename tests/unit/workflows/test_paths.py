@@ -58,7 +58,7 @@ async def open_placed(name: str, pose: int) -> AsyncIterator[WorkflowBench]:
 
 def coil(bench: WorkflowBench) -> Transform:
     """Where the tool is, by the joints, in the robot's base."""
-    return bench.cell.arm.forward(bench.cell.posture()) @ bench.cell.flange_from_coil
+    return bench.cell.arm.forward(bench.cell.posture()) @ bench.cell.flange_from_tool_tip
 
 
 async def clear_registration(bench: WorkflowBench) -> None:
@@ -206,7 +206,7 @@ async def test_tool_never_seen_with_the_body_backs_off_by_standoff(registered: b
             body_centre(bench.cell, bench.data)
         assert unknown.value.refusal_code == "body_unknown"
         with pytest.raises(RefusalError) as unseen:
-            bench.cell.image_from_coil(bench.data)
+            bench.cell.image_from_tool_tip(bench.data)
         assert unseen.value.refusal_code == "pose_stale"
         before = coil(bench)
         await bench.accept("placement.back_off")

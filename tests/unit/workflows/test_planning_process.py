@@ -92,7 +92,7 @@ async def check(planner: PlanningProcess, run: Run[Any, Any]) -> Reason | None:
 def correction_of(bench: WorkflowBench, shift: npt.ArrayLike = (0.003, 0.0, 0.0)) -> Run[Any, Any]:
     """A run whose step asks for the line by which the tool is shifted in its own frame, m."""
     cell, run = bench.cell, run_of(bench, "placement.confirm")
-    here = cell.arm.forward(cell.posture()) @ cell.flange_from_coil
+    here = cell.arm.forward(cell.posture()) @ cell.flange_from_tool_tip
     run.prepared = CorrectionLine(cell.posture(), here @ Transform.from_rotvec(shift, np.zeros(3)))
     return run
 
@@ -162,7 +162,7 @@ async def test_it_plans_a_correction_as_the_loop_would(registered: WorkflowBench
     np.testing.assert_allclose(there.prepared.positions, here.prepared.positions, atol=1e-9)
     assert len(there.prepared.positions) > 1
     far = correction_of(registered)
-    far.prepared = replace(far.prepared, base_from_coil=Transform.from_rotvec((0.9, 0.9, 0.9), (0.0, 0.0, 0.0)))
+    far.prepared = replace(far.prepared, base_from_tool_tip=Transform.from_rotvec((0.9, 0.9, 0.9), (0.0, 0.0, 0.0)))
     refused = portal.call(planner.check, far, ["correction_possible"], CORRECTION_TIME)
     assert refused is not None
     assert refused.code == "unreachable"

@@ -121,9 +121,9 @@ async def test_backing_off_leads_home_if_a_joint_limit_cuts_it_short() -> None:
     async with open_bench(sim=at_limit) as bench:
         truth = await bench.scene.truth()
         coil, body = as_transform(truth.tracker_from_coil), as_transform(truth.tracker_from_body_ref)
-        arm, flange_from_coil = bench.cell.arm, bench.cell.flange_from_coil
-        base_from_coil = arm.forward(at_limit["arm"]["home"]) @ flange_from_coil
-        home_in_coil = (base_from_coil.inverse() @ arm.forward(bench.cell.home) @ flange_from_coil).translation
+        arm, flange_from_tool_tip = bench.cell.arm, bench.cell.flange_from_tool_tip
+        base_from_tool_tip = arm.forward(at_limit["arm"]["home"]) @ flange_from_tool_tip
+        home_in_coil = (base_from_tool_tip.inverse() @ arm.forward(bench.cell.home) @ flange_from_tool_tip).translation
         away_from_home = -0.2 * home_in_coil / np.linalg.norm(home_in_coil)
         x, y, z = (coil @ away_from_home - body.translation).tolist()
         await bench.scene.move_body((x, y, z))

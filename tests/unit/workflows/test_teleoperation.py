@@ -277,7 +277,7 @@ async def test_tool_led_along_the_edge_of_its_range_does_not_leave_it() -> None:
         await guided(bench)
         settings, cell = bench.cell.settings.teleoperation, bench.cell
         graph = cell.frames(bench.data)
-        guide = GuidedTool(cell, graph.get(Frame.ROBOT_BASE, Frame.BODY_REF) @ planned_in_body_ref(cell, bench.data))
+        guide = GuidedTool(cell, graph.get(Frame.ROBOT_BASE, Frame.REFERENCE) @ planned_in_body_ref(cell, bench.data))
 
         def lead(twist: Twist, steps: int) -> float:
             """Return how far the tool is from its planned place at the end, m."""

@@ -17,11 +17,11 @@ async def test_another_posture_is_taken_where_the_first_is_in_a_zone() -> None:
         await bench.to_standoff()
         first = bench.cell.posture()
         elbow = bench.cell.arm.joint_origins(first)[3]
-        seen = bench.cell.image_from_coil(bench.data).translation
+        seen = bench.cell.image_from_tool_tip(bench.data).translation
     async with open_bench(lamp(elbow, 0.03)) as bench:
         await bench.to_standoff()
         assert np.abs(bench.cell.posture() - first).max() > 0.1
-        assert np.linalg.norm(bench.cell.image_from_coil(bench.data).translation - seen) < 0.002
+        assert np.linalg.norm(bench.cell.image_from_tool_tip(bench.data).translation - seen) < 0.002
 
 
 async def test_nearest_of_all_refused_postures_gives_the_reason() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import coal
 import msgspec
@@ -16,6 +17,7 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.sampled_clearance import BOUND
 from pcmrs.spatial import Transform
 from pcmrs.workflows._paths import along_axis
+from pcmrs.workflows.mounting import Mounting
 from pcmrs.workflows.settings import ProcedureSettings
 from pcmrs.workflows.surface import read_surface
 from pcmrs.workflows.zones import CellZones
@@ -52,7 +54,12 @@ def test_tool_pointing_away_moves_at_most_twice_the_bound() -> None:
     tool = {"radius": 0.01, "half_length": 0.2}
     own = msgspec.convert({"zones": {"tool": tool}}, ProcedureSettings)
     flange_from_tool = Transform(np.eye(3), np.array((0.0, 0.0, 0.15)))
-    zones = CellZones(IIWA14_R820, flange_from_tool, own, read_surface(own))
+    mounting = replace(
+        Mounting.read(own.calibration),
+        flange_from_tool_marker=flange_from_tool,
+        tool_marker_from_tool_tip=Transform.identity(),
+    )
+    zones = CellZones(IIWA14_R820, mounting, own, read_surface(own))
     postures = zones.sample_clearance([np.zeros(7), 0.5 * np.eye(7)[1]]).postures
     arm, end = ArmModel(IIWA14_R820), np.array((0.01, 0.0, 0.4))
     ends = np.array([arm.forward(q) @ flange_from_tool @ end for q in postures])

@@ -241,14 +241,15 @@ class WorkflowBench(DispatcherListener):
         return 0.0 if self.cell.joints is None else float(np.abs(self.cell.joints.velocities).max())
 
     async def true_height(self) -> float:
-        """Where the coil truly is along its axis above the plan mapped by the registration, m."""
+        """Where the contact point truly is along its axis above the plan mapped by the registration, m."""
         truth = await self.scene.truth()
         assert self.data.plan is not None
         assert self.data.registered is not None
         image_from_body_ref = as_transform(self.data.registered.body_ref_from_image).inverse()
-        body_ref_from_coil = as_transform(truth.tracker_from_body_ref).inverse() @ as_transform(truth.tracker_from_coil)
-        plan_from_coil: Transform = as_transform(self.data.plan).inverse() @ image_from_body_ref @ body_ref_from_coil
-        return float(plan_from_coil.translation[2])
+        image_from_tracker = image_from_body_ref @ as_transform(truth.tracker_from_body_ref).inverse()
+        image_from_tool_tip = image_from_tracker @ as_transform(truth.tracker_from_coil)
+        plan_from_tool_tip: Transform = as_transform(self.data.plan).inverse() @ image_from_tool_tip
+        return float(plan_from_tool_tip.translation[2])
 
     async def pump(self) -> None:
         """Takes what robot and tracker report, as the daemon does."""

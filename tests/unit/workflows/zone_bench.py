@@ -20,7 +20,7 @@ def lamp(position: Floats, size: float) -> dict[str, Any]:
 
 
 def coil(bench: WorkflowBench, positions: list[float]) -> Floats:
-    return np.asarray((bench.cell.arm.forward(positions) @ bench.cell.flange_from_coil).translation)
+    return np.asarray((bench.cell.arm.forward(positions) @ bench.cell.flange_from_tool_tip).translation)
 
 
 def reason(verdict: Verdict) -> dict[str, Any]:

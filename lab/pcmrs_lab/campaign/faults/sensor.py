@@ -18,6 +18,7 @@ from pcmrs.testing.arm import stands
 from pcmrs.testing.cell import REAL_TIME, RunningCell
 from pcmrs.testing.driving import accept, landmarks, reason_text, state, to_placed, to_standoff, until
 from pcmrs.testing.errors import Unmet
+from pcmrs.workflows.settings import SIMULATED_FLANGE_FROM_TOOL_MARKER, SIMULATED_TOOL_MARKER_FROM_TOOL_TIP
 from pcmrs_lab.campaign.checks import confirmed, expect, held, refused
 from pcmrs_lab.campaign.driving import FOLLOWED, injected, to_following
 from pcmrs_lab.campaign.fault import Evidence, NotRun, fault
@@ -240,12 +241,18 @@ async def wrong_calibration(lab: Lab) -> Evidence:
     """The calibration is not that of the mounted tool."""
     file = lab.folder / "tool.toml"
     _write_calibration(file, serial="17")
-    settings = (f"procedure.calibration.tool_file={file}", 'procedure.calibration.tool_serial="17"')
+    tip = SIMULATED_TOOL_MARKER_FROM_TOOL_TIP
+    files = (
+        f"procedure.calibration.tool_file={file}",
+        f"procedure.calibration.tool_marker_from_tool_tip.position={[*tip.position]}",
+        f"procedure.calibration.tool_marker_from_tool_tip.quat_wxyz={[*tip.quat_wxyz]}",
+    )
+    settings = (*files, 'procedure.calibration.tool_serial="17"')
     right = await _digitize_with(lab, settings, "")
-    other = settings[1] if is_sham() else 'procedure.calibration.tool_serial="18"'
-    foreign = await _digitize_with(lab, (settings[0], other), "calibration_foreign")
+    other = settings[-1] if is_sham() else 'procedure.calibration.tool_serial="18"'
+    foreign = await _digitize_with(lab, (*files, other), "calibration_foreign")
     before = file.read_text()
-    inject_unless_sham(lambda: file.write_text(before.replace("0.15", "0.16")))
+    inject_unless_sham(lambda: file.write_text(before.replace("0.138", "0.148")))
     changed = await _digitize_with(lab, settings, "calibration_changed")
     return Evidence(
         f"digitizing refused: {foreign}, {changed}",
@@ -270,6 +277,7 @@ async def _digitize_with(lab: Lab, settings: tuple[str, ...], code: str) -> str:
 
 def _write_calibration(file: Path, serial: str) -> None:
     """Write a calibration that fits the simulated cell."""
+    marker = SIMULATED_FLANGE_FROM_TOOL_MARKER
     calibration = Calibration(
         kind="tool",
         type="coil",
@@ -279,7 +287,7 @@ def _write_calibration(file: Path, serial: str) -> None:
         date=datetime.fromtimestamp(SystemClock().wall(), UTC),
         valid_days=1,
         error_mm=0.1,
-        transforms={"flange_from_coil": PoseMessage(position=(0.0, 0.0, 0.15), quat_wxyz=(0.0, 1.0, 0.0, 0.0))},
+        transforms={"flange_from_tool_marker": PoseMessage(position=marker.position, quat_wxyz=marker.quat_wxyz)},
     )
     write_calibration(file, calibration)
 

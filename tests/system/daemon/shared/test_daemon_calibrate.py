@@ -15,7 +15,8 @@ import pytest
 
 from pcmrs.calibration import read_calibration
 from pcmrs.client import Client
-from pcmrs.spatial import Transform, distance, rotation_angle
+from pcmrs.spatial import distance, rotation_angle
+from pcmrs.workflows.mounting import Mounting
 from pcmrs.workflows.settings import CalibrationSettings
 from tests import ROOT
 from tests.system.daemon.daemon_process import ServeProcess, own_settings, running_daemon
@@ -75,8 +76,7 @@ def test_the_tool_is_found_where_the_simulation_has_it(tmp_path: Path) -> None:
         ended = calibrate(daemon, "hand-eye", "--poses", "8", "-o", str(tmp_path / "coil.toml"))
         assert ended.returncode == 0, ended.stderr
         assert "Traceback" not in daemon.log
-    explicit = CalibrationSettings()
-    true: Transform = explicit.flange_from_tool.transform() @ explicit.tool_from_coil.transform()
+    true = Mounting.read(CalibrationSettings()).flange_from_tool_marker
     found = read_calibration(tmp_path / "coil.toml")
     assert json.loads(ended.stdout)["bad"] == []
     assert distance(found.transform(), true) < 0.5e-3

@@ -13,7 +13,7 @@ from pcmrs.cli import main
 from pcmrs.spatial import Transform
 
 TIP, PIVOT_POINT = np.array([0.01, -0.02, -0.15]), np.array([0.1, 0.2, 1.8])
-FLANGE_FROM_COIL = Transform.from_rotvec((0.01, 0.02, 0.15), (2.0, 1.0, 0.5))
+FLANGE_FROM_TOOL_MARKER = Transform.from_rotvec((0.01, 0.02, 0.15), (2.0, 1.0, 0.5))
 BASE_FROM_TRACKER = Transform.from_rotvec((1.5, 0.3, 0.9), (0.4, -2.0, 1.0))
 JITTER = 3e-5
 HOME = np.array([0.0, 0.6, 0.0, -1.4, 0.0, 1.0, 0.0])
@@ -38,4 +38,4 @@ def pivot_file(folder: Path, *, tilt: float = 0.6, bad: tuple[int, ...] = ()) ->
 
 
 def coil_seen(flange: Transform) -> Transform:
-    return BASE_FROM_TRACKER.inverse() @ flange @ FLANGE_FROM_COIL
+    return BASE_FROM_TRACKER.inverse() @ flange @ FLANGE_FROM_TOOL_MARKER

@@ -13,7 +13,7 @@ from pcmrs.calibration.poses import HAND_EYE, write_poses
 from pcmrs.kinematics.arms import ARMS
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.spatial import distance
-from tests.unit.cli.calibrate.calibrations import FLANGE_FROM_COIL, HOME, coil_seen, run
+from tests.unit.cli.calibrate.calibrations import FLANGE_FROM_TOOL_MARKER, HOME, coil_seen, run
 
 
 def hand_eye_file(folder: Path) -> str:
@@ -28,7 +28,8 @@ def test_hand_eye_writes_a_tool(tmp_path: Path) -> None:
     words = ("--type", "drill_guide", "--name", "guide", "--site", "or", "--cell", "2", "--valid-days", "7")
     ended = run("hand-eye", hand_eye_file(tmp_path), "-o", str(output), "--json", *words)
     assert ended.exit_code == 0, ended.output
-    assert json.loads(ended.stdout)["flange_from_coil"]["position"] == pytest.approx([0.01, 0.02, 0.15], abs=1e-6)
+    shown = json.loads(ended.stdout)["flange_from_tool_marker"]
+    assert shown["position"] == pytest.approx([0.01, 0.02, 0.15], abs=1e-6)
     calibration = read_calibration(output)
     assert (calibration.type, calibration.cell, calibration.valid_days) == ("drill_guide", "or/2", 7)
-    assert distance(calibration.transform(), FLANGE_FROM_COIL) < 1e-6
+    assert distance(calibration.transform(), FLANGE_FROM_TOOL_MARKER) < 1e-6

@@ -21,7 +21,7 @@ from pcmrs.kinematics.model import ArmModel
 from pcmrs.messages import BlueprintTag, BodyPose, JointState, Snapshot
 from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.testing.daemon import free_port
-from tests.unit.cli.calibrate.calibrations import FLANGE_FROM_COIL, HOME, TIP, coil_seen, pivoted, run
+from tests.unit.cli.calibrate.calibrations import FLANGE_FROM_TOOL_MARKER, HOME, TIP, coil_seen, pivoted, run
 
 REFERENCE = Transform.from_rotvec((0.2, 0.0, 1.5), (0.0, 0.3, 0.0))
 FRAME = 1.0 / 60.0
@@ -144,8 +144,8 @@ async def test_a_tool_is_calibrated_while_the_arm_is_moved(tmp_path: Path) -> No
         ended = await asyncio.to_thread(run, "hand-eye", *words, *cell.words)
     assert ended.exit_code == 0, ended.output
     found = read_calibration(output)
-    assert distance(found.transform(), FLANGE_FROM_COIL) < 2e-4
-    assert rotation_angle(found.transform(), FLANGE_FROM_COIL) < 2e-4
+    assert distance(found.transform(), FLANGE_FROM_TOOL_MARKER) < 2e-4
+    assert rotation_angle(found.transform(), FLANGE_FROM_TOOL_MARKER) < 2e-4
     assert json.loads(ended.stdout)["bad"] == []
 
 

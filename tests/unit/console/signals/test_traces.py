@@ -10,7 +10,7 @@ import pytest
 from pcmrs.console._cell_view_model import CellViewModel
 from pcmrs.console.signals._traces import SHOWN, Traces
 from pcmrs.spatial import Transform
-from tests.unit.console.shown_cell import body
+from tests.unit.console.shown_cell import body, setup
 
 
 class At(CellViewModel):
@@ -20,7 +20,7 @@ class At(CellViewModel):
 
 
 def test_body_motion_is_from_first_pose_with_gaps_while_hidden() -> None:
-    told, traces = At(), Traces()
+    told, traces = At(), Traces(setup())
     poses: Iterator[Any] = iter(
         [
             body("body_ref", Transform.identity(), valid=False),
@@ -40,7 +40,7 @@ def test_body_motion_is_from_first_pose_with_gaps_while_hidden() -> None:
 
 
 def test_last_minute_is_kept_and_a_replay_going_back_restarts() -> None:
-    told, traces = At(), Traces()
+    told, traces = At(), Traces(setup())
     for told.now in range(200):
         traces.look(told)
     assert [moment.at for moment in traces.moments] == list(range(int(199 - SHOWN), 200))

@@ -18,7 +18,7 @@ from pcmrs.testing.waiting import wait_until
 from pcmrs_sim.cell import running_cell
 from pcmrs_sim.ndi.server import serve_ndi
 from pcmrs_sim.ndi.system import NdiSystem
-from tests.unit.devices.ndi_reader import frames_of, ndi_tracker, readers, served_ndi
+from tests.unit.devices.ndi_reader import frames_of, ndi_tracker, readers, served_ndi, true_marker
 
 
 async def test_corrupted_answer_is_no_pose_and_tracking_continues(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -32,7 +32,7 @@ async def test_corrupted_answer_is_no_pose_and_tracking_continues(monkeypatch: p
 
     monkeypatch.setattr(NdiSystem, "answer", corrupted)
     async with served_ndi() as (cell, device), ndi_tracker(device=device) as tracker:
-        truth = cell.world.tracker_from_coil().translation.tolist()
+        truth = true_marker(cell).translation.tolist()
         for frame in await frames_of(tracker, 30):
             assert next(list(pose.position) for pose in frame if pose.body == "coil") == pytest.approx(truth, abs=1e-3)
         assert next(asked) > 20

@@ -16,7 +16,7 @@ from pcmrs.devices.ndi.wire import Failed, ReaderJob, TrackerReady, Unpacker, pa
 from pcmrs_sim.cell import running_cell
 from pcmrs_sim.ndi.server import serve_ndi_pty
 from pcmrs_sim.ndi.system import NdiSystem
-from tests.unit.devices.ndi_reader import DEADLINE, frames_of, ndi_tracker, served_ndi
+from tests.unit.devices.ndi_reader import DEADLINE, frames_of, ndi_tracker, served_ndi, true_marker
 
 
 async def test_a_tracker_without_bx_is_asked_in_text(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -25,7 +25,7 @@ async def test_a_tracker_without_bx_is_asked_in_text(monkeypatch: pytest.MonkeyP
     async with served_ndi() as (cell, device), ndi_tracker(device=device) as tracker:
         frames = await frames_of(tracker, 5)
     coil = next(pose for pose in frames[-1] if pose.body == "coil")
-    truth = cell.world.tracker_from_coil().translation
+    truth = true_marker(cell).translation
     assert coil.valid
     assert list(coil.position) == pytest.approx(truth.tolist(), abs=1e-3)
     assert all(round(1e5 * value, 6).is_integer() for value in coil.position), "text has hundredths of a millimetre"

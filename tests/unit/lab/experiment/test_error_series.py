@@ -18,6 +18,8 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0)
 ORIGIN = PoseMessage(position=(0.0, 0.0, 0.0), quat_wxyz=IDENTITY)
 DESIRED = Transform.from_quat_wxyz((0.0, 0.0, 0.1), IDENTITY)
 """Place of the coil on the body: 100 mm above it."""
+TIP = Transform.from_rotvec((0.05, 0.0, 0.08), (0.0, 0.0, 0.0))
+"""Contact point of the coil in its marker body."""
 
 
 class Scene:
@@ -34,11 +36,11 @@ class Scene:
 
 
 def monitor(client: ScriptedClient, scene: Scene, rate: float = 1.0) -> PlacementErrorMonitor:
-    return PlacementErrorMonitor(client.as_client, cast(RemoteScene, scene), DESIRED, rate)
+    return PlacementErrorMonitor(client.as_client, cast(RemoteScene, scene), DESIRED, TIP, rate)
 
 
 def pose(body: str, number: int, off: float = 0.0, **more: Any) -> BodyPose:
-    position = (off, 0.0, 0.1) if body == "coil" else (0.0, 0.0, 0.0)
+    position = (off - 0.05, 0.0, 0.02) if body == "coil" else (0.0, 0.0, 0.0)
     given: dict[str, Any] = {"frame_number": number, "captured": 0.0, "sent": 0.0, "valid": True}
     return BodyPose(body=body, **(given | {"position": position, "quat_wxyz": IDENTITY} | more))
 

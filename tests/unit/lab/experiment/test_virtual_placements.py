@@ -35,3 +35,4 @@ def test_placements_by_real_drivers_are_as_accurate_as_promised() -> None:
         assert 0.0 < trial["translation_error_mm"] <= 0.08  # the tolerance of the placement
         assert 0.0 < trial["true_translation_error_mm"] <= 0.25
         assert trial["rotation_error_deg"] <= 0.08
+        assert trial["true_rotation_error_deg"] <= 0.5

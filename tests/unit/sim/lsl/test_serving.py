@@ -48,7 +48,7 @@ async def test_one_muscle_answers_whatever_drives_it(stimulator: str, emg: str) 
     subject = draw_subject("head", 3)
     assert subject is not None
     coil = cell.world.tracker_from_image @ subject.image_from_hotspot
-    cell.world.tracker_from_coil = lambda: coil  # type: ignore[method-assign]
+    cell.world.tracker_from_tool_tip = lambda: coil  # type: ignore[method-assign]
     async with devices(cell, settings) as (stimulating, measuring):
         await stimulating.set_intensity(100.0)
         await stimulating.arm()

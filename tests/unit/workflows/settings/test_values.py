@@ -29,8 +29,8 @@ def test_pose_turns_and_shifts_as_configured() -> None:
     ],
 )
 def test_pose_that_is_none_is_refused_with_its_key(values: object, words: str) -> None:
-    with pytest.raises(msgspec.ValidationError, match=rf"{words}.*\$\.flange_from_tool"):
-        msgspec.convert({"flange_from_tool": values}, CalibrationSettings)
+    with pytest.raises(msgspec.ValidationError, match=rf"{words}.*\$\.flange_from_tool_marker"):
+        msgspec.convert({"flange_from_tool_marker": values}, CalibrationSettings)
 
 
 def test_zero_is_not_negative_but_not_positive() -> None:

@@ -233,7 +233,7 @@ def test_a_calibration_of_the_simulated_cell_can_be_read(tmp_path: Path) -> None
     found = read_calibration(file)
     assert (found.serial, found.kind, found.type) == ("17", "tool", "coil")
     assert 'serial = "17"' in file.read_text()
-    assert "0.15" in file.read_text(), "what the row changes by hand is in it"
+    assert "0.138" in file.read_text(), "what the row changes by hand is in it"
 
 
 async def test_digitizing_is_refused_for_the_reason(tmp_path: Path) -> None:
