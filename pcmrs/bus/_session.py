@@ -81,7 +81,7 @@ class Bus:
         self._tasks = BackgroundTasks()
         self._handshake: Handshake | None = None
         if seal is not None and seal.is_daemon:
-            self._receivers.append(answer_questions(session, self._absolute(RUN), seal, self._on_forged))
+            self._receivers.append(answer_questions(session, self._absolute(RUN), seal, self._pool, self._on_forged))
         elif seal is not None:
             self._handshake = Handshake(session, self._absolute(RUN), seal, self._pool, self._on_forged)
 
@@ -384,6 +384,7 @@ class Bus:
                 "Compare access.device_key on both sides.",
                 self.prefix,
             )
+        self._tasks.spawn(self._handshake.repeat())
 
     def _sender(self, name: str) -> ThreadPoolExecutor:
         if name not in self._senders:

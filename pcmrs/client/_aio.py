@@ -10,7 +10,7 @@ import asyncio
 import os
 import uuid
 from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Coroutine, Mapping
-from contextlib import aclosing, asynccontextmanager, suppress
+from contextlib import AsyncExitStack, aclosing, asynccontextmanager, suppress
 from typing import Any, TypeVar
 
 from pcmrs.bus import DEFAULT_ENDPOINT, Bus, BusSettings, Credentials, Empty
@@ -128,10 +128,12 @@ class Client:
             cell=cell or os.environ.get("PCMRS_CELL", "cell1"),
             credentials=credentials,
         )
-        async with (
-            _opened(settings, Seal(device_key) if device_key else None) as bus,
-            _opened(settings) as stopping,
-        ):
+        async with AsyncExitStack() as stack:
+            bus = await stack.enter_async_context(_opened(settings, Seal(device_key) if device_key else None))
+            try:
+                stopping = await stack.enter_async_context(_opened(settings))
+            except BusError:  # such as at the limit of connections: Stop then shares the first one
+                stopping = bus
             client = cls(bus, stopping, user if settings.user == LOCAL else settings.user)
             client.greeting = await client._greet()
             yield client
@@ -284,6 +286,7 @@ class Client:
         """
         key = f"stop/{self._user}"
         press = Press(id=uuid.uuid4().hex)
+        self._bus.publish(key, press)  # too, in case that only the connection of the other session is lost
         self._stopping.publish(key, press)
         return await self._stopping.request(key, press, Stopping, timeout or self._patience, urgent=True)
 

@@ -296,7 +296,7 @@ class Checks(Generic[C, D]):
         Returns:
             The refusal, or why the motion must not begin although the check agrees; None if it may.
         """
-        before = self._context.procedure.data
+        before = run.data  # on which the question rests
         refused = await self._answer([check], run, within)
         objection = pending.stopped or self._context.coordinator.objection(pending)
         if objection is not None or refused is not None:

@@ -48,6 +48,67 @@ async def test_first_request_of_a_restarted_daemon_is_answered() -> None:
     assert asked == ["hold"]
 
 
+async def test_node_that_only_sends_notices_a_restarted_daemon() -> None:
+    """Such as that of a tracker, which subscribes to nothing and serves nothing."""
+    settings, key = new_cell(), new_key()
+    beats: list[str] = []
+    async with AsyncExitStack() as node_stack:
+        async with open_bus(settings, Seal(key + new_run(), daemon=True)):
+            node = await node_stack.enter_async_context(
+                open_bus(msgspec.structs.replace(settings, mode="client"), Seal(key))
+            )
+        async with open_bus(settings, Seal(key + new_run(), daemon=True)) as daemon, asyncio.timeout(TIMEOUT):
+            daemon.listen("dev/*/beat", Beat, lambda key, _: beats.append(key))
+            while not beats:
+                node.publish("dev/tracker/beat", Beat(number=1, session="a", alive=0.0, sent=0.0))
+                await asyncio.sleep(0.01)
+
+
+async def test_query_that_a_stranger_keeps_open_delays_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pcmrs.bus.handshake.QUESTION_TIME", 60.0)
+    settings, key = new_cell(), new_key()
+    kept: list[zenoh.Query] = []
+    confirmed = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    async with open_bus(settings, Seal(key + new_run(), daemon=True)) as daemon:
+        with plain_session(settings) as stranger, plain_session(settings) as session, ThreadPoolExecutor(1) as pool:
+            stranger.declare_queryable(f"{daemon.prefix}/{RUN}", kept.append)
+            while not kept:  # until the daemon knows the stranger
+                list(session.get(f"{daemon.prefix}/{RUN}", timeout=0.05))
+            kept.clear()
+            handshake = Handshake(session, f"{daemon.prefix}/{RUN}", Seal(key), pool, lambda *_: None)
+            assert handshake.begin(lambda: loop.call_soon_threadsafe(confirmed.set))
+            await asyncio.wait_for(confirmed.wait(), TIMEOUT)
+            assert len(kept) == 1, "the query is still open there"
+            kept.clear()
+
+
+def test_request_behind_a_question_on_its_way_gets_its_own() -> None:
+    """The question on its way may have reached an earlier daemon."""
+    settings = new_cell()
+    asked: list[str] = []
+    arrived, ended = threading.Event(), threading.Semaphore(0)
+    free = threading.Event()
+
+    def serve(query: zenoh.Query) -> None:
+        asked.append(str(query.key_expr))
+        arrived.set()
+        free.wait(TIMEOUT)
+        with query:
+            pass
+
+    with open_session(settings) as server, plain_session(settings) as session, ThreadPoolExecutor(2) as pool:
+        key = f"pcmrs/test/{settings.cell}/{RUN}"
+        server.declare_queryable(key, serve)
+        handshake = Handshake(session, key, Seal(new_key()), pool, lambda *_: None)
+        assert handshake.begin()
+        assert arrived.wait(TIMEOUT)
+        assert handshake.begin(ended.release)
+        free.set()
+        assert ended.acquire(timeout=TIMEOUT)
+    assert len(asked) == 2
+
+
 async def test_a_stranger_gets_no_answer() -> None:
     settings, key = new_cell(), new_key()
     async with open_bus(settings, Seal(key + new_run(), daemon=True)) as daemon:
