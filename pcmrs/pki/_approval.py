@@ -83,7 +83,7 @@ def approve(blueprint: Blueprint, own: Credentials, now: float) -> Approval:
 
 
 def read_approval(
-    blueprint: Blueprint, file: Path, own: Credentials | None, members: Iterable[Identity], cell: str
+    blueprint: Blueprint, file: Path, own: Credentials | None, members: Iterable[Identity], cell: str, now: float
 ) -> Approval | None:
     """Return the valid approval of a drafted workflow; None for a workflow that people have written.
 
@@ -93,6 +93,7 @@ def read_approval(
         own: Identity of the daemon, which has the certificate of the authority; None for none.
         members: Members in the daemon's register.
         cell: Cell that is to run it, ``<site>/<cell>``.
+        now: Wall time, s: a person whose identity has ended approves nothing any more.
 
     Raises:
         ConfigurationError: There is no approval, it is of another content, or its signature is not one of a member who
@@ -107,7 +108,7 @@ def read_approval(
     if approval.hash != blueprint.hash:
         raise _refused(blueprint, file, "it was changed after it was approved")
     member = next((each for each in members if each.name == approval.by), None)
-    if member is None or member.revoked is not None or member.role not in APPROVING or not member.in_cell(cell):
+    if member is None or not member.valid(now) or member.role not in APPROVING or not member.in_cell(cell):
         why = f"{approval.by} is not in the register as a valid {' or '.join(APPROVING)} of {cell}"
         raise _refused(blueprint, file, why)
     if not _is_signed(approval, own):

@@ -110,8 +110,8 @@ class Daemon:
         """
         settings = self._settings
         workflow = open_workflow(settings.workflow)
-        approval = approval_of(workflow, settings)
         clock, machine = SystemClock(settings.cell.rate), SystemClock()
+        approval = approval_of(workflow, settings, machine.wall())
         manager, metrics = ServiceManager(), MetricsServer(settings.metrics.port)
         session = uuid.uuid4().hex
         async with AsyncExitStack() as stack:
@@ -162,7 +162,7 @@ class Daemon:
             supervisor.start("disk watch", space.run)
             procedure.start()
             heart.start(supervisor)
-            planner.start(supervisor, blueprint, procedure.cell.surface)
+            planner.start(supervisor, blueprint, procedure.cell)
             nodes.start(supervisor)
             await procedure.readiness.wait()
             await planner.wait()

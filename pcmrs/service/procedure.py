@@ -42,7 +42,7 @@ from pcmrs.service.watches.lease import LeaseWatch
 from pcmrs.service.watches.readiness import DeviceReadiness, awaited
 from pcmrs.service.watches.reference import ReferenceWatch
 from pcmrs.service.watches.robot import RobotWatch
-from pcmrs.settings import DWELL, SIMULATED, Settings
+from pcmrs.settings import DWELL, Settings
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.settings import TrackingSettings
@@ -305,8 +305,10 @@ def open_cell(settings: Settings, blueprint: Blueprint, link: Link, clocks: Cloc
 
 
 def _check_tool(settings: Settings, blueprint: Blueprint) -> None:
-    """Refuse to place a real tool by the poses of the simulated one. Raises `ConfigurationError`."""
-    if blueprint.uses_robot and settings.scene.driver != SIMULATED and settings.procedure.calibration.of_simulated_tool:
+    """Refuse to place or track a real tool by the poses of the simulated one. Raises `ConfigurationError`."""
+    unused = settings.tracker.driver == "none" and not blueprint.uses_robot
+    given = not settings.procedure.calibration.of_simulated_tool
+    if not (given or unused or settings.has_simulated_tool(blueprint.uses_robot)):
         text = (
             "procedure.calibration does not say where the tool is: give tool_file, which `pcmrs calibrate hand-eye` "
             "makes, and tip_file, which `pcmrs calibrate tip` makes (docs/calibration.md)."

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 
 import numpy as np
 import structlog
@@ -61,6 +61,7 @@ class Cell:
         stimulator: Stimulator; None if none is configured.
         emg: Electromyograph; None if none is configured.
         teleop: Port for the set points of teleoperators.
+        calibrated: Calibrated poses of tool and pointer, for a cell in another process; None to read them.
         mounting: Calibrated poses of tool and pointer. `Mounting.tool_tip` is the only place where the pose of a marker
             body becomes that of the tool: all other poses of the tool in the workflows are those of its contact point.
         flange_from_tool_tip: Pose of the tool's contact point on the flange.
@@ -88,12 +89,13 @@ class Cell:
     stimulator: LatchingStimulator | None = None
     emg: Emg | None = None
     teleop: TeleopPort = field(default_factory=TeleopPort)
+    calibrated: InitVar[Mounting | None] = None
     mounting: Mounting = field(init=False)
     flange_from_tool_tip: Transform = field(init=False)
     zones: CellZones = field(init=False)
 
-    def __post_init__(self) -> None:
-        self.mounting = Mounting.read(self.settings.calibration)
+    def __post_init__(self, calibrated: Mounting | None) -> None:
+        self.mounting = calibrated or Mounting.read(self.settings.calibration)
         self.flange_from_tool_tip = self.mounting.flange_from_tool_tip
         self.zones = CellZones(self.arm.facts, self.mounting, self.settings, self.surface)
 

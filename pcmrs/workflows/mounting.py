@@ -45,7 +45,8 @@ class Mounting:
         """Read the calibration files that are configured, and take the configured poses otherwise.
 
         Raises:
-            ConfigurationError: A calibration file cannot be read, or is one of another kind.
+            ConfigurationError: A calibration file cannot be read or is one of another kind, or the files of marker body
+                and contact point are of two tools.
         """
         configured: dict[Kind, tuple[str, PoseSetting]] = {
             "tool": (settings.tool_file, settings.flange_from_tool_marker or SIMULATED_FLANGE_FROM_TOOL_MARKER),
@@ -53,6 +54,7 @@ class Mounting:
             "pointer": (settings.pointer_file, settings.pointer_from_tip),
         }
         files = {kind: _read(kind, file) for kind, (file, _) in configured.items() if file}
+        _check_same_tool(files)
         explicit = {kind: pose for kind, (file, pose) in configured.items() if not file}
         sources: dict[Kind, Calibration | PoseSetting] = {**files, **explicit}
         marker, tip, pointer = (sources[kind].transform() for kind in KINDS)
@@ -94,6 +96,19 @@ class Mounting:
     @staticmethod
     def _hash(used: object) -> str:
         return hashlib.sha256(msgspec.json.encode(used)).hexdigest()[:16]
+
+
+def _check_same_tool(files: Mapping[Kind, Calibration]) -> None:
+    """Refuse a marker body and a contact point of two tools. Raises `ConfigurationError`."""
+    if not {"tool", "tip"} <= files.keys():
+        return
+    marker, tip = files["tool"], files["tip"]
+    if (marker.type, marker.serial) != (tip.type, tip.serial):
+        text = (
+            f"procedure.calibration: tool_file is of type {marker.type!r}, serial {marker.serial!r}, tip_file of "
+            f"type {tip.type!r}, serial {tip.serial!r}: give two files of the same tool."
+        )
+        raise ConfigurationError(text)
 
 
 def _read(kind: Kind, file: str) -> Calibration:

@@ -22,6 +22,7 @@ from pcmrs.messages import Command, Reason
 from pcmrs.workflows._collision_checks import update_collision_scene
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.mounting import Mounting
 from pcmrs.workflows.settings import ProcedureSettings
 
 Run = AnyRun[Cell, PlacementData]
@@ -50,6 +51,7 @@ class PlanningSettings:
         procedure: Settings of the procedure.
         arm: Name of the arm, or path of its URDF.
         surface: Surface of the body as read by the daemon, so that plans and the guard of motions use the same surface.
+        mounting: Calibrated poses as read by the daemon, for the same reason: their files may have changed since.
     """
 
     workflow: str
@@ -57,6 +59,7 @@ class PlanningSettings:
     procedure: ProcedureSettings
     arm: str
     surface: Mesh | None
+    mounting: Mounting
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +186,7 @@ class PlanningCell:
         settings: Settings of the procedure.
         arm: Model of the cell's arm.
         surface: Surface of the body; None if none is configured.
+        mounting: Calibrated poses of tool and pointer.
     """
 
     def __init__(
@@ -191,6 +195,7 @@ class PlanningCell:
         settings: ProcedureSettings,
         arm: ArmModel,
         surface: Mesh | None,
+        mounting: Mounting,
     ) -> None:
         self._workflow = workflow
         self._clock = _FrozenClock()
@@ -202,6 +207,7 @@ class PlanningCell:
             clock=self._clock,
             settings=settings,
             surface=surface,
+            calibrated=mounting,
         )
 
     def answer(self, request: PlanRequest) -> PlanAnswer:

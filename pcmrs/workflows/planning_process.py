@@ -48,7 +48,7 @@ def main() -> None:
     settings: PlanningSettings = first[1]
     arm = ArmModel(find_arm(settings.arm))
     workflow = open_verified(settings.workflow, settings.blueprint)
-    cell = PlanningCell(workflow, settings.procedure, arm, settings.surface)
+    cell = PlanningCell(workflow, settings.procedure, arm, settings.surface, settings.mounting)
     _write(answers, 0, None)
     for number, request in messages:
         _write(answers, number, cell.answer(request))

@@ -164,7 +164,8 @@ def check_address(address: str) -> None:
         host, port = parts.hostname, parts.port
     except ValueError:
         host = port = None
-    if host is None or port is None or parts.scheme not in ("tls", "tcp"):
+    # Dask takes the scheme as it is written.
+    if host is None or port is None or not address.startswith(("tls://", "tcp://")):
         raise ConfigurationError(f"{address} is not a scheduler's address: write tls://HOST:PORT.")
     if parts.scheme == "tcp" and not is_loopback(host):
         raise ConfigurationError(

@@ -81,8 +81,8 @@ class ModelClient:
         settings.check(key)
         limits = httpx.Timeout(settings.idle_s, connect=settings.connect_s)
         headers = {"Authorization": f"Bearer {key}"} if key else {}
-        # Redirections are not followed: the key and the text are for this address only.
-        async with httpx.AsyncClient(timeout=limits, headers=headers, follow_redirects=False) as http:
+        # Neither redirections nor a proxy of the environment: the key and the text are for this address only.
+        async with httpx.AsyncClient(timeout=limits, headers=headers, follow_redirects=False, trust_env=False) as http:
             yield cls(settings, http, clock, report)
 
     @property
@@ -156,9 +156,10 @@ class ModelClient:
 
     def _count(self, messages: Sequence[Message], reader: AnswerReader, counted: StreamedAnswer | None) -> None:
         """Add the tokens of an attempt; an answer that broke off costs, too."""
-        known = None if counted is None else counted.request_tokens
-        self.request_tokens += _estimated(messages) if known is None else known
-        self.answer_tokens += reader.tokens if counted is None else counted.answer_tokens
+        # A server that reports nothing, or less than that, must not lift the limits.
+        asked, answered = (0, 0) if counted is None else (counted.request_tokens or 0, counted.answer_tokens)
+        self.request_tokens += asked if asked > 0 else _estimated(messages)
+        self.answer_tokens += answered if answered > 0 else reader.tokens
 
     async def _streamed(self, reader: AnswerReader, body: bytes) -> StreamedAnswer:
         url = f"{self.settings.url.rstrip('/')}/chat/completions"

@@ -127,15 +127,21 @@ def read_key(settings: ModelSettings, key: str) -> str:
         key: Key from the environment; empty for none.
 
     Raises:
-        ConfigurationError: The file cannot be read, or others may read it.
+        ConfigurationError: The file cannot be read, others may read it, or it is no key.
     """
-    if key or not settings.key_file:
-        return key
-    try:
-        return read_secret(Path(settings.key_file)).decode().strip()
-    except (OSError, ValueError) as error:
-        text = f"The key {settings.key_file} cannot be read: {error}."
-        raise ConfigurationError(text, file=settings.key_file) from None
+    if not key and settings.key_file:
+        try:
+            key = read_secret(Path(settings.key_file)).decode()
+        except (OSError, ValueError) as error:
+            text = f"The key {settings.key_file} cannot be read: {error}."
+            raise ConfigurationError(text, file=settings.key_file) from None
+    key = key.strip()
+    if not (key.isascii() and key.isprintable()) or " " in key:
+        # Not shown: an error of the client further down would show it.
+        raise ConfigurationError(
+            "The key of the model has blanks or characters that a key cannot have: give it in one line."
+        )
+    return key
 
 
 def _is_loopback(host: str) -> bool:

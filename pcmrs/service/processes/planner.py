@@ -13,7 +13,6 @@ from pcmrs.clock import Clock
 from pcmrs.dispatcher import Run
 from pcmrs.dispatcher.execution import reason_of
 from pcmrs.errors import RefusalError
-from pcmrs.formats.mesh import Mesh
 from pcmrs.fsm import Blueprint
 from pcmrs.killing import kill_and_wait
 from pcmrs.messages import DeviceEvent, Reason
@@ -72,17 +71,19 @@ class PlanningProcess:
             return reason_of(refusal)
         return apply_answer(run, request, answer)
 
-    def start(self, supervisor: Supervisor, blueprint: Blueprint, surface: Mesh | None) -> None:
+    def start(self, supervisor: Supervisor, blueprint: Blueprint, cell: Cell) -> None:
         """Start the process, and keep it running.
 
         Args:
             supervisor: Supervisor of the task that keeps it running.
             blueprint: The verified blueprint of the daemon's workflow.
-            surface: Surface of the body, as the daemon has read it.
+            cell: Cell of the daemon, whose surface of the body and calibrated poses the process gets.
         """
         settings = self._settings
         procedure = settings.procedure.in_cell_time(settings.cell.rate)
-        start = PlanningSettings(settings.workflow, blueprint, procedure, settings.robot.model, surface)
+        start = PlanningSettings(
+            settings.workflow, blueprint, procedure, settings.robot.model, cell.surface, cell.mounting
+        )
         self._start = frame_message(0, pickle.dumps(start, pickle.HIGHEST_PROTOCOL))
         supervisor.start("planner", self._keep)
 

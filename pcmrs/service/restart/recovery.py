@@ -62,12 +62,13 @@ def _migration(last: BlueprintTag) -> str:
     return tomli_w.dumps({"migrations": [table]})
 
 
-def approval_of(workflow: Workflow[Cell, PlacementData], settings: Settings) -> Approval | None:
+def approval_of(workflow: Workflow[Cell, PlacementData], settings: Settings, now: float) -> Approval | None:
     """Return the approval of a drafted workflow; None for a workflow that people have written.
 
     Args:
         workflow: The workflow.
         settings: The whole configuration.
+        now: Wall time, s.
 
     Raises:
         ConfigurationError: A language model has drafted it, and no member of this cell has approved it as it is now.
@@ -75,7 +76,7 @@ def approval_of(workflow: Workflow[Cell, PlacementData], settings: Settings) -> 
     access, cell = settings.access, settings.cell
     file = find_workflow(settings.workflow).blueprint
     members = access.members()
-    return read_approval(workflow.blueprint, file, access.credentials(), members, f"{cell.site}/{cell.name}")
+    return read_approval(workflow.blueprint, file, access.credentials(), members, f"{cell.site}/{cell.name}", now)
 
 
 log = structlog.get_logger(__name__)

@@ -23,7 +23,7 @@ from pcmrs.workflows.settings._moving import (
 )
 from pcmrs.workflows.settings._stimulation import StimulationSettings
 from pcmrs.workflows.settings._teleoperation import TeleoperationSettings
-from pcmrs.workflows.settings._values import PoseSetting, Positive
+from pcmrs.workflows.settings._values import PoseSetting, Positive, WholePoseSetting
 from pcmrs.workflows.settings._zones import TABLE, BodySettings, BoxSettings, ToolSettings, ZoneSettings
 
 __all__ = [
@@ -46,6 +46,7 @@ __all__ = [
     "TeleoperationSettings",
     "ToolSettings",
     "TrackingSettings",
+    "WholePoseSetting",
     "ZoneSettings",
 ]
 

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import msgspec
 
 from pcmrs.calibration import ToolType
-from pcmrs.workflows.settings._values import PoseSetting, Positive
+from pcmrs.workflows.settings._values import PoseSetting, Positive, WholePoseSetting
 
 if TYPE_CHECKING:
     from pcmrs.registration.surface import OffsetPrior
 
-SIMULATED_FLANGE_FROM_TOOL_MARKER = PoseSetting((-0.06, -0.066, 0.138), (0.4, 0.8, 0.4, -0.2))
+SIMULATED_FLANGE_FROM_TOOL_MARKER = WholePoseSetting((-0.06, -0.066, 0.138), (0.4, 0.8, 0.4, -0.2))
 """Marker body of the simulated tool on the flange."""
-SIMULATED_TOOL_MARKER_FROM_TOOL_TIP = PoseSetting((0.06, 0.03, -0.06), (0.8, 0.4, 0.2, 0.4))
+SIMULATED_TOOL_MARKER_FROM_TOOL_TIP = WholePoseSetting((0.06, 0.03, -0.06), (0.8, 0.4, 0.2, 0.4))
 """Contact point of the simulated tool in its marker body: 90 mm away, and rotated about all axes."""
 
 
@@ -47,8 +47,8 @@ class CalibrationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     tool_serial: str = ""
     pointer_serial: str = ""
     reference_serial: str = ""
-    flange_from_tool_marker: PoseSetting | None = None
-    tool_marker_from_tool_tip: PoseSetting | None = None
+    flange_from_tool_marker: WholePoseSetting | None = None
+    tool_marker_from_tool_tip: WholePoseSetting | None = None
     pointer_from_tip: PoseSetting = PoseSetting((0.0, 0.0, -0.15))
 
     def __post_init__(self) -> None:

@@ -37,3 +37,15 @@ class PoseSetting(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def transform(self) -> Transform:
         """Return this pose as a `Transform`."""
         return Transform.from_quat_wxyz(self.position, self.quat_wxyz)
+
+
+class WholePoseSetting(PoseSetting, frozen=True, forbid_unknown_fields=True):
+    """A configured pose of which both parts must be given: axes that are left out would be taken for the same axes.
+
+    Attributes:
+        position: Translation, m.
+        quat_wxyz: Unit quaternion w x y z.
+    """
+
+    position: Triple
+    quat_wxyz: tuple[float, float, float, float]

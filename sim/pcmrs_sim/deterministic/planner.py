@@ -56,7 +56,9 @@ class SimulatedPlanner:
             return refusal(self._workflow.registry, checks, run)
         if self._cell is None:
             arm = ArmModel(find_arm(self._settings.robot.model))
-            self._cell = PlanningCell(self._workflow, self._settings.procedure, arm, run.cell.surface)
+            self._cell = PlanningCell(
+                self._workflow, self._settings.procedure, arm, run.cell.surface, run.cell.mounting
+            )
         request = request_of(run, checks)
         answer = self._cell.answer(request)
         await self._clock.sleep(duration)

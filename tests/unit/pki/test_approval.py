@@ -43,8 +43,9 @@ class Lab:
         approval = msgspec.structs.replace(approve(blueprint, own, self.now), **changes)
         approval_file(self.file).write_bytes(msgspec.json.encode(approval))
 
-    def read(self, blueprint: Blueprint = DRAFTED) -> Approval | None:
-        return read_approval(blueprint, self.file, self.daemon, self.authority.identities(), "lab/c1")
+    def read(self, blueprint: Blueprint = DRAFTED, later: float = 0.0) -> Approval | None:
+        members = self.authority.identities()
+        return read_approval(blueprint, self.file, self.daemon, members, "lab/c1", self.now + later)
 
 
 @pytest.fixture
@@ -59,6 +60,13 @@ def test_the_approval_of_an_operator_counts(lab: Lab) -> None:
     assert (approval.by, approval.hash, approval.at) == ("anna", DRAFTED.hash, lab.now)
 
 
+def test_a_person_whose_identity_has_ended_approves_nothing(lab: Lab) -> None:
+    lab.sign(lab.person("anna"))
+    (anna,) = (each for each in lab.authority.identities() if each.name == "anna")
+    with pytest.raises(ConfigurationError, match="anna is not in the register as a valid operator"):
+        lab.read(later=anna.ends - lab.now)
+
+
 def test_a_newer_certificate_of_the_person_changes_nothing(lab: Lab) -> None:
     lab.sign(lab.person("anna"))
     lab.person("anna")
@@ -66,7 +74,7 @@ def test_a_newer_certificate_of_the_person_changes_nothing(lab: Lab) -> None:
 
 
 def test_a_workflow_of_people_needs_no_approval(lab: Lab) -> None:
-    assert read_approval(blueprint_of(table(step("a"))), lab.file, None, (), "lab/c1") is None
+    assert read_approval(blueprint_of(table(step("a"))), lab.file, None, (), "lab/c1", lab.now) is None
 
 
 def test_without_an_approval_a_draft_is_refused(lab: Lab) -> None:
@@ -85,7 +93,7 @@ def test_a_changed_draft_is_refused(lab: Lab) -> None:
 def test_a_cell_without_identity_refuses_every_draft(lab: Lab) -> None:
     lab.sign(lab.person("anna"))
     with pytest.raises(ConfigurationError, match=r"access\.identity"):
-        read_approval(DRAFTED, lab.file, None, (), "lab/c1")
+        read_approval(DRAFTED, lab.file, None, (), "lab/c1", lab.now)
 
 
 @pytest.mark.parametrize(("role", "cell"), [("viewer", "lab/c1"), ("planner", "lab/c1"), ("operator", "lab/c2")])

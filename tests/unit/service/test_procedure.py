@@ -146,11 +146,19 @@ class Bench:
 def test_a_real_tool_is_not_placed_by_simulated_poses() -> None:
     """Nor by the identity, unless the configuration says so."""
     blueprint, clocks = shipped_workflow("ratms").blueprint, Clocks(ManualClock(), ManualClock())
-    real = ["scene.driver=none"]
-    with pytest.raises(ConfigurationError, match="pcmrs calibrate tip"):
-        open_cell(read_settings(None, real), blueprint, FakeLink(), clocks, "s")
+    far = ["robot.driver=kst", "kst.host=172.31.1.147"]
+    serial = ["tracker.driver=ndi", "ndi.device=/dev/ttyUSB0"]
+    for real in (["scene.driver=none"], ["tracker.driver=plus"], serial, far):
+        with pytest.raises(ConfigurationError, match="pcmrs calibrate tip"):
+            open_cell(read_settings(None, real), blueprint, FakeLink(), clocks, "s")
+    virtual = ["robot.driver=kst", "tracker.driver=ndi"]
+    assert open_cell(read_settings(None, virtual), blueprint, FakeLink(), clocks, "s")
+    real = far
     for pose in ("flange_from_tool_marker", "tool_marker_from_tool_tip"):
-        real.append(f"procedure.calibration.{pose}.position=[0.0, 0.0, 0.0]")
+        position = f"procedure.calibration.{pose}.position=[0.0, 0.0, 0.0]"
+        with pytest.raises(ConfigurationError, match="quat_wxyz"):
+            read_settings(None, [*real, position])
+        real += [position, f"procedure.calibration.{pose}.quat_wxyz=[1.0, 0.0, 0.0, 0.0]"]
     cell = open_cell(read_settings(None, real), blueprint, FakeLink(), clocks, "s")
     np.testing.assert_array_equal(cell.flange_from_tool_tip.matrix, np.eye(4))
 

@@ -14,6 +14,7 @@ from pcmrs.settings import Settings
 from pcmrs.spatial import Floats
 from pcmrs.workflows._collision_checks import SAMPLES_PER_PART, ClearanceLimits
 from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.mounting import Mounting
 from pcmrs.workflows.planning import PlanningCell
 from pcmrs.workflows.surface import read_surface
 from tests.support.shipped import shipped_workflow
@@ -33,6 +34,7 @@ def cell() -> Cell:
         settings.procedure,
         ArmModel(find_arm(settings.robot.model)),
         read_surface(settings.procedure),
+        Mounting.read(settings.procedure.calibration),
     )
     return planning._cell
 

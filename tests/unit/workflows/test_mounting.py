@@ -11,12 +11,12 @@ import pytest
 
 from pcmrs.errors import ConfigurationError
 from pcmrs.workflows.mounting import Mounting
-from pcmrs.workflows.settings import CalibrationSettings, PoseSetting
+from pcmrs.workflows.settings import CalibrationSettings, WholePoseSetting
 from pcmrs_sim.settings import GeometrySettings
 from tests.unit.workflows.calibration_files import TRANSFORMS, calibrated, write
 
-MARKER = PoseSetting((0.01, 0.0, 0.1), (0.0, 1.0, 0.0, 0.0))
-TIP = PoseSetting((0.0, 0.02, -0.05), (0.5, 0.5, -0.5, 0.5))
+MARKER = WholePoseSetting((0.01, 0.0, 0.1), (0.0, 1.0, 0.0, 0.0))
+TIP = WholePoseSetting((0.0, 0.02, -0.05), (0.5, 0.5, -0.5, 0.5))
 IDENTITY: dict[str, Any] = {"position": [0, 0, 0], "quat_wxyz": [1, 0, 0, 0]}
 
 
@@ -70,6 +70,16 @@ def test_file_of_another_kind_is_a_bad_configuration(tmp_path: Path) -> None:
         with pytest.raises(ConfigurationError, match=words) as refused:
             of({"calibration": {"tool_file": file, "tip_file": tip}})
         assert "procedure.calibration.tool_file" in refused.value.text
+
+
+def test_files_of_two_tools_are_a_bad_configuration(tmp_path: Path) -> None:
+    """Marker body and contact point are measured on the same tool, also if only one file names its serial number."""
+    tool = write(tmp_path, "tool", serial="17")
+    for serial in ("18", ""):
+        tip = write(tmp_path, "tip", serial=serial)
+        with pytest.raises(ConfigurationError, match="give two files of the same tool"):
+            of({"calibration": {"tool_file": tool, "tip_file": tip}})
+    assert of({"calibration": {"tool_file": tool, "tip_file": write(tmp_path, "tip", serial="17")}})
 
 
 def test_marker_without_its_contact_point_is_refused(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import msgspec
@@ -15,6 +16,7 @@ from pcmrs.dispatcher.command_checks import read_payload
 from pcmrs.dispatcher.execution import refusal
 from pcmrs.errors import PcmrsError
 from pcmrs.messages import Command, Reason
+from pcmrs.spatial import Transform
 from pcmrs.workflows.planning import MAX_JOINT_DRIFT, PlanAnswer, PlanningCell, apply_answer, request_of
 from tests.support.shipped import shipped_workflow
 from tests.unit.workflows.workflow_bench import POSES, WorkflowBench
@@ -43,7 +45,8 @@ def in_the_loop(run: Run[Any, Any]) -> Reason | None:
 
 def planning_cell(bench: WorkflowBench) -> PlanningCell:
     """Return a cell without devices, which learns of the arm and the body by requests only."""
-    return PlanningCell(shipped_workflow("ratms"), bench.cell.settings, bench.cell.arm, bench.cell.surface)
+    cell = bench.cell
+    return PlanningCell(shipped_workflow("ratms"), cell.settings, cell.arm, cell.surface, cell.mounting)
 
 
 async def test_another_cell_answers_as_the_cell_itself(bench: WorkflowBench) -> None:
@@ -62,6 +65,18 @@ async def test_another_cell_answers_as_the_cell_itself(bench: WorkflowBench) -> 
         assert answer.result == here.result
         if name == "placement.approach":
             np.testing.assert_allclose(answer.prepared.positions, here.prepared.positions, atol=1e-9)
+
+
+async def test_plans_rest_on_the_calibration_that_the_daemon_has_read(bench: WorkflowBench) -> None:
+    """The planning process may start again after the file of a calibration was replaced."""
+    await bench.register()
+    moved = Transform(np.eye(3), np.array((0.0, 0.0, 0.02)))
+    tip = bench.cell.mounting.tool_marker_from_tool_tip
+    mounting = replace(bench.cell.mounting, tool_marker_from_tool_tip=tip @ moved)
+    cell = bench.cell
+    elsewhere = PlanningCell(shipped_workflow("ratms"), cell.settings, cell.arm, cell.surface, mounting)
+    assert elsewhere._cell.mounting is mounting
+    assert elsewhere._cell.flange_from_tool_tip.translation == pytest.approx(mounting.flange_from_tool_tip.translation)
 
 
 async def test_an_answer_puts_plan_and_questions_into_the_run(bench: WorkflowBench) -> None:

@@ -64,7 +64,7 @@ async def planning(
     planner.report = events.put_nowait
     try:
         async with Supervisor(clock) as supervisor:
-            planner.start(supervisor, shipped_workflow("ratms").blueprint, bench.cell.surface)
+            planner.start(supervisor, shipped_workflow("ratms").blueprint, bench.cell)
             await planner.wait()
             yield planner, events
     finally:

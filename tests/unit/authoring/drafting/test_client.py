@@ -130,6 +130,15 @@ async def test_a_wrong_address_or_key_is_not_repeated(reply: Reply, why: str) ->
     assert len(server.requests) == 1
 
 
+async def test_a_proxy_of_the_environment_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would get the key and the text of the protocol."""
+    for name in ("HTTP_PROXY", "http_proxy", "ALL_PROXY", "all_proxy"):
+        monkeypatch.setenv(name, "http://127.0.0.1:9")
+    with served(answering("yes")) as server:
+        async with asking(server.url, attempts=1) as asked:
+            assert (await asked.client.ask(MESSAGES, {})).text == "yes"
+
+
 async def test_a_redirection_is_not_followed() -> None:
     with served(failing(307, Location="http://127.0.0.1:9/other")) as server:
         async with asking(server.url, key="secret") as asked:

@@ -31,10 +31,10 @@ def test_a_file_with_faults_is_refused(text: str, tmp_path: Path) -> None:
 
 def test_the_key_is_read_from_a_file_of_its_owner(tmp_path: Path) -> None:
     file = tmp_path / "key"
-    file.write_text("from file\n")
+    file.write_text("from-file\n")
     settings = ModelSettings(key_file=str(file))
     file.chmod(0o600)
-    assert read_key(settings, "") == "from file"
+    assert read_key(settings, "") == "from-file"
     assert read_key(settings, "given") == "given"
     assert read_key(ModelSettings(), "") == ""
     file.chmod(0o644)
@@ -42,6 +42,15 @@ def test_the_key_is_read_from_a_file_of_its_owner(tmp_path: Path) -> None:
         read_key(settings, "")
     with pytest.raises(ConfigurationError, match="cannot be read"):
         read_key(ModelSettings(key_file=str(tmp_path / "none")), "")
+
+
+def test_a_key_that_is_none_is_refused_without_showing_it() -> None:
+    """An error of the client further down would show it."""
+    assert read_key(ModelSettings(), "sk-secret\n") == "sk-secret"
+    for key in ("sk-secret\nsecond", "sk-secret second", "sk-secr\u00e9t"):
+        with pytest.raises(ConfigurationError, match="in one line") as refused:
+            read_key(ModelSettings(), key)
+        assert "sk-" not in refused.value.text
 
 
 @pytest.mark.parametrize("host", ["model.example.org", "192.0.2.1"])

@@ -7,6 +7,7 @@ import os
 import pty
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -44,7 +45,7 @@ def test_the_daemon_accepts_what_the_command_has_signed(lab: Path) -> None:
     assert f"anna has approved demo 1, hash {blueprint.hash}" in result.stdout
     own = read_credentials(lab / "cell", SystemClock().wall())
     members = Authority(lab / "pki").identities()
-    approval = read_approval(blueprint, lab / "drafted.toml", own, members, "lab/c1")
+    approval = read_approval(blueprint, lab / "drafted.toml", own, members, "lab/c1", time.time())
     assert approval is not None
     assert approval.by == "anna"
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import pickle
 from collections.abc import AsyncIterator
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -16,8 +17,11 @@ from pcmrs.service.processes.planner import PAUSE, PLANNING_TIME, PlanningProces
 from pcmrs.service.supervisor import RESTARTS, Supervisor
 from pcmrs.settings import Settings
 from pcmrs.testing.clock import ManualClock, settle
+from pcmrs.workflows.cell import Cell
+from pcmrs.workflows.mounting import Mounting
 from pcmrs.workflows.planning import PlanAnswer
 from pcmrs.workflows.planning_process import HEADER, frame_message
+from pcmrs.workflows.settings import CalibrationSettings
 from tests.support.shipped import shipped_blueprint
 
 ANSWER = PlanAnswer(Reason(code="unreachable", text="0.9 m away."), None, {}, [])
@@ -81,7 +85,8 @@ class Bench:
 async def bench() -> AsyncIterator[Bench]:
     made = Bench()
     async with made.supervisor:
-        made.planner.start(made.supervisor, shipped_blueprint("ratms"), None)
+        cell = cast("Cell", SimpleNamespace(surface=None, mounting=Mounting.read(CalibrationSettings())))
+        made.planner.start(made.supervisor, shipped_blueprint("ratms"), cell)
         await settle()
         yield made
 

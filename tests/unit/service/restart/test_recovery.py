@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 import tomllib
 from collections.abc import AsyncIterator, Callable
 from contextlib import suppress
@@ -406,8 +407,8 @@ def test_a_draft_needs_an_approval_by_the_register_of_the_cell(signed: bool, tmp
     if signed:
         approval = approve(workflow.blueprint, read_credentials(tmp_path / "anna", now), now)
         approval_file(file).write_bytes(msgspec.json.encode(approval))
-        assert approval_of(workflow, settings) == approval
+        assert approval_of(workflow, settings, time.time()) == approval
     else:
         with pytest.raises(ConfigurationError, match="nobody has approved it"):
-            approval_of(workflow, settings)
-    assert approval_of(shipped_workflow("ratms"), Settings()) is None
+            approval_of(workflow, settings, time.time())
+    assert approval_of(shipped_workflow("ratms"), Settings(), 0.0) is None
