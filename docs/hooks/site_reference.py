@@ -47,10 +47,12 @@ def keys_of_bus() -> Iterator[str]:
     types = _message_types()
     yield "| key | use | payload | purpose | users | served by |\n| --- | --- | --- | --- | --- | --- |"
     for row in KEYS:
-        payload = OWN_TYPE.sub(lambda name: f"[{name[0]}](#{name[0].lower()})", row.payload)
+        payload = OWN_TYPE.sub(
+            lambda name: f"[{name[0]}](#{name[0].lower()})" if name[0] in types else name[0], row.payload
+        )
         who = ", ".join(row.users), ", ".join(row.owners)
         yield f"| `{row.key}` | {row.use} | {_cell(payload)} | {_cell(row.text)} | {who[0]} | {who[1]} |"
-    named = dict.fromkeys(name for row in KEYS for name in OWN_TYPE.findall(row.payload))
+    named = dict.fromkeys(name for row in KEYS for name in OWN_TYPE.findall(row.payload) if name in types)
     _, components = msgspec.json.schema_components([types[name] for name in named])
     yield "\n## Payloads\n"
     for name, definition in components.items():

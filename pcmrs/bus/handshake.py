@@ -139,7 +139,7 @@ class Handshake:
         for then in waiting:
             try:
                 then()
-            except Exception:  # the others must not wait for ever
+            except Exception:  # the others must not wait permanently
                 _log.exception("A message that waited for the run of the daemon was lost.")
 
 

@@ -20,6 +20,7 @@ from pcmrs.errors import DeviceError
 from pcmrs.service import Ready
 from pcmrs.service.processes.child import end_child
 from pcmrs.threads import descendants
+from pcmrs.workflows.settings import SIMULATED_FLANGE_FROM_TOOL_MARKER, SIMULATED_TOOL_MARKER_FROM_TOOL_TIP
 
 __all__ = ["DaemonProcess", "free_port", "own_settings", "running_daemon"]
 
@@ -28,6 +29,16 @@ START_TIME = 300.0
 
 END_TIME = 15.0
 """Time within which the daemon must end, s."""
+
+SIMULATED_TOOL = tuple(
+    f"procedure.calibration.{name}.{part}={list(value)}"
+    for name, pose in (
+        ("flange_from_tool_marker", SIMULATED_FLANGE_FROM_TOOL_MARKER),
+        ("tool_marker_from_tool_tip", SIMULATED_TOOL_MARKER_FROM_TOOL_TIP),
+    )
+    for part, value in (("position", pose.position), ("quat_wxyz", pose.quat_wxyz))
+)
+"""Poses of the simulated tool, for a daemon whose arm or tracker another process serves: it asks where its tool is."""
 
 DEVICE_KEY = "device.key"
 """Name of the file of the key that daemon and device nodes share."""

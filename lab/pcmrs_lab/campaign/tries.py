@@ -33,7 +33,7 @@ LOCAL_ACCOUNT: Final = "local account"
 
 _FIRST: Final = {
     "cmd": COMMANDS, "stop": STOP, "teleop": SETPOINTS, "svc": QUERIES, "dev": DEVICES, "daemon": DEVICES,
-    "state": STREAMS, "ros2": STREAMS, "@": ADMIN,
+    "state": STREAMS, "json": STREAMS, "ros2": STREAMS, "@": ADMIN,
 }  # fmt: skip
 _CELL_PARTS: Final = 3
 """Number of chunks of an absolute key before the relative key: ``pcmrs/<site>/<cell>``."""

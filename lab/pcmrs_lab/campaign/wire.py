@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pcmrs.errors import PcmrsError
 from pcmrs.testing.cell import RunningCell
-from pcmrs.testing.daemon import DEVICE_KEY, device_key, free_port
+from pcmrs.testing.daemon import DEVICE_KEY, SIMULATED_TOOL, device_key, free_port
 from pcmrs.testing.proxy import tcp_proxy
 from pcmrs_lab.campaign.lab import Lab
 from pcmrs_lab.campaign.network_impairment import InjectedImpairment
@@ -40,7 +40,7 @@ async def remote_cell(lab: Lab, impairment: InjectedImpairment) -> AsyncIterator
         )
         starting = asyncio.create_task(_node_when_router(port, far, place / "node.log"))
         try:
-            settings = (near, "cell.rate=1", "procedure.max_pose_age=0.5", *WITHOUT_NODES)
+            settings = (near, "cell.rate=1", "procedure.max_pose_age=0.5", *WITHOUT_NODES, *SIMULATED_TOOL)
             async with lab.daemon(*settings, folder=place) as cell:
                 yield cell
         finally:

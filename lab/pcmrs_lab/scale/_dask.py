@@ -6,6 +6,7 @@ import logging
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from urllib.parse import urlsplit
 
 import dask
@@ -102,6 +103,7 @@ def local_pool(workers: int) -> Iterator[DaskPool]:
     Args:
         workers: Number of workers, each a process.
     """
+    resource_tracker.ensure_running()  # its start would end the mask of the thread that starts the workers
     with dask.config.set(CONFIGURATION), _ctrl_c_blocked():  # threads and processes inherit the mask
         cluster = LocalCluster(
             n_workers=workers,

@@ -23,6 +23,7 @@ from pcmrs.devices.remote import RemoteRobot, RemoteScene
 from pcmrs.errors import DeviceError, UnknownOutcomeError
 from pcmrs.messages import JointTrajectory
 from pcmrs.testing.cell import LIGHT
+from pcmrs.testing.daemon import SIMULATED_TOOL
 from pcmrs.testing.driving import (
     accept,
     acknowledge,
@@ -141,7 +142,7 @@ class Apart:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._node_settings = [*own_settings(folder), *LIGHT, "stimulator.driver=none", "emg.driver=none"]
-        self._daemon_settings = [*self._node_settings, *(f"{device}.driver=none" for device in ARM)]
+        self._daemon_settings = [*self._node_settings, *(f"{device}.driver=none" for device in ARM), *SIMULATED_TOOL]
         self._running_node, self._running_daemon = ExitStack(), ExitStack()
         self.start_node()
         self.start_daemon()

@@ -31,6 +31,7 @@ NOT_RUN = {
     "console.py": "it needs a browser, in which `pytest -m browser` runs the same page",
     "loaded.py": "it runs the demo, which tests run, too",
     "reliability.py": "it runs the campaign, which `make nightly` runs",
+    "scale.py": "tests/unit/lab/scale runs the same on two workers",
     "verify.py": "it verifies a million joint states",
 }
 """Benchmarks that no test runs, and why."""

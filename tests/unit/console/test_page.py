@@ -15,7 +15,7 @@ from pcmrs.messages import BlueprintTag, Snapshot
 from pcmrs.messages._snapshot import LeaseState
 from pcmrs.messages.setup import ProcedureDataView
 from pcmrs.testing.clock import settle
-from pcmrs.workflows.data import as_message
+from pcmrs.workflows.data import as_message, as_transform
 from tests.support.shipped import shipped_blueprint
 from tests.unit.console.detached_page import ENGLISH, DetachedPage, ShownCell
 from tests.unit.console.shown_cell import body, setup, some_pose
@@ -131,8 +131,9 @@ async def test_the_error_of_the_tool_is_in_mm_and_degrees_or_unknown(page: Detac
     assert page.text("error") == ENGLISH("unknown")
     registered, plan, tracker_from_body = some_pose(1), some_pose(2), some_pose(3)
     cell.data = ProcedureDataView(landmarks=[], body_ref_from_image=as_message(registered), plan=as_message(plan))
+    marker_from_tip = as_transform(setup().tool_marker_from_tool_tip)
     cell.poses = {
-        "coil": body("coil", tracker_from_body @ registered @ plan),
+        "coil": body("coil", tracker_from_body @ registered @ plan @ marker_from_tip.inverse()),
         "body_ref": body("body_ref", tracker_from_body),
     }
     await page.tick()

@@ -101,7 +101,7 @@ def test_a_machine_without_room_for_a_process_is_reported(tmp_path: Path) -> Non
         assert started.number == 2
 
 
-def test_a_machine_without_descriptors_of_processes_has_no_server(tmp_path: Path) -> None:
+def test_machine_without_descriptors_of_processes_has_no_server(tmp_path: Path) -> None:
     with server(tmp_path, "no pidfd") as (control, process):
         assert process.wait(WITHIN) == 1
         assert control.recv(LARGEST) == b"", "the daemon sees that it has ended, and starts its children itself"

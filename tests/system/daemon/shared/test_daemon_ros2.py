@@ -20,6 +20,7 @@ from pcmrs.kinematics.arms import ARMS
 from pcmrs.messages import BodyPose
 from pcmrs.ros2 import cdr
 from pcmrs.spatial import Transform
+from pcmrs.testing.daemon import SIMULATED_TOOL
 from tests.system.daemon.daemon_process import (
     START_TIME,
     ServeProcess,
@@ -80,7 +81,7 @@ async def until_tracker(client: Client, condition: Callable[[bool, str], object]
 
 async def test_poses_of_ros_are_those_of_the_tracker(tmp_path: Path) -> None:
     """The driver is found by its entry point: a checkout has to have been installed since it has this driver."""
-    settings = [*own_settings(tmp_path), "cell.rate=1", "tracker.driver=ros2"]
+    settings = [*own_settings(tmp_path), "cell.rate=1", "tracker.driver=ros2", *SIMULATED_TOOL]
     with running_daemon(settings, tmp_path) as daemon, daemon.plain_session() as session:
         async with daemon.client() as client:
             await until_tracker(client, lambda _, text: "No poses come from ROS 2" in text)
