@@ -15,6 +15,7 @@ import sys
 import threading
 import traceback
 from queue import SimpleQueue
+from types import FrameType
 from typing import IO
 
 import msgspec
@@ -97,7 +98,7 @@ def main() -> None:
     requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDWR), 0)
     os.dup2(2, 1)  # what a task prints is no reply
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGINT, _interrupt)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     waiting: SimpleQueue[bytes] = SimpleQueue()
     threading.Thread(target=_read, args=(requests, waiting), name="requests", daemon=True).start()
@@ -109,6 +110,11 @@ def main() -> None:
         sys.exit(0)
 
 
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    os.dup2(0, 2)  # nobody waits for what an interrupted task complains about
+    raise KeyboardInterrupt
+
+
 def _read(requests: IO[bytes], waiting: SimpleQueue[bytes]) -> None:
     while (request := receive(requests)) is not None:
         waiting.put(request)
@@ -116,7 +122,6 @@ def _read(requests: IO[bytes], waiting: SimpleQueue[bytes]) -> None:
     last = threading.Timer(END_TIME, os.killpg, (os.getpgid(0), signal.SIGKILL))
     last.daemon = True
     last.start()
-    os.dup2(0, 2)  # nobody waits for what an interrupted task complains about
     os.kill(os.getpid(), signal.SIGINT)
 
 

@@ -107,7 +107,7 @@ def _own(user: User) -> dict[str, str]:
         "8057": str(user.planner_port),
         "8081": str(user.console_port),
         "9000": str(free_port()),
-        "tracker.driver=lab_tracker": "tracker.driver=lab_tracker --set cell.rate=1",
+        "pcmrs-serve --config cell.toml": "pcmrs-serve --config cell.toml --set cell.rate=1",
         "pip install --no-deps .": install,
         **OTHER_NUMBER,
     }

@@ -35,7 +35,8 @@ def calibrated(folder: Path, kind: str, **given: Any) -> dict[str, Any]:
     written = {f"{kind}_file": write(folder, kind, **given)}
     other = {"tool": "tip", "tip": "tool"}.get(kind)
     if other is not None:
-        written[f"{other}_file"] = write(folder, other)
+        same = {name: given[name] for name in ("type", "serial") if name in given}
+        written[f"{other}_file"] = write(folder, other, **same)
     return {"calibration": written}
 
 

@@ -82,7 +82,7 @@ def test_planning_in_a_window_knows_only_what_was_before(monkeypatch: pytest.Mon
     monkeypatch.setattr(
         planning, "apply_answer", lambda run, request, answer: note("applied", Reason(code=answer, text=request))
     )
-    run = cast(Run, SimpleNamespace(command=RUN.command, cell=SimpleNamespace(surface=None)))
+    run = cast(Run, SimpleNamespace(command=RUN.command, cell=SimpleNamespace(surface=None, mounting=None)))
     monkeypatch.setattr(f"{__name__}.RUN", run)
     reason, took = ask({"plan:placement.approach": 0.3}, "reachable")
     assert reason == Reason(code="answer to the copy", text="the copy")

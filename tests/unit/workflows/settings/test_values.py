@@ -23,9 +23,11 @@ def test_pose_turns_and_shifts_as_configured() -> None:
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"quat_wxyz": [0.0, 0.0, 0.0, 0.0]}, "quaternion"),
-        ({"quat_wxyz": [1.0, 1.0, 0.0, 0.0]}, "quaternion"),
-        ({"position": [0.0, float("nan"), 0.0]}, "finite"),
+        ({"position": [0.0, 0.0, 0.0], "quat_wxyz": [0.0, 0.0, 0.0, 0.0]}, "quaternion"),
+        ({"position": [0.0, 0.0, 0.0], "quat_wxyz": [1.0, 1.0, 0.0, 0.0]}, "quaternion"),
+        ({"position": [0.0, float("nan"), 0.0], "quat_wxyz": [1.0, 0.0, 0.0, 0.0]}, "finite"),
+        ({"position": [0.0, 0.0, 0.0]}, "quat_wxyz"),
+        ({"quat_wxyz": [1.0, 0.0, 0.0, 0.0]}, "position"),
     ],
 )
 def test_pose_that_is_none_is_refused_with_its_key(values: object, words: str) -> None:
