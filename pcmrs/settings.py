@@ -20,7 +20,7 @@ from pcmrs.devices.dwell import DwellSettings
 from pcmrs.devices.opening import DRIVERS
 from pcmrs.errors import ConfigurationError, PayloadError
 from pcmrs.gateway.settings import GatewayConfig
-from pcmrs.hosts import is_loopback
+from pcmrs.hosts import is_this_machine
 from pcmrs.installed import entry_points_of
 from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.kinematics.urdf_arms import find_arm
@@ -276,8 +276,8 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
         kst, ndi = self.kst.get("host", "127.0.0.1"), str(self.ndi.get("device", "127.0.0.1:8765"))
         virtual = {
             SIMULATED: True,
-            "kst": _is_here(kst),
-            "ndi": _is_here(ndi.rpartition(":")[0]) or ndi.startswith("/dev/pts/"),
+            "kst": is_this_machine(kst),
+            "ndi": is_this_machine(ndi.rpartition(":")[0]) or ndi.startswith("/dev/pts/"),
         }
         used = [self.tracker, self.robot] if with_robot else [self.tracker]
         return self.scene.driver == SIMULATED and all(virtual.get(device.driver, False) for device in used)
@@ -302,10 +302,6 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
         return msgspec.structs.replace(
             as_client, mode="router", listen=access.listen, routers=access.routers, members=members
         )
-
-
-def _is_here(host: str) -> bool:
-    return host == "localhost" or is_loopback(host)
 
 
 class Inherited(msgspec.Struct, frozen=True, kw_only=True):

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import AsyncIterator, Mapping
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, asynccontextmanager
-from ipaddress import ip_address
 from typing import Any
 
 import structlog
 
+from pcmrs.hosts import is_this_machine
 from pcmrs_sim.cell import CellSimulation
 from pcmrs_sim.lsl.serving import serve_muscle
 
@@ -51,7 +51,7 @@ def local_addresses(settings: Mapping[str, Any]) -> dict[str, tuple[str, int]]:
         if settings.get(device, {}).get("driver") != driver:
             continue
         host, port = address(driver, settings.get(driver, {}))
-        if _is_loopback(host):
+        if is_this_machine(host):
             addresses[driver] = host, port
     return addresses
 
@@ -67,13 +67,6 @@ def address(driver: str, table: Mapping[str, Any]) -> tuple[str, int]:
         return table.get("host", LOOPBACK), table.get("port", PORTS[driver])
     host, _, port = str(table.get("device", f"{LOOPBACK}:{PORTS[driver]}")).rpartition(":")
     return (host, int(port)) if port.isdigit() else ("", 0)
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return host == "localhost" or ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def _serve(driver: str, cell: CellSimulation, host: str, port: int) -> AbstractAsyncContextManager[tuple[str, int]]:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcmrs.hosts import is_loopback
+from pcmrs.hosts import is_loopback, is_this_machine
 
 LOOPBACK = ipaddress.ip_network("127.0.0.0/8")
 
@@ -38,3 +38,10 @@ def test_other_texts_are_not_looked_up(monkeypatch: pytest.MonkeyPatch, host: st
 
     monkeypatch.setattr(socket, "getaddrinfo", look_up)
     assert not is_loopback(host)
+
+
+@pytest.mark.parametrize(
+    ("host", "here"), [("localhost", True), ("127.0.0.2", True), ("::1", True), ("172.31.1.147", False), ("", False)]
+)
+def test_the_name_of_this_machine_counts_too(host: str, here: bool) -> None:
+    assert is_this_machine(host) is here

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 from pathlib import Path
 from typing import Annotated, Literal
 from urllib.parse import urlsplit
@@ -12,6 +11,7 @@ import msgspec
 from pcmrs.errors import ConfigurationError, PcmrsError
 from pcmrs.files import read_secret
 from pcmrs.fsm.files.toml import convert, read_bounded, read_toml
+from pcmrs.hosts import is_this_machine
 
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
 Count = Annotated[int, msgspec.Meta(ge=1)]
@@ -82,7 +82,7 @@ class ModelSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             raise ConfigurationError("The address of a model must not hold a password: set PCMRS_MODEL_KEY.")
         if not self.model:
             raise ConfigurationError("The name of the model is missing: set PCMRS_MODEL.")
-        if key and address.scheme == "http" and not _is_loopback(address.hostname):
+        if key and address.scheme == "http" and not is_this_machine(address.hostname):
             text = f"The key would travel unencrypted to {address.hostname}: use https."
             raise ConfigurationError(text, url=self.url)
 
@@ -142,10 +142,3 @@ def read_key(settings: ModelSettings, key: str) -> str:
             "The key of the model has blanks or characters that a key cannot have: give it in one line."
         )
     return key
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
