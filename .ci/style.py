@@ -1,4 +1,4 @@
-"""Rejects phrases that the project no longer uses, and docstrings of functions that begin in the third person.
+"""Rejects phrases that the project no longer uses, and docstrings that begin in the third person.
 
 CONTRIBUTING.md ("How we write") says how to write instead.
 """
@@ -91,7 +91,7 @@ VERBS = (
     r"Changes|Checks|Clears|Closes|Collects|Compares|Computes|Concludes|Connects|Converts|Copies|Counts|"
     r"Creates|Decides|Decodes|Deletes|Describes|Determines|Disconnects|Does|Drains|Draws|Drops|Encodes|"
     r"Ends|Expands|Feeds|Finds|Follows|Forgets|Formats|Gets|Gives|Handles|Has|Holds|Ignores|Injects|"
-    r"Installs|Keeps|Kills|Lets|Listens|Loads|Logs|Looks|Makes|Merges|Moves|Notifies|Opens|Parses|"
+    r"Implements|Installs|Keeps|Kills|Lets|Listens|Loads|Logs|Looks|Makes|Merges|Moves|Notifies|Opens|Parses|"
     r"Passes|Performs|Plans|Prepares|Presses|Prints|Publishes|Puts|Raises|Reads|Receives|Records|"
     r"Refuses|Registers|Rejects|Releases|Removes|Reopens|Repeats|Replaces|Reports|Resets|Restarts|"
     r"Resumes|Returns|Runs|Says|Sends|Serves|Sets|Shows|Signs|Splits|Starts|Stops|Stores|Submits|"
@@ -118,9 +118,9 @@ def findings(text: str, code: re.Pattern[str] = QUOTED) -> Iterator[tuple[int, s
 
 
 def third_persons(source: str) -> Iterator[tuple[int, str, str]]:
-    """Yield line, first word and advice for each docstring of a function that begins in the third person."""
+    """Yield line, first word and advice for each docstring of a function or class that begins in the third person."""
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
             found = THIRD_PERSON.match(ast.get_docstring(node, clean=False) or "")
             if found:
                 yield node.body[0].lineno, found[1], IMPERATIVE

@@ -70,7 +70,7 @@ class Echo(asyncio.DatagramProtocol):
 
 
 class Shown(DispatcherListener):
-    """Publishes the messages of a dispatcher on the bus, like the daemon."""
+    """Publisher of the messages of a dispatcher on the bus, like the daemon."""
 
     def __init__(self, publishing: Publishing) -> None:
         self._publishing = publishing

@@ -74,7 +74,7 @@ def _arguments(function: Function) -> list[str]:
 
 
 class Route:
-    """Records calls of the product's functions while it is entered, in this thread and in later ones.
+    """Recorder of calls of the product's functions while it is entered, in this thread and in later ones.
 
     Args:
         package: Folder of the product.

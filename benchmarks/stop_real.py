@@ -42,7 +42,7 @@ DEADMAN = 0.1
 
 
 class _Bench:
-    """Presses Stop, and observes the arm."""
+    """Presser of Stop that observes the arm."""
 
     def __init__(self, cell: RunningCell, presses: Mapping[str, Press], stamps: Stamps, draw: random.Random) -> None:
         self.found = Found()

@@ -74,7 +74,7 @@ Stamp = Callable[..., None]
 
 
 class _Patching(MetaPathFinder):
-    """Patches modules right after they were loaded, so that no process loads more modules than it needs."""
+    """Loader that patches modules right after they were loaded, so that no process loads more modules than it needs."""
 
     def __init__(self, patches: Mapping[str, Callable[[Any, Stamp], None]], stamp: Stamp) -> None:
         self._patches, self._stamp = dict(patches), stamp

@@ -38,7 +38,7 @@ def logged_as(event: str) -> FailurePolicy:
 
 
 class BackgroundTasks:
-    """Owns tasks until they end.
+    """Owner of tasks until they end.
 
     A task that must be restarted when it fails belongs to the `Supervisor` of the daemon instead.
 

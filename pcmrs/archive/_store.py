@@ -31,7 +31,7 @@ class ArchivedJournal:
 
 
 class ArchiveStore(Protocol):
-    """Holds segments of journals, and a catalogue of them.
+    """Segments of journals, and a catalogue of them.
 
     All methods raise `ArchiveError` if the place cannot be used.
     """

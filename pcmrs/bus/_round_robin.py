@@ -24,7 +24,7 @@ Start = Callable[[], asyncio.Task[None]]
 
 
 class RoundRobin:
-    """Starts requests in the event loop, those of all keys in turn.
+    """Scheduler that starts requests in the event loop, those of all keys in turn.
 
     Args:
         loop: Event loop that serves the requests.

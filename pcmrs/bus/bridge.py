@@ -29,7 +29,7 @@ _SLICE: Final = 8
 
 
 class Bridge:
-    """Runs calls from any thread in one event loop.
+    """Queue of calls from any thread, which run in one event loop.
 
     Args:
         loop: Event loop that runs the calls.

@@ -67,7 +67,7 @@ RefusalCallback = Callable[[str, str, str], None]
 
 
 class CommandEdge:
-    """Answers queries on ``cmd/*/*/*`` with their verdicts, and submits puts.
+    """Server that answers queries on ``cmd/*/*/*`` with their verdicts, and submits puts.
 
     The verdict on a put is published with the other decisions. This class publishes a refusal on ``state/event`` only
     for a put that is not a command, or that is one too many. In a flood of such puts most are only counted and logged:

@@ -63,7 +63,7 @@ Sign = tuple[int, float]
 
 
 class Heart:
-    """Sends heartbeats, and watches the real-time threads between them.
+    """Sender of heartbeats that watches the real-time threads between them.
 
     Args:
         session: Zenoh session.

@@ -103,7 +103,7 @@ def is_sealed(key: str) -> bool:
 
 
 class Seal:
-    """Seals messages, and checks seals. From any thread.
+    """Maker and checker of seals on messages. From any thread.
 
     Args:
         key: Key that daemon and nodes share, `KEY_BYTES` bytes. The daemon and its children have the run of the daemon

@@ -48,7 +48,7 @@ _STEP: Final = 1_000_000
 
 
 class CertificateSigner:
-    """Signs messages with the key of a certificate. From any thread.
+    """Signer of messages with the key of a certificate. From any thread.
 
     Args:
         certificate: Certificate of the sender.
@@ -104,7 +104,7 @@ class CertificateSigner:
 
 
 class SignatureVerifier:
-    """Checks the messages of members whose messages may pass a router. From any thread.
+    """Verifier for the messages of members whose messages may pass a router. From any thread.
 
     Args:
         settings: Settings of the daemon: its register, its cell, and the certificate of its authority.

@@ -96,7 +96,7 @@ class _PendingPresses:
 
 
 class StopLane:
-    """Calls `stop(source, presses)` for puts and queries on ``stop/<user>``, whatever their payload.
+    """Server that calls `stop(source, presses)` for puts and queries on ``stop/<user>``, whatever their payload.
 
     Messages of one `Press` are one Stop, so that a late one does not stop again after an acknowledgement. A query is
     answered with the number that `stop` returns; without a number, another process has to answer.
@@ -231,7 +231,7 @@ class StopLane:
 
 
 class StopReplies:
-    """Sends the answers to Stops in its own thread, in turn over the sources: no source waits behind a flood."""
+    """Sender of the answers to Stops: own thread, in turn over the sources; no source waits behind a flood."""
 
     def __init__(self) -> None:
         self._waiting: FairQueue[tuple[zenoh.Query, Stopping | None]] = FairQueue(WAITING_ANSWERS, ANSWERED_SOURCES)

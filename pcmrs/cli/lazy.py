@@ -36,7 +36,7 @@ class LazyCommand(NamedTuple):
 
 
 class LazyGroup(click.Group):
-    """Finds commands by name and imports only the requested one.
+    """Group that finds commands by name and imports only the requested one.
 
     Args:
         commands: Names of the commands, in the order of the help.

@@ -126,7 +126,7 @@ class ArmFrames:
 
 
 class TrackerLocator:
-    """Relates the joints of the arm to the tracker, by the tool, whose pose both of them know.
+    """Relation between arm and tracker, by the tool, whose pose both of them know.
 
     The estimate is kept while the tool is not seen.
 

@@ -17,7 +17,7 @@ A single such frame is an error, and the frames of a tracker that runs backwards
 
 
 class FrameSessions:
-    """Adds the session id to the frames that the node of a tracker publishes.
+    """Publisher that adds the session id to the frames that the node of a tracker publishes.
 
     Only here do the frames of a driver arrive in order, so only here can a tracker that restarts its count be
     distinguished from a frame that was delayed on the network. A new session begins when the node starts and when the

@@ -25,7 +25,7 @@ def length_of(header: bytes) -> int:
 
 
 class MessageSplitter:
-    """Splits a stream of bytes into messages, however the stream is cut into pieces.
+    """Splitter of a stream of bytes into messages, however the stream is cut into pieces.
 
     Args:
         largest: Limit of the length of one message, bytes.

@@ -31,7 +31,7 @@ class PoseLimits:
 
 
 class JumpGuard:
-    """Finds jumps of tracked bodies, as by a phantom marker or by swapped tools.
+    """Detector of jumps of tracked bodies, as by a phantom marker or by swapped tools.
 
     Args:
         limits: Greatest speeds of a body, and number of frames without a jump after one.

@@ -15,7 +15,7 @@ AGREED = 10
 
 
 class Lateness:
-    """Compares time stamps of the sender's monotonic clock with ours; the fastest recent message counts as not delayed.
+    """Lateness by time stamps of the sender's monotonic clock; the fastest recent message counts as not delayed.
 
     A delay that lasts longer than `WINDOW` becomes part of the comparison. It shows only as a gap when it begins.
     """

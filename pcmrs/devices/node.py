@@ -76,7 +76,7 @@ HELD_UP_PERIOD = 5.0
 
 
 class DeviceNode:
-    """Serves the opened devices of one driver.
+    """Server of the opened devices of one driver.
 
     Args:
         link: Bus.

@@ -59,7 +59,7 @@ MOTION_MARGIN = 3.0
 
 
 class RemoteDevice:
-    """Calls methods of one device through its node.
+    """Client that calls methods of one device through its node.
 
     Args:
         link: Bus.

@@ -21,7 +21,7 @@ LONGEST_GAP = 1.0
 
 
 class Standstill:
-    """Watches measured joints while nothing moves the arm; pure.
+    """Watch over measured joints while nothing moves the arm; pure.
 
     Each standstill and each report set a new reference posture, so that one displacement is reported once.
     """

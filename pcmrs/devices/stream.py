@@ -15,7 +15,7 @@ BACKLOG = 64
 
 
 class Stream(Generic[T]):
-    """Delivers to every reader the values that are published after it began to read, until the stream is closed.
+    """Channel that gives every reader the values that are published after it began to read, until the stream is closed.
 
     Attributes:
         dropped: Number of values that were lost because a reader was too slow.

@@ -107,7 +107,7 @@ def read_table(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]
 
 
 class _UntrustedLoader(yaml.SafeLoader):
-    """Refuses huge integers, and keys that occur twice: the library would silently take the last one."""
+    """Loader that refuses huge integers, and keys that occur twice: the library would silently take the last one."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]

@@ -78,7 +78,7 @@ class Closure:
 
 
 class DeniedError(Exception):
-    """Carries a denial out of a cascade; never leaves `pcmrs.fsm`."""
+    """Denial inside a cascade; never leaves `pcmrs.fsm`."""
 
     def __init__(self, denial: Denial) -> None:
         super().__init__(denial.text)
@@ -222,7 +222,7 @@ def _with_remedies(blueprint: Blueprint, denial: Denial) -> Denial:
 
 
 class _Cascade:
-    """Applies one outcome to a copy of the joint state and follows what it triggers."""
+    """Application of one outcome to a copy of the joint state, and of what it triggers."""
 
     def __init__(self, blueprint: Blueprint, states: dict[str, str], ask: Ask) -> None:
         self.blueprint = blueprint

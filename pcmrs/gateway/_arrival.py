@@ -52,7 +52,7 @@ class ReceiveQueue:
 
 
 class ReceiveWatch:
-    """Knows since when data may be waiting at the sockets of the gateway.
+    """Watch that knows since when data may be waiting at the sockets of the gateway.
 
     Args:
         clock: The machine's clock.

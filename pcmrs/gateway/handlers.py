@@ -127,7 +127,7 @@ class PosePair:
 
 
 class PlanLock:
-    """Refuses approaches while the newest plan of a kind is not accepted.
+    """Lock that refuses approaches while the newest plan of a kind is not accepted.
 
     A client that ignores a refusal would otherwise move to the old target. All clients of one host share a lock:
     planner and control panel of one workstation use different sockets.

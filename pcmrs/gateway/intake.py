@@ -64,7 +64,7 @@ class Counters:
 
 
 class Intake(DispatcherListener):
-    """Checks what arrives on any link and hands it to the sender's session.
+    """Entry point that checks what arrives on any link and hands it to the sender's session.
 
     Args:
         services: Services that all peers share.

@@ -195,7 +195,7 @@ def _unbound(kind: str, host: str, port: int, error: OSError) -> ConfigurationEr
 
 
 class UdpLink(asyncio.DatagramProtocol):
-    """Receives the commands of one link; acknowledges to the link's reply port at the sender's host.
+    """Receiver of the commands of one link, which acknowledges to the link's reply port at the sender's host.
 
     Args:
         name: Name of the link.

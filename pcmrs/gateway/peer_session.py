@@ -96,7 +96,7 @@ class IdentifiedCommand:
 
 
 class PeerSession:
-    """Acknowledges commands without an id at once and begins them in order; begins those with one on arrival.
+    """Session of one peer. Commands without an id are acknowledged at once and start in order; others start at once.
 
     No command waits for the end of a motion: later commands run beside it, and the daemon decides on them. A motion
     waits for earlier commands, such as its plan, for at most `BEGIN_WITHIN`. A motion that arrives while another one of

@@ -23,7 +23,7 @@ _ROWS = {"body_tool": "body_from_tool", "pol_body": "tracker_from_body", "pol_to
 
 
 class PoseFileWriter:
-    """Writes records into one folder, each whole or not at all.
+    """Writer of records into one folder, each whole or not at all.
 
     Args:
         core: The daemon, which has the poses.

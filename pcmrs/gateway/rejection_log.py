@@ -29,7 +29,7 @@ class PendingReport:
 
 
 class RejectionLog:
-    """Reports the first refusal of each reason at once; while more come, the newest every `PERIOD`, with their number.
+    """Log that reports the first refusal of a reason at once, and then the newest every `PERIOD`, with their number.
 
     The dispatcher journals its own refusals. This log journals those that do not get there: no refusal is silent, and a
     flood fills neither log nor journal. Each refusal of a motion is reported, as by the dispatcher, so that anyone who

@@ -132,7 +132,7 @@ def sign_answer(answer: str, peer: str, counter: int, key: bytes) -> str:
 
 
 class Signer:
-    """Signs the commands of one peer, and checks the answers to them.
+    """Signer of the commands of one peer, and verifier of the answers to them.
 
     Counters are nanoseconds since 1970 unless given, so that they grow across restarts of the client without a file.
 

@@ -24,7 +24,7 @@ Send = Callable[[str, str, int], None]
 
 
 class Streams:
-    """Starts and stops the streams; unknown values are left out.
+    """Streams that can be started and stopped; unknown values are left out.
 
     Args:
         core: The daemon, which has the poses.
@@ -132,7 +132,7 @@ STOP = "stop"
 
 
 class Markers(DispatcherListener):
-    """Marks every change of a state as ``branch:from->to``, every Stop as ``stop`` and every pulse as ``pulse:3``.
+    """Markers of every change of a state as ``branch:from->to``, every Stop as ``stop`` and every pulse as ``pulse:3``.
 
     The mark of a pulse comes when its operation has ended: the stimulator's driver marks the time of the pulse itself.
 

@@ -32,7 +32,7 @@ _SIGNATURE = re.compile(rb"\|[A-Za-z0-9_|-]*;?")
 
 
 class Frames:
-    """Cuts a stream into frames.
+    """Splitter of a stream into frames.
 
     A browser, or any other program with another protocol, breaks the grammar at its first line. Its next lines may look
     like a command, so the stream must end at the first wrong byte.
@@ -110,7 +110,7 @@ SILENT = "not_authenticated"
 
 
 class _CountingReader(asyncio.StreamReader):
-    """Reads a connection, and counts what was read from the socket and is not taken yet.
+    """Reader of a connection that counts what was read from the socket and is not taken yet.
 
     Args:
         queue: Received data of the connection.
@@ -131,7 +131,7 @@ class _CountingReader(asyncio.StreamReader):
 
 
 class TcpLink:
-    """Serves a bounded number of connections.
+    """Server of a bounded number of connections.
 
     Args:
         intake: Intake of the commands.

@@ -96,7 +96,7 @@ class _LostError(Exception):
 
 
 class ForkServer:
-    """Starts children by fork; implements `pcmrs.processes.starting.ProcessStarter`.
+    """Starter of children by fork; an implementation of `pcmrs.processes.starting.ProcessStarter`.
 
     If the server is lost, its children go on, and later ones are started without it.
 

@@ -86,7 +86,7 @@ ForkAnswer = Started | StartFailed | Ended
 
 
 class _Server:
-    """Serves requests.
+    """Server of requests.
 
     Args:
         control: Socket of the daemon; its end is the daemon's end.

@@ -28,7 +28,7 @@ class Process(KillableProcess, Protocol):
 
 
 class ProcessStarter(Protocol):
-    """Starts a child process in its own session: a Ctrl-C at the terminal is the daemon's to handle."""
+    """Starter of child processes, each in its own session: a Ctrl-C at the terminal is the daemon's to handle."""
 
     async def __call__(
         self,

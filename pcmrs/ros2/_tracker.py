@@ -47,7 +47,7 @@ class Accepted:
 
 
 class Ros2Tracker:
-    """Implements `pcmrs.devices.protocols.TrackerDriver`; while no poses come there are no frames.
+    """Implementation of `pcmrs.devices.protocols.TrackerDriver`; while no poses come there are no frames.
 
     Poses of one stamp are one frame. A refused pose is invalid in that frame, with the reason; if its stamp
     is refused, there is no frame either.

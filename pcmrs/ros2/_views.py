@@ -20,7 +20,7 @@ RosMessage = tuple[Topic, IdlStruct]
 
 
 class Views:
-    """Translates received messages.
+    """Translation of received messages.
 
     The tracker is the root of all frames: the bodies that it sees, and the arm by its base, computed whenever the arm
     stands and the tool is seen; see `pcmrs.recording.frame_tree`. The arm's frames are sent with its joints, the image

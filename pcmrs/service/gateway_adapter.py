@@ -14,7 +14,7 @@ from pcmrs.workflows.data import PlacementData, as_transform
 
 
 class GatewayAdapter:
-    """Implements `pcmrs.gateway._adapter.Core` on the dispatcher and the cell.
+    """Implementation of `pcmrs.gateway._adapter.Core` on the dispatcher and the cell.
 
     Args:
         dispatcher: The dispatcher of the cell.

@@ -44,7 +44,7 @@ HEALTH_PERIOD = 5.0
 
 
 class Publishing:
-    """Publishes snapshots, flags, events and data of the procedure on the bus."""
+    """Publisher of snapshots, flags, events and data of the procedure on the bus."""
 
     def __init__(self, bus: Link) -> None:
         self._bus = bus

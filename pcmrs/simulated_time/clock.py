@@ -13,7 +13,7 @@ EPOCH = 1_700_000_000.0
 
 
 class SimulatedClock:
-    """Implements `pcmrs.clock.Clock` on the time of a simulated loop.
+    """Implementation of `pcmrs.clock.Clock` on the time of a simulated loop.
 
     All clocks of one loop share the same monotonic time, like the processes of one machine. Each has its own wall
     clock, which can be set like that of a host.

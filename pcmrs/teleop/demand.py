@@ -35,7 +35,7 @@ class InputDevice(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Mapping:
-    """Converts deflections of a device to a twist.
+    """Conversion of a device's deflections to a twist.
 
     Attributes:
         linear: Velocity at full deflection, m/s.

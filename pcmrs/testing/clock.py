@@ -33,7 +33,7 @@ async def settle() -> None:
 
 
 class ManualClock:
-    """Implements `pcmrs.clock.Clock`; `advance` is the only thing that makes time pass."""
+    """Implementation of `pcmrs.clock.Clock`; `advance` is the only thing that makes time pass."""
 
     def __init__(self) -> None:
         self._now = 100.0

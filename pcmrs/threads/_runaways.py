@@ -52,7 +52,7 @@ class _Seen(NamedTuple):
 
 
 class Runaways:
-    """Watches the scheduling times of all threads with the policy.
+    """Watch over the scheduling times of all threads with the policy.
 
     Args:
         processes: Returns the ids of the processes to watch; called at each check.

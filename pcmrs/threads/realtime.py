@@ -63,7 +63,7 @@ class Priority(IntEnum):
 
 
 class RealTime:
-    """Gives the policy to the main thread of this process and to its Zenoh threads.
+    """Policy for the main thread of this process and to its Zenoh threads.
 
     Args:
         priority: Priority within SCHED_RR.

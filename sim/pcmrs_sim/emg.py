@@ -20,7 +20,7 @@ POLL_PERIOD = 0.01
 
 
 class SimEmg:
-    """Implements `pcmrs.devices.protocols.Emg` on the muscle of a world.
+    """Implementation of `pcmrs.devices.protocols.Emg` on the muscle of a world.
 
     Args:
         world: World with the muscle.

@@ -17,7 +17,7 @@ DAMPING_RATIO = 0.7
 
 
 class ImpedanceController:
-    """Computes joint torques from the reference and the measured state, once per `STEP`.
+    """Controller that computes joint torques from the reference and the measured state, once per `STEP`.
 
     The torque is ``inverse dynamics of the reference by the nominal model + K e + D de/dt + integral of Ki e``, with
     ``e`` the reference minus the measured posture. It is the joint impedance of Albu-Schaeffer et al., A unified

@@ -25,7 +25,7 @@ STANDING_STEPS = 1000
 
 
 class KinematicArm(Follower):
-    """Replaces `pcmrs_sim.arm.Arm`, with the same references, brakes and force guard, but without dynamics.
+    """Replacement of `pcmrs_sim.arm.Arm` with the same references, brakes and force guard, but without dynamics.
 
     Args:
         facts: Nominal geometry and limits of the arm. The true ones differ by the geometry error.

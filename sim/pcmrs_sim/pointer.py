@@ -15,7 +15,7 @@ from pcmrs_sim.world import World
 
 
 class SimPointer:
-    """Touches landmarks and skin with the errors of a person; implements `pcmrs.devices.protocols.Pointer`.
+    """`pcmrs.devices.protocols.Pointer` that touches landmarks and skin with the errors of a person.
 
     Args:
         world: World with the patient and the errors of touches.

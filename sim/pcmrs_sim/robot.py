@@ -26,7 +26,7 @@ from pcmrs_sim.world import World
 
 
 class SimRobot:
-    """Answers as a robot's cabinet does, and not at all while its link is cut.
+    """Robot that answers as a robot's cabinet does, and not at all while its link is cut.
 
     It implements `pcmrs.devices.protocols.RobotDriver`.
 

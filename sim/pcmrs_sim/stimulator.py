@@ -14,7 +14,7 @@ from pcmrs_sim.world import World
 
 
 class SimStimulator:
-    """Implements `pcmrs.devices.protocols.StimulatorDriver`.
+    """Implementation of `pcmrs.devices.protocols.StimulatorDriver`.
 
     Args:
         world: World with its coil and the muscle.

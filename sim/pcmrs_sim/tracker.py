@@ -17,7 +17,7 @@ from pcmrs_sim.world import World
 
 
 class SimTracker:
-    """Measures all bodies at its rate and publishes each frame when it is `latency` old.
+    """Tracker that measures all bodies at its rate and publishes each frame when it is `latency` old.
 
     It implements `pcmrs.devices.protocols.TrackerDriver`.
 

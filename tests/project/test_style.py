@@ -86,6 +86,10 @@ def test_only_comments_and_strings_of_python_files_are_read() -> None:
     ],
 )
 def test_a_docstring_in_the_third_person_is_found(docstring: str, word: str | None) -> None:
-    source = f'class Sender:\n    """Sends."""\n\n    async def run(self) -> None:\n        """{docstring}"""\n'
+    source = f'class Sender:\n    """Sender."""\n\n    async def run(self) -> None:\n        """{docstring}"""\n'
     found = [(line, phrase) for line, phrase, _ in style.third_persons(source)]
     assert found == ([] if word is None else [(5, word)])
+
+
+def test_so_is_that_of_a_class() -> None:
+    assert [line for line, *_ in style.third_persons('class Sender:\n    """Sends beats."""\n')] == [2]

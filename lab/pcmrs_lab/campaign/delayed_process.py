@@ -19,7 +19,7 @@ from pcmrs_lab.campaign.delays import VARIABLE, Delayed, Place, Rule
 
 
 class Transport:
-    """Delays the frames of this process by the rules of a folder."""
+    """Transport that delays the frames of this process by the rules of a folder."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

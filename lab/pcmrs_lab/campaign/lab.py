@@ -118,7 +118,7 @@ class Lab:
 
 
 class Pool:
-    """Keeps one daemon alive from fault to fault while they need the same settings.
+    """Pool that keeps one daemon alive from fault to fault while they need the same settings.
 
     Args:
         folder: Parent of the folders of the cells.

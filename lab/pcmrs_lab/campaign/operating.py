@@ -23,7 +23,7 @@ OperationCall = tuple[str, dict[str, Any]]
 
 
 class RandomOperator:
-    """Operates a cell over the bus.
+    """Operator of a cell over the bus.
 
     Args:
         client: Client of the cell.

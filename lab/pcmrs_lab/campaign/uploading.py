@@ -25,7 +25,7 @@ _END: Final = f"\r\n--{_BOUNDARY}--\r\n".encode()
 
 
 class Uploader:
-    """Sends files to the upload address of a page.
+    """Sender of files to the upload address of a page.
 
     Args:
         console: Console that receives them.

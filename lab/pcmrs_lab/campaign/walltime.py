@@ -24,7 +24,7 @@ _NANO: Final = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class WallClock:
-    """Sets the wall clock of the processes that were started with its environment.
+    """Wall clock of the processes that were started with its environment.
 
     Attributes:
         folder: Folder for the library that the processes load, and the setting that they read.

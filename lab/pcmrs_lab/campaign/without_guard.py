@@ -60,7 +60,7 @@ def without_guards(*names: str) -> tuple[str, ...]:
 
 
 class Finder(MetaPathFinder):
-    """Loads the modules of the guards from their changed source.
+    """Loader of the modules of the guards from their changed source.
 
     Args:
         changes: Guards to take out.

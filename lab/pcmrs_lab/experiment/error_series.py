@@ -45,7 +45,7 @@ class ErrorSeries:
 
 
 class PlacementErrorMonitor:
-    """Observes a running cell from outside.
+    """Observer of a running cell from outside.
 
     Args:
         client: Client of the daemon.

@@ -22,7 +22,7 @@ Moves = Mapping[int, int]
 
 
 class Operations:
-    """Makes the operations of one branch.
+    """Builder of the operations of one branch.
 
     Args:
         order: Order of its steps.

@@ -28,7 +28,7 @@ def properties_of(
 
 
 class _Reader:
-    """Finds the steps and operations that one requirement names.
+    """Finder of the steps and operations that one requirement names.
 
     Args:
         branches: All designed branches.

@@ -64,7 +64,7 @@ class StreamedAnswer:
 
 
 class AnswerReader:
-    """Collects the pieces of one answer.
+    """Collector of the pieces of one answer.
 
     Attributes:
         pieces: Number of events so far; each holds a token or more.

@@ -39,7 +39,7 @@ class _TemporaryError(Exception):
 
 
 class ModelClient:
-    """Asks one model, and counts its tokens. Create it with `ModelClient.open`.
+    """Client of one model that counts its tokens. Create it with `ModelClient.open`.
 
     Attributes:
         request_tokens: Tokens of all requests so far.

@@ -51,7 +51,7 @@ log = structlog.get_logger(__name__)
 
 
 class KstRobot:
-    """Implements `pcmrs.devices.protocols.RobotDriver`; there are no states while it is not connected.
+    """Implementation of `pcmrs.devices.protocols.RobotDriver`; there are no states while it is not connected.
 
     Args:
         settings: Address of the cabinet, and parameters of the stream.

@@ -64,7 +64,7 @@ class LslSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class LslEmg:
-    """Implements `pcmrs.devices.protocols.Emg`.
+    """Implementation of `pcmrs.devices.protocols.Emg`.
 
     Args:
         settings: Streams and channel.

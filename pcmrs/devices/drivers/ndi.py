@@ -68,7 +68,7 @@ class NdiSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class NdiTracker:
-    """Implements `pcmrs.devices.protocols.TrackerDriver`. The tracker is read while its frames are iterated over.
+    """`pcmrs.devices.protocols.TrackerDriver` for NDI trackers. The tracker is read while its frames are iterated over.
 
     Args:
         settings: Address of the tracker, and limits of its poses.

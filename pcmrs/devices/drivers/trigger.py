@@ -57,7 +57,7 @@ class TriggerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class TriggerStimulator:
-    """Implements `pcmrs.devices.protocols.StimulatorDriver`.
+    """Implementation of `pcmrs.devices.protocols.StimulatorDriver`.
 
     Args:
         settings: Stream of markers, and trigger port.

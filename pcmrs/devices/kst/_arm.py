@@ -23,7 +23,7 @@ DAMPING = 0.01
 
 
 class TorqueForce:
-    """Implements `pcmrs.devices.motion.force.FlangeForce` by least squares of ``tau = J^T wrench``.
+    """Implementation of `pcmrs.devices.motion.force.FlangeForce` by least squares of ``tau = J^T wrench``.
 
     The wrench is ``(J J^T + damping^2 I)^-1 J tau``; for the statics see Siciliano et al., Robotics, 2009, section 3.8.
 

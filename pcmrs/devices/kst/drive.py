@@ -39,7 +39,7 @@ Waiting = list[tuple[float, asyncio.Future[None]]]
 
 
 class Drive:
-    """Follows a reference and streams its set points to the cabinet.
+    """Motion along a reference that streams its set points to the cabinet.
 
     Args:
         cabinet: Connection to the cabinet, just opened.

@@ -56,7 +56,7 @@ END = b"\n"
 
 
 class LineBuffer:
-    """Collects bytes until lines are complete."""
+    """Buffer that collects bytes until lines are complete."""
 
     def __init__(self) -> None:
         self._rest = b""

@@ -24,7 +24,7 @@ log = structlog.get_logger(__name__)
 
 
 class Inlet:
-    """Reads a stream that may be absent, end, and return; every method returns at once.
+    """Reader of a stream that may be absent, end, and return; every method returns at once.
 
     If two streams have the same name, neither is read, because it is unclear which one is meant.
 

@@ -23,7 +23,7 @@ _DAMPED = DAMPING**2 * np.eye(6)
 
 
 class AxisMotion(ABC):
-    """Keeps the orientation of the flange and moves it by ``dq = J^T (J J^T + damping^2 I)^-1 (axis v, 0)``.
+    """Motion that keeps the flange's orientation and moves it by ``dq = J^T (J J^T + damping^2 I)^-1 (axis v, 0)``.
 
     Args:
         model: Model of the arm in the controller.

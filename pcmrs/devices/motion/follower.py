@@ -18,7 +18,7 @@ from pcmrs.spatial import Floats
 
 
 class Follower:
-    """Yields the set points of an arm. Pure: only `advance` moves the reference.
+    """Source of the set points of an arm. Pure: only `advance` moves the reference.
 
     Args:
         model: Model of the arm.

@@ -47,7 +47,7 @@ class ForceSettings(msgspec.Struct, frozen=True):
 
 
 class ForceGuard:
-    """Reports once that a force exceeds its limit, so that the arm can still be moved away.
+    """Guard that reports once that a force exceeds its limit, so that the arm can still be moved away.
 
     Args:
         limit: Greatest force, N.

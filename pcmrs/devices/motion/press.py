@@ -28,7 +28,7 @@ RELIEVED = 1.0
 
 
 class PressMotion(AxisMotion):
-    """Moves along an axis with a speed in proportion to the missing force.
+    """Motion along an axis with a speed in proportion to the missing force.
 
     Args:
         model: Model of the arm in the controller.
@@ -68,7 +68,7 @@ class PressMotion(AxisMotion):
 
 
 class Relief(AxisMotion):
-    """Moves back along the tool's axis until the force is gone or the travel is used up, then halts with an alarm.
+    """Motion back along the tool's axis until the force is gone or the travel is used up; then it halts with an alarm.
 
     Args:
         model: Model of the arm in the controller.

@@ -20,7 +20,7 @@ FRAMES_TO_RESTART = 5
 
 
 class FrameReader:
-    """Converts answers into poses. Many polls return the same frame, which is converted once.
+    """Converter of answers to poses. Many polls return the same frame, which is converted once.
 
     Args:
         latency: Time from the exposure until a frame is available, s.

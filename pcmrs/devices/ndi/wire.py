@@ -92,7 +92,7 @@ def read_job(stream: BinaryIO) -> ReaderJob:
 
 
 class Unpacker:
-    """Splits a stream of bytes into reports, however the stream is cut into pieces."""
+    """Splitter of a stream of bytes into reports, however the stream is cut into pieces."""
 
     def __init__(self) -> None:
         self._splitter = MessageSplitter(LARGEST)

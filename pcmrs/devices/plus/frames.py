@@ -25,7 +25,7 @@ _SIZE_AND_CRC = struct.Struct(">QQ")
 
 
 class MessageReader:
-    """Reads messages one after the other; a cancelled read loses nothing.
+    """Reader of messages, one after the other; a cancelled read loses nothing.
 
     Args:
         stream: Stream of the connection.
@@ -90,7 +90,7 @@ APART = 0.01
 
 
 class FrameAssembler:
-    """Collects the readings of one time stamp; a time stamp that does not advance belongs to the same frame.
+    """Collector of the readings of one time stamp; a time stamp that does not advance belongs to the same frame.
 
     Time stamps are Unix seconds of the server. If its clock agrees with ours, a frame was captured at its time stamp,
     however late it arrives; otherwise `latency` before it arrived. The first time stamp decides this. After our wall

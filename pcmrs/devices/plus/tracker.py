@@ -35,7 +35,7 @@ log = structlog.get_logger(__name__)
 
 
 class PlusTracker:
-    """Implements `pcmrs.devices.protocols.TrackerDriver`; there are no frames while the server is absent.
+    """Implementation of `pcmrs.devices.protocols.TrackerDriver`; there are no frames while the server is absent.
 
     Args:
         host: Host name or address of the server.

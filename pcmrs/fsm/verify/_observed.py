@@ -8,7 +8,7 @@ from pcmrs.fsm.blueprint import Blueprint
 
 
 class DependencyObserver:
-    """Gives out joint states, and notes which of their states are compared or hashed.
+    """Source of joint states that notes which of their states are compared or hashed.
 
     Nothing else can make a decision depend on a state. The states that it gives out must not be used after the
     observation, as comparing them would be noted.

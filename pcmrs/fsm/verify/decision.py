@@ -47,7 +47,7 @@ class DecisionCase:
 
 
 class Decider:
-    """Makes the decisions about the operations of a workflow.
+    """Cache of the decisions about the operations of a workflow.
 
     Args:
         orders: The workflow, and copies with their branches in other orders, if order is to be checked.

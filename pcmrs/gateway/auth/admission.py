@@ -23,7 +23,7 @@ Enter = Callable[[RefusalError | None], None]
 
 
 class Admission:
-    """Admits signed commands, those of one peer in the order of their arrival.
+    """Gate that admits signed commands, those of one peer in the order of their arrival.
 
     Args:
         peers: The configured peers by name.

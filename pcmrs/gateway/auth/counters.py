@@ -114,7 +114,7 @@ def _read(slot: bytes) -> tuple[int, dict[str, int]] | None:
 
 
 class CounterWriter:
-    """Writes all counters that wait at once; newer counters of a peer replace older ones.
+    """Writer of all counters that wait at once; newer counters of a peer replace older ones.
 
     Args:
         file: The file. Only the thread of the writer uses it from now on, until the writer is closed.

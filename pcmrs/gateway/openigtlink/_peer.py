@@ -26,7 +26,7 @@ Plans = Callable[[Callable[[PlanOutcome], None]], PlanSubmitter]
 
 
 class Peer:
-    """Turns messages into commands, each once, and their outcomes into verdicts and a status.
+    """Peer whose messages become commands, each once, and their outcomes into verdicts and a status.
 
     Args:
         config: Names of the messages that are plans.

@@ -26,7 +26,7 @@ STATUS_PERIOD = 1.0
 
 
 class Broadcaster:
-    """Sends new poses, states and statuses to all peers.
+    """Sender of new poses, states and statuses to all peers.
 
     Args:
         core: The daemon.

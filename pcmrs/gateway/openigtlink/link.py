@@ -37,7 +37,7 @@ log = structlog.get_logger(__name__)
 
 
 class OpenIgtLink(DispatcherListener):
-    """Serves its peers until its tasks are closed.
+    """Server of its peers until its tasks are closed.
 
     Args:
         core: The daemon.

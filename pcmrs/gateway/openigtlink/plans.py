@@ -108,7 +108,7 @@ class Attempt:
 
 
 class PlanSubmitter:
-    """Submits plans and Stop for one peer. It has no motions, but its plans lock the approaches of its host.
+    """Submitter of plans and Stop for one peer. It has no motions, but its plans lock the approaches of its host.
 
     While a plan is being decided, the newest of each kind waits; earlier ones are superseded and never submitted.
 

@@ -28,7 +28,7 @@ class _Handler(WSGIRequestHandler):
 
 
 class ScrapeServer(ThreadingMixIn, WSGIServer):
-    """Answers scrapes, each in its own thread.
+    """Server that answers scrapes, each in its own thread.
 
     Args:
         host: Host to bind.

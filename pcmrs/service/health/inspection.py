@@ -40,7 +40,7 @@ VERSIONS = {"pcmrs": version("pcmrs"), "python": platform.python_version()}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Inspection:
-    """Collects the facts of a running daemon from its parts.
+    """Collector of the facts of a running daemon from its parts.
 
     Attributes:
         drivers: Driver to the devices that its node serves.

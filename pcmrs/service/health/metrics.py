@@ -55,7 +55,7 @@ class HealthCollector(Collector):
 
 
 class MetricsServer:
-    """Serves metrics over HTTP in its own threads; see `ScrapeServer` for its limits.
+    """Server of metrics over HTTP in its own threads; see `ScrapeServer` for its limits.
 
     Args:
         port: Port on loopback; 0 takes a free one, None serves nothing.

@@ -32,7 +32,7 @@ ENDING_TIME = 2.0
 
 
 class BeatSender(Protocol):
-    """Sends beats.
+    """Sender of beats.
 
     Attributes:
         session: Random id of this run of the daemon; in every beat.
@@ -48,7 +48,7 @@ class BeatSender(Protocol):
 
 
 class LoopHeart:
-    """Sends each sign of life from the loop itself, as in simulated time.
+    """Sender of each sign of life from the loop itself, as in simulated time.
 
     Args:
         publish: `Bus.publish`.
@@ -73,7 +73,7 @@ class LoopHeart:
 
 
 class HeartProcess:
-    """Sends the signs of life from a small process, which waits for nothing else; see `pcmrs.bus.heart`.
+    """Sender of the signs of life from a small process, which waits for nothing else; see `pcmrs.bus.heart`.
 
     If that ends by itself, or hangs and is killed, no beats are sent, so that the nodes hold. It is restarted, up to a
     limit.

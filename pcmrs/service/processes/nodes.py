@@ -23,7 +23,7 @@ TERMINATION_TIME = 3.0
 
 
 class NodeProcesses:
-    """Starts one process per driver, restarts those that end by themselves, and ends them all.
+    """Processes of the nodes, one per driver: started, restarted when they end by themselves, and ended.
 
     If a node ends more often than `RESTARTS` times within `WITHIN`, it is not restarted: its devices are gone until the
     daemon is restarted.

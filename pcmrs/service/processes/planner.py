@@ -35,7 +35,7 @@ PAUSE = 10.0
 
 
 class PlanningProcess:
-    """Asks the checks that take long in a child process; implements `pcmrs.dispatcher.execution.MotionChecker`.
+    """Child process for the checks that take long, as a `pcmrs.dispatcher.execution.MotionChecker`.
 
     A process that has ended, or does not answer in time, is restarted. Until the new one is ready, and for requests to
     the old one, the answer is a refusal: ``planner_lost`` or ``planner_late``.

@@ -63,7 +63,7 @@ SNAPSHOT_EVERY = 1000
 
 
 class JournalRecorder:
-    """Writes intents, decisions and events of one daemon run.
+    """Writer of intents, decisions and events of one daemon run.
 
     Args:
         journal: The cell's journal.

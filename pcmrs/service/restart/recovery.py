@@ -160,7 +160,7 @@ async def conclude(recorder: JournalRecorder) -> None:
 
 
 class _FailureSignal(DispatcherListener):
-    """Sets an event when the dispatcher fails."""
+    """Listener that sets an event when the dispatcher fails."""
 
     def __init__(self, failed: asyncio.Event) -> None:
         self._failed = failed

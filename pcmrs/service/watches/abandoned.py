@@ -12,7 +12,7 @@ from pcmrs.messages.identity import HOLDING
 
 
 class AbandonedWatch(DispatcherListener):
-    """Reports a danger if nobody has attended for too long while the patient is exposed.
+    """Watch that reports a danger if nobody has attended for too long while the patient is exposed.
 
     The running blueprint declares what exposes the patient, such as a tool at the body or an armed stimulator: see
     `Exposure`.

@@ -12,7 +12,7 @@ log = structlog.get_logger(__name__)
 
 
 class HealthWatch:
-    """Follows the health of the devices.
+    """Watch over the health of the devices.
 
     Args:
         readiness: Readiness of the devices, which the first health of a device completes.

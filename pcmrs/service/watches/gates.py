@@ -16,7 +16,7 @@ LATCHED = "device_latched"
 
 
 class GateWatch:
-    """Follows the gates of all devices that act.
+    """Watch over the gates of all devices that act.
 
     A device that is latched although the daemon is not has made itself safe, or its node has restarted alone: that is a
     Stop. A device that acts for an earlier daemon is held, so that no request of that daemon counts any more.

@@ -15,7 +15,7 @@ LOOKS = 10
 
 
 class LeaseWatch:
-    """Ends the lease of a holder who does not renew it; a moving robot is held.
+    """Watch that ends the lease of a holder who does not renew it; a moving robot is held.
 
     Args:
         dispatcher: The dispatcher, which has the lease.

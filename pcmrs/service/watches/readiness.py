@@ -41,7 +41,7 @@ def awaited(settings: Settings, branches: Collection[str]) -> set[str]:
 
 
 class DeviceReadiness:
-    """Knows which of the awaited devices have not answered yet.
+    """Awaited devices that have not answered yet.
 
     The gate of a device that acts must be known, too: it cannot be released before. Its first heartbeat may be lost.
 

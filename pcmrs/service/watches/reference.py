@@ -21,7 +21,7 @@ Report = Callable[[DeviceEvent], Awaitable[None]]
 
 
 class ReferenceWatch:
-    """Reports a moved reference as danger: motion is held and latched, and the registration becomes invalid.
+    """Watch that reports a moved reference as danger: motion is held and latched, and the registration becomes invalid.
 
     If the workflow refuses that for now, as with a drill in the bone, it is reported again once the joint state has
     changed: the registration must not become valid again.

@@ -20,7 +20,7 @@ HELD_UP = 0.1
 
 
 class RobotWatch:
-    """Sends the loop's signs of life, and watches for the robot's joints and its node's heartbeats.
+    """Watch that sends the loop's signs of life, and waits for the robot's joints and its node's heartbeats.
 
     Args:
         beat: Sends a sign of life, s of the machine, to the device nodes.

@@ -19,7 +19,7 @@ REMEDY: Final = "Make room on the disk of cell.folder"
 
 
 class SpaceWatch:
-    """Checks the disk of the journal periodically.
+    """Watch over the free space on the journal's disk.
 
     A full disk makes the journal fail, which stops running operations. Therefore state changes are refused while there
     is still room for the outcomes of running operations, for events, for every Stop, and for a retreat.

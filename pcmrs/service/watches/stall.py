@@ -30,7 +30,7 @@ FRAMES = 6
 
 
 class StallWatch:
-    """Checks periodically that the event loop is in time; logs a stall, and reports its length when it has ended.
+    """Watch over the event loop: logs a stall, and reports its length when it has ended.
 
     The report is no danger event: if the stall is longer than the deadman, the nodes hold by themselves and say so.
 

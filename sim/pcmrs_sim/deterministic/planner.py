@@ -20,7 +20,7 @@ Run = AnyRun[Cell, PlacementData]
 
 
 class SimulatedPlanner:
-    """Implements `pcmrs.dispatcher.execution.MotionChecker`.
+    """Implementation of `pcmrs.dispatcher.execution.MotionChecker`.
 
     Args:
         workflow: The opened procedure, with its checks.

@@ -80,7 +80,7 @@ class _Motion:
 
 
 class MainLoop:
-    """Processes one line at a time, and none while the arm moves for it.
+    """Loop that processes one line at a time, and none while the arm moves for it.
 
     Args:
         cell: The running cell, whose arm it moves.

@@ -18,7 +18,7 @@ LONG_PAUSE = 0.02
 
 
 class Replies:
-    """Sends replies in order while `run` runs.
+    """Sender of replies, in order, while `run` runs.
 
     Args:
         writer: The connection.

@@ -74,7 +74,7 @@ class EmgOutlet:
 
 
 class PulseInlet:
-    """Receives the markers of another stimulator.
+    """Receiver of the markers of another stimulator.
 
     Args:
         name: Name of the stream of markers.

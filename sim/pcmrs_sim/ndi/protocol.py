@@ -85,7 +85,7 @@ def binary_reply(body: bytes) -> bytes:
 
 
 class Lines:
-    """Splits a stream of bytes into commands. It holds at most one command of the longest length."""
+    """Splitter of a stream of bytes into commands. It holds at most one command of the longest length."""
 
     def __init__(self) -> None:
         self._partial = b""

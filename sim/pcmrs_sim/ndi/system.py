@@ -55,7 +55,7 @@ class Handle:
 
 
 class NdiSystem:
-    """Replies to commands, independent of any link.
+    """System that replies to commands, independent of any link.
 
     A tool definition that names a body tracks this body; those that the driver's `placeholder` makes do. Any other
     definition tracks the next body that no handle tracks yet.

@@ -49,7 +49,7 @@ log = structlog.get_logger(__name__)
 
 
 class Server:
-    """Serves the devices of a cell to the node at the other end of a link.
+    """Server of the devices of a cell to the node at the other end of a link.
 
     Args:
         link: Connected socket to the node.

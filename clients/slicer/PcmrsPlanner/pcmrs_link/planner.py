@@ -64,7 +64,7 @@ class Placement:
 
 
 class Planner:
-    """Gives the jobs of a workflow to a link, and keeps what came of them.
+    """Jobs of a workflow that are given to a link, with their results.
 
     Args:
         link: An open link.

@@ -29,7 +29,7 @@ _ANSWER = re.compile(rb"(([ -:<-~]*;)\|([A-Za-z0-9_-]{1,32})\|([1-9][0-9]{0,18})
 
 
 class Signer:
-    """Signs the commands of one peer, and checks the answers to them.
+    """Signer of the commands of one peer, and verifier of the answers to them.
 
     Args:
         peer: Its name in the daemon's configuration.

@@ -14,7 +14,7 @@ AHEAD = 3600.0
 
 
 class TamperedTracker:
-    """Passes on everything unchanged unless it was ordered to change it.
+    """Tracker that passes on everything unchanged unless it was ordered to change it.
 
     Args:
         tracker: Tracker that its driver has opened.

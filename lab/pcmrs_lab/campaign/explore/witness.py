@@ -51,7 +51,7 @@ class InvariantViolation:
 
 
 class Witness:
-    """Checks every event against the invariants; the first violation counts.
+    """Witness that checks every event against the invariants; the first violation counts.
 
     Attributes:
         view: Knowledge of the session.
@@ -206,7 +206,7 @@ class Witness:
 
 
 class _RunListener(DispatcherListener):
-    """Passes the messages of one run to the witness."""
+    """Listener that passes the messages of one run to the witness."""
 
     def __init__(self, witness: Witness, run: int) -> None:
         self._witness = witness

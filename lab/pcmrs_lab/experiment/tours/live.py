@@ -47,7 +47,7 @@ ShowProgress = Callable[[int, int], None]
 
 
 class LiveTour:
-    """Takes a cell through a tour and compares its responses.
+    """Tour of a running cell whose responses are compared.
 
     Args:
         blueprint: Workflow that the cell runs.

@@ -21,7 +21,7 @@ POLLING = 0.005
 
 
 class Observer:
-    """Stores snapshots and verdicts. Use `observing`.
+    """Store of snapshots and verdicts. Use `observing`.
 
     Attributes:
         ran: Every ``branch.operation`` that was ever shown as running.

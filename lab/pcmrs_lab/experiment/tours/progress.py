@@ -39,7 +39,7 @@ class TourObservations:
 
 
 class TourProgress:
-    """Compares each response with the required one, and keeps the plan of the remaining moves.
+    """Comparison of each response with the required one, with the plan of the remaining moves.
 
     Args:
         blueprint: Workflow that the cell runs.

@@ -42,7 +42,7 @@ def read_xml(raw: bytes, origin: str) -> Element:
 
 
 class _Builder:
-    """Takes the parser's events and keeps the elements that are open."""
+    """Target of the parser's events that keeps the elements that are open."""
 
     def __init__(self, origin: str) -> None:
         self._origin = origin

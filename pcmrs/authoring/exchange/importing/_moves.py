@@ -43,7 +43,7 @@ class MoveGroup:
 
 
 class Mover:
-    """Turns transitions into moves and reports those that cannot be converted.
+    """Converter of transitions to moves that reports those that cannot be converted.
 
     Args:
         regions: All regions.

@@ -97,7 +97,7 @@ def _statements(text: str) -> Iterator[tuple[str, Place]]:
 
 
 class _Lines:
-    """Takes statements; `open` has the regions of every composite state that is open, from the outermost."""
+    """Reader of statements; `open` has the regions of every composite state that is open, from the outermost."""
 
     def __init__(self, findings: Findings) -> None:
         self._findings = findings
@@ -181,7 +181,7 @@ class Home(NamedTuple):
 
 
 class _Maker:
-    """Makes the states of a diagram, then its arrows."""
+    """Builder of the states of a diagram, then of its arrows."""
 
     def __init__(self, findings: Findings) -> None:
         self._findings = findings
