@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+import hashlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
@@ -38,6 +39,7 @@ class Approval(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         id: Name of the workflow.
         version: Its version.
         hash: Hash of its blueprint.
+        migrations: SHA-256 of its migrations, hexadecimal: the blueprint's hash does not cover them.
         by: Name of the person.
         at: Wall time, Unix seconds.
         certificate: Certificate of the person, PEM.
@@ -47,6 +49,7 @@ class Approval(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     id: str
     version: str
     hash: str
+    migrations: str
     by: str
     at: float
     certificate: str
@@ -62,7 +65,7 @@ def approve(blueprint: Blueprint, own: Credentials, now: float) -> Approval:
     """Sign a workflow with a person's key.
 
     Args:
-        blueprint: The workflow; its hash covers all of its content.
+        blueprint: The workflow.
         own: Identity of the person.
         now: Wall time, Unix seconds.
 
@@ -74,6 +77,7 @@ def approve(blueprint: Blueprint, own: Credentials, now: float) -> Approval:
         id=blueprint.id,
         version=blueprint.version,
         hash=blueprint.hash,
+        migrations=_hash_of_migrations(blueprint),
         by=own.name,
         at=now,
         certificate=Path(own.certificate).read_text(encoding="ascii"),
@@ -105,14 +109,18 @@ def read_approval(
         why = "this cell has no identity and register by which it could know the person: set access.identity"
         raise _refused(blueprint, file, why)
     approval = _read(blueprint, file)
-    if approval.hash != blueprint.hash:
+    if (approval.hash, approval.migrations) != (blueprint.hash, _hash_of_migrations(blueprint)):
         raise _refused(blueprint, file, "it was changed after it was approved")
     member = next((each for each in members if each.name == approval.by), None)
     if member is None or not member.valid(now) or member.role not in APPROVING or not member.in_cell(cell):
         why = f"{approval.by} is not in the register as a valid {' or '.join(APPROVING)} of {cell}"
         raise _refused(blueprint, file, why)
-    if not _is_signed(approval, own):
+    certificate = _signing_certificate(approval, own)
+    if certificate is None:
         raise _refused(blueprint, file, f"the signature of the approval is not that of {approval.by}")
+    if f"{certificate.serial_number:x}" != member.serial:
+        why = f"{approval.by} signed with an older certificate, whose key may be in other hands"
+        raise _refused(blueprint, file, why)
     return approval
 
 
@@ -126,24 +134,25 @@ def _read(blueprint: Blueprint, file: Path) -> Approval:
         raise _refused(blueprint, file, f"{approval_file(file)} cannot be read: {error}") from None
 
 
-def _is_signed(approval: Approval, own: Credentials) -> bool:
-    """Return true if the person's certificate is of this lab, was valid at that time, and its key has signed.
+def _hash_of_migrations(blueprint: Blueprint) -> str:
+    return hashlib.sha256(msgspec.json.encode(blueprint.migrations)).hexdigest()
 
-    A newer certificate of the same person does not end the approval, but a revocation of the person does.
-    """
+
+def _signing_certificate(approval: Approval, own: Credentials) -> x509.Certificate | None:
+    """Return the certificate whose key has signed; None if it is not the person's, not of this lab, or had ended."""
     try:
         authority = x509.load_pem_x509_certificate(Path(own.authority).read_bytes())
         certificate = x509.load_pem_x509_certificate(approval.certificate.encode())
         certificate.verify_directly_issued_by(authority)
         signature, key = base64.b64decode(approval.signature, validate=True), certificate.public_key()
         if not isinstance(key, EllipticCurvePublicKey):
-            return False
+            return None
         key.verify(signature, _signed(approval), ECDSA(SHA256()))
     except (OSError, ValueError, TypeError, binascii.Error, InvalidSignature):
-        return False
+        return None
     names = [each.value for each in certificate.subject.get_attributes_for_oid(x509.NameOID.COMMON_NAME)]
     begins, ends = certificate.not_valid_before_utc.timestamp(), certificate.not_valid_after_utc.timestamp()
-    return names == [approval.by] and begins <= approval.at < ends
+    return certificate if names == [approval.by] and begins <= approval.at < ends else None
 
 
 def _signed(approval: Approval) -> bytes:

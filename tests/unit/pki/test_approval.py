@@ -12,6 +12,7 @@ import pytest
 from pcmrs.bus import Credentials
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm import Blueprint
+from pcmrs.fsm.blueprint import MigrationSpec
 from pcmrs.pki import Approval, Authority, approval_file, approve, read_approval, read_credentials
 from tests.unit.authoring.design.step_tables import blueprint_of, step, table
 
@@ -67,10 +68,23 @@ def test_a_person_whose_identity_has_ended_approves_nothing(lab: Lab) -> None:
         lab.read(later=anna.ends - lab.now)
 
 
-def test_a_newer_certificate_of_the_person_changes_nothing(lab: Lab) -> None:
+def test_a_newer_certificate_ends_what_the_older_one_signed(lab: Lab) -> None:
+    """The older key may have been stolen, and the time in an approval is the signer's word."""
     lab.sign(lab.person("anna"))
-    lab.person("anna")
+    newer = lab.person("anna")
+    with pytest.raises(ConfigurationError, match="anna signed with an older certificate"):
+        lab.read()
+    lab.sign(newer)
     assert lab.read() is not None
+
+
+def test_a_migration_that_was_added_later_is_refused(lab: Lab) -> None:
+    lab.sign(lab.person("anna"))
+    older = MigrationSpec(version="0.0.1", hash="ab" * 32, why="only texts changed")
+    changed = msgspec.structs.replace(DRAFTED, migrations=[older])
+    assert changed.hash == DRAFTED.hash
+    with pytest.raises(ConfigurationError, match="changed after it was approved"):
+        lab.read(changed)
 
 
 def test_a_workflow_of_people_needs_no_approval(lab: Lab) -> None:

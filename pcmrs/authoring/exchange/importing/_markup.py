@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 from xml.parsers import expat
@@ -21,6 +22,12 @@ class Element:
     place: Place
     text: str = ""
     children: list[Element] = field(default_factory=list)
+
+    def walk(self) -> Iterator[Element]:
+        """Yield the element and all below it, each before its children."""
+        yield self
+        for child in self.children:
+            yield from child.walk()
 
     def every(self, name: str) -> list[Element]:
         """Return its children of that name."""

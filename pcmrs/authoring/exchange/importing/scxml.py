@@ -55,13 +55,16 @@ class _Reader:
         return root
 
     def _read_provenance(self, document: Element, root: Node) -> None:
-        """Read how the workflow was drafted. A draft must not lose this, so what cannot be read is a finding."""
-        for child in document.children:
-            if child.namespace == PROVENANCE_NAMESPACE:
+        """Read how the workflow was drafted, wherever an editor has put it.
+
+        A draft must not lose its provenance: what cannot be read is a finding.
+        """
+        for element in document.walk():
+            if element.namespace == PROVENANCE_NAMESPACE:
                 try:
-                    root.provenance = msgspec.convert(child.attributes, ProvenanceSpec)
+                    root.provenance = msgspec.convert(element.attributes, ProvenanceSpec)
                 except msgspec.ValidationError as error:
-                    self._refuse(f"The provenance of this draft cannot be read ({error}): restore it", child.place)
+                    self._refuse(f"The provenance of this draft cannot be read ({error}): restore it", element.place)
 
     def _read_inside(self, element: Element, node: Node) -> None:
         node.initial = element.attributes.get("initial", "")

@@ -31,6 +31,16 @@ def test_a_provenance_that_cannot_be_read_is_not_lost() -> None:
     assert "provenance of this draft" in findings[0].text
 
 
+def test_a_provenance_below_another_element_counts() -> None:
+    text = scxml(DRAFTED)
+    begin = text.index("<pcmrs:provenance")
+    end = text.index("/>", begin) + 2
+    moved = text[:begin] + text[end:].replace("</state>", f"{text[begin:end]}</state>", 1)
+    imported, _ = from_scxml(moved.encode())
+    assert imported is not None
+    assert imported.provenance == DRAFTED.provenance
+
+
 def test_people_see_who_has_drafted_a_workflow() -> None:
     assert "\n\nDrafted by made <&> */ \\| on 2026-11-27, prompt ab" in markdown(DRAFTED)
     assert "Drafted by made <&> * / | on 2026-11-27" in promela(DRAFTED)
