@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,24 +13,35 @@ import msgspec
 from pcmrs.errors import ConfigurationError
 
 S = TypeVar("S", bound=msgspec.Struct)
+Where = Callable[[tuple[str, ...]], str]
+"""Returns where the key at a path was set, such as ``cell.toml:3:1``; empty if unknown."""
 
 
-def as_config(kind: type[S], values: Mapping[str, Any], origin: str = "The configuration") -> S:
+def as_config(
+    kind: type[S], values: Mapping[str, Any], origin: str = "The configuration", where: Where | None = None
+) -> S:
     """Convert values to a configuration.
 
     Args:
         kind: Type of the whole configuration, with the defaults.
         values: Values that differ from the defaults.
         origin: Origin of the values, for messages.
+        where: Locates the keys; None if no file has them.
 
     Raises:
-        ConfigurationError: A key is unknown, or a value has the wrong type or range or is not a finite number; the
-            text names it.
+        ConfigurationError: Keys are unknown, or values have the wrong type or range or are not finite numbers; the text
+            has a line for each, with what could be meant.
     """
     try:
         _check_finite(values, "")
         return msgspec.convert(values, kind)
-    except (msgspec.ValidationError, ValueError) as error:
+    except msgspec.ValidationError:
+        from pcmrs._config_faults import faults_in  # not needed for a right configuration
+
+        found = [(where(path) if where else "", text) for path, text in faults_in(values, kind)]
+        lines = [f"{place}: {text}" if place else text for place, text in found]
+        raise ConfigurationError("\n".join([f"{origin} is wrong:", *lines])) from None
+    except ValueError as error:
         raise ConfigurationError(f"{origin} is wrong: {error}.") from None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -14,11 +15,13 @@ from pcmrs.bus.keys import cell_prefix
 from pcmrs.bus.seal import read_key
 from pcmrs.bus.settings import SECURED
 from pcmrs.clock import SystemClock
-from pcmrs.config import as_config, merge_tables, read_file, set_values
+from pcmrs.config import Where, as_config, merge_tables, read_file, set_values
 from pcmrs.console.settings import ConsoleSettings
 from pcmrs.devices.dwell import DwellSettings
 from pcmrs.devices.opening import DRIVERS
-from pcmrs.errors import ConfigurationError, PayloadError
+from pcmrs.errors import BlueprintError, ConfigurationError, PayloadError
+from pcmrs.fsm.files.places import Places
+from pcmrs.fsm.files.toml import read_toml
 from pcmrs.gateway.settings import GatewayConfig
 from pcmrs.hosts import is_this_machine
 from pcmrs.installed import entry_points_of
@@ -328,7 +331,7 @@ def read_settings(file: Path | None = None, overrides: Sequence[str] = ()) -> Se
     """
     values = _values(file, overrides)
     defaults = _defaults_of(values)
-    settings = as_config(Settings, merge_tables(defaults, values))
+    settings = as_config(Settings, merge_tables(defaults, values), where=_locations(file, overrides))
     _check_limits(settings, defaults)
     _check_cell(settings)
     simulated = SIMULATED in settings.drivers()
@@ -350,6 +353,29 @@ def _values(file: Path | None, overrides: Sequence[str]) -> dict[str, Any]:
     set_values(values, overrides)
     _resolve_paths(values, Path.cwd())
     return values
+
+
+def _locations(file: Path | None, overrides: Sequence[str]) -> Where:
+    """Return a function that tells where a key was set; the file is read when it is called first."""
+
+    @functools.cache
+    def places() -> Places | None:
+        try:
+            return None if file is None else read_toml(file.read_bytes(), str(file))[1]
+        except (BlueprintError, OSError):  # longer than any workflow, or gone since it was read
+            return None
+
+    def where(path: tuple[str, ...]) -> str:
+        for key, _, _ in (each.partition("=") for each in overrides):
+            if path[: key.count(".") + 1] == tuple(key.split(".")):
+                return f"--set {key}"
+        known = places()
+        if known is None:
+            return ""
+        name, line, column = known.of(path)
+        return f"{name}:{line}:{column}"
+
+    return where
 
 
 def _resolve_paths(values: dict[str, Any], folder: Path) -> None:

@@ -114,3 +114,22 @@ def test_peer_with_the_name_of_a_member_is_refused(lab: Path, peer: str) -> None
         settings_of(lab, "c1", of_peer)
     assert refused.value.fields == {"peer": peer}
     assert settings_of(lab, "c1", of_peer.replace(peer, "panel", 1)).members
+
+
+def test_every_fault_has_its_line_and_what_could_be_meant(tmp_path: Path) -> None:
+    file = tmp_path / "cell.toml"
+    file.write_text("[procedure.placement]\nstandof = 0.07\nclearance = 280\nsettle_time = 'long'\n[robt]\nmodel = 'iiwa7'\n")
+    with pytest.raises(ConfigurationError) as refused:
+        read_settings(file, ["procedure.zones.box_margin=20"])
+    first, *lines = refused.value.text.splitlines()
+    assert first == "The configuration is wrong:"
+    assert sorted(lines) == sorted(
+        [
+            f"{file}:2:1: procedure.placement.standof: unknown key; did you mean 'standoff'?",
+            f"{file}:3:1: procedure.placement.clearance is 280 m: expected `float` <= 5.0; did you mean 0.28 (280 mm)?",
+            f"{file}:4:1: procedure.placement.settle_time is 'long': expected `float`, got `str`.",
+            f"{file}:5:2: robt: unknown key; did you mean 'robot'?",
+            "--set procedure.zones.box_margin: procedure.zones.box_margin is 20 m: expected `float` <= 5.0; "
+            "did you mean 0.02 (20 mm)?",
+        ]
+    )

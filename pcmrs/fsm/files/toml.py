@@ -107,10 +107,10 @@ def convert(table: Mapping[str, Any], kind: type[T], places: Places) -> T:
     try:
         return msgspec.convert(table, kind)
     except msgspec.ValidationError as error:
-        path = _path_of_fault(table, kind, error)
+        path = path_of_fault(table, kind, error)
         where = ".".join(path) or "the file"
         origin, line, column = places.of(path)
-        refuse(origin, "bad_value", f"In {where}: {_PATH.sub('', str(error))}.", (line, column), path)
+        refuse(origin, "bad_value", f"In {where}: {text_of_fault(error)}.", (line, column), path)
 
 
 def _parser_message(error: ValueError) -> str:
@@ -132,8 +132,19 @@ def _line_and_column(text: str, at: int) -> Place:
     return before.count("\n") + 1, len(before.rpartition("\n")[2]) + 1
 
 
-def _path_of_fault(table: Mapping[str, Any], kind: type[Any], error: msgspec.ValidationError) -> Path:
-    """Return the path of a fault. msgspec does not name the keys of dictionaries, so each is tried alone."""
+def text_of_fault(error: msgspec.ValidationError) -> str:
+    """Return the text of a fault without its path."""
+    return _PATH.sub("", str(error))
+
+
+def path_of_fault(table: Mapping[str, Any], kind: type[Any], error: msgspec.ValidationError) -> Path:
+    """Return the path of a fault. msgspec does not name the keys of dictionaries, so each is tried alone.
+
+    Args:
+        table: Table that could not be converted.
+        kind: Type that it was to be converted to.
+        error: Error of the conversion.
+    """
     path: Path = ()
     found = _PATH.search(str(error))
     for step in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", found[1] if found else ""):

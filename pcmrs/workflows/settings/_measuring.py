@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import msgspec
 
 from pcmrs.calibration import ToolType
-from pcmrs.workflows.settings._values import PoseSetting, Positive, WholePoseSetting
+from pcmrs.workflows.settings._values import Length, PoseSetting, Positive, WholePoseSetting
 
 if TYPE_CHECKING:
     from pcmrs.registration.surface import OffsetPrior
@@ -177,9 +177,9 @@ class VolumeSlice(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         height: Size along the tracker's y axis, m.
     """
 
-    distance: Positive
-    width: Positive
-    height: Positive
+    distance: Length
+    width: Length
+    height: Length
 
 
 LONGEST_UNSEEN = 5.0

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import msgspec
 
-from pcmrs.workflows.settings._values import NotNegative, Positive
+from pcmrs.workflows.settings._values import Length, LengthOrZero, NotNegative, Positive
 
 PressForce = Annotated[float, msgspec.Meta(ge=1.0, le=5.0)]
 """Force with which a tool may be pressed on a body, N."""
@@ -37,7 +37,7 @@ class MotionSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     joint_speed_fraction: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.35
     joint_acceleration: Positive = 2.5
     joint_jerk: Positive = 15.0
-    near_distance: NotNegative = 0.10
+    near_distance: LengthOrZero = 0.10
     near_velocity: Positive = 0.05
 
 
@@ -65,9 +65,9 @@ class PlacementSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
         ValueError: `confirm_offset` is not below `standoff`, so that confirming would lead away from the body.
     """
 
-    standoff: Positive = 0.070
-    confirm_offset: NotNegative = 0.0
-    clearance: Positive = 0.28
+    standoff: Length = 0.070
+    confirm_offset: LengthOrZero = 0.0
+    clearance: Length = 0.28
     settle_time: NotNegative = 0.3
     frames: Annotated[int, msgspec.Meta(ge=1)] = 60
     tolerance_mm: Positive = 0.08
@@ -137,7 +137,7 @@ class FollowingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
     period: Annotated[float, msgspec.Meta(gt=0.0, le=0.016)] = 0.010
     lead: NotNegative = 0.010
-    farthest_lead: Positive = 0.0005
+    farthest_lead: Length = 0.0005
     compensated: bool = True
     smoothing_time: Positive = 0.05
     longest_gap: Annotated[float, msgspec.Meta(gt=0.0, le=0.2)] = 0.15
@@ -146,7 +146,7 @@ class FollowingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     linear_acceleration: Positive = 1.0
     angular_acceleration: Positive = 5.0
     correction_time: Positive = 1.0
-    range: Positive = 0.100
+    range: Length = 0.100
 
 
 class ContactSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import msgspec
 
-from pcmrs.workflows.settings._values import Positive
+from pcmrs.workflows.settings._values import Length, Positive
 
 
 class TeleoperationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -35,7 +35,7 @@ class TeleoperationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=T
     angular_velocity: Positive = 0.2
     linear_acceleration: Positive = 0.2
     angular_acceleration: Positive = 2.0
-    range: Positive = 0.12
+    range: Length = 0.12
     turn_deg: Annotated[float, msgspec.Meta(gt=0.0, le=90.0)] = 30.0
     slow_delay: Positive = 0.15
     longest_delay: Positive = 0.5

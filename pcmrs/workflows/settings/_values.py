@@ -11,6 +11,9 @@ from pcmrs.spatial import Transform
 
 NotNegative = Annotated[float, msgspec.Meta(ge=0.0)]
 Positive = Annotated[float, msgspec.Meta(gt=0.0)]
+Length = Annotated[float, msgspec.Meta(gt=0.0, le=5.0, extra={"unit": "m"})]
+"""A length in a cell, m. The limit is that of a room: a larger number was meant in mm."""
+LengthOrZero = Annotated[float, msgspec.Meta(ge=0.0, le=5.0, extra={"unit": "m"})]
 Triple = tuple[float, float, float]
 
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from pcmrs.workflows.settings._values import NotNegative, PoseSetting, Positive
+from pcmrs.workflows.settings._values import Length, LengthOrZero, PoseSetting, Positive
 
 RESERVED = frozenset({"body", "base", "mount", "tool", "sight_of_tool", "sight_of_body"})
 """Names of zones and links that no box may have."""
@@ -22,8 +22,8 @@ class ToolSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     kind: Literal["cylinder"] = "cylinder"
-    radius: Positive = 0.05
-    half_length: Positive = 0.01
+    radius: Length = 0.05
+    half_length: Length = 0.01
 
 
 class BoxSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -68,14 +68,14 @@ class ZoneSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     tool: ToolSettings = ToolSettings()
     boxes: tuple[BoxSettings, ...] = (TABLE,)
-    body_margin: NotNegative = 0.030
-    box_margin: NotNegative = 0.020
-    link_margin: NotNegative = 0.010
-    sight_radius: Positive = 0.003
-    cone_height: NotNegative = 0.060
+    body_margin: LengthOrZero = 0.030
+    box_margin: LengthOrZero = 0.020
+    link_margin: LengthOrZero = 0.010
+    sight_radius: Length = 0.003
+    cone_height: LengthOrZero = 0.060
     cone_half_angle_deg: Annotated[float, msgspec.Meta(gt=0.0, lt=90.0)] = 30.0
-    depth_limit: NotNegative = 0.010
-    drift_limit: Positive = 0.005
+    depth_limit: LengthOrZero = 0.010
+    drift_limit: Length = 0.005
 
     def __post_init__(self) -> None:
         names = [box.name for box in self.boxes]
