@@ -129,7 +129,8 @@ class SealError(PcmrsError):
 class AccessError(PcmrsError):
     """A user may not take part in this cell, or a message in the name of a user is not proved to be theirs.
 
-    The field ``why`` is ``unknown``, ``revoked``, ``expired`` or ``foreign`` for a user who may not take part;
+    The field ``why`` is ``unknown``, ``revoked``, ``expired`` or ``foreign`` for a user who may not take part, ``role``
+    for one who may not command;
     ``unsigned``, ``forged``, ``certificate``, ``old``, ``ahead`` or ``repeated`` for the signature of a message.
     """
 

@@ -120,11 +120,35 @@ COMMANDS = {
 }
 """Commands with the first sentences of their help texts, which are also in their modules."""
 
+SECTIONS = {
+    "Run a cell": ("serve", "console", "router", "ros2", "doctor"),
+    "Command and watch it": ("call", "state", "watch", "stop", "lease", "teleop", "keys", "cells", "health"),
+    "Prepare a procedure": ("calibrate", "skin", "register", "coverage", "fsm", "pki", "peers"),
+    "Records and results": (
+        "journal",
+        "record",
+        "play",
+        "repair",
+        "placements",
+        "report",
+        "export-session",
+        "archive",
+    ),
+    "Try and test in simulation": ("demo", "session", "experiment", "faults"),
+}
+"""Headings of the help, and the commands below them."""
+
 SHARED: Final = ("fsm", "pki")
 """Commands whose files others may read: workflows and certificates. All others may write data of a session."""
 
 
-@click.group(cls=LazyGroup, commands=COMMANDS, prefix="", context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=LazyGroup,
+    commands=COMMANDS,
+    prefix="",
+    sections=SECTIONS,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 @click.version_option(package_name="pcmrs")
 @click.pass_context
 def main(context: click.Context) -> None:

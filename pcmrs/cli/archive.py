@@ -121,7 +121,7 @@ def verify(place: str, keys: tuple[tuple[tuple[str, str], Path], ...], as_json: 
     """Read the whole archive, and report each segment that is missing, altered or doubled.
 
     Every hash and every column is computed again from the rows as their cells have written them, and compared with the
-    signed heads. Exit status: 0 whole, 1 damaged, 2 there is no archive.
+    signed heads. Exit status: 0 whole, 1 damaged, 5 there is no archive.
     """
     from pcmrs.archive import open_store, verify_archive
     from pcmrs.cli.progress import progress_bar

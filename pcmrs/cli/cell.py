@@ -12,8 +12,9 @@ import msgspec
 
 from pcmrs.cli.options import CellAddress, address_options, json_option
 from pcmrs.cli.printing import say
-from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, readable_errors, run
-from pcmrs.errors import PayloadError, PcmrsError
+from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, EXIT_UNKNOWN, readable_errors, run
+from pcmrs.cli.values import Arguments, Operation
+from pcmrs.errors import PcmrsError
 from pcmrs.messages import DeviceEvent, Snapshot, UnknownOutcome, Verdict
 
 if TYPE_CHECKING:
@@ -21,23 +22,24 @@ if TYPE_CHECKING:
     from pcmrs.bus.keys import KeyTable
     from pcmrs.client import Event
 
-STATUS = {"accepted": 0, "rejected": EXIT_REJECTED, "failed": EXIT_FAILED, "unknown": EXIT_FAILED}
+STATUS = {"accepted": 0, "rejected": EXIT_REJECTED, "failed": EXIT_FAILED, "unknown": EXIT_UNKNOWN}
 
 
 @click.command()
-@click.argument("operation", metavar="BRANCH.OPERATION")
-@click.argument("arguments", metavar="[JSON]", default="{}")
+@click.argument("operation", metavar="BRANCH.OPERATION", type=Operation())
+@click.argument("arguments", metavar="[JSON|@FILE]", default="{}", type=Arguments())
 @json_option
 @address_options
 @readable_errors
-def call(operation: str, arguments: str, as_json: bool, address: CellAddress) -> None:
+def call(operation: str, arguments: dict[str, Any], as_json: bool, address: CellAddress) -> None:
     """Ask for an operation and print the verdict.
 
-    Exit status: 0 accepted, 1 rejected, 2 failed or unknown, 3 no daemon.
+    Arguments are a JSON object, or @FILE for one in a file.
+    Exit status: 0 accepted, 1 rejected, 3 no daemon, 5 failed, 6 unknown.
 
     Example: pcmrs call digitization.digitize_one '{"index": 0}'
     """
-    verdict = run(_call(address, operation, _arguments(arguments)))
+    verdict = run(_call(address, operation, arguments))
     say(_json(verdict) if as_json else event_line(verdict))
     if verdict.decision != "accepted" and verdict.allowed and not as_json:
         say(f"  allowed now: {', '.join(verdict.allowed)}")
@@ -138,16 +140,6 @@ async def _stop(address: CellAddress) -> tuple[int, bool, list[str] | None]:
             return number, stands, (await client.state(timeout=2.0)).release
         except PcmrsError:  # Stop has started, as requested
             return number, stands, None
-
-
-def _arguments(text: str) -> dict[str, Any]:
-    try:
-        arguments = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise PayloadError(f"The arguments are not JSON: {error}.") from None
-    if not isinstance(arguments, dict):
-        raise PayloadError('The arguments must be a JSON object, such as {"index": 0}.')
-    return arguments
 
 
 def _json(message: msgspec.Struct) -> str:

@@ -31,7 +31,7 @@ def doctor(as_json: bool, file: Path | None, overrides: tuple[str, ...]) -> None
     Scheduling, kernel, limits, clock source, fsync time and free space of the disk, ports, extras, devices and
     certificates. Run it as the user, and in the service or container, that runs the daemon: they set the limits.
 
-    Exit status: 0 all good, 1 it works, with warnings, 2 something is bad, 4 the configuration cannot be used.
+    Exit status: 0 all good, 1 it works, with warnings, 5 something is bad, 4 the configuration cannot be used.
     """
     from pcmrs.doctor import examine
     from pcmrs.settings import read_settings

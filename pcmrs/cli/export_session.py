@@ -34,7 +34,7 @@ def export_session(
     The folder holds the journal with its signed head and public key, the recordings, the calibration files, the
     configuration and versions of the session, a README and the hashes of all files. The cell may be running.
 
-    Exit status: 0 exported, 1 the journal is not sound (exported as it is), 2 it cannot be read or copied,
+    Exit status: 0 exported, 1 the journal is not sound (exported as it is), 5 it cannot be read or copied,
     4 the folder is in use, the disk too full, or the cell has journals of several other workflows than the configured
     one.
 

@@ -117,7 +117,7 @@ WATCHING = 1.0
 def health(watch: bool, as_json: bool, address: CellAddress) -> None:
     """Print the health of the daemon, the reasons for problems, and what to do.
 
-    Exit status: 0 ok, 1 degraded or failed, 2 it stopped answering, 3 no daemon.
+    Exit status: 0 ok, 1 degraded or failed, 5 it stopped answering, 3 no daemon.
     """
     if watch:
         run(_watch(address, as_json=as_json))

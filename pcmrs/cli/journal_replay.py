@@ -43,7 +43,7 @@ def replay(
     PATH is a journal, or its export as JSON lines. Commands from outside and answers of devices are taken from it;
     checks of arguments, data and settings, states, locks, Stop and the latch are decided by this program.
 
-    Exit status: 0 all the same, 1 something differs, 2 the journal cannot be replayed.
+    Exit status: 0 all the same, 1 something differs, 5 the journal cannot be replayed.
     """
     from pcmrs.clock import SystemClock
     from pcmrs.replay import replay as decide_anew

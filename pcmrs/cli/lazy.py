@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import import_module
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import click
+from click.exceptions import NoSuchCommand
 
 from pcmrs.installed import entry_points_of
 from pcmrs.visible import visible
@@ -19,6 +21,10 @@ LABORATORY: Final = "pcmrs-lab"
 """Distribution with the commands of the laboratory."""
 ENTRY_POINTS: Final = "pcmrs.commands"
 """Group of the entry points with which other distributions add commands: ``name``, or ``group.name``."""
+
+
+WHOLE: Final = 1000
+"""Limit of a command's description in the help of its group, characters: longer than any."""
 
 
 class LazyCommand(NamedTuple):
@@ -41,13 +47,22 @@ class LazyGroup(click.Group):
     Args:
         commands: Names of the commands, in the order of the help.
         prefix: Prefix of the entry points that add further commands; None if none are looked for.
+        sections: Headings of the help, with the names of the commands below them; all others are below "Commands".
         options: Further options, see `click.Group`.
     """
 
-    def __init__(self, *, commands: Mapping[str, LazyCommand], prefix: str | None = None, **options: Any) -> None:
+    def __init__(
+        self,
+        *,
+        commands: Mapping[str, LazyCommand],
+        prefix: str | None = None,
+        sections: Mapping[str, Sequence[str]] = MappingProxyType({}),
+        **options: Any,
+    ) -> None:
         super().__init__(**options)
         self._listed = commands
         self._prefix = prefix
+        self._sections = sections
 
     def list_commands(self, _context: click.Context) -> list[str]:
         others = self._entry_points()
@@ -73,6 +88,15 @@ class LazyGroup(click.Group):
             raise click.UsageError(text, context)
         return None
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Return the command that the words name, or fail with the names that are close."""
+        try:
+            return super().resolve_command(ctx, args)
+        except NoSuchCommand as error:  # it knows no command that is loaded later
+            raise NoSuchCommand(error.command_name, possibilities=self.list_commands(ctx), ctx=ctx) from None
+
     def invoke(self, ctx: click.Context) -> Any:
         """Invoke the command; what a usage error quotes, such as the name of a file, is escaped."""
         try:
@@ -83,14 +107,16 @@ class LazyGroup(click.Group):
             raise
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write a row for each command, as click does, from its summary if it has one."""
+        """Write a row for each command below the heading of its section, with its whole first sentence."""
         commands = {name: self._described(ctx, name) for name in self.list_commands(ctx)}
         shown = {name: command for name, command in commands.items() if command is not None and not command.hidden}
-        if not shown:
-            return
-        room = formatter.width - 6 - max(map(len, shown))
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, command.get_short_help_str(room)) for name, command in shown.items()])
+        placed = {name for names in self._sections.values() for name in names}
+        others = [name for name in shown if name not in placed]
+        for heading, names in (*self._sections.items(), ("Commands", others)):
+            rows = [(name, shown[name].get_short_help_str(WHOLE)) for name in names if name in shown]
+            if rows:
+                with formatter.section(heading):
+                    formatter.write_dl(rows)
 
     def _described(self, context: click.Context, name: str) -> click.Command | None:
         """Return a command with the help text of the command `name`, or that command itself."""

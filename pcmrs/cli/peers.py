@@ -39,7 +39,7 @@ def new(name: str, folder: Path, as_json: bool) -> None:
     the line `counter` its commands, except Stop, are refused when they are more than 2 s old, and answers to it are
     signed; its clock must be right. Remove the line for a client that does not check answers.
 
-    Exit status: 0 made, 2 it cannot be written, 4 there is such a key, or the name is not valid.
+    Exit status: 0 made, 5 it cannot be written, 4 there is such a key, or the name is not valid.
 
     Example: pcmrs peers new planner --folder ~/keys
     """

@@ -48,7 +48,7 @@ def pki() -> None:
 def init(site: str, folder: Path, as_json: bool) -> None:
     """Make the authority of a lab; it is valid for ten years.
 
-    Exit status: 0 made, 2 the folder cannot be written, 4 there is an authority already.
+    Exit status: 0 made, 5 the folder cannot be written, 4 there is an authority already.
 
     Example: pcmrs pki init --folder ~/pki
     """
@@ -106,7 +106,7 @@ def issue(
 ) -> None:
     """Give NAME a certificate for ROLE, with a new key; again for one that ends soon, with all its options.
 
-    NAME is part of this identity's own bus keys, such as cmd/NAME/**. Exit status: 0 issued, 2 the files
+    NAME is part of this identity's own bus keys, such as cmd/NAME/**. Exit status: 0 issued, 5 the files
     cannot be written, 4 name, role, hosts, cells or routers are not possible.
 
     Example: pcmrs pki issue operator anna --days 7 --cell lab/cell1
@@ -128,7 +128,7 @@ def device_key(file: Path) -> None:
     """Make the key that a daemon shares with device nodes on other machines, as a new FILE with mode 0600.
 
     Both sides name their copy as access.device_key. Nodes that the daemon starts itself need none. Exit status: 0
-    made, 2 it cannot be written, 4 there is such a file.
+    made, 5 it cannot be written, 4 there is such a file.
 
     Example: pcmrs pki device-key device.key
     """
@@ -146,7 +146,7 @@ def device_key(file: Path) -> None:
 def revoke(name: str, folder: Path, as_json: bool) -> None:
     """Revoke NAME permanently; this takes effect when the routers are restarted with the new register.
 
-    Exit status: 0 revoked, 2 the register cannot be written, 4 nobody has this name, or it is revoked already.
+    Exit status: 0 revoked, 5 the register cannot be written, 4 nobody has this name, or it is revoked already.
 
     Example: pcmrs pki revoke anna
     """

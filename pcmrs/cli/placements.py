@@ -41,7 +41,7 @@ def placements(path: Path, standoff_mm: float | None, plot: Path | None, as_json
 
     Example: pcmrs placements trials/ --standoff-mm 10 --plot errors.png
 
-    Exit status 2 if a file cannot be read.
+    Exit status 5 if a file cannot be read.
     """
     if _is_pose_log(path):
         if standoff_mm is not None:

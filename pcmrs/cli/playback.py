@@ -49,7 +49,7 @@ def play(
     Give the files of one recording in their order. Of a damaged file, the readable part is played. No cell's own prefix
     can be given, and one at which a daemon runs is refused: a recording commands nothing. Ctrl-C ends it.
 
-    Exit status: 0 played, 2 no recording, 3 nobody at the endpoint, 4 a daemon runs under that name, 130 after Ctrl-C.
+    Exit status: 0 played, 5 no recording, 3 nobody at the endpoint, 4 a daemon runs under that name, 130 after Ctrl-C.
 
     Example: pcmrs play run.0001.mcap run.0002.mcap --rate 4 --topics 'state/**'
     """

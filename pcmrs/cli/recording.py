@@ -74,7 +74,7 @@ def record(
     every message unchanged, for pcmrs play. With --max-size or --max-duration the files are numbered: run.0001.mcap,
     run.0002.mcap, …
 
-    Exit status: 0 ended as requested, 2 the disk is full or a file cannot be written, 3 no daemon, 4 bad configuration.
+    Exit status: 0 ended as requested, 5 the disk is full or a file cannot be written, 3 no daemon, 4 bad configuration.
 
     Example: pcmrs record run.mcap --max-size 512MB --max-total 4GB
     """
@@ -120,7 +120,7 @@ def repair(damaged: Path, output: Path, as_json: bool) -> None:
 
     The damaged file stays as it is. Any MCAP file can be given.
 
-    Exit status: 0 saved, whole or not; 2 it is not an MCAP file; 4 the output exists already.
+    Exit status: 0 saved, whole or not; 5 it is not an MCAP file; 4 the output exists already.
     """
     from pcmrs.recording.repair import repair as save
 

@@ -67,7 +67,7 @@ def register(plan: Path, digitized: Path, plot: Path | None, output: Path | None
     declared), CSV with a header such as name,x_mm,y_mm,z_mm, and PCMRS plans (.json). Landmarks are paired by name
     if both files have the same names, else by order.
 
-    Exit status 0: accepted, 1: refused, 2: a file cannot be read or does not match the other.
+    Exit status 0: accepted, 1: refused, 5: a file cannot be read or does not match the other.
 
     Example: pcmrs register plan.mrk.json dig.yaml --target 0.03,0,0.11 --plot reg.png
     """

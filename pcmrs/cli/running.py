@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec, TypeVar
 import click
 
 from pcmrs.cli.printing import say, say_lines
-from pcmrs.errors import BlueprintError, BusError, ConfigurationError, JournalError, PcmrsError
+from pcmrs.errors import (
+    AccessError,
+    BlueprintError,
+    BusError,
+    ConfigurationError,
+    PcmrsError,
+    UnknownOutcomeError,
+)
 from pcmrs.extras import missing_module
 
 if TYPE_CHECKING:
@@ -20,15 +27,20 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 EXIT_REJECTED = 1
-EXIT_FAILED = 2
+EXIT_USAGE = 2
+"""Of a wrong command line; click has the same."""
 EXIT_NO_DAEMON = 3
 EXIT_BAD_CONFIGURATION = 4
+EXIT_FAILED = 5
+EXIT_UNKNOWN = 6
+"""It cannot be known what has happened."""
 
 STATUS: list[tuple[type[PcmrsError], int]] = [
+    (AccessError, EXIT_REJECTED),
     (BusError, EXIT_NO_DAEMON),
     (ConfigurationError, EXIT_BAD_CONFIGURATION),
     (BlueprintError, EXIT_BAD_CONFIGURATION),
-    (JournalError, EXIT_FAILED),
+    (UnknownOutcomeError, EXIT_UNKNOWN),
 ]
 
 

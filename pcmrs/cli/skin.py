@@ -18,18 +18,18 @@ only a part, such as the teeth, or comes from voxels of a wrong size."""
 
 @click.command()
 @click.argument("volume", type=click.Path(path_type=Path, exists=True))
-@click.option("-o", "--out", type=OutputFile(), required=True, metavar="FILE.ply", help="File for the mesh.")
+@click.option("-o", "--output", type=OutputFile(), required=True, metavar="FILE.ply", help="File for the mesh.")
 @click.option("--threshold", type=float, help="Grey value of the surface; by default Otsu's, which suits skin in air.")
 @click.option("--any-size", is_flag=True, help="Write a body of an implausible size without a question.")
 @json_option
 @readable_errors
-def skin(volume: Path, out: Path, threshold: float | None, any_size: bool, as_json: bool) -> None:
+def skin(volume: Path, output: Path, threshold: float | None, any_size: bool, as_json: bool) -> None:
     """Extract the outer surface of the body in VOLUME: a NIfTI file, or a folder with one DICOM series.
 
     The mesh is in RAS and m, as procedure.body.surface needs it. Check it before you plan on it. A body whose longest
     edge is below 100 mm or above 1000 mm is written only if you confirm it.
 
-    Exit status: 0 written, 2 the volume cannot be read or holds no such surface or no such body, 4 a package is
+    Exit status: 0 written, 5 the volume cannot be read or holds no such surface or no such body, 4 a package is
     missing.
 
     Example: pcmrs skin head.nii.gz -o head.ply
@@ -40,8 +40,8 @@ def skin(volume: Path, out: Path, threshold: float | None, any_size: bool, as_js
     from pcmrs.formats.skin import skin_of
     from pcmrs.formats.volume import read_volume
 
-    if out.suffix.lower() not in (".ply", ".stl"):
-        refuse(out, "would not be a mesh that can be read: end its name in .ply or .stl.")
+    if output.suffix.lower() not in (".ply", ".stl"):
+        refuse(output, "would not be a mesh that can be read: end its name in .ply or .stl.")
     with progress_bar(transient=True) as show:
         show("read", 0, 1)
         mesh = skin_of(read_volume(volume), threshold, show)
@@ -49,14 +49,14 @@ def skin(volume: Path, out: Path, threshold: float | None, any_size: bool, as_js
     edges_mm: list[float] = (1000.0 * (solid.bounds[1] - solid.bounds[0])).round(1).tolist()
     extent = " x ".join(f"{edge:.1f}" for edge in edges_mm)
     if not any_size and not SMALLEST_MM <= max(edges_mm) <= LARGEST_MM and not _is_confirmed(extent):
-        refuse(out, f"was not written: a body of {extent} mm. Check the size of the voxels, or give --threshold.")
-    solid.export(out)
-    found = {"file": str(out), "faces": len(mesh.faces), "edges_mm": edges_mm, "closed": bool(solid.is_watertight)}
+        refuse(output, f"was not written: a body of {extent} mm. Check the size of the voxels, or give --threshold.")
+    solid.export(output)
+    found = {"file": str(output), "faces": len(mesh.faces), "edges_mm": edges_mm, "closed": bool(solid.is_watertight)}
     if as_json:
         say_json(found)
         return
     closed = "closed" if solid.is_watertight else "not closed"
-    say(f"{out}: {len(mesh.faces)} triangles, {closed}, {extent} mm (right, anterior, superior)")
+    say(f"{output}: {len(mesh.faces)} triangles, {closed}, {extent} mm (right, anterior, superior)")
 
 
 def _is_confirmed(extent: str) -> bool:

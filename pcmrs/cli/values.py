@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
+from pathlib import Path
 from typing import Any
 
 import click
@@ -21,6 +23,42 @@ class Finite(click.FloatRange):
 
 
 POSITIVE = Finite(0.0, min_open=True)
+
+
+class Operation(click.ParamType[str]):
+    """A name of the form ``branch.operation``."""
+
+    name = "operation"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """Return the name, or fail with a usage error."""
+        branch, dot, operation = str(value).partition(".")
+        if not (branch and dot and operation):
+            self.fail(f"'{value}' is not an operation: write branch.operation.", param, ctx)
+        return str(value)
+
+
+class Arguments(click.ParamType[dict[str, Any]]):
+    """A JSON object, or ``@FILE`` for one in a file."""
+
+    name = "arguments"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> dict[str, Any]:
+        """Return the object, or fail with a usage error."""
+        if isinstance(value, dict):
+            return value
+        text = str(value)
+        try:
+            if text.startswith("@"):
+                text = Path(text[1:]).read_text(encoding="utf-8")
+            found = json.loads(text)
+        except OSError as error:
+            self.fail(f"{value[1:]} cannot be read: {error.strerror}.", param, ctx)
+        except (ValueError, RecursionError) as error:
+            self.fail(f"The arguments are not JSON: {error}.", param, ctx)
+        if not isinstance(found, dict):
+            self.fail('The arguments must be a JSON object, such as {"index": 0}.', param, ctx)
+        return found
 
 
 _UNITS = {"": 1, "b": 1, "kb": 10**3, "mb": 10**6, "gb": 10**9}

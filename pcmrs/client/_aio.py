@@ -45,7 +45,7 @@ from pcmrs.messages import (
     Verdict,
 )
 from pcmrs.messages.health import Health
-from pcmrs.messages.identity import LOCAL
+from pcmrs.messages.identity import COMMANDING, LOCAL
 from pcmrs.messages.setup import ProcedureDataView, Setup
 
 Event = Snapshot | Verdict | DeviceEvent
@@ -160,6 +160,7 @@ class Client:
         Raises:
             UnknownOutcomeError: The daemon became silent before it answered.
             PayloadError: The name is not a ``branch.operation``, or an argument cannot be sent.
+            AccessError: The role of this user may send no commands: the bus drops them, without an answer.
         """
         key, envelope = self._command(name, arguments, id)
         end = self._clock.monotonic() + timeout
@@ -176,6 +177,8 @@ class Client:
             except UnknownOutcomeError as error:
                 if not self._is_far:
                     raise
+                if unknown is None:
+                    await self._check_role()
                 unknown, patience = error, _FAR_REPLY_TIME
             end = min(end, self._clock.monotonic() + patience)
             if self._clock.monotonic() >= end:
@@ -183,6 +186,14 @@ class Client:
                     raise unknown
                 return verdict
             await self._clock.sleep(_RETRY_PERIOD)
+
+    async def _check_role(self) -> None:
+        """Refuse a user whose commands the bus drops; a daemon that does not answer leaves the question open."""
+        with suppress(UnknownOutcomeError):
+            role = (await self.setup()).role
+            if role not in COMMANDING:
+                text = f"{self._user} is a {role} here, and sends no commands: {', '.join(COMMANDING)} do."
+                raise AccessError(text, user=self._user, role=role, why="role")
 
     def _command(self, name: str, arguments: Mapping[str, Any] | None, id: str | None) -> tuple[str, Envelope]:
         branch, dot, operation = name.partition(".")

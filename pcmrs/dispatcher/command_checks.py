@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import msgspec
@@ -12,6 +12,7 @@ from pcmrs.clock import Clock
 from pcmrs.dispatcher.workflow import Workflow
 from pcmrs.errors import RefusalError
 from pcmrs.fsm import Blueprint, OperationSpec
+from pcmrs.fsm.finding import hint
 from pcmrs.messages import Command
 
 EVENT_SOURCES = ("device:", "detector:", "timer:", "operation:", "activity:")
@@ -35,12 +36,12 @@ def find_operation(workflow: Workflow[Any, Any], command: Command) -> OperationS
     branch = workflow.blueprint.branches.get(command.branch)
     if branch is None:
         known = list(workflow.blueprint.branches)
-        text = f"There is no branch {command.branch!r}; the branches are {', '.join(known)}."
+        text = f"There is no branch {command.branch!r}; {hint(command.branch, known)}"
         raise RefusalError("unknown_branch", text, branch=command.branch, known=known)
     spec = branch.operations.get(command.operation)
     if spec is None:
-        known = list(branch.operations)
-        text = f"{command.branch} has no operation {command.operation!r}; it has {', '.join(known)}."
+        known = [name for name, each in branch.operations.items() if not each.iio and not each.event]
+        text = f"{command.branch} has no operation {command.operation!r}; {hint(command.operation, known)}"
         raise RefusalError("unknown_operation", text, operation=command.operation, known=known)
     if spec.iio:
         text = f"{command.branch}.{command.operation} is called by a child branch only, never from outside."
@@ -99,12 +100,25 @@ def read_payload(workflow: Workflow[Any, Any], command: Command, spec: Operation
             msgspec.convert(arguments.pop("stop", None), int | None)
         payload: msgspec.Struct = msgspec.convert(arguments, kind)
     except msgspec.ValidationError as error:
-        raise RefusalError("bad_arguments", f"{what}: {error}.", arguments=list(command.arguments)) from error
+        text = "; ".join(_wrong_names(kind, arguments)) or f"{error}."
+        raise RefusalError("bad_arguments", f"{what}: {text}", arguments=list(command.arguments)) from error
     if (found := _not_finite(command.arguments)) is not None:
         path, value = found
         text = f"{what}: {path} is {value}; every number must be finite."
         raise RefusalError("bad_arguments", text, argument=path, value=str(value))
     return payload
+
+
+def _wrong_names(kind: type[msgspec.Struct], arguments: Mapping[str, Any]) -> Iterator[str]:
+    """Yield all arguments that are missing and all that are unknown, so that one refusal names them together."""
+    fields = msgspec.structs.fields(kind)
+    known = [field.encode_name for field in fields]
+    missing = [field.encode_name for field in fields if field.required and field.encode_name not in arguments]
+    if missing:
+        yield f"missing arguments: {', '.join(missing)}"
+    for name in arguments:
+        if name not in known:
+            yield f"unknown argument {name!r}, " + (hint(name, known) if known else "there are none")
 
 
 def check_fresh(clock: Clock, command: Command) -> None:

@@ -67,7 +67,7 @@ class Lease:
         operation = self._operations.get(command.operation)
         if operation is None:
             known = list(self._operations)
-            text = f"{LEASE} has no operation {command.operation!r}; it has {', '.join(known)}."
+            text = f"{LEASE} has no operation {command.operation!r}; {hint(command.operation, known)}"
             return Reason(code="unknown_operation", text=text, fields={"operation": command.operation, "known": known})
         if command.role not in HOLDING:
             text = f"A {command.role} cannot hold the lease: {' or '.join(HOLDING)} can."

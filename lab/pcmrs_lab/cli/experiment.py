@@ -300,7 +300,7 @@ def _plot(reports: list[PlacementReport], plot: Path | None) -> None:
 
 def _show(report: msgspec.Struct, table: RenderableType, options: ExperimentOptions, *, as_json: bool) -> None:
     print_report(report, table, as_json=as_json)
-    if options.picture is not None:
-        save_svg(table, options.picture)
+    if options.table is not None:
+        save_svg(table, options.table)
     if options.report_file is not None:
         options.report_file.write_bytes(msgspec.json.encode(report) + b"\n")

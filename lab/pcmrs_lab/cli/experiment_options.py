@@ -33,7 +33,7 @@ class ExperimentOptions:
     drivers: Drivers
     plan_file: Path | None
     overrides: tuple[str, ...]
-    picture: Path | None
+    table: Path | None
     report_file: Path | None
 
     def setup(self, workflow: str, progress: ShowProgress) -> ExperimentSetup:
@@ -109,7 +109,7 @@ def _options(workflow: str | None, rate: float) -> tuple[Callable[..., Any], ...
             metavar="KEY=VALUE",
             help="Set one value of the daemon's configuration.",
         ),
-        click.option("--picture", type=OutputFile(), help="Also save the table as this SVG file."),
+        click.option("--table", type=OutputFile(), help="Also save the table as this SVG file."),
         click.option(
             "--report",
             "report_file",

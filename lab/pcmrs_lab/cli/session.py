@@ -61,7 +61,7 @@ def session() -> None:
     help="Highest allowed intensity, percent of the maximum stimulator output.",
 )
 @click.option(
-    "--out",
+    "--output",
     type=click.Path(path_type=Path, file_okay=False),
     help="Folder for the results, empty or new; by default sessions/DATE-SUBJECT-SEED.",
 )
@@ -77,7 +77,7 @@ def ratms_threshold(
     threshold: str,
     budget: int | None,
     ceiling: float,
-    out: Path | None,
+    output: Path | None,
     overrides: tuple[str, ...],
     as_json: bool,
 ) -> None:
@@ -86,7 +86,7 @@ def ratms_threshold(
     The folder contains journal, configuration, tables of all pulses and responses, the signals, pictures, report.html
     and the hashes of all files. Ctrl-C ends the session: the data up to then are written, and marked as incomplete.
 
-    Example: pcmrs session ratms-threshold --seed 3 --out session3
+    Example: pcmrs session ratms-threshold --seed 3 --output session3
 
     Exit status 1: the session ended early, for example without a threshold; 130 after Ctrl-C.
     """
@@ -106,7 +106,7 @@ def ratms_threshold(
         ceiling=ceiling,
         overrides=overrides,
     )
-    folder = out or _default_folder(setup.configuration.procedure.patient, seed)
+    folder = output or _default_folder(setup.configuration.procedure.patient, seed)
     with progress_bar() as progress:
         report = run(run_threshold_session(setup, folder, progress))
     print_report(report, session_table(report), as_json=as_json)

@@ -28,5 +28,5 @@ def calibrate() -> None:
 
     Prints the result, the deviation of every pose, and the poses that do not fit the others; -o writes a
     calibration file for procedure.calibration. Exit status: 0 usable, 1 refused (the poses do not determine it, or an
-    error is over its limit), 2 unreadable, 3 no daemon.
+    error is over its limit), 5 unreadable, 3 no daemon.
     """

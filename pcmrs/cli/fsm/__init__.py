@@ -51,5 +51,5 @@ def fsm() -> None:
     """Design, draft, verify, draw, import, test and compare workflows.
 
     FILE is a blueprint, the name of an installed workflow such as ratms, or - for standard input. Exit status:
-    0 sound or done, 1 unsound or different, 2 unreadable or impossible.
+    0 sound or done, 1 unsound or different, 5 unreadable or impossible.
     """

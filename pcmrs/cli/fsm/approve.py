@@ -33,7 +33,7 @@ def approve(file: str, identity: Path, yes: bool, as_json: bool) -> None:
 
     Your name, the hash of the blueprint and the signature are written to FILE's name with .approval.json, beside it. A
     daemon whose register has you as an operator then starts the workflow, and its journal shows who has approved it.
-    Any later change of the blueprint ends the approval. Exit status: 0 signed, 1 FILE is unsound, 2 it cannot be read,
+    Any later change of the blueprint ends the approval. Exit status: 0 signed, 1 FILE is unsound, 5 it cannot be read,
     was not drafted, or is not confirmed, 4 the identity cannot be used.
 
     Example: pcmrs fsm approve biopsy.toml --identity ~/anna

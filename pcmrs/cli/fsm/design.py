@@ -25,7 +25,7 @@ def design(steps: str, output: Path | None, as_json: bool) -> None:
     finding. Reports how many of the 2^N combinations of N steps are possible and why the others are not, on standard
     error if the blueprint goes to standard output. Nothing is written unless the blueprint is sound. With --json,
     standard output gets one object with all this, and the blueprint is written with -o only. Exit status 0: sound, 1:
-    unsound, 2: STEPS cannot be read.
+    unsound, 5: STEPS cannot be read.
     """
     from pcmrs.authoring.design import design as design_blueprint
 

@@ -20,7 +20,7 @@ def diff(old: str, new: str, as_json: bool) -> None:
     """List the differences in behaviour of the workflows OLD and NEW: joint states, accepted operations, their targets.
 
     Goal, properties and declarations of operations count, too; comments, layout, order and titles do not. Exit status
-    0: the same behaviour, 1: it differs, 2: one is unsound, cannot be read, or has over 20,000 joint states.
+    0: the same behaviour, 1: it differs, 5: one is unsound, cannot be read, or has over 20,000 joint states.
     """
     from pcmrs.authoring.difference import compare
 

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 )
 @click.option("--rounds", type=click.IntRange(1, 50), default=6, show_default=True, help="Most answers of the model.")
 @click.option("--diff", "earlier", help="Earlier step table: list what behaves differently.")
-@click.option("--picture", type=click.Path(dir_okay=False, path_type=Path), help="Draw the workflow as SVG.")
+@click.option("--plot", type=click.Path(dir_okay=False, path_type=Path), help="Draw the workflow as SVG.")
 @click.option("--reviewed", is_flag=True, help="A person has read the text: it has no data of a patient.")
 @click.option("--evaluate", is_flag=True, help="Draft the protocols of PCMRS, and count the properties that hold.")
 @json_option
@@ -53,7 +53,7 @@ def draft(
     config: Path | None,
     rounds: int,
     earlier: str | None,
-    picture: Path | None,
+    plot: Path | None,
     reviewed: bool,
     evaluate: bool,
     as_json: bool,
@@ -81,8 +81,8 @@ def draft(
     if result.text and (output is not None or not as_json):
         write(result.text, output)
     differences = _differences(result, earlier)
-    if picture is not None and result.blueprint:
-        _draw(result, picture)
+    if plot is not None and result.blueprint:
+        _draw(result, plot)
     if as_json:
         keys: dict[str, Any] = {"proved": bool(result.blueprint), "findings": result.findings, "rounds": result.rounds}
         say_json(keys | {"differences": differences})

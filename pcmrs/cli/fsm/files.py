@@ -11,7 +11,7 @@ import click
 import msgspec
 
 from pcmrs.cli.printing import say, say_lines, write_document
-from pcmrs.cli.running import say_problem
+from pcmrs.cli.running import EXIT_FAILED, say_problem
 from pcmrs.errors import ConfigurationError
 from pcmrs.fsm import Blueprint, examine
 from pcmrs.fsm.files.toml import MAX_BYTES, read_bounded
@@ -52,7 +52,7 @@ def conclude(origin: str, findings: list[Finding], *, readable: bool, as_json: b
 
 
 EXIT_UNSOUND = 1
-EXIT_UNREADABLE = 2
+EXIT_UNREADABLE = EXIT_FAILED
 
 file_argument = click.argument("file")
 output_option = click.option(

@@ -25,7 +25,7 @@ def import_(file: str, form: str | None, output: Path | None, as_json: bool) -> 
 
     Regions become branches, nested states branches of the next level, events operations with that title. Anything that
     a blueprint cannot express is reported with its line and column, and nothing is written. You add steps, checks and
-    roles. The result is verified: exit status 0: sound, 1: written, but unsound, 2: FILE cannot be imported. With
+    roles. The result is verified: exit status 0: sound, 1: written, but unsound, 5: FILE cannot be imported. With
     --json, standard output gets one object with the result, and the blueprint is written with -o only.
     """
     from pcmrs.authoring.exchange.importing.drawio import from_drawio

@@ -32,7 +32,7 @@ def verify(files: tuple[str, ...], limit: int, as_json: bool) -> None:
     """Search all joint states of each FILE for violations of a rule or a property.
 
     A finding has its place in the file, and the commands that lead to it. Exit status 0: all are sound,
-    1: one is not, 2: one cannot be read.
+    1: one is not, 5: one cannot be read.
     """
     found = [_examine(file, limit) for file in files]
     if as_json:

@@ -43,13 +43,15 @@ def test_without_a_daemon_the_status_is_3_with_one_error_line(words: list[str], 
         (["robot.connect", "5"], "JSON object"),
         (["robot.connect", '{"a": ' + "[" * 20000 + "]" * 20000 + "}"], "not JSON"),
         (["robot.connect", '{"a": ' + "1" * 5000 + "}"], "not JSON"),
+        (["robot.connect", "@/no/such/file"], "/no/such/file cannot be read: No such file"),
+        (["robot"], "write branch.operation"),
+        (["robot."], "write branch.operation"),
     ],
 )
-def test_arguments_that_are_no_json_object_are_refused_unsent(words: list[str], text: str) -> None:
+def test_a_call_that_cannot_be_meant_is_refused_unsent(words: list[str], text: str) -> None:
     ended = run("call", *words)
     assert ended.exit_code == 2
-    (line,) = ended.stderr.splitlines()
-    assert text in line
+    assert text in ended.stderr.splitlines()[-1]
 
 
 def verdict(decision: Any, **more: Any) -> Verdict:
@@ -67,7 +69,7 @@ def test_a_snapshot_is_one_line_with_all_that_needs_attention() -> None:
     assert event_line(shown) == "#7 robot=1 placement=held LATCHED"
 
 
-@pytest.mark.parametrize(("decision", "status"), [("accepted", 0), ("rejected", 1), ("failed", 2), ("unknown", 2)])
+@pytest.mark.parametrize(("decision", "status"), [("accepted", 0), ("rejected", 1), ("failed", 5), ("unknown", 6)])
 async def test_the_exit_status_of_a_call_is_its_decision(decision: str, status: int) -> None:
     async def submit(command: Command, *, arrived: float | None) -> Verdict:
         return replace(accepted(command), decision=decision, allowed=["robot.hold"])

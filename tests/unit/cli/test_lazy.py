@@ -10,7 +10,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from pcmrs.cli import COMMANDS, main
+from pcmrs.cli import COMMANDS, SECTIONS, main
 from pcmrs.cli.lazy import LazyCommand, LazyGroup
 from tests.unit.cli.command_line import run
 
@@ -22,10 +22,27 @@ def test_everything_explains_itself(words: list[str]) -> None:
     assert "Usage" in ended.stdout
 
 
-def test_an_unknown_command_is_a_usage_error() -> None:
-    ended = run("explode")
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["explode"], "No such command 'explode'."),
+        (["stat"], "Did you mean 'state'?"),
+        (["calibrate", "pivto"], "Did you mean 'pivot'?"),
+        (["state", "--jsn"], "Did you mean '--json'?"),
+    ],
+)
+def test_an_unknown_word_is_a_usage_error_with_what_was_meant(words: list[str], says: str) -> None:
+    ended = run(*words)
     assert ended.exit_code == 2
-    assert "explode" in ended.stderr
+    assert says in ended.stderr
+
+
+def test_help_has_every_command_once_below_a_heading() -> None:
+    assert sorted(name for names in SECTIONS.values() for name in names) == sorted(COMMANDS.keys() - {"node"})
+    lines = run("--help").stdout.splitlines()
+    for name in COMMANDS.keys() - {"node"}:
+        assert sum(line.split()[:1] == [name] for line in lines) == 1, name
+    assert not any(line.endswith("...") for line in lines)
 
 
 def lazy_groups(group: LazyGroup) -> Iterator[LazyGroup]:

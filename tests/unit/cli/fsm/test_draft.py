@@ -39,7 +39,7 @@ def drafted(url: str, *words: object, **more: Any) -> Result:
 def test_a_proved_draft_is_written_and_its_questions_shown(protocol: Path, tmp_path: Path) -> None:
     output, picture = tmp_path / "table.toml", tmp_path / "draft.svg"
     with served(answering(SLIGHTLY_WRONG), answering(RIGHT)) as server:
-        result = drafted(server.url, protocol, "-o", output, "--picture", picture)
+        result = drafted(server.url, protocol, "-o", output, "--plot", picture)
     assert result.exit_code == 0, result.output
     assert server.requests[0]["key"] == "Bearer secret"
     lines = result.stderr.splitlines()
@@ -57,7 +57,7 @@ def test_a_proved_draft_is_written_and_its_questions_shown(protocol: Path, tmp_p
 def test_an_unsound_draft_is_written_with_its_findings(protocol: Path, tmp_path: Path) -> None:
     output, picture = tmp_path / "table.toml", tmp_path / "draft.svg"
     with served(answering(SLIGHTLY_WRONG)) as server:
-        result = drafted(server.url, protocol, "-o", output, "--rounds", "2", "--picture", picture)
+        result = drafted(server.url, protocol, "-o", output, "--rounds", "2", "--plot", picture)
     assert result.exit_code == 1
     (finding,) = tomllib.loads(output.read_text())["unresolved"]
     assert finding in result.stderr

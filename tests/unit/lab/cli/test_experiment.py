@@ -59,7 +59,7 @@ def test_a_report_is_printed_saved_and_drawn(
 ) -> None:
     monkeypatch.setattr("pcmrs.analysis.plots.save_png", lambda _, path: path.write_text("drawn"))
     report, table, plot = (tmp_path / name for name in ("report.json", "table.svg", "plot.png"))
-    words = ("--trials", "3", "--report", str(report), "--picture", str(table), "--plot", str(plot), "--json")
+    words = ("--trials", "3", "--report", str(report), "--table", str(table), "--plot", str(plot), "--json")
     ended = experiment("placements", *words)
     assert ended.exit_code == 0, ended.stderr
     assert json.loads(ended.stdout) == json.loads(report.read_bytes())

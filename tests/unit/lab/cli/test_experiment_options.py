@@ -90,7 +90,7 @@ def test_virtual_devices_run_in_real_time_only(command: tuple[str, ...]) -> None
         (("--seed", "-1"), "--seed"),
         (("--drivers", "real"), "--drivers"),
         (("--report", "/no/such/folder/r.json"), "cannot be written"),
-        (("--picture", "/no/such/folder/p.svg"), "cannot be written"),
+        (("--table", "/no/such/folder/p.svg"), "cannot be written"),
     ],
 )
 def test_impossible_values_are_usage_errors(words: tuple[str, ...], text: str) -> None:

@@ -62,7 +62,7 @@ def test_the_default_folder_names_date_subject_and_seed(ran: list[tuple[SessionS
 
 def test_options_become_the_setup_of_the_session(ran: list[tuple[SessionSetup, Path]], tmp_path: Path) -> None:
     words = ("--method", "grid", "--threshold", "relative_frequency", "--ceiling", "60", "--rate", "2")
-    session(*words, "--out", str(tmp_path / "out"))
+    session(*words, "--output", str(tmp_path / "out"))
     (setup, folder) = ran[0]
     assert (setup.method, setup.threshold, setup.ceiling, setup.rate) == ("grid", "relative_frequency", 60.0, 2.0)
     assert folder == tmp_path / "out"
@@ -87,7 +87,7 @@ def test_impossible_sessions_are_usage_errors(ran: list[Any], words: tuple[str, 
 
 def test_the_command_refuses_a_folder_in_use(tmp_path: Path) -> None:
     (tmp_path / "other").touch()
-    ended = session("--out", str(tmp_path))
+    ended = session("--output", str(tmp_path))
     assert ended.exit_code == 4
     assert "not empty" in ended.stderr
 

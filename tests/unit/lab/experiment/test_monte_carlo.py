@@ -99,7 +99,7 @@ def test_the_command_prints_saves_and_draws(tmp_path: Path) -> None:
     assert "by construction" in ended.stdout
     assert picture.read_bytes().startswith(b"\x89PNG")
     saved: dict[str, Any] = json.loads(report_file.read_text())
-    printed = json.loads(CliRunner().invoke(main, [*words, "--json", "--picture", str(table)]).stdout)
+    printed = json.loads(CliRunner().invoke(main, [*words, "--json", "--table", str(table)]).stdout)
     assert printed == saved
     assert table.read_text().startswith("<svg")
     assert (saved["seed"], saved["runs"], saved["simulated"], len(saved["rows"])) == (4, 3, True, 10)
