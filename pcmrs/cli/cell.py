@@ -11,7 +11,8 @@ import click
 import msgspec
 
 from pcmrs.cli.options import CellAddress, address_options, json_option
-from pcmrs.cli.printing import say
+from pcmrs.cli.printing import say, say_json
+from pcmrs.cli.quantities import readable
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, EXIT_UNKNOWN, readable_errors, run
 from pcmrs.cli.values import Arguments, Operation
 from pcmrs.errors import PcmrsError
@@ -89,14 +90,21 @@ def keys(as_json: bool, address: CellAddress) -> None:
 
 
 @click.command()
+@json_option
 @address_options
 @readable_errors
-def stop(address: CellAddress) -> None:
-    """Stop every motion and latch: nothing moves until the stop is acknowledged, in RATMS by robot.acknowledge."""
+def stop(as_json: bool, address: CellAddress) -> None:
+    """Stop every motion and latch: nothing moves until the stop is acknowledged, in RATMS by robot.acknowledge.
+
+    Exit status: 0 the robot stands, 1 it is not confirmed that it stands, 3 no daemon.
+    """
     number, stands, release = run(_stop(address))
+    if as_json:
+        say_json({"stop": number, "stands": stands, "release": release})
+        raise SystemExit(0 if stands else EXIT_REJECTED)
     if not stands:
         say(f"Stop {number} has started, but it is not confirmed that the robot stands still: look at it.", err=True)
-        raise SystemExit(1)
+        raise SystemExit(EXIT_REJECTED)
     say(f"stopped, and {_latched(release, number)}")
 
 
@@ -160,7 +168,7 @@ def event_line(event: Event) -> str:
         line += f", {event.branch} is in {event.state}"
     if event.reason is not None:
         line += f": {event.reason.code}: {event.reason.text}"
-    return line + (f" {json.dumps(event.result)}" if event.result else "")
+    return line + (f": {readable(event.result)}" if event.result else "")
 
 
 def _unknown(outcome: UnknownOutcome) -> str:

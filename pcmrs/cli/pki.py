@@ -123,8 +123,9 @@ def issue(
 
 @click.command("device-key")
 @click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+@json_option
 @readable_errors
-def device_key(file: Path) -> None:
+def device_key(file: Path, as_json: bool) -> None:
     """Make the key that a daemon shares with device nodes on other machines, as a new FILE with mode 0600.
 
     Both sides name their copy as access.device_key. Nodes that the daemon starts itself need none. Exit status: 0
@@ -135,7 +136,10 @@ def device_key(file: Path) -> None:
     from pcmrs.bus.seal import write_key
 
     write_key(file)
-    say(f"{file}: copy it over a secure channel to the machine of each device node.")
+    if as_json:
+        say_json({"file": str(file)})
+    else:
+        say(f"{file}: copy it over a secure channel to the machine of each device node.")
 
 
 @click.command()

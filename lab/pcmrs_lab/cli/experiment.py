@@ -252,8 +252,9 @@ def registrations(runs: int, seed: int, plot: Path | None, as_json: bool) -> Non
 
 @click.command()
 @experiment_options("ratms")
+@json_option
 @readable_errors
-def demo(options: ExperimentOptions) -> None:
+def demo(options: ExperimentOptions, as_json: bool) -> None:
     """Run a whole procedure on the simulated cell: plan, digitize, register, and 12 placements.
 
     With --workflow femoroplasty the bone is drilled and injected at the last of them. With --drivers virtual the daemon
@@ -261,9 +262,10 @@ def demo(options: ExperimentOptions) -> None:
     """
     speed = "in real time" if options.rate == 1.0 else f"{options.rate:g} times as fast as real time"
     devices = ", behind a virtual KUKA cabinet and a virtual NDI tracker" if options.drivers == "virtual" else ""
-    say(f"A simulated cell, {speed}{devices}; speed limits as configured. Commands go over UDP, as from 3D Slicer.")
-    say("Research software, not a medical device.")
-    _placements(options, 12, as_json=False)
+    text = f"A simulated cell, {speed}{devices}; speed limits as configured. Commands go over UDP, as from 3D Slicer."
+    say(text, err=as_json)
+    say("Research software, not a medical device.", err=as_json)
+    _placements(options, 12, as_json=as_json)
 
 
 def _placements(options: ExperimentOptions, trials: int, *, as_json: bool) -> PlacementReport:
