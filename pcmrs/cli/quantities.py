@@ -8,8 +8,8 @@ from typing import Any, Final
 UNITS: Final = {"mm": "mm", "deg": "°", "s": "s", "n": "N", "hz": "Hz", "percent": "%"}
 """Ending of a name, after an underscore, to the unit in which its value is given."""
 LENGTHS: Final = frozenset(
-    "clearance confirm_offset depth distance distances length limit offset position residual rms shift spread spreads "
-    "standoff tre travel".split()
+    {"clearance", "confirm_offset", "depth", "distance", "distances", "length", "limit", "offset", "position"}
+    | {"residual", "rms", "shift", "spread", "spreads", "standoff", "tre", "travel"}
 )
 """Names of results in m."""
 FORCES: Final = frozenset({"force", "peak_force"})

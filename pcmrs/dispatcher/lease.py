@@ -11,6 +11,7 @@ from typing import Final
 
 from pcmrs.clock import Clock
 from pcmrs.dispatcher.command_checks import EVENT_SOURCES
+from pcmrs.fsm.finding import hint
 from pcmrs.messages import Command, DeviceEvent, LeaseState, Reason
 from pcmrs.messages.identity import HOLDING, LOCAL
 

@@ -118,7 +118,9 @@ def test_peer_with_the_name_of_a_member_is_refused(lab: Path, peer: str) -> None
 
 def test_every_fault_has_its_line_and_what_could_be_meant(tmp_path: Path) -> None:
     file = tmp_path / "cell.toml"
-    file.write_text("[procedure.placement]\nstandof = 0.07\nclearance = 280\nsettle_time = 'long'\n[robt]\nmodel = 'iiwa7'\n")
+    file.write_text(
+        "[procedure.placement]\nstandof = 0.07\nclearance = 280\nsettle_time = 'long'\n[robt]\nmodel = 'iiwa7'\n"
+    )
     with pytest.raises(ConfigurationError) as refused:
         read_settings(file, ["procedure.zones.box_margin=20"])
     first, *lines = refused.value.text.splitlines()

@@ -16,7 +16,7 @@ ORDER = ("rejected", "accepted", "unknown", "failed")
 
 
 class CoveragePlan:
-    """Plan of the moves to be made. One that does not end as wanted is tried again, then put aside until others have been made.
+    """Plan of the moves to be made. One that fails is tried again, then put aside until others have been made.
 
     Args:
         moves: All moves that can be made in each joint state; each is to be made once.

@@ -17,12 +17,16 @@ def completed(shell: str, words: str, position: int) -> list[str]:
     asked = {"COMP_WORDS": words, "COMP_CWORD": str(position), "_PCMRS_COMPLETE": f"{shell}_complete"}
     if shell == "fish":
         asked["COMP_CWORD"] = words.split()[position]
-    ended = subprocess.run([BIN / "pcmrs"], env=os.environ | asked, capture_output=True, text=True, timeout=60, check=True)
+    ended = subprocess.run(
+        [BIN / "pcmrs"], env=os.environ | asked, capture_output=True, text=True, timeout=60, check=True
+    )
     return ended.stdout.split()
 
 
 @pytest.mark.parametrize(
-    ("shell", "expected"), [("bash", "plain,state"), ("zsh", "state"), ("fish", "plain,state")], ids=["bash", "zsh", "fish"]
+    ("shell", "expected"),
+    [("bash", "plain,state"), ("zsh", "state"), ("fish", "plain,state")],
+    ids=["bash", "zsh", "fish"],
 )
 def test_a_command_is_completed(shell: str, expected: str) -> None:
     found = completed(shell, "pcmrs sta", 1)

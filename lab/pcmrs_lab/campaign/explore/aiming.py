@@ -23,6 +23,8 @@ TO_THE_BODY = 7
 """Number of steps after which the tool is at its place."""
 TO_FOLLOW = 8
 """Number of steps after which the tool is placed even if one of them was too early, and may follow the head."""
+LONG_MOTIONS = ((6, "placement.approach"), (6, "placement.approach"), (8, "placement.home"))
+"""Numbers of steps from the initial state, and motions from there that last longer than the deadman's time."""
 FOLLOWED = 4.0
 """Longest time for which the tool follows the head before that is interrupted, s."""
 MEETINGS = (1, 3)
@@ -95,6 +97,10 @@ ENDS = ("crash_daemon", "crash_daemon", "crash_node")
 """Faults that end a process."""
 SLOW = ("held_up", "delay", "slow_disk", "partition")
 """Faults that make events meet that are in transit in a process, on the network or to the disk."""
+LATE = ("delay", "delay", "delay", "held_up")
+"""Faults that make the heartbeats of the daemon late."""
+SILENCES = ("crash_daemon", "crash_daemon", "crash_daemon", "partition")
+"""Faults after which no heartbeat of the daemon arrives any more."""
 CHANGES = ("toolplan.clear", "toolplan.plan", "registration.clear_registration", "registration.register")
 """Operations that revoke the basis of a motion."""
 
@@ -115,6 +121,19 @@ def draw_following(draw: random.Random) -> list[Act]:
     acts.append(Act(0.5, "placement.follow", "anna"))
     first, *others = draw.choice((_end, _end, _stop, _event))(draw)
     acts += [msgspec.structs.replace(first, after=round(draw.uniform(0.0, FOLLOWED), 3)), *others]
+    for _ in range(draw.randint(*AFTERWARDS)):
+        acts += _afterwards(draw)
+    return acts
+
+
+def draw_silenced(draw: random.Random) -> list[Act]:
+    """Return acts that go straight to a long motion, in which messages are late and the daemon becomes silent."""
+    depth, motion = draw.choice(LONG_MOTIONS)
+    acts = [Act(0.5, "go_on", "anna", {"turn": (number + 1) % 2}) for number in range(depth)]
+    acts.append(Act(_pause(draw), motion, "anna", {}, waits=False))
+    acts.append(_fault(draw, LATE))
+    silence = _fault(draw, SILENCES)
+    acts.append(msgspec.structs.replace(silence, after=round(draw.uniform(SOON, DURING), 3)))
     for _ in range(draw.randint(*AFTERWARDS)):
         acts += _afterwards(draw)
     return acts

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 
 from pcmrs.fsm import Blueprint
-from pcmrs_lab.campaign.explore.aiming import draw_aimed, draw_following
+from pcmrs_lab.campaign.explore.aiming import draw_aimed, draw_following, draw_silenced
 from pcmrs_lab.campaign.explore.faults import FAULTS
 from pcmrs_lab.campaign.explore.plans import GARBAGE, random_operation
 from pcmrs_lab.campaign.explore.script import Act, Physics, SessionScript
@@ -21,6 +21,8 @@ AIMED = 0.75
 """Share of the sessions that aim at windows."""
 FOLLOWING = 0.05
 """Share of the sessions that follow the head; drawn separately, so that a seed of another session keeps its acts."""
+SILENCED = 0.05
+"""Share of the sessions whose daemon becomes silent in a motion; drawn separately, too."""
 SLOW = (0.0, 0.0, 0.1, 0.3)
 """Shares of the windows that take time by themselves; one for each session."""
 IN_THE_MIDDLE = 0.3
@@ -49,6 +51,8 @@ def draw_script(blueprint: Blueprint, workflow: str, seed: int, physics: Physics
     separate = random.Random(f"following {workflow} {seed}")
     if separate.random() < FOLLOWING:
         acts = draw_following(separate)
+    elif separate.random() < SILENCED:
+        acts = draw_silenced(separate)
     elif draw.random() < AIMED:
         acts = draw_aimed(draw)
     else:

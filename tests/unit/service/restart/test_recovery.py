@@ -384,7 +384,9 @@ async def test_values_of_types_of_an_older_program_are_reported(journal: Journal
 
 
 async def test_the_approval_of_a_draft_is_journalled(journal: Journal, configured: Settings) -> None:
-    approval = Approval(id="ratms", version="1", hash="ab", migrations="cd", by="anna", at=1.0, certificate="c", signature="s")
+    approval = Approval(
+        id="ratms", version="1", hash="ab", migrations="cd", by="anna", at=1.0, certificate="c", signature="s"
+    )
     await recover(journal, recorder_of(journal), shipped_workflow("ratms"), configured, approval)
     rows = [stored.row for stored in journal.reader.read()]
     assert [row.operation for row in rows] == ["started", "draft_approved"]
