@@ -40,7 +40,8 @@ def as_config(
 
         found = [(where(path) if where else "", text) for path, text in faults_in(values, kind)]
         lines = [f"{place}: {text}" if place else text for place, text in found]
-        raise ConfigurationError("\n".join([f"{origin} is wrong:", *lines])) from None
+        text = f" {lines[0]}" if len(lines) == 1 else "\n".join(["", *lines])
+        raise ConfigurationError(f"{origin} is wrong:{text}") from None
     except ValueError as error:
         raise ConfigurationError(f"{origin} is wrong: {error}.") from None
 

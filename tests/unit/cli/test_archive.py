@@ -55,7 +55,7 @@ def test_the_journal_of_the_configured_cell_is_added(place: Path, tmp_path: Path
 def test_one_damaged_journal_does_not_keep_the_others_out(place: Path, cells: list[Path]) -> None:
     damage(cells[0], 3)
     added = run(place, "add", *cells)
-    assert added.exit_code == 2
+    assert added.exit_code == 5
     assert "c1/ratms.sqlite was not added" in added.stderr
     assert "row 3" in added.stderr
     assert "lab/c2/ratms-" in added.stdout
@@ -64,7 +64,7 @@ def test_one_damaged_journal_does_not_keep_the_others_out(place: Path, cells: li
 def test_a_cell_is_named_by_the_user(place: Path, tmp_path: Path) -> None:
     path = write(tmp_path / "old" / "ratms.sqlite", commands(1))
     refused = run(place, "add", path)
-    assert (refused.exit_code, "--cell SITE/NAME" in refused.stderr) == (2, True)
+    assert (refused.exit_code, "--cell SITE/NAME" in refused.stderr) == (5, True)
     assert run(place, "add", path, "--cell", "oslo/c9").stdout.startswith("oslo/c9/ratms-")
     assert "is not a cell" in run(place, "add", path, "--cell", "oslo").stderr
 
@@ -78,7 +78,7 @@ def test_a_damaged_archive_is_reported_and_not_asked(place: Path, cells: list[Pa
     assert problem["code"] == "segment_missing"
     assert "PROBLEM Rows 1–7 of lab/c1/" in run(place, "verify").stdout
     asked = run(place, "ask", "sessions")
-    assert asked.exit_code == 2
+    assert asked.exit_code == 5
     assert "Rows 1–7 of lab/c1/ratms" in asked.stderr
 
 
@@ -101,24 +101,26 @@ def test_questions_are_answered_as_table_lines_and_file(place: Path, cells: list
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("words", "status", "message"),
     [
-        ((), "one of QUESTION and --sql"),
-        (("stops", "--sql", "SELECT 1"), "one of QUESTION and --sql"),
-        (("stop",), "There is no question stop"),
-        (("--sql", "DROP TABLE rows"), "one SELECT"),
-        (("--sql", "SELECT * FROM rows", "-o", "rows.xlsx"), ".parquet or .csv"),
+        ((), 2, "one of QUESTION and --sql"),
+        (("stops", "--sql", "SELECT 1"), 2, "one of QUESTION and --sql"),
+        (("stop",), 2, "There is no question stop"),
+        (("--sql", "DROP TABLE rows"), 5, "one SELECT"),
+        (("--sql", "SELECT * FROM rows", "-o", "rows.xlsx"), 5, ".parquet or .csv"),
     ],
 )
-def test_what_is_no_question_is_refused(place: Path, cells: list[Path], words: tuple[str, ...], message: str) -> None:
+def test_what_is_no_question_is_refused(
+    place: Path, cells: list[Path], words: tuple[str, ...], status: int, message: str
+) -> None:
     run(place, "add", *cells)
     refused = run(place, "ask", *words)
-    assert (refused.exit_code, message in refused.stderr) == (2, True), refused.output
+    assert (refused.exit_code, message in refused.stderr) == (status, True), refused.output
 
 
 def test_a_place_without_an_archive_is_named(place: Path) -> None:
     for words in (("list",), ("verify",), ("ask", "stops")):
         refused = run(place, *words)
-        assert refused.exit_code == 2
+        assert refused.exit_code == 5
         assert f"{place} is not an archive" in refused.stderr
     assert not place.exists()

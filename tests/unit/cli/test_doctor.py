@@ -12,7 +12,7 @@ from pcmrs.cli.doctor import doctor
 from pcmrs.doctor import Examination
 
 
-@pytest.mark.parametrize(("floor", "status"), [("0", (0, 1)), ("1e12", (2,))])
+@pytest.mark.parametrize(("floor", "status"), [("0", (0, 1)), ("1e12", (5,))])
 def test_the_status_tells_the_worst_and_every_line_what_to_do(
     tmp_path: Path, floor: str, status: tuple[int, ...]
 ) -> None:
@@ -25,7 +25,7 @@ def test_the_status_tells_the_worst_and_every_line_what_to_do(
 
     found = msgspec.json.decode(told.stdout, type=Examination)
     assert told.exit_code in status
-    assert found.verdict == ("good", "warning", "bad")[told.exit_code]
+    assert found.verdict == {0: "good", 1: "warning", 5: "bad"}[told.exit_code]
     assert all(bool(each.remedy) == (each.verdict != "good") for each in found.findings)
     assert {"real-time policy", "kernel", "time of fsync", "free space", "certificates"} <= {
         each.check for each in found.findings

@@ -34,7 +34,7 @@ def test_damage_is_exported_as_it_is_with_status_1(tmp_path: Path, journal_path:
 def test_no_journal_or_no_such_session_exports_nothing(tmp_path: Path, journal_path: Path) -> None:
     for folder, more in ((tmp_path, ("--session", "x")), (tmp_path / "empty", ())):
         ended = run(*words(folder, *more))
-        assert ended.exit_code == 2
+        assert ended.exit_code == 5
         assert len(ended.stderr.splitlines()) == 1
         assert not (folder / "out").exists()
 

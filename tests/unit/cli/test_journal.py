@@ -58,7 +58,7 @@ def test_journal_is_shown_oldest_first_and_only_its_last_rows(tmp_path: Path) ->
 
 def test_a_journal_that_is_not_there_is_named(tmp_path: Path) -> None:
     ended = run("journal", "show", str(tmp_path / "none.sqlite"))
-    assert ended.exit_code == 2
+    assert ended.exit_code == 5
     (line,) = ended.stderr.splitlines()
     assert "none.sqlite" in line
 

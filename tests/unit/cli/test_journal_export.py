@@ -29,7 +29,7 @@ def test_the_first_bad_row_is_named_and_the_good_part_is_saved(journal_path: Pat
     assert json.loads(shown.stdout)["first_bad"] == 8
     exported = tmp_path / "rows.jsonl"
     refused = journal_command("export", journal_path, "-o", exported)
-    assert refused.exit_code == 2
+    assert refused.exit_code == 5
     assert "row 8" in refused.stderr
     assert list(tmp_path.glob("rows*")) == []
     saved = journal_command("export", journal_path, "-o", exported, "--good-part")
@@ -39,7 +39,7 @@ def test_the_first_bad_row_is_named_and_the_good_part_is_saved(journal_path: Pat
 
 
 def test_missing_journal_or_unknown_format_is_not_damage(journal_path: Path, tmp_path: Path) -> None:
-    assert journal_command("verify", tmp_path / "none.sqlite").exit_code == 2
+    assert journal_command("verify", tmp_path / "none.sqlite").exit_code == 5
     wrong = journal_command("export", journal_path, "-o", tmp_path / "rows.txt")
     assert wrong.exit_code == 2
     assert ".jsonl or .csv" in wrong.stderr

@@ -25,7 +25,7 @@ def test_the_summary_counts_what_was_repeated() -> None:
 
 def test_a_journal_without_the_start_of_a_run_is_not_replayed(journal_path: Path) -> None:
     ended = journal_command("replay", journal_path)
-    assert ended.exit_code == 2
+    assert ended.exit_code == 5
     assert ended.stdout == ""
     assert len(ended.stderr.splitlines()) == 1
 
@@ -33,5 +33,5 @@ def test_a_journal_without_the_start_of_a_run_is_not_replayed(journal_path: Path
 @pytest.mark.parametrize("name", ["none.sqlite", "none.jsonl"])
 def test_a_journal_that_is_not_there_is_named(tmp_path: Path, name: str) -> None:
     ended = journal_command("replay", tmp_path / name)
-    assert ended.exit_code == 2
+    assert ended.exit_code == 5
     assert name in ended.stderr

@@ -42,7 +42,7 @@ def test_help_has_every_command_once_below_a_heading() -> None:
     lines = run("--help").stdout.splitlines()
     for name in COMMANDS.keys() - {"node"}:
         assert sum(line.split()[:1] == [name] for line in lines) == 1, name
-    assert not any(line.endswith("...") for line in lines)
+    assert not any(line.endswith("...") for line in lines[1:])
 
 
 def lazy_groups(group: LazyGroup) -> Iterator[LazyGroup]:

@@ -63,7 +63,7 @@ def test_a_device_key_is_new_private_and_never_replaced(tmp_path: Path) -> None:
     assert key.hex() not in run("pki", "device-key", str(file)).output
     assert run("pki", "device-key", str(file)).exit_code == 4
     assert read_key(file) == key
-    assert run("pki", "device-key", str(tmp_path / "none" / "device.key")).exit_code == 2
+    assert run("pki", "device-key", str(tmp_path / "none" / "device.key")).exit_code == 5
 
 
 def test_printed_roles_are_the_table_of_the_access_control() -> None:

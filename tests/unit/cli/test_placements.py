@@ -177,9 +177,9 @@ def test_a_pose_log_with_gaps_is_shown(tmp_path: Path) -> None:
     assert "frozen" in ended.stdout
 
 
-def _refused(*words: str) -> str:
+def _refused(*words: str, status: int = 5) -> str:
     ended = _run(*words)
-    assert ended.exit_code == 2
+    assert ended.exit_code == status
     assert isinstance(ended.exception, SystemExit)  # anything else would be a traceback
     assert ended.stdout == ""
     return ended.stderr
@@ -204,7 +204,7 @@ def test_a_journal_without_placements_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_standoff_of_a_pose_log_is_a_usage_error(tmp_path: Path) -> None:
-    assert "--standoff-mm" in _refused(str(_pose_log(tmp_path)), "--standoff-mm", "10")
+    assert "--standoff-mm" in _refused(str(_pose_log(tmp_path)), "--standoff-mm", "10", status=2)
 
 
 def test_a_picture_that_cannot_be_written_is_named(tmp_path: Path) -> None:
@@ -220,7 +220,7 @@ def test_a_folder_that_is_not_there_is_found_before_the_work(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("standoff", ["nan", "inf", "2000"])
 def test_a_standoff_must_be_one(standoff: str, tmp_path: Path) -> None:
-    assert "--standoff-mm" in _refused(_folder(tmp_path), "--standoff-mm", standoff)
+    assert "--standoff-mm" in _refused(_folder(tmp_path), "--standoff-mm", standoff, status=2)
 
 
 def test_a_byte_order_mark_before_a_pose_log_is_passed_over(tmp_path: Path) -> None:

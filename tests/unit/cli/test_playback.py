@@ -59,7 +59,7 @@ def test_a_file_that_is_no_recording_is_named(tmp_path: Path) -> None:
     (tmp_path / "other.mcap").write_bytes(b"no recording")
     for name in ("other.mcap", "none.mcap"):
         ended = run("play", str(tmp_path / name))
-        assert ended.exit_code == 2
+        assert ended.exit_code == 5
         assert name in ended.stderr
         assert len(ended.stderr.splitlines()) == 1
 

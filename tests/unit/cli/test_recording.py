@@ -49,7 +49,7 @@ def test_an_output_that_exists_is_not_overwritten(recorded: Path, tmp_path: Path
     assert run("repair", str(recorded), "-o", str(tmp_path / "mine.mcap")).exit_code == 4
     assert (tmp_path / "mine.mcap").read_bytes() == b"mine"
     (tmp_path / "other").write_bytes(b"something else")
-    assert run("repair", str(tmp_path / "other"), "-o", str(tmp_path / "new.mcap")).exit_code == 2
+    assert run("repair", str(tmp_path / "other"), "-o", str(tmp_path / "new.mcap")).exit_code == 5
     assert not (tmp_path / "new.mcap").exists()
 
 

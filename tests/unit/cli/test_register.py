@@ -178,7 +178,7 @@ def test_unreadable_files_end_with_2_and_one_line(tmp_path: Path) -> None:
     shorter = write(tmp_path / "shorter.csv", PLANNED[:5], NAMES[:5])
     for digitized, text in ((str(tmp_path / "none.csv"), "none.csv"), (shorter, "6 planned landmarks but 5")):
         ended = CliRunner().invoke(main, ["register", plan, digitized])
-        assert ended.exit_code == 2
+        assert ended.exit_code == 5
         assert ended.stdout == ""
         (line,) = ended.stderr.splitlines()
         assert text in line

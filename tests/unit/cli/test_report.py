@@ -43,5 +43,5 @@ def test_a_mistyped_name_does_not_overwrite_a_journal(journal_path: Path, option
 def test_a_report_that_cannot_be_made_leaves_no_file(tmp_path: Path) -> None:
     (tmp_path / "none.sqlite").write_bytes(b"no journal")
     ended = run("report", str(tmp_path / "none.sqlite"), "-o", str(tmp_path / "a.html"))
-    assert ended.exit_code == 2
+    assert ended.exit_code == 5
     assert [file.name for file in tmp_path.iterdir()] == ["none.sqlite"]

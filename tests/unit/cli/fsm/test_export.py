@@ -31,7 +31,7 @@ def test_the_schema_needs_no_file() -> None:
 def test_an_unreadable_and_an_unsound_file_are_not_exported(tmp_path: Path) -> None:
     bad = tmp_path / "bad.toml"
     bad.write_text("id = 1\n")
-    assert run("export", str(bad), "--format", "scxml").exit_code == 2
+    assert run("export", str(bad), "--format", "scxml").exit_code == 5
     bad.write_text('id = "x"\nversion = "1"\n[branches.a]\nlevel = 3\nstates = { a = "" }\n')
     result = run("export", str(bad), "--format", "scxml")
     assert (result.exit_code, result.stdout) == (1, "")

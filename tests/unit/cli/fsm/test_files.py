@@ -20,7 +20,7 @@ def test_name_means_the_installed_workflow_not_a_local_file(tmp_path: Path, monk
     (tmp_path / "ratms").write_text("not a blueprint")
     monkeypatch.chdir(tmp_path)
     assert run("fsm", "verify", "ratms").exit_code == 0
-    assert run("fsm", "verify", "./ratms").exit_code == 2
+    assert run("fsm", "verify", "./ratms").exit_code == 5
 
 
 def test_a_file_that_cannot_be_read_is_named_with_the_reason(tmp_path: Path) -> None:
@@ -44,7 +44,7 @@ def test_a_name_that_is_no_text_can_be_printed() -> None:
     error.value.text.encode()
 
 
-@pytest.mark.parametrize(("readable", "status"), [(True, 1), (False, 2)])
+@pytest.mark.parametrize(("readable", "status"), [(True, 1), (False, 5)])
 def test_findings_end_a_command_as_text_or_as_one_object(
     readable: bool, status: int, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -45,7 +45,7 @@ def test_dead_end_is_found_although_an_inner_branch_can_reinit() -> None:
 def test_import_of_an_unsupported_chart_writes_nothing(tmp_path: Path) -> None:
     written = tmp_path / "ring.toml"
     result = run("import", "-", "-o", str(written), given=RING.replace('event="go" ', 'cond="x" '))
-    assert result.exit_code == 2
+    assert result.exit_code == 5
     assert not written.exists()
     assert "<stdin>:2:17: not_supported" in result.stderr
 
@@ -82,7 +82,7 @@ def test_import_says_in_json_what_came_of_it(tmp_path: Path) -> None:
     assert {finding["file"] for finding in said["findings"]} == {str(written)}
     unreadable = run("import", "-", "--json", given="<svg/>")
     said = json.loads(unreadable.stdout)
-    assert (unreadable.exit_code, said["readable"], said["findings"][0]["code"]) == (2, False, "not_scxml")
+    assert (unreadable.exit_code, said["readable"], said["findings"][0]["code"]) == (5, False, "not_scxml")
     assert run("import", "-", "--json", "-o", "-", given=RING).exit_code == 2
 
 
@@ -90,6 +90,6 @@ def test_a_blueprint_that_could_not_be_read_again_is_not_written(tmp_path: Path)
     written = tmp_path / "many.toml"
     events = " ".join(f"e{number}" for number in range(5_000))
     result = run("import", "-", "-o", str(written), given=RING.replace('"go"', f'"{events}"', 1))
-    assert result.exit_code == 2
+    assert result.exit_code == 5
     assert result.stderr.startswith("<stdin>:1:1: too_large: The blueprint of this chart would have ")
     assert not written.exists()

@@ -74,5 +74,5 @@ def test_random_steps_as_json_are_one_object_a_line() -> None:
 def test_unreadable_workflow_ends_with_2(tmp_path: Path) -> None:
     file = tmp_path / "no.toml"
     file.write_bytes(b"\xff")
-    assert simulate(str(file)).exit_code == 2
-    assert simulate(str(tmp_path / "none.toml")).exit_code == 2
+    assert simulate(str(file)).exit_code == 5
+    assert simulate(str(tmp_path / "none.toml")).exit_code == 5

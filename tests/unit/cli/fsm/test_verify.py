@@ -41,7 +41,7 @@ def test_a_finding_has_its_place_and_its_commands() -> None:
 def test_worst_file_sets_the_exit_code_and_all_are_verified() -> None:
     files = [FILE, UNSOUND / "deadlock.toml", UNSOUND / "not_toml.toml"]
     result = run("--json", *files)
-    assert result.exit_code == 2
+    assert result.exit_code == 5
     found = json.loads(result.stdout)
     assert [(each["file"], each["readable"], each["sound"]) for each in found] == [
         (str(files[0]), True, True),
@@ -62,7 +62,7 @@ def test_the_limit_can_be_set_and_standard_input_read() -> None:
 @pytest.mark.parametrize("given", [b"", b"\xff", b"id = 1", b"[" * 10_000])
 def test_file_that_is_no_workflow_is_unreadable(given: bytes) -> None:
     result = run("-", given=given)
-    assert result.exit_code == 2
+    assert result.exit_code == 5
     assert "<stdin>: unreadable: 1 finding" in result.stdout
 
 
@@ -70,7 +70,7 @@ def test_unreadable_file_is_a_finding_and_others_are_verified(tmp_path: Path) ->
     missing = tmp_path / "none.toml"
     files: list[str | Path] = [missing, tmp_path, "no_such_workflow", FILE]
     result = run("--json", *files)
-    assert result.exit_code == 2
+    assert result.exit_code == 5
     assert result.stderr == ""
     found = json.loads(result.stdout)
     assert [each["sound"] for each in found] == [False, False, False, True]

@@ -289,7 +289,7 @@ def test_it_can_be_compared_and_stepped_through(folder: Path) -> None:
     walked = CliRunner().invoke(main, ["fsm", "simulate", "--random", "20", "--seed", "1", files[1]])
     assert walked.exit_code == 0, walked.output
     unfolded = CliRunner().invoke(main, ["fsm", "verify", "-"], input=OWN)
-    assert unfolded.exit_code == 2
+    assert unfolded.exit_code == 5
     assert "<stdin>:2:1: bad_extends" in unfolded.stdout
 
 

@@ -95,7 +95,7 @@ def test_the_table_shows_subjects_and_what_there_is_to_cover(workflow: str) -> N
 
 def test_a_workflow_that_is_too_large_is_refused(workflow: str) -> None:
     ended = fsm_test(workflow, "--limit", "2")
-    assert ended.exit_code == 2
+    assert ended.exit_code == 5
     assert "over 2 joint states" in ended.stderr
 
 

@@ -19,7 +19,7 @@ THRESHOLDS = ("experiment", "thresholds", "--subjects", "3")
         ((*THRESHOLDS, "--workers", "0"), 2, "--workers"),
         ((*THRESHOLDS, "--workers", "2", "--cluster", "tls://scheduler:8786"), 2, "leave it out"),
         ((*THRESHOLDS, "--cluster", "tcp://192.0.2.1:8786"), 4, "is neither encrypted nor on this machine"),
-        ((*THRESHOLDS, "--finished", "/no/such/folder/file.jsonl"), 2, "No such file or directory"),
+        ((*THRESHOLDS, "--finished", "/no/such/folder/file.jsonl"), 5, "No such file or directory"),
         (("faults", "explore", "--cluster", "tcp://192.0.2.1:8786"), 4, "neither encrypted"),
         (("faults", "run", "--id", "S1", "--cluster", "192.0.2.1:8786"), 4, "write tls://HOST:PORT"),
         (("experiment", "failures", "--workers", "2"), 2, "--runs"),
