@@ -19,6 +19,7 @@ import pytest
 
 from pcmrs.client import PlainClient
 from pcmrs.clock import SystemClock
+from pcmrs.errors import AccessError
 from pcmrs.messages import BodyPose, DeviceHealth, JointState, Snapshot
 from pcmrs.pki import read_credentials
 from pcmrs.testing.cell import LIGHT, QUICK
@@ -92,6 +93,7 @@ def test_the_workflow_runs_through_a_router_on_loopback(tmp_path: Path) -> None:
         tom = read_credentials(tmp_path / "tom", SystemClock().wall())
         with PlainClient.connect(network.listen, SITE, CELL, credentials=tom) as client:
             check_that_devices_are_heard(client)
+            check_that_a_viewer_is_refused(network.listen, tmp_path)
             with holding(cell):
                 (first, arguments), *others = RATMS
                 cell.accept(first, arguments)
@@ -107,6 +109,14 @@ def accept(client: PlainClient, name: str, arguments: Mapping[str, Any]) -> None
         shown = client.until(lambda shown: not shown.running)
         if shown.branches["placement"] == "unknown":  # the tracker was late
             accept(client, "placement.locate", {})
+
+
+def check_that_a_viewer_is_refused(endpoint: str, folder: Path) -> None:
+    """The router drops a viewer's commands without an answer: the client says why, and waits for nothing."""
+    eve = read_credentials(folder / "eve", SystemClock().wall())
+    with PlainClient.connect(endpoint, SITE, CELL, credentials=eve) as client:
+        with pytest.raises(AccessError, match="eve is a viewer here, and sends no commands"):
+            client.call("robot.connect")
 
 
 def check_that_devices_are_heard(client: PlainClient) -> None:
