@@ -290,7 +290,7 @@ async def keep_real_time_policy(machine: Clock) -> None:
 
 def _log_counters(sources: Iterable[Source]) -> None:
     found = {name: many for name, many in counted(sources).items() if many}
-    log.info("counted", **found)
+    log.debug("counted", **found)
 
 
 @contextmanager

@@ -300,7 +300,7 @@ def open_cell(settings: Settings, blueprint: Blueprint, link: Link, clocks: Cloc
     )
     if settings.pointer.driver == DWELL:
         cell.pointer = DwellPointer(cell.poses, clocks.cell, cell.pointer_from_tip, settings.pointer.dwell)
-    log.info("calibration", **cell.calibrations(), id=cell.calibration_id)
+    log.debug("calibration", **cell.calibrations(), id=cell.calibration_id)
     return cell
 
 

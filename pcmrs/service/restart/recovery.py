@@ -147,7 +147,8 @@ async def recover(
     kept = recorder.kept
     for outcome in kept.unknown:
         log.warning("unknown_outcome", command=outcome.command, operation=f"{outcome.branch}.{outcome.operation}")
-    log.info("recovered", latched=kept.latched, can_be_taken_back=sorted(kept.taken_back))
+    note = log.info if kept.latched or kept.taken_back else log.debug
+    note("recovered", latched=kept.latched, can_be_taken_back=sorted(kept.taken_back))
     return Recovered(replace(workflow, initial=initial), kept.latched, kept.unknown, start)
 
 
