@@ -8,6 +8,7 @@ from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
 
 if TYPE_CHECKING:
     from pcmrs.dispatcher import DispatcherListener
+    from pcmrs.gateway.tracked_poses import TrackedPoses
 
     # Only for annotations: a planner shares this package's grammar and must not load NumPy for it.
     from pcmrs.spatial import Floats, Transform
@@ -63,5 +64,5 @@ class Core(Protocol):
     def seen(self) -> dict[str, Transform]:
         """``tracker_from_body`` of each body that the tracker sees, if fresh: ``coil``, ``pointer``, ``body_ref``."""
 
-    def tracked(self) -> dict[str, Transform] | None:
-        """Measured ``body_from_tool``, ``tracker_from_body`` and ``tracker_from_tool``, newest of each, if fresh."""
+    def tracked(self) -> TrackedPoses | None:
+        """Return the measured poses of a pose log, newest of each; None unless fresh and registered."""
