@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
     # Only for annotations: a planner shares this package's grammar and must not load NumPy for it.
     from pcmrs.spatial import Floats, Transform
+    from pcmrs.workflows.data import PlacementData
 
 
 class Core(Protocol):
@@ -60,6 +61,9 @@ class Core(Protocol):
 
     def registration(self) -> Transform | None:
         """``body_ref_from_image`` of the accepted registration."""
+
+    def data(self) -> PlacementData:
+        """Return the data of the procedure."""
 
     def seen(self) -> dict[str, Transform]:
         """``tracker_from_body`` of each body that the tracker sees, if fresh: ``coil``, ``pointer``, ``body_ref``."""

@@ -85,6 +85,9 @@ class GatewayAdapter:
         registered = self._dispatcher.procedure.data.registered
         return as_transform(registered.body_ref_from_image) if registered is not None else None
 
+    def data(self) -> PlacementData:
+        return self._dispatcher.procedure.data
+
     def seen(self) -> dict[str, Transform]:
         found = {"coil": self._seen_tool(), "pointer": self._seen("pointer"), "body_ref": self._seen("body_ref")}
         return {body: pose for body, pose in found.items() if pose is not None}

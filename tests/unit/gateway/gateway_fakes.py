@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from pcmrs.dispatcher import DispatcherListener
 from pcmrs.gateway._arrival import LOOKS_HZ
 from pcmrs.gateway.periodic_timer import kernel_beats
-from pcmrs.gateway.tracked_poses import TrackedPoses
 from pcmrs.gateway.rejection_log import PERIOD
+from pcmrs.gateway.tracked_poses import TrackedPoses
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Snapshot, Verdict
 from pcmrs.spatial import Floats, Transform
+from pcmrs.workflows.data import PlacementData
 
 POSE = Transform.from_quat_xyzw([0.01, 0.02, 0.03], [0.5, 0.5, 0.5, 0.5])
 
@@ -59,6 +60,7 @@ class FakeCore:
         self.pose: Transform | None = POSE
         self.target: Transform | None = POSE
         self.registered: Transform | None = None
+        self.placement_data = PlacementData()
         self.tip: Floats | None = np.array([0.1, 0.2, 0.3])
 
     @property
@@ -141,6 +143,9 @@ class FakeCore:
 
     def registration(self) -> Transform | None:
         return self.registered
+
+    def data(self) -> PlacementData:
+        return self.placement_data
 
     def seen(self) -> dict[str, Transform]:
         return {"coil": POSE, "body_ref": POSE}

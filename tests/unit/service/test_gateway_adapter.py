@@ -59,7 +59,14 @@ def registered_core(feed: PoseFeed, registration: Transform | None) -> GatewayAd
     if registration is not None:
         pose = as_message(registration)
         found = Registered(
-            id="r", body_ref_from_image=pose, residual=0.0, rms=0.0, landmarks=(), digitized=(), patient="", calibration=""
+            id="r",
+            body_ref_from_image=pose,
+            residual=0.0,
+            rms=0.0,
+            landmarks=(),
+            digitized=(),
+            patient="",
+            calibration="",
         )
     dispatcher = SimpleNamespace(
         procedure=SimpleNamespace(data=PlacementData(registered=found)),
