@@ -1,9 +1,9 @@
 """Frames of the lab's software: its calibrations as those of PCMRS, and the reverse.
 
 rotms-ros places its tool by ``bodyref_body body_cntct cntct_offset offset_tool tool_toolref toolref_eff``, where
-``a_b`` is the pose of b in a; ``cntct`` is the plan, ``cntct_offset`` the standoff, ``toolref`` the tracked marker
-body, and ``eff`` the flange. At the plan, with no standoff, ``offset`` coincides with ``cntct``. So ``offset`` is what a plan
-places: the tool tip of PCMRS.
+``a_b`` is the pose of b in a. There ``cntct`` is the plan, ``cntct_offset`` the standoff, ``toolref`` the tracked
+marker body, and ``eff`` the flange. At the plan, with no standoff, ``offset`` coincides with ``cntct``. So ``offset``
+is the frame that a plan places: the tool tip of PCMRS.
 """
 
 from __future__ import annotations
