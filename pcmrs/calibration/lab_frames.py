@@ -18,8 +18,6 @@ from pcmrs.errors import FileFormatError
 from pcmrs.formats.lab_yaml import read_lab_calibration
 from pcmrs.spatial import Transform, rotation_angle
 
-__all__ = ["LabCalibrations", "lab_calibrations_of", "read_lab_calibrations"]
-
 TOOL_MARKER, FLANGE, POINTER = "tool_toolref.yaml", "toolref_eff.yaml", "ptr_ptrtip.yaml"
 OFFSET_TOOL, STANDOFF = "offset_tool.yaml", "cntct_offset.yaml"
 AMBIGUOUS: Final = (TOOL_MARKER, FLANGE, POINTER)

@@ -94,7 +94,7 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         watch = ReceiveWatch(clock, tasks)
         watch.start()
         if lab_folder is not None:
-            from pcmrs.gateway.lab_files import LabFileWriter  # loads the formats of files, which few cells need
+            from pcmrs.gateway._lab_files import LabFileWriter  # loads the formats of files, which few cells need
 
             lab_files = LabFileWriter(core, clock, lab_folder, files, refusals)
             core.add_listener(lab_files)

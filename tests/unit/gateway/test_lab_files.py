@@ -18,7 +18,8 @@ import yaml
 
 from pcmrs.background import BackgroundTasks
 from pcmrs.errors import ConfigurationError
-from pcmrs.gateway.lab_files import NOT_WRITTEN, LabFileWriter
+from pcmrs.files import keep_private
+from pcmrs.gateway._lab_files import NOT_WRITTEN, LabFileWriter
 from pcmrs.gateway.links import open_gateway
 from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
@@ -88,6 +89,10 @@ async def a_writer(folder: Path) -> AsyncIterator[Writer]:
 
 def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
+
+
+def mode_of(path: Path) -> int:
+    return path.stat().st_mode & 0o777
 
 
 def inodes(folder: Path) -> dict[str, int]:
@@ -163,6 +168,18 @@ async def test_what_is_revoked_says_so_and_stays(tmp_path: Path) -> None:
         await again.settle()
         assert again.content("toolpose.yaml")["IN_FORCE"] == 0, "of an earlier run of the daemon"
         np.testing.assert_allclose(module_pose(again.content("toolpose.yaml"))[1], PLAN.translation * 1000.0, atol=1e-9)
+
+
+@pytest.mark.parametrize(("folder", "file"), [(0o700, 0o600), (0o750, 0o640), (0o755, 0o644)], ids=oct)
+async def test_who_may_read_the_folder_may_read_the_files(tmp_path: Path, folder: int, file: int) -> None:
+    tmp_path.chmod(folder)
+    before = keep_private()
+    try:
+        async with a_writer(tmp_path) as writer:
+            writer.change(PLANNED_DATA)
+    finally:
+        os.umask(before)
+    assert mode_of(tmp_path / "landmarkplan.yaml") == file
 
 
 async def test_files_that_the_lab_has_written_are_left_alone(tmp_path: Path) -> None:

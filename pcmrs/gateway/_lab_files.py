@@ -17,6 +17,8 @@ from pcmrs.gateway.rejection_log import RejectionLog
 from pcmrs.messages import DeviceEvent, Snapshot, Verdict
 from pcmrs.workflows.data import PlacementData, as_transform
 
+OTHERS_READ = 0o044
+"""Rights of others to read."""
 NOT_WRITTEN = "lab_files_not_written"
 """Reason of the report that a file could not be written."""
 
@@ -102,8 +104,19 @@ class LabFileWriter(DispatcherListener):
             texts.setdefault(CLOUD, "")
         for name, text in texts.items():
             if self._on_disk.get(name) != text:
-                write_durably(self._folder / name, text.encode("utf-8"), mode=SECRET)
+                self._replace(name, text)
                 self._on_disk[name] = text
+
+    def _replace(self, name: str, text: str) -> None:
+        """Replace a file as a whole. Those who may read the folder may read it, whatever the mask of the daemon is.
+
+        Raises:
+            OSError: It cannot be written.
+        """
+        whole = self._folder / f".{name}"
+        write_durably(whole, text.encode("utf-8"), mode=SECRET)
+        whole.chmod(SECRET | self._folder.stat().st_mode & OTHERS_READ)
+        whole.replace(self._folder / name)
 
 
 def _revoked(path: Path) -> str | None:
