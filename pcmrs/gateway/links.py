@@ -80,8 +80,9 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
     lab_folder = _make_lab_folder(config.lab_files)
     async with AsyncExitStack() as stack:
         tasks, jobs, files = (BackgroundTasks(logged_as(TASK_FAILED)) for _ in range(3))
-        for owner in (tasks, jobs, files):
-            stack.push_async_callback(owner.close)
+        stack.push_async_callback(tasks.close)
+        stack.push_async_callback(jobs.close)
+        stack.push_async_callback(files.close)
         streams = Streams(core, kernel_beats, config, await _open_sender(stack), tasks)
         pose_files = PoseFileWriter(core, clock, folder / RECORDS, tasks)
         refusals = RejectionLog(core, clock, tasks)
