@@ -1,4 +1,6 @@
-"""Files of poses: saved placements, pose logs, poses for a calibration, and calibrations; read, or refused by name.
+"""Files of poses: saved placements, pose logs, poses for a calibration, calibrations, and those of the lab.
+
+Each is read, or refused by name.
 
 python -m fuzz.pose_files -max_total_time=60
 """
@@ -17,6 +19,7 @@ with instrumented("pcmrs.formats", "pcmrs.calibration", "yaml"):
     from pcmrs.calibration import read_calibration
     from pcmrs.calibration.poses import HAND_EYE, read_poses, read_touches
     from pcmrs.errors import FileFormatError
+    from pcmrs.formats.lab_yaml import read_lab_calibration, read_lab_cloud, read_lab_pose
     from pcmrs.formats.pose_file import read_placements
     from pcmrs.formats.pose_log import read_pose_log
 
@@ -29,6 +32,9 @@ READERS: dict[str, Callable[[Path], object]] = {
     "poses.json": read_hand_eye,
     "calibration.toml": read_calibration,
     "touches.csv": read_touched,
+    "tool_toolref.yaml": read_lab_calibration,
+    "reg.yaml": read_lab_pose,
+    "icpdig.yaml": lambda path: (read_lab_cloud(path),),
 }
 FILE = UploadedFile(*READERS)
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable
+import shutil
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Final
 
 from pcmrs.errors import ConfigurationError
@@ -43,6 +46,35 @@ def write_durably(path: Path, content: bytes, *, mode: int) -> None:
         raise
 
 
+@contextmanager
+def whole_folder(folder: Path) -> Iterator[Path]:
+    """Write a folder that gets its name only once all its files are on the disk; nothing remains if that fails.
+
+    Args:
+        folder: Path of the folder. It must be new or empty.
+
+    Yields:
+        Folder to write the files into.
+
+    Raises:
+        ConfigurationError: The folder is not empty, or it is no folder.
+        OSError: It cannot be written.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        text = f"{folder} already exists and is not empty: name another folder, or move it away."
+        raise ConfigurationError(text, folder=str(folder))
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    part = Path(mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+    try:
+        yield part
+        for path in part.iterdir():
+            _sync(path)
+        publish(part, folder)
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+
+
 def make_private(folder: Path) -> None:
     """Make a folder that only its owner can enter; an existing folder is closed to others.
 
@@ -66,10 +98,10 @@ def keep_private() -> int:
 
 
 def publish(part: Path, path: Path) -> None:
-    """Give a file its name once its whole content is on the disk.
+    """Give a file or folder its name once its whole content is on the disk.
 
     Args:
-        part: Path of the written file.
+        part: Path of the written file, or of the folder, whose files are on the disk already.
         path: Path that it gets; in the same folder.
 
     Raises:

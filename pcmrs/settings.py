@@ -323,7 +323,8 @@ def read_settings(file: Path | None = None, overrides: Sequence[str] = ()) -> Se
     """Read and check the whole configuration: defaults of the workflow, overridden by a file and by single values.
 
     Args:
-        file: TOML file; the path of a workflow, an arm or a calibration in it is relative to its folder.
+        file: TOML file; the path of a workflow, an arm, a calibration or the lab's files in it is relative to its
+            folder.
         overrides: Settings, ``key=value`` each; such a path there is relative to the working directory.
 
     Raises:
@@ -379,7 +380,7 @@ def _locations(file: Path | None, overrides: Sequence[str]) -> Where:
 
 
 def _resolve_paths(values: dict[str, Any], folder: Path) -> None:
-    """Make the paths of a workflow, an arm, calibrations and secrets absolute, relative to `folder`."""
+    """Make the paths of workflow, arm, calibrations, the lab's files and secrets absolute, relative to `folder`."""
     procedure = values.get("procedure")
     calibration = procedure.get("calibration") if isinstance(procedure, dict) else None
     access = values.get("access")
@@ -389,6 +390,7 @@ def _resolve_paths(values: dict[str, Any], folder: Path) -> None:
         (calibration, "tool_file", ".toml"),
         (calibration, "tip_file", ".toml"),
         (calibration, "pointer_file", ".toml"),
+        (values.get("gateway"), "lab_files", ""),
         (access, "identity", ""),
         (access, "register", ""),
     ):

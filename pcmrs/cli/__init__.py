@@ -114,6 +114,7 @@ COMMANDS = {
         "pcmrs.cli.export_session:export_session",
         "Copy a session of the configured cell into one folder, and verify the copy of its journal.",
     ),
+    "data": LazyCommand("pcmrs.cli.data:data", "Export the data of a procedure for other software."),
     "report": LazyCommand(
         "pcmrs.cli.report:report", "Write the report of a session: one page for a clinician, then all details."
     ),
@@ -133,6 +134,7 @@ SECTIONS = {
         "report",
         "export-session",
         "archive",
+        "data",
     ),
     "Try and test in simulation": ("demo", "session", "experiment", "faults"),
 }

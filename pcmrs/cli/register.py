@@ -124,7 +124,7 @@ def _write(
     if output is not None and (registration is None or not verdict.accepted):
         say(f"{output} is not written: the registration is refused.", err=True)
     elif output is not None and registration is not None:
-        from pcmrs.formats.lab_yaml import lab_registration
+        from pcmrs.formats.lab_text import lab_registration
 
         output.write_text(lab_registration(registration.fixed_from_moving, refined=False))
 

@@ -9,11 +9,10 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from pcmrs.errors import FileFormatError
 from pcmrs.formats.lab_yaml import lab_pose
-from pcmrs.formats.reading import read_yaml, refuse
+from pcmrs.formats.reading import YamlFile, read_yaml, refuse
 from pcmrs.spatial import Transform
 
 __all__ = ["Placement", "read_placements"]
@@ -64,14 +63,13 @@ def _files_of(folder: Path) -> list[Path]:
 
 def _read(path: Path) -> Placement:
     content = read_yaml(path)
-    return Placement(path.stem, _pose(path, content, "PLANNED_POSE"), _pose(path, content, "MEASURED_POSE"))
+    return Placement(path.stem, _pose(content, "PLANNED_POSE"), _pose(content, "MEASURED_POSE"))
 
 
-def _pose(path: Path, content: dict[str, Any], key: str) -> Transform:
-    block = content.get(key)
-    if not isinstance(block, dict):
-        refuse(path, f"is not a saved placement: it holds no pose under {key}.", key=key)
-    return lab_pose(path, block, f"{key}.")
+def _pose(content: YamlFile, key: str) -> Transform:
+    if not isinstance(content.keys.get(key), dict):
+        refuse(content.path, f"is not a saved placement: it holds no pose under {key}.", key=key)
+    return lab_pose(content, key)
 
 
 def _by_number(path: Path) -> list[str | int]:

@@ -18,7 +18,7 @@ from pcmrs.spatial import Transform
 __all__ = ["PoseLog", "read_pose_log"]
 
 ROWS = ("body_tool", "pol_body", "pol_tool")
-"""``body_from_tool``, ``tracker_from_body``, ``tracker_from_tool``."""
+"""``image_from_tool``, ``tracker_from_image``, ``tracker_from_tool``: the body of the lab's software is the image."""
 
 MAX_BYTES = 20 * 1024 * 1024
 """Limit of a file: more than an hour at 20 samples per second."""

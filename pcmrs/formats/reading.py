@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -64,20 +66,71 @@ def read_text(path: Path) -> str:
         refuse(path, f"is not UTF-8 text: byte {error.start} is 0x{error.object[error.start]:02x}; save it as UTF-8.")
 
 
-def read_yaml(path: Path) -> dict[str, Any]:
-    """Return the keys of a YAML file.
+@dataclass(frozen=True, eq=False, slots=True)
+class YamlFile:
+    """Content of a YAML file, with the lines of its keys.
+
+    Attributes:
+        path: The file.
+        keys: Its keys with their values.
+        root: The same as nodes, which have the lines.
+    """
+
+    path: Path
+    keys: dict[str, Any]
+    root: yaml.Node
+
+    def line(self, at: Sequence[str]) -> int:
+        """Return the line of a key, from 1: that of the last key on the way to it that is there.
+
+        Args:
+            at: The keys on the way, from the outermost one.
+        """
+        node, line = self.root, self.root.start_mark.line
+        for name in at:
+            pairs = node.value if isinstance(node, yaml.MappingNode) else ()
+            found = next(((key, value) for key, value in pairs if key.value == name), None)
+            if found is None:
+                break
+            key, node = found
+            line = key.start_mark.line
+        return line + 1
+
+    def refuse(self, at: Sequence[str], problem: str, **fields: Any) -> NoReturn:
+        """Raise `FileFormatError` with a text that begins with file and line.
+
+        Args:
+            at: The keys on the way to the key that is wrong, from the outermost one.
+            problem: The rest of the text.
+            fields: Fields of the error.
+
+        Raises:
+            FileFormatError: Always.
+        """
+        line = self.line(at)
+        refuse(self.path, f"in line {line} {problem}", line=line, **fields)
+
+
+def read_yaml(path: Path) -> YamlFile:
+    """Return the content of a YAML file.
 
     Raises:
         FileFormatError: It is not YAML, has a key twice, or is not a mapping; the text says where.
     """
+    loader = None
     try:
-        found = yaml.load(read_text(path), Loader=_UntrustedLoader)  # noqa: S506  # it is a SafeLoader
+        loader = _UntrustedLoader(read_text(path))
+        root = loader.get_single_node()
+        found = None if root is None else loader.construct_document(root)
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # a ValueError for a date that does not exist
         reason = " ".join(str(error).split())
         refuse(path, f"is not YAML: {reason}.")
-    if not isinstance(found, dict):
+    finally:
+        if loader is not None:
+            loader.dispose()
+    if root is None or not isinstance(found, dict):
         refuse(path, "holds no keys with values (KEY: ...): it is empty, or another kind of file.")
-    return found
+    return YamlFile(path, found, root)
 
 
 def read_table(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:

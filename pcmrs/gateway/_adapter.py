@@ -8,9 +8,11 @@ from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
 
 if TYPE_CHECKING:
     from pcmrs.dispatcher import DispatcherListener
+    from pcmrs.gateway.tracked_poses import TrackedPoses
 
     # Only for annotations: a planner shares this package's grammar and must not load NumPy for it.
     from pcmrs.spatial import Floats, Transform
+    from pcmrs.workflows.data import PlacementData
 
 
 class Core(Protocol):
@@ -60,8 +62,11 @@ class Core(Protocol):
     def registration(self) -> Transform | None:
         """``body_ref_from_image`` of the accepted registration."""
 
+    def data(self) -> PlacementData:
+        """Return the data of the procedure."""
+
     def seen(self) -> dict[str, Transform]:
         """``tracker_from_body`` of each body that the tracker sees, if fresh: ``coil``, ``pointer``, ``body_ref``."""
 
-    def tracked(self) -> dict[str, Transform] | None:
-        """Measured ``body_from_tool``, ``tracker_from_body`` and ``tracker_from_tool``, newest of each, if fresh."""
+    def tracked(self) -> TrackedPoses | None:
+        """Return the measured poses of a pose log, newest of each; None unless fresh and registered."""

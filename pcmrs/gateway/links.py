@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import os
 import socket
 from collections.abc import AsyncIterator, Mapping
 from contextlib import AsyncExitStack, asynccontextmanager
@@ -72,12 +74,15 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         folder: Folder of the cell, for the counters of signed peers; saved placements and pose logs go into `RECORDS`.
 
     Raises:
-        ConfigurationError: A port cannot be bound, or a peer's key or the counters cannot be used.
+        ConfigurationError: A port cannot be bound, or a peer's key, the counters or the folder of the lab's files
+            cannot be used.
     """
+    lab_folder = _make_lab_folder(config.lab_files)
     async with AsyncExitStack() as stack:
-        tasks, jobs = (BackgroundTasks(logged_as(TASK_FAILED)) for _ in range(2))
+        tasks, jobs, files = (BackgroundTasks(logged_as(TASK_FAILED)) for _ in range(3))
         stack.push_async_callback(tasks.close)
         stack.push_async_callback(jobs.close)
+        stack.push_async_callback(files.close)
         streams = Streams(core, kernel_beats, config, await _open_sender(stack), tasks)
         pose_files = PoseFileWriter(core, clock, folder / RECORDS, tasks)
         refusals = RejectionLog(core, clock, tasks)
@@ -89,6 +94,14 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         core.add_listener(intake)
         watch = ReceiveWatch(clock, tasks)
         watch.start()
+        if lab_folder is not None:
+            from pcmrs.gateway._lab_files import LabFileWriter  # loads the formats of files, which few cells need
+
+            lab_files = LabFileWriter(core, clock, lab_folder, files, refusals)
+            core.add_listener(lab_files)
+            lab_files.start()
+            # It is left when the commands have ended, so that what they have changed is written.
+            stack.push_async_callback(files.finish, clock, FINISH_WITHIN)
         if config.markers.enabled:
             core.add_listener(Markers(config.markers.stream, core.snapshot()))
         addresses = {
@@ -103,6 +116,21 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         # It is left first, while the sockets are open: clients learn the outcome of commands that the daemon has ended.
         stack.push_async_callback(jobs.finish, clock, FINISH_WITHIN)
         yield Gateway(addresses, intake.counters)
+
+
+def _make_lab_folder(name: str) -> Path | None:
+    """Make the folder of the lab's files; None if there is none. Raises `ConfigurationError`."""
+    if not name:
+        return None
+    folder = Path(name).expanduser()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    except OSError as error:
+        text = f"gateway.lab_files: {folder} cannot be used ({error.strerror}): give a folder that can be written."
+        raise ConfigurationError(text, folder=str(folder)) from None
+    return folder
 
 
 def _open_admission(

@@ -14,12 +14,11 @@ from pcmrs.background import BackgroundTasks
 from pcmrs.clock import Clock
 from pcmrs.errors import RefusalError
 from pcmrs.gateway._adapter import Core
+from pcmrs.gateway.tracked_poses import TrackedPoses
 from pcmrs.spatial import Transform
 
 LOG_SECONDS = 5.0
 LOG_RATE_HZ = 20.0
-
-_ROWS = {"body_tool": "body_from_tool", "pol_body": "tracker_from_body", "pol_tool": "tracker_from_tool"}
 
 
 class PoseFileWriter:
@@ -55,8 +54,10 @@ class PoseFileWriter:
         """Start a log of `LOG_SECONDS` at `LOG_RATE_HZ`; return its task, whose result is the file.
 
         Raises:
-            RefusalError: A log is being taken.
+            RefusalError: A log is being taken, or nothing is registered, so that no pose in the image is known.
         """
+        if self._core.registration() is None:
+            raise RefusalError("no_data", "There is no registration, so no poses in the image can be logged: register.")
         if self._log is not None and not self._log.done():
             raise RefusalError("busy", f"A pose log is being taken; it ends within {LOG_SECONDS:g} s.")
         self._log = self._tasks.spawn(self._take_log())
@@ -89,11 +90,15 @@ def placement_text(planned: Transform, measured: Transform) -> str:
     return _pose_block("PLANNED_POSE", planned) + _pose_block("MEASURED_POSE", measured)
 
 
-def sample_rows(tracked: dict[str, Transform]) -> str:
-    """Return the CSV rows of one tracker frame: name, x, y, z, qx, qy, qz, qw."""
+def sample_rows(tracked: TrackedPoses) -> str:
+    """Return the CSV rows of one sample: name, x, y, z, qx, qy, qz, qw."""
+    poses = {
+        "body_tool": tracked.image_from_tool,
+        "pol_body": tracked.tracker_from_image,
+        "pol_tool": tracked.tracker_from_tool,
+    }
     lines = []
-    for row, key in _ROWS.items():
-        pose = tracked[key]
+    for row, pose in poses.items():
         lines.append(",".join([row, *(f"{number:.6f}" for number in (*pose.translation, *pose.quat_xyzw))]))
     return "\n".join(lines) + "\n"
 

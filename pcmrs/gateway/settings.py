@@ -141,6 +141,8 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         stream_rate_hz: Rate of the pose streams.
         openigtlink: The link with 3D Slicer.
         markers: Markers of what the procedure does, on Lab Streaming Layer.
+        lab_files: Folder in which the daemon keeps the lab's YAML files of the procedure up to date, for modules and
+            scripts that read them. Empty, the default: no files.
         unsigned_peers: Loopback addresses whose unsigned commands are accepted.
         peers: Peers that sign their commands, by name.
 
@@ -161,6 +163,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     stream_rate_hz: float = 100.0
     openigtlink: OpenIgtLinkConfig = OpenIgtLinkConfig()
     markers: MarkersConfig = MarkersConfig()
+    lab_files: str = ""
     unsigned_peers: tuple[str, ...] = ("127.0.0.1", "::1")
     peers: dict[str, PeerConfig] = {}
 

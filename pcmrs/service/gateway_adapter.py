@@ -7,6 +7,7 @@ import asyncio
 from pcmrs.bus.commands import Submit
 from pcmrs.dispatcher import Dispatcher, DispatcherListener
 from pcmrs.errors import RefusalError
+from pcmrs.gateway.tracked_poses import TrackedPoses
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.cell import Cell
@@ -84,15 +85,18 @@ class GatewayAdapter:
         registered = self._dispatcher.procedure.data.registered
         return as_transform(registered.body_ref_from_image) if registered is not None else None
 
+    def data(self) -> PlacementData:
+        return self._dispatcher.procedure.data
+
     def seen(self) -> dict[str, Transform]:
         found = {"coil": self._seen_tool(), "pointer": self._seen("pointer"), "body_ref": self._seen("body_ref")}
         return {body: pose for body, pose in found.items() if pose is not None}
 
-    def tracked(self) -> dict[str, Transform] | None:
-        body, tool = self._seen("body_ref"), self._seen_tool()
-        if body is None or tool is None:
+    def tracked(self) -> TrackedPoses | None:
+        image_from_tracker, tool = self._image_from_tracker(), self._seen_tool()
+        if image_from_tracker is None or tool is None:
             return None
-        return {"body_from_tool": body.inverse() @ tool, "tracker_from_body": body, "tracker_from_tool": tool}
+        return TrackedPoses(image_from_tracker @ tool, image_from_tracker.inverse(), tool)
 
     def _image_from_tracker(self) -> Transform | None:
         body, body_from_image = self._seen("body_ref"), self.registration()

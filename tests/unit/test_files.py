@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from pcmrs.errors import ConfigurationError
-from pcmrs.files import SECRET, make_private, read_secret, settle_on_disk, sha256_of, write_durably
+from pcmrs.files import (
+    SECRET,
+    make_private,
+    read_secret,
+    settle_on_disk,
+    sha256_of,
+    whole_folder,
+    write_durably,
+)
 
 
 def test_failed_write_leaves_the_old_file_and_nothing_beside_it(
@@ -101,3 +110,18 @@ def test_hash_of_a_file_is_that_of_its_bytes(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"abc")
     # FIPS 180-2, example of SHA-256
     assert sha256_of(tmp_path / "file").hex().startswith("ba7816bf8f01cfea414140de5dae2223")
+
+
+def test_a_folder_is_whole_or_not_there(tmp_path: Path) -> None:
+    with suppress(RuntimeError), whole_folder(tmp_path / "out") as part:
+        (part / "first").write_text("1")
+        raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "out").mkdir()  # an empty one is taken
+    with whole_folder(tmp_path / "out") as part:
+        (part / "first").write_text("1")
+        assert list((tmp_path / "out").iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    with pytest.raises(ConfigurationError, match="not empty"), whole_folder(tmp_path / "out"):
+        pass
+    assert (tmp_path / "out" / "first").read_text() == "1"

@@ -15,6 +15,7 @@ from click.testing import CliRunner, Result
 from pcmrs.cli import main
 from pcmrs.clock import SystemClock
 from pcmrs.gateway.pose_files import placement_text, sample_rows
+from pcmrs.gateway.tracked_poses import TrackedPoses
 from pcmrs.journal import Journal
 from pcmrs.messages import BlueprintTag, Command, Verdict
 from pcmrs.service.restart.recorder import JournalRecorder
@@ -142,13 +143,7 @@ def _pose_log(folder: Path, samples: int = 20) -> Path:
     for _ in range(samples):
         tracker_from_tool = Transform.from_rotvec((0.03, -0.1, -0.9) + rng.normal(size=3) * 3e-5, (0.2, 1.2, 0.0))
         body_from_tool = tracker_from_body.inverse() @ tracker_from_tool
-        text += sample_rows(
-            {
-                "body_from_tool": body_from_tool,
-                "tracker_from_body": tracker_from_body,
-                "tracker_from_tool": tracker_from_tool,
-            }
-        )
+        text += sample_rows(TrackedPoses(body_from_tool, tracker_from_body, tracker_from_tool))
     path = folder / "poses_1.csv"
     path.write_text(text)
     return path

@@ -41,7 +41,7 @@ def test_good_registration_is_accepted_and_reported_in_full(tmp_path: Path) -> N
     assert ended.stdout.startswith("accepted\n6 landmarks, paired by name\n")
     for part in (*NAMES, "quaternion w x y z", "mean ", "rms ", "predicted TRE", "at the target", "residual_too_large"):
         assert part in ended.stdout
-    found = lab_pose(output, read_yaml(output), "")
+    found = lab_pose(read_yaml(output))
     assert distance(found, TRUTH) < 0.003
     assert rotation_angle(found, TRUTH) < 0.05
 

@@ -9,6 +9,7 @@ import pytest
 
 from pcmrs.formats.pose_log import read_pose_log
 from pcmrs.gateway.pose_files import sample_rows
+from pcmrs.gateway.tracked_poses import TrackedPoses
 from pcmrs.spatial import Transform, distance, rotation_angle
 from tests.unit.formats.saved_poses import refusal_of, save
 
@@ -17,25 +18,19 @@ ROW = "0.056411,0.004691,0.083459,0.0,0.6,0.0,0.8"
 
 def test_the_gateways_pose_log_is_read_back(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
-    seen = [
-        {
-            key: Transform.from_rotvec(*rng.normal(size=(2, 3)))
-            for key in ("body_from_tool", "tracker_from_body", "tracker_from_tool")
-        }
-        for _ in range(5)
-    ]
+    seen = [TrackedPoses(*(Transform.from_rotvec(*rng.normal(size=(2, 3))) for _ in range(3))) for _ in range(5)]
     path = save(tmp_path, "".join(sample_rows(tracked) for tracked in seen), "poses_1.csv")
     log = read_pose_log(path)
     assert (log.name, log.samples) == ("poses_1", 5)
     for row, key in (
-        ("body_tool", "body_from_tool"),
-        ("pol_body", "tracker_from_body"),
+        ("body_tool", "image_from_tool"),
+        ("pol_body", "tracker_from_image"),
         ("pol_tool", "tracker_from_tool"),
     ):
         for read, tracked in zip(log.poses[row], seen, strict=True):
             assert read is not None
-            assert distance(read, tracked[key]) < 1e-6  # six decimals
-            assert rotation_angle(read, tracked[key]) < 1e-5
+            assert distance(read, getattr(tracked, key)) < 1e-6  # six decimals
+            assert rotation_angle(read, getattr(tracked, key)) < 1e-5
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ def test_yaml_refuses_a_key_given_twice_at_any_depth(tmp_path: Path) -> None:
     with pytest.raises(FileFormatError, match=r"the key x is given twice.*line 3"):
         read_yaml(path)
     path.write_text("POSE: {x: 1}\nOTHER: {x: 2}\n")
-    assert read_yaml(path) == {"POSE": {"x": 1}, "OTHER": {"x": 2}}
+    assert read_yaml(path).keys == {"POSE": {"x": 1}, "OTHER": {"x": 2}}
 
 
 def test_a_row_of_a_table_has_the_line_it_is_in(tmp_path: Path) -> None:
@@ -68,4 +68,4 @@ def test_yaml_refuses_an_integer_that_cannot_be_printed(tmp_path: Path, number: 
 def test_yaml_reads_integers_of_64_bits(tmp_path: Path) -> None:
     path = tmp_path / "file.yaml"
     path.write_text(f"x: {2**63 - 1}\ny: -0x10\n")
-    assert read_yaml(path) == {"x": 2**63 - 1, "y": -16}
+    assert read_yaml(path).keys == {"x": 2**63 - 1, "y": -16}

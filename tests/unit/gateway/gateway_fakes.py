@@ -15,8 +15,10 @@ from pcmrs.dispatcher import DispatcherListener
 from pcmrs.gateway._arrival import LOOKS_HZ
 from pcmrs.gateway.periodic_timer import kernel_beats
 from pcmrs.gateway.rejection_log import PERIOD
+from pcmrs.gateway.tracked_poses import TrackedPoses
 from pcmrs.messages import BlueprintTag, Command, DeviceEvent, Reason, Snapshot, Verdict
 from pcmrs.spatial import Floats, Transform
+from pcmrs.workflows.data import PlacementData
 
 POSE = Transform.from_quat_xyzw([0.01, 0.02, 0.03], [0.5, 0.5, 0.5, 0.5])
 
@@ -57,6 +59,8 @@ class FakeCore:
         self._verdicts: dict[tuple[str, str], Verdict] = {}
         self.pose: Transform | None = POSE
         self.target: Transform | None = POSE
+        self.registered: Transform | None = None
+        self.placement_data = PlacementData()
         self.tip: Floats | None = np.array([0.1, 0.2, 0.3])
 
     @property
@@ -138,13 +142,16 @@ class FakeCore:
         return self.tip
 
     def registration(self) -> Transform | None:
-        return None
+        return self.registered
+
+    def data(self) -> PlacementData:
+        return self.placement_data
 
     def seen(self) -> dict[str, Transform]:
         return {"coil": POSE, "body_ref": POSE}
 
-    def tracked(self) -> dict[str, Transform] | None:
-        return {"body_from_tool": POSE, "tracker_from_body": POSE, "tracker_from_tool": POSE}
+    def tracked(self) -> TrackedPoses | None:
+        return TrackedPoses(POSE, POSE, POSE)
 
 
 def _open_gate() -> asyncio.Event:

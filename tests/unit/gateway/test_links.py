@@ -13,7 +13,7 @@ from pcmrs.gateway import links
 from pcmrs.gateway.links import open_gateway
 from pcmrs.gateway.settings import GatewayConfig, LinkConfig
 from pcmrs.testing.clock import settle
-from tests.unit.gateway.gateway_fakes import FakeCore, ManualClock, UdpClient
+from tests.unit.gateway.gateway_fakes import POSE, FakeCore, ManualClock, UdpClient
 from tests.unit.gateway.open_cell import pass_barrier
 from tests.unit.gateway.signed_room import Room
 
@@ -125,6 +125,7 @@ async def test_closing_does_not_wait_for_ever(cell: Any, tmp_path: Any, monkeypa
 
 
 async def test_the_mep_link_does_not_reply_and_logs_poses(cell: Any) -> None:
+    cell.core.registered = POSE
     cell.client.send("save_planandreal;", cell.mep)
     await pass_barrier(cell, cell.mep)
     assert cell.replies.received.empty()

@@ -29,8 +29,11 @@ def test_a_saved_placement_reads_back(position: tuple[float, ...], rotvec: tuple
 
 
 async def test_a_pose_log_holds_five_seconds_at_twenty_hertz(tmp_path: Path) -> None:
-    clock, tasks = ManualClock(), BackgroundTasks()
-    pose_files = PoseFileWriter(FakeCore(), clock, tmp_path / "session", tasks)
+    core, clock, tasks = FakeCore(), ManualClock(), BackgroundTasks()
+    pose_files = PoseFileWriter(core, clock, tmp_path / "session", tasks)
+    with pytest.raises(RefusalError, match="no registration"):
+        pose_files.log_poses()
+    core.registered = POSE
     began = clock.now
     log = pose_files.log_poses()
     with pytest.raises(RefusalError, match="being taken"):

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
+from pcmrs.background import BackgroundTasks
 from pcmrs.devices.poses import PoseFeed
+from pcmrs.gateway.periodic_timer import beats_of
+from pcmrs.gateway.pose_files import PoseFileWriter
+from pcmrs.gateway.settings import GatewayConfig
+from pcmrs.gateway.streams import Streams
 from pcmrs.messages import BodyPose, JointState
 from pcmrs.service.gateway_adapter import GatewayAdapter
-from pcmrs.spatial import Transform, distance
+from pcmrs.spatial import Transform, distance, rotation_angle
 from pcmrs.testing.clock import ManualClock
+from pcmrs.workflows.data import PlacementData, Registered, as_message
 from pcmrs.workflows.mounting import Mounting
 from pcmrs.workflows.settings import CalibrationSettings
 
@@ -43,19 +50,45 @@ def show(feed: PoseFeed, clock: ManualClock, number: int, *bodies: str) -> None:
         )
 
 
+REGISTRATION = Transform.from_rotvec([0.08, -0.03, -0.23], [0.4, 1.1, -0.7])
+"""``body_ref_from_image``, far from the identity."""
+
+
+def registered_core(feed: PoseFeed, registration: Transform | None) -> GatewayAdapter:
+    found = None
+    if registration is not None:
+        pose = as_message(registration)
+        found = Registered(
+            id="r",
+            body_ref_from_image=pose,
+            residual=0.0,
+            rms=0.0,
+            landmarks=(),
+            digitized=(),
+            patient="",
+            calibration="",
+        )
+    dispatcher = SimpleNamespace(
+        procedure=SimpleNamespace(data=PlacementData(registered=found)),
+        snapshot=lambda: SimpleNamespace(branches={}),
+    )
+    cell = SimpleNamespace(poses=feed, mounting=MOUNTING)
+    return GatewayAdapter(cast(Any, dispatcher), cast(Any, cell), cast(Any, None))
+
+
 @pytest.mark.parametrize("hidden", SEEN)
 async def test_a_log_of_poses_has_a_gap_while_tool_or_body_is_not_seen(hidden: str) -> None:
     clock = ManualClock()
     feed = PoseFeed(clock, MAX_AGE)
-    cell = SimpleNamespace(poses=feed, mounting=MOUNTING)
-    core = GatewayAdapter(cast(Any, None), cast(Any, cell), cast(Any, None))
+    core = registered_core(feed, REGISTRATION)
     assert core.tracked() is None
     show(feed, clock, 1, *SEEN)
+    assert registered_core(feed, None).tracked() is None, "without a registration nothing is known in the image"
     tracked = core.tracked()
     assert tracked is not None
     tip = SEEN["coil"] @ MOUNTING.tool_marker_from_tool_tip
-    assert distance(tracked["tracker_from_body"] @ tracked["body_from_tool"], tip) < 1e-9
-    assert distance(tracked["tracker_from_tool"], tip) < 1e-9
+    assert distance(tracked.tracker_from_image @ tracked.image_from_tool, tip) < 1e-9
+    assert distance(tracked.tracker_from_tool, tip) < 1e-9
     assert distance(core.seen()["coil"], tip) < 1e-9
     await clock.advance(MAX_AGE + 0.01)
     show(feed, clock, 2, *(SEEN.keys() - {hidden}))
@@ -63,6 +96,41 @@ async def test_a_log_of_poses_has_a_gap_while_tool_or_body_is_not_seen(hidden: s
     await clock.advance(0.01)
     show(feed, clock, 3, *SEEN)
     assert core.tracked() is not None
+
+
+async def test_a_pose_log_has_the_poses_of_the_stream(tmp_path: Path) -> None:
+    clock, tasks = ManualClock(), BackgroundTasks()
+    streamed: list[str] = []
+    feed = PoseFeed(clock, MAX_AGE)
+    core = registered_core(feed, REGISTRATION)
+    streams = Streams(
+        core, beats_of(clock), GatewayConfig(), lambda text, _, port: streamed.extend([text] * (port == 8079)), tasks
+    )
+    log = PoseFileWriter(core, clock, tmp_path, tasks).log_poses()
+    for number in range(1, 103):
+        show(feed, clock, number, *SEEN)
+        streams.start_poses()
+        await clock.advance(0.05)
+    rows = [line.split(",") for line in (await log).read_text().splitlines()]
+    await tasks.close()
+
+    body_ref, marker = SEEN["body_ref"], SEEN["coil"]
+    tool_from_marker = MOUNTING.tool_marker_from_tool_tip.inverse()
+    expected = {
+        "body_tool": REGISTRATION.inverse() @ body_ref.inverse() @ marker @ tool_from_marker.inverse(),
+        "pol_body": body_ref @ REGISTRATION,
+        "pol_tool": marker @ tool_from_marker.inverse(),
+    }
+    assert [name for name, *_ in rows] == list(expected) * 101
+    for name, *values in rows:
+        numbers = [float(value) for value in values]
+        found = Transform.from_quat_xyzw(numbers[:3], numbers[3:])
+        assert distance(found, expected[name]) < 2e-6, name
+        assert rotation_angle(found, expected[name]) < 1e-5, name
+    mm_and_quat = [float(number) for number in streamed[0].removeprefix("__msg_pose_").split("_")]
+    in_stream = Transform.from_quat_xyzw([value / 1000.0 for value in mm_and_quat[:3]], mm_and_quat[3:])
+    assert distance(in_stream, expected["body_tool"]) < 1e-7
+    assert set(streamed) == {streamed[0]}
 
 
 JOINTS = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]
