@@ -140,7 +140,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """All links of the gateway.
 
     Attributes:
-        host: Address of each link that has none of its own. On one other than loopback, commands have to be signed.
+        host: Address of each link whose own is empty. On one other than loopback, commands have to be signed.
         client_host: IPv4 address that the streams for planner and visualization go to.
         mixed_reality_host: IPv4 address that the mixed reality stream goes to.
         tcp_host: Address that the TCP link is bound to; empty for `host`.
