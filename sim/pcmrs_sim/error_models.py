@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import hypot, radians
+from math import hypot, pi, radians, sqrt
 
 import numpy as np
 
@@ -21,7 +21,7 @@ ARM_STREAM = 1
 """Number of the random stream of the arm's geometry, so that it is independent of the other streams of a seed."""
 REST_STREAM = 2
 """Number of the random stream of the places at which the arm comes to rest."""
-REPEATABILITY = 2.0 * np.sqrt(2.0 / np.pi) + 3.0 * np.sqrt(3.0 - 8.0 / np.pi)
+REPEATABILITY = 2.0 * sqrt(2.0 / pi) + 3.0 * sqrt(3.0 - 8.0 / pi)
 """Repeatability by ISO 9283 over the standard deviation per axis: mean and deviation of a Maxwell distribution."""
 SURFACE_STREAM = 1000
 """Number of the random stream of points on the skin. Streams of landmarks have their index, which is always smaller."""
@@ -68,7 +68,8 @@ class RestingPlaces:
 
     def draw(self) -> Floats:
         """Return the displacement after another motion, m, (3,)."""
-        return self._rng.normal(0.0, 1.0, 3) * self._deviation
+        displacement: Floats = self._rng.normal(0.0, 1.0, 3) * self._deviation
+        return displacement
 
 
 class BiasField:

@@ -73,9 +73,10 @@ def test_a_force_lets_no_segment_follow(follower: SegmentFollower, force: Torque
 
 def test_streams_are_refused_with_the_reason(follower: SegmentFollower) -> None:
     request = PressRequest(force=2.0, direction_in_flange=(0.0, 0.0, 1.0), travel=0.005, speed=0.01, timeout=5.0)
-    for act in (lambda: follower.press(request), follower.servo):
-        with pytest.raises(DeviceError, match="takes no command until a segment has ended"):
-            act()
+    with pytest.raises(DeviceError, match="takes no command until a segment has ended"):
+        follower.press(request)
+    with pytest.raises(DeviceError, match="takes no command until a segment has ended"):
+        follower.servo()
     assert follower.reference.ended
 
 
