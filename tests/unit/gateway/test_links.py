@@ -71,9 +71,10 @@ async def test_tool_points_from_mixed_reality_reach_the_planner(cell: Any) -> No
 
 async def test_each_link_has_its_own_address_and_rule(cell: Any, tmp_path: Path) -> None:
     """127.0.0.1 stands for this machine, and every address for a network."""
-    ports = {"planner": LinkConfig(port=0), "robot": LinkConfig(), "visualization": LinkConfig()}
     config = GatewayConfig(
-        **ports,
+        planner=LinkConfig(port=0),
+        robot=LinkConfig(),
+        visualization=LinkConfig(),
         mep=LinkConfig(host="0.0.0.0", port=0),
         tcp_host="0.0.0.0",
         tcp_port=0,
