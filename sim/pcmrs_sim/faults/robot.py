@@ -139,7 +139,7 @@ FAULTS = (
     Fault("double_commands", "B13", "Each command arrives at the cabinet twice.", ("on",), _double),
     Fault("push_tool", "B14", "A collision: a force pushes the tool along its +z, N; 0 ends it.",
           ("force",), _push, also=("S13",)),
-    Fault("withdraw_servo", "B15", "The controller has no servo option: the cabinet starts no stream of set points.",
+    Fault("withdraw_servo", "B15", "The controller has no servo option: no stream of set points starts.",
           ("on",), _servo),
     Fault("restart_cabinet", "B11", "A person restarts the cabinet's application at its pendant.", (), _restart),
 )  # fmt: skip
