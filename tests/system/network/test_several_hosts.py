@@ -60,7 +60,7 @@ async def test_remote_recorder_works_beside_a_local_slicer(machines: Namespaces[
     async with running_daemon(settings, tmp_path / "log", prefix=machines.prefix("cell")) as daemon:
         planner, mep = daemon.ready.links["planner"], daemon.ready.links["mep"]
         assert (planner[0], mep[0]) == ("127.0.0.1", ADDRESSES["cell"])
-        ask = (sys.executable, "-c", UNSIGNED, planner[0], str(planner[1]), "get_jnt_angsxxxx_#7;")
+        ask = (sys.executable, "-c", UNSIGNED, planner[0], str(planner[1]), "rob_conn_onxxxxx_#7;")
         slicer = await asyncio.to_thread(machines.run, "cell", *ask, timeout=30.0)
         assert slicer.stdout.startswith("7_accepted"), slicer.stderr
         record = (sys.executable, "-c", RECORDER, mep[0], str(mep[1]), str(tmp_path / "recorder.key"))
@@ -70,4 +70,6 @@ async def test_remote_recorder_works_beside_a_local_slicer(machines: Namespaces[
         answers = recorder.stdout.split()
         assert [answer.split("_")[:2] for answer in answers] == [["2", "accepted"], ["3", "rejected"]], recorder.stderr
         assert answers[1].endswith("not_allowed;")
-        assert list((tmp_path / "cell" / "records").glob("poses_*.csv"))
+        async with asyncio.timeout(60.0):
+            while not list((tmp_path / "cell" / "records").glob("poses_*.csv")):  # noqa: ASYNC110 - another process
+                await asyncio.sleep(0.2)
