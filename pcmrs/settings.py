@@ -285,6 +285,11 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
         used = [self.tracker, self.robot] if with_robot else [self.tracker]
         return self.scene.driver == SIMULATED and all(virtual.get(device.driver, False) for device in used)
 
+    @property
+    def point_to_point(self) -> bool:
+        """True if the arm can only be moved from point to point, and not be stopped on the way."""
+        return self.robot.driver == "kst" and self.kst.get("motion") == "ptp"
+
     def bus(self, mode: str) -> BusSettings:
         """Return the bus settings of a process: `mode` is ``router`` for the daemon, ``client`` for others.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from inspect import cleandoc
 from typing import Any
 
@@ -32,17 +32,25 @@ def definition_section(name: str, definition: Schema, level: str = "###") -> Ite
     yield from definition_body(definition)
 
 
-def definition_body(definition: Schema) -> Iterator[str]:
-    """Yield the description of a type and the table of its keys; for a type without keys, its values."""
+def definition_body(definition: Schema, origin: Callable[[str], str] | None = None) -> Iterator[str]:
+    """Yield the description of a type and the table of its keys; for a type without keys, its values.
+
+    Args:
+        definition: The type.
+        origin: Returns where the default of a key comes from, for one more column.
+    """
     documentation = cleandoc(definition.get("description", ""))
     yield plain(documentation.partition("\n\n")[0]) + "\n"
     if "properties" not in definition:
         yield f"{type_text(definition)}\n"
     elif definition["properties"]:
-        yield "| key | type | default | meaning |\n| --- | --- | --- | --- |"
+        origins = ("", "") if origin is None else (" origin of the default |", " --- |")
+        yield f"| key | type | default | meaning |{origins[0]}\n| --- | --- | --- | --- |{origins[1]}"
         meanings = {key: plain(text) for key, text in _ATTRIBUTE.findall(documentation)}
         for key, value in definition["properties"].items():
-            yield _row(key, value, key in definition.get("required", ()), meanings.get(key, ""))
+            required = key in definition.get("required", ())
+            row = _row(key, value, required, meanings.get(key, ""))
+            yield row if origin is None else f"{row} {'' if required or '$ref' in value else origin(key)} |"
     yield ""
 
 

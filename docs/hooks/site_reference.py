@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from importlib import import_module
 from importlib.metadata import entry_points
 from itertools import groupby
 from typing import Any
 
 import msgspec
+from origins import origin_of
 from python_api import MODULE, module_section
 from refusals import refusals
 from schema_tables import Schema, definition_body, definition_section, name_of, plain
@@ -114,7 +116,7 @@ def _tables(path: str, name: str, components: Mapping[str, Schema], shown: set[s
         return
     shown.add(name)
     yield f"## {f'`[{path}]`' if path else 'The root'} {{ #{name.lower()} }}\n"
-    yield from definition_body(components[name])
+    yield from definition_body(components[name], partial(origin_of, path))
     for key, value in components[name]["properties"].items():
         inner = f"{path}.{key}".lstrip(".")
         for more, at in ((value, inner), (value.get("items"), f"[{inner}]"), (_named(value), f"{inner}.<name>")):

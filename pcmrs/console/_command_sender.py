@@ -8,6 +8,7 @@ from typing import Any
 from nicegui import background_tasks, ui
 
 from pcmrs.client import Client
+from pcmrs.console._history import why
 from pcmrs.console._live_feed import LiveFeed
 from pcmrs.console.texts import Texts
 from pcmrs.errors import PcmrsError
@@ -41,9 +42,8 @@ class CommandSender:
             ui.notify(verdict.text, type="negative", multi_line=True, position="bottom-left")
             return None
         text = self._texts("asked", name=name, decision=verdict.decision)
-        reason = "" if verdict.reason is None else f" {verdict.reason.text}"
         ui.notify(
-            text + reason,
+            f"{text} {why(verdict)}".rstrip(),
             type="positive" if verdict.decision == "accepted" else "warning",
             multi_line=True,
             position="bottom-left",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -138,10 +138,15 @@ def heading(event: Verdict | DeviceEvent) -> str:
 
 
 def why(event: Verdict | DeviceEvent) -> str:
-    """Return the text that goes with it; empty if there is none."""
+    """Return the text that goes with it: its reason, or what a placement counts by; empty if there is none."""
     if isinstance(event, DeviceEvent):
         return event.text
-    return "" if event.reason is None else event.reason.text
+    return _tolerance(event.result) if event.reason is None else event.reason.text
+
+
+def _tolerance(result: Mapping[str, Any] | None) -> str:
+    """Return the tracker's noise and the errors that count because of it, if a result has them."""
+    return str(((result or {}).get("tolerance") or {}).get("text", ""))
 
 
 def _entries(rows: Iterable[dict[str, Any]]) -> Iterator[HistoryEntry]:
@@ -157,7 +162,7 @@ def _entry(sequence: int, row: dict[str, Any]) -> HistoryEntry:
         what, result = f"{row['source']}: {row['operation']}", str((row.get("result") or {}).get("text", ""))
     else:
         what = f"{row['branch']}.{row['operation']}: {verdict['decision']}"
-        result = (verdict.get("reason") or {}).get("text", "")
+        result = (verdict.get("reason") or {}).get("text", "") or _tolerance(verdict.get("result"))
     by_itself = (row.get("source") or "").startswith(ACTIVITY)
     kind, who = ("activity", "") if by_itself else (row["kind"], row.get("user") or "")
     return HistoryEntry(sequence, row["wall"], kind, row["session_id"], who, what, result)

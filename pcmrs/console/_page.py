@@ -87,6 +87,10 @@ class Page:
         ui.keyboard(on_key=self._key, ignore=["input", "textarea"])
         self._header()
         self._trouble = ui.label().classes("w-full bg-red-2 q-pa-sm").props('data-testid="trouble"')
+        if setup.point_to_point:
+            ui.label(texts("point_to_point")).classes("w-full bg-orange-2 q-pa-sm").props(
+                'data-testid="point-to-point"'
+            )
         if playback is not None:
             name, shown = playback
             PlaybackBar(shown, name, texts)

@@ -59,7 +59,7 @@ class ServoStream(Protocol):
 
 
 class Robot(Protocol):
-    """An arm that follows joint trajectories and can always be held.
+    """An arm that follows joint trajectories and can always be held, some only at the end of a short segment.
 
     Every method raises `DeviceError` if the robot answers with a failure and `UnknownOutcomeError` if it does not
     answer.

@@ -264,8 +264,7 @@ class RemoteRobot(ActingDevice):
         return await self.call("joints", JointState)
 
     async def follow(self, trajectory: JointTrajectory) -> MotionResult:
-        duration = trajectory.period * len(trajectory.positions)
-        return await self.act("follow", MotionResult, duration + MOTION_MARGIN, trajectory=trajectory)
+        return await self.act("follow", MotionResult, trajectory.duration + MOTION_MARGIN, trajectory=trajectory)
 
     async def press(self, request: PressRequest) -> MotionResult:
         return await self.act("press", MotionResult, request.timeout + MOTION_MARGIN, request=request)

@@ -19,7 +19,7 @@ from pcmrs.dispatcher.procedure import Procedure
 from pcmrs.dispatcher.workflow import C, D, Registry, Run, Workflow
 from pcmrs.errors import DeviceError, PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.fsm import START_OUTCOME, Change, Closure, OperationSpec
-from pcmrs.messages import Decision, Reason
+from pcmrs.messages import Decision, JointTrajectory, Reason
 
 log = structlog.get_logger(__name__)
 
@@ -145,21 +145,28 @@ async def take_steps(registry: Registry[C, D], spec: OperationSpec, run: Run[C, 
         spec: The operation.
         run: Argument of the steps.
     """
-    step = ""
+    step, limit = "", _time_limit(spec, run)
     try:
-        async with run.clock.timeout(spec.timeout_s):
+        async with run.clock.timeout(limit):
             for step in spec.steps:
                 taken = registry.steps[step](run)
                 if inspect.isawaitable(taken):
                     await taken
                 _raise_if_cancelled()
     except TimeoutError:
-        text = f"Step {step} did not end within {spec.timeout_s} s."
-        fields = {"step": step, "timeout": spec.timeout_s}
+        text = f"Step {step} did not end within {limit:g} s."
+        fields = {"step": step, "timeout": limit}
         return StepResult("failed", reason=Reason(code="deadline_passed", text=text, fields=fields))
     except Exception as error:
         return _ending_by(error, step, run)
     return StepResult("done", outcome=run.outcome or START_OUTCOME)
+
+
+def _time_limit(spec: OperationSpec, run: Run[C, D]) -> float:
+    """Return the limit of the steps, s; the planned duration of a motion in segments comes in addition."""
+    planned = run.prepared
+    in_segments = isinstance(planned, JointTrajectory) and bool(planned.stops)
+    return spec.timeout_s + (planned.duration if in_segments else 0.0)
 
 
 def take_steps_at_once(registry: Registry[C, D], spec: OperationSpec, run: Run[C, D]) -> StepResult:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pcmrs.doctor._check_result import CheckResult, CheckVerdict
 from pcmrs.doctor._disk import disk, free_space
 from pcmrs.doctor._machine import clock_source, kernel, limits, scheduling, uploads
-from pcmrs.doctor._surroundings import certificates, devices, extras, is_running, peers, ports, streams
+from pcmrs.doctor._surroundings import certificates, devices, extras, is_running, motion, peers, ports, streams
 from pcmrs.messages import Message
 from pcmrs.settings import Settings
 
@@ -47,6 +47,7 @@ def _findings(settings: Settings) -> Iterator[CheckResult]:
     yield from ports(settings, running=running)
     yield from extras(settings)
     yield from devices(settings, running=running)
+    yield from motion(settings)
     yield from streams(settings)
     yield from peers(settings)
     yield from certificates(settings)

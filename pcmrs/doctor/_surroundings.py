@@ -39,6 +39,12 @@ DIALLED: Final = ("ndi", "plus")
 LSL_DRIVERS: Final = frozenset({"lsl", "trigger"})
 """Drivers that use Lab Streaming Layer."""
 DIAL_TIME: Final = 2.0
+POINT_TO_POINT: Final = (
+    "the arm moves in segments of at most 5 mm, 1 mm near the target, and takes several times as long. A Stop, a lost "
+    "heartbeat, a force or a zone ends it only at the end of a segment, at most 0.5 s later; it cannot press, follow "
+    "the body or be guided"
+)
+"""Cost of motions that cannot be stopped on their way."""
 
 Port = tuple[str, int, socket.SocketKind, str]
 """Host, number, kind, and the setting that names it."""
@@ -117,6 +123,15 @@ def devices(settings: Settings, *, running: bool) -> Iterator[CheckResult]:
             yield good("devices", f"{name}: it has no address to check")
 
 
+def motion(settings: Settings) -> Iterator[CheckResult]:
+    """Say what an arm without the servo option cannot do."""
+    if settings.point_to_point:
+        found = f'kst.motion = "ptp": {POINT_TO_POINT}'
+        yield warning("motion", found, 'With the controller\'s servo option, set kst.motion = "servo".')
+    else:
+        yield good("motion", "the arm can be stopped at any time, and can press, follow and be guided")
+
+
 def streams(settings: Settings) -> Iterator[CheckResult]:
     """Check that streams of Lab Streaming Layer stay on this machine."""
     if not (LSL_DRIVERS.intersection(settings.drivers()) or settings.gateway.markers.enabled):
@@ -165,13 +180,13 @@ def _ports(settings: Settings) -> Iterator[Port]:
             host, _, number = endpoint.partition("/")[2].rpartition(":")
             yield host.strip("[]"), int(number), tcp, setting
     gateway = settings.gateway
-    for link in ("planner", "robot", "visualization", "mixed_reality", "mep"):
-        if port := getattr(gateway, link).port:
-            yield gateway.host, port, udp, f"gateway.{link}.port"
+    for name, link in gateway.links().items():
+        if link.port:
+            yield link.host or gateway.host, link.port, udp, f"gateway.{name}.port"
     if gateway.tcp_port:
-        yield gateway.host, gateway.tcp_port, tcp, "gateway.tcp_port"
+        yield gateway.tcp_host or gateway.host, gateway.tcp_port, tcp, "gateway.tcp_port"
     if gateway.openigtlink.enabled and gateway.openigtlink.role == "server" and gateway.openigtlink.port:
-        yield gateway.host, gateway.openigtlink.port, tcp, "gateway.openigtlink.port"
+        yield gateway.openigtlink.listen or gateway.host, gateway.openigtlink.port, tcp, "gateway.openigtlink.port"
     if settings.console.enabled:
         yield HOST, settings.console.port, tcp, "console.port"
     if settings.metrics.port:

@@ -37,6 +37,8 @@ STREAMS = ("tcp", "openigtlink")
 TOO_MANY = "too_many_connections"
 LINK_ERROR = "link_error"
 """Reason if the content was not wrong, or only a part of it arrived."""
+PLAN_POSE = COMMANDS["target_tslxxxxxx"]
+"""Command that a signed peer must be allowed to give if it sends tool points."""
 OF_PEERS = (UNKNOWN_PEER, BAD_TAG, OLD_COUNTER, TOO_OLD, CLOCK_AHEAD, NOT_ALLOWED, OVER_RATE, NOT_KEPT)
 """Reasons why signed commands are refused; the first three are not answered."""
 
@@ -123,7 +125,7 @@ class Intake(DispatcherListener):
         signed = split(data)
         try:
             if signed is not None:
-                self._receive_signed(link, signed, answer, arrived)
+                self._receive_signed(link, peer, signed, answer, arrived)
             else:
                 self._check_unsigned(peer[0], exposed)
                 self._receive_unsigned(link, peer, data, answer, arrived)
@@ -188,11 +190,17 @@ class Intake(DispatcherListener):
         request = _as_meant(link, parse(data))
         self._session(source_of(link, peer), peer[0], ON_SITE).receive(request, answer, arrived)
 
-    def _receive_signed(self, link: str, signed: Signed, answer: ReplyChannel, arrived: float) -> None:
-        """Answer an authentic datagram, refused or not; raise for any other, which gets no answer."""
+    def _receive_signed(
+        self, link: str, sender: tuple[str, int], signed: Signed, answer: ReplyChannel, arrived: float
+    ) -> None:
+        """Answer an authentic command, refused or not; raise for any other datagram, which gets no answer."""
         if self._admission is None:
             raise RefusalError(UNKNOWN_PEER, "No peer has a key; make one with: pcmrs peers new NAME.")
         peer = self._admission.identify(signed)
+        points_mm = parse_tool_points(signed.command.removesuffix(b";"))
+        if points_mm is not None:
+            self._receive_signed_points(self._admission, link, sender, peer, signed.counter, points_mm)
+            return
         request = _as_meant(link, parse(signed.command))
         enter = partial(self._enter, peer, request, peer.signs(answer, signed.counter), arrived)
         objection = peer.objection(request.spec, signed.counter)
@@ -200,6 +208,29 @@ class Intake(DispatcherListener):
             self._admission.enter_at_once(peer, enter, objection)
         else:
             self._admission.enter_when_kept(peer, enter)
+
+    def _receive_signed_points(
+        self,
+        admission: Admission,
+        link: str,
+        sender: tuple[str, int],
+        peer: SignedPeer,
+        counter: int,
+        points_mm: tuple[float, ...],
+    ) -> None:
+        """Relay tool points of a peer that may plan a tool pose, which they propose; they are never answered."""
+
+        def relay(refusal: RefusalError | None) -> None:
+            if refusal is None:
+                self._services.streams.relay_tool_points(points_mm)
+            else:
+                self.refuse(link, sender, refusal)
+
+        objection = peer.objection(PLAN_POSE, counter)
+        if objection is not None:
+            admission.enter_at_once(peer, relay, objection)
+        else:
+            admission.enter_when_kept(peer, relay)
 
     def _enter(
         self,

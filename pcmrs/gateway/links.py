@@ -105,12 +105,13 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         if config.markers.enabled:
             core.add_listener(Markers(config.markers.stream, core.snapshot()))
         addresses = {
-            name: await _open_udp(stack, UdpLink(name, link, intake, watch), config.host, link)
+            name: await _open_udp(stack, UdpLink(name, link, intake, watch), link.host or config.host, link)
             for name, link in config.links().items()
             if link.port is not None
         }
         if config.tcp_port is not None:
-            addresses[LINK] = await _open_tcp(stack, TcpLink(intake, tasks, clock, watch), config.host, config.tcp_port)
+            tcp = TcpLink(intake, tasks, clock, watch)
+            addresses[LINK] = await _open_tcp(stack, tcp, config.tcp_host or config.host, config.tcp_port)
         if config.openigtlink.enabled:
             addresses["openigtlink"] = await _open_openigtlink(stack, core, config, clock, intake, tasks, jobs)
         # It is left first, while the sockets are open: clients learn the outcome of commands that the daemon has ended.
@@ -208,7 +209,8 @@ async def _open_openigtlink(
     try:
         address = await link.open()
     except OSError as error:
-        raise _unbound("OpenIGTLink", config.host, config.openigtlink.port, error) from None
+        host = config.openigtlink.listen or config.host
+        raise _unbound("OpenIGTLink", host, config.openigtlink.port, error) from None
     stack.callback(link.close)
     return address
 
@@ -227,7 +229,7 @@ class UdpLink(asyncio.DatagramProtocol):
 
     Args:
         name: Name of the link.
-        config: Its ports.
+        config: Its address and ports.
         intake: Intake of the commands.
         watch: Knows when datagrams have arrived.
     """

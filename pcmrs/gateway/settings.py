@@ -23,14 +23,17 @@ Port = Annotated[int, msgspec.Meta(ge=0, le=65535)]
 
 
 class LinkConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The UDP ports of one link; None where the link has no such direction.
+    """Address and UDP ports of one link; a port is None where the link has no such direction.
 
     Attributes:
+        host: Address that this link is bound to; empty for `gateway.host`. On one other than loopback, its commands
+            have to be signed, whatever the other links require.
         port: Commands arrive here; 0 takes any free port.
         reply_port: Acknowledgements and second datagrams go to this port of the sender's host.
         stream_port: Streams go to this port of the client's host.
     """
 
+    host: str = ""
     port: Port | None = None
     reply_port: Port | None = None
     stream_port: Port | None = None
@@ -41,7 +44,9 @@ class OpenIgtLinkConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
 
     Attributes:
         enabled: Off unless asked for.
-        role: ``server``: Slicer connects to us, at the gateway's host. ``client``: we connect to Slicer's server.
+        role: ``server``: Slicer connects to us. ``client``: we connect to Slicer's server.
+        listen: Address that a server is bound to; empty for `gateway.host`. On one other than loopback, it takes no
+            plans.
         host: Slicer's host; a server does not need it.
         port: Ours as a server, 0 takes any free one; Slicer's as a client.
         rate_hz: Rate of the poses.
@@ -56,6 +61,7 @@ class OpenIgtLinkConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
 
     enabled: bool = False
     role: Literal["server", "client"] = "server"
+    listen: str = ""
     host: str = "127.0.0.1"
     port: Port = 18944
     rate_hz: float = 30.0
@@ -134,9 +140,10 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """All links of the gateway.
 
     Attributes:
-        host: Address that all links are bound to. On one other than loopback, commands have to be signed.
+        host: Address of each link whose own is empty. On one other than loopback, commands have to be signed.
         client_host: IPv4 address that the streams for planner and visualization go to.
         mixed_reality_host: IPv4 address that the mixed reality stream goes to.
+        tcp_host: Address that the TCP link is bound to; empty for `host`.
         tcp_port: Port of the TCP link, 8058 by convention; 0 takes any free port. None, the default: no TCP link.
         stream_rate_hz: Rate of the pose streams.
         openigtlink: The link with 3D Slicer.
@@ -159,6 +166,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     visualization: LinkConfig = LinkConfig(port=8077, reply_port=8069, stream_port=8079)
     mixed_reality: LinkConfig = LinkConfig(reply_port=28051, stream_port=8051)
     mep: LinkConfig = LinkConfig(port=8085)
+    tcp_host: str = ""
     tcp_port: Port | None = None
     stream_rate_hz: float = 100.0
     openigtlink: OpenIgtLinkConfig = OpenIgtLinkConfig()

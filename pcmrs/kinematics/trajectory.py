@@ -106,7 +106,8 @@ def concatenate(a: JointTrajectory, b: JointTrajectory) -> JointTrajectory:
             periods=[a.period, b.period],
             gap=gap,
         )
-    return JointTrajectory(period=a.period, positions=a.positions + b.positions[1:])
+    stops = [*a.stops, *(len(a.positions) - 1 + stop for stop in b.stops)]
+    return JointTrajectory(period=a.period, positions=a.positions + b.positions[1:], stops=stops)
 
 
 def brake(

@@ -33,16 +33,28 @@ class JointState(Message, frozen=True, kw_only=True):
     relieving: bool = False
 
 
+REST_TIME = 0.2
+"""Longest time that an arm needs besides each segment of a motion in segments, s: to settle, and to get the next."""
+
+
 class JointTrajectory(Message, frozen=True, kw_only=True):
     """Joint positions at a fixed period, starting with the present posture.
 
     Attributes:
         period: Time between two postures, s.
         positions: Postures, rad, (N, n).
+        stops: Indices of the postures in which the arm rests, ascending, the last posture included; empty for a motion
+            that rests at its end only.
     """
 
     period: float
     positions: list[list[float]]
+    stops: list[int] = []
+
+    @property
+    def duration(self) -> float:
+        """Longest duration of the motion, s."""
+        return self.period * len(self.positions) + REST_TIME * len(self.stops)
 
 
 MotionOutcome = Literal["done", "stopped"]

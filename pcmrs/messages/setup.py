@@ -103,6 +103,7 @@ class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
         tre_limit: Predicted error at a target beyond which a plan is refused, m.
         volume: Measuring volume of the tracker, near to far; empty if it is not configured.
         mep: Criteria of a response: the table ``procedure.stimulation.mep`` of the configuration.
+        point_to_point: True if the arm moves in segments and can be stopped only at the end of one.
     """
 
     user: str
@@ -124,6 +125,7 @@ class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
     tre_limit: float = 0.004
     volume: list[SliceShown] = []
     mep: dict[str, Any] = {}
+    point_to_point: bool = False
 
 
 class LandmarkShown(Message, frozen=True, kw_only=True, omit_defaults=False):

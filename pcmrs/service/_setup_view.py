@@ -63,6 +63,7 @@ def setup_of(cell: Cell, settings: Settings, blueprint: Blueprint) -> Setup:
         tre_limit=procedure.registration.tre_limit_mm / 1000.0,
         volume=[SliceShown(**msgspec.to_builtins(each)) for each in procedure.tracking.volume],
         mep=msgspec.to_builtins(procedure.stimulation.mep),
+        point_to_point=settings.point_to_point,
     )
 
 

@@ -297,6 +297,7 @@ def open_cell(settings: Settings, blueprint: Blueprint, link: Link, clocks: Cloc
         clock=clocks.cell,
         settings=procedure,
         surface=read_surface(procedure),
+        point_to_point=settings.point_to_point,
     )
     if settings.pointer.driver == DWELL:
         cell.pointer = DwellPointer(cell.poses, clocks.cell, cell.pointer_from_tip, settings.pointer.dwell)

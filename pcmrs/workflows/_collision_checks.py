@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from contextlib import suppress
 from dataclasses import replace
 from typing import Self, TypeVar
@@ -13,6 +14,7 @@ import numpy.typing as npt
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
 from pcmrs.kinematics.sampled_clearance import ClearanceViolation
+from pcmrs.kinematics.segments import in_segments
 from pcmrs.kinematics.time_parameterization import SpeedLimitAt
 from pcmrs.kinematics.trajectory import joint_motion, straight_motion
 from pcmrs.messages import JointTrajectory
@@ -192,11 +194,12 @@ def plan_joint_path(run: AnyRun[Cell, P], start: npt.ArrayLike, goal: npt.ArrayL
     cell = run.cell
     update_collision_scene(cell, run.data)
     limits, coil, speed_limit_at = cell.motion_limits(), cell.flange_from_tool_tip, _speed_limits(cell)
-    return joint_motion(cell.arm, start, goal, limits, flange_from_tool=coil, speed_limit_at=speed_limit_at)
+    path = joint_motion(cell.arm, start, goal, limits, flange_from_tool=coil, speed_limit_at=speed_limit_at)
+    return _as_arm_moves(cell, path, 0.0)
 
 
 def plan_linear_path(
-    run: AnyRun[Cell, P], start: npt.ArrayLike, base_from_tool_tip: Transform, *, near: bool = False
+    run: AnyRun[Cell, P], start: npt.ArrayLike, base_from_tool_tip: Transform, *, near: bool = False, fine: float = 0.0
 ) -> JointTrajectory:
     """Plan a straight motion of the tool from rest to rest, slower near the body.
 
@@ -204,7 +207,8 @@ def plan_linear_path(
         run: Present operation.
         start: Joint positions at the start, rad, (n,).
         base_from_tool_tip: Pose of the tool at the end, in the robot's base.
-        near: True if the whole motion must be slow.
+        near: True if the whole motion must be slow, and its segments short if the arm moves in segments.
+        fine: Length of the first part of the line whose segments must be short, m.
 
     Raises:
         UnreachableError: The arm cannot follow the line to its end.
@@ -215,7 +219,16 @@ def plan_linear_path(
     if near:
         limits = replace(limits, linear_velocity=min(limits.linear_velocity, motion.near_velocity))
     goal, coil = cell.flange_for(base_from_tool_tip), cell.flange_from_tool_tip
-    return straight_motion(cell.arm, start, goal, limits, flange_from_tool=coil, speed_limit_at=_speed_limits(cell))
+    path = straight_motion(cell.arm, start, goal, limits, flange_from_tool=coil, speed_limit_at=_speed_limits(cell))
+    return _as_arm_moves(cell, path, math.inf if near else fine)
+
+
+def _as_arm_moves(cell: Cell, path: JointTrajectory, fine: float) -> JointTrajectory:
+    """Return the motion along a path that the arm really makes: in segments, if it cannot do otherwise."""
+    if not cell.point_to_point:
+        return path
+    slowest = min(cell.settings.motion.linear_velocity, cell.settings.motion.near_velocity)
+    return in_segments(cell.arm, path, cell.motion_limits(), slowest, cell.flange_from_tool_tip, fine)
 
 
 def _speed_limits(cell: Cell) -> SpeedLimitAt:

@@ -47,6 +47,7 @@ class PressArguments(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 def press_possible(run: Run) -> None:
     """Prepare a press, or refuse it if its whole travel would pass a zone or exceed the limit of the nudges."""
+    run.cell.check_streams("press with a force")
     check_at_present_plan(run.data)
     cell, contact = run.cell, run.cell.settings.contact
     base_from_target = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE) @ planned_pose(run.data)

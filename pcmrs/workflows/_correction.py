@@ -10,10 +10,11 @@ import numpy as np
 from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import RefusalError
-from pcmrs.spatial import Floats, Transform
+from pcmrs.spatial import Floats, Transform, mean_transform
 from pcmrs.workflows._collision_checks import plan_linear_path
-from pcmrs.workflows._motion import follow, measure_coil
+from pcmrs.workflows._motion import follow, measure_frames
 from pcmrs.workflows._placement import target_pose
+from pcmrs.workflows._tracker_noise import Tolerance
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
 from pcmrs.workflows.settings import PlacementSettings
@@ -41,7 +42,8 @@ async def correct_from_tracker(run: Run) -> None:
     """Correct the command by the tracker until the tool is within tolerance.
 
     The arm's error hardly changes over so small a distance. Each round measures at rest and moves the command, not the
-    measured pose, by the remaining error. The result holds all rounds.
+    measured pose, by the remaining error. The result holds all rounds, the tracker's noise in the last one, and the
+    tolerance that follows from it.
 
     Raises:
         RefusalError: A correction is implausibly large or was not planned in time, what it rests on has changed
@@ -52,12 +54,15 @@ async def correct_from_tracker(run: Run) -> None:
     rounds: list[dict[str, float]] = []
     run.result["corrections"] = rounds
     while True:
-        image_from_measured = await measure_coil(run)
+        frames = await measure_frames(run)
+        tolerance = Tolerance.by_noise(frames, limits)
+        run.result["tolerance"] = tolerance.as_result()
+        image_from_measured = mean_transform(frames)
         measured_from_desired = image_from_measured.inverse() @ target_pose(run.data, limits.confirm_offset)
         shift_mm, turn_deg = size_mm_deg(measured_from_desired)
         rounds.append({"shift_mm": shift_mm, "turn_deg": turn_deg})
         check_correctable(measured_from_desired, limits)
-        if _converged(rounds, limits):
+        if _converged(rounds, tolerance, limits.corrections):
             return
         goal = cell.arm.forward(commanded) @ cell.flange_from_tool_tip @ measured_from_desired
         run.prepared = CorrectionLine(commanded, goal)
@@ -102,20 +107,19 @@ def _size_text(shift_mm: float, turn_deg: float) -> str:
     return f"{shift_mm:.2f} mm and {turn_deg:.2f}°"
 
 
-def _converged(rounds: list[dict[str, float]], limits: PlacementSettings) -> bool:
+def _converged(rounds: list[dict[str, float]], tolerance: Tolerance, corrections: int) -> bool:
     """Return True if the tool is within tolerance. Raises `RefusalError` if another round is not worthwhile."""
     # In the first round, both are the same.
     last, before = rounds[-1], rounds[-2:][0]
-    if last["shift_mm"] <= limits.tolerance_mm and last["turn_deg"] <= limits.tolerance_deg:
+    if last["shift_mm"] <= tolerance.mm and last["turn_deg"] <= tolerance.deg:
         return True
-    grows = last["shift_mm"] > before["shift_mm"] + limits.tolerance_mm
-    if grows or last["turn_deg"] > before["turn_deg"] + limits.tolerance_deg or len(rounds) > limits.corrections:
+    grows = last["shift_mm"] > before["shift_mm"] + tolerance.mm
+    if grows or last["turn_deg"] > before["turn_deg"] + tolerance.deg or len(rounds) > corrections:
         text = (
             f"After {len(rounds) - 1} corrections the tracker sees the tool {_size_text(**last)} from where it should "
-            f"be; the tolerance is {limits.tolerance_mm:g} mm and {limits.tolerance_deg:g}°. Check that the body keeps "
-            "still, then back off."
+            f"be; {tolerance.text}. Check that the body keeps still, then back off."
         )
-        raise RefusalError("not_converged", text, corrections=rounds)
+        raise RefusalError("not_converged", text, corrections=rounds, tolerance=tolerance.as_result())
     return False
 
 

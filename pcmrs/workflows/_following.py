@@ -180,6 +180,7 @@ def _twist(transform: Transform) -> Floats:
 def follow_possible(run: Run) -> None:
     """Plan the straight path to the body's present place, and refuse one that is too long for a small correction."""
     cell = run.cell
+    cell.check_streams("follow the body")
     image_from_tool_tip = cell.frames(run.data).get(Frame.IMAGE, Frame.TOOL_TIP)
     desired = target_pose(run.data, cell.settings.placement.confirm_offset)
     check_correctable(image_from_tool_tip.inverse() @ desired, cell.settings.placement)

@@ -113,6 +113,15 @@ async def measure_coil(run: AnyRun[Cell, P]) -> Transform:
     """Return ``image_from_tool_tip`` as the mean of new tracker frames, with the arm at rest.
 
     Raises:
+        RefusalError: See `measure_frames`.
+    """
+    return mean_transform(await measure_frames(run))
+
+
+async def measure_frames(run: AnyRun[Cell, P]) -> list[Transform]:
+    """Return ``image_from_tool_tip`` by each of the new tracker frames of a measurement, with the arm at rest.
+
+    Raises:
         RefusalError: There is no registration, or tool and body are not seen.
     """
     cell, placement = run.cell, run.cell.settings.placement
@@ -122,7 +131,7 @@ async def measure_coil(run: AnyRun[Cell, P]) -> Transform:
     frames = await cell.poses.collect(["coil", "body_ref"], placement.frames, timeout=MEASURING_TIME)
     image_from_body_ref = as_transform(registered.body_ref_from_image).inverse()
     tips = [frame["body_ref"].inverse() @ cell.mounting.tool_tip(frame["coil"]) for frame in frames]
-    return mean_transform([image_from_body_ref @ body_ref_from_tool_tip for body_ref_from_tool_tip in tips])
+    return [image_from_body_ref @ body_ref_from_tool_tip for body_ref_from_tool_tip in tips]
 
 
 async def follow(run: Run, trajectory: JointTrajectory) -> None:

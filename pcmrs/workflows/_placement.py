@@ -251,7 +251,8 @@ def _plan_straight_away(run: Run, length: float) -> JointTrajectory:
     """Plan a straight path along the tool's +z axis. Raises `UnreachableError` if the arm cannot follow it."""
     cell = run.cell
     base_from_tool_tip = cell.arm.forward(cell.posture()) @ cell.flange_from_tool_tip
-    return plan_linear_path(run, cell.posture(), base_from_tool_tip @ along_axis(length))
+    fine = cell.settings.placement.standoff
+    return plan_linear_path(run, cell.posture(), base_from_tool_tip @ along_axis(length), fine=fine)
 
 
 def _retreat_length(run: Run) -> float:

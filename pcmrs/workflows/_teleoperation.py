@@ -166,6 +166,7 @@ def planned_in_body_ref(cell: Cell, data: PlacementData) -> Transform:
 
 def guide_possible(run: Run) -> None:
     """Refuse to guide a tool that is not seen with the body, or whose arm cannot go from here to the planned pose."""
+    run.cell.check_streams("be guided")
     check_at_present_plan(run.data)
     cell = run.cell
     body_ref_from_plan = planned_in_body_ref(cell, run.data)

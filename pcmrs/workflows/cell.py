@@ -61,6 +61,8 @@ class Cell:
         stimulator: Stimulator; None if none is configured.
         emg: Electromyograph; None if none is configured.
         teleop: Port for the set points of teleoperators.
+        point_to_point: True if the arm moves in segments and can be stopped only at the end of one. It then cannot
+            press, follow the body or be guided.
         calibrated: Calibrated poses of tool and pointer, for a cell in another process; None to read them.
         mounting: Calibrated poses of tool and pointer. `Mounting.tool_tip` is the only place where the pose of a marker
             body becomes that of the tool: all other poses of the tool in the workflows are those of its contact point.
@@ -89,6 +91,7 @@ class Cell:
     stimulator: LatchingStimulator | None = None
     emg: Emg | None = None
     teleop: TeleopPort = field(default_factory=TeleopPort)
+    point_to_point: bool = False
     calibrated: InitVar[Mounting | None] = None
     mounting: Mounting = field(init=False)
     flange_from_tool_tip: Transform = field(init=False)
@@ -186,6 +189,22 @@ class Cell:
             log.warning("still_latched", device="stimulator", reason=error.text)
             return ["stimulator"]
         return []
+
+    def check_streams(self, what: str) -> None:
+        """Refuse an action for which the arm must react while it moves.
+
+        Args:
+            what: The action, as the end of a sentence: what the arm cannot do.
+
+        Raises:
+            RefusalError: ``point_to_point``.
+        """
+        if self.point_to_point:
+            text = (
+                f'The arm cannot {what}: with kst.motion = "ptp" the cabinet moves it in segments, and takes no '
+                'command until a segment has ended. With the controller\'s servo option, set kst.motion = "servo".'
+            )
+            raise RefusalError("point_to_point", text)
 
     def motion_limits(self) -> MotionLimits:
         """Return the configured speed limits, within the arm's own limits."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import hypot, radians
+from math import hypot, pi, radians, sqrt
 
 import numpy as np
 
@@ -19,6 +19,10 @@ LONGEST_WAVE = 1.5
 
 ARM_STREAM = 1
 """Number of the random stream of the arm's geometry, so that it is independent of the other streams of a seed."""
+REST_STREAM = 2
+"""Number of the random stream of the places at which the arm comes to rest."""
+REPEATABILITY = 2.0 * sqrt(2.0 / pi) + 3.0 * sqrt(3.0 - 8.0 / pi)
+"""Repeatability by ISO 9283 over the standard deviation per axis: mean and deviation of a Maxwell distribution."""
 SURFACE_STREAM = 1000
 """Number of the random stream of points on the skin. Streams of landmarks have their index, which is always smaller."""
 
@@ -44,6 +48,28 @@ def displaced(facts: ArmFacts, error: float, seed: int) -> ArmFacts:
 def _add(xyz: Triple, offset: list[float]) -> Triple:
     x, y, z = (value + by for value, by in zip(xyz, offset, strict=True))
     return x, y, z
+
+
+class RestingPlaces:
+    """Displacements of the flange after each motion, which the joints do not show.
+
+    ISO 9283 gives the repeatability as the mean distance from the mean place plus three times its standard deviation.
+    For normal displacements, whose distances have a Maxwell distribution, that is `REPEATABILITY` standard deviations
+    per axis.
+
+    Args:
+        repeatability: Pose repeatability, m.
+        seed: Seed of the displacements.
+    """
+
+    def __init__(self, repeatability: float, seed: int) -> None:
+        self._deviation = repeatability / REPEATABILITY
+        self._rng = np.random.default_rng((seed, REST_STREAM))
+
+    def draw(self) -> Floats:
+        """Return the displacement after another motion, m, (3,)."""
+        displacement: Floats = self._rng.normal(0.0, 1.0, 3) * self._deviation
+        return displacement
 
 
 class BiasField:

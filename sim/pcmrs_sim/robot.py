@@ -92,6 +92,9 @@ class SimRobot:
 
     async def begin_servo(self) -> ServoSession:
         self._check_free()
+        if not self.faults.servo_option:
+            text = "The controller has no servo option, so the robot follows no set points; nothing was moved."
+            raise DeviceError(text, reason="no_servo_option")
         return self.sessions.begin(self._arm)
 
     async def end_servo(self, session: int) -> MotionResult:

@@ -33,6 +33,7 @@ class RobotFaults:
         drops: Number of times the cabinet has closed the connection.
         restarts: Number of times its application was restarted at the pendant.
         refusing: Connections and motions are refused.
+        servo_option: The controller has the option that set points need; without it no servo starts.
         late: The last set point arrives once more after the next connection.
     """
 
@@ -44,6 +45,7 @@ class RobotFaults:
     drops: int = 0
     restarts: int = 0
     refusing: bool = False
+    servo_option: bool = True
     late: bool = False
 
 

@@ -90,6 +90,8 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         armature: Rotor inertia of each joint seen at its output, kg m^2; known to the controller.
         geometry_error_mm: Root mean square distance of the true flange from its nominal position, over postures and
             seeds; fixed per seed.
+        repeatability_mm: Pose repeatability as data sheets give it (ISO 9283): after each motion the tool rests at
+            another place, which the joints do not show. 0 for none.
         inertia_error: Relative error of the controller's masses and inertias, with a random sign for each link.
         stiffness: Stiffness of the joint impedance, base to flange, N m/rad; empty for the default of the arm.
         integral_rate: Rate at which the integral action removes a constant error, 1/s.
@@ -108,6 +110,7 @@ class ArmSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     damping: NotNegative = 0.5
     armature: NotNegative = 0.1
     geometry_error_mm: NotNegative = 1.0
+    repeatability_mm: NotNegative = 0.0
     inertia_error: Annotated[float, msgspec.Meta(ge=0.0, lt=1.0)] = 0.05
     stiffness: tuple[Positive, ...] = ()
     integral_rate: NotNegative = 8.0

@@ -12,7 +12,7 @@ from pcmrs.kinematics.arms import ArmFacts
 from pcmrs.messages import HeadMotion, PoseMessage, SceneTruth
 from pcmrs.spatial import Floats, Transform, trusted_transform
 from pcmrs_sim.arm import Arm
-from pcmrs_sim.error_models import TouchErrors, TrackerErrors
+from pcmrs_sim.error_models import RestingPlaces, TouchErrors, TrackerErrors
 from pcmrs_sim.kinematic_arm import KinematicArm
 from pcmrs_sim.motion import Pivot, head_offset
 from pcmrs_sim.muscle.head_subject import draw_subject
@@ -69,6 +69,8 @@ class World:
         make = KinematicArm if settings.arm.physics == "kinematic" else Arm
         self.arm: Arm | KinematicArm = make(facts, settings, force, phantom)
         self._flange: Transform | None = None
+        self._resting = RestingPlaces(settings.arm.repeatability_mm * 1e-3, settings.seed)
+        self._motion_of_arm, self._rest = self.arm.reference, self._resting.draw()
         self._update_tool()
         self._bodies: dict[str, tuple[Transform, Transform, Transform]] = {}
         self._motion, self._motion_start = HeadMotion(), time
@@ -134,7 +136,10 @@ class World:
         """Compute contact point and marker body of the tool, if the arm has moved."""
         flange = self.arm.base_from_flange()
         if flange is not self._flange:  # the arm returns the same object while it stands, so identity is enough
-            self._flange, self._tool_tip = flange, self._tracker_from_world @ flange @ self._flange_from_tool_tip
+            if self.arm.reference is not self._motion_of_arm:
+                self._motion_of_arm, self._rest = self.arm.reference, self._resting.draw()
+            placed = trusted_transform(flange.rotation, flange.translation + self._rest)
+            self._flange, self._tool_tip = flange, self._tracker_from_world @ placed @ self._flange_from_tool_tip
             self._tool_marker = self._tool_tip @ self._tool_tip_from_tool_marker
 
     def is_near_body(self, within: float) -> bool:

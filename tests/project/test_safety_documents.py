@@ -52,7 +52,7 @@ def mutants() -> set[str]:
     [
         (SAFETY, "Requirements and their tests", 26),
         (SEMANTICS, "What holds", 15),
-        (SUPERVISION, "What is promised", 14),
+        (SUPERVISION, "What is promised", 15),
     ],
     ids=lambda value: getattr(value, "stem", None),
 )

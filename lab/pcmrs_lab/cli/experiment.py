@@ -49,7 +49,10 @@ def placements(
     With --drivers virtual the daemon uses the drivers of real devices, kst and ndi, over TCP. A virtual cabinet and a
     virtual tracker, which share the simulated cell, answer them. This runs in real time.
 
-    Each of several seeds runs on its own daemon. Exit status 1: a command was refused, such as a registration.
+    With --noise vicra, vega or spectra tracker and arm have the noise, latency and repeatability of data sheets.
+
+    A placement that does not converge is counted, and the next one follows. Each of several seeds runs on its own
+    daemon. Exit status 1: another command was refused, such as a registration.
     """
     if workers != HERE and seeds == 1:
         raise click.UsageError(

@@ -16,6 +16,7 @@ from pcmrs.cli.values import POSITIVE
 
 if TYPE_CHECKING:
     # For annotations only: --help must not load the experiments.
+    from pcmrs_lab.experiment.data_sheets import TrackerName
     from pcmrs_lab.experiment.setup import Drivers, ExperimentSetup, ShowProgress
 
 DEFAULT_RATE = 5.0
@@ -31,6 +32,7 @@ class ExperimentOptions:
     seed: int
     rate: float
     drivers: Drivers
+    noise: TrackerName | None
     plan_file: Path | None
     overrides: tuple[str, ...]
     table: Path | None
@@ -53,7 +55,13 @@ class ExperimentOptions:
         if self.plan_file is None:
             published(workflow)  # refuse an unknown workflow by its name before its plan is missing
         plan = read_plan(self.plan_file or example_plan(workflow))
-        return ExperimentSetup(plan, workflow, self.seed, self.rate, self.drivers, self.overrides, progress)
+        overrides = (*self._data_sheet(), *self.overrides)
+        return ExperimentSetup(plan, workflow, self.seed, self.rate, self.drivers, overrides, progress)
+
+    def _data_sheet(self) -> list[str]:
+        from pcmrs_lab.experiment.data_sheets import data_sheet_settings
+
+        return [] if self.noise is None else data_sheet_settings(self.noise, virtual=self.drivers == "virtual")
 
 
 def experiment_options(
@@ -135,6 +143,11 @@ def _options(workflow: str | None, rate: float) -> tuple[Callable[..., Any], ...
             default="builtin",
             show_default=True,
             help="virtual: the drivers kst and ndi, over TCP, with a virtual cabinet and tracker.",
+        ),
+        click.option(
+            "--noise",
+            type=click.Choice(["vicra", "vega", "spectra"]),
+            help="Give tracker and arm the noise, latency and repeatability of data sheets: NDI Polaris, iiwa 14.",
         ),
         click.option(
             "--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Seed of the simulated errors."

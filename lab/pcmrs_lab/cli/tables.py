@@ -35,6 +35,8 @@ def placement_table(report: PlacementReport) -> Group:
             f"{trial.true_rotation_error_deg:.4f}",
             f"{trial.target_registration_error_mm:.2f}",
         )
+    for missed in report.failed:
+        trials.add_row(str(missed.trial), missed.reason)
     caption = f"Registration residual {report.residual_mm:.2f} mm. The paper's robot was real; this is simulated."
     return Group(trials, summary_table(report.summary, caption), *(_treated(step) for step in report.treatment))
 
@@ -75,6 +77,12 @@ def summary_table(summary: PlacementSummary, caption: str) -> Table:
     )
     name = "TRE: registration against truth at the target"
     table.add_row(name, *_with_maximum(summary.target_registration_error_mm, 2))
+    if summary.predicted_error_mm is not None:
+        table.add_row("predicted for the same, rms", *_with_maximum(summary.predicted_error_mm, 2))
+    tried = summary.trials + summary.failed
+    table.add_row(
+        "placements that reached their targets", f"{summary.trials} of {tried}", f"{summary.success_rate:.0%}"
+    )
     return table
 
 

@@ -86,7 +86,9 @@ def run_seeds(setup: ExperimentSetup, trials: int, seeds: int, workers: Workers 
         found[task.seed] = run_of_seed
         setup.progress(f"seed {task.seed}", len(found), seeds)
     runs = [found[task.seed] for task in tasks]
-    done = [trial for each in runs if each.report is not None for trial in each.report.trials]
+    reports = [each.report for each in runs if each.report is not None]
+    done = [trial for report in reports for trial in report.trials]
+    failed = sum(len(report.failed) for report in reports)
     return SeedsReport(
         experiment="placements",
         workflow=setup.workflow,
@@ -94,7 +96,7 @@ def run_seeds(setup: ExperimentSetup, trials: int, seeds: int, workers: Workers 
         settings=setup.settings(),
         simulated=True,
         runs=runs,
-        pooled=summary_of(setup.workflow, done) if done else None,
+        pooled=summary_of(setup.workflow, done, failed) if done else None,
     )
 
 

@@ -28,6 +28,8 @@ ATTEMPTS = 4
 """Number of times that the tool backs off at most."""
 PAUSE = 0.2
 """Pause between two requests, s of the machine."""
+MISSED = ("not_converged", "correction_too_large")
+"""Reasons for which a placement has not reached its target although nothing is broken: the experiment goes on."""
 ASK_AGAIN = ("pose_missing", "pose_stale", "planner_late", "planner_lost")
 """Reasons for which a request is repeated: their texts say that it may be."""
 
@@ -41,6 +43,7 @@ class Trial(msgspec.Struct, frozen=True):
         translation_error_mm: Measured against planned, both from the tracker.
         true_translation_error_mm: Actual pose against the plan mapped by the estimated registration.
         target_registration_error_mm: Plan mapped by the estimated against the true registration.
+        predicted_error_mm: Rms error at the target that the daemon has predicted for the plan; None if it has not.
     """
 
     trial: int
@@ -52,10 +55,23 @@ class Trial(msgspec.Struct, frozen=True):
     target_registration_error_deg: float
     planned: PoseMessage
     measured: PoseMessage
+    predicted_error_mm: float | None = None
+
+
+class FailedTrial(msgspec.Struct, frozen=True):
+    """A placement that did not reach its target, and the reason."""
+
+    trial: int
+    reason: str
 
 
 class PlacementSummary(msgspec.Struct, frozen=True):
-    """Statistics of all trials, with the paper's values."""
+    """Statistics of all trials that reached their targets, with the paper's values.
+
+    Attributes:
+        predicted_error_mm: Predicted rms errors at the targets; None if there were no predictions.
+        failed: Number of trials that did not reach their targets.
+    """
 
     trials: int
     translation_error_mm: Summary
@@ -65,6 +81,13 @@ class PlacementSummary(msgspec.Struct, frozen=True):
     target_registration_error_mm: Summary
     published_translation_error_mm: Reported
     published_rotation_error_deg: Reported
+    predicted_error_mm: Summary | None = None
+    failed: int = 0
+
+    @property
+    def success_rate(self) -> float:
+        """Share of the trials that reached their targets."""
+        return self.trials / (self.trials + self.failed)
 
 
 class PlacementReport(msgspec.Struct, frozen=True):
@@ -75,6 +98,7 @@ class PlacementReport(msgspec.Struct, frozen=True):
         tool: Name of the tool.
         residual_mm: Residual of the registration, mm.
         treatment: Operations at the last pose, in workflows that treat.
+        failed: Trials that did not reach their targets.
     """
 
     experiment: str
@@ -88,6 +112,7 @@ class PlacementReport(msgspec.Struct, frozen=True):
     trials: list[Trial]
     treatment: list[Treated]
     summary: PlacementSummary
+    failed: list[FailedTrial] = []
 
 
 async def run_placements(setup: ExperimentSetup, trials: int) -> PlacementReport:
@@ -124,12 +149,16 @@ async def run_placements(setup: ExperimentSetup, trials: int) -> PlacementReport
         residual_mm = await bench.planner.register()
         registration = as_transform(registered(bench).body_ref_from_image)
         done: list[Trial] = []
+        failed: list[FailedTrial] = []
         treatment: list[Treated] = []
         for number in range(1, trials + 1):
             progress(f"placing the {tool}, {number} of {trials}", 2 + number, steps)
             pose = plan.poses[(number - 1) % len(plan.poses)]
-            done.append(await _place(bench, number, pose, registration))
-            if number == trials:
+            try:
+                done.append(await _place(bench, number, pose, registration))
+            except CommandRefusedError as error:
+                failed.append(_failed(error, number, last=number == trials and not done))
+            if number == trials and (not failed or failed[-1].trial != number):
                 treatment = await treat(bench.client, setup.workflow)
             await _back_off(bench)
             await once_seen(bench.planner.home)
@@ -145,8 +174,17 @@ async def run_placements(setup: ExperimentSetup, trials: int) -> PlacementReport
         residual_mm=residual_mm,
         trials=done,
         treatment=treatment,
-        summary=summary_of(setup.workflow, done),
+        summary=summary_of(setup.workflow, done, len(failed)),
+        failed=failed,
     )
+
+
+def _failed(error: CommandRefusedError, number: int, *, last: bool) -> FailedTrial:
+    """Return a placement that did not converge; raise any other error, and this one if no placement has succeeded."""
+    verdict = error.fields["verdict"]
+    if last or verdict.decision != "failed" or verdict.reason not in MISSED:
+        raise error
+    return FailedTrial(number, verdict.reason)
 
 
 async def _place(bench: ExperimentBench, number: int, pose: ToolPose, body_ref_from_image: Transform) -> Trial:
@@ -169,7 +207,15 @@ async def _place(bench: ExperimentBench, number: int, pose: ToolPose, body_ref_f
         target_registration_error_deg=math.degrees(rotation_angle(mapped, true_target)),
         planned=as_message(planned),
         measured=as_message(measured),
+        predicted_error_mm=_predicted(bench),
     )
+
+
+def _predicted(bench: ExperimentBench) -> float | None:
+    """Return the predicted rms error of the newest plan, mm; None if the daemon has not predicted any."""
+    rows = [stored.row for stored in bench.journal.read(kind="outcome", branch="toolplan")]
+    predicted = [row.result["tre"] for row in rows if row.result and row.result.get("tre") is not None]
+    return predicted[-1] * 1000.0 if predicted else None
 
 
 async def _back_off(bench: ExperimentBench) -> None:
@@ -217,18 +263,20 @@ def registered(bench: ExperimentBench) -> Registered:
     return msgspec.convert(registrations[-1], Registered)
 
 
-def summary_of(workflow: str, trials: Sequence[Trial]) -> PlacementSummary:
+def summary_of(workflow: str, trials: Sequence[Trial], failed: int = 0) -> PlacementSummary:
     """Return the statistics of one or more trials.
 
     Args:
         workflow: Name of the workflow.
-        trials: Trials, at least one.
+        trials: Trials that reached their targets, at least one.
+        failed: Number of the other trials.
     """
 
     def over_all(field: str) -> Summary:
         return summarize([getattr(trial, field) for trial in trials])
 
     paper = published(workflow)
+    predicted = [trial.predicted_error_mm for trial in trials if trial.predicted_error_mm is not None]
     return PlacementSummary(
         trials=len(trials),
         translation_error_mm=over_all("translation_error_mm"),
@@ -238,4 +286,6 @@ def summary_of(workflow: str, trials: Sequence[Trial]) -> PlacementSummary:
         target_registration_error_mm=over_all("target_registration_error_mm"),
         published_translation_error_mm=paper.translation_error_mm,
         published_rotation_error_deg=paper.rotation_error_deg,
+        predicted_error_mm=summarize(predicted) if predicted else None,
+        failed=failed,
     )

@@ -1,8 +1,9 @@
 """KUKA LBR iiwa through the KUKA Sunrise Toolbox (KST), by TCP.
 
 Written from the public source of the KST 1.7 server (MatlabToolboxServer, Sunrise 1.x) and its clients, and tested
-against our virtual cabinet. Not tested on hardware. All motion that must be stoppable is a stream of joint set points,
-because a point-to-point motion of the cabinet cannot be stopped. If the link is lost, the real cabinet stays at the
+against our virtual cabinet. Not tested on hardware. Motion is a stream of joint set points, because a point-to-point
+motion of the cabinet cannot be stopped; without the controller's servo option it is a series of such motions, each so
+short that none needs to be stopped. If the link is lost, the real cabinet stays at the
 last set point. `disconnect` ends the KST application, which accepts one client only: start it again before the next
 `connect`. The cabinet's control law for direct servo closes small errors slowly, so a real arm may come to rest a
 little off its set point. The published joints are the measured ones.
@@ -20,6 +21,7 @@ import structlog
 from pcmrs.clock import Clock
 from pcmrs.devices.kst.connection import JOINTS, KstConnection
 from pcmrs.devices.kst.drive import Drive
+from pcmrs.devices.kst.segment_drive import SegmentDrive
 from pcmrs.devices.kst.settings import KstSettings
 from pcmrs.devices.motion.force import ForceSettings
 from pcmrs.devices.motion.sessions import Sessions
@@ -166,7 +168,8 @@ class KstRobot:
             if isinstance(error, UnknownOutcomeError):
                 raise UnknownOutcomeError(f"{error.text} {ONE_CLIENT}", **error.fields) from None
             raise
-        drive = Drive(
+        kind = SegmentDrive if own.motion == "ptp" else Drive
+        drive = kind(
             cabinet, posture, own, self._model, self._force, self._clock, self._states.publish, self._events.publish
         )
         self._drive, self._lost, self.sessions.servo = drive, None, None
@@ -264,7 +267,8 @@ async def open_devices(
         clock: Clock of the machine: a real arm does not run faster.
 
     Raises:
-        ConfigurationError: Another device is requested, a table is wrong, or the arm is not an iiwa.
+        ConfigurationError: Another device is requested, a table is wrong, the arm is not an iiwa, or it must relieve a
+            force while it cannot be stopped.
     """
     check_devices("kst", devices, "robot")
     own, force = read_table(settings, "kst", KstSettings), read_table(settings, "robot", ForceSettings)
@@ -272,6 +276,12 @@ async def open_devices(
     if len(facts.joints) != JOINTS:
         text = f"The driver kst moves arms of {JOINTS} joints; robot.model {facts.name} has {len(facts.joints)}."
         raise ConfigurationError(text, model=facts.name)
+    if own.motion == "ptp" and force.relief_mm > 0.0:
+        text = (
+            f'robot.relief_mm is {force.relief_mm:g}, but with kst.motion = "ptp" the arm cannot move back along a '
+            "force while it acts: set robot.relief_mm = 0."
+        )
+        raise ConfigurationError(text, relief_mm=force.relief_mm)
     robot = KstRobot(own, ArmModel(facts), force, clock)
     try:
         yield {"robot": robot} if "robot" in devices else {}

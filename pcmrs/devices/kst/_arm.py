@@ -124,14 +124,15 @@ class MeasuredArm:
         recent = np.array([positions for _, positions in self._set_points])
         return float(np.maximum(recent.min(axis=0) - self.positions, self.positions - recent.max(axis=0)).max())
 
-    def at_rest(self, target: Floats, ended: float) -> bool:
+    def at_rest(self, target: Floats, ended: float, settling: float = SETTLING) -> bool:
         """Return True if the arm stands at its last set point.
 
         Args:
             target: Last set point, rad, (n,).
             ended: Time since which the set point has not moved, s of the clock.
+            settling: Time after `ended` after which an arm that stands still is at rest, even off its set point, s.
         """
-        near = float(np.abs(self.positions - target).max()) < REST_ERROR or self.captured > ended + SETTLING
+        near = float(np.abs(self.positions - target).max()) < REST_ERROR or self.captured > ended + settling
         return self.captured > ended and near and float(np.abs(self.velocities).max()) < REST_SPEED
 
     def state(self, now: float, *, moving: bool, relieving: bool) -> JointState:

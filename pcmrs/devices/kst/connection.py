@@ -10,14 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from pcmrs.clock import Clock
-from pcmrs.devices.kst.link import KstLink
+from pcmrs.devices.kst.link import DONE, KstLink
 from pcmrs.devices.kst.wire import parse_values, words
 from pcmrs.errors import DeviceError, PayloadError, UnknownOutcomeError
 from pcmrs.spatial import Floats
 
 JOINTS = 7
-DONE = "done"
-"""Acknowledgement of a command that has no result."""
 SECOND_DONE = 0.3
 """Longest time between the two acknowledgements with which KST 1.7 ends an impedance stream, s."""
 LATE_REPLY_TIME = 0.1
@@ -133,9 +131,7 @@ class KstConnection:
             positions: Joint positions, rad, (7,).
             speed: Part of the greatest joint speed, within `SPEEDS`.
         """
-        goal = f"jp_{_joints(positions)}"
-        await self._set_speed(speed)
-        await self._do(goal)
+        await self.prepare_ptp(positions, speed)
         await self._do("doPTPinJS", PTP_TIMEOUT)
 
     async def ptp_cartesian(self, translation: npt.ArrayLike, angles: npt.ArrayLike, speed: float) -> None:
@@ -150,6 +146,38 @@ class KstConnection:
         await self._set_speed(speed)
         await self._do(goal)
         await self._do("doPTPinCS", PTP_TIMEOUT)
+
+    async def prepare_ptp(self, positions: npt.ArrayLike, speed: float) -> None:
+        """Set speed and goal of the next `start_ptp`; nothing moves.
+
+        Args:
+            positions: Joint positions, rad, (7,).
+            speed: Part of the greatest joint speed, within `SPEEDS`.
+        """
+        goal = f"jp_{_joints(positions)}"
+        await self._set_speed(speed)
+        await self._do(goal)
+
+    async def start_ptp(self, duration: float) -> asyncio.Future[str]:
+        """Start to move to the prepared posture, and return when the cabinet has accepted that.
+
+        The motion cannot be stopped. `stream_for_joints` and `stream_for_torques` with its goal read the moving arm.
+
+        Args:
+            duration: Planned duration of the motion, s.
+
+        Returns:
+            Future of the reply at its end, for `check_ended`.
+        """
+        return await self._link.start_motion("doPTPinJS", self._timeout, duration)
+
+    def check_ended(self, ended: asyncio.Future[str]) -> None:
+        """Check that a motion has reached its end.
+
+        Args:
+            ended: Future of `start_ptp`, which is done.
+        """
+        self._check_done(ended.result())
 
     async def start_servo(self) -> None:
         """Start to follow the stream of joints."""

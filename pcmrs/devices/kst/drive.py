@@ -9,7 +9,7 @@ from itertools import cycle
 import numpy as np
 
 from pcmrs.clock import Clock
-from pcmrs.devices.kst._arm import MeasuredArm
+from pcmrs.devices.kst._arm import SETTLING, MeasuredArm
 from pcmrs.devices.kst.connection import KstConnection
 from pcmrs.devices.kst.settings import KstSettings
 from pcmrs.devices.motion.follower import Follower, brake_limits
@@ -52,9 +52,12 @@ class Drive:
         report: Called with each event that the arm reports.
 
     Attributes:
+        settling: As for `MeasuredArm.at_rest`.
         arm: Readings of the arm.
         follower: Reference of the arm.
     """
+
+    settling = SETTLING
 
     def __init__(
         self,
@@ -99,6 +102,7 @@ class Drive:
             while True:
                 await self._attempt(self._poll(patience))
                 self.follower.supervise()  # a force on an arm at rest must be relieved, too
+                self._report_alarms()
                 if self.follower.reference.ended:
                     _release(self._started)
                     _release(self._resting, until=self._polled_at)
@@ -107,7 +111,7 @@ class Drive:
                 else:
                     patience = STOPPING
                     self._streaming = True
-                    await self._attempt(self._stream())
+                    await self._attempt(self._move())
                     self._streaming = False
         except UnknownOutcomeError as error:
             self._fail(error)
@@ -188,7 +192,8 @@ class Drive:
         self.arm.take_torques(await self._cabinet.external_torques(patience))
         self._publish(self.state)
 
-    async def _stream(self) -> None:
+    async def _move(self) -> None:
+        """Follow the reference to its end, and return when the arm is at rest."""
         cabinet, impedance = self._cabinet, self._settings.mode == "impedance"
         self.arm.begin()
         self._reply, self._ended_at, self._deviated = None, np.inf, False
@@ -246,8 +251,7 @@ class Drive:
 
     def _send(self, ask: bool) -> None:
         target = self.follower.advance()[0].copy()
-        while self.follower.alarms:
-            self._report(self.follower.alarms.popleft())
+        self._report_alarms()
         now = self._clock.monotonic()
         self.arm.add_set_point(target, now)
         if ask and self._reply is None:
@@ -256,6 +260,10 @@ class Drive:
             self._reply = stream(target)
         else:
             self._cabinet.stream(target)
+
+    def _report_alarms(self) -> None:
+        while self.follower.alarms:
+            self._report(self.follower.alarms.popleft())
 
     def _take_reply(self) -> None:
         """Take the outstanding reply if it has arrived."""
@@ -287,7 +295,7 @@ class Drive:
             self._ended_at = np.inf
         elif self._ended_at == np.inf:
             self._ended_at = self._clock.monotonic()
-        return self.arm.at_rest(reference.position, self._ended_at)
+        return self.arm.at_rest(reference.position, self._ended_at, self.settling)
 
     def _fail(self, error: PcmrsError) -> None:
         for waiting in (self._started, self._resting, self._reading):

@@ -15,6 +15,8 @@ from pcmrs.clock import Clock
 from pcmrs.devices.kst.wire import END, LineBuffer
 from pcmrs.errors import DeviceError, DeviceRefusedError, MotionInterruptedError, PayloadError, UnknownOutcomeError
 
+DONE = "done"
+"""Acknowledgement of a command that has no result."""
 REFUSED, INTERRUPTED = "nak", "interrupted"
 """Replies to a command that the cabinet refuses, and to a motion that it breaks off."""
 SILENT = "it did not answer in time"
@@ -52,6 +54,7 @@ class KstLink(asyncio.Protocol):
         self._clock = clock
         self._lines = LineBuffer()
         self._awaited: deque[_Awaited] = deque()
+        self._ending: _Awaited | None = None  # reply at the end of a motion, which arrives between other replies
         self._transport: asyncio.Transport | None = None
         self.failure: str | None = None
         self.notice: DeviceError | None = None
@@ -123,6 +126,32 @@ class KstLink(asyncio.Protocol):
         replies = self.send(command, *timeouts, sure=sure)
         return [await self._await_reply(reply, timeout) for reply, timeout in zip(replies, timeouts, strict=True)]
 
+    async def start_motion(self, command: str, timeout: float, duration: float) -> asyncio.Future[str]:
+        """Send a command whose motion is acknowledged at its start and at its end; return when it has started.
+
+        Until its end, only requests are answered whose reply is sure.
+
+        Args:
+            command: Command without its line end.
+            timeout: Longest wait for the first reply, s, and for the second one after `duration`.
+            duration: Planned duration of the motion, s.
+
+        Returns:
+            Future of the reply at the end, with the errors of `request`.
+
+        Raises:
+            DeviceRefusedError: The first reply is `nak`.
+            MotionInterruptedError: The first reply is `interrupted`.
+            UnknownOutcomeError: The link has failed, or fails now because the first reply did not arrive in time.
+        """
+        (started,) = self.send(command, timeout)
+        self._ending = ending = _Awaited(
+            asyncio.get_running_loop().create_future(), self._clock.monotonic() + 2.0 * timeout + duration, False
+        )
+        await self._await_reply(started, timeout)
+        ending.deadline = self._clock.monotonic() + duration + timeout
+        return ending.reply
+
     async def request_one_or_two(self, command: str, timeout: float, later: float) -> list[str]:
         """Send a command that has one or two replies; see `request`.
 
@@ -155,7 +184,8 @@ class KstLink(asyncio.Protocol):
         if self.notice is not None:
             notice, self.notice = self.notice, None
             raise notice
-        if self._awaited and self._clock.monotonic() > self._awaited[0].deadline:
+        outstanding = [*self._awaited, *([] if self._ending is None else [self._ending])]
+        if outstanding and self._clock.monotonic() > min(each.deadline for each in outstanding):
             self.fail(SILENT)
         if self.failure is not None:
             raise self._unknown(self.failure)
@@ -166,6 +196,7 @@ class KstLink(asyncio.Protocol):
             self.failure = why
             while self._awaited:
                 _settle(self._awaited.popleft().reply, self._unknown(why))
+            self._end_motion(self._unknown(why))
             if self._transport is not None:
                 self._transport.abort()
         return self._unknown(self.failure)
@@ -208,6 +239,9 @@ class KstLink(asyncio.Protocol):
         if self.failure is not None:
             return
         failed = line in (REFUSED, INTERRUPTED)
+        if self._ending is not None and (not self._awaited or self._awaited[0].sure) and (failed or line == DONE):
+            self._end_motion(_failure(line) if failed else line)
+            return
         if failed and (not self._awaited or self._awaited[0].sure):
             self.notice = _failure(line)
             return
@@ -216,9 +250,20 @@ class KstLink(asyncio.Protocol):
         reply = self._awaited.popleft().reply
         if failed:
             self._awaited.clear()  # no other reply follows
+            self._ending = None
             _settle(reply, _failure(line))
         elif not reply.done():
             reply.set_result(line)
+
+    def _end_motion(self, outcome: str | Exception) -> None:
+        """Settle the reply at the end of a motion, if one is outstanding."""
+        ending, self._ending = self._ending, None
+        if ending is None:
+            return
+        if isinstance(outcome, Exception):
+            _settle(ending.reply, outcome)
+        elif not ending.reply.done():
+            ending.reply.set_result(outcome)
 
 
 def _failure(line: str) -> DeviceError:

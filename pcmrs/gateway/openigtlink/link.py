@@ -87,7 +87,7 @@ class OpenIgtLink(DispatcherListener):
         if config.role == "client":
             self._tasks.spawn(self._keep_connected())
             return config.host, config.port
-        self._server = await asyncio.start_server(self._accept, self._gateway.host, config.port)
+        self._server = await asyncio.start_server(self._accept, config.listen or self._gateway.host, config.port)
         host, port = self._server.sockets[0].getsockname()[:2]
         self._exposed = not is_loopback(host)
         return host, port

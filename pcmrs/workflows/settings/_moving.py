@@ -51,9 +51,10 @@ class PlacementSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
         settle_time: Rest before a measurement, s.
         frames: Number of tracker frames averaged per measurement. The mean of 60 is uncertain by about 0.01 mm and
             0.005° per axis.
-        tolerance_mm: Measured distance within which the tool is at its target, mm: less than the tracker's own error,
-            and a few times the noise of one measurement.
-        tolerance_deg: Measured angle within which the tool is at its target, deg.
+        tolerance_mm: Measured distance within which the tool is at its target, mm, with a tracker whose noise is small.
+        tolerance_deg: Measured angle within which the tool is at its target, deg, with such a tracker.
+        noise_factor: Multiple of the tracker's noise at rest within which the tool is at its target, too, up to 0.5 mm
+            and 0.2°. With 0, only `tolerance_mm` and `tolerance_deg` count.
         corrections: Greatest number of corrections of the command.
         correction_limit_mm: Largest plausible correction of the command, mm.
         correction_limit_deg: Largest plausible rotation of a correction, deg.
@@ -72,6 +73,7 @@ class PlacementSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     frames: Annotated[int, msgspec.Meta(ge=1)] = 60
     tolerance_mm: Positive = 0.08
     tolerance_deg: Positive = 0.03
+    noise_factor: NotNegative = 2.0
     corrections: Annotated[int, msgspec.Meta(ge=1)] = 3
     correction_limit_mm: Positive = 5.0
     correction_limit_deg: Positive = 2.0

@@ -88,6 +88,10 @@ def _late(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     cell.robot_faults.late = switch(arguments, "on")
 
 
+def _servo(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
+    cell.robot_faults.servo_option = not switch(arguments, "on")
+
+
 def _push(cell: FaultTarget, arguments: Mapping[str, Any]) -> None:
     cell.world.arm.disturbance.push = number(arguments, "force", -LARGEST_PUSH, LARGEST_PUSH)
 
@@ -135,6 +139,8 @@ FAULTS = (
     Fault("double_commands", "B13", "Each command arrives at the cabinet twice.", ("on",), _double),
     Fault("push_tool", "B14", "A collision: a force pushes the tool along its +z, N; 0 ends it.",
           ("force",), _push, also=("S13",)),
+    Fault("withdraw_servo", "B15", "The controller has no servo option: no stream of set points starts.",
+          ("on",), _servo),
     Fault("restart_cabinet", "B11", "A person restarts the cabinet's application at its pendant.", (), _restart),
 )  # fmt: skip
 """Faults of the robot, for the registry `pcmrs_sim.faults.FAULTS`."""

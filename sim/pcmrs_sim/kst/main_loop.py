@@ -230,13 +230,13 @@ class MainLoop:
         self._motion = _Motion(self._arm.reference, DONE)
 
     def _start_servo(self, _line: str) -> None:
-        self._check_ready()
+        self._check_servo_ready()
         self._send(DONE)
         self._targets.joints[:] = self._readings.joints()
         self._follow_targets(1.0, "")
 
     def _start_pose_servo(self, _line: str) -> None:
-        self._check_ready()
+        self._check_servo_ready()
         self._send(DONE)
         start, tool = self._arm.reference.position, self._readings.flange_from_tool
         self._targets.servo_pose[:] = to_xyzabc(self._model.forward(start) @ tool)
@@ -253,7 +253,7 @@ class MainLoop:
         self._track(servo, "", follow)
 
     def _start_velocity_servo(self, _line: str) -> None:
-        self._check_ready()
+        self._check_servo_ready()
         self._send(DONE)
         self._targets.velocities[:] = 0.0
         servo = VelocityDestination(self._arm.reference.position, self._facts, self._settings)
@@ -266,7 +266,7 @@ class MainLoop:
         are zero. The compliance itself is not simulated. As in the real server, the target of joint 1 is the one that
         was sent last, and not its position; and the end of the servo is acknowledged a second time.
         """
-        self._check_ready()
+        self._check_servo_ready()
         _mass, *_centre, linear, angular, null_space = (*numbers(line), *(0.0,) * JOINTS)[:JOINTS]
         self._send(DONE)
         largest_linear, largest_angular = LARGEST_STIFFNESS
@@ -290,3 +290,8 @@ class MainLoop:
             raise DeviceError(f"The drives are off: {self._faults.drives_off}.", reason=self._faults.drives_off)
         if not self._arm.reference.ended:
             raise DeviceError("The arm is already moving.")
+
+    def _check_servo_ready(self) -> None:
+        self._check_ready()
+        if not self._faults.servo_option:
+            raise DeviceError("The controller has no servo option.")

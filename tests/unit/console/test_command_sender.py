@@ -61,6 +61,18 @@ async def test_a_verdict_is_returned_and_shown_with_its_reason(page: DetachedPag
     assert shown.endswith("It moves.")
 
 
+async def test_a_placement_says_by_what_noise_it_counts(page: DetachedPage) -> None:
+    said = "noise 0.11 mm and 0.06°: placements within 0.22 mm and 0.12° count"
+    placed = Verdict(
+        id="1", branch="placement", operation="confirm", decision="accepted", state="placed", sequence=1,
+        result={"tolerance": {"text": said, "mm": 0.22}},
+    )  # fmt: skip
+    with page.client:
+        await sender(Daemon(placed)).ask("placement.confirm", {})
+    (shown,) = page.notified
+    assert shown.endswith(said)
+
+
 async def test_an_unknown_outcome_is_no_verdict_but_is_shown(page: DetachedPage) -> None:
     with page.client:
         assert await sender(Daemon(UnknownOutcomeError("It is silent."))).ask("robot.connect", {}) is None

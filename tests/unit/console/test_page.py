@@ -61,10 +61,10 @@ class Playback(ShownCell):
         self.version = 1
 
 
-async def opened(page: DetachedPage, cell: Cell, playback: Any = None) -> None:
+async def opened(page: DetachedPage, cell: Cell, playback: Any = None, **known_of_cell: Any) -> None:
     recordings: Any = SimpleNamespace(names=list)
     feed: Any = cell
-    known = replace(setup(), user="anna", drivers={"robot": "sim"})
+    known = replace(setup(), user="anna", drivers={"robot": "sim"}, **known_of_cell)
     with page.client:
         Page(feed, known, BLUEPRINT, ENGLISH, Surfaces(feed), recordings, playback and ("run", playback))
     await page.tick()
@@ -93,6 +93,15 @@ async def test_it_says_who_one_is_and_that_the_cell_is_simulated(page: DetachedP
     assert ENGLISH("signed_in", user="anna", role="operator") in page.text("signed-in")
     assert ENGLISH("simulated") in page.text("signed-in")
     assert not page.at("trouble").visible
+
+
+@pytest.mark.parametrize("segments", [False, True])
+async def test_page_names_the_cost_of_an_arm_in_segments(page: DetachedPage, segments: bool) -> None:
+    await opened(page, Cell(), point_to_point=segments)
+    names = {each.props.get("data-testid") for each in page.client.elements.values()}
+    assert ("point-to-point" in names) == segments
+    if segments:
+        assert "0.5 s" in page.text("point-to-point")
 
 
 async def test_without_daemon_the_reason_is_on_top_of_the_page(page: DetachedPage) -> None:

@@ -248,6 +248,7 @@ SIGNS: Mapping[str, Sign] = {
     "restart_cabinet": Sign(restarts, lambda before, during: during == before + 1),
     "late_set_point": Sign(dropped_when_connected_again, lambda before, during: (before, during) == (0, 1)),
     "double_commands": Sign(dropped_at_once, lambda before, during: (before, during) == (0, 1)),
+    "withdraw_servo": _new_refusal("no_servo_option"),
     "push_tool": Sign(flange_force, lambda before, during: during > before + 10.0),
 }
 """Sign of each fault, when its first line of `test_faults_catalogue.LINES` has brought it about."""

@@ -26,7 +26,7 @@ from tests.unit.devices.fault_signs import SIGNS, connected
 
 DOCUMENT = ROOT / "docs" / "faults.md"
 LOOPS = {"simulated": SimulatedLoop}
-ROWS = [f"{kind}{number}" for kind in "SB" for number in range(1, 15)]
+ROWS = [f"{kind}{number}" for kind, last in (("S", 14), ("B", 15)) for number in range(1, last + 1)]
 LINES: Mapping[str, tuple[str, str]] = {
     "occlude": ("coil on", "coil off"),
     "frame_frozen": ("on", "off"),
@@ -62,6 +62,7 @@ LINES: Mapping[str, tuple[str, str]] = {
     "restart_cabinet": ("", ""),
     "late_set_point": ("on", "off"),
     "double_commands": ("on", "off"),
+    "withdraw_servo": ("on", "off"),
     "push_tool": ("20", "0"),
 }
 """Fault to the arguments that bring it about, and those that end it."""

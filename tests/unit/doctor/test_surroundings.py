@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pcmrs.doctor import _surroundings as surroundings
-from pcmrs.doctor._surroundings import certificates, devices, extras, is_running, peers, ports, streams
+from pcmrs.doctor._surroundings import certificates, devices, extras, is_running, motion, peers, ports, streams
 from pcmrs.settings import Settings, read_settings
 from tests.unit.doctor.machines import only
 
@@ -87,3 +87,24 @@ def test_an_identity_that_cannot_be_used_is_bad(tmp_path: Path) -> None:
     assert only(certificates(settings(tmp_path)), "certificates").verdict == "good"
     wrong = settings(tmp_path, f"access.identity={tmp_path}/none", f"access.register={tmp_path}/register.json")
     assert "not an identity" in only(certificates(wrong), "certificates").found
+
+
+def test_cost_of_an_arm_that_cannot_be_stopped_on_its_way_is_named(tmp_path: Path) -> None:
+    others = ["tracker.driver=none", "robot.driver=kst"]
+    assert only(motion(settings(tmp_path)), "motion").verdict == "good"
+    assert only(motion(settings(tmp_path, *others)), "motion").verdict == "good"
+    found = only(motion(settings(tmp_path, *others, "kst.motion=ptp")), "motion")
+    assert found.verdict == "warning"
+    assert "0.5 s" in found.found
+    assert 'kst.motion = "servo"' in found.remedy
+
+
+def test_each_link_is_checked_at_its_own_address(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.2", 0))
+        port = other.getsockname()[1]
+        link = [f"gateway.mep.port={port}", "console.enabled=false"]
+        free = list(ports(settings(tmp_path, *link), running=False))
+        taken = list(ports(settings(tmp_path, *link, "gateway.mep.host=127.0.0.2"), running=False))
+    assert not any(f"UDP port {port}" in finding.found for finding in free)
+    assert any(f"UDP port {port} of 127.0.0.2" in finding.found for finding in taken)

@@ -33,10 +33,15 @@ def signer(folder: Path, name: str, first: int = 1) -> Signer:
     return Signer(name, read_key(folder / f"{name}.key"), count(first).__next__)
 
 
-def config(peers: dict[str, PeerConfig], host: str = "127.0.0.1", reply_port: int | None = None) -> GatewayConfig:
+def config(
+    peers: dict[str, PeerConfig],
+    host: str = "127.0.0.1",
+    reply_port: int | None = None,
+    stream_port: int | None = None,
+) -> GatewayConfig:
     return GatewayConfig(
         host=host,
-        planner=LinkConfig(port=0, reply_port=reply_port),
+        planner=LinkConfig(port=0, reply_port=reply_port, stream_port=stream_port),
         robot=LinkConfig(),
         visualization=LinkConfig(),
         mep=LinkConfig(port=0),
@@ -89,10 +94,15 @@ class Room:
 
 
 @asynccontextmanager
-async def open_room(folder: Path, peers: dict[str, PeerConfig], host: str = "0.0.0.0") -> AsyncIterator[Room]:
+async def open_room(
+    folder: Path, peers: dict[str, PeerConfig], host: str = "0.0.0.0", *, stream: bool = False
+) -> AsyncIterator[Room]:
+    """With `stream`, the client also gets what is sent to the planner's stream port."""
     client, replies = await UdpClient.open(), await UdpClient.open()
     core, clock = FakeCore(), ManualClock()
-    async with open_gateway(core, config(peers, host, replies.port), clock, folder) as gateway:
+    async with open_gateway(
+        core, config(peers, host, replies.port, client.port if stream else None), clock, folder
+    ) as gateway:
         yield Room(core, clock, gateway, client, replies, folder)
         core.open_gates()
     client.transport.close()

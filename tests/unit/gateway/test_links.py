@@ -15,7 +15,7 @@ from pcmrs.gateway.settings import GatewayConfig, LinkConfig
 from pcmrs.testing.clock import settle
 from tests.unit.gateway.gateway_fakes import POSE, FakeCore, ManualClock, UdpClient
 from tests.unit.gateway.open_cell import pass_barrier
-from tests.unit.gateway.signed_room import Room
+from tests.unit.gateway.signed_room import Room, peer, signer
 
 
 async def test_an_unmodified_client_plans_landmarks_and_registers(cell: Any) -> None:
@@ -67,6 +67,29 @@ async def test_a_daemon_that_breaks_is_answered_for(cell: Any, monkeypatch: pyte
 async def test_tool_points_from_mixed_reality_reach_the_planner(cell: Any) -> None:
     cell.client.send("__msg_toolpose_1_2_3_4_5_6.5", cell.planner)
     assert await cell.stream.received.get() == "__msg_toolpose_1.00000_2.00000_3.00000_4.00000_5.00000_6.50000"
+
+
+async def test_each_link_has_its_own_address_and_rule(cell: Any, tmp_path: Path) -> None:
+    """127.0.0.1 stands for this machine, and every address for a network."""
+    config = GatewayConfig(
+        planner=LinkConfig(port=0),
+        robot=LinkConfig(),
+        visualization=LinkConfig(),
+        mep=LinkConfig(host="0.0.0.0", port=0),
+        tcp_host="0.0.0.0",
+        tcp_port=0,
+        peers={"mep": peer(tmp_path, "mep")},
+    )
+    async with open_gateway(cell.core, config, cell.clock, tmp_path) as gateway:
+        hosts = {name: host for name, (host, _) in gateway.addresses.items()}
+        assert hosts == {"planner": "127.0.0.1", "mep": "0.0.0.0", "tcp": "0.0.0.0"}
+        exposed = ("127.0.0.1", gateway.addresses["mep"][1])
+        cell.client.send("get_jnt_angsxxxx_#1;", exposed)
+        cell.client.send(signer(tmp_path, "mep").sign(b"get_jnt_angsxxxx_#2;"), exposed)
+        assert (await cell.client.received.get()).startswith("2_accepted")
+        cell.client.send("get_jnt_angsxxxx_#3;", gateway.addresses["planner"])
+        assert (await cell.client.received.get()).startswith("3_accepted")
+        assert gateway.counters.refused == 1
 
 
 async def test_port_in_use_is_an_error(cell: Any, tmp_path: Path) -> None:

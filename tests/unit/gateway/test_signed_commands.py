@@ -30,6 +30,20 @@ async def test_unsigned_on_an_exposed_link_is_refused_without_answer(room: Room,
     assert room.core.stops == []
 
 
+async def test_signed_tool_points_reach_the_planner_once(tmp_path: Path) -> None:
+    headset, shows = peer(tmp_path, "headset", allow=("plan",)), "__msg_toolpose_1_2_3_4_5_6.5"
+    peers = {"headset": headset, "planner": peer(tmp_path, "planner", allow=("read",))}
+    async with open_room(tmp_path, peers, stream=True) as room:
+        points = room.sign(f"{shows};", "headset")
+        await room.hear(points)
+        assert (await room.client.received.get()) == "__msg_toolpose_1.00000_2.00000_3.00000_4.00000_5.00000_6.50000"
+        await room.hear(points)
+        await room.hear(room.sign(f"{shows};", "planner"))
+        assert (await room.ask("get_jnt_angsxxxx_#9;")).startswith("9_accepted")
+        assert room.unanswered
+        assert {"old_counter", "not_allowed"} <= told(room)
+
+
 async def test_each_failure_has_its_reason_and_no_answer(room: Room, tmp_path: Path) -> None:
     good = room.sign("rob_conn_onxxxxx_#1;")
     peer(tmp_path, "stranger")

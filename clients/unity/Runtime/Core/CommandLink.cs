@@ -68,8 +68,11 @@ namespace Pcmrs
         public Task<Verdict> StopAsync() =>
             SendAsync("stop_now_xxxxxxx", StopTimeout, StopRepeatAfter, StopRepeatAfter);
 
-        /// <summary>Sends a message that is no command; it is not signed, so the daemon takes it on its machine only.</summary>
-        internal void SendMessage(string message) => Transmit(Encoding.ASCII.GetBytes(message));
+        /// <summary>
+        /// Sends a message that is no command and is never answered. Without a signer the daemon takes it on its own
+        /// machine only; a signed message is ended like a command.
+        /// </summary>
+        internal void SendMessage(string message) => Transmit(signer == null ? message : message + ";");
 
         /// <summary>Closes the socket; commands without a verdict are cancelled here, and go on in the daemon.</summary>
         public void Dispose()

@@ -128,8 +128,8 @@ namespace Pcmrs
         public Task StopTipAsync() => Demand("tre_stopcalcuxxx", Soon);
 
         /// <summary>
-        /// Shows the planner two points of a tool pose in the image. It is no command: nothing answers, and the daemon
-        /// takes it on its own machine only.
+        /// Shows the planner two points of a tool pose in the image. It is no command: nothing answers. From another
+        /// machine the daemon takes it of a peer that may plan a tool pose.
         /// </summary>
         public void SendToolPoints(Vec3 first, Vec3 second) =>
             link.SendMessage("__msg_toolpose_" + InMillimetres(first) + "_" + InMillimetres(second));

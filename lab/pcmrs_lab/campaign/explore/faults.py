@@ -73,6 +73,7 @@ SCENE: Mapping[str, RandomFault] = {
     "late_set_point": _switched("B12"),
     "double_commands": _switched("B13"),
     "push_tool": RandomFault(("B14", "S13"), lambda draw: {"force": draw.uniform(-40.0, 40.0)}, {"force": 0.0}, 3.0),
+    "withdraw_servo": _switched("B15"),
     "restart_cabinet": RandomFault(("B11",), _nothing),
     "occlude": _of_body("S1"),
     "frame_frozen": _switched("S2"),

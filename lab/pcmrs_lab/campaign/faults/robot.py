@@ -512,3 +512,44 @@ async def twice(lab: Lab) -> Evidence:
 async def collision(lab: Lab) -> Evidence:
     """An object pushes against the tool."""
     return await braked(lab, "push_tool", {"force": lab.random.uniform(35.0, 50.0)}, {"force": 0.0})
+
+
+SEGMENT_WAY = 0.006
+"""Longest way of the tool after a Stop if the arm moves in segments, m: one segment, and what is measured beside it."""
+
+
+@fault(
+    "B15",
+    how="virtual cabinet without the servo option: first a stream, then motions in segments, one of them stopped",
+    deadline=400.0,
+)
+async def without_servo(lab: Lab) -> Evidence:
+    """The controller cannot follow set points, and does not stop a motion that it has started."""
+    async with lab.daemon(*VIRTUAL) as cell:
+        await to_retracted(cell.client)
+        async with injected(cell, "withdraw_servo"):
+            stream = await cell.client.call("placement.approach")
+            expect(stream.decision == "failed", f"With a stream the approach was {stream.decision}.")
+        await confirmed(cell)
+        if not await _retracted(cell):
+            await accept(cell.client, "placement.home")
+        control = await accept(cell.client, "placement.approach")
+    async with lab.daemon(*VIRTUAL, "kst.motion=ptp") as cell, injected(cell, "withdraw_servo"):
+        await to_placed(cell.client)
+        for operation in ("press", "follow"):
+            await refused(cell, f"placement.{operation}", codes=("point_to_point",))
+        await accept(cell.client, "placement.back_off")
+        async with moving(cell.client, "placement.home"):
+            before = await tool_position(cell)
+            await cell.client.stop()
+        await held(cell)
+        way = math.dist(before, await tool_position(cell))
+        expect(way <= SEGMENT_WAY, f"After the Stop the tool went {way * 1e3:.1f} mm, more than a segment.")
+        await confirmed(cell)
+    return Evidence(
+        "held at the end of a segment; what needs a stream is refused",
+        took_place={"the cabinet's answer to a stream": reason_text(stream)},
+        control_kind="without_fault",
+        control={"approach with the option": control.decision},
+        details={"way after the Stop, mm": way * 1e3},
+    )

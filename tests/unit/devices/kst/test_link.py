@@ -144,3 +144,57 @@ async def test_an_answer_nobody_asked_for_loses_the_link() -> None:
             cabinet.check()
 
     await conversation(step, [(b"getJointsPositions\n", SEVEN + DONE)])
+
+
+POLLED = b"jpJP_" + Q_WIRE + b"\n"
+
+
+@pytest.mark.parametrize("chunk", [None, 1], ids=["merged", "split"])
+@pytest.mark.parametrize("answer", [DONE + SEVEN, SEVEN + DONE], ids=["end_first", "reading_first"])
+async def test_a_motion_may_end_before_or_after_a_reading(answer: bytes, chunk: int | None) -> None:
+    async def step(cabinet: KstConnection) -> Any:
+        ended = await cabinet.start_ptp(0.1)
+        reading = await asyncio.wait_for(cabinet.stream_for_joints(Q), 0.5)
+        await asyncio.wait_for(ended, 0.5)
+        cabinet.check_ended(ended)
+        cabinet.check()
+        return cabinet.values(reading).tolist()
+
+    result, _ = await conversation(step, [(b"doPTPinJS\n", DONE), (POLLED, answer)], chunk)
+    assert result == SEVEN_VALUES
+
+
+@pytest.mark.parametrize("answer", [b"nak\n", b"interrupted\n"])
+async def test_a_motion_that_breaks_off_leaves_the_reading(answer: bytes) -> None:
+    async def step(cabinet: KstConnection) -> Any:
+        ended = await cabinet.start_ptp(0.1)
+        reading = await asyncio.wait_for(cabinet.stream_for_joints(Q), 0.5)
+        with pytest.raises(DeviceError):
+            cabinet.check_ended(ended)
+        cabinet.check()
+        return reading
+
+    result, _ = await conversation(step, [(b"doPTPinJS\n", DONE), (POLLED, answer + SEVEN)])
+    assert result == SEVEN[:-1].decode()
+
+
+async def test_a_motion_that_is_refused_at_once_has_no_end() -> None:
+    async def step(cabinet: KstConnection) -> Any:
+        with pytest.raises(DeviceError, match="refused"):
+            await cabinet.start_ptp(0.1)
+        return (await cabinet.joints()).tolist()
+
+    result, _ = await conversation(step, [(b"doPTPinJS\n", b"nak\n"), (b"getJointsPositions\n", SEVEN)])
+    assert result == SEVEN_VALUES
+
+
+async def test_a_motion_whose_end_is_overdue_fails_the_link() -> None:
+    async def step(cabinet: KstConnection) -> Any:
+        ended = await cabinet.start_ptp(0.05)
+        await asyncio.sleep(0.2)
+        with pytest.raises(UnknownOutcomeError, match="did not answer in time"):
+            cabinet.check()
+        with pytest.raises(UnknownOutcomeError):
+            ended.result()
+
+    await conversation(step, [(b"doPTPinJS\n", DONE)], timeout=0.1)

@@ -89,6 +89,17 @@ def test_following_runs_in_real_time_unless_asked_otherwise(setups: list[Experim
     assert [(setup.rate, setup.workflow) for setup in setups] == [(1.0, "ratms"), (2.0, "femoroplasty")]
 
 
+def test_noise_of_a_data_sheet_is_set_before_own_settings(setups: list[ExperimentSetup]) -> None:
+    own = ("--set", "sim.tracker.rate_hz=30")
+    assert experiment("placements", "--drivers", "virtual", "--noise", "vicra", *own).exit_code == 0
+    settings = setups[0].settings()
+    assert "tracker.driver=ndi" in settings
+    assert [each for each in settings if each.startswith("sim.tracker.rate_hz")] == [
+        "sim.tracker.rate_hz=20",
+        "sim.tracker.rate_hz=30",
+    ]
+
+
 def test_the_demo_says_that_it_is_no_medical_device(setups: list[ExperimentSetup]) -> None:
     ended = CliRunner().invoke(main, ["demo", "--seed", "3"])
     assert ended.exit_code == 0, ended.stderr

@@ -56,12 +56,52 @@ class _LateTracker:
         return SimpleNamespace(branches={"placement": next(self.states, "standoff")})
 
 
+class Planned:
+    """A journal with two plans, whose predicted errors are 3 and 2.5 mm."""
+
+    def read(self, *, kind: str, branch: str) -> list[SimpleNamespace]:
+        assert (kind, branch) == ("outcome", "toolplan")
+        return [SimpleNamespace(row=row(result={"tre": tre})) for tre in (0.003, 0.0025)]
+
+
+class _Unlucky(_BusyPlanner):
+    """Never gets the tool within tolerance at one of the poses."""
+
+    def __getattr__(self, name: str) -> object:
+        ask = super().__getattr__(name)
+
+        async def unlucky(*arguments: object) -> object:
+            if name == "confirm" and self.asked.count("confirm") == 1:
+                self.asked.append(name)
+                raise _refused("failed", "not_converged")
+            return await ask(*arguments)  # type: ignore[operator]
+
+        return unlucky
+
+
+async def test_a_placement_that_misses_counts_and_the_next_follows(monkeypatch: pytest.MonkeyPatch) -> None:
+    @asynccontextmanager
+    async def bench(_: Sequence[str]) -> AsyncIterator[SimpleNamespace]:
+        yield SimpleNamespace(planner=_Unlucky(), client=_LateTracker(), scene=SceneAtRest(), journal=Planned())
+
+    monkeypatch.setattr(placements, "private_bench", bench)
+    monkeypatch.setattr(placements, "registered", lambda _: REGISTERED)
+    monkeypatch.setattr(placements, "PAUSE", 0.0)
+    plan = read_plan(example_plan("ratms"))
+    report = await run_placements(ExperimentSetup(plan, "ratms", 1, 1.0, "builtin", (), lambda *_: None), 3)
+    assert [failed.reason for failed in report.failed] == ["not_converged"]
+    assert (report.summary.trials, report.summary.failed) == (2, 1)
+    assert report.summary.success_rate == pytest.approx(2 / 3)
+    assert report.summary.predicted_error_mm is not None
+    assert report.summary.predicted_error_mm.max == pytest.approx(2.5)
+
+
 async def test_what_a_busy_tracker_rejects_is_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
     planner = _BusyPlanner()
 
     @asynccontextmanager
     async def bench(_: Sequence[str]) -> AsyncIterator[SimpleNamespace]:
-        yield SimpleNamespace(planner=planner, client=_LateTracker(), scene=SceneAtRest(), journal=None)
+        yield SimpleNamespace(planner=planner, client=_LateTracker(), scene=SceneAtRest(), journal=Planned())
 
     monkeypatch.setattr(placements, "private_bench", bench)
     monkeypatch.setattr(placements, "registered", lambda _: REGISTERED)
