@@ -26,7 +26,7 @@ Parts = tuple[object, object, object, object, object]
 
 
 class LabFileWriter(DispatcherListener):
-    """Writes each file whole, in a thread, when what it holds has changed; the newest data wins.
+    """Writer of each file, whole, in a thread, when what it holds has changed; the newest data wins.
 
     A file stays when its data is gone, as in the lab's software: registration and tool pose then say that they are
     revoked, and the points of the surface are emptied. A file that cannot be written is reported, and written with the

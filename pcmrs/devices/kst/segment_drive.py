@@ -22,7 +22,7 @@ READING_PERIOD = 0.01
 
 
 class SegmentDrive(Drive):
-    """Moves the arm from one end of a segment to the next; see `Drive` for the arguments.
+    """Motion of the arm from one end of a segment to the next; see `Drive` for the arguments.
 
     The cabinet says when a segment has ended, so the arm settles sooner than after a stream. During a segment, joints
     and torques are read by requests that the cabinet always answers. They carry the segment's goal, which is the

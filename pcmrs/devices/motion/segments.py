@@ -75,7 +75,7 @@ class SegmentPath:
 
 
 class SegmentFollower(Follower):
-    """Yields the segments of a motion. It cannot brake: a hold means that no segment follows the present one."""
+    """Source of the segments of a motion. It cannot brake: a hold means that no segment follows the present one."""
 
     def follow(self, trajectory: JointTrajectory) -> None:
         """Move along a trajectory from now on.

@@ -114,9 +114,9 @@ def accept(client: PlainClient, name: str, arguments: Mapping[str, Any]) -> None
 def check_that_a_viewer_is_refused(endpoint: str, folder: Path) -> None:
     """The router drops a viewer's commands without an answer: the client says why, and waits for nothing."""
     eve = read_credentials(folder / "eve", SystemClock().wall())
-    with PlainClient.connect(endpoint, SITE, CELL, credentials=eve) as client:
-        with pytest.raises(AccessError, match="eve is a viewer here, and sends no commands"):
-            client.call("robot.connect")
+    refused = pytest.raises(AccessError, match="eve is a viewer here, and sends no commands")
+    with PlainClient.connect(endpoint, SITE, CELL, credentials=eve) as client, refused:
+        client.call("robot.connect")
 
 
 def check_that_devices_are_heard(client: PlainClient) -> None:
