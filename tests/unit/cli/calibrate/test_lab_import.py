@@ -80,7 +80,7 @@ def test_the_last_procedure_becomes_files_of_our_commands(tmp_path: Path) -> Non
 def test_one_bad_file_leaves_nothing_behind(tmp_path: Path, changed: dict[str, str | None], reason: str) -> None:
     make_lab_folder(tmp_path / "lab", **changed)
     status, _, problem = lab_import(tmp_path)
-    assert status == 2
+    assert status == 5
     assert reason in problem
     assert [path.name for path in tmp_path.iterdir()] == ["lab"]
 
@@ -109,5 +109,5 @@ def test_an_output_folder_in_use_stays_as_it_is(tmp_path: Path) -> None:
 def test_a_calibration_of_tomorrow_is_refused(tmp_path: Path) -> None:
     make_lab_folder(tmp_path / "lab")
     ended = run("import", str(tmp_path / "lab"), "-o", str(tmp_path / "out"), *ERRORS[:-1], "2999-01-01")
-    assert ended.exit_code == 5
+    assert ended.exit_code == 2
     assert "in the future" in ended.stderr
