@@ -103,6 +103,7 @@ class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
         tre_limit: Predicted error at a target beyond which a plan is refused, m.
         volume: Measuring volume of the tracker, near to far; empty if it is not configured.
         mep: Criteria of a response: the table ``procedure.stimulation.mep`` of the configuration.
+        confirm_offset: Distance before the target, along the tool's +z axis, at which `placement.confirm` ends, m.
     """
 
     user: str
@@ -124,6 +125,7 @@ class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
     tre_limit: float = 0.004
     volume: list[SliceShown] = []
     mep: dict[str, Any] = {}
+    confirm_offset: float = 0.0
 
 
 class LandmarkShown(Message, frozen=True, kw_only=True, omit_defaults=False):
