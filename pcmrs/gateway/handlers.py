@@ -65,8 +65,8 @@ class NumberedSeries:
             raise RefusalError("no_series", text)
         if index >= self._count or index in self._items:
             fault = "came twice" if index in self._items else f"lies outside the {self._count} announced"
-            self._count = None
             text = f"{self._item.capitalize()} {index} {fault}; the series is dropped, send it again."
+            self._count = None
             raise RefusalError("bad_series", text)
         self._items[index] = list(numbers)
 

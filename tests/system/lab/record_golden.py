@@ -135,7 +135,7 @@ async def _treat(client: Client, workflow: str) -> None:
         await treat(client, workflow)
     if workflow == "grid_mapping":
         pose = msgspec.to_builtins(_plan_of(workflow).poses[0])
-        await _told(client, "mapping.plan_grid", {"poses": []})
+        await _told(client, "mapping.plan_grid", {"poses": [{**pose, "quat_xyzw": [0.0, 0.0, 0.0, 0.0]}]})
         await _told(client, "mapping.plan_grid", {"poses": [pose] * 9})
         await _told(client, "mapping.perform")
         await _told(client, "mapping.skip")
