@@ -118,6 +118,17 @@ class DeviceSettings(Table, frozen=True, forbid_unknown_fields=True):
     driver: str = "sim"
 
 
+class TrackerSettings(DeviceSettings, frozen=True, forbid_unknown_fields=True):
+    """The tracker.
+
+    Attributes:
+        beeps: True if its beeper sounds for the person with the pointer: 3 beeps when a touch is awaited, 2 for each
+            landmark that is taken, 5 after points of the skin. Trackers without a beeper stay silent.
+    """
+
+    beeps: bool = False
+
+
 class PointerSettings(DeviceSettings, frozen=True, forbid_unknown_fields=True):
     """The pointer; its driver ``dwell`` needs no device: the tip touches where the tracker sees it held still.
 
@@ -241,7 +252,7 @@ class Settings(Table, frozen=True, forbid_unknown_fields=True):
     workflow: str = "ratms"
     cell: CellSettings = CellSettings()
     robot: RobotSettings = RobotSettings()
-    tracker: DeviceSettings = DeviceSettings()
+    tracker: TrackerSettings = TrackerSettings()
     pointer: PointerSettings = PointerSettings()
     scene: DeviceSettings = DeviceSettings()
     stimulator: DeviceSettings = DeviceSettings()

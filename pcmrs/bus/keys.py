@@ -150,6 +150,7 @@ KEYS = [
     _row("daemon/run", "query", "nothing -> bytes", "Proves which messages are of the daemon's present run.", DEVICE),
     _row("daemon/event", "subscribe", "DeviceEvent", "Events of the daemon's own processes.", DAEMON),
     _row("dev/robot/setpoint", "subscribe", "JointSetpoint", "Set points of a servo session.", DEVICE),
+    _row("dev/tracker/beep", "subscribe", "Beeps", "Beeps for the person with the pointer.", DEVICE),
     _row("dev/<device>/event", "subscribe", "DeviceEvent", "Events that a device reports by itself.", DAEMON, DEVICE),
     _row("ros2/joint_states", "subscribe", "CDR: sensor_msgs/msg/JointState", "state/joints for ROS 2.", READERS),
     _row("ros2/tf", "subscribe", "CDR: tf2_msgs/msg/TFMessage", "Frames that move, for ROS 2.", READERS),

@@ -16,7 +16,7 @@ from pcmrs.cli.quantities import readable
 from pcmrs.cli.running import EXIT_FAILED, EXIT_REJECTED, EXIT_UNKNOWN, readable_errors, run
 from pcmrs.cli.values import Arguments, Operation
 from pcmrs.errors import PcmrsError
-from pcmrs.messages import DeviceEvent, Snapshot, UnknownOutcome, Verdict
+from pcmrs.messages import DeviceEvent, Running, Snapshot, UnknownOutcome, Verdict
 
 if TYPE_CHECKING:
     # For annotations only: asking for help must not load the bus.
@@ -159,7 +159,7 @@ def event_line(event: Event) -> str:
     if isinstance(event, Snapshot):
         states = " ".join(f"{branch}={state}" for branch, state in event.branches.items())
         unknown = "".join(f" unknown {each.branch}.{each.operation}" for each in event.unknown)
-        running = "".join(f" running {r.branch}.{r.operation} {r.progress:.0%}" for r in event.running)
+        running = "".join(_running(each, " running ") for each in event.running)
         return f"#{event.sequence} {states}{running}{' LATCHED' if event.latched else ''}{unknown}"
     if isinstance(event, DeviceEvent):
         return f"{event.device}: {event.code}: {event.text}"
@@ -169,6 +169,12 @@ def event_line(event: Event) -> str:
     if event.reason is not None:
         line += f": {event.reason.code}: {event.reason.text}"
     return line + (f": {readable(event.result)}" if event.result else "")
+
+
+def _running(running: Running, head: str) -> str:
+    """Return an operation in progress after a head, with the prompt for the person if there is one."""
+    prompt = "" if running.prompt is None else f" [{running.prompt.text}]"
+    return f"{head}{running.branch}.{running.operation} {running.progress:.0%}{prompt}"
 
 
 def _unknown(outcome: UnknownOutcome) -> str:
@@ -186,7 +192,7 @@ def _print_snapshot(snapshot: Snapshot) -> None:
     raised = [flag for flag, value in snapshot.flags.items() if value]
     say(f"flags: {', '.join(raised) or 'none'}; sequence {snapshot.sequence}")
     for running in snapshot.running:
-        say(f"running: {running.branch}.{running.operation} {running.progress:.0%}")
+        say(_running(running, "running: "))
     for outcome in snapshot.unknown:
         say(_unknown(outcome))
     if snapshot.latched:

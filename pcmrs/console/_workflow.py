@@ -45,6 +45,7 @@ class WorkflowPanel:
             self._spinner = ui.spinner(size="sm")
             self._running = ui.label().classes("text-weight-medium").props('data-testid="running"')
         self._progress = ui.linear_progress(show_value=False).props("instant-feedback")
+        self._prompt = ui.label().classes("text-h6 text-primary").props('data-testid="prompt"')
         self._residuals = ResidualsView(view, setup, texts)
         self._unknown = ui.column().classes("w-full gap-0")
         for name, branch in blueprint.branches.items():
@@ -54,6 +55,9 @@ class WorkflowPanel:
                     self._states[name] = ui.label().classes("text-grey-8").props(f'data-testid="state-{name}"')
                 with ui.row().classes("gap-1"):
                     self._add_buttons(name)
+                if "confirm" in branch.operations and name == "placement":
+                    ends = texts("confirm_ends", mm=setup.confirm_offset * 1000.0)
+                    ui.label(ends).classes("text-grey-8").props('data-testid="confirm-offset"')
         ui.label(texts("rejections")).classes("text-weight-bold q-mt-sm")
         self._refused = ui.column().classes("w-full gap-1").props('data-testid="refused"')
 
@@ -93,6 +97,9 @@ class WorkflowPanel:
             self._running.set_text(self._texts("nothing_runs"))
         else:
             self._running.set_text(self._texts("running", name=f"{running.branch}.{running.operation}"))
+        prompt = None if running is None else running.prompt
+        self._prompt.set_visibility(prompt is not None)
+        self._prompt.set_text("" if prompt is None else prompt.text)
         self._unknown.clear()
         with self._unknown:
             for each in shown.unknown:
@@ -172,4 +179,4 @@ class WorkflowPanel:
             dialog.delete()
 
 
-EXAMPLES = {"landmark_index": '{"index": 0}'}
+EXAMPLES = {"landmark_index": '{"index": 0}', "landmark_names": '{"names": ["nasion"]}'}

@@ -29,8 +29,7 @@ class DwellSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         time: Time for which the tip is held still, s; well within the stored history of poses.
         still_mm: Greatest distance of the tip from its present position in that time, mm.
         samples: Least number of frames that show the tip there.
-        away_mm: Before a touch, the tip must have been farther than this from the last touch, or from its position at
-            the prompt, mm.
+        away_mm: Before the touch of another landmark, the tip must have been farther than this from the last touch, mm.
     """
 
     time: Annotated[float, msgspec.Meta(gt=0.0, le=3.0)] = 0.8
@@ -42,7 +41,9 @@ class DwellSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class DwellPointer:
     """A tracked stylus, watched in the daemon's own poses; implements `pcmrs.devices.protocols.Pointer`.
 
-    A touch waits without a limit: the caller has the deadline and cancels it.
+    A touch waits without a limit: the caller has the deadline and cancels it. A tip that already rests where it should
+    be need not be lifted: it counts once it has been held there for the whole time after the prompt. Only for another
+    landmark than that of the last touch it must have been away, so that one resting tip is never two landmarks.
 
     Args:
         poses: Poses of pointer and body_ref.
@@ -56,34 +57,39 @@ class DwellPointer:
         self._clock = clock
         self._tip_in_pointer = pointer_from_tip.translation
         self._settings = settings
-        self._last_touch: Floats | None = None
+        self._last: tuple[LandmarkPrompt | None, Floats] | None = None
 
-    async def touch(self, prompt: LandmarkPrompt) -> None:  # noqa: ARG002 (the screen shows it)
-        await self._wait_until_held()
+    async def touch(self, prompt: LandmarkPrompt) -> None:
+        await self._wait_until_held(prompt)
 
     async def touch_surface(self) -> None:
-        await self._wait_until_held()
+        await self._wait_until_held(None)
+
+    async def slide(self) -> None:
+        await self._wait_until_held(None)
 
     async def release(self) -> None:
-        """Do nothing: the next touch must be elsewhere, or the tip lifted in between."""
+        """Do nothing: the next landmark must be elsewhere, or the tip lifted in between."""
 
-    async def _wait_until_held(self) -> None:
-        prompted = self._clock.monotonic()
-        left, away = self._departure(), False
+    async def _wait_until_held(self, prompt: LandmarkPrompt | None) -> None:
+        prompted, left = self._clock.monotonic(), self._departure(prompt)
+        away = left is None
         while True:
             await self._clock.sleep(LOOK_PERIOD)
             frames = self._frames(prompted)
             away = away or (bool(frames) and self._is_away(frames[-1], left))
             if away and self._held_still(frames):
-                self._last_touch = self._tip(frames[-1])
+                self._last = prompt, self._tip(frames[-1])
                 return
 
-    def _departure(self) -> Floats | None:
-        """Return the position that the tip must leave first: the last touch, or else its last known position."""
-        if self._last_touch is not None:
-            return self._last_touch
-        known = self._frames(since=-np.inf)
-        return self._tip(known[-1]) if known else None
+    def _departure(self, prompt: LandmarkPrompt | None) -> Floats | None:
+        """Return the position that the tip must leave first; None if it may be touching already.
+
+        A point of the skin is never the same as another one.
+        """
+        if self._last is None or (prompt is not None and prompt == self._last[0]):
+            return None
+        return self._last[1]
 
     def _is_away(self, frame: dict[str, Sighting], left: Floats | None) -> bool:
         return left is None or float(np.linalg.norm(self._tip(frame) - left)) > self._settings.away_mm * 1e-3
@@ -98,7 +104,7 @@ class DwellPointer:
         return duration >= self._settings.time and len(resting) >= self._settings.samples
 
     def _frames(self, since: float) -> list[dict[str, Sighting]]:
-        """Return the frames that show pointer and reference together, captured after `since`, oldest first."""
+        """Return the frames that show pointer and reference together, captured at `since` or later, oldest first."""
         return [frame for frame in self._poses.frames_after(-1, BODIES) if frame["pointer"].captured >= since]
 
     def _tip(self, frame: dict[str, Sighting]) -> Floats:

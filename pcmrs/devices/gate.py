@@ -22,7 +22,7 @@ LATCHED = "device_latched"
 ACTS: dict[str, frozenset[str]] = {
     "robot": frozenset({"follow", "press", "begin_servo"}),
     "stimulator": frozenset({"set_intensity", "arm", "fire"}),
-    "pointer": frozenset({"touch", "touch_surface"}),
+    "pointer": frozenset({"touch", "touch_surface", "slide"}),
 }
 """Acting methods of each device: a request for one of them that was sent before a hold must not act after it."""
 

@@ -31,11 +31,12 @@ from pcmrs.devices.deadman import (
 )
 from pcmrs.devices.gate import ACTS, HOLD_TIME, HOLDS, RELEASE, Gate
 from pcmrs.devices.link import Link
-from pcmrs.devices.protocols import RobotDriver, StimulatorDriver, TrackerDriver
+from pcmrs.devices.protocols import BeepingTracker, RobotDriver, StimulatorDriver, TrackerDriver
 from pcmrs.devices.standstill import Standstill
 from pcmrs.errors import DeviceError, PcmrsError, UnknownOutcomeError
 from pcmrs.messages import (
     Beat,
+    Beeps,
     DeviceHealth,
     DeviceReply,
     DeviceRequest,
@@ -123,6 +124,9 @@ class DeviceNode:
             tasks.create_task(self._beat())
             if "tracker" in self._devices:
                 tasks.create_task(self._publish_frames(self._devices["tracker"]))
+                if isinstance(self._devices["tracker"], BeepingTracker):
+                    beeper: BeepingTracker = self._devices["tracker"]
+                    self._link.subscribe("dev/tracker/beep", Beeps, lambda _, beeps: beeper.beep(beeps.count))
             if "robot" in self._devices or "stimulator" in self._devices:
                 self._link.listen(DAEMON_BEAT, Beat, lambda _, beat: self._deadman.take_beat(beat))
                 self._link.subscribe(DAEMON_BEAT, Beat, self._follow_daemon)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from pcmrs.clock import Clock
 from pcmrs.messages import (
@@ -111,6 +111,9 @@ class Pointer(Protocol):
 
     async def touch_surface(self) -> None:
         """Prompt for any point of the skin, and return once the person holds the tip on it."""
+
+    async def slide(self) -> None:
+        """Prompt to slide the tip over the skin until `release`, and return once the person holds it there."""
 
     async def release(self) -> None:
         """End the prompt: the person may take the pointer away."""
@@ -290,6 +293,14 @@ class TrackerDriver(Protocol):
 
     def frames(self) -> AsyncIterator[Sequence[BodyPose]]:
         """Yield all bodies of one tracker frame, at the tracker's rate."""
+
+
+@runtime_checkable
+class BeepingTracker(Protocol):
+    """A tracker that can sound a beeper, which the person with the pointer hears."""
+
+    def beep(self, count: int) -> None:
+        """Sound beeps, 1 to 9, without waiting; nothing while the tracker is absent."""
 
 
 Device = RobotDriver | TrackerDriver | Pointer | Scene | StimulatorDriver | Emg

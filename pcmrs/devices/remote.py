@@ -303,6 +303,10 @@ class RemotePointer(ActingDevice):
         await self._take_over()
         await self.act("touch_surface", type(None), self._touch_timeout)
 
+    async def slide(self) -> None:
+        await self._take_over()
+        await self.act("slide", type(None), self._touch_timeout)
+
     async def release(self) -> None:
         await self.end(type(None))
 

@@ -24,7 +24,7 @@ from pcmrs.dispatcher.workflow import C, D, Run
 from pcmrs.errors import PcmrsError, RefusalError, UnknownOutcomeError
 from pcmrs.failpoints import failpoint
 from pcmrs.fsm import Denial, OperationSpec
-from pcmrs.messages import DryRunResult, Reason
+from pcmrs.messages import DryRunResult, Reason, TouchPrompt
 
 
 class Performer(Generic[C, D]):
@@ -192,6 +192,10 @@ class Performer(Generic[C, D]):
             pending.progress = fraction
             self._context.coordinator.publish_snapshot()
 
+        def show_prompt(prompt: TouchPrompt | None) -> None:
+            pending.prompt = prompt
+            self._context.coordinator.publish_snapshot()
+
         context = self._context
         states, data = context.procedure.joint(), context.procedure.data
         pending.since = context.procedure.sequence
@@ -206,6 +210,7 @@ class Performer(Generic[C, D]):
             show,
             motion=motion,
             latched=latched,
+            _show_prompt=show_prompt,
         )
         run.use_planner(
             lambda: self._checks.ask_again(pending.spec, run),

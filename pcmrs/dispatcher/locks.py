@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pcmrs.fsm import Blueprint, Closure, Denial, OperationSpec
-from pcmrs.messages import Command, Reason, Running, Verdict
+from pcmrs.messages import Command, Reason, Running, TouchPrompt, Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +49,7 @@ class PendingCommand:
     since: int = 0
     task: asyncio.Task[None] | None = None
     progress: float = 0.0
+    prompt: TouchPrompt | None = None
     started: bool = False
     ending: bool = False
     committing: bool = False
@@ -75,7 +76,13 @@ class PendingCommand:
     def shown(self) -> Running:
         """The command as the snapshot shows it."""
         command = self.command
-        return Running(branch=command.branch, operation=command.operation, id=command.id, progress=self.progress)
+        return Running(
+            branch=command.branch,
+            operation=command.operation,
+            id=command.id,
+            progress=self.progress,
+            prompt=self.prompt,
+        )
 
     def replaces(self, other: PendingCommand) -> bool:
         """Return whether both report the same event: the newer report contains the older one."""

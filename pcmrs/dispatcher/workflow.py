@@ -17,7 +17,7 @@ from pcmrs.fsm import Blueprint, Effect
 from pcmrs.fsm.blueprint import Motion
 from pcmrs.fsm.finding import summary
 from pcmrs.fsm.rules.declared import KnownHazards, check_declared
-from pcmrs.messages import Command, Reason, Verdict
+from pcmrs.messages import Command, Reason, TouchPrompt, Verdict
 
 
 class ProcedureData(msgspec.Struct, frozen=True, kw_only=True):
@@ -71,6 +71,7 @@ class Run(Generic[C, D]):
     posts: list[tuple[str, str, dict[str, Any]]] = field(default_factory=list)
     _replan: Callable[[], Awaitable[Reason | None]] | None = None
     _plan: Callable[[str, float], Awaitable[Reason | None]] | None = None
+    _show_prompt: Callable[[TouchPrompt | None], None] | None = None
 
     @property
     def data(self) -> D:
@@ -133,6 +134,11 @@ class Run(Generic[C, D]):
     def progress(self, fraction: float) -> None:
         """Publish the progress of the operation, from 0 to 1."""
         self._show_progress(fraction)
+
+    def prompt(self, prompt: TouchPrompt | None) -> None:
+        """Publish what the operation waits for a person to touch; None when it waits no more."""
+        if self._show_prompt is not None:
+            self._show_prompt(prompt)
 
 
 def _heed(refused: Reason | None) -> None:

@@ -64,10 +64,19 @@ class OutcomeSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_field
     Attributes:
         to: Target state.
         requires: Condition for taking this outcome.
+        revoked_to: Branch to the state that a revocation by this outcome takes it to, in place of the rule's own `to`.
+            Left out if the outcome revokes as the rules say.
     """
 
     to: TransitionTarget
     requires: Requirement = {}
+    # Not an empty table: what is unset is not encoded, so the hashes of workflows without it stay as they were.
+    revoked_to: dict[str, str] | msgspec.UnsetType = msgspec.UNSET
+
+    @property
+    def diverted(self) -> dict[str, str]:
+        """`revoked_to`, empty if it is left out."""
+        return {} if self.revoked_to is msgspec.UNSET else self.revoked_to
 
 
 class OperationSpec(BlueprintPart, frozen=True, kw_only=True, forbid_unknown_fields=True, rename={"from_": "from"}):

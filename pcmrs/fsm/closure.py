@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
 
-from pcmrs.fsm.blueprint import UNMET, Blueprint, OperationSpec, ParentSpec, Requirement, TransitionTarget, target_from
+from pcmrs.fsm.blueprint import UNMET, Blueprint, OperationSpec, OutcomeSpec, ParentSpec, Requirement, target_from
 
 MAX_EFFECTS = 64
 """Limit of a cascade at run time; the loader has proved that none reaches it."""
@@ -92,7 +92,7 @@ Ask = Callable[[str, str, str], Answer]
 """Asks a state for an operation: (branch, state, operation) → its answer."""
 
 
-Follow = Callable[[Blueprint, Mapping[str, str], str, str, str, OperationSpec, Ask], Change]
+Follow = Callable[[Blueprint, Mapping[str, str], str, str, OutcomeSpec, OperationSpec, Ask], Change]
 """Follows a cascade, see `follow_cascade`."""
 
 
@@ -113,26 +113,26 @@ def follow_cascade(
     states: Mapping[str, str],
     branch: str,
     operation: str,
-    target: str,
+    ending: OutcomeSpec,
     spec: OperationSpec,
     ask: Ask,
 ) -> Change:
-    """Return everything that changes when an operation takes its branch to a state.
+    """Return everything that changes when an operation ends in one way.
 
     Args:
         blueprint: The workflow.
         states: The present joint state: branch to state.
         branch: Branch of the operation.
         operation: Name of the operation.
-        target: State that the branch is taken to.
+        ending: How it ends.
         spec: Declaration of the operation.
         ask: See `close`.
 
     Raises:
         DeniedError: Some part of it is not allowed.
     """
-    cascade = _Cascade(blueprint, dict(states), ask)
-    cascade.perform("operation", branch, operation, target, spec)
+    cascade = _Cascade(blueprint, dict(states), ask, {(branch, other): to for other, to in ending.diverted.items()})
+    cascade.perform("operation", branch, operation, target_from(ending.to, states[branch]), spec)
     return Change(cascade.states, tuple(cascade.effects))
 
 
@@ -163,8 +163,8 @@ def close(
     if isinstance(spec, Denial):
         return spec
 
-    def change(target: TransitionTarget) -> Change:
-        return follow(blueprint, states, branch, operation, target_from(target, states[branch]), spec, ask)
+    def change(ending: OutcomeSpec) -> Change:
+        return follow(blueprint, states, branch, operation, ending, spec, ask)
 
     # Requirements come first: of all denials, theirs alone can tell the user what to do.
     denial = unmet(states, spec.requires, spec.refusal, f"{branch}.{operation}")
@@ -175,15 +175,14 @@ def close(
         for name, ending in spec.endings.items():
             # An outcome whose requirement does not hold is left out; it is no reason to deny the command.
             if unmet(states, ending.requires, "", "") is None:
-                outcomes[name] = change(ending.to)
-        failure = change(spec.on_failure) if spec.on_failure else None
-        unknown = change(spec.on_unknown) if spec.on_unknown else None
+                outcomes[name] = change(ending)
+        unconfirmed = {name: change(ending) for name, ending in spec.unconfirmed.items()}
     except DeniedError as raised:
         return raised.denial
     if not outcomes:
         return Denial("no_outcome", f"{branch}.{operation} cannot end in any declared way in this situation.")
-    possible = [*outcomes.values(), *(each for each in (failure, unknown) if each is not None)]
-    writes = frozenset({branch}).union(*(each.moved for each in possible))
+    failure, unknown = unconfirmed.get("failed"), unconfirmed.get("unknown")
+    writes = frozenset({branch}).union(*(each.moved for each in (*outcomes.values(), *unconfirmed.values())))
     return Closure(outcomes, failure, unknown, writes, blueprint.examined[branch, operation] - writes)
 
 
@@ -222,12 +221,23 @@ def _with_remedies(blueprint: Blueprint, denial: Denial) -> Denial:
 
 
 class _Cascade:
-    """Application of one outcome to a copy of the joint state, and of what it triggers."""
+    """Application of one outcome to a copy of the joint state, and of what it triggers.
 
-    def __init__(self, blueprint: Blueprint, states: dict[str, str], ask: Ask) -> None:
+
+    Args:
+        blueprint: The workflow.
+        states: Copy of the joint state, which is changed.
+        ask: See `close`.
+        diverted: Revoking and revoked branch to the state that the revocation leads to, in place of that of the rule.
+    """
+
+    def __init__(
+        self, blueprint: Blueprint, states: dict[str, str], ask: Ask, diverted: Mapping[tuple[str, str], str]
+    ) -> None:
         self.blueprint = blueprint
         self.states = states
         self.ask = ask
+        self.diverted = diverted
         self.effects: list[Effect] = []
 
     def perform(
@@ -293,4 +303,4 @@ class _Cascade:
     def _revoke(self, changed: str) -> None:
         for branch, rule in self.blueprint.revocations_by.get(changed, ()):
             if self.states[branch] in rule.from_:
-                self.perform("revoke", branch, "", rule.to)
+                self.perform("revoke", branch, "", self.diverted.get((changed, branch), rule.to))

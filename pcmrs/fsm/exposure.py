@@ -12,15 +12,18 @@ class Exposure:
 
     A state exposes the patient if a motion towards the body leads to it, or if an activity moves the robot in it. So
     does one to which an operation leads that affects the patient. If such an operation needs the tool at the body, and
-    no activity runs in the state, it exposes the patient only while the tool is there. The starting state of a
-    branch, and states to which an operation leads that was stopped or has failed, do not count: everything was held.
+    no activity runs in the state, it exposes the patient only while the tool is there. A state to which an outcome
+    diverts a revocation counts as well: the tool stays at the body. The starting state of a branch, and states to which
+    an operation leads that was stopped or has failed, do not count: everything was held.
 
     Args:
         blueprint: The workflow.
     """
 
     def __init__(self, blueprint: Blueprint) -> None:
-        self._by_motion = {name: _moved_to(branch) for name, branch in blueprint.branches.items()}
+        self._by_motion = {
+            name: _moved_to(branch) | _diverted_to(blueprint, name) for name, branch in blueprint.branches.items()
+        }
         self._by_treatment: dict[tuple[str, str], list[Requirement]] = {}
         for name, branch in blueprint.branches.items():
             for spec in branch.operations.values():
@@ -50,6 +53,13 @@ def _moved_to(branch: BranchSpec) -> set[str]:
     approaches = [spec.declared_targets() for spec in branch.operations.values() if spec.motion == "approach"]
     moving = {state for state, activity in branch.activities.items() if activity.moves}
     return moving.union(*approaches) - {branch.start}
+
+
+def _diverted_to(blueprint: Blueprint, name: str) -> set[str]:
+    """Return the states to which outcomes of other branches divert a revocation of a branch."""
+    operations = (operation for branch in blueprint.branches.values() for operation in branch.operations.values())
+    endings = (ending for operation in operations for ending in operation.outcomes.values())
+    return {ending.diverted[name] for ending in endings if name in ending.diverted}
 
 
 def _met(requirement: Requirement, joint: Mapping[str, str]) -> bool:

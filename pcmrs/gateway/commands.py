@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum, auto
 from pathlib import PureWindowsPath
@@ -12,6 +12,9 @@ from pcmrs.errors import ConfigurationError
 
 Value = int | float | str
 Arguments = Callable[[tuple[Value, ...]], dict[str, Any]]
+
+CLOUD = 100
+"""Number of points of the skin that one click takes from a sliding tip, as the public daemon does."""
 
 APPROACHES = frozenset({"approach", "confirm", "nudge"})
 
@@ -33,6 +36,9 @@ class Action(Enum):
     PLAN_LANDMARKS = auto()
     OPEN_POSE = auto()
     PLAN_POSE = auto()
+    ANNOUNCE_GRID = auto()
+    ADD_GRID_POSE = auto()
+    PLAN_GRID = auto()
     STOP = auto()
     READ_JOINTS = auto()
     READ_FLANGE = auto()
@@ -61,11 +67,30 @@ class PlanKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class CommandStep:
-    """One operation of the workflow; skipped unless its branch is in a state of `only_in`, if that is given."""
+    """One operation of the workflow, which is left out in some states.
+
+    Attributes:
+        branch: Branch of the operation.
+        operation: Name of the operation.
+        only_in: States of the branch in which it is submitted; None for all.
+        not_while: Branch and state in which it is left out, if the workflow has them; None for nothing.
+        by_surgeon: True if its argument is the name of the surgeon, whom only the configuration knows.
+    """
 
     branch: str
     operation: str
     only_in: tuple[str, ...] | None = None
+    not_while: tuple[str, str] | None = None
+    by_surgeon: bool = False
+
+    def applies(self, states: Mapping[str, str]) -> bool:
+        """Return true if it is submitted in a joint state.
+
+        Args:
+            states: State of every branch that the workflow has.
+        """
+        wanted = self.only_in is None or states.get(self.branch) in self.only_in
+        return wanted and (self.not_while is None or states.get(self.not_while[0]) != self.not_while[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +156,13 @@ def _surface(values: tuple[Value, ...]) -> dict[str, Any]:
 _XYZ = (TokenType.NUMBER,) * 3
 _INDEX = (TokenType.COUNT,)
 _BACK_OFF_UNLESS_RETRACTED = CommandStep(
-    "placement", "back_off", only_in=("unknown", "standoff", "placed", "following", "guided", "held")
+    "placement", "back_off", only_in=("unknown", "standoff", "placed", "following", "guided", "replanned", "held")
+)
+_LOCATE_IF_UNKNOWN = CommandStep("placement", "locate", only_in=("unknown",))
+_BACK_OFF_IF_KNOWN = CommandStep("placement", "back_off", not_while=("placement", "unknown"))
+_CONFIRM_CLEAR_IF_UNKNOWN = CommandStep("treatment", "confirm_clear", only_in=("unknown",), by_surgeon=True)
+_REINIT_UNLESS_UNKNOWN = tuple(
+    CommandStep(branch, "reinit", not_while=("treatment", "unknown")) for branch in ("registration", "toolplan")
 )
 _REOPEN_IF_ALL_DIGITIZED = CommandStep("digitization", "redigitize_one", only_in=("1",))
 
@@ -149,7 +180,17 @@ _SPECS = (
     _submit("start_useprevreg", "registration.use_previous", second=Second.RESIDUAL, settles=PlanKind.LANDMARKS),
     Spec("target_rotxxxxxx", "toolplan", Action.OPEN_POSE, (TokenType.NUMBER,) * 4),
     Spec("target_tslxxxxxx", "toolplan", Action.PLAN_POSE, _XYZ),
-    _submit("icp_digitizexxxx", "digitization.digitize_surface"),
+    # The ordered grid, for panels that can be changed.
+    Spec("grid_numxxxxxxxx", "mapping", Action.ANNOUNCE_GRID, _INDEX),
+    Spec("grid_posexxxxxxx", "mapping", Action.ADD_GRID_POSE, (TokenType.COUNT, *(TokenType.NUMBER,) * 7)),
+    Spec("grid_lastrecvxxx", "mapping", Action.PLAN_GRID),
+    _submit("grid_aimxxxxxxxx", "toolplan.aim", settles=PlanKind.POSE),
+    _submit("grid_performxxxx", "mapping.perform"),
+    _submit("grid_skipxxxxxxx", "mapping.skip"),
+    _submit("grid_repeatxxxxx", "mapping.repeat"),
+    _submit("locate_armxxxxxx", "placement.locate"),
+    _submit("icp_digitizexxxx", "digitization.digitize_surface", arguments=lambda _: {"points": CLOUD, "slide": True}),
+    _submit("icp_pointxxxxxxx", "digitization.digitize_surface"),
     _submit("icp_clear_prevxx", "digitization.clear_surface_point"),
     _submit("icp_clear_allxxx", "digitization.clear_surface"),
     _submit("icp_registerxxxx", "registration.refine", payload=(TokenType.PATH,), arguments=_surface),
@@ -168,11 +209,13 @@ _SPECS = (
         "toolplan.reinit",
     ),
     _submit("execute_backinit", "placement.to_initial"),
-    _submit("execute_bkoffset", "placement.back_off"),
+    # Nothing moves before somebody has looked where the arm is; the next one then backs off.
+    _submit("execute_bkoffset", _LOCATE_IF_UNKNOWN, _BACK_OFF_IF_KNOWN),
     _submit("execute_homexxxx", "placement.home"),
     _submit("adjust_tranxxxxx", "placement.nudge", payload=_XYZ, arguments=lambda v: {"translation": list(v)}),
     _submit("adjust_oriexxxxx", "placement.nudge", payload=_XYZ, arguments=lambda v: {"rotation_zyx": list(v)}),
-    _submit("session_reinitxx", "registration.reinit", "toolplan.reinit"),
+    # Where nobody has said whether anything is in the bone, a session begins with that.
+    _submit("session_reinitxx", _CONFIRM_CLEAR_IF_UNKNOWN, *_REINIT_UNLESS_UNKNOWN),
     Spec("stop_now_xxxxxxx", "robot", Action.STOP),
     _submit("rob_conn_onxxxxx", "robot.connect"),
     _submit("rob_conn_offxxxx", "robot.disconnect"),
@@ -191,18 +234,20 @@ GROUPS = {
     "record": ("save_planandreal", "save_continupose"),
     "plan": (
         "img_fid_numxxxxx", "img_fid_pntxxxxx", "img_fid_lastrecv", "target_rotxxxxxx", "target_tslxxxxxx",
-        "session_reinitxx",
+        "session_reinitxx", "grid_numxxxxxxxx", "grid_posexxxxxxx", "grid_lastrecvxxx", "grid_aimxxxxxxxx",
+        "grid_skipxxxxxxx", "grid_repeatxxxxx",
     ),
     "digitize": (
         "start_autodigitz", "img_dig_digitize", "img_dig_prevxxxx", "img_dig_prevhilg", "icp_digitizexxxx",
-        "icp_clear_prevxx", "icp_clear_allxxx",
+        "icp_pointxxxxxxx", "icp_clear_prevxx", "icp_clear_allxxx",
     ),
     "register": ("start_registrati", "start_useprevreg", "icp_registerxxxx"),
     "robot": ("rob_conn_onxxxxx", "rob_conn_offxxxx", "get_jnt_setinitx"),
     "motion": (
         "execute_motionxx", "execute_confirmx", "execute_backinit", "execute_bkoffset", "execute_homexxxx",
-        "end_session_back", "adjust_tranxxxxx", "adjust_oriexxxxx",
+        "end_session_back", "adjust_tranxxxxx", "adjust_oriexxxxx", "locate_armxxxxxx",
     ),
+    "treat": ("grid_performxxxx",),
 }  # fmt: skip
 """Groups of commands by name; each command but Stop is in one."""
 

@@ -11,7 +11,7 @@ from pcmrs.clock import Clock
 from pcmrs.dispatcher.verdict_cache import id_reused
 from pcmrs.errors import RefusalError
 from pcmrs.gateway._adapter import Core
-from pcmrs.gateway.commands import Action, CommandStep, PlanKind
+from pcmrs.gateway.commands import Action, PlanKind
 from pcmrs.gateway.grammar import CommandOutcome, StringCommand, of_verdict
 from pcmrs.gateway.pose_files import PoseFileWriter
 from pcmrs.gateway.rejection_log import RejectionLog
@@ -19,66 +19,75 @@ from pcmrs.gateway.streams import Streams
 from pcmrs.messages import Command
 from pcmrs.messages.identity import Principal
 
+LANDMARK, GRID_POSE = "landmark", "grid pose"
+"""What the items of a series are."""
+
 PAIR_WINDOW = 1.0
 """Limit of the time between rotation and translation of one pose, s of the machine."""
 
 
-class LandmarkSeries:
-    """Landmarks whose number is announced, and which are then sent one by one.
+class NumberedSeries:
+    """Items whose number is announced, and which are then sent one by one.
 
     Any error drops the series, so that the next one starts with an announcement.
+
+    Args:
+        item: What one of them is, for texts.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, item: str) -> None:
+        self._item = item
         self._count: int | None = None
-        self._points: dict[int, list[float]] = {}
+        self._items: dict[int, list[float]] = {}
 
     @property
     def collected(self) -> object:
-        """Number and landmarks of the open series, comparable with another; None if none is open."""
-        return None if self._count is None else (self._count, self._points)
+        """Number and items of the open series, comparable with another; None if none is open."""
+        return None if self._count is None else (self._count, self._items)
 
     def announce(self, count: int) -> None:
-        """Begin a series of `count` landmarks; an earlier one is dropped."""
+        """Begin a series of `count` items; an earlier one is dropped."""
         self._count = count
-        self._points = {}
+        self._items = {}
 
-    def add(self, index: int, point: Sequence[float]) -> None:
-        """Add a landmark.
+    def add(self, index: int, numbers: Sequence[float]) -> None:
+        """Add an item.
 
         Args:
             index: Its index, from 0.
-            point: Its position in the image, m, (3,).
+            numbers: Its position, m, and for a pose its quaternion.
 
         Raises:
             RefusalError: No series is announced, or the index lies outside it or was sent before.
         """
         if self._count is None:
-            raise RefusalError("no_series", f"Landmark {index} belongs to no series; announce their number first.")
-        if index >= self._count or index in self._points:
-            fault = "came twice" if index in self._points else f"lies outside the {self._count} announced"
+            text = f"{self._item.capitalize()} {index} belongs to no series; announce their number first."
+            raise RefusalError("no_series", text)
+        if index >= self._count or index in self._items:
+            fault = "came twice" if index in self._items else f"lies outside the {self._count} announced"
+            text = f"{self._item.capitalize()} {index} {fault}; the series is dropped, send it again."
             self._count = None
-            raise RefusalError("bad_series", f"Landmark {index} {fault}; the series is dropped, send it again.")
-        self._points[index] = list(point)
+            raise RefusalError("bad_series", text)
+        self._items[index] = list(numbers)
 
-    def finish(self) -> list[dict[str, object]]:
-        """End the series; return name and position of its landmarks, in order.
+    def finish(self) -> list[list[float]]:
+        """End the series; return the numbers of its items, in order.
 
         Raises:
-            RefusalError: No series is announced, or landmarks are missing.
+            RefusalError: No series is announced, or items are missing.
         """
         count, self._count = self._count, None
         if count is None:
-            raise RefusalError("no_series", "No landmark series is open; announce their number, then send them.")
-        missing = sorted(set(range(count)) - set(self._points))
+            raise RefusalError("no_series", f"No {self._item} series is open; announce their number, then send them.")
+        missing = sorted(set(range(count)) - set(self._items))
         if missing:
             raise RefusalError(
                 "incomplete_series",
-                f"Of {count} landmarks {missing} are missing; the series is dropped, send all of it again.",
+                f"Of {count} {self._item}s {missing} are missing; the series is dropped, send all of it again.",
                 count=count,
                 missing=missing,
             )
-        return [{"name": f"p{index}", "position": self._points[index]} for index in range(count)]
+        return [self._items[index] for index in range(count)]
 
 
 class PosePair:
@@ -166,6 +175,11 @@ class PlanLock:
 
 Job = Callable[[], Awaitable[CommandOutcome]]
 
+NO_SURGEON = (
+    "A string command carries no name, and only the surgeon can state this: set gateway.surgeon, or state it in the "
+    "console or with `pcmrs call`."
+)
+
 PARTS = {
     Action.ANNOUNCE_LANDMARKS: PlanKind.LANDMARKS,
     Action.ADD_LANDMARK: PlanKind.LANDMARKS,
@@ -182,6 +196,7 @@ class Services:
 
     Attributes:
         run: Unique id of this run of the gateway: the daemon remembers all commands, but a client's ids start again.
+        surgeon: Name of the surgeon whose statements string commands may carry; empty for none.
     """
 
     run: str
@@ -190,6 +205,7 @@ class Services:
     streams: Streams
     pose_files: PoseFileWriter
     refusals: RejectionLog
+    surgeon: str = ""
 
 
 class CommandHandlers:
@@ -210,7 +226,8 @@ class CommandHandlers:
         self._lock = lock
         self._stops = 0
         self._ends: dict[str, float | None] = {}
-        self._landmarks = LandmarkSeries()
+        self._landmarks = NumberedSeries(LANDMARK)
+        self._grid = NumberedSeries(GRID_POSE)
         self._pair = PosePair()
         self._handlers: dict[Action, Callable[[StringCommand], CommandOutcome | Job]] = {
             Action.ANNOUNCE_LANDMARKS: self._announce_landmarks,
@@ -218,6 +235,11 @@ class CommandHandlers:
             Action.PLAN_LANDMARKS: self._plan_landmarks,
             Action.OPEN_POSE: self._open_pose,
             Action.PLAN_POSE: self._plan_pose,
+            Action.ANNOUNCE_GRID: lambda request: self._done(
+                request, lambda: self._grid.announce(int(request.values[0]))
+            ),
+            Action.ADD_GRID_POSE: self._add_grid_pose,
+            Action.PLAN_GRID: self._plan_grid,
             Action.STOP: lambda request: lambda: self._stop(request),
             Action.READ_JOINTS: lambda request: self._numbers(request, self._core.joints()),
             Action.READ_FLANGE: self._read_flange,
@@ -270,7 +292,11 @@ class CommandHandlers:
 
     def collected(self, request: StringCommand) -> object:
         """Return the parts of the plan that a command would end; None for another command, or if there are none."""
-        parts = {Action.PLAN_LANDMARKS: self._landmarks.collected, Action.PLAN_POSE: self._pair.collected}
+        parts = {
+            Action.PLAN_LANDMARKS: self._landmarks.collected,
+            Action.PLAN_POSE: self._pair.collected,
+            Action.PLAN_GRID: self._grid.collected,
+        }
         return parts.get(request.spec.action)
 
     def halt(self) -> None:
@@ -321,7 +347,7 @@ class CommandHandlers:
     def _drop_parts(self, request: StringCommand) -> None:
         if request.spec.action in PARTS:
             self._lock.attempt(PARTS[request.spec.action])
-            self._landmarks, self._pair = LandmarkSeries(), PosePair()
+            self._landmarks, self._pair = NumberedSeries(LANDMARK), PosePair()
 
     async def _submit(self, request: StringCommand, arrived: float) -> CommandOutcome:
         if request.spec.approaches and self._lock.held:
@@ -340,16 +366,18 @@ class CommandHandlers:
         """
         outcome = self.accepted(request)
         stops, since = self._stops, arrived
-        for number, step in enumerate(step for step in request.spec.steps if self._applies(step)):
+        # Chosen by the states at the start: a step must not follow from what the one before has changed.
+        states = self._core.snapshot().branches
+        for number, step in enumerate([step for step in request.spec.steps if step.applies(states)]):
             if self._stops != stops:
                 return self.failed(request, "stopped")
-            outcome, since = await self._operate(request, number, step.branch, step.operation, arguments, since)
+            if step.by_surgeon and not self._services.surgeon:
+                return self.rejected(request, "no_surgeon", NO_SURGEON)
+            given = {"surgeon": self._services.surgeon} if step.by_surgeon else arguments
+            outcome, since = await self._operate(request, number, step.branch, step.operation, given, since)
             if outcome.decision != "accepted":
                 break
         return outcome
-
-    def _applies(self, step: CommandStep) -> bool:
-        return step.only_in is None or self._core.snapshot().branches.get(step.branch) in step.only_in
 
     async def _operate(
         self,
@@ -393,8 +421,22 @@ class CommandHandlers:
 
     def _plan_landmarks(self, request: StringCommand) -> Job:
         attempt = self._lock.attempt(PlanKind.LANDMARKS)
-        landmarks = self._landmarks.finish()
+        points = self._landmarks.finish()
+        landmarks = [{"name": f"p{index}", "position": point} for index, point in enumerate(points)]
         return lambda: self._plan(request, PlanKind.LANDMARKS, attempt, "plan_landmarks", {"landmarks": landmarks})
+
+    def _add_grid_pose(self, request: StringCommand) -> CommandOutcome:
+        index, *numbers = request.values
+        self._grid.add(int(index), [float(value) for value in numbers])
+        return self.accepted(request)
+
+    def _plan_grid(self, request: StringCommand) -> Job:
+        poses = [{"position": each[:3], "quat_xyzw": each[3:]} for each in self._grid.finish()]
+        return lambda: self._submit_grid(request, poses)
+
+    async def _submit_grid(self, request: StringCommand, poses: list[dict[str, list[float]]]) -> CommandOutcome:
+        outcome, _ = await self._operate(request, 0, request.spec.branch, "plan_grid", {"poses": poses})
+        return outcome
 
     def _open_pose(self, request: StringCommand) -> CommandOutcome:
         self._lock.attempt(PlanKind.POSE)

@@ -89,7 +89,7 @@ async def open_gateway(core: Core, config: GatewayConfig, clock: Clock, folder: 
         admission = None
         if config.peers:
             admission = _open_admission(stack, core, config, clock, folder / COUNTERS, refusals, tasks)
-        services = Services(uuid4().hex, core, clock, streams, pose_files, refusals)
+        services = Services(uuid4().hex, core, clock, streams, pose_files, refusals, config.surgeon)
         intake = Intake(services, jobs, config.unsigned_peers, admission)
         core.add_listener(intake)
         watch = ReceiveWatch(clock, tasks)

@@ -146,6 +146,9 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         tcp_host: Address that the TCP link is bound to; empty for `host`.
         tcp_port: Port of the TCP link, 8058 by convention; 0 takes any free port. None, the default: no TCP link.
         stream_rate_hz: Rate of the pose streams.
+        tip_rate_hz: Rate of the stream of the pointer tip; 5 as that of the public daemon, whose modules draw each one.
+        surgeon: Name of the surgeon, who stands beside the panel: `session_reinitxx` records it where a workflow needs
+            the surgeon's statement that nothing is in the bone. Empty: string commands cannot state that.
         openigtlink: The link with 3D Slicer.
         markers: Markers of what the procedure does, on Lab Streaming Layer.
         lab_files: Folder in which the daemon keeps the lab's YAML files of the procedure up to date, for modules and
@@ -155,7 +158,7 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
     Raises:
         ConfigurationError: `unsigned_peers` holds an address that is not loopback, a stream's host is no IPv4
-            address, the rate is not positive, or there are too many peers or one whose name cannot be signed.
+            address, a rate is not positive, or there are too many peers or one whose name cannot be signed.
     """
 
     host: str = "127.0.0.1"
@@ -169,6 +172,8 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     tcp_host: str = ""
     tcp_port: Port | None = None
     stream_rate_hz: float = 100.0
+    tip_rate_hz: float = 5.0
+    surgeon: Annotated[str, msgspec.Meta(max_length=100)] = ""
     openigtlink: OpenIgtLinkConfig = OpenIgtLinkConfig()
     markers: MarkersConfig = MarkersConfig()
     lab_files: str = ""
@@ -186,6 +191,14 @@ class GatewayConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
                 )
         _check_ipv4("client_host", self.client_host)
         _check_ipv4("mixed_reality_host", self.mixed_reality_host)
+        if not self.surgeon.isprintable():
+            text = f"surgeon is {self.surgeon!r}; write the name in printable letters."
+            raise ConfigurationError(text, surgeon=self.surgeon)
+        if not 0.0 < self.tip_rate_hz <= 1000.0:
+            raise ConfigurationError(
+                f"tip_rate_hz is {self.tip_rate_hz:g}; it must be above 0, and 1000 at most.",
+                tip_rate_hz=self.tip_rate_hz,
+            )
         if not self.stream_rate_hz > 0.0:
             raise ConfigurationError(
                 f"stream_rate_hz is {self.stream_rate_hz:g}; it must be greater than 0, 60 or more for visualization.",

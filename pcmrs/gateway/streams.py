@@ -39,7 +39,7 @@ class Streams:
         self._config = config
         self._send = send
         self._poses = PeriodicTask(beats, config.stream_rate_hz, self._send_poses, tasks)
-        self._tip = PeriodicTask(beats, config.stream_rate_hz, self._send_tip, tasks)
+        self._tip = PeriodicTask(beats, config.tip_rate_hz, self._send_tip, tasks)
         self._sent_to_unity: dict[str, str] = {}
 
     def start_poses(self) -> None:

@@ -15,7 +15,7 @@ from pcmrs.messages._decisions import (
     Reason,
     Verdict,
 )
-from pcmrs.messages._poses import BodyPose, LandmarkPrompt, PoseMessage, Target
+from pcmrs.messages._poses import Beeps, BodyPose, LandmarkPrompt, PoseMessage, Target
 from pcmrs.messages._robot import (
     JointSetpoint,
     JointState,
@@ -35,6 +35,7 @@ from pcmrs.messages._snapshot import (
     Running,
     Snapshot,
     StopState,
+    TouchPrompt,
     UnknownOutcome,
 )
 from pcmrs.messages._stimulation import Epoch, FiredPulse, StimulatorState
@@ -55,6 +56,7 @@ __all__ = [
     "ActToken",
     "ActiveActivity",
     "Beat",
+    "Beeps",
     "BlueprintTag",
     "BodyPose",
     "Command",
@@ -95,6 +97,7 @@ __all__ = [
     "Target",
     "TeleopSetpoint",
     "TeleopStatus",
+    "TouchPrompt",
     "UnknownOutcome",
     "Verdict",
 ]

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import msgspec
+
 from pcmrs.messages._base import Message
 
 
@@ -17,6 +21,16 @@ class LandmarkPrompt(Message, frozen=True, kw_only=True):
     index: int
     name: str
     position_in_image: tuple[float, float, float]
+
+
+class Beeps(Message, frozen=True, kw_only=True):
+    """Beeps that the tracker sounds for the person with the pointer.
+
+    Attributes:
+        count: Number of beeps, 1 to 9.
+    """
+
+    count: Annotated[int, msgspec.Meta(ge=1, le=9)]
 
 
 class BodyPose(Message, frozen=True, kw_only=True):

@@ -10,6 +10,22 @@ STOP_NOT_NAMED: Final = "stop_not_named"
 """Code of the refusal of an acknowledgement that must name its Stop: daemon and clients refuse it."""
 
 
+class TouchPrompt(Message, frozen=True, kw_only=True, omit_defaults=False):
+    """Prompt for a person with the pointer.
+
+    Attributes:
+        text: What to do.
+        landmark: Name of the landmark; empty for a point of the skin.
+        number: Number of the landmark or point, from 1.
+        count: Number of all landmarks or points.
+    """
+
+    text: str
+    landmark: str
+    number: int
+    count: int
+
+
 class Running(Message, frozen=True, kw_only=True, omit_defaults=False):
     """An operation in progress.
 
@@ -18,12 +34,14 @@ class Running(Message, frozen=True, kw_only=True, omit_defaults=False):
         operation: Name of the operation.
         id: Id of its command.
         progress: Progress from 0 to 1.
+        prompt: What it waits for a person to touch; None if it does not.
     """
 
     branch: str
     operation: str
     id: str
     progress: float = 0.0
+    prompt: TouchPrompt | None = None
 
 
 class ActiveActivity(Message, frozen=True, kw_only=True, omit_defaults=False):

@@ -104,6 +104,7 @@ class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
         volume: Measuring volume of the tracker, near to far; empty if it is not configured.
         mep: Criteria of a response: the table ``procedure.stimulation.mep`` of the configuration.
         point_to_point: True if the arm moves in segments and can be stopped only at the end of one.
+        confirm_offset: Distance before the target, along the tool's +z axis, at which `placement.confirm` ends, m.
     """
 
     user: str
@@ -126,6 +127,7 @@ class Setup(Message, frozen=True, kw_only=True, omit_defaults=False):
     volume: list[SliceShown] = []
     mep: dict[str, Any] = {}
     point_to_point: bool = False
+    confirm_offset: float = 0.0
 
 
 class LandmarkShown(Message, frozen=True, kw_only=True, omit_defaults=False):

@@ -141,6 +141,7 @@ class Daemon:
             dispatcher = procedure.dispatcher
             heart.report = planner.report = dispatcher.report_later
             recovered.give_to(dispatcher, journal)
+            recovered.restore_initial_joints(procedure.cell)
             recorder.attach(dispatcher.procedure)
             page = ConsoleListener(self._start_process, settings)
             stack.callback(page.close)

@@ -57,6 +57,7 @@ def setup_of(cell: Cell, settings: Settings, blueprint: Blueprint) -> Setup:
         surface=surface,
         patient=procedure.patient,
         operator=procedure.operator,
+        confirm_offset=procedure.placement.confirm_offset,
         residual_limit=procedure.registration.residual_limit_mm / 1000.0,
         drivers={device: driver for driver, devices in settings.drivers().items() for device in devices},
         body_margin=procedure.zones.body_margin,

@@ -9,6 +9,7 @@ from pcmrs.dispatcher import Dispatcher, DispatcherListener
 from pcmrs.errors import RefusalError
 from pcmrs.gateway.tracked_poses import TrackedPoses
 from pcmrs.messages import Command, DeviceEvent, Snapshot, Verdict
+from pcmrs.service.restart.state import INITIAL_JOINTS
 from pcmrs.spatial import Floats, Transform
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_transform
@@ -58,7 +59,7 @@ class GatewayAdapter:
             return None  # a posture near the body, or on the way to it, is not a place to return to
         self._cell.initial_joints = joints
         text = "The present joints are the initial ones from now on."
-        event = DeviceEvent(device="gateway", code="initial_joints", text=text, fields={"joints": joints})
+        event = DeviceEvent(device="gateway", code=INITIAL_JOINTS, text=text, fields={"joints": joints})
         self.report(event)
         return joints
 

@@ -25,7 +25,7 @@ from pcmrs.errors import ConfigurationError, DeviceError
 from pcmrs.fsm import Blueprint
 from pcmrs.kinematics.model import ArmModel
 from pcmrs.kinematics.urdf_arms import find_arm
-from pcmrs.messages import Beat, BodyPose, DeviceEvent, DeviceHealth, JointState, NodeBeat, Snapshot, Verdict
+from pcmrs.messages import Beat, Beeps, BodyPose, DeviceEvent, DeviceHealth, JointState, NodeBeat, Snapshot, Verdict
 from pcmrs.messages.setup import ProcedureDataView
 from pcmrs.service._command_metrics import CommandMetrics
 from pcmrs.service._setup_view import gathered
@@ -301,6 +301,8 @@ def open_cell(settings: Settings, blueprint: Blueprint, link: Link, clocks: Cloc
     )
     if settings.pointer.driver == DWELL:
         cell.pointer = DwellPointer(cell.poses, clocks.cell, cell.pointer_from_tip, settings.pointer.dwell)
+    if settings.tracker.beeps:
+        cell.beep = lambda count: link.publish("dev/tracker/beep", Beeps(count=count))
     log.debug("calibration", **cell.calibrations(), id=cell.calibration_id)
     return cell
 

@@ -157,6 +157,9 @@ class FakeHand:
     async def touch_surface(self) -> None:
         self.calls.append("surface")
 
+    async def slide(self) -> None:
+        self.calls.append("slide")
+
     async def release(self) -> None:
         self.calls.append("release")
 

@@ -199,7 +199,7 @@ async def to_retracted(client: Client) -> None:
 async def to_standoff(client: Client) -> None:
     """Register the head and move the tool to the standoff."""
     await register(client)
-    if await state(client, "placement") in ("placed", "following", "guided", "held"):
+    if await state(client, "placement") in ("placed", "following", "guided", "replanned", "held"):
         await accept(client, "placement.back_off")
     if await state(client, "placement") != "standoff":
         await accept(client, "placement.approach")

@@ -13,7 +13,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.spatial import Floats, Transform, mean_transform
 from pcmrs.workflows._collision_checks import plan_linear_path
 from pcmrs.workflows._motion import follow, measure_frames
-from pcmrs.workflows._placement import target_pose
+from pcmrs.workflows._placement import kept_nudges, target_pose
 from pcmrs.workflows._tracker_noise import Tolerance
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData
@@ -58,7 +58,7 @@ async def correct_from_tracker(run: Run) -> None:
         tolerance = Tolerance.by_noise(frames, limits)
         run.result["tolerance"] = tolerance.as_result()
         image_from_measured = mean_transform(frames)
-        measured_from_desired = image_from_measured.inverse() @ target_pose(run.data, limits.confirm_offset)
+        measured_from_desired = image_from_measured.inverse() @ target_pose(kept_nudges(run), limits.confirm_offset)
         shift_mm, turn_deg = size_mm_deg(measured_from_desired)
         rounds.append({"shift_mm": shift_mm, "turn_deg": turn_deg})
         check_correctable(measured_from_desired, limits)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import msgspec
 import numpy as np
 
@@ -11,7 +13,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.messages import LandmarkPrompt
 from pcmrs.registration import register_points
 from pcmrs.workflows._arguments import check_metres
-from pcmrs.workflows._touching import touch
+from pcmrs.workflows._touching import TAKEN, landmark_prompt, touch
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import Digitized, Landmark, PlacementData, Planned, Point, Registered, as_point
 from pcmrs.workflows.reference import RECENT, check_reference, observe_witness
@@ -39,6 +41,16 @@ class LandmarkIndex(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     index: int
+
+
+class LandmarkNames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Arguments of `reuse_previous_of`.
+
+    Attributes:
+        names: Names of the landmarks whose previous points are kept.
+    """
+
+    names: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
 
 
 def landmarks_spread(run: Run) -> None:
@@ -103,8 +115,46 @@ def previous_digitization_fits(run: Run) -> None:
     if previous is None:
         raise RefusalError("no_previous_digitization", "No complete digitization was made before: digitize first.")
     if previous.landmarks != run.data.landmarks:
-        text = "The previous digitization was made for other planned landmarks: digitize the present ones."
-        raise RefusalError("other_landmarks", text)
+        unchanged = [landmark.name for landmark in run.data.landmarks if landmark in previous.landmarks]
+        named = (
+            f" Unchanged are {', '.join(unchanged)}: reuse_previous_of keeps those that you name." if unchanged else ""
+        )
+        text = f"The previous digitization was made for other planned landmarks: digitize the present ones.{named}"
+        raise RefusalError("other_landmarks", text, unchanged=unchanged)
+    _check_previous(run, previous)
+
+
+def named_landmarks_unchanged(run: Run) -> None:
+    """Refuse to keep points of landmarks that are not planned, are planned elsewhere now, or were not digitized.
+
+    Also refuse all of them if patient, calibration or place of the reference are others.
+    """
+    previous = run.data.previous_digitization
+    if previous is None:
+        raise RefusalError("no_previous_digitization", "No complete digitization was made before: digitize first.")
+    for name in run.payload.names:
+        planned = [landmark for landmark in run.data.landmarks if landmark.name == name]
+        if len(planned) != 1:
+            text = f"{len(planned)} planned landmarks are called {name!r}: name one that is there once."
+            raise RefusalError("no_such_landmark", text, name=name, count=len(planned))
+        if previous.landmarks.count(planned[0]) != 1:
+            text = f"{name} was not digitized where it is planned now: digitize it, and name the others only."
+            raise RefusalError("other_landmarks", text, name=name)
+    _check_previous(run, previous)
+
+
+def take_previous_points(run: Run) -> None:
+    """Restore the previous points of the landmarks that are named; all others stay open."""
+    previous = run.data.previous_digitization
+    if previous is not None:
+        points = dict(zip(previous.landmarks, previous.points, strict=True))
+        run.keep(reference=previous.reference, surface=())
+        kept = tuple(points[each] if each.name in run.payload.names else None for each in run.data.landmarks)
+        _keep_digitized(run, kept)
+    run.outcome = "complete" if run.data.complete_digitization() else "partial"
+
+
+def _check_previous(run: Run, previous: Digitized) -> None:
     check_same_head(run.cell, previous)
     check_reference(run.cell, previous.reference, run.clock.monotonic() - RECENT)
 
@@ -173,11 +223,13 @@ async def _touch(run: Run, index: int) -> Point:
     """
     cell, landmark = run.cell, run.data.landmarks[index]
     prompt = LandmarkPrompt(index=index, name=landmark.name, position_in_image=landmark.position)
-    touched = await touch(run, cell.pointer.touch(prompt), f"landmark {landmark.name}")
+    shown = landmark_prompt(landmark, index + 1, len(run.data.landmarks))
+    touched = await touch(run, cell.pointer.touch(prompt), f"landmark {landmark.name}", shown)
     if any(point is not None for point in run.data.digitized):
         check_reference(cell, run.data.reference, touched.since)
     else:
         run.keep(reference=observe_witness(cell, touched.since))
+    cell.beep(TAKEN)
     run.result.setdefault("spreads", {})[landmark.name] = touched.spread
     return as_point(touched.point)
 
@@ -186,9 +238,10 @@ def register_landmark_operations(registry: Registry[Cell, PlacementData]) -> Non
     """Register the names that blueprints use for these checks and steps."""
     registry.payload("landmarks", LandmarkPlan)
     registry.payload("landmark_index", LandmarkIndex)
-    for check in (landmarks_spread, landmark_exists, previous_digitization_fits):
+    registry.payload("landmark_names", LandmarkNames)
+    for check in (landmarks_spread, landmark_exists, previous_digitization_fits, named_landmarks_unchanged):
         registry.check(check)
-    for step in (keep_landmarks, reopen_landmark, take_previous_digitization):
+    for step in (keep_landmarks, reopen_landmark, take_previous_digitization, take_previous_points):
         registry.step(step)
     for world_step in (digitize_every_landmark, digitize_landmark, digitize_landmark_again):
         registry.world_step(world_step)

@@ -17,8 +17,11 @@ from pcmrs.workflows._guard import follow_guarded
 from pcmrs.workflows._paths import along_axis
 from pcmrs.workflows._placement import (
     NO_NUDGE,
+    Departure,
     accumulated_nudges,
     at_present_plan,
+    kept_nudges,
+    onward_possible,
     planned_pose,
     target_pose,
 )
@@ -31,6 +34,9 @@ P = TypeVar("P", bound=PlacementData)
 FRAMES_TIME = 1.0
 """Longest wait for a frame of the arm at rest, s. Without one, the tool is not seen."""
 
+ONWARD_TIME = 5.0
+"""Limit to plan the way from the standoff of the last plan, s of the machine. It takes some 0.1 s."""
+
 MEASURING_TIME = 10.0
 """Longest wait for all frames of a measurement, s."""
 
@@ -38,6 +44,20 @@ MEASURING_TIME = 10.0
 async def follow_prepared(run: Run) -> None:
     """Follow the trajectory that the check has planned, and let the arm come to rest."""
     await follow(run, run.prepared)
+
+
+async def leave_last_plan(run: Run) -> None:
+    """Bring a tool at the place of the last plan to the standoff of that plan, and plan the rest of the way again.
+
+    The body may have moved meanwhile. From elsewhere this has no effect.
+
+    Raises:
+        RefusalError: The arm was held, or the rest of the way is refused now, or was not planned in time.
+    """
+    if isinstance(run.prepared, Departure):
+        await _follow_to_end(run, run.prepared.to_last_standoff)
+        await _wait_for_frame_at_rest(run)
+        await run.plan(onward_possible, within=ONWARD_TIME)
 
 
 async def back_off_anew(run: Run) -> None:
@@ -64,8 +84,15 @@ async def _replan(run: Run) -> None:
 
 def remember_approach(run: Run) -> None:
     """Store the plan and the registration that the standoff belongs to, and reset the nudges."""
-    approached = (run.data.plan_id, run.data.registration_id)
-    run.keep(approached=approached, nudge_translation=NO_NUDGE, nudge_rotation_zyx=NO_NUDGE)
+    data = run.data
+    run.keep(approached=(data.plan_id, data.registration_id), approached_pose=data.plan)
+    run.keep(nudge_translation=NO_NUDGE, nudge_rotation_zyx=NO_NUDGE)
+
+
+def drop_nudges(run: Run) -> None:
+    """Reset the nudges that a confirm has not kept."""
+    kept = kept_nudges(run)
+    run.keep(nudge_translation=kept.nudge_translation, nudge_rotation_zyx=kept.nudge_rotation_zyx)
 
 
 def remember_nudge(run: Run) -> None:
@@ -82,7 +109,7 @@ async def measure_placement(run: Run) -> None:
     """
     offset = run.cell.settings.placement.confirm_offset
     # The errors account for the offset, so that the expected pose is that of the contact.
-    measured, plan = await measure_coil(run), target_pose(run.data, offset) @ along_axis(-offset)
+    measured, plan = await measure_coil(run), target_pose(kept_nudges(run), offset) @ along_axis(-offset)
     extra = {"planned": pose_result(planned_pose(run.data)), "confirm_offset": offset}
     run.result |= {**extra, **placement_errors(measured, plan, offset)}
 
@@ -144,10 +171,14 @@ async def follow(run: Run, trajectory: JointTrajectory) -> None:
     Raises:
         RefusalError: The arm was held.
     """
+    await _follow_to_end(run, trajectory)
+    await run.clock.sleep(run.cell.settings.placement.settle_time)
+
+
+async def _follow_to_end(run: Run, trajectory: JointTrajectory) -> None:
     ended = await follow_guarded(run.cell, trajectory, towards_body=run.motion == "approach")
     if ended.outcome != "done":
         raise RefusalError("motion_stopped", f"The motion was stopped: {ended.reason or 'held'}.")
-    await run.clock.sleep(run.cell.settings.placement.settle_time)
 
 
 async def _wait_for_frame_at_rest(run: Run) -> None:
@@ -178,10 +209,11 @@ def pose_result(pose: Transform) -> dict[str, list[float]]:
 
 def register_motion_steps(registry: Registry[Cell, PlacementData]) -> None:
     """Register the names that blueprints use for these steps."""
-    for step in (remember_approach, remember_nudge):
+    for step in (remember_approach, remember_nudge, drop_nudges):
         registry.step(step)
     for replanning in (back_off_anew, home_anew, initial_anew):
         registry.world_step(replanning)
-    registry.world_step(follow_prepared, moves=True)
+    for moving in (leave_last_plan, follow_prepared):
+        registry.world_step(moving, moves=True)
     for world_step in (measure_placement, find_where_retreat_ended):
         registry.world_step(world_step)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
 
@@ -56,27 +57,46 @@ class Nudge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rotation_zyx: Point = NO_NUDGE
 
 
+@dataclass(frozen=True, slots=True)
+class Departure:
+    """Way from the place of the last plan to the standoff of the present one.
+
+    Attributes:
+        to_last_standoff: Straight path along the tool's axis to the standoff of the last plan.
+        onward: Path from there, as planned in advance. It is planned again once the tool is there.
+    """
+
+    to_last_standoff: JointTrajectory
+    onward: JointTrajectory
+
+
 def approach_possible(run: Run) -> None:
     """Plan the path to the standoff, with another posture if the first one is refused.
 
-    It is refused if the registration is not accurate enough there, each path passes a zone or the body, or the target
-    is out of reach.
+    A tool that is still at the place of the last plan goes to the standoff of that plan first; `Departure` is prepared
+    then. The approach is refused if the registration is not accurate enough at the target, each path passes a zone or
+    the body, or the target is out of reach.
     """
-    check_tre(run.cell, run.data, planned_pose(run.data).translation)
-    refused: list[PcmrsError] = []
-    for posture in islice(standoff_postures(run, planned_pose(run.data)), MAX_POSTURES):
-        try:
-            run.prepared = _plan_approach(run, posture)
-            return
-        except (RefusalError, UnreachableError) as error:
-            refused.append(error)
-    raise refused[0]
+    if run.states["placement"] != "replanned":
+        run.prepared = _plan_to_standoff(run, run.cell.posture())
+        return
+    away = _plan_to_last_standoff(run)
+    run.prepared = Departure(away, _plan_to_standoff(run, np.asarray(away.positions[-1])))
+
+
+def onward_possible(run: Run) -> None:
+    """Plan the path to the standoff from where the tool is now: at the standoff of the last plan."""
+    run.prepared = _plan_to_standoff(run, run.cell.posture())
 
 
 def confirm_possible(run: Run) -> None:
-    """Plan the straight path along the tool's axis to the target."""
+    """Plan the straight path to the target: along the tool's axis, or after a motion of the head where it is now."""
     check_at_present_plan(run.data)
-    run.prepared = _plan_straight_to(run, target_pose(run.data, run.cell.settings.placement.confirm_offset))
+    kept = kept_nudges(run)
+    target = target_pose(kept, run.cell.settings.placement.confirm_offset)
+    if run.states["placement"] == "placed":
+        _check_realignment(run, target)
+    run.prepared = _plan_straight_to(run, target)
 
 
 def nudge_possible(run: Run) -> None:
@@ -178,11 +198,61 @@ def accumulated_nudges(run: Run) -> tuple[Point, Point]:
     return (x, y, z), (rz, ry, rx)
 
 
-def _plan_approach(run: Run, posture: Floats) -> JointTrajectory:
+def kept_nudges(run: Run) -> PlacementData:
+    """Return the data with the nudges that a confirm keeps: all of them, or none if the settings say so."""
+    if not run.cell.settings.placement.confirm_drops_nudges:
+        return run.data
+    return msgspec.structs.replace(run.data, nudge_translation=NO_NUDGE, nudge_rotation_zyx=NO_NUDGE)
+
+
+def _check_realignment(run: Run, image_from_target: Transform) -> None:
+    """Refuse to go straight to a target that is farther from the placed tool than nudges may lead.
+
+    Raises:
+        RefusalError: ``realignment_too_large``.
+    """
+    limits = run.cell.settings.placement
+    measured_from_target = run.cell.image_from_tool_tip(run.data).inverse() @ image_from_target
+    shift_mm = float(np.linalg.norm(measured_from_target.translation)) * 1000.0
+    turn_deg = math.degrees(float(np.linalg.norm(measured_from_target.rotvec)))
+    if shift_mm > limits.nudge_limit_mm or turn_deg > limits.nudge_limit_deg:
+        text = (
+            f"The target is {shift_mm:.1f} mm and {turn_deg:.1f}° from the placed tool; the limits are "
+            f"{limits.nudge_limit_mm:g} mm and {limits.nudge_limit_deg:g}°. Back off, then approach again."
+        )
+        raise RefusalError("realignment_too_large", text, shift_mm=shift_mm, turn_deg=turn_deg)
+
+
+def _plan_to_last_standoff(run: Run) -> JointTrajectory:
+    """Plan the straight path along the tool's +z axis to the height of the standoff of the plan that it came by."""
+    cell, data = run.cell, run.data
+    if data.approached is None or data.approached_pose is None or data.approached[1] != data.registration_id:
+        text = "It is not known by which plan and registration the tool was brought here: back off, then approach."
+        raise RefusalError("not_at_plan", text, registration=data.registration_id)
+    height = float((as_transform(data.approached_pose).inverse() @ cell.image_from_tool_tip(data)).translation[2])
+    path = _plan_straight_away(run, max(0.0, cell.settings.placement.standoff - height))
+    check_only_grows(cell, path, data, BY_HAND)
+    check_away(cell, data, path)
+    return path
+
+
+def _plan_to_standoff(run: Run, start: Floats) -> JointTrajectory:
+    """Plan the path from a posture to the standoff of the plan in force. Raises the first refusal if none is found."""
+    check_tre(run.cell, run.data, planned_pose(run.data).translation)
+    refused: list[PcmrsError] = []
+    for posture in islice(standoff_postures(run, planned_pose(run.data), start), MAX_POSTURES):
+        try:
+            return _plan_approach(run, start, posture)
+        except (RefusalError, UnreachableError) as error:
+            refused.append(error)
+    raise refused[0]
+
+
+def _plan_approach(run: Run, start: Floats, posture: Floats) -> JointTrajectory:
     """Plan the path to a posture at the standoff from which the target can be reached."""
     cell = run.cell
     base_from_image = cell.frames(run.data).get(Frame.ROBOT_BASE, Frame.IMAGE)
-    path = plan_joint_path(run, cell.posture(), posture)
+    path = plan_joint_path(run, start, posture)
     check_passes_clear(cell, path, run.data)
     base_from_target = base_from_image @ planned_pose(run.data)
     check_towards(cell, run.data, path, base_from_target)
@@ -295,7 +365,7 @@ def register_placement_checks(registry: Registry[Cell, PlacementData]) -> None:
     """Register the names that blueprints use for these checks."""
     registry.payload("nudge", Nudge)
     registry.payload("retreat", Retreat)
-    for check in (approach_possible, confirm_possible, nudge_possible, retreat_possible):
+    for check in (approach_possible, onward_possible, confirm_possible, nudge_possible, retreat_possible):
         registry.long_check(check)
     for check in (home_grows_distance, initial_grows_distance):
         registry.long_check(check)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import PureWindowsPath
 from typing import Annotated, Any
 
@@ -10,12 +11,13 @@ import numpy as np
 
 from pcmrs.dispatcher import Registry
 from pcmrs.dispatcher import Run as AnyRun
-from pcmrs.errors import ConfigurationError, RefusalError
+from pcmrs.errors import ConfigurationError, PcmrsError, RefusalError
 from pcmrs.formats.mesh import Mesh
+from pcmrs.messages import TouchPrompt
 from pcmrs.registration.coverage import SurfaceCoverage, surface_coverage
 from pcmrs.registration.surface import refine_with_surface
 from pcmrs.workflows._registering import activate_registration, judge_landmarks
-from pcmrs.workflows._touching import touch
+from pcmrs.workflows._touching import AWAITED, CLOUD_TAKEN, TAKEN, touch
 from pcmrs.workflows.accuracy import learn_noise
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, Point, as_point
@@ -28,14 +30,24 @@ HELPED_BY_POINTS = ("too_few_surface_points", "surface_flat", "tre_not_lowered")
 """Refusals of a refinement after which more points in the right region help."""
 
 
+POINT_SPACING = 0.002
+"""Least distance of two points from a sliding tip, m: a tip that rests adds none."""
+SLIDE_TIME = 120.0
+"""Longest time for the points of a sliding tip, s."""
+LOOK_PERIOD = 0.1
+"""Time between two looks at the newest frames of a sliding tip, s."""
+
+
 class SurfacePoints(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Arguments of `digitize_surface`.
 
     Attributes:
         points: Number of points to touch, one after the other.
+        slide: True to take them from a tip that slides over the skin, False for single touches.
     """
 
-    points: Annotated[int, msgspec.Meta(ge=1, le=100)] = 1
+    points: Annotated[int, msgspec.Meta(ge=1, le=500)] = 1
+    slide: bool = False
 
 
 class SurfaceName(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -49,16 +61,76 @@ class SurfaceName(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 async def digitize_surface_points(run: Run) -> None:
-    """Digitize points of the skin; either all of them are stored or none."""
-    count, points = run.payload.points, list[Point]()
-    before = len(run.data.surface)
-    for number in range(count):
-        run.progress(number / count)
-        touched = await touch(run, run.cell.pointer.touch_surface(), f"point {before + number + 1} of the skin")
-        check_reference(run.cell, run.data.reference, touched.since)
-        points.append(as_point(touched.point))
+    """Digitize points of the skin, by single touches or by a tip that slides; either all of them are stored or none."""
+    points = await (_slide(run) if run.payload.slide else _touch_each(run))
+    run.cell.beep(CLOUD_TAKEN)
     run.keep(surface=(*run.data.surface, *points))
     _report_count(run)
+
+
+async def _touch_each(run: Run) -> list[Point]:
+    count, points, before = run.payload.points, list[Point](), len(run.data.surface)
+    for number in range(count):
+        run.progress(number / count)
+        target = f"point {before + number + 1} of the skin"
+        text = f"Touch point {number + 1} of {count} anywhere on the skin, 10 mm from the last one: hold the tip still."
+        prompt = TouchPrompt(text=text, landmark="", number=number + 1, count=count)
+        touched = await touch(run, run.cell.pointer.touch_surface(), target, prompt)
+        check_reference(run.cell, run.data.reference, touched.since)
+        points.append(as_point(touched.point))
+    return points
+
+
+async def _slide(run: Run) -> list[Point]:
+    """Take points of the skin from a tip that slides over it.
+
+    Raises:
+        RefusalError: The tip does not touch the skin in time, it slides too slowly or is not seen, or the reference has
+            moved.
+    """
+    cell, count, points = run.cell, run.payload.points, list[Point]()
+    text = f"Hold the tip still on the skin; after 2 beeps slide it on until 5 beeps: {count} points are taken."
+    run.prompt(TouchPrompt(text=text, landmark="", number=1, count=count))
+    cell.beep(AWAITED)
+    try:
+        async with run.clock.timeout(cell.settings.registration.touch_timeout_s):
+            await cell.pointer.slide()
+        since = run.clock.monotonic()
+        cell.beep(TAKEN)
+        async with run.clock.timeout(SLIDE_TIME):
+            while len(points) < count:
+                await run.clock.sleep(LOOK_PERIOD)
+                _take_points(cell, since, points, count)
+                run.progress(len(points) / count)
+    except TimeoutError:
+        text = (
+            f"{len(points)} of {count} points of the skin were taken in time. Slide the tip over the skin, where the "
+            "tracker sees pointer and reference, and send the command again."
+        )
+        raise RefusalError("cloud_incomplete", text, count=len(points), wanted=count) from None
+    finally:
+        run.prompt(None)
+        with suppress(PcmrsError):  # the failure itself is the one to report
+            await cell.pointer.release()
+    check_reference(cell, run.data.reference, since)
+    return points
+
+
+def _take_points(cell: Cell, since: float, points: list[Point], count: int) -> None:
+    """Add those positions of the tip that are far enough from all that were taken.
+
+    Args:
+        cell: Cell with the tracked poses.
+        since: Earliest capture time, s of the clock.
+        points: Points taken so far, in body_ref, m.
+        count: Number of points that are wanted.
+    """
+    tip = cell.pointer_from_tip.translation
+    for frame in cell.poses.together(["body_ref", "pointer"], since):
+        point = frame["body_ref"].inverse() @ (frame["pointer"] @ tip)
+        taken = np.array(points).reshape(-1, 3)
+        if len(points) < count and not np.any(np.linalg.norm(taken - point, axis=1) < POINT_SPACING):
+            points.append(as_point(point))
 
 
 def surface_point_there(run: Run) -> None:

@@ -10,10 +10,11 @@ import numpy as np
 
 from pcmrs.dispatcher import Run as AnyRun
 from pcmrs.errors import PcmrsError, RefusalError
+from pcmrs.messages import TouchPrompt
 from pcmrs.registration import rms_spread
 from pcmrs.spatial import Floats
 from pcmrs.workflows.cell import Cell
-from pcmrs.workflows.data import PlacementData
+from pcmrs.workflows.data import Landmark, PlacementData
 
 Run = AnyRun[Cell, PlacementData]
 
@@ -36,19 +37,42 @@ class TouchMeasurement:
     since: float
 
 
-async def touch(run: Run, request: Awaitable[None], target: str) -> TouchMeasurement:
-    """Wait until the person holds the tip on a target, and measure the tip.
+AWAITED, TAKEN, CLOUD_TAKEN = 3, 2, 5
+"""Numbers of beeps when a touch is awaited, after a landmark, and after points of the skin, as of the public daemon."""
+
+HOLD_STILL = (
+    "hold the tip still there. If it rests there already, that counts, unless another landmark was taken there."
+)
+
+
+def landmark_prompt(landmark: Landmark, number: int, count: int) -> TouchPrompt:
+    """Return the prompt for a landmark.
+
+    Args:
+        landmark: The landmark.
+        number: Its number in the plan, from 1.
+        count: Number of planned landmarks.
+    """
+    text = f"Touch landmark {number} of {count}, {landmark.name}: {HOLD_STILL}"
+    return TouchPrompt(text=text, landmark=landmark.name, number=number, count=count)
+
+
+async def touch(run: Run, request: Awaitable[None], target: str, prompt: TouchPrompt) -> TouchMeasurement:
+    """Prompt for a touch, wait until the person holds the tip on the target, and measure the tip.
 
     Args:
         run: Present operation.
         request: Request to the pointer, which ends when the person confirms the touch.
         target: Name of the target for texts.
+        prompt: Prompt that is shown meanwhile.
 
     Raises:
         RefusalError: The target is not touched in time, pointer or reference are not seen, or the samples spread too
             far.
     """
     cell, settings = run.cell, run.cell.settings.registration
+    run.prompt(prompt)
+    cell.beep(AWAITED)
     try:
         async with run.clock.timeout(settings.touch_timeout_s):
             await request
@@ -58,6 +82,7 @@ async def touch(run: Run, request: Awaitable[None], target: str) -> TouchMeasure
         text = f"{target} was not touched within {settings.touch_timeout_s:g} s; send the command again."
         raise RefusalError("not_touched", text, limit=settings.touch_timeout_s) from None
     finally:
+        run.prompt(None)
         with suppress(PcmrsError):  # the failure of the touch itself is the one to report
             await cell.pointer.release()
     tip = cell.pointer_from_tip.translation

@@ -31,6 +31,10 @@ __all__ = ["Cell"]
 log = structlog.get_logger(__name__)
 
 
+def _no_beep(_count: int) -> None:
+    """Sound nothing."""
+
+
 @dataclass
 class Cell:
     """Devices and calibrations of one cell.
@@ -63,6 +67,7 @@ class Cell:
         teleop: Port for the set points of teleoperators.
         point_to_point: True if the arm moves in segments and can be stopped only at the end of one. It then cannot
             press, follow the body or be guided.
+        beep: Sounds a number of beeps for the person with the pointer, without waiting; nothing by default.
         calibrated: Calibrated poses of tool and pointer, for a cell in another process; None to read them.
         mounting: Calibrated poses of tool and pointer. `Mounting.tool_tip` is the only place where the pose of a marker
             body becomes that of the tool: all other poses of the tool in the workflows are those of its contact point.
@@ -92,6 +97,7 @@ class Cell:
     emg: Emg | None = None
     teleop: TeleopPort = field(default_factory=TeleopPort)
     point_to_point: bool = False
+    beep: Callable[[int], None] = _no_beep
     calibrated: InitVar[Mounting | None] = None
     mounting: Mounting = field(init=False)
     flange_from_tool_tip: Transform = field(init=False)

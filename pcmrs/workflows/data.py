@@ -139,6 +139,7 @@ class PlacementData(ProcedureData, frozen=True, kw_only=True):
         nudge_translation: Sum of nudges since the approach, m, in the tool frame.
         nudge_rotation_zyx: Sum of rotations about z, y, x since the approach, rad.
         approached: Identifiers of the plan and the registration to which the tool was brought.
+        approached_pose: ``image_from_tool_tip`` of that plan.
         teleoperator: User who has engaged the clutch; None while it is open.
     """
 
@@ -155,6 +156,7 @@ class PlacementData(ProcedureData, frozen=True, kw_only=True):
     nudge_translation: Point = (0.0, 0.0, 0.0)
     nudge_rotation_zyx: Point = (0.0, 0.0, 0.0)
     approached: tuple[str, str] | None = None
+    approached_pose: PoseMessage | None = None
     teleoperator: str | None = None
 
     @classmethod
@@ -198,7 +200,7 @@ def settle(data: PlacementData, states: Mapping[str, str], effects: Sequence[Eff
     if states.get("toolplan", "1") != "1":
         changes |= {"plan": None, "plan_id": None}
     if states.get("placement") in ("unknown", "retracted"):
-        changes["approached"] = None
+        changes |= {"approached": None, "approached_pose": None}
     if states.get("teleoperation") != "engaged":
         changes["teleoperator"] = None
     return msgspec.structs.replace(data, **changes) if changes else data

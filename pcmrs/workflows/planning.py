@@ -35,7 +35,7 @@ MAX_JOINT_DRIFT = 0.01
 
 _NOT_SENT = {
     *("robot", "pointer", "poses", "arm", "clock", "settings", "surface"),
-    *("watchers", "name", "stimulator", "emg", "teleop"),
+    *("watchers", "name", "stimulator", "emg", "teleop", "beep"),
 }
 """Fields that a cell in another process has itself, or lacks. All other fields are sent."""
 _SENT = tuple(field.name for field in fields(Cell) if field.init and field.name not in _NOT_SENT)

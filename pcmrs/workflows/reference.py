@@ -17,7 +17,7 @@ from pcmrs.errors import RefusalError
 from pcmrs.messages import LandmarkPrompt, PoseMessage
 from pcmrs.registration.outliers import chi_squared_limit
 from pcmrs.spatial import Transform, distance, rotation_angle
-from pcmrs.workflows._touching import touch
+from pcmrs.workflows._touching import TAKEN, landmark_prompt, touch
 from pcmrs.workflows.cell import Cell
 from pcmrs.workflows.data import PlacementData, as_message, as_transform
 from pcmrs.workflows.settings import RegistrationSettings
@@ -131,7 +131,9 @@ async def touch_landmark_again(run: Run) -> None:
     index, settings = run.payload.index, run.cell.settings.registration
     landmark, digitized = run.data.landmarks[index], run.data.complete_digitization()[index]
     prompt = LandmarkPrompt(index=index, name=landmark.name, position_in_image=landmark.position)
-    touched = await touch(run, run.cell.pointer.touch(prompt), f"landmark {landmark.name}")
+    shown = landmark_prompt(landmark, index + 1, len(run.data.landmarks))
+    touched = await touch(run, run.cell.pointer.touch(prompt), f"landmark {landmark.name}", shown)
+    run.cell.beep(TAKEN)
     off = float(np.linalg.norm(touched.point - np.array(digitized)))
     explained = chi_squared_limit(3, settings.false_alarm)
     limit = math.sqrt(2.0 * explained) * settings.retouch_sigma_mm / 1000.0

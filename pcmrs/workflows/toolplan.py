@@ -28,6 +28,8 @@ P = TypeVar("P", bound=PlacementData)
 
 POSTURE_TOLERANCE = 0.05
 """Largest difference in any joint of postures that count as the same, rad."""
+POSITION_KNOWN = ("standoff", "placed", "replanned")
+"""States of the placement in which the tool rests where a plan has brought it."""
 SEED_TURNS = (0.0, 0.8, -0.8, 1.6, -1.6)
 """Angles by which joints 1 and 3 are turned against each other for the seeds of a search, rad. This swings the
 elbow."""
@@ -83,17 +85,20 @@ def accept_pose(run: AnyRun[Cell, P], pose: Transform) -> None:
     run.prepared = pose
 
 
-def standoff_postures(run: AnyRun[Cell, P], image_from_tool_tip: Transform) -> Iterator[Floats]:
+def standoff_postures(
+    run: AnyRun[Cell, P], image_from_tool_tip: Transform, start: Floats | None = None
+) -> Iterator[Floats]:
     """Yield joint positions at the standoff of a planned pose, rad, (n,), that keep out of the zones.
 
     They keep out of the zones at the standoff and at the target.
 
-    The posture nearest to the present one comes first, then those with the elbow to either side. All of them keep the
-    forearm away from the body if that takes no long detour.
+    The posture nearest to the one at the start comes first, then those with the elbow to either side. All of them keep
+    the forearm away from the body if that takes no long detour.
 
     Args:
         run: Present operation.
         image_from_tool_tip: Planned pose.
+        start: Posture at the start of the way there, rad, (n,); None for the present one.
 
     Raises:
         UnreachableError: Standoff or target cannot be reached within the joint limits.
@@ -107,7 +112,7 @@ def standoff_postures(run: AnyRun[Cell, P], image_from_tool_tip: Transform) -> I
     body = _body_sphere(cell)
     found: list[Floats] = []
     refused: list[PcmrsError] = []
-    for seed in _seeds(cell):
+    for seed in _seeds(cell, cell.posture() if start is None else start):
         try:
             posture = inverse(cell.arm, standoff, seed, keep_away=body)
             # The posture at the target is solved from that at the standoff, where the straight path begins.
@@ -128,12 +133,11 @@ def _body_sphere(cell: Cell) -> Floats | None:
     return model.bounding_sphere(BODY) if model.pairs_of_zone(BODY).any() else None
 
 
-def _seeds(cell: Cell) -> Iterator[Floats]:
-    present = cell.posture()
-    swing = np.zeros(len(present))
+def _seeds(cell: Cell, start: Floats) -> Iterator[Floats]:
+    swing = np.zeros(len(start))
     swing[[0, 2]] = 1.0, -1.0
     for turn in SEED_TURNS:
-        yield np.clip(present + turn * swing, cell.arm.lower, cell.arm.upper)
+        yield np.clip(start + turn * swing, cell.arm.lower, cell.arm.upper)
 
 
 def keep_plan(run: Run) -> None:
@@ -148,6 +152,18 @@ def keep_plan(run: Run) -> None:
         reference_serial=cell.settings.calibration.reference_serial,
     )
     run.keep(plan=planned.image_from_coil, plan_id=planned.id, previous_plan=planned)
+
+
+def judge_position(run: Run) -> None:
+    """Decide if the position of a tool at the body stays known under the plan that `keep_plan` has put in force.
+
+    It does if the tool rests where an earlier plan has brought it, by the registration in force, and Stop is not
+    latched. Everywhere else this has no effect: the outcome diverts a revocation, and nothing is revoked there.
+    """
+    data = run.data
+    brought = data.approached is not None and data.approached[1] == data.registration_id
+    known = brought and not run.latched and run.states["placement"] in POSITION_KNOWN
+    run.outcome = "replanned" if known else "planned"
 
 
 def previous_plan_fits(run: Run) -> None:
@@ -178,4 +194,5 @@ def register_plan_operations(registry: Registry[Cell, PlacementData]) -> None:
     registry.payload("tool_pose", ToolPose)
     registry.long_check(plan_reachable)
     registry.long_check(previous_plan_fits)
-    registry.step(keep_plan)
+    for step in (keep_plan, judge_position):
+        registry.step(step)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from math import pi, radians, sin
+from math import inf, pi, radians, sin
 
 import numpy as np
 
@@ -92,3 +93,31 @@ class Pivot:
         tilted = Transform.from_rotvec(np.zeros(3), tilt * np.array((np.cos(azimuth), np.sin(azimuth), 0.0)))
         spun = Transform.from_rotvec(np.zeros(3), (0.0, 0.0, SPIN * sin(2 * pi * SPIN_HZ * since)))
         return self.image_from_tip @ tilted @ spun @ self.tip_from_pointer
+
+
+SLIDE_SPACING = 0.004
+"""Distance of two poses of a sliding pointer, m."""
+SLIDE_SPEED = 0.06
+"""Speed at which a hand slides the tip, m/s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Slide:
+    """Motion of the pointer whose tip a hand slides over the skin, back and forth.
+
+    Attributes:
+        start: Time of its start, s of the cell.
+        poses: ``image_from_pointer`` along the way, `SLIDE_SPACING` apart.
+    """
+
+    start: float
+    poses: Sequence[Transform]
+
+    end = inf
+    """The hand stops when the pointer is released."""
+
+    def image_from_pointer(self, time: float) -> Transform:
+        """Return the pose of the marker body at a time of the cell, s."""
+        last = len(self.poses) - 1
+        along = int((time - self.start) * SLIDE_SPEED / SLIDE_SPACING) % (2 * last)
+        return self.poses[min(along, 2 * last - along)]

@@ -8,8 +8,8 @@ from pcmrs.clock import Clock
 from pcmrs.errors import DeviceError
 from pcmrs.messages import LandmarkPrompt
 from pcmrs.spatial import Floats, Transform
-from pcmrs_sim.motion import Pivot
-from pcmrs_sim.phantoms import SURFACE_POINTS
+from pcmrs_sim.motion import Pivot, Slide
+from pcmrs_sim.phantoms import SURFACE_POINTS, surface_path
 from pcmrs_sim.shape import rotation_with_z
 from pcmrs_sim.world import World
 
@@ -40,14 +40,23 @@ class SimPointer:
         error = rng.normal(0.0, settings.digitization.surface_noise_mm * 1e-3, 3)
         await self._rest(SURFACE_POINTS[settings.phantom](rng) + error)
 
+    async def slide(self) -> None:
+        await self._move_to_target()
+        settings, rng = self._world.settings, self._world.touch_errors.surface
+        path = surface_path(settings.phantom, rng)
+        tips = path + rng.normal(0.0, settings.digitization.surface_noise_mm * 1e-3, path.shape)
+        await self._rest(tips[0])
+        poses = [self._image_from_tip(tip) @ self._tip_from_pointer for tip in tips]
+        self._world.pointer_motion = Slide(self._world.time, poses)
+
     async def release(self) -> None:
         self._release_count += 1
-        self._world.image_from_pointer = self._world.pivot = None
+        self._world.image_from_pointer = self._world.pointer_motion = None
 
     def pivot(self, duration: float) -> None:
         """Pivot the pointer about its tip, in a divot at the planned first landmark, for a duration, s."""
         time, divot = self._world.time, self._world.phantom.landmarks[0].position
-        self._world.pivot = Pivot(time, time + duration, self._image_from_tip(divot), self._tip_from_pointer)
+        self._world.pointer_motion = Pivot(time, time + duration, self._image_from_tip(divot), self._tip_from_pointer)
 
     def displace(self, index: int, offset_in_image: Floats) -> None:
         """Displace the next touch of a landmark.
@@ -61,7 +70,7 @@ class SimPointer:
     async def _move_to_target(self) -> None:
         """Wait until the hand is at its target. Raises `DeviceError` if the pointer was released meanwhile."""
         release_count = self._release_count
-        self._world.image_from_pointer = self._world.pivot = None
+        self._world.image_from_pointer = self._world.pointer_motion = None
         await self._clock.sleep(self._world.settings.digitization.reach_time)
         if self._release_count != release_count:
             raise DeviceError("The pointer was released before it reached its target. Request the touch again.")

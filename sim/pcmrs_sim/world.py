@@ -14,7 +14,7 @@ from pcmrs.spatial import Floats, Transform, trusted_transform
 from pcmrs_sim.arm import Arm
 from pcmrs_sim.error_models import RestingPlaces, TouchErrors, TrackerErrors
 from pcmrs_sim.kinematic_arm import KinematicArm
-from pcmrs_sim.motion import Pivot, head_offset
+from pcmrs_sim.motion import Pivot, Slide, head_offset
 from pcmrs_sim.muscle.head_subject import draw_subject
 from pcmrs_sim.muscle.muscle import Muscle
 from pcmrs_sim.phantoms import PHANTOMS
@@ -43,7 +43,7 @@ class World:
         tracker_from_image: Present pose of the patient.
         body_ref_from_image: The true registration.
         image_from_pointer: Pose of the pointer at rest on the patient; None while it moves or is away.
-        pivot: Present rotation of the pointer in a divot; None if there is none.
+        pointer_motion: Motion of the pointer in a hand that pivots or slides it; None while it rests or is away.
         hidden: Bodies that are hidden from the tracker.
         tracker_errors: Errors of the tracker.
         touch_errors: Errors of touches.
@@ -63,7 +63,7 @@ class World:
         self.body_ref_from_image = _pose(geometry.body_ref_from_image, phantom.body_ref_from_image)
         self._witness_from_image = BODY_REF_FROM_WITNESS.inverse() @ self.body_ref_from_image
         self.image_from_pointer: Transform | None = None
-        self.pivot: Pivot | None = None
+        self.pointer_motion: Pivot | Slide | None = None
         self.hidden: set[str] = set()
         self.pulse_listeners: list[Callable[[int, float, float], None]] = []
         make = KinematicArm if settings.arm.physics == "kinematic" else Arm
@@ -191,11 +191,11 @@ class World:
         return cached[2]
 
     def _tracker_from_pointer(self) -> Transform | None:
-        if self.pivot is not None and self.time > self.pivot.end:
-            self.pivot = None
+        if self.pointer_motion is not None and self.time > self.pointer_motion.end:
+            self.pointer_motion = None
         image_from_pointer = self.image_from_pointer
-        if self.pivot is not None:
-            image_from_pointer = self.pivot.image_from_pointer(self.time)
+        if self.pointer_motion is not None:
+            image_from_pointer = self.pointer_motion.image_from_pointer(self.time)
         return None if image_from_pointer is None else self.tracker_from_image @ image_from_pointer
 
     def _set_start_pose(self, tracker_from_image: Transform) -> None:

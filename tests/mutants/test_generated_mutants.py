@@ -73,7 +73,7 @@ def test_mutants_of_the_product_are_programs_in_every_package() -> None:
 
 
 def test_a_guard_is_uncovered_until_both_its_sides_are_run() -> None:
-    guard = next(each for each in guards() if each.function == "LandmarkSeries.add")
+    guard = next(each for each in guards() if each.function == "NumberedSeries.add")
     line = guard.body.start
     digest = hashlib.sha256((ROOT / guard.place.file).read_bytes()).hexdigest()
 

@@ -37,6 +37,7 @@ USER_OPERATIONS = {
         "digitize_one",
         "redigitize_one",
         "reuse_previous",
+        "reuse_previous_of",
         "reuse_previous_except",
         "check_landmark",
         "digitize_surface",
@@ -76,7 +77,7 @@ INTERNAL_OPERATIONS = {
     "placement": ["teleoperation_changed", "alignment_changed"],
 }
 MOTIONS = ["approach", "confirm", "nudge", "press", "follow", "guide", "back_off", "home", "to_initial"]
-AT_BODY = ("standoff", "placed", "following", "guided")
+AT_BODY = ("standoff", "placed", "following", "guided", "replanned")
 
 
 def expected(joint: Joint, branch: str, operation: str) -> Endings | None:
@@ -151,7 +152,7 @@ def _digitization(joint: Joint, operation: str) -> Endings | None:
     registration, digitized = joint[0], joint[1] == "1"
     if operation in ("digitize_all", "reuse_previous", "reuse_previous_except"):
         return None if registration == "000" else {"done": _with_registration(joint, "110")}
-    if operation == "digitize_one":
+    if operation in ("digitize_one", "reuse_previous_of"):
         return {"partial": joint, "complete": _with_registration(joint, "110")} if registration == "100" else None
     if operation == "redigitize_one":
         return {"done": _with_registration(joint, "100")} if digitized else None
@@ -169,7 +170,12 @@ def _digitization(joint: Joint, operation: str) -> Endings | None:
 def _toolplan(joint: Joint, operation: str) -> Endings | None:
     if operation == "reinit" and not _away(joint):
         return None
-    return {"done": _revoked((*joint[:2], "1" if operation in ("plan", "use_previous") else "0", *joint[3:]))}
+    if operation in ("clear", "reinit"):
+        return {"done": _revoked((*joint[:2], "0", *joint[3:]))}
+    planned = (*joint[:2], "1", *joint[3:])
+    # Where the tool is at the body, its position may stay known.
+    kept = (*planned[:4], "replanned", "0", "off") if joint[4] in AT_BODY else planned
+    return {"planned": _revoked(planned), "replanned": kept}
 
 
 def _robot(joint: Joint, operation: str) -> Endings | None:
@@ -202,10 +208,12 @@ def _placement(joint: Joint, operation: str) -> Endings | None:
     if operation == "stop_following":
         return {"done": at("placed")} if here == "following" else None
     motion: Endings | None = None
-    if operation == "approach" and here == "retracted" and ready:
+    if operation == "approach" and here in ("retracted", "standoff", "replanned") and ready:
         motion = {"done": at("standoff")}
     if operation == "confirm" and here == "standoff" and ready:
         motion = {"done": at("placed")}
+    if operation == "confirm" and here == "placed" and ready:
+        motion = {"done": joint}
     if operation == "nudge" and here in ("standoff", "placed") and ready:
         motion = {"done": joint}
     if operation == "press" and here == "placed" and ready:

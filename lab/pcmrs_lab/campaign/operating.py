@@ -81,7 +81,12 @@ class RandomOperator:
 
 
 WAY_OUT = {"unknown": "placement.locate", "held": "placement.back_off"}
-NEXT = {"retracted": "placement.approach", "standoff": "placement.confirm", "placed": "placement.home"}
+NEXT = {
+    "retracted": "placement.approach",
+    "replanned": "placement.approach",
+    "standoff": "placement.confirm",
+    "placed": "placement.home",
+}
 
 
 def _register(branches: dict[str, str]) -> OperationCall:

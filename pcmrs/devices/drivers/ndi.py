@@ -16,7 +16,7 @@ import structlog
 
 from pcmrs.clock import Clock
 from pcmrs.devices.ndi.poses import FrameReader
-from pcmrs.devices.ndi.process import read_reports
+from pcmrs.devices.ndi.process import BeepLine, read_reports
 from pcmrs.devices.ndi.tools import placeholder, read_tools
 from pcmrs.devices.ndi.wire import ReaderJob, TrackerReady
 from pcmrs.devices.tables import check_devices, read_table
@@ -84,7 +84,12 @@ class NdiTracker:
         self._job = ReaderJob(settings.device, settings.baud, dict(tools))
         self._clock = clock
         self._reader = FrameReader(settings.latency, settings.max_error_mm / 1000.0)
+        self._beeps = BeepLine()
         self.trouble = f"The tracker at {settings.device} has not been reached yet."
+
+    def beep(self, count: int) -> None:
+        """Sound the tracker's beeper, 1 to 9 times; see `pcmrs.devices.protocols.BeepingTracker`."""
+        self._beeps.beep(count)
 
     async def frames(self) -> AsyncGenerator[Sequence[BodyPose], None]:
         """Yield all bodies of each new frame, for one reader; an absent tracker is tried again without a limit."""
@@ -101,7 +106,7 @@ class NdiTracker:
             pause = min(2 * pause, LONGEST_PAUSE)
 
     async def _connection(self) -> AsyncGenerator[Sequence[BodyPose], None]:
-        async with aclosing(read_reports(self._job, self._clock)) as reports:
+        async with aclosing(read_reports(self._job, self._clock, self._beeps)) as reports:
             async for report in reports:
                 if isinstance(report, TrackerReady):
                     self._ready(report)

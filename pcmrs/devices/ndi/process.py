@@ -25,12 +25,31 @@ MODULE = "pcmrs.devices.ndi.reader"
 """Module that the reader process runs."""
 
 
-async def read_reports(job: ReaderJob, clock: Clock) -> AsyncGenerator[TrackerReady | NdiFrame, None]:
+class BeepLine:
+    """Line to the reader process that tracks now, for beeps; without one, nothing is heard."""
+
+    def __init__(self) -> None:
+        self._reader: asyncio.StreamWriter | None = None
+
+    def connect(self, reader: asyncio.StreamWriter | None) -> None:
+        """Use the standard input of a reader from now on, or of none."""
+        self._reader = reader
+
+    def beep(self, count: int) -> None:
+        """Let the tracker beep, 1 to 9 times."""
+        if self._reader is not None:
+            self._reader.write(bytes((count,)))
+
+
+async def read_reports(
+    job: ReaderJob, clock: Clock, beeps: BeepLine | None = None
+) -> AsyncGenerator[TrackerReady | NdiFrame, None]:
     """Start a reader process and yield its reports; the process ends with this iterator.
 
     Args:
         job: Address of the tracker, and its tools.
         clock: Clock of the machine, for timeouts.
+        beeps: Line that is connected to the reader while the tracker tracks.
 
     Raises:
         DeviceError: The tracker is absent, refuses, or has stopped answering.
@@ -46,10 +65,14 @@ async def read_reports(job: ReaderJob, clock: Clock) -> AsyncGenerator[TrackerRe
             for report in unpacker.feed(data):
                 if isinstance(report, Failed):
                     raise DeviceError(report.text)
+                if beeps is not None and isinstance(report, TrackerReady):
+                    beeps.connect(process.stdin)
                 limit = FRAME_TIME
                 yield report
         raise DeviceError(_end_text(await process.wait()))
     finally:
+        if beeps is not None:
+            beeps.connect(None)
         await kill_and_wait(process)
 
 

@@ -1,11 +1,13 @@
 """The reader process, which talks to the tracker: `ndicapi`'s reads have no timeout, and its calls hold the GIL.
 
-It reads one `ReaderJob` from standard input, writes reports to standard output, and ends with its parent. A call that
-does not return is ended, with this process, by SIGALRM, which needs no Python interpreter.
+It reads one `ReaderJob` from standard input, writes reports to standard output, and ends with its parent. While it
+tracks, each further byte of its input is a number of beeps. A call that does not return is ended, with this process, by
+SIGALRM, which needs no Python interpreter.
 """
 
 from __future__ import annotations
 
+import os
 import select
 import signal
 import socket
@@ -29,6 +31,8 @@ POLL_TIME = 0.003
 
 BAUDS = {9600: 0, 14400: 1, 19200: 2, 38400: 3, 57600: 4, 115200: 5, 921600: 6}
 """Code of each baud rate in the command ``COMM``."""
+MOST_BEEPS = 16
+"""Number of requests for beeps that are taken at once."""
 CHUNK = 64
 """Number of bytes of a tool definition in one ``PVWR``."""
 ROOM = 1024
@@ -62,9 +66,20 @@ def _reports(job: ReaderJob) -> Iterator[Report]:
     binary = _is_binary(device)
     yield TrackerReady(version, binary)
     clock = SystemClock()
-    while not select.select([sys.stdin], [], [], POLL_TIME)[0]:
+    while _obey(device):
         _command(device, "BX:0001" if binary else "TX:0001", ANSWER_TIME)
         yield _frame(device, handles, binary, clock.monotonic())
+
+
+def _obey(device: Device) -> bool:
+    """Wait a little for what the parent asks, and sound the beeps; return False when the parent has ended."""
+    if not select.select([sys.stdin], [], [], POLL_TIME)[0]:
+        return True
+    asked = os.read(sys.stdin.fileno(), MOST_BEEPS)
+    for count in asked:
+        with suppress(OSError):  # a tracker that still beeps refuses the next ones
+            _command(device, f"BEEP:{count}", ANSWER_TIME)
+    return bool(asked)
 
 
 @contextmanager

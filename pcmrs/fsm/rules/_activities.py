@@ -44,7 +44,7 @@ def _faults(blueprint: Blueprint, name: str, branch: BranchSpec, state: str) -> 
     for key, operation in branch.operations.items():
         if operation.moves and branch.valid_in(key, state) and _may_keep(operation, state):
             yield f"moves, and {key} takes over from it: that must lead elsewhere, however it ends."
-    if any(rule.to == state for rule in branch.revocations) or _is_set(blueprint, name, state):
+    if any(rule.to == state for rule in branch.revocations) or _is_put(blueprint, name, state):
         yield "moves, but another branch takes this one there: only its own approach may."
 
 
@@ -81,9 +81,13 @@ def _unfit_ways_in(branch: BranchSpec, state: str) -> Iterator[str]:
                 yield key
 
 
-def _is_set(blueprint: Blueprint, name: str, state: str) -> bool:
-    operations = (operation for branch in blueprint.branches.values() for operation in branch.operations.values())
-    return any(operation.sets.get(name) == state for operation in operations)
+def _is_put(blueprint: Blueprint, name: str, state: str) -> bool:
+    """Return true if an operation of another branch sets the state, or takes the branch there by revoking it."""
+    operations = [operation for branch in blueprint.branches.values() for operation in branch.operations.values()]
+    endings = (ending for operation in operations for ending in operation.outcomes.values())
+    return any(operation.sets.get(name) == state for operation in operations) or any(
+        ending.diverted.get(name) == state for ending in endings
+    )
 
 
 def _beside(blueprint: Blueprint, name: str, states: list[str]) -> Iterator[Finding]:

@@ -96,6 +96,8 @@ def _operation_references(blueprint: Blueprint, branch: str, spec: OperationSpec
     for name, ending in spec.outcomes.items():
         yield from _states_exist(blueprint, {branch: _named(ending.to)}, (*path, "outcomes", name, "to"))
         yield from _requirement(blueprint, ending.requires, (*path, "outcomes", name, "requires"))
+        diverted = {revoked: [state] for revoked, state in ending.diverted.items()}
+        yield from _states_exist(blueprint, diverted, (*path, "outcomes", name, "revoked_to"))
 
 
 def _named(target: TransitionTarget) -> list[str]:

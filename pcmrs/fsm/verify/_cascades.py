@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from pcmrs.fsm.blueprint import Blueprint, OperationSpec
+from pcmrs.fsm.blueprint import Blueprint, OperationSpec, OutcomeSpec, target_from
 from pcmrs.fsm.closure import Ask, Change, Denial, DeniedError, follow_cascade
 from pcmrs.fsm.verify._observed import DependencyObserver
 
@@ -60,7 +60,7 @@ class Cascades:
         states: Mapping[str, str],
         branch: str,
         operation: str,
-        target: str,
+        ending: OutcomeSpec,
         spec: OperationSpec,
         ask: Ask,
     ) -> Change:
@@ -69,13 +69,14 @@ class Cascades:
         The first effect of a change may have the name of another operation that has led to it before.
         """
         now = self._observer.states
-        start = (branch, now[branch], target, spec.signals, tuple(spec.sets.items()))
+        sets, diverted = tuple(spec.sets.items()), tuple(ending.diverted.items())
+        start = (branch, now[branch], target_from(ending.to, now[branch]), spec.signals, sets, diverted)
         known = self._known.get(start)
         while isinstance(known, _Question):
             known = known.below.get(now[known.branch])
         if known is None:
             known = self._follow(
-                blueprint, lambda order: follow_cascade(order, states, branch, operation, target, spec, ask)
+                blueprint, lambda order: follow_cascade(order, states, branch, operation, ending, spec, ask)
             )
             self._remember(start, known)
         self.followed.append(known)

@@ -95,18 +95,24 @@ def _known(name: str, pose: Transform | None) -> dict[str, Transform]:
 
 
 def state_json(snapshot: Snapshot) -> str:
-    """Return JSON: ``sequence``, ``branches``, ``flags``, ``running``, ``latched``, ``plan``, ``registration``."""
+    """Return the JSON of ``PcmrsState``: sequence, branches, flags, running, prompt, latched, plan and registration."""
     return json.dumps(
         {
             "sequence": snapshot.sequence,
             "branches": snapshot.branches,
             "flags": snapshot.flags,
             "running": [f"{each.branch}.{each.operation}" for each in snapshot.running],
+            "prompt": prompt_of(snapshot),
             "latched": snapshot.latched,
             "plan": snapshot.plan,
             "registration": snapshot.registration,
         }
     )
+
+
+def prompt_of(snapshot: Snapshot) -> str:
+    """Return what a person is asked to touch now; empty for nothing."""
+    return next((each.prompt.text for each in snapshot.running if each.prompt is not None), "")
 
 
 def state_line(snapshot: Snapshot) -> str:

@@ -95,12 +95,14 @@ class Recovered:
             not ended when the last run ended.
         unknown: Unknown outcomes, until an operator has settled them.
         start: Sequence of the row of this start.
+        initial_joints: Posture that was remembered last as the initial one, rad, (n,); empty for none.
     """
 
     workflow: Workflow[Cell, PlacementData]
     latched: bool
     unknown: tuple[UnknownOutcome, ...]
     start: int
+    initial_joints: tuple[float, ...] = ()
 
     def give_to(self, dispatcher: Dispatcher[Cell, PlacementData], journal: Journal) -> None:
         """Start a dispatcher with it, and let it fail with its journal; before anything is submitted.
@@ -111,6 +113,21 @@ class Recovered:
         """
         dispatcher.restore(latched=self.latched, unknown=self.unknown, start=self.start)
         journal.on_failure(lambda error: dispatcher.fail(reason_for(error)))
+
+    def restore_initial_joints(self, cell: Cell) -> None:
+        """Let the remembered initial posture hold in this run, too, if the settings say so and the arm has it.
+
+        Args:
+            cell: Cell of this run.
+        """
+        if not self.initial_joints or not cell.settings.placement.keep_initial_posture:
+            return
+        try:
+            cell.arm.check_limits(self.initial_joints)
+        except PcmrsError as error:
+            log.warning("initial_posture_dropped", reason=error.text)
+            return
+        cell.initial_joints = list(self.initial_joints)
 
 
 async def recover(
@@ -149,7 +166,7 @@ async def recover(
         log.warning("unknown_outcome", command=outcome.command, operation=f"{outcome.branch}.{outcome.operation}")
     note = log.info if kept.latched or kept.taken_back else log.debug
     note("recovered", latched=kept.latched, can_be_taken_back=sorted(kept.taken_back))
-    return Recovered(replace(workflow, initial=initial), kept.latched, kept.unknown, start)
+    return Recovered(replace(workflow, initial=initial), kept.latched, kept.unknown, start, kept.initial_joints)
 
 
 async def conclude(recorder: JournalRecorder) -> None:

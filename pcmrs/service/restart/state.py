@@ -16,6 +16,8 @@ from pcmrs.messages import Reason, UnknownOutcome
 TAKEN_BACK = ("previous", "noise", "previous_digitization", "previous_plan")
 """Fields of the data that outlive a run of the daemon: those that only explicit operations use, after their checks, and
 the measured noise of each pointer."""
+INITIAL_JOINTS = "initial_joints"
+"""Code of the event by which the gateway reports that the present posture is the initial one from now on."""
 ENDED = Reason(code="daemon_ended", text="The daemon ended while it ran; its outcome is unknown.")
 
 
@@ -34,6 +36,7 @@ class PersistedState(msgspec.Struct, frozen=True, kw_only=True):
         begun: Unfinished commands.
         moving: Unfinished activities that move the robot; `operation` is the name of the activity.
         unknown: Unknown outcomes that no operator has settled.
+        initial_joints: Posture that was remembered last as the initial one, rad, (n,); empty for none.
     """
 
     taken_back: dict[str, Any] = {}
@@ -41,6 +44,7 @@ class PersistedState(msgspec.Struct, frozen=True, kw_only=True):
     begun: tuple[InFlightCommand, ...] = ()
     moving: tuple[InFlightCommand, ...] = ()
     unknown: tuple[UnknownOutcome, ...] = ()
+    initial_joints: tuple[float, ...] = ()
 
 
 class RestartState:
@@ -55,6 +59,7 @@ class RestartState:
         self._blueprint = blueprint
         self._taken_back = dict(kept.taken_back)
         self._latched = kept.latched
+        self._initial_joints = kept.initial_joints
         self._begun = {(each.source, each.command): each for each in kept.begun}
         self._moving = {(each.source, each.command): each for each in kept.moving}
         self._unsettled = PendingOutcomes(blueprint, kept.unknown)
@@ -68,6 +73,7 @@ class RestartState:
             begun=tuple(self._begun.values()),
             moving=tuple(self._moving.values()),
             unknown=tuple(self._unsettled.shown()),
+            initial_joints=self._initial_joints,
         )
 
     def take(self, row: JournalRow) -> None:
@@ -80,6 +86,8 @@ class RestartState:
             self._leave_moving()
         elif row.kind == "device":
             self._follow_activity(row)
+            if row.operation == INITIAL_JOINTS:
+                self._initial_joints = tuple(row.result["fields"]["joints"]) if row.result else ()
             if (row.result or {}).get("danger"):
                 self._latched = self._latched or row.source != SHUTDOWN or _left_unconfirmed(row)
 

@@ -47,6 +47,9 @@ class PlacementSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     Attributes:
         standoff: Distance along the tool's +z axis at which an approach ends, m.
         confirm_offset: Distance along the tool's +z axis at which `confirm` ends, m. Errors are measured from there.
+        confirm_drops_nudges: True if `confirm` goes to the planned pose without the nudges; False to keep them.
+        keep_initial_posture: True if the posture that a panel has remembered as the initial one holds after a restart;
+            False to begin with the home posture.
         clearance: Distance from the middle of the body beyond which the tool is clear of it, m.
         settle_time: Rest before a measurement, s.
         frames: Number of tracker frames averaged per measurement. The mean of 60 is uncertain by about 0.01 mm and
@@ -68,6 +71,8 @@ class PlacementSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
     standoff: Length = 0.070
     confirm_offset: LengthOrZero = 0.0
+    confirm_drops_nudges: bool = False
+    keep_initial_posture: bool = False
     clearance: Length = 0.28
     settle_time: NotNegative = 0.3
     frames: Annotated[int, msgspec.Meta(ge=1)] = 60

@@ -5,6 +5,7 @@ Commands, modes and error numbers are those of NDI's API guide.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 
@@ -22,6 +23,11 @@ MOST_HANDLES = 6
 """Number of port handles, as of a Vicra."""
 SROM_SIZE = 1024
 """Size of a tool definition, bytes."""
+
+COUNTS = "123456789"
+"""Numbers of beeps that one command may ask for."""
+MOST_BEEPS = 100
+"""Number of the last requests for beeps that are kept."""
 
 VERSION = """Polaris Vega Control Firmware
 Freeze Tag: Polaris Vega Rev 007.000.012 (virtual)
@@ -64,6 +70,9 @@ class NdiSystem:
         newest: Returns the newest published frame of the simulated tracker; empty before the first.
         plugged: Returns true while the position sensor is plugged in.
         wrong_tools: Returns the bodies that carry another tool than the one that is defined for them.
+
+    Attributes:
+        beeps: Number of beeps of each of the last requests for them, in order.
     """
 
     def __init__(
@@ -77,6 +86,7 @@ class NdiSystem:
         self._wrong_tools = wrong_tools
         self._handles: dict[int, Handle] = {}
         self._initialized = self._tracking = False
+        self.beeps: deque[int] = deque(maxlen=MOST_BEEPS)
         self._anytime = {"RESET": self._reset, "VER": self._version, "COMM": self._okay, "BEEP": self._beep}
         self._setting_up = {
             "INIT": self._init,
@@ -127,7 +137,10 @@ class NdiSystem:
     def _version(self, _: str) -> bytes:
         return reply(VERSION)
 
-    def _beep(self, _: str) -> bytes:
+    def _beep(self, count: str) -> bytes:
+        if len(count) != 1 or count not in COUNTS:
+            raise CommandError(INVALID)
+        self.beeps.append(int(count))
         return reply("1")
 
     def _init(self, _: str) -> bytes:

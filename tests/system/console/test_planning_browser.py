@@ -142,7 +142,7 @@ def test_a_grid_is_laid_and_planned(tmp_path: Path) -> None:
         planner.shows("check", "not known before a registration")
         planner.press("send-grid")
         planner.open("workflow")
-        planner.shows("state-mapping", "point_1")
+        planner.shows("state-mapping", "ready")
 
 
 @pytest.mark.nightly

@@ -124,7 +124,7 @@ async def _to_the_body(client: Client, landmarks: Any, pose: tuple[str, dict[str
     await _told(client, *pose)
     if (await client.state()).branches["placement"] == "held":
         await _told(client, "placement.back_off")
-    if (await client.state()).branches["placement"] == "retracted":
+    if (await client.state()).branches["placement"] in ("retracted", "replanned"):
         await _told(client, "placement.approach")
     await _told(client, "placement.confirm")
 
@@ -135,7 +135,7 @@ async def _treat(client: Client, workflow: str) -> None:
         await treat(client, workflow)
     if workflow == "grid_mapping":
         pose = msgspec.to_builtins(_plan_of(workflow).poses[0])
-        await _told(client, "mapping.plan_grid", {"poses": [pose]})
+        await _told(client, "mapping.plan_grid", {"poses": [{**pose, "quat_xyzw": [0.0, 0.0, 0.0, 0.0]}]})
         await _told(client, "mapping.plan_grid", {"poses": [pose] * 9})
         await _told(client, "mapping.perform")
         await _told(client, "mapping.skip")

@@ -21,6 +21,7 @@ MAX_AGE = 0.25
 SETTINGS = DwellSettings(time=0.5, still_mm=1.0, samples=10, away_mm=10.0)
 TIP = Transform.from_quat_wxyz((0.0, 0.0, -0.15), (1.0, 0.0, 0.0, 0.0))
 PROMPT = LandmarkPrompt(index=0, name="nasion", position_in_image=(0.0, 0.0, 0.0))
+OTHER = LandmarkPrompt(index=1, name="tragus", position_in_image=(0.0, 0.1, 0.0))
 TABLE, NASION, TRAGUS = (0.0, 0.5, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0)
 
 
@@ -35,8 +36,8 @@ class Hand:
         self._number = 0
         self._noise = np.random.default_rng(1)
 
-    async def ask(self) -> None:
-        self.asked = asyncio.create_task(self.pointer.touch(PROMPT))
+    async def ask(self, prompt: LandmarkPrompt = PROMPT) -> None:
+        self.asked = asyncio.create_task(self.pointer.touch(prompt))
         await settle()
 
     async def rest(self, tip: npt.ArrayLike, seconds: float, noise_mm: float = 0.05) -> None:
@@ -98,27 +99,47 @@ async def test_a_tip_held_still_is_a_touch_after_the_dwell_time(hand: Hand) -> N
     assert hand.done
 
 
-async def test_where_it_lies_at_the_prompt_is_no_touch(hand: Hand) -> None:
-    await hand.rest(TABLE, 1.0)
+async def test_a_tip_that_rests_at_the_first_prompt_counts_after_a_fresh_dwell(hand: Hand) -> None:
+    await hand.rest(NASION, 5.0)
     await hand.ask()
-    await hand.rest(TABLE, 5.0)
-    assert not hand.done
-    await hand.go(TABLE, NASION, 0.5)
-    await hand.rest(NASION, 1.0)
+    await hand.rest(NASION, SETTINGS.time - 2 * PERIOD)
+    assert not hand.done, "what was before the prompt does not count"
+    await hand.rest(NASION, 0.2)
     assert hand.done
 
 
-async def test_the_next_touch_is_not_where_the_last_one_was(hand: Hand) -> None:
+async def test_the_same_landmark_is_touched_again_without_lifting_the_tip(hand: Hand) -> None:
     await hand.ask()
     await hand.rest(NASION, 1.0)
     assert hand.done
     await hand.pointer.release()
     await hand.ask()
+    await hand.rest(NASION, SETTINGS.time + 0.2)
+    assert hand.done
+
+
+async def test_one_resting_tip_is_never_two_landmarks(hand: Hand) -> None:
+    await hand.ask()
+    await hand.rest(NASION, 1.0)
+    assert hand.done
+    await hand.pointer.release()
+    await hand.ask(OTHER)
     await hand.rest(NASION, 3.0)
     assert not hand.done
     await hand.go(NASION, TRAGUS, 0.5)
     await hand.rest(TRAGUS, 1.0)
     assert hand.done
+
+
+@pytest.mark.parametrize("millimetres", [5.0, 9.0])
+async def test_another_landmark_needs_the_whole_way(hand: Hand, millimetres: float) -> None:
+    await hand.ask()
+    await hand.rest(NASION, 1.0)
+    near = (NASION[0] + millimetres * 1e-3, 0.0, 0.0)
+    await hand.ask(OTHER)
+    await hand.go(NASION, near, 0.2)
+    await hand.rest(near, 3.0)
+    assert not hand.done
 
 
 async def test_a_rest_before_the_prompt_is_no_touch(hand: Hand) -> None:
@@ -127,7 +148,7 @@ async def test_a_rest_before_the_prompt_is_no_touch(hand: Hand) -> None:
     await hand.rest(NASION, 1.0)
     await hand.go(NASION, TRAGUS, 0.5)
     await hand.rest(TRAGUS, 2.0)
-    await hand.ask()
+    await hand.ask(OTHER)
     await hand.rest(TRAGUS, SETTINGS.time - 2 * PERIOD)
     assert not hand.done
     await hand.rest(TRAGUS, 0.2)
@@ -138,19 +159,20 @@ async def test_the_same_place_is_touched_again_after_lifting_the_tip(hand: Hand)
     await hand.ask()
     await hand.rest(NASION, 1.0)
     lifted = (0.1, 0.0, 0.015)
-    await hand.ask()
+    await hand.ask(OTHER)
     await hand.go(NASION, lifted, 0.2)
     await hand.go(lifted, NASION, 0.2)
     await hand.rest(NASION, 1.0)
     assert hand.done
 
 
-async def test_hidden_pointer_that_reappears_where_it_lay_is_no_touch(hand: Hand) -> None:
-    await hand.rest(TABLE, 1.0)
+async def test_hidden_tip_that_reappears_at_the_last_landmark_is_no_other_one(hand: Hand) -> None:
     await hand.ask()
+    await hand.rest(NASION, 1.0)
+    await hand.ask(OTHER)
     for _ in range(30):
-        await hand.frame(np.array(TABLE), seen=False)
-    await hand.rest(TABLE, 2.0)
+        await hand.frame(np.array(NASION), seen=False)
+    await hand.rest(NASION, 2.0)
     assert not hand.done
 
 

@@ -120,7 +120,7 @@ class Script:
         self.entered.append(name)
         self.log.append(name)
         run.outcome = _usual_outcome(run)
-        if name not in run.data.marks[-1:]:
+        if "marks" not in run.changes and name not in run.data.marks[-1:]:
             run.keep(marks=(*run.data.marks, name))
 
 
@@ -136,7 +136,10 @@ def _usual_outcome(run: Run[Any, Notes]) -> str | None:
     ready = (run.states.get("registration"), run.states.get("toolplan")) == ("111", "1")
     return {
         "digitization.digitize_one": "complete",
+        "digitization.reuse_previous_of": "complete",
         "digitization.check_landmark": "same",
+        "toolplan.plan": "planned",
+        "toolplan.use_previous": "planned",
         "placement.locate": "retracted",
         "placement.back_off": "standoff" if ready else "retracted",
     }.get(_name(run))

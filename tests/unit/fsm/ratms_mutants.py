@@ -43,7 +43,7 @@ def mutants() -> Mapping[str, Callable[[], Blueprint]]:
     found["no revocation"] = partial(changed, lambda branches: branches["placement"].update(revocations=[]))
     for by, other in permutations(("registration", "toolplan")):
         found[f"no revocation by {by}"] = partial(revoked, by=[other])
-    at_body = ("standoff", "placed", "following", "guided")
+    at_body = ("standoff", "placed", "following", "guided", "replanned")
     for state in at_body:
         found[f"{state} not revoked"] = partial(revoked, **{"from": [each for each in at_body if each != state]})
     return MappingProxyType(found)

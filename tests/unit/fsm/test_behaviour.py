@@ -50,10 +50,10 @@ def test_blueprint_has_exactly_the_specified_operations() -> None:
     assert [n for n, spec in RATMS.branches["placement"].operations.items() if spec.motion != "none"] == MOTIONS
 
 
-def test_the_reachable_joint_states_are_the_39_of_the_oracle() -> None:
+def test_the_reachable_joint_states_are_the_40_of_the_oracle() -> None:
     found = set(behaviour(RATMS))
     assert found == set(REACHABLE)
-    assert len(found) == 39
+    assert len(found) == 40
 
 
 def test_registration_and_digitization_have_4_joint_states() -> None:
@@ -67,7 +67,7 @@ def test_every_ending_leads_where_the_specification_says(branch: str, operation:
 
 
 def test_too_many_joint_states_are_refused_with_the_limit() -> None:
-    assert len(behaviour(RATMS, limit=39)) == 39
+    assert len(behaviour(RATMS, limit=40)) == 40
     with pytest.raises(BlueprintError, match="over 38 joint states") as refused:
         behaviour(RATMS, limit=38)
     assert refused.value.fields == {"limit": 38}

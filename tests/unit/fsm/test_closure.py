@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -99,7 +100,7 @@ def test_a_tool_at_the_head_is_revoked_in_the_same_change(
         if states["placement"] in ("standoff", "placed", "following") and any(
             e.kind != "signal" or e.source != e.target for e in touched
         ):
-            assert change.states["placement"] in ("held", "unknown")
+            assert change.states["placement"] in ("held", "unknown", "replanned")
         if change.states["placement"] in ("standoff", "placed", "following"):
             assert (change.states["registration"], change.states["toolplan"]) == ("111", "1")
 
@@ -183,3 +184,23 @@ def test_a_revocation_takes_children_of_every_level_along() -> None:
     change = engine.perform("watch", "shout")
     assert isinstance(change, Change)
     assert change.states == {"top": "a", "mid": "m0", "leaf": "l0", "watch": "loud"}
+
+
+@pytest.mark.parametrize("placement", ["standoff", "placed", "replanned"])
+def test_an_outcome_may_divert_a_revocation(placement: str) -> None:
+    joint: Joint = ("111", "1", "1", "1", placement, "0", "off")
+    closure = close(RATMS, as_dict(joint), "toolplan", "plan")
+    assert isinstance(closure, Closure)
+    assert {name: change.states["placement"] for name, change in closure.outcomes.items()} == {
+        "planned": "held",
+        "replanned": "replanned",
+    }
+    assert closure.writes >= {"toolplan", "placement"}
+
+
+def test_a_diverted_revocation_changes_nothing_where_nothing_is_revoked() -> None:
+    joint: Joint = ("111", "1", "1", "1", "retracted", "0", "off")
+    closure = close(RATMS, as_dict(joint), "toolplan", "plan")
+    assert isinstance(closure, Closure)
+    assert closure.outcomes["replanned"].states == closure.outcomes["planned"].states == as_dict(joint)
+    assert "placement" not in closure.writes

@@ -13,6 +13,7 @@ def test_every_command_but_stop_is_in_one_group() -> None:
 def test_whatever_drives_the_robot_is_in_no_group_of_the_default() -> None:
     for name in allowed(DEFAULT):
         assert all(step.branch not in ("placement", "robot") for step in COMMANDS[name].steps), name
+        assert all(f"{step.branch}.{step.operation}" != "mapping.perform" for step in COMMANDS[name].steps), name
     assert {name for name, spec in COMMANDS.items() if any(step.branch == "placement" for step in spec.steps)} == set(
         GROUPS["motion"]
     )

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from pcmrs.errors import RefusalError
 from pcmrs.gateway.commands import PlanKind
-from pcmrs.gateway.handlers import PAIR_WINDOW, LandmarkSeries, PlanLock, PosePair
+from pcmrs.gateway.handlers import PAIR_WINDOW, NumberedSeries, PlanLock, PosePair
 from tests.unit.gateway.gateway_fakes import CONFIRMED, UdpClient, pass_look
 from tests.unit.gateway.open_cell import pass_barrier
 
@@ -22,25 +22,25 @@ async def plan_pose(cell: Any) -> None:
 
 @given(st.integers(1, 12), st.lists(st.integers(0, 13), max_size=16))
 def test_a_series_is_complete_exactly_when_every_index_came_once(count: int, indices: list[int]) -> None:
-    series = LandmarkSeries()
+    series = NumberedSeries("landmark")
     series.announce(count)
     try:
         for index in indices:
             series.add(index, [float(index), 0.0, 0.0])
-        landmarks = series.finish()
+        numbers = series.finish()
     except RefusalError:
         assert sorted(indices) != list(range(count))
         with pytest.raises(RefusalError, match="announce"):
             series.add(0, [0.0, 0.0, 0.0])
     else:
         assert sorted(indices) == list(range(count))
-        assert landmarks == [{"name": f"p{i}", "position": [float(i), 0.0, 0.0]} for i in range(count)]
+        assert numbers == [[float(i), 0.0, 0.0] for i in range(count)]
 
 
 @given(st.integers(1, 6).flatmap(lambda count: st.permutations(range(count))), st.integers(0, 8), st.integers(0, 6))
 def test_one_landmark_too_many_drops_the_series(order: list[int], extra: int, place: int) -> None:
     """Also the last one, of a series that was complete without it."""
-    series = LandmarkSeries()
+    series = NumberedSeries("landmark")
 
     def send(indices: list[int]) -> None:
         series.announce(len(order))
@@ -57,7 +57,7 @@ def test_one_landmark_too_many_drops_the_series(order: list[int], extra: int, pl
 
 
 def test_a_new_announcement_drops_the_points_before_it() -> None:
-    series = LandmarkSeries()
+    series = NumberedSeries("landmark")
     series.announce(1)
     series.add(0, [1.0, 1.0, 1.0])
     series.announce(1)
@@ -188,7 +188,8 @@ async def test_confirm_returns_the_measured_pose_and_its_errors(cell: Any) -> No
 @pytest.mark.parametrize(
     ("command", "operation", "arguments"),
     [
-        ("icp_digitizexxxx", "digitization.digitize_surface", {}),
+        ("icp_digitizexxxx", "digitization.digitize_surface", {"points": 100, "slide": True}),
+        ("icp_pointxxxxxxx", "digitization.digitize_surface", {}),
         ("icp_clear_prevxx", "digitization.clear_surface_point", {}),
         ("icp_clear_allxxx", "digitization.clear_surface", {}),
         ("icp_registerxxxx_/m/a_b.stl", "registration.refine", {"surface": "a_b.stl"}),
@@ -205,3 +206,53 @@ async def test_surface_commands_drive_their_operations(
     assert await cell.ask(f"{command}_#1;") == f"1_accepted_{branch}_{cell.core.branches[branch]};"
     (asked,) = cell.core.commands
     assert (asked.branch, asked.operation, asked.arguments) == (branch, name, arguments)
+
+
+@pytest.mark.parametrize(
+    ("placement", "operations"),
+    [("unknown", ["locate"]), ("held", ["back_off"]), ("replanned", ["back_off"]), ("placed", ["back_off"])],
+)
+async def test_back_off_looks_first_at_an_unknown_arm(cell: Any, placement: str, operations: list[str]) -> None:
+    cell.core.branches["placement"] = placement
+    await cell.ask("execute_bkoffset_#1;")
+    assert cell.core.operations == operations
+
+
+async def test_back_off_moves_nothing_right_after_it_has_looked(cell: Any) -> None:
+    cell.core.branches["placement"] = "unknown"
+    cell.core.after_accepting = lambda: cell.core.branches.update(placement="held")
+    await cell.ask("execute_bkoffset_#1;")
+    assert cell.core.operations == ["locate"]
+
+
+async def test_session_reinit_says_nothing_of_a_bone_without_a_surgeon(cell: Any) -> None:
+    cell.core.branches["treatment"] = "unknown"
+    assert await cell.ask("session_reinitxx_#1;") == "1_rejected_toolplan_0_no_surgeon;"
+    assert cell.core.commands == []
+    cell.core.branches["treatment"] = "ready"
+    await cell.ask("session_reinitxx_#2;")
+    assert cell.core.operations == ["reinit", "reinit"]
+
+
+GRID = [[0.01, 0.02, 0.1, 0.0, 0.0, 0.0, 1.0], [0.02, 0.02, 0.1, 0.0, 0.0, 0.0, 1.0]]
+
+
+async def _send_grid(cell: Any, poses: list[list[float]], count: int) -> str:
+    await cell.ask(f"grid_numxxxxxxxx_{count:02d}_#1;")
+    for index, pose in enumerate(poses):
+        await cell.ask(f"grid_posexxxxxxx_{index:02d}_{'_'.join(map(str, pose))}_#{index + 2};")
+    return str(await cell.ask("grid_lastrecvxxx_#99;"))
+
+
+async def test_a_grid_is_planned_whole(cell: Any) -> None:
+    cell.core.branches["mapping"] = "unplanned"
+    assert await _send_grid(cell, GRID, 2) == "99_accepted_mapping_unplanned;"
+    (asked,) = cell.core.commands
+    assert (asked.branch, asked.operation) == ("mapping", "plan_grid")
+    assert asked.arguments == {"poses": [{"position": each[:3], "quat_xyzw": each[3:]} for each in GRID]}
+
+
+async def test_an_incomplete_grid_is_refused(cell: Any) -> None:
+    cell.core.branches["mapping"] = "unplanned"
+    assert await _send_grid(cell, GRID, 3) == "99_rejected_mapping_unplanned_incomplete_series;"
+    assert cell.core.commands == []

@@ -248,3 +248,31 @@ async def test_nothing_of_another_patient_is_taken_back() -> None:
             bench.cell.settings, bench.cell.mounting = before, mounting
         for name in ("digitization.reuse_previous", "registration.use_previous", "toolplan.use_previous"):
             await bench.accept(name)
+
+
+async def test_previous_points_of_named_landmarks_are_kept(bench: WorkflowBench) -> None:
+    await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
+    await bench.accept("digitization.digitize_all")
+    before = bench.data.digitized
+    first, *others = LANDMARKS
+    moved = [{**first, "position": [value + 0.01 for value in first["position"]]}, *others]
+    await bench.accept("registration.plan_landmarks", landmarks=moved)
+    verdict = await bench.refuse("digitization.reuse_previous", "other_landmarks")
+    assert verdict.reason is not None
+    assert verdict.reason.fields["unchanged"] == [each["name"] for each in others]
+    names = [each["name"] for each in others]
+    await bench.refuse("digitization.reuse_previous_of", "other_landmarks", names=[first["name"], *names])
+    await bench.refuse("digitization.reuse_previous_of", "no_such_landmark", names=["nobody"])
+    await bench.accept("digitization.reuse_previous_of", names=names)
+    assert (bench.states["digitization"], bench.data.digitized) == ("0", (None, *before[1:]))
+    await bench.accept("digitization.digitize_one", index=0)
+    assert bench.states["digitization"] == "1"
+
+
+async def test_all_named_landmarks_complete_the_digitization(bench: WorkflowBench) -> None:
+    await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
+    await bench.accept("digitization.digitize_all")
+    before = bench.data.digitized
+    await bench.accept("registration.plan_landmarks", landmarks=LANDMARKS)
+    await bench.accept("digitization.reuse_previous_of", names=[each["name"] for each in LANDMARKS])
+    assert (bench.states["digitization"], bench.data.digitized) == ("1", before)

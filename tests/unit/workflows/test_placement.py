@@ -15,11 +15,11 @@ from tests.unit.workflows.workflow_bench import DYNAMICS, POSES, WorkflowBench, 
 async def test_a_new_plan_at_the_standoff_needs_a_new_approach(bench: WorkflowBench) -> None:
     await bench.to_standoff()
     await bench.accept("toolplan.plan", **POSES[1])
-    assert bench.states["placement"] == "held"
+    assert bench.states["placement"] == "replanned"
     assert not bench.dispatcher.snapshot().running
     assert bench.speed() < 1e-3
-    assert (await bench.do("placement.confirm")).decision == "rejected"
-    assert (await bench.do("placement.home")).decision == "rejected"
+    for name in ("confirm", "nudge", "follow", "guide"):
+        assert (await bench.do(f"placement.{name}")).decision == "rejected"
     assert (await bench.accept("placement.back_off")).state == "retracted"
     assert (await bench.do("placement.confirm")).decision == "rejected"
     await bench.accept("placement.home")
@@ -119,7 +119,7 @@ async def test_the_speed_limits_are_kept() -> None:
 
 async def test_a_retreat_waits_for_nothing_on_other_branches(bench: WorkflowBench) -> None:
     await bench.to_standoff()
-    await bench.accept("toolplan.plan", **POSES[1])
+    await bench.accept("toolplan.clear")
     digitizing = asyncio.create_task(bench.do("digitization.digitize_all"))
     await bench.until(lambda: bool(bench.dispatcher.snapshot().running))
     assert (await bench.accept("placement.back_off")).state == "retracted"

@@ -265,7 +265,7 @@ async def test_tool_does_not_move_while_the_skin_is_touched(bench: WorkflowBench
     assert (await touching).decision == "accepted"
 
 
-@pytest.mark.parametrize("points", [0, 101, -1, 1.5])
+@pytest.mark.parametrize("points", [0, 501, -1, 1.5])
 async def test_a_silly_number_of_points_is_refused(bench: WorkflowBench, points: float) -> None:
     await bench.refuse("digitization.digitize_surface", "bad_arguments", points=points)
 
@@ -298,3 +298,30 @@ async def test_refinement_needs_a_surface_that_is_configured_or_named() -> None:
         assert verdict.reason is not None
         assert "set procedure.body.surface, or name one" in verdict.reason.text
         await bench.accept("registration.refine", surface="head_phantom.ply")
+
+
+CLOUD = 100
+
+
+async def test_one_slide_takes_a_cloud_of_points_that_are_apart(digitized: WorkflowBench) -> None:
+    beeps: list[int] = []
+    digitized.cell.beep = beeps.append
+    told = await digitized.accept("digitization.digitize_surface", points=CLOUD, slide=True)
+    assert told.result is not None
+    assert told.result["points"] == CLOUD + 1
+    points = np.array(digitized.data.surface)[1:]
+    apart = np.linalg.norm(points[:, None] - points[None, :], axis=2) + np.eye(CLOUD)
+    assert apart.min() >= 0.002
+    assert beeps == [3, 2, 5]
+    refined = await digitized.do("registration.refine")
+    assert refined.reason is None or refined.reason.code != "too_few_surface_points"
+
+
+async def test_a_tip_that_rests_gives_no_cloud(digitized: WorkflowBench, monkeypatch: pytest.MonkeyPatch) -> None:
+    pointer = digitized.cell.pointer
+    monkeypatch.setattr(pointer, "slide", pointer.touch_surface)
+    before = digitized.data.surface
+    await digitized.refuse(
+        "digitization.digitize_surface", "cloud_incomplete", decision="failed", points=CLOUD, slide=True
+    )
+    assert digitized.data.surface == before

@@ -17,7 +17,8 @@ PLACEMENT = ("approach", "confirm", "nudge", "back_off", "home", "to_initial", "
 PLANNING = {
     "registration": ("plan_landmarks", "register", "refine", "use_previous", "clear_landmarks", "clear_digitization"),
     "digitization": (
-        *("digitize_all", "digitize_one", "redigitize_one", "reuse_previous", "reuse_previous_except"),
+        *("digitize_all", "digitize_one", "redigitize_one", "reuse_previous", "reuse_previous_of"),
+        "reuse_previous_except",
         *("check_landmark", "digitize_surface", "clear_surface_point", "clear_surface"),
     ),
     "toolplan": ("plan", "use_previous", "clear"),

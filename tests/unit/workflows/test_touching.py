@@ -6,6 +6,7 @@ import asyncio
 
 import pytest
 
+from pcmrs.messages import Snapshot
 from tests.unit.workflows.workflow_bench import LANDMARKS, WorkflowBench, open_bench
 
 COUNT = len(LANDMARKS)
@@ -60,3 +61,22 @@ async def test_a_landmark_that_nobody_touches_is_refused_in_time(
     assert verdict.reason.fields["limit"] == limit
     assert bench.clock.monotonic() - before == pytest.approx(limit, abs=0.1)
     assert released, "the pointer asks nobody any more"
+
+
+async def test_the_landmark_and_its_number_are_shown_until_it_is_touched(bench: WorkflowBench) -> None:
+    await _plan(bench)
+    beeps: list[int] = []
+    bench.cell.beep = beeps.append
+    await bench.accept("digitization.digitize_all")
+    prompts = [
+        each.prompt
+        for message in bench.published
+        if isinstance(message, Snapshot)
+        for each in message.running
+        if each.prompt is not None
+    ]
+    shown = list(dict.fromkeys((prompt.number, prompt.landmark, prompt.count) for prompt in prompts))
+    assert shown == [(number + 1, landmark["name"], COUNT) for number, landmark in enumerate(LANDMARKS)]
+    assert f"landmark 1 of {COUNT}, {LANDMARKS[0]['name']}" in prompts[0].text
+    assert bench.dispatcher.snapshot().running == []
+    assert beeps == [3, 2] * COUNT

@@ -41,6 +41,7 @@ class CellState:
     latched: bool
     plan: str | None
     registration: str | None
+    prompt: str = ""
 
 
 @dataclass
@@ -176,6 +177,7 @@ def parse_state(text: bytes) -> CellState:
             latched=bool(told["latched"]),
             plan=told["plan"],
             registration=told["registration"],
+            prompt=str(told.get("prompt", "")),
         )
     except (ValueError, KeyError, TypeError, AttributeError):
         raise MessageError(f"{text[:60]!r} is no state.") from None

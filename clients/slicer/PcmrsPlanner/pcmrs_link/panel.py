@@ -70,6 +70,8 @@ def status(planner: Planner, feed: Feed | None) -> str:
         return "STOP IS NOT ANSWERED YET: use the emergency stop"
     if state is not None and state.latched:
         return "Stopped and latched: an operator has to acknowledge it"
+    if state is not None and state.prompt:
+        return state.prompt
     if link.under_way is not None:
         return f"{link.under_way}: {link.waited:.0f} s"
     if state is not None and state.running:

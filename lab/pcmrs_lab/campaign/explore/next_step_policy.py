@@ -10,8 +10,10 @@ Step = tuple[str, dict[str, Any]]
 """Name of an act, and its arguments."""
 
 AT_THE_BODY: dict[str, list[Step]] = {
-    "standoff": [("placement.confirm", {})],
+    "standoff": [("placement.confirm", {}), ("placement.confirm", {}), ("placement.approach", {}), ("pose", {})],
     "placed": [
+        ("pose", {}),
+        ("placement.confirm", {}),
         ("placement.press", {}),
         ("placement.nudge", {"translation": [0.0, 0.0, 0.001]}),
         ("placement.follow", {}),
@@ -19,6 +21,7 @@ AT_THE_BODY: dict[str, list[Step]] = {
         ("placement.home", {}),
         ("wire:execute_bkoffset", {}),
     ],
+    "replanned": [("placement.approach", {}), ("wire:execute_motionxx", {}), ("placement.back_off", {}), ("pose", {})],
     "guided": [("placement.back_off", {}), ("placement.home", {}), ("placement.stop_guiding", {})],
     "following": [("placement.stop_following", {}), ("placement.home", {}), ("placement.back_off", {})],
 }

@@ -435,7 +435,7 @@ async def edited_while_moving(lab: Lab) -> Evidence:
         expect(verdict.decision == "accepted", f"The approach was {verdict.decision}: {reason_text(verdict)}.")
         expect((await cell.client.state()).plan == before.plan, "The plan was changed.")
         control = await accept(cell.client, "toolplan.plan", **tool_pose(1))
-        await until(cell.client, lambda snapshot: snapshot.branches["placement"] == "held")
+        await until(cell.client, lambda snapshot: snapshot.branches["placement"] == "replanned")
         revoked = await state(cell.client, "placement")
     return Evidence(
         f"refused: {reason_text(pose)}",

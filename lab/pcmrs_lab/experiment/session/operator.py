@@ -28,11 +28,12 @@ TO_PLACED = {
     "unknown": "placement.locate",
     "held": "placement.back_off",
     "retracted": "placement.approach",
+    "replanned": "placement.approach",
     "standoff": "placement.confirm",
     "following": "placement.stop_following",
 }
 """Operation that leads to the planned pose, by state of the placement."""
-AWAY = dict.fromkeys(("placed", "following", "held"), "placement.back_off")
+AWAY = dict.fromkeys(("placed", "following", "replanned", "held"), "placement.back_off")
 """Operation that leads away from the body, by state of the placement."""
 
 

@@ -11,6 +11,7 @@ from pcmrs.fsm.blueprint import (
     Blueprint,
     BranchSpec,
     OperationSpec,
+    OutcomeSpec,
     Requirement,
     TransitionTarget,
     target_from,
@@ -52,7 +53,7 @@ def _branch(name: str, branch: BranchSpec) -> Iterator[tuple[str, ...]]:
                 ", ".join(operation.checks) if first else "",
                 ", ".join(operation.steps) if first else "",
                 _asked_by(operation) if first else "",
-                ", ".join(_calls(branch, key, operation, spec.to)),
+                ", ".join(_calls(branch, key, operation, spec)),
             )
     for state, activity in branch.activities.items():
         moves = " (moves)" if activity.moves else ""
@@ -75,10 +76,11 @@ def _asked_by(operation: OperationSpec) -> str:
     return "a device" if operation.event else ", ".join(operation.roles) or "anyone"
 
 
-def _calls(branch: BranchSpec, key: str, operation: OperationSpec, to: TransitionTarget) -> Iterator[str]:
-    """Return the effects on other branches: states that are set, and the parent's operations (Rule 2)."""
+def _calls(branch: BranchSpec, key: str, operation: OperationSpec, ending: OutcomeSpec) -> Iterator[str]:
+    """Return the effects on other branches: set states, revocations elsewhere, and the parent's operations (Rule 2)."""
     yield from (f"{child} := {state}" for child, state in operation.sets.items())
-    ways = [(state, target_from(to, state)) for state in branch.states if branch.valid_in(key, state)]
+    yield from (f"{revoked} revoked to {state}" for revoked, state in ending.diverted.items())
+    ways = [(state, target_from(ending.to, state)) for state in branch.states if branch.valid_in(key, state)]
     targets = {target for source, target in ways if target != source or operation.signals}
     if branch.parent is not None:
         emitted = dict.fromkeys(branch.emits[state] for state in branch.states if state in targets)

@@ -6,9 +6,11 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 
+import numpy as np
 import pytest
 
 from pcmrs.client import Client
+from pcmrs.spatial import Transform
 from pcmrs.testing.driving import accept, showing, until
 from tests.system.daemon.daemon_process import PLAN, ServeProcess
 
@@ -70,8 +72,13 @@ def _plan_of_landmarks() -> list[str]:
     return [f"img_fid_numxxxxx_{len(points):02d};", *numbered, "img_fid_lastrecv;"]
 
 
-def _plan_of_pose(number: int) -> list[str]:
+def _plan_of_pose(number: int, beside: float = 0.0) -> list[str]:
+    """Bytes of a target of the plan, or of one beside it along the coil's x axis, m."""
     pose = PLAN["poses"][number]
+    if beside:
+        image_from_coil = Transform.from_quat_xyzw(pose["position"], pose["quat_xyzw"])
+        position = image_from_coil @ np.array([beside, 0.0, 0.0])
+        pose = {"position": position.tolist(), "quat_xyzw": pose["quat_xyzw"]}
     rotation = "_".join(f"{value:.15f}" for value in pose["quat_xyzw"])
     translation = "_".join(f"{value:.15f}" for value in pose["position"])
     return [f"target_rotxxxxxx_{rotation};", f"target_tslxxxxxx_{translation};"]
@@ -164,3 +171,26 @@ async def test_unparsable_datagram_changes_nothing_and_is_not_answered(
         await lab.tell("planner", "tre_stopcalcuxxx;")  # what came before it has been read
         assert lab.quiet()
     assert await client.state() == before
+
+
+async def test_targets_in_a_row_and_a_moved_head_need_no_other_button(daemon: ServeProcess, client: Client) -> None:
+    async with _lab_client(daemon) as lab:
+        for command in (*_plan_of_landmarks(), "rob_conn_onxxxxx;", "start_autodigitz;"):
+            await lab.tell("robot" if command.startswith("rob") else "planner", command)
+        await until(client, showing(digitization="1", placement="retracted"))
+        assert 0.1 < float(await lab.ask("planner", "start_registrati;")) < 4.0
+        for number, beside in enumerate((0.0, 0.015, 0.030, 0.045)):
+            for command in _plan_of_pose(0, beside):
+                await lab.tell("planner", command)
+            await until(client, showing(toolplan="1", placement="replanned" if number else "retracted"))
+            await lab.tell("robot", "execute_motionxx;")
+            await until(client, showing(placement="standoff"))
+            await lab.tell("robot", "execute_confirmx;")
+            await until(client, showing(placement="placed"))
+        await client.request_device("scene", "move_body", {"offset_in_tracker": [0.0, 0.004, 0.0]})
+        await until(client, showing(alignment="0"))
+        before = (await client.state()).sequence
+        await lab.tell("robot", "execute_confirmx;")
+        await until(client, lambda shown: shown.sequence > before and showing(placement="placed", alignment="1")(shown))
+        await lab.tell("robot", "execute_homexxxx;")
+        await until(client, showing(placement="retracted"))

@@ -19,10 +19,10 @@ async def test_the_wire_refines_a_registration_by_the_surface(
     daemon: ServeProcess, client: Client, planner: Planner
 ) -> None:
     await planner.plan_landmarks([landmark["position"] for landmark in PLAN["landmarks"]])
-    assert (await planner.command("icp_digitizexxxx")).reason == "invalid_in_state"
+    assert (await planner.command("icp_pointxxxxxxx")).reason == "invalid_in_state"
     await planner.digitize_all()
     for _ in range(3):
-        assert (await planner.command("icp_digitizexxxx")).decision == "accepted"
+        assert (await planner.command("icp_pointxxxxxxx")).decision == "accepted"
     few = await planner.command("icp_registerxxxx", "/home/lab/skin_of_head/head_phantom.ply")
     assert (few.decision, few.reason) == ("rejected", "too_few_surface_points")
     assert (await planner.command("icp_clear_prevxx")).decision == "accepted"

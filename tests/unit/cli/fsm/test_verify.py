@@ -24,7 +24,7 @@ def run(*arguments: str | Path, given: bytes | None = None) -> Result:
 def test_a_sound_workflow_takes_one_line() -> None:
     result = run(FILE)
     assert result.exit_code == 0
-    assert result.stdout == f"{FILE}: sound: 39 joint states, 1964 transitions, 14 properties\n"
+    assert result.stdout == f"{FILE}: sound: 40 joint states, 2147 transitions, 16 properties\n"
     assert result.stderr == ""
 
 
@@ -48,7 +48,7 @@ def test_worst_file_sets_the_exit_code_and_all_are_verified() -> None:
         (str(files[1]), True, False),
         (str(files[2]), False, False),
     ]
-    assert (found[0]["joint_states"], found[0]["transitions"]) == (39, 1964)
+    assert (found[0]["joint_states"], found[0]["transitions"]) == (40, 2147)
     assert [finding["code"] for finding in found[1]["findings"]] == ["deadlock"]
     assert found[1]["findings"][0]["commands"] == ["door.open"]
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+from contextlib import aclosing
 from pathlib import Path
 from typing import Any
 
@@ -111,3 +112,25 @@ async def test_only_a_tracker_is_served() -> None:
     with pytest.raises(ConfigurationError, match="robot"):
         async with open_devices(("tracker", "robot"), {}, SystemClock()):
             pass
+
+
+async def test_the_tracker_beeps_while_it_tracks(monkeypatch: pytest.MonkeyPatch) -> None:
+    systems: list[NdiSystem] = []
+    perform = NdiSystem.answer
+
+    def known(self: NdiSystem, line: bytes) -> bytes:
+        if self not in systems:
+            systems.append(self)
+        return perform(self, line)
+
+    monkeypatch.setattr(NdiSystem, "answer", known)
+    async with served_ndi() as (_, device), ndi_tracker(device=device) as tracker:
+        tracker.beep(1)  # nobody is there yet
+        async with aclosing(tracker.frames()) as frames:
+            await anext(frames)
+            for count in (3, 2, 5):
+                tracker.beep(count)
+            async for _ in frames:
+                if len(heard := [each for system in systems for each in system.beeps]) >= 3:
+                    break
+        assert heard == [3, 2, 5]

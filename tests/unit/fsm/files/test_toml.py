@@ -76,7 +76,7 @@ BAD_VALUES = {
         "branches.placement.level",
     ),
     "number among names": (
-        'from = ["standoff", "placed", "following", "guided"]\nto = "held"',
+        'from = ["standoff", "placed", "following", "guided", "replanned"]\nto = "held"',
         'from = ["standoff", 7]\nto = "held"',
         'from = ["standoff", 7]',
         "branches.placement.revocations.0.from.1",

@@ -25,6 +25,14 @@ FAULTS: dict[str, Fault] = {
         "'far'",
         "to",
     ),
+    "diverted to nowhere": (
+        '[branches.top.operations.prepare]\nfrom = ["*"]\nto = "10"',
+        '[branches.top.operations.prepare]\nfrom = ["*"]\n'
+        'outcomes = { all = { to = "10", revoked_to = { side = "far" } } }',
+        "unknown_state",
+        "'far'",
+        "revoked_to",
+    ),
     "goal unknown": ('version = "1"', 'version = "1"\ngoal = { top = ["12"] }', "unknown_state", "'12'", "goal"),
     "property of no state": (
         'version = "1"',

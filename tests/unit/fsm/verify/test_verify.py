@@ -76,7 +76,7 @@ def test_million_joint_states_are_twice_as_many_while_one_runs() -> None:
 def test_shipped_workflows_are_sound(name: str) -> None:
     found = verify(shipped_blueprint(name))
     assert found.findings == []
-    assert name != "ratms" or found.joint_states == 39
+    assert name != "ratms" or found.joint_states == 40
 
 
 UNSOUND = {name for name in mutants() if "revo" in name} | {"placement.approach without requires"}
@@ -91,5 +91,6 @@ def test_every_command_sequence_of_a_mutant_can_be_followed(name: str) -> None:
     found = verify(mutant).findings
     assert bool(found) == (name in UNSOUND)
     for finding in found:
-        assert finding.commands is not None
-        follow_commands(mutant, finding.commands)
+        if finding.code != "unreachable_state":  # to a state that nothing leads to, no commands lead either
+            assert finding.commands is not None
+            follow_commands(mutant, finding.commands)

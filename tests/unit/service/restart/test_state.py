@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pcmrs.dispatcher.events import NOT_CONFIRMED, SHUTDOWN
-from pcmrs.service.restart.state import PersistedState, RestartState
+from pcmrs.service.restart.state import INITIAL_JOINTS, PersistedState, RestartState
 from tests.support.trials import examples
 from tests.unit.service.restart.earlier_runs import RATMS, as_row
 
@@ -127,3 +127,13 @@ def test_only_what_explicit_operations_use_is_taken_back() -> None:
     assert row.result is not None
     restart_state.take(msgspec.structs.replace(row, result={**row.result, "plan_id": "p", "registration_id": "r"}))
     assert restart_state.kept.taken_back == row.result
+
+
+def test_the_last_remembered_initial_posture_outlives_a_run() -> None:
+    restart_state = RestartState(RATMS, PersistedState())
+    row = as_row("device", f"gateway.{INITIAL_JOINTS}", False, None)
+    for joints in ([0.1] * 7, [0.2] * 7):
+        restart_state.take(msgspec.structs.replace(row, result={"fields": {"joints": joints}}))
+    restart_state.take(as_row(*STARTED))
+    assert restart_state.kept.initial_joints == (0.2,) * 7
+    assert RestartState(RATMS, restart_state.kept).kept.initial_joints == (0.2,) * 7

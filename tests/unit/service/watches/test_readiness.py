@@ -9,7 +9,7 @@ from structlog.testing import capture_logs
 
 from pcmrs.errors import DeviceError
 from pcmrs.service.watches.readiness import DEVICES_TIME, NOTED_AFTER, DeviceReadiness, awaited
-from pcmrs.settings import DeviceSettings, RobotSettings, Settings
+from pcmrs.settings import DeviceSettings, RobotSettings, Settings, TrackerSettings
 from pcmrs.testing.clock import ManualClock, settle
 
 OTHERS = {"pointer", "scene", "stimulator", "emg"}
@@ -18,7 +18,7 @@ OTHERS = {"pointer", "scene", "stimulator", "emg"}
 NOWHERE = DeviceSettings(driver="none")
 
 
-ELSEWHERE = Settings(robot=RobotSettings(driver="none"), tracker=DeviceSettings(driver="none"))
+ELSEWHERE = Settings(robot=RobotSettings(driver="none"), tracker=TrackerSettings(driver="none"))
 
 
 @pytest.mark.parametrize(
