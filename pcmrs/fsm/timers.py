@@ -61,7 +61,7 @@ class RunningTimer(msgspec.Struct, frozen=True, kw_only=True):
         posts: The event operation that it posts.
         after: Time from its beginning to its event, s.
         due: Time of its event, s of a monotonic clock.
-        expired: Its event was posted; it has not begun again since.
+        expired: Its event was posted; it was not restarted since.
     """
 
     branch: str

@@ -111,7 +111,7 @@ def _seconds(text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise RefusalError("bad_time", f"{text!r} is no number of seconds: write, for example, wait 60.") from None
+        raise RefusalError("bad_time", f"{text!r} cannot be a time: give seconds, for example wait 60.") from None
 
 
 def _chosen(choices: list[str], number: int) -> str:

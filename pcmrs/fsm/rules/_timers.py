@@ -47,7 +47,7 @@ def _keeps(operation: OperationSpec, state: str) -> bool:
 def _unfit(operation: OperationSpec) -> Iterator[str]:
     """Return the reasons why an operation cannot be posted, or why it might not take effect."""
     if operation.moves or operation.affects_patient:
-        yield "moves the robot or affects the patient: nothing does that without a person who asks for it."
+        yield "moves the robot or affects the patient: nothing does that unless a person requests it."
     elif not operation.event:
         yield "is not an event: mark it with event = true."
     if operation.blocked_when_latched:

@@ -88,7 +88,10 @@ def replayed(rows: list[StoredRow]) -> ReplayReport:
     return replay_runs("timed", [DaemonRun(TAG, rows)], lambda _tag: workflow(), SystemClock())
 
 
-COURSE = ("session.begin", "tool.place", "pulse.arm", "pulse.give", 8.0, "tool.nudge", 300.0, 301.0, "tool.withdraw", "session.end")
+COURSE: tuple[str | float, ...] = (
+    *("session.begin", "tool.place", "pulse.arm", "pulse.give", 8.0, "tool.nudge", 300.0),
+    *(301.0, "tool.withdraw", "session.end"),
+)
 
 
 def test_a_run_with_timers_is_decided_alike() -> None:

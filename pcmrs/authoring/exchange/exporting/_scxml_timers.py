@@ -52,7 +52,7 @@ class ScxmlTimers:
         """
         command = reaction.command
         operation = self._blueprint.branches[command.branch].operations[command.operation]
-        # One of the transitions of a command is that of its own branch: that one restarts.
+        # One of the transitions of a command is in the branch of the command: that one restarts.
         if reaction.branch != command.branch or command.ending in operation.unconfirmed:
             return
         for name, key in self._restarted.get(f"{command.branch}.{command.operation}", ()):

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import msgspec
 
-from pcmrs.authoring.exchange import plain
 from pcmrs.authoring.exchange.importing._chart import DelayedEvent, Edge, Node, Restart
 from pcmrs.authoring.exchange.importing._reading import Findings, Names
 from pcmrs.authoring.exchange.importing._regions import Region

@@ -12,8 +12,8 @@ import msgspec
 from pcmrs.authoring.exchange import PROVENANCE_NAMESPACE, SCXML_NAMESPACE
 from pcmrs.authoring.exchange.importing._chart import Edge, Node
 from pcmrs.authoring.exchange.importing._conditions import read_condition
-from pcmrs.authoring.exchange.importing._markup import Element, read_xml
 from pcmrs.authoring.exchange.importing._delays import cancelled, delayed_events, restarts
+from pcmrs.authoring.exchange.importing._markup import Element, read_xml
 from pcmrs.authoring.exchange.importing._reading import Findings
 from pcmrs.authoring.exchange.importing.imported import import_chart
 from pcmrs.fsm.blueprint import Blueprint, ProvenanceSpec

@@ -86,4 +86,4 @@ def test_a_wait_lets_timers_expire(tmp_path: Path) -> None:
     assert "60 s: wait 60: waited" in run.output
     assert "    timer tool.idle: 540 s left" in run.output
     assert "600 s: tool.left_alone: accepted, by timer tool.idle" in run.output
-    assert run.stderr.count("no number of seconds") == 2
+    assert run.stderr.count("cannot be a time") == 2

@@ -22,7 +22,7 @@ FAULTS = {
         'posts = "rested"',
         'posts = "give"',
         "bad_timer",
-        "nothing does that without a person who asks",
+        "nothing does that unless a person requests it",
     ),
     "event with checks": (EVENT, EVENT + '\nchecks = ["see"]', "bad_timer", "checks or requires"),
     "event that requires": (EVENT, EVENT + '\nrequires = { pulse = ["ready"] }', "bad_timer", "checks or requires"),
