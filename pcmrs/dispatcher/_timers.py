@@ -40,7 +40,9 @@ class Timers(Generic[C, D]):
         self._context = context
         self._coordinator = context.coordinator
         self._decisions = decisions
-        self._schedule = TimerSchedule(context.workflow.blueprint, limits)
+        blueprint = context.workflow.blueprint
+        self._schedule = TimerSchedule(blueprint, limits)
+        self._declared = any(branch.timers for branch in blueprint.branches.values())
         self._parents: dict[str, str] = {}
         self._posted: dict[str, asyncio.Future[Verdict]] = {}
         self._waiting: asyncio.Task[None] | None = None
@@ -53,7 +55,7 @@ class Timers(Generic[C, D]):
             command: The command.
             verdict: The verdict on it.
         """
-        if self._closed:
+        if self._closed or not self._declared:
             return
         accepted = f"{command.branch}.{command.operation}" if verdict.decision == "accepted" else ""
         now = self._context.clock.monotonic()
